@@ -1,0 +1,545 @@
+"""A log keeps every number it is given, reports every repair, and refuses with a remedy."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from twin.log import COMMANDS, MEASUREMENTS, REQUIRED, TRUTH, Log, LogError, recorded_runs
+from twin.particulars import Particulars
+
+Columns = dict[str, list[str]]
+ROWS = 40
+
+
+def columns(rows: int = ROWS) -> Columns:
+    """Return the text cells of a sound log in which every measurement changes."""
+    k = np.arange(rows)
+    values = {"t_s": 0.1 * k}
+    values |= {name: np.full(rows, 0.25 * j) for j, name in enumerate(COMMANDS)}
+    values |= {name: np.sin(0.1 * k + j) for j, name in enumerate(MEASUREMENTS)}
+    return {name: [repr(float(x)) for x in column] for name, column in values.items()}
+
+
+def save(path: Path, table: Columns) -> Path:
+    lines = [",".join(table), *(",".join(cells) for cells in zip(*table.values(), strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def sound(rows: int = ROWS, truth: bool = False) -> Log:
+    rng = np.random.default_rng(3)
+    return Log(
+        0.05 * np.arange(rows) + 0.01 * rng.random(rows),
+        rng.standard_normal((rows, 9)),
+        rng.uniform(-1.0, 1.0, (rows, 4)),
+        rng.standard_normal((rows, 6)) if truth else None,
+    )
+
+
+def same_bits(a: Log, b: Log) -> bool:
+    pairs = [(a.t, b.t), (a.z, b.z), (a.cmd, b.cmd)]
+    if (a.truth is None) != (b.truth is None):
+        return False
+    if a.truth is not None and b.truth is not None:
+        pairs.append((a.truth, b.truth))
+    return all(
+        x.shape == y.shape
+        and np.array_equal(np.isnan(x), np.isnan(y))
+        and x[~np.isnan(x)].tobytes() == y[~np.isnan(y)].tobytes()
+        for x, y in pairs
+    )
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(LogError) as caught:
+        Log.read(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    return message
+
+
+# --- writing and reading back -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+@pytest.mark.parametrize("truth", [False, True])
+def test_round_trip(tmp_path: Path, name: str, truth: bool) -> None:
+    log = sound(truth=truth)
+    log.z[::3, :4] = np.nan
+    log.z[:, 8] = np.nan
+    log.write(tmp_path / name)
+    back = Log.read(tmp_path / name)
+    assert same_bits(log, back)
+    assert back.name == "a"
+    assert "gps_x_m: 14 of 40 cells empty" in " ".join(back.notes)
+    assert "wind_mps: all 40 cells empty, taken as never measured" in back.notes
+
+
+numbers = st.floats(-1e300, 1e300)
+
+
+def distinct(rows: int) -> st.SearchStrategy[list[float]]:
+    """Return columns in which nothing looks like a repeat or a dead sensor."""
+    return st.lists(numbers, min_size=rows, max_size=rows, unique_by=lambda x: x + 0.0)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), rows=st.integers(2, 30))
+def test_round_trip_of_any_numbers(tmp_path: Path, data: st.DataObject, rows: int) -> None:
+    z = np.column_stack([data.draw(distinct(rows)) for _ in MEASUREMENTS])
+    z[data.draw(hnp.arrays(np.bool_, z.shape))] = np.nan
+    log = Log(
+        np.sort(data.draw(distinct(rows))),
+        z,
+        data.draw(hnp.arrays(np.float64, (rows, 4), elements=numbers)),
+        data.draw(hnp.arrays(np.float64, (rows, 6), elements=numbers) | st.none()),
+    )
+    log.write(tmp_path / "any.csv")
+    assert same_bits(log, Log.read(tmp_path / "any.csv"))
+
+
+def test_what_was_read_and_repaired_reads_back_unchanged(tmp_path: Path) -> None:
+    once = Log.read(recorded_runs()["boat1_usv_circle"])
+    once.write(tmp_path / "once.csv")
+    twice = Log.read(tmp_path / "once.csv")
+    assert same_bits(once, twice)
+    assert not any("repeat" in note for note in twice.notes)
+
+
+def test_equal_logs_give_equal_gzip_files(tmp_path: Path) -> None:
+    sound().write(tmp_path / "a.csv.gz")
+    sound().write(tmp_path / "b.csv.gz")
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+
+
+# --- a log in memory --------------------------------------------------------------------------
+
+
+def test_length_step_rows_and_slices() -> None:
+    log = sound(truth=True)
+    assert len(log) == ROWS
+    assert log.dt == np.median(np.diff(log.t))
+    rows = list(log)
+    assert len(rows) == ROWS
+    t, z, cmd = rows[7]
+    assert t == log.t[7]
+    np.testing.assert_array_equal(z, log.z[7])
+    np.testing.assert_array_equal(cmd, log.cmd[7])
+
+    first, second = log.slice(t1=log.t[10]), log.slice(log.t[10])
+    assert (len(first), len(second)) == (10, ROWS - 10)
+    np.testing.assert_array_equal(np.concatenate((first.t, second.t)), log.t)
+    part = log.slice(log.t[3], log.t[5])
+    np.testing.assert_array_equal(part.z, log.z[3:5])
+    np.testing.assert_array_equal(part.cmd, log.cmd[3:5])
+    assert part.truth is not None and log.truth is not None
+    np.testing.assert_array_equal(part.truth, log.truth[3:5])
+    assert len(log.slice(5.0, 4.0)) == len(log.slice(1e9)) == 0
+    with pytest.raises(LogError, match="two rows"):
+        _ = log.slice(1e9).dt
+
+
+def test_without_truth_keeps_the_rest() -> None:
+    log = sound(truth=True)
+    assert log.without_truth().truth is None
+    np.testing.assert_array_equal(log.without_truth().z, log.z)
+    assert log.truth is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 9\)"),
+        ({"cmd": np.zeros((ROWS - 1, 4))}, "cmd has the shape"),
+        ({"t": np.zeros((ROWS, 1))}, r"t has the shape \(40, 1\), expected \(N,\)"),
+        ({"truth": np.zeros((ROWS, 3))}, "truth has the shape"),
+        ({"cmd": np.full((ROWS, 4), np.nan)}, "cmd must be finite"),
+        ({"z": np.full((ROWS, 9), np.inf)}, "z must be finite, or NaN"),
+        ({"t": np.zeros(ROWS)}, r"t\[1\] <= t\[0\]"),
+    ],
+)
+def test_arrays_that_are_no_log(change: dict[str, Any], place: str) -> None:
+    log = sound()
+    with pytest.raises(LogError, match=place):
+        dataclasses.replace(log, **change)
+
+
+# --- columns ----------------------------------------------------------------------------------
+
+
+def test_order_of_columns_does_not_matter(tmp_path: Path) -> None:
+    table = columns()
+    straight = Log.read(save(tmp_path / "a.csv", table))
+    turned = Log.read(save(tmp_path / "b.csv", dict(reversed(table.items()))))
+    assert same_bits(straight, turned)
+    assert straight.notes == turned.notes == ()
+
+
+def test_degrees_and_rpm_are_converted(tmp_path: Path) -> None:
+    table = columns()
+    table |= {name: ["30.0"] * ROWS for name in ("delta_left_deg", "n_right_rpm")}
+    table |= {name: table["compass_rad"] for name in ("compass_deg", "gyro_degps", "true_psi_deg")}
+    for name in ("delta_left_rad", "n_right_rps", "gyro_radps", "compass_rad"):
+        del table[name]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert log.cmd[5, 1] == pytest.approx(0.5, abs=1e-15)
+    assert log.cmd[5, 2] == pytest.approx(math.radians(30.0), abs=1e-15)
+    wave = np.radians(np.sin(0.1 * np.arange(ROWS) + 4.0))
+    np.testing.assert_allclose(log.z[:, 4], wave, rtol=1e-14)
+    np.testing.assert_allclose(log.z[:, 5], wave, rtol=1e-14)
+    assert log.truth is not None
+    np.testing.assert_allclose(log.truth[:, 2], wave, rtol=1e-14)
+    assert np.isnan(log.truth[:, [0, 1, 3, 4, 5]]).all()
+    assert "delta_left_deg: converted to delta_left_rad" in log.notes
+    assert any("true_x_m" in note and "unknown" in note for note in log.notes)
+
+
+def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
+    table = columns()
+    table["battery_V"] = ["full; not a number"] * ROWS
+    table["wind"] = table.pop("wind_mps")
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert np.isnan(log.z[:, 8]).all()
+    assert log.notes == (
+        "battery_V: unknown column, left out",
+        "wind: unknown column, left out; if it is wind_mps, rename it",
+        "wind_mps: not in the file, taken as never measured",
+    )
+
+
+@pytest.mark.parametrize("name", REQUIRED)
+def test_missing_column(tmp_path: Path, name: str) -> None:
+    table = columns()
+    del table[name]
+    message = refused(save(tmp_path / "a.csv", table))
+    assert f"column(s) {name} missing; add" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("gps_x_m", "gps_x"),
+        ("gps_y_m", "GPS_Y_m"),
+        ("compass_rad", "psi_rad"),
+        ("delta_left_rad", "delta_left"),
+        ("n_right_rps", "n_rigth_rps"),
+        ("t_s", "time"),
+    ],
+)
+def test_near_miss_names_its_remedy(tmp_path: Path, name: str, given: str) -> None:
+    table = columns()
+    table[given] = table.pop(name)
+    assert f"rename {given} to {name}" in refused(save(tmp_path / "a.csv", table))
+
+
+def test_single_screw_columns_name_their_remedy(tmp_path: Path) -> None:
+    table = columns()
+    table["n_rps"] = table.pop("n_left_rps")
+    del table["n_right_rps"]
+    message = refused(save(tmp_path / "a.csv", table))
+    assert "copy n_rps to n_left_rps and n_right_rps" in message
+
+
+def test_same_quantity_twice(tmp_path: Path) -> None:
+    table = columns()
+    table["compass_deg"] = table["compass_rad"]
+    message = refused(save(tmp_path / "a.csv", table))
+    assert "columns compass_rad and compass_deg both give compass_rad; remove one" in message
+    path = tmp_path / "b.csv"
+    path.write_text("t_s,t_s," + ",".join(REQUIRED) + "\n")
+    assert "column t_s stands twice in line 1; remove" in refused(path)
+
+
+# --- cells ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "cell", "words"),
+    [
+        ("gps_x_m", 6, "abc", "column gps_x_m, line 8: 'abc' is not a number; correct it"),
+        ("n_left_rps", 0, "1_0", "column n_left_rps, line 2: '1_0' is not a number"),
+        ("wind_mps", 3, "inf", "column wind_mps, line 5: the value is infinite; leave the cell"),
+        ("t_s", 3, "-inf", "column t_s, line 5: the value is infinite"),
+        ("gyro_radps", 3, "1e999", "column gyro_radps, line 5: the value is infinite"),
+        ("t_s", 4, "", "column t_s, line 6: empty; each row needs a time"),
+        ("t_s", 4, "NaN", "column t_s, line 6: empty"),
+        ("t_s", 9, "0.8", "column t_s, line 11: time does not increase (0.8 s after 0.8 s); sort"),
+        ("t_s", 9, "0.1", "column t_s, line 11: time does not increase (0.1 s after 0.8 s)"),
+        (
+            "delta_right_rad",
+            0,
+            "",
+            "column delta_right_rad, line 2: empty, and there is no earlier",
+        ),
+    ],
+)
+def test_bad_cell(tmp_path: Path, name: str, row: int, cell: str, words: str) -> None:
+    table = columns()
+    table[name][row] = cell
+    assert words in refused(save(tmp_path / "a.csv", table))
+
+
+def test_first_of_several_bad_cells_is_named(tmp_path: Path) -> None:
+    table = columns()
+    table["t_s"][9] = "late"
+    table["wind_mps"][2] = "early"
+    assert "column wind_mps, line 4: 'early'" in refused(save(tmp_path / "a.csv", table))
+
+
+def test_line_numbers_count_blank_lines(tmp_path: Path) -> None:
+    table = columns()
+    table["gps_y_m"][3] = "?"
+    table["t_s"][5] = "0.0"
+    lines = save(tmp_path / "a.csv", table).read_text().splitlines()
+    path = tmp_path / "b.csv"
+    path.write_text("\n".join(["", lines[0], lines[1], "", *lines[2:]]) + "\n\n")
+    assert "column gps_y_m, line 7" in refused(path)
+    table["gps_y_m"][3] = ""
+    lines = save(tmp_path / "a.csv", table).read_text().splitlines()
+    path.write_text("\n".join(["", lines[0], lines[1], "", *lines[2:]]) + "\n\n")
+    assert "column t_s, line 9" in refused(path)
+
+
+def test_blank_lines_spaces_and_marks_of_missing_values(tmp_path: Path) -> None:
+    table = columns()
+    plain = save(tmp_path / "a.csv", table)
+    lines = plain.read_text().splitlines()
+    spaced = [line.replace(",", " ,  ") for line in lines]
+    path = tmp_path / "b.csv"
+    path.write_text("\ufeff" + "\r\n".join([*spaced[:5], "", *spaced[5:], "", ""]), "utf-8")
+    log = Log.read(path)
+    assert same_bits(log, Log.read(plain))
+    assert log.notes == ("2 row(s) without a single value left out",)
+
+    for row, cell in enumerate(("nan", "NA", "null", " NaN ", "")):
+        table["gyro_radps"][row] = cell
+    log = Log.read(save(path, table))
+    assert np.isnan(log.z[:5, 5]).all() and np.isfinite(log.z[5:, 5]).all()
+
+
+def test_text_that_is_not_utf8_in_an_unknown_column(tmp_path: Path) -> None:
+    table = columns()
+    table["remark"] = ["ok"] * ROWS
+    path = save(tmp_path / "a.csv", table)
+    path.write_bytes(path.read_bytes().replace(b"ok", b"\xfc\xe4"))
+    assert len(Log.read(path)) == ROWS
+
+
+def test_dead_sensor(tmp_path: Path) -> None:
+    table = columns()
+    table["gyro_radps"] = ["", "", *["0.125"] * (ROWS - 3), ""]
+    message = refused(save(tmp_path / "a.csv", table))
+    assert "column gyro_radps, line 4 to line 40: all 37 values are equal" in message
+    assert "leave its cells empty or remove the column" in message
+
+
+def test_few_equal_values_are_no_dead_sensor(tmp_path: Path) -> None:
+    table = columns(19)
+    table["gyro_radps"] = ["0.125"] * 19
+    assert (Log.read(save(tmp_path / "a.csv", table)).z[:, 5] == 0.125).all()
+
+
+# --- missing data -----------------------------------------------------------------------------
+
+
+def test_empty_measurements_are_missing_data(tmp_path: Path) -> None:
+    table = columns(2000)
+    for row in [*range(900, 1000), *range(1200, 1210)]:
+        table["gps_x_m"][row] = ""
+    table["wind_mps"][1990:] = [""] * 10
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert np.isnan(log.z[900:1000, 0]).all() and np.isnan(log.z[:, 0]).sum() == 110
+    assert log.notes == (
+        "gps_x_m: 110 of 2000 cells empty (longest gap 10.0 s at t = 90.0 s)",
+        "wind_mps: 10 of 2000 cells empty (longest gap 1.0 s at t = 199.0 s)",
+    )
+
+
+def test_empty_command_holds_the_last(tmp_path: Path) -> None:
+    table = columns()
+    table["n_left_rps"] = [str(k) for k in range(ROWS)]
+    table["n_left_rps"][5] = table["n_left_rps"][6] = table["n_left_rps"][9] = ""
+    log = Log.read(save(tmp_path / "a.csv", table))
+    np.testing.assert_array_equal(log.cmd[3:11, 0], [3, 4, 4, 4, 7, 8, 8, 10])
+    assert log.notes == ("n_left_rps: 3 of 40 cells empty, the last command held",)
+
+
+def test_time_gap_is_reported_as_missing_data(tmp_path: Path) -> None:
+    table = columns()
+    table["t_s"] = [repr(0.1 * k + (12.0 if k > 20 else 0.0)) for k in range(ROWS)]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert len(log) == ROWS
+    assert log.notes == (
+        "t_s: 1 time gap(s) above 5 x the median step 0.1 s, treated as missing data "
+        "(longest 12.1 s at t = 2.0 s, line 23)",
+    )
+
+
+def test_repeated_fixes_and_headings_are_no_new_sample(tmp_path: Path) -> None:
+    table = columns()
+    for name in ("gps_x_m", "gps_y_m", "gps_vx_mps", "gps_vy_mps", "compass_rad"):
+        table[name][11] = table[name][10]
+    # A hole does not make an old sample new.
+    for name in ("gps_x_m", "gps_y_m"):
+        table[name][12], table[name][13] = "", table[name][10]
+    # One coordinate may stay the same, and so may the velocity or the gyro.
+    table["gps_x_m"][21] = table["gps_x_m"][20]
+    table["gps_vx_mps"][31], table["gps_vy_mps"][31] = (
+        table["gps_vx_mps"][30],
+        table["gps_vy_mps"][30],
+    )
+    table["gyro_radps"][16] = table["gyro_radps"][15]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert np.flatnonzero(np.isnan(log.z[:, 0])).tolist() == [11, 12, 13]
+    assert np.flatnonzero(np.isnan(log.z[:, 1])).tolist() == [11, 12, 13]
+    assert np.flatnonzero(np.isnan(log.z[:, 2])).tolist() == [11]
+    assert np.flatnonzero(np.isnan(log.z[:, 4])).tolist() == [11]
+    assert np.isfinite(log.z[:, 5:]).all()
+    assert log.notes[-3:] == (
+        "gps_x_m, gps_y_m: 2 of 39 fixes repeat the last one, taken as no new sample "
+        "(longest gap 0.3 s at t = 1.1 s)",
+        "gps_vx_mps, gps_vy_mps: 1 of 40 velocities of repeated fixes repeat the last one, taken "
+        "as no new sample (longest gap 0.1 s at t = 1.1 s)",
+        "compass_rad: 1 of 40 values repeat the last one, taken as no new sample "
+        "(longest gap 0.1 s at t = 1.1 s)",
+    )
+
+
+def test_degrees_under_a_name_of_radians_are_suspected(tmp_path: Path) -> None:
+    table = columns()
+    table["delta_left_rad"] = ["20.0"] * ROWS
+    table["compass_rad"] = [repr((340.5 + k) % 360.0) for k in range(ROWS)]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert any("name the column delta_left_deg" in note for note in log.notes)
+    assert any("name the column compass_deg" in note for note in log.notes)
+    table["compass_rad"] = [repr((6.0 + 0.1 * k) % (2.0 * math.pi)) for k in range(ROWS)]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert not any("compass" in note for note in log.notes)
+
+
+# --- files ------------------------------------------------------------------------------------
+
+
+HEADER = ",".join(REQUIRED).encode()
+ROW = b"0,1,1,0,0,5,6,0.1"
+ZIPPED = gzip.compress(HEADER + b"\n" + ROW + b"\n" + ROW.replace(b"0", b"2", 1) + b"\n", mtime=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.csv", HEADER + b"\n" + ROW + b"\n\0\0\0", "is a binary file"),
+        ("a.csv", b"", "the file is empty; write a header"),
+        ("a.csv", b"\n\n", "the file is empty"),
+        ("a.csv.gz", b"", "the file is empty"),
+        ("a.csv.gz", gzip.compress(b""), "the file is empty"),
+        ("a.csv", HEADER, "no row of data after the header (line 1); record"),
+        ("a.csv", HEADER + b"\n\n", "no row of data after the header"),
+        ("a.csv", HEADER + b"\n" + ROW, "1 row of data after the header; a log needs two"),
+        ("a.csv", ROW + b"\n" + ROW, "line 1 holds numbers; put a header of column names"),
+        ("a.csv", HEADER.replace(b",", b";"), "line 1: cells are separated by semicolons; sep"),
+        ("a.csv", HEADER.replace(b",", b"\t"), "line 1: cells are separated by tabs"),
+        ("a.csv", HEADER + b"\r" + ROW, "the lines end in CR only; save the file with LF"),
+        ("a.csv", HEADER + b"\n" + ROW + b"\n" + ROW + b",7,8", "line 3 has 10 cells but the he"),
+        (
+            "a.csv",
+            b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR",
+            "is a binary file or UTF-16 text, not CSV; save",
+        ),
+        ("a.csv", HEADER.decode().encode("utf-16"), "is a binary file or UTF-16 text"),
+        ("a.csv", b"\xff\xfft_s,x\n1,2\n", "line 1 is not UTF-8 text; save"),
+        ("a.csv.gz", HEADER + b"\n", "is not a gzip file although its name ends in .gz; compress"),
+        ("a.csv.gz", ZIPPED[:-9], "the gzip file is damaged or cut off"),
+        ("a.csv.gz", ZIPPED[:20] + b"\0\0" + ZIPPED[22:], "the gzip file is damaged or cut off"),
+        ("a.csv.gz", ZIPPED[:-8] + bytes(8), "the gzip file is damaged or cut off (CRC"),
+    ],
+    ids=lambda value: str(value)[:24] if isinstance(value, str) else "",
+)
+def test_file_that_is_no_log(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    assert words in refused(path)
+
+
+def test_damaged_gzip_tells_how_to_rescue_its_start(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(ZIPPED[: len(ZIPPED) // 2])
+    assert "copy it again" in (message := refused(path))
+    assert "zcat a.csv.gz" in message
+
+
+def test_gzip_is_recognised_by_its_content(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes(ZIPPED)
+    assert len(Log.read(tmp_path / "a.csv")) == 2
+
+
+@pytest.mark.parametrize("name", ["absent.csv", "."])
+def test_file_that_cannot_be_read(tmp_path: Path, name: str) -> None:
+    assert "cannot be read (" in refused(tmp_path / name)
+
+
+# --- the run that ships -----------------------------------------------------------------------
+
+
+def test_shipped_run() -> None:
+    path = recorded_runs()["boat1_usv_circle"]
+    log = Log.read(path)
+    assert (len(log), log.name, log.truth) == (2354, "boat1_usv_circle", None)
+    assert log.dt == pytest.approx(0.110, abs=1e-9)
+    assert log.notes == (
+        "gyro_radps, accel_x_mps2, accel_y_mps2, wind_mps: not in the file, taken as never "
+        "measured",
+        "gps_x_m, gps_y_m: 1064 of 2354 fixes repeat the last one, taken as no new sample "
+        "(longest gap 0.2 s at t = 81.3 s)",
+        "gps_vx_mps, gps_vy_mps: 1064 of 2354 velocities of repeated fixes repeat the last one, "
+        "taken as no new sample (longest gap 0.2 s at t = 81.3 s)",
+        "compass_rad: 1070 of 2354 values repeat the last one, taken as no new sample "
+        "(longest gap 0.3 s at t = 204.1 s)",
+    )
+    assert (log.cmd[:, 2:] == 0.0).all()
+    assert np.abs(log.cmd[:, :2]).max() == 10.0
+
+
+def test_shipped_run_is_one_motion() -> None:
+    log = Log.read(recorded_runs()["boat1_usv_circle"])
+    new = ~np.isnan(log.z[:, :4]).any(axis=1)
+    x, y, vx, vy = log.z[new, :4].T
+    step = np.hypot(np.diff(x), np.diff(y))[60:].mean()
+    speed = np.hypot(vx, vy)[60:].mean()
+    # Fixes every 0.2 s; the source's own x and y would give 1.11 here.
+    assert step / (0.2 * speed) == pytest.approx(1.0, abs=2e-3)
+    # It goes where it points, and more thrust to port turns it to starboard.
+    heading = np.interp(log.t[new], log.t[~np.isnan(log.z[:, 4])], log.z[~np.isnan(log.z[:, 4]), 4])
+    assert np.mean(np.cos(heading - np.arctan2(vy, vx))) > 0.99
+    turn = np.gradient(heading, log.t[new])
+    unequal = (log.cmd[:, 0] - log.cmd[:, 1])[new]
+    lag = 2
+    assert np.corrcoef(turn[lag:], unequal[:-lag])[0, 1] > 0.5
+
+
+@pytest.mark.parametrize("name", recorded_runs())
+def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
+    path = recorded_runs()[name]
+    boat = Particulars.load(path.with_name(f"{name}.toml"))
+    log = Log.read(path)
+    speed = np.nanmean(np.hypot(log.z[:, 2], log.z[:, 3]))
+    assert boat.speed == pytest.approx(speed, rel=0.05)
+    assert boat.shaft_speed == pytest.approx(log.cmd[:, :2].mean(), rel=0.05)
+    notice = path.with_name("NOTICE.txt").read_text(encoding="ascii")
+    assert path.name in notice
+    assert "MIT License" in notice
+
+
+def test_names_of_the_columns_do_not_clash() -> None:
+    names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH)
+    assert len(set(names)) == len(names) == 1 + 4 + 9 + 6

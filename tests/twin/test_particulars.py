@@ -1,0 +1,131 @@
+"""Particulars survive their own file, and every mistake in one is named with its remedy."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from twin.particulars import STEERING, Instruments, Particulars, ParticularsError
+
+BOAT = Particulars(
+    name="boat", length=7.5, beam=2.5, draft=0.4, mass=2300.0, speed=5.0, shaft_speed=17.0
+)
+TEXT = """
+[particulars]
+name = "boat"
+length = 7.5
+beam = 2.5
+draft = 0.4
+mass = 2300
+speed = 5.0
+shaft_speed = 17.0
+"""
+POSITIVE = ("length", "beam", "draft", "mass", "speed", "shaft_speed", "shaft_lag", "steer_lag",
+            "steer_rate")  # fmt: skip
+
+
+def refused(path: Path, text: str) -> str:
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ParticularsError) as caught:
+        Particulars.load(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    return str(caught.value)
+
+
+def test_load_fills_in_what_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "boat.toml"
+    path.write_text(TEXT)
+    assert Particulars.load(path) == BOAT
+    assert Particulars.load(str(path)).instruments == Instruments()
+    path.write_text(TEXT + "[instruments]\ngps_sd = 2\n")
+    assert Particulars.load(path) == dataclasses.replace(BOAT, instruments=Instruments(gps_sd=2.0))
+
+
+above_zero = st.floats(min_value=1e-300, allow_infinity=False)
+zero_or_more = st.floats(min_value=0.0, allow_infinity=False)
+
+
+@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_round_trip(tmp_path: Path, data: st.DataObject) -> None:
+    instruments = Instruments(
+        **{
+            item.name: data.draw(
+                zero_or_more if item.name in ("gyro_bias_sd", "gps_latency") else above_zero
+            )
+            for item in dataclasses.fields(Instruments)
+        }
+    )
+    boat = Particulars(
+        name=data.draw(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)),
+        steering=data.draw(st.sampled_from(STEERING)),
+        instruments=instruments,
+        **{name: data.draw(above_zero) for name in POSITIVE},
+    )
+    path = tmp_path / "boat.toml"
+    path.write_text(boat.to_toml(), encoding="utf-8")
+    assert Particulars.load(path) == boat
+
+
+@pytest.mark.parametrize("name", POSITIVE)
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_values_that_no_boat_has(name: str, value: float) -> None:
+    words = "must be above 0" if math.isfinite(value) else "is not a finite number"
+    change: dict[str, Any] = {name: value}
+    with pytest.raises(ParticularsError, match=f"^{name} = {value} {words}"):
+        dataclasses.replace(BOAT, **change)
+
+
+@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Instruments)])
+def test_values_that_no_instrument_has(name: str) -> None:
+    with pytest.raises(ParticularsError, match=f"^{name} = -1.0 must be"):
+        Instruments(**{name: -1.0})
+    with pytest.raises(ParticularsError, match=f"^{name} = nan is not a finite number"):
+        Instruments(**{name: math.nan})
+    if name in ("gyro_bias_sd", "gps_latency"):
+        assert getattr(Instruments(**{name: 0.0}), name) == 0.0
+    else:
+        with pytest.raises(ParticularsError, match=f"^{name} = 0.0 must be above 0"):
+            Instruments(**{name: 0.0})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mass = 2300", "mass = -1", "mass = -1 must be above 0"),
+        ("mass = 2300", "mass = nan", "mass = nan is not a finite number"),
+        ("mass = 2300", "mass = '2300 kg'", "mass = '2300 kg' must be a number"),
+        ("mass = 2300", "mass = [1]", "mass = [1] must be a number"),
+        ("mass = 2300", "mass = true", "mass = True must be a number"),
+        ('name = "boat"', "name = 5", "name = 5 must be a text"),
+        ("mass = 2300", "mas = 2300", "unknown key 'mas'; known keys: name, length, beam"),
+        ("mass = 2300\n", "", "missing key(s): mass"),
+        ("speed = 5.0", "speed = 5.0\nsteering = 'oars'", "steering = 'oars' is unknown; use one"),
+        ("[particulars]", "[boat]", "expected the tables [particulars]"),
+        ("[particulars]", "[extra]\n[particulars]", "found extra, particulars"),
+        ("mass = 2300", "mass = 2300\nmass = 1", "is not valid TOML"),
+        ("mass = 2300", "mass = ", "is not valid TOML"),
+        ("mass = 2300", "mass = 2300\n[instruments]\nradar = 1", "unknown key 'radar'; known keys"),
+        ("shaft_speed = 17.0", "shaft_speed = 17.0\n[instruments]\ngps_sd = 0", "gps_sd = 0 must"),
+    ],
+)
+def test_mistakes_in_a_file(tmp_path: Path, old: str, new: str, words: str) -> None:
+    assert TEXT.count(old) >= 1
+    assert words in refused(tmp_path / "boat.toml", TEXT.replace(old, new, 1))
+
+
+def test_files_that_hold_no_particulars(tmp_path: Path) -> None:
+    path = tmp_path / "boat.toml"
+    assert "found none" in refused(path, "")
+    assert "expected a table of keys and values" in refused(path, "particulars = 3")
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ParticularsError, match="is not valid TOML"):
+        Particulars.load(path)
+    with pytest.raises(ParticularsError, match="cannot be read"):
+        Particulars.load(tmp_path / "absent.toml")

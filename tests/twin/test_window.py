@@ -1,0 +1,373 @@
+"""Dynamic sliding window: exponent, indices, period, rules and bounds."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin.window import (
+    ENVIRONMENT_FORMS,
+    NOISE_FORMS,
+    PERIOD_FORMS,
+    DynamicWindow,
+    NoiseLimits,
+    WaveProxy,
+    adapt_noise,
+    adjustment_period,
+    environment_index,
+    nonlinearity_index,
+    rosenstein,
+    rosenstein_length,
+)
+
+DT = 0.05
+
+
+def logistic(n: int, start: float = 0.4) -> np.ndarray:
+    x = np.empty(n)
+    x[0] = start
+    for i in range(1, n):
+        x[i] = 4.0 * x[i - 1] * (1.0 - x[i - 1])
+    return x
+
+
+def henon(n: int) -> np.ndarray:
+    x = np.empty(n + 100)
+    x[0], x[1] = 0.1, 0.1
+    for i in range(2, n + 100):
+        x[i] = 1.0 - 1.4 * x[i - 1] ** 2 + 0.3 * x[i - 2]
+    return x[100:]
+
+
+def slow_rosenstein(
+    series: np.ndarray, emb_dim: int, lag: int, min_tsep: int, steps: int, dt: float
+) -> float:
+    """The algorithm once more, from whole distance tables and a least-squares fit."""
+    n = len(series) - (emb_dim - 1) * lag
+    orbit = np.column_stack([series[e * lag : e * lag + n] for e in range(emb_dim)])
+    table = np.sqrt(((orbit[:, None, :] - orbit[None, :, :]) ** 2).sum(axis=2))
+    starts = n - steps + 1
+    search = table[:starts, :starts].copy()
+    apart = np.abs(np.subtract.outer(np.arange(starts), np.arange(starts)))
+    search[apart <= min_tsep] = np.inf
+    nearest = search.argmin(axis=1)
+    curve = []
+    for k in range(steps):
+        d = table[np.arange(starts) + k, nearest + k]
+        curve.append(np.log(d[d > 0.0]).mean())
+    return float(np.polyfit(np.arange(steps), curve, 1)[0]) / dt
+
+
+# Published: Rosenstein et al. 1993, table 1 (true values .693 and .418 per iteration).
+@pytest.mark.parametrize(
+    ("series", "published"),
+    [(logistic(500), 0.69), (henon(1000), 0.418)],
+    ids=["logistic", "henon"],
+)
+def test_exponent_of_known_maps(series: np.ndarray, published: float) -> None:
+    assert rosenstein(series) == pytest.approx(published, abs=0.03)
+
+
+@pytest.mark.parametrize("n", [15, 30, 120])
+@pytest.mark.parametrize(
+    ("emb_dim", "lag", "min_tsep", "steps"),
+    [(2, 1, 1, 5), (3, 1, 2, 4), (1, 1, 0, 6), (2, 2, 1, 3)],
+)
+def test_exponent_equals_slow_version(
+    n: int, emb_dim: int, lag: int, min_tsep: int, steps: int
+) -> None:
+    rng = np.random.default_rng(n)
+    for series in (rng.normal(size=n), np.sin(0.3 * np.arange(n)) + 0.01 * rng.normal(size=n)):
+        fast = rosenstein(
+            series, emb_dim=emb_dim, lag=lag, min_tsep=min_tsep, trajectory_len=steps, dt=DT
+        )
+        slow = slow_rosenstein(series, emb_dim, lag, min_tsep, steps, DT)
+        assert fast == pytest.approx(slow, abs=1e-11, rel=1e-12)
+
+
+def test_exponent_equals_nolds() -> None:
+    try:
+        import nolds
+    except Exception:  # some releases fail on import for reasons other than being absent
+        pytest.skip("nolds cannot be imported")
+    rng = np.random.default_rng(5)
+    for n in (15, 30, 200):
+        series = rng.normal(size=n)
+        expected = nolds.lyap_r(series, emb_dim=2, lag=1, min_tsep=1, trajectory_len=5, fit="poly")
+        assert rosenstein(series) == pytest.approx(expected, abs=1e-12)
+
+
+def test_exponent_with_ties_and_repeats_is_that_of_the_slow_version() -> None:
+    series = np.round(np.random.default_rng(2).normal(size=40), 1)
+    assert rosenstein(series) == pytest.approx(slow_rosenstein(series, 2, 1, 1, 5, 1.0), abs=1e-12)
+
+
+def test_exponent_of_degenerate_series() -> None:
+    assert rosenstein(np.ones(15)) == -math.inf
+    assert math.isnan(rosenstein([math.nan] + [1.0] * 14))
+    need = rosenstein_length()
+    series = np.random.default_rng(0).normal(size=need)
+    assert math.isfinite(rosenstein(series))
+    with pytest.raises(ValueError, match=f"at least {need}"):
+        rosenstein(series[:-1])
+    with pytest.raises(ValueError, match="expected at least"):
+        rosenstein(series, lag=0)
+    with pytest.raises(ValueError, match="shape"):
+        rosenstein(np.ones((4, 4)))
+
+
+def test_exponent_scales_with_time_and_not_with_size() -> None:
+    series = np.random.default_rng(1).normal(size=30)
+    assert rosenstein(series, dt=DT) == pytest.approx(rosenstein(series) / DT, rel=1e-12)
+    assert rosenstein(7.0 * series + 3.0) == pytest.approx(rosenstein(series), rel=1e-9)
+
+
+def test_environment_index_by_hand() -> None:
+    hs = [0.4, 0.6]  # mean .5, sd .1
+    vw = [3.0, 5.0]  # mean 4, sd 1
+    assert environment_index(hs, vw) == pytest.approx((0.2 + 0.25) / 3.0)
+    assert environment_index(hs, vw, form="half") == pytest.approx((0.2 + 0.25) / 2.0)
+    assert environment_index(hs, vw, form="product") == pytest.approx(0.6 * 5.0)
+    with pytest.raises(ValueError, match="third, half, product"):
+        environment_index(hs, vw, form="mean")
+
+
+def test_environment_index_ignores_scale_and_missing_samples() -> None:
+    hs = np.array([0.4, math.nan, 0.6])
+    vw = np.array([math.nan] * 3)
+    assert environment_index(hs, vw) == pytest.approx(0.2 / 3.0)
+    assert environment_index(50.0 * hs, vw) == pytest.approx(environment_index(hs, vw))
+    assert environment_index(hs, vw, form="product") == 0.0
+    assert environment_index([0.0, 0.0], [0.0, 0.0]) == 0.0
+
+
+def test_nonlinearity_index_by_hand() -> None:
+    expected = (1.0 + math.exp(0.1) + math.exp(0.2)) / 3.0
+    assert nonlinearity_index(2.0, 3, DT) == pytest.approx(expected, rel=1e-14)
+    assert nonlinearity_index(0.0, 15, DT) == 1.0
+    assert nonlinearity_index(math.nan, 15, DT) == 1.0
+    assert nonlinearity_index(-math.inf, 15, DT) == pytest.approx(1.0 / 15.0)
+    assert math.isfinite(nonlinearity_index(math.inf, 15, DT))
+    with pytest.raises(ValueError, match="W = 0"):
+        nonlinearity_index(1.0, 0, DT)
+
+
+def test_adjustment_period_by_hand() -> None:
+    assert adjustment_period(0.0) == 10.0
+    assert adjustment_period(2.25) == pytest.approx(5.0)
+    assert adjustment_period(6.75) == pytest.approx(2.5)
+    assert adjustment_period(math.nan) == 10.0
+    assert adjustment_period(2.25, form="binary") == 10.0
+    assert adjustment_period(2.26, form="binary") == 5.0
+    assert adjustment_period(1e9, form="binary") == 5.0
+    assert adjustment_period(math.inf) == 0.0
+    assert adjustment_period(0.0, form="none") == 0.0
+    with pytest.raises(ValueError, match="unknown"):
+        adjustment_period(1.0, form="smooth")
+
+
+def test_wave_proxy_is_proportional_to_the_waves() -> None:
+    t = np.arange(4000) * DT
+
+    def level(amplitude: float, bias: float) -> float:
+        proxy = WaveProxy()
+        for a in bias + amplitude * np.sin(2.0 * math.pi * t / 3.0):
+            proxy.update(DT, float(a))
+        return proxy.value
+
+    assert level(2.0, 0.0) == pytest.approx(2.0 * level(1.0, 0.0), rel=1e-9)
+    # a first-order high pass at 8 s lets .94 of a 3 s wave through; the rest is ripple
+    assert level(1.0, 0.0) == pytest.approx(0.94 / math.sqrt(2.0), rel=0.08)
+    assert level(1.0, 3.0) == pytest.approx(level(1.0, 0.0), rel=0.01)
+
+
+def test_wave_proxy_holds_its_value_and_checks_dt() -> None:
+    proxy = WaveProxy()
+    assert math.isnan(proxy.update(DT, math.nan))
+    proxy.update(DT, 1.0)
+    held = proxy.update(DT, -1.0)
+    assert held > 0.0
+    assert proxy.update(DT, math.nan) == held
+    with pytest.raises(ValueError, match="dt"):
+        proxy.update(-1.0, 0.0)
+    with pytest.raises(ValueError, match="memory"):
+        WaveProxy(memory=0.0)
+
+
+def feed(window: DynamicWindow, motion: np.ndarray, start: float = 0.0, **row: float) -> list[int]:
+    return [window.update(start + DT * i, motion=float(m), **row) for i, m in enumerate(motion)]
+
+
+def test_window_keeps_its_length_until_the_period_has_elapsed() -> None:
+    noise = np.random.default_rng(0).normal(size=400)
+    lengths = feed(DynamicWindow(calm_rule=False), noise, trace_P=0.0)
+    assert lengths[:200] == [15] * 200
+    assert lengths[200] > 15  # t = 10 s
+    # a trace of P_max halves the period
+    lengths = feed(DynamicWindow(calm_rule=False), noise, trace_P=2.2501)
+    assert lengths[99] == 15
+    assert lengths[100] > 15
+
+
+def test_variable_part_by_hand() -> None:
+    window = DynamicWindow(period="none", calm_rule=False, environment="half")
+    # no motion given: S = 1; winds 4 -+ 1: V = .125; w_r = round(15 (.6 .125 + .4)) = round(7.125)
+    assert window.update(0.0, vw=3.0) == 15 + 6  # one sample: V = 0, round(6.0)
+    assert window.update(DT, vw=5.0) == 15 + 7
+    assert pytest.approx(0.125) == window.V
+    assert window.S == 1.0
+
+
+def test_variable_part_rounds_half_up_and_is_capped() -> None:
+    kwargs: dict[str, Any] = {"period": "none", "calm_rule": False, "gamma_env": 0.0}
+    assert DynamicWindow(**kwargs, gamma_nonlin=0.5).update(0.0) == 15 + 8  # 7.5
+    assert DynamicWindow(**kwargs, gamma_nonlin=40.0).update(0.0) == 30
+    assert DynamicWindow(**kwargs, gamma_nonlin=40.0, cap=4).update(0.0) == 19
+    assert DynamicWindow(**kwargs, gamma_nonlin=-1.0).update(0.0) == 15
+
+
+def test_calm_rule() -> None:
+    calm: dict[str, Any] = {"period": "none", "environment": "half"}
+    assert DynamicWindow(**calm).update(0.0) == 15  # V = 0, S = 1
+    assert DynamicWindow(**calm, calm_rule=False).update(0.0) == 21
+    assert DynamicWindow(**calm, calm_nonlin=1.0).update(0.0) == 21  # S < 1 does not hold
+    window = DynamicWindow(**calm)
+    window.update(0.0, hs=0.2)
+    assert window.update(DT, hs=0.4) == 15 + 8  # V = 1/6 is not below .1; round(15 (.1 + .4))
+
+
+def test_noise_is_taken_for_nonlinearity() -> None:
+    # physics.md 7.4: white noise meets S > 1.2, smooth motion does not.
+    noise, smooth = DynamicWindow(), DynamicWindow()
+    feed(noise, np.random.default_rng(3).normal(size=202))
+    feed(smooth, 1.0 - np.exp(-0.01 * np.arange(202)))
+    assert noise.S > 1.2 > smooth.S
+    assert (noise.W > 15, smooth.W) == (True, 15)
+
+
+def test_lateral_acceleration_doubles_the_window_at_once() -> None:
+    g = 9.81
+    window = DynamicWindow()
+    assert window.update(0.0, a_y=0.3 * g) == 15
+    assert window.update(5.0, a_y=-0.31 * g) == 30
+    # it holds for one period from there, then the calm rule takes over
+    assert window.update(14.9, a_y=0.0) == 30
+    assert window.update(15.0, a_y=0.0) == 15
+    assert DynamicWindow(doubling=False).update(0.0, a_y=5.0 * g) == 15
+    assert DynamicWindow().update(0.0, a_y=math.nan) == 15
+
+
+def test_window_uses_only_the_samples_within_it() -> None:
+    window = DynamicWindow(period="none", calm_rule=False)
+    for i in range(40):
+        window.update(DT * i, vw=1.0 if i < 15 else 4.0)
+    # 21 samples back there is no change, 30 samples back there is
+    assert window.W == 21
+    assert window.V == 0.0
+
+
+def test_reset_is_a_fresh_start() -> None:
+    window = DynamicWindow()
+    first = feed(window, np.random.default_rng(1).normal(size=300))
+    window.reset()
+    assert feed(window, np.random.default_rng(1).normal(size=300)) == first
+
+
+def test_window_refuses_what_it_cannot_use() -> None:
+    window = DynamicWindow()
+    window.update(1.0)
+    with pytest.raises(ValueError, match="not before"):
+        window.update(0.5)
+    with pytest.raises(ValueError, match="finite"):
+        window.update(math.nan)
+    unusable: list[dict[str, Any]] = [
+        {"base": 0},
+        {"cap": -1},
+        {"environment": "x"},
+        {"period": "x"},
+    ]
+    for bad in unusable:
+        with pytest.raises(ValueError, match=next(iter(bad))):
+            DynamicWindow(**bad)
+    with pytest.raises(ValueError, match="base_period"):
+        DynamicWindow(base_period=0.0)
+
+
+VALUES = st.one_of(st.just(math.nan), st.floats(-1e6, 1e6), st.just(math.inf))
+
+
+@given(
+    rows=st.lists(st.tuples(VALUES, VALUES, VALUES, VALUES, VALUES), max_size=60),
+    period=st.sampled_from(PERIOD_FORMS),
+    environment=st.sampled_from(ENVIRONMENT_FORMS),
+    dt=st.floats(0.0, 20.0),
+)
+def test_window_stays_within_its_bounds(
+    rows: list[tuple[float, ...]], period: str, environment: str, dt: float
+) -> None:
+    window = DynamicWindow(period=period, environment=environment)
+    for i, (trace_P, hs, vw, a_y, motion) in enumerate(rows):
+        W = window.update(dt * i, trace_P=trace_P, hs=hs, vw=vw, a_y=a_y, motion=motion)
+        assert isinstance(W, int)
+        assert 15 <= W <= 30
+
+
+def test_literal_adaptation_only_grows_up_to_its_cap() -> None:
+    Q, R = np.diag([1.0, 2.0]), np.diag([4.0])
+    limits = NoiseLimits.around(Q, R, factor=3.0)
+    Q1, R1 = adapt_noise(Q, R, [-2.0, 0.5], 3.0, 0.1, 0.01, limits=limits)
+    np.testing.assert_allclose(Q1, np.diag([1.2, 2.05]))
+    np.testing.assert_allclose(R1, [[4.03]])
+    assert Q[0, 0] == 1.0  # the arguments stay as they were
+    for _ in range(1000):
+        Q, R = adapt_noise(Q, R, 1.0, 1.0, 0.1, 0.1, limits=limits)
+    np.testing.assert_allclose(Q, np.diag([3.0, 6.0]))
+    np.testing.assert_allclose(R, [[12.0]])
+
+
+def test_signed_adaptation_goes_both_ways_within_bounds() -> None:
+    Q, R = np.array([1.0, 0.0]), np.array([4.0])
+    limits = NoiseLimits.around(Q, R, factor=2.0)
+    Q1, R1 = adapt_noise(Q, R, -0.3, math.nan, 1.0, 1.0, limits=limits, form="signed")
+    np.testing.assert_allclose(Q1, [0.7, 0.0])
+    np.testing.assert_allclose(R1, [4.0])
+    Q1, R1 = adapt_noise(Q, R, -100.0, 100.0, 1.0, 1.0, limits=limits, form="signed")
+    np.testing.assert_allclose(Q1, [0.5, 0.0])
+    np.testing.assert_allclose(R1, [8.0])
+
+
+def test_adaptation_refuses_what_it_cannot_use() -> None:
+    limits = NoiseLimits.around([1.0], [1.0])
+    with pytest.raises(ValueError, match="literal, signed"):
+        adapt_noise([1.0], [1.0], 0.0, 0.0, limits=limits, form="other")
+    with pytest.raises(ValueError, match="alpha"):
+        adapt_noise([1.0], [1.0], 0.0, 0.0, -1.0, limits=limits)
+    with pytest.raises(ValueError, match="shape"):
+        adapt_noise(np.ones((2, 3)), [1.0], 0.0, 0.0, limits=limits)
+    with pytest.raises(ValueError, match="factor"):
+        NoiseLimits.around([1.0], [1.0], factor=1.0)
+
+
+@given(
+    errors=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20),
+    correlation=st.floats(-0.95, 0.95),
+    form=st.sampled_from(NOISE_FORMS),
+)
+def test_adapted_noise_stays_positive_definite_and_bounded(
+    errors: list[float], correlation: float, form: str
+) -> None:
+    start = np.array([[1.0, 0.2 * correlation], [0.2 * correlation, 0.04]])
+    limits = NoiseLimits.around(start, start)
+    Q, R = start, start
+    for error in errors:
+        Q, R = adapt_noise(Q, R, [error, -error], error, limits=limits, form=form)
+        for noise in (Q, R):
+            np.linalg.cholesky(noise)
+            assert (noise.diagonal() >= 0.0099 * start.diagonal()).all()
+            assert (noise.diagonal() <= 100.01 * start.diagonal()).all()
+            assert noise[0, 1] / math.sqrt(noise[0, 0] * noise[1, 1]) == pytest.approx(correlation)

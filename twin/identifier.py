@@ -1,0 +1,513 @@
+"""The twin's model in the structured UKF, and the plain predictor built on it.
+
+:class:`JointUKF` holds state and parameters, follows the actuators from the commands, and
+rolls the model into the future. :class:`ModelPredictor` makes a predictor of it.
+:class:`UKFPredictor` feeds it from the tight navigation filter, in one compiled call a row.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.model import (
+    N_STATES,
+    N_XI,
+    accelerations,
+    follow,
+    hand_prior,
+    is_differential,
+    joint_predict,
+    regressors,
+    roll_out,
+)
+from twin.navigation import (
+    GPS_AGE,
+    N_NAV,
+    READY_FIX,
+    READY_HEADING,
+    aid_velocity,
+    initial_navigation,
+    navigate,
+    navigation_settings,
+)
+from twin.particulars import Particulars
+from twin.predictor import Estimate, Prediction, Predictor
+from twin.ukf import measurement_update, scaled_weights, workspace
+from usv_kernel import kernel
+
+__all__ = [
+    "FilterSettings",
+    "JointUKF",
+    "ModelPredictor",
+    "UKFPredictor",
+    "advance",
+    "hold_inside",
+    "plain_settings",
+]
+
+Array = NDArray[np.float64]
+
+N = N_STATES + N_XI
+PSI = 2
+STUDY_STEP = 0.05
+"""Step at which the noises below are quoted, s."""
+STEP_MAX = 0.1
+"""Longest step of the filter's prediction, s; longer gaps are cut up."""
+GAP_MAX = 600.0
+"""A gap longer than this, s, is predicted through as if it were this long."""
+BAND_STEP = 0.2
+"""Step at which covariances are carried along a prediction, s."""
+AID_AFTER, AID_EVERY = 1.0, 1.0
+"""The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Noises and prior of the joint UKF, in SI units of the boat at hand.
+
+    Parameters
+    ----------
+    q : ndarray, shape (6,)
+        Variance that each state gains per second.
+    r : ndarray, shape (6,)
+        Variance of each measured state for rows 0.05 s apart (of the study boat's time);
+        rows further apart count for more, as their waves are less alike.
+    r_per_second : bool
+        Whether that holds; False takes ``r`` for every row as it is.
+    p0 : ndarray, shape (6,)
+        Variance of each state at the start.
+    q_xi : ndarray, shape (25,)
+        Variance that each parameter gains per second.
+    xi0, xi0_var : ndarray, shape (25,)
+        Prior of the parameters.
+    n_unit : float
+        Shaft speeds are multiplied by this before they enter the model.
+    alpha, beta, kappa : float
+        Spread of the sigma points.
+    """
+
+    q: Array
+    r: Array
+    p0: Array
+    q_xi: Array
+    xi0: Array
+    xi0_var: Array
+    r_per_second: bool = True
+    n_unit: float = 1.0
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+
+
+def plain_settings(particulars: Particulars) -> FilterSettings:
+    """Return the settings of the plain joint UKF.
+
+    Those that worked for a 7.5 m boat at 5.4 m/s and 20 Hz, scaled to any boat by length and
+    speed (Froude). The measurement noise is far above that of the sensors, because the
+    measured velocities carry the waves and the model does not.
+
+    Source: twin.md section 5.1.
+    """
+    L, U = particulars.length / 7.5, particulars.speed / 5.4
+    time = L / U
+    scale = np.array([L, L, 1.0, U, U, 1.0 / time])
+    q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
+    r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
+    p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
+    xi0, sd0 = hand_prior(particulars)
+    return FilterSettings(
+        q=q**2 / (STUDY_STEP * time),
+        r=r**2 * time,
+        p0=p0**2,
+        q_xi=np.zeros(N_XI),
+        xi0=xi0,
+        xi0_var=sd0**2,
+    )
+
+
+@kernel
+def _follow_commands(act, cmd, lags, n_unit, h):  # type: ignore[no-untyped-def]
+    """Move the four actuators towards their commands for a time h."""
+    for k in range(2):
+        act[k] = follow(act[k], n_unit * cmd[k], lags[0], math.inf, h)
+        act[2 + k] = follow(act[2 + k], cmd[2 + k], lags[1], lags[2], h)
+
+
+@kernel
+def advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work):  # type: ignore[no-untyped-def]
+    """Predict state, parameters and covariance over dt, actuators included.
+
+    Parameters
+    ----------
+    x, P : ndarray, shapes (31,), (31, 31)
+        Mean and covariance, advanced in place.
+    act, cmd : ndarray, shape (4,)
+        Actuators, advanced in place, and their commands.
+    dt : float
+        Time, s.
+    lags : ndarray, shape (3,)
+        Shaft lag (s), steering lag (s), steering rate (rad/s).
+    n_unit, differential : float
+        See :class:`FilterSettings` and :func:`twin.model.is_differential`.
+    q, q_xi : ndarray, shapes (6,), (25,)
+        Variances gained per second.
+    weights, Q, qx, work : ndarray
+        Weights and scratch of :mod:`twin.ukf`.
+    """
+    dt = min(dt, GAP_MAX)
+    steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
+    h = dt / steps
+    for i in range(N_STATES):
+        Q[i, i] = q[i] * h
+    for k in range(N_XI):
+        qx[k] = q_xi[k] * h
+    for _ in range(steps):
+        _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
+        joint_predict(x, P, act, differential, h, Q, qx, weights, work)
+        _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
+
+
+@kernel
+def hold_inside(x, envelope):  # type: ignore[no-untyped-def]
+    """Keep the velocities inside what the boat can do: bad parameters must not run away.
+
+    Parameters
+    ----------
+    x : ndarray, shape (31,)
+        Joint vector, changed in place.
+    envelope : ndarray, shape (3,)
+        Largest size of u, v (m/s) and r (rad/s).
+    """
+    for i in range(3):
+        x[3 + i] = min(max(x[3 + i], -envelope[i]), envelope[i])
+
+
+@kernel
+def _tight_step(
+    dt,
+    z,
+    cmd,
+    n,
+    P_nav,
+    nav_settings,
+    status,
+    nav_work,
+    x,
+    P,
+    act,
+    lags,
+    n_unit,
+    differential,
+    q,
+    q_xi,
+    r,
+    p0,
+    envelope,
+    aid_var,
+    clock,
+    weights,
+    Q,
+    qx,
+    R,
+    phi,
+    work,
+):  # type: ignore[no-untyped-def]
+    """One row of the tight identifier: navigate, predict, correct; all arrays in place.
+
+    ``clock`` holds the time since the model last aided the navigation and whether the
+    filter has begun.
+    """
+    model, mask = phi[N_XI : N_XI + 4], phi[N_XI + 4 :]
+    for k in range(4):
+        model[k] = 0.0
+    if clock[1] > 0.0:
+        regressors(x[3], x[4], x[5], act, differential, phi[:N_XI])
+        du, dv, dr = accelerations(phi[:N_XI], x, N_STATES)
+        limit = 4.0 * nav_settings[nav_settings.shape[0] - 2]  # 4 U^2; over L it bounds
+        bound_r = 4.0 * nav_settings[nav_settings.shape[0] - 1]
+        bound = math.sqrt(limit * bound_r)
+        model[0] = min(max(du, -bound), bound)
+        model[1] = min(max(dv, -bound), bound)
+        model[2] = min(max(dr, -bound_r), bound_r)
+        model[3] = 1.0
+    navigate(n, P_nav, min(dt, GAP_MAX), z, model, nav_settings, status, nav_work)
+    if status[READY_FIX] * status[READY_HEADING] == 0.0:
+        for k in range(2):
+            act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
+        return
+    if clock[1] == 0.0:
+        for i in range(N_STATES):
+            x[i] = n[i]
+            P[i, i] = p0[i]
+        for k in range(2):
+            act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
+        clock[1] = 1.0
+        return
+    advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work)
+    row = max(dt, 1e-3)
+    for i in range(N_STATES):
+        R[i, i] = r[i] / row + P_nav[i, i]
+        mask[i] = 1.0
+    measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
+    hold_inside(x, envelope)
+    clock[0] += dt
+    if status[GPS_AGE] > AID_AFTER and clock[0] >= AID_EVERY:
+        clock[0] = 0.0
+        aid_velocity(n, P_nav, x[3], x[4], aid_var, status, nav_work[0], nav_work[1])
+
+
+@kernel
+def _bands(
+    x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, envelope, out
+):  # type: ignore[no-untyped-def]
+    """Write the covariance of the state after each ``every`` rows of a prediction."""
+    h = dt * every
+    for i in range(N_STATES):
+        Q[i, i] = q[i] * h
+    for k in range(N_XI):
+        qx[k] = q_xi[k] * h
+    for j in range(out.shape[0]):
+        last = min((j + 1) * every, acts.shape[0]) - 1
+        joint_predict(x, P, acts[last], differential, h, Q, qx, weights, work)
+        hold_inside(x, envelope)
+        for i in range(N_STATES):
+            for k in range(N_STATES):
+                out[j, i, k] = P[i, k]
+
+
+class JointUKF:
+    """State and 25 parameters of the twin's model in the structured UKF.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat.
+    settings : FilterSettings
+        Noises and prior.
+
+    Attributes
+    ----------
+    x, P : ndarray, shapes (31,), (31, 31)
+        Mean and covariance: six states, then the parameters.
+    act : ndarray, shape (4,)
+        Where the actuators are believed to be.
+    """
+
+    def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:
+        self.settings = settings
+        self.differential = is_differential(particulars)
+        self.lags = np.array(
+            [particulars.shaft_lag, particulars.steer_lag, particulars.steer_rate]
+        )
+        U, L = particulars.speed, particulars.length
+        self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
+        self.weights = scaled_weights(N, settings.alpha, settings.beta, settings.kappa)
+        self.work = workspace(N_STATES, N_XI)
+        self.Q = np.zeros((N_STATES, N_STATES))
+        self.qx = np.zeros(N_XI)
+        self.R = np.zeros((N_STATES, N_STATES))
+        self._phi = np.zeros((3, N_XI))
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the prior."""
+        self.x = np.concatenate([np.zeros(N_STATES), self.settings.xi0])
+        self.P = np.diag(np.concatenate([self.settings.p0, self.settings.xi0_var]))
+        self.act = np.zeros(4)
+
+    @property
+    def xi(self) -> Array:
+        """Parameters, a view of shape (25,)."""
+        return self.x[N_STATES:]
+
+    def roll(self, plan: Array, dt: float) -> tuple[Array, Array]:
+        """Return states (K, 6) and actuators (K, 4) under a plan; nothing is changed.
+
+        Parameters
+        ----------
+        plan : ndarray, shape (K, 4)
+            Commands; shaft speeds in the unit of the particulars.
+        dt : float
+            Time between rows, s.
+        """
+        out, acts = np.empty((len(plan), N_STATES)), np.empty((len(plan), 4))
+        scaled = plan * np.array([self.settings.n_unit, self.settings.n_unit, 1.0, 1.0])
+        roll_out(
+            self.x[:N_STATES],
+            self.x[N_STATES:],
+            self.act,
+            scaled,
+            dt,
+            *self.lags,
+            self.envelope[0],
+            self.envelope[2],
+            self.differential,
+            out,
+            acts,
+            self._phi,
+        )
+        return out, acts
+
+    def bands(self, acts: Array, dt: float) -> Array:
+        """Return covariances (K, 6, 6) of the states that :meth:`roll` gave with ``acts``."""
+        every = max(1, min(round(BAND_STEP / dt), len(acts)))
+        coarse = np.zeros((math.ceil(len(acts) / every), N_STATES, N_STATES))
+        _bands(
+            self.x.copy(),
+            self.P.copy(),
+            acts,
+            dt,
+            every,
+            self.differential,
+            self.settings.q,
+            self.settings.q_xi,
+            self.weights,
+            self.Q,
+            self.qx,
+            self.work,
+            self.envelope,
+            coarse,
+        )
+        if every == 1:
+            return coarse
+        place = np.arange(1, len(acts) + 1) / every
+        low = np.minimum(place.astype(int), len(coarse) - 1)
+        share = np.minimum(place - low, 1.0)[:, None, None]
+        path = np.concatenate([self.P[None, :N_STATES, :N_STATES], coarse])
+        return (1.0 - share) * path[low] + share * path[low + 1]
+
+
+class ModelPredictor(Predictor):
+    """A predictor that rolls an identified model; subclasses say how it is identified.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat.
+    settings : FilterSettings
+        Noises and prior.
+    seed : int
+        Nothing is drawn at random here.
+
+    Attributes
+    ----------
+    ukf : JointUKF
+        State and parameters.
+    """
+
+    def __init__(
+        self, particulars: Particulars, settings: FilterSettings, *, seed: int = 0
+    ) -> None:
+        super().__init__(particulars, seed=seed)
+        self.ukf = JointUKF(particulars, settings)
+        self.t = 0.0
+
+    @property
+    @abstractmethod
+    def ready(self) -> bool:
+        """True once the filter has begun."""
+
+    @property
+    def s(self) -> Array:
+        """State, a view of shape (6,)."""
+        return self.ukf.x[:N_STATES]
+
+    def estimate(self) -> Estimate:
+        """Return what is believed now."""
+        x, sd = self.ukf.x.copy(), np.sqrt(np.maximum(np.diag(self.ukf.P), 0.0))
+        return Estimate(
+            self.t, x[:N_STATES], sd[:N_STATES], x[N_STATES:], sd[N_STATES:], self.ready
+        )
+
+    def mean(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states alone; see :meth:`twin.predictor.Predictor.mean`."""
+        return self.ukf.roll(plan, dt)[0]
+
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; see :meth:`twin.predictor.Predictor.predict`."""
+        mean, acts = self.ukf.roll(plan, dt)
+        after = dt * np.arange(1, len(plan) + 1)
+        return Prediction(
+            self.t, self.s.copy(), self.t + after, mean, self.ukf.bands(acts, dt)
+        )
+
+
+class UKFPredictor(ModelPredictor):
+    """Plain joint UKF behind the tight navigation filter.
+
+    Without GPS the filter goes on: it weighs what the navigation says by how sure that still
+    is, and aids it with the model's velocity. Without IMU the model's accelerations drive the
+    navigation. With neither, the model is rolled on.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat.
+    settings : FilterSettings, optional
+        :func:`plain_settings` if left out.
+    seed : int
+        Nothing is drawn at random here.
+    """
+
+    def __init__(
+        self,
+        particulars: Particulars,
+        *,
+        settings: FilterSettings | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(particulars, settings or plain_settings(particulars), seed=seed)
+        self._nav_settings = navigation_settings(particulars)
+        self._nav_work = np.zeros((2 + N_NAV, N_NAV))
+        self._phi = np.zeros(N_XI + 4 + N_STATES)
+        self._aid_var = (0.25 * particulars.speed / 5.4) ** 2
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.ukf.reset()
+        self.n, self.P_nav, self.status = initial_navigation(self._nav_settings)
+        self._clock = np.zeros(2)
+        ukf, settings = self.ukf, self.ukf.settings
+        # every array that the kernel works on in place, gathered once: a call is then cheap
+        self._arguments = (
+            self.n,
+            self.P_nav,
+            self._nav_settings,
+            self.status,
+            self._nav_work,
+            ukf.x,
+            ukf.P,
+            ukf.act,
+            ukf.lags,
+            settings.n_unit,
+            ukf.differential,
+            settings.q,
+            settings.q_xi,
+            settings.r * STUDY_STEP,
+            settings.p0,
+            ukf.envelope,
+            self._aid_var,
+            self._clock,
+            ukf.weights,
+            ukf.Q,
+            ukf.qx,
+            ukf.R,
+            self._phi,
+            ukf.work,
+        )
+
+    @property
+    def ready(self) -> bool:
+        """True once the filter has begun."""
+        return bool(self._clock[1])
+
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row; see :meth:`twin.predictor.Predictor.update`."""
+        self.t = t
+        _tight_step(dt, z, cmd, *self._arguments)

@@ -1,0 +1,613 @@
+"""The twin's model of the boat: 25 parameters, in which its accelerations are linear.
+
+    u' = X_uu u|u| + X_vv v^2 + X_vr v r + X_rr r^2 + T_uL nL|nL| cos dL + T_uR nR|nR| cos dR
+    v' = Y_u u + Y_v v + Y_r r + Y_v|v| v|v| + Y_v|r| v|r| + Y_r|r| r|r| + Y_ur u r
+         + T_vL nL|nL| sin dL + T_vR nR|nR| sin dR
+    r' = N_u u + N_v v + N_r r + N_v|v| v|v| + N_v|r| v|r| + N_r|r| r|r| + N_vvr v^2 r
+         + N_vrr v r^2 + T_rL nL|nL| sin dL + T_rR nR|nR| sin dR
+    x' = u cos(psi) - v sin(psi),  y' = u sin(psi) + v cos(psi),  psi' = r
+
+The state is s = (x, y, psi, u, v, r): m north and east, rad clockwise, m/s forward and to
+starboard over the ground, rad/s. The actuators are act = (nL, nR, dL, dR): rev/s, rad. A
+positive drive angle turns to starboard, so that T_v < 0 (the stern is pushed to port) and
+T_r > 0. Boats with fixed propellers steer by unequal thrust: there the yaw rows are
++T_rL nL|nL| and -T_rR nR|nR|, and again both T_r > 0.
+
+What differs from the paper's print: sin, not cos, of the angle in sway and yaw; no stray v in
+the yaw thrust; u|u| and n|n| instead of squares, for astern; N_v|v| and N_v|r| as in the
+paper's tables; N_r|r| with r|r|; actuators that can also return to 0 (Eq 27 cannot).
+
+Source: Qu et al. 2025, Eq (20)-(27), with the corrections of physics.md section 10.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import Particulars
+from twin.ukf import POINTS, SCRATCH, SLOPE, sigma_points, time_update
+from usv_kernel import kernel
+
+__all__ = [
+    "LIMITS",
+    "N_ACT",
+    "N_STATES",
+    "N_XI",
+    "PAPER_TABLE_2",
+    "PAPER_TABLE_3",
+    "PARAMETER_NAMES",
+    "PARAMETER_UNITS",
+    "X_END",
+    "Y_END",
+    "accelerations",
+    "derivative",
+    "follow",
+    "hand_prior",
+    "hull_regressors",
+    "is_differential",
+    "joint_predict",
+    "parameter_scales",
+    "propagate_points",
+    "regressors",
+    "roll_out",
+    "step",
+    "thrust_regressors",
+]
+
+Array = NDArray[np.float64]
+
+PARAMETER_NAMES = (
+    *("X_uu", "X_vv", "X_vr", "X_rr", "T_uL", "T_uR"),
+    *("Y_u", "Y_v", "Y_r", "Y_v|v|", "Y_v|r|", "Y_r|r|", "Y_ur", "T_vL", "T_vR"),
+    *("N_u", "N_v", "N_r", "N_v|v|", "N_v|r|", "N_r|r|", "N_vvr", "N_vrr", "T_rL", "T_rR"),
+)
+"""The parameters xi in order: surge, sway, yaw."""
+
+PARAMETER_UNITS = (
+    *("1/m", "1/m", "1/rad", "m/rad2", "m/rev2", "m/rev2"),
+    *("1/s", "1/s", "m/(s rad)", "1/m", "1/rad", "m/rad2", "1/rad", "m/rev2", "m/rev2"),
+    *("rad/(m s)", "rad/(m s)", "1/s", "rad/m2", "1/m", "1/rad", "s/m2", "s/(m rad)"),
+    *("rad/rev2", "rad/rev2"),
+)
+"""Their units."""
+
+N_STATES, N_ACT, N_XI = 6, 4, 25
+X_END, Y_END = 6, 15
+"""xi[:X_END] is surge, xi[X_END:Y_END] sway, xi[Y_END:] yaw."""
+
+LIMITS = np.array(
+    [[N_STATES, N_STATES]] * 3
+    + [
+        [N_STATES, N_STATES + X_END],
+        [N_STATES + X_END, N_STATES + Y_END],
+        [N_STATES + Y_END, N_STATES + N_XI],
+    ]
+)
+"""Columns of the joint vector (s, xi) that each row's acceleration depends on (for twin.ukf)."""
+
+STEP_MAX = 0.1
+"""Longest integration step of :func:`roll_out`, s."""
+
+PAPER_TABLE_2 = np.array(
+    [-0.01933487, -0.13319095, 0.47497131, 0.02046881, 0.00750947, 0.00750947]
+    + [0.14275839, -0.13801318, -0.10806983, -0.34930751, 0.17874066, 0.05575388]
+    + [0.58329755, 0.13710593, -0.07592142]
+    + [-0.01698518, 0.03176391, -0.17702271, -0.04692461, 0.17730327, 0.07858179]
+    + [0.11225423, 0.08986971, 0.00568659, 0.00568859]
+)
+"""Table 2, identified in a 20 degree turn. No boat: it has no stable motion. For tests only."""
+
+PAPER_TABLE_3 = np.array(
+    [-0.01520207, 0.87067625, 0.85951994, -0.09341181, 0.01141719, 0.01141719]
+    + [-0.01204963, -0.07585661, -0.53618141, -0.32916798, 0.30233231, 0.13383581]
+    + [0.32354393, 0.01002316, 0.00686091]
+    + [-0.00045943, 0.04981479, -0.29850031, -0.06855151, -0.06284036, -0.09460934]
+    + [0.14198421, 0.10663989, 0.00136872, 0.00107281]
+)
+"""Table 3, identified in a 20/-20 degree zigzag. No boat either: it speeds up in turns."""
+
+
+@kernel
+def hull_regressors(u, v, r, phi):  # type: ignore[no-untyped-def]
+    """Write the 19 regressors that depend on the velocities.
+
+    Parameters
+    ----------
+    u, v, r : float
+        Velocities, m/s and rad/s.
+    phi : (25,) array
+        Regressors; all but the thrust entries are written.
+
+    Source: Eq (22).
+    """
+    au, av, ar = abs(u), abs(v), abs(r)
+    phi[0] = u * au
+    phi[1] = v * v
+    phi[2] = v * r
+    phi[3] = r * r
+    phi[6] = u
+    phi[7] = v
+    phi[8] = r
+    phi[9] = v * av
+    phi[10] = v * ar
+    phi[11] = r * ar
+    phi[12] = u * r
+    phi[15] = u
+    phi[16] = v
+    phi[17] = r
+    phi[18] = phi[9]
+    phi[19] = phi[10]
+    phi[20] = phi[11]
+    phi[21] = phi[1] * r
+    phi[22] = phi[3] * v
+
+
+@kernel
+def thrust_regressors(act, differential, phi):  # type: ignore[no-untyped-def]
+    """Write the 6 regressors that depend on the actuators.
+
+    Parameters
+    ----------
+    act : (4,) array
+        Shaft speeds left and right, rev/s; drive angles left and right, rad.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+    phi : (25,) array
+        Regressors; the thrust entries are written.
+
+    Source: Eq (22) with sin in sway and yaw.
+    """
+    left = act[0] * abs(act[0])
+    right = act[1] * abs(act[1])
+    phi[4] = left * math.cos(act[2])
+    phi[5] = right * math.cos(act[3])
+    phi[13] = left * math.sin(act[2])
+    phi[14] = right * math.sin(act[3])
+    phi[23] = left if differential > 0.5 else phi[13]
+    phi[24] = -right if differential > 0.5 else phi[14]
+
+
+@kernel
+def regressors(u, v, r, act, differential, phi):  # type: ignore[no-untyped-def]
+    """Write all 25 regressors, so that each acceleration is its block of phi times that of xi.
+
+    Parameters
+    ----------
+    u, v, r : float
+        Velocities, m/s and rad/s.
+    act : (4,) array
+        Shaft speeds left and right, rev/s; drive angles left and right, rad.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+    phi : (25,) array
+        Written: surge ``phi[:6]``, sway ``phi[6:15]``, yaw ``phi[15:]``.
+
+    Source: Eq (22).
+    """
+    thrust_regressors(act, differential, phi)
+    hull_regressors(u, v, r, phi)
+
+
+@kernel
+def accelerations(phi, xi, first):  # type: ignore[no-untyped-def]
+    """Return the three accelerations from regressors and parameters.
+
+    Parameters
+    ----------
+    phi : (25,) array
+        Regressors.
+    xi : (first + 25,) array
+        Parameters, from entry ``first`` on.
+    first : int
+        0, or the number of states if these stand before the parameters.
+
+    Returns
+    -------
+    tuple of 3 floats
+        du/dt, dv/dt in m/s2 and dr/dt in rad/s2.
+
+    Source: Eq (20), (23).
+    """
+    du = 0.0
+    for k in range(X_END):
+        du += phi[k] * xi[first + k]
+    dv = 0.0
+    for k in range(X_END, Y_END):
+        dv += phi[k] * xi[first + k]
+    dr = 0.0
+    for k in range(Y_END, N_XI):
+        dr += phi[k] * xi[first + k]
+    return du, dv, dr
+
+
+@kernel
+def derivative(s, xi, act, differential, phi, out):  # type: ignore[no-untyped-def]
+    """Write the time derivative of the state.
+
+    Parameters
+    ----------
+    s : (6,) array
+        State x, y (m), psi (rad), u, v (m/s), r (rad/s).
+    xi : (25,) array
+        Parameters.
+    act : (4,) array
+        Shaft speeds left and right, rev/s; drive angles left and right, rad.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+    phi : (25,) array
+        Room for the regressors.
+    out : (6,) array
+        The derivative.
+
+    Source: Eq (20), (26).
+    """
+    regressors(s[3], s[4], s[5], act, differential, phi)
+    cos_psi = math.cos(s[2])
+    sin_psi = math.sin(s[2])
+    out[0] = s[3] * cos_psi - s[4] * sin_psi
+    out[1] = s[3] * sin_psi + s[4] * cos_psi
+    out[2] = s[5]
+    out[3], out[4], out[5] = accelerations(phi, xi, 0)
+
+
+@kernel
+def step(s, xi, act, differential, h, phi, out):  # type: ignore[no-untyped-def]
+    """Write the state one Euler step later.
+
+    Parameters
+    ----------
+    s, xi, act, differential, phi
+        See :func:`derivative`.
+    h : float
+        Step, s.
+    out : (6,) array
+        The later state; not ``s`` itself.
+
+    Source: Eq (25).
+    """
+    derivative(s, xi, act, differential, phi, out)
+    for k in range(N_STATES):
+        out[k] = s[k] + h * out[k]
+
+
+@kernel
+def propagate_points(act, differential, h, work):  # type: ignore[no-untyped-def]
+    """Send the sigma points of twin.ukf through :func:`step`, and write the model's slope.
+
+    Parameters
+    ----------
+    act : (4,) array
+        Shaft speeds left and right, rev/s; drive angles left and right, rad.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+    h : float
+        Step, s.
+    work : array
+        ``ukf.workspace(6, 25)``: the states of its points are replaced, the slope is written.
+
+    Source: Eq (25).
+    """
+    points = work[POINTS]
+    slope = work[SLOPE]
+    phi = work[SCRATCH, 0]
+    thrust_regressors(act, differential, phi)
+    psi = points[0, 2]
+    cos_psi = cos_0 = math.cos(psi)
+    sin_psi = sin_0 = math.sin(psi)
+    for i in range(points.shape[0]):
+        point = points[i]
+        u, v, r = point[3], point[4], point[5]
+        if point[2] == psi:  # Half of the points move no heading.
+            cos_psi, sin_psi = cos_0, sin_0
+        else:
+            cos_psi, sin_psi = math.cos(point[2]), math.sin(point[2])
+        hull_regressors(u, v, r, phi)
+        du, dv, dr = accelerations(phi, point, N_STATES)
+        point[0] += h * (u * cos_psi - v * sin_psi)
+        point[1] += h * (u * sin_psi + v * cos_psi)
+        point[2] += h * r
+        point[3] += h * du
+        point[4] += h * dv
+        point[5] += h * dr
+        if i == 0:
+            for k in range(X_END):
+                slope[3, N_STATES + k] = h * phi[k]
+            for k in range(X_END, Y_END):
+                slope[4, N_STATES + k] = h * phi[k]
+            for k in range(Y_END, N_XI):
+                slope[5, N_STATES + k] = h * phi[k]
+
+
+@kernel
+def joint_predict(x, P, act, differential, h, Q_s, q_xi, weights, work):  # type: ignore[no-untyped-def]
+    """Predict state and parameters over one step with the structured UKF.
+
+    Parameters
+    ----------
+    x : (31,) array
+        Mean of (s, xi); predicted in place.
+    P : (31, 31) array
+        Its covariance; predicted in place.
+    act : (4,) array
+        Actuators during the step: rev/s, rad.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+    h : float
+        Step, s.
+    Q_s : (6, 6) array
+        Process noise of the states for this step.
+    q_xi : (25,) array
+        Variance that each parameter's random walk adds in this step.
+    weights : (4,) array
+        From ``ukf.scaled_weights(31, ...)``.
+    work : array
+        From ``ukf.workspace(6, 25)``.
+
+    Returns
+    -------
+    int
+        Number of numerical repairs (see twin.ukf); 0 as a rule.
+
+    Source: Eq (28)-(30), (34), (43).
+    """
+    repairs = sigma_points(x, P, weights, work)
+    propagate_points(act, differential, h, work)
+    return repairs + time_update(x, P, Q_s, q_xi, LIMITS, weights, work)
+
+
+@kernel
+def follow(value, target, lag, rate, h):  # type: ignore[no-untyped-def]
+    """Return where a lagged, rate-limited actuator is after a time h, exactly.
+
+    It solves ``usv_kernel.actuate`` for a constant target: straight at full rate, then an
+    exponential. So a lag far shorter than the step does no harm.
+
+    Parameters
+    ----------
+    value, target : float
+        Where the actuator is and where it is told to go, in its own unit.
+    lag : float
+        Time constant, s; above 0.
+    rate : float
+        Largest speed, units per s; infinity for none.
+    h : float
+        Time, s.
+
+    Returns
+    -------
+    float
+        Later value, in the same unit.
+    """
+    gap = target - value
+    if gap == 0.0:
+        return value
+    reach = rate * lag  # Within this gap the lag, not the rate, sets the speed.
+    if abs(gap) > reach:
+        straight = (abs(gap) - reach) / rate
+        if h <= straight:
+            return value + math.copysign(rate * h, gap)
+        h -= straight
+        gap = math.copysign(reach, gap)
+    return target - gap * math.exp(-h / lag)
+
+
+@kernel
+def _follow_all(act, command, shaft_lag, steer_lag, steer_rate, h):  # type: ignore[no-untyped-def]
+    """Advance the four actuators by h in place."""
+    for k in range(2):
+        act[k] = follow(act[k], command[k], shaft_lag, math.inf, h)
+        act[2 + k] = follow(act[2 + k], command[2 + k], steer_lag, steer_rate, h)
+
+
+@kernel
+def _rates(psi, u, v, r, xi, phi):  # type: ignore[no-untyped-def]
+    """Return the derivatives of x, y, u, v, r; phi holds the thrust regressors already."""
+    hull_regressors(u, v, r, phi)
+    du, dv, dr = accelerations(phi, xi, 0)
+    cos_psi = math.cos(psi)
+    sin_psi = math.sin(psi)
+    return u * cos_psi - v * sin_psi, u * sin_psi + v * cos_psi, du, dv, dr
+
+
+@kernel
+def _bounded(value, bound):  # type: ignore[no-untyped-def]
+    """Return the value within -bound ... bound; -bound for NaN."""
+    if value >= bound:
+        return bound
+    return value if value > -bound else -bound
+
+
+@kernel
+def roll_out(  # type: ignore[no-untyped-def]
+    s_0,
+    xi,
+    act_0,
+    plan,
+    dt_plan,
+    shaft_lag,
+    steer_lag,
+    steer_rate,
+    speed_max,
+    turn_max,
+    differential,
+    out,
+    out_act,
+    phi,
+):
+    """Predict the motion under a plan of commands, actuators included.
+
+    Runge-Kutta of fourth order at steps of at most :data:`STEP_MAX`. The velocities are held
+    within an envelope throughout, so that the worst parameters give a finite motion.
+
+    Parameters
+    ----------
+    s_0 : (6,) array
+        State at the start: x, y (m), psi (rad), u, v (m/s), r (rad/s).
+    xi : (25,) array
+        Parameters.
+    act_0 : (4,) array
+        Actuators at the start: rev/s, rad.
+    plan : (K, 4) array
+        Commands; row k is in force from k to k + 1 times ``dt_plan``.
+    dt_plan : float
+        Time between rows, s.
+    shaft_lag, steer_lag : float
+        Time constants of shaft speed and drive angle, s; above 0.
+    steer_rate : float
+        Largest turning speed of the drives, rad/s.
+    speed_max, turn_max : float
+        Envelope: largest \\|u\\| and \\|v\\|, m/s, and largest \\|r\\|, rad/s.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+    out : (K, 6) array
+        Row k is the state at the end of row k of the plan ...
+    out_act : (K, 4) array
+        ... and this the actuators then.
+    phi : (3, 25) array
+        Room for the regressors at start, middle and end of a step.
+
+    Source: Eq (25)-(27), with Eq (27) replaced by ``usv_kernel.actuate``.
+    """
+    x, y, psi = s_0[0], s_0[1], s_0[2]
+    u = _bounded(s_0[3], speed_max)
+    v = _bounded(s_0[4], speed_max)
+    r = _bounded(s_0[5], turn_max)
+    steps = max(math.ceil(dt_plan / STEP_MAX - 1e-9), 1)
+    h = dt_plan / steps
+    start, end = 0, 2
+    thrust_regressors(act_0, differential, phi[start])
+    for row in range(plan.shape[0]):
+        act = out_act[row]
+        for k in range(N_ACT):
+            act[k] = out_act[row - 1, k] if row > 0 else act_0[k]
+        for _ in range(steps):
+            _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h)
+            thrust_regressors(act, differential, phi[1])
+            _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h)
+            thrust_regressors(act, differential, phi[end])
+            dx_1, dy_1, du_1, dv_1, dr_1 = _rates(psi, u, v, r, xi, phi[start])
+            u_2 = _bounded(u + 0.5 * h * du_1, speed_max)
+            v_2 = _bounded(v + 0.5 * h * dv_1, speed_max)
+            r_2 = _bounded(r + 0.5 * h * dr_1, turn_max)
+            dx_2, dy_2, du_2, dv_2, dr_2 = _rates(psi + 0.5 * h * r, u_2, v_2, r_2, xi, phi[1])
+            u_3 = _bounded(u + 0.5 * h * du_2, speed_max)
+            v_3 = _bounded(v + 0.5 * h * dv_2, speed_max)
+            r_3 = _bounded(r + 0.5 * h * dr_2, turn_max)
+            dx_3, dy_3, du_3, dv_3, dr_3 = _rates(psi + 0.5 * h * r_2, u_3, v_3, r_3, xi, phi[1])
+            u_4 = _bounded(u + h * du_3, speed_max)
+            v_4 = _bounded(v + h * dv_3, speed_max)
+            r_4 = _bounded(r + h * dr_3, turn_max)
+            dx_4, dy_4, du_4, dv_4, dr_4 = _rates(psi + h * r_3, u_4, v_4, r_4, xi, phi[end])
+            x += h / 6.0 * (dx_1 + 2.0 * (dx_2 + dx_3) + dx_4)
+            y += h / 6.0 * (dy_1 + 2.0 * (dy_2 + dy_3) + dy_4)
+            psi += h / 6.0 * (r + 2.0 * (r_2 + r_3) + r_4)
+            u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), speed_max)
+            v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), speed_max)
+            r = _bounded(r + h / 6.0 * (dr_1 + 2.0 * (dr_2 + dr_3) + dr_4), turn_max)
+            start, end = end, start
+        out[row, 0], out[row, 1], out[row, 2] = x, y, psi
+        out[row, 3], out[row, 4], out[row, 5] = u, v, r
+
+
+def is_differential(particulars: Particulars) -> float:
+    """Return the kernels' argument ``differential``: 1.0 for steering by unequal thrust."""
+    return 1.0 if particulars.steering == "differential" else 0.0
+
+
+_POWERS = np.array(
+    [(-1, 0, 0), (-1, 0, 0), (0, 0, 0), (1, 0, 0), (-1, 2, -2), (-1, 2, -2)]  # X
+    + [(-1, 1, 0), (-1, 1, 0), (0, 1, 0), (-1, 0, 0), (0, 0, 0), (1, 0, 0)]  # Y
+    + [(0, 0, 0), (-1, 2, -2), (-1, 2, -2)]
+    + [(-2, 1, 0), (-2, 1, 0), (-1, 1, 0), (-2, 0, 0), (-1, 0, 0), (0, 0, 0)]  # N
+    + [(-1, -1, 0), (0, -1, 0), (-2, 2, -2), (-2, 2, -2)],
+    dtype=np.float64,
+)
+"""Powers of length, speed and shaft speed in the natural unit of each parameter."""
+
+
+def parameter_scales(length: float, speed: float, shaft_speed: float) -> Array:
+    """Return the natural unit of each parameter, by which it becomes dimensionless.
+
+    Lengths count in L, speeds in U, shaft speeds in n; hence times in L/U, accelerations in
+    U^2/L, yaw rates in U/L and yaw accelerations in U^2/L^2:
+
+    ====================================  =====================
+    parameters                            natural unit
+    ====================================  =====================
+    X_uu, X_vv, Y_v|v|, N_v|r|            1 / L
+    X_vr, Y_v|r|, Y_ur, N_r|r|            1
+    X_rr, Y_r|r|                          L
+    Y_u, Y_v, N_r                         U / L
+    Y_r                                   U
+    N_u, N_v                              U / L^2
+    N_v|v|                                1 / L^2
+    N_vvr                                 1 / (U L)
+    N_vrr                                 1 / U
+    T_uL, T_uR, T_vL, T_vR                U^2 / (L n^2)
+    T_rL, T_rR                            U^2 / (L^2 n^2)
+    ====================================  =====================
+
+    Parameters
+    ----------
+    length : float
+        L, m.
+    speed : float
+        U, m/s.
+    shaft_speed : float
+        n, rev/s.
+
+    Returns
+    -------
+    (25,) array
+        In the units of :data:`PARAMETER_UNITS`.
+    """
+    scales: Array = np.prod(np.array([length, speed, shaft_speed]) ** _POWERS, axis=1)
+    return scales
+
+
+_STUDY_MEAN = np.array(
+    [-0.030, -0.024, 1.29, 0.0, 0.00935, 0.00935]
+    + [0.0, -0.89, 1.17, -0.17, 0.0, 0.0, -0.78, -0.012, -0.012]
+    + [0.0, -0.288, -2.05, 0.0, 0.0, -0.7, -0.2, 0.0, 0.011, 0.011]
+)
+_STUDY_SD = np.array(
+    [0.010, 0.05, 0.3, 0.2, 0.003, 0.003]
+    + [0.01, 0.45, 0.8, 0.3, 1.0, 0.5, 0.2, 0.008, 0.008]
+    + [0.005, 0.3, 1.0, 0.1, 1.0, 1.0, 0.3, 0.5, 0.006, 0.006]
+)
+_STUDY_SCALES = parameter_scales(7.5, 5.4, 6.33)
+
+# Fixed propellers .2 L off the middle turn a boat whose radius of gyration is .25 L.
+_DIFFERENTIAL_MEAN, _DIFFERENTIAL_SD = 0.24, 0.14
+
+
+def hand_prior(particulars: Particulars) -> tuple[Array, Array]:
+    """Return what is believed of the parameters before any data, from main particulars.
+
+    The prior of a 7.5 m boat at 5.4 m/s with 6.33 rev/s, made dimensionless by
+    :func:`parameter_scales` and given the units of this boat. Where the boat steers by
+    unequal thrust, T_r is (.24 +- .14) U^2 / (L n)^2 and T_v is 0 on average.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Length, speed, shaft speed and steering are used.
+
+    Returns
+    -------
+    xi_0, sd_0 : (25,) arrays
+        Mean and standard deviation of each parameter.
+
+    Source: twin.md section 13.
+    """
+    scales = parameter_scales(particulars.length, particulars.speed, particulars.shaft_speed)
+    mean = _STUDY_MEAN / _STUDY_SCALES * scales
+    sd = _STUDY_SD / _STUDY_SCALES * scales
+    if particulars.steering == "differential":
+        mean[13:15] = 0.0
+        mean[23:25] = _DIFFERENTIAL_MEAN * scales[23:25]
+        sd[23:25] = _DIFFERENTIAL_SD * scales[23:25]
+    return mean, sd

@@ -1,0 +1,215 @@
+"""What the twin is told of its boat before it sees data: main particulars and instruments.
+
+Everything that a setting scales with stands here, so that one set of dimensionless settings
+serves a 1 m model and a 300 m tanker (Froude scaling).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["Instruments", "Particulars", "STEERING"]
+
+STEERING = ("drives", "differential")
+"""``drives``: the thrust is turned by the drive (or rudder) angle.
+``differential``: the units are fixed and steer by unequal thrust."""
+
+
+class ParticularsError(ValueError):
+    """Particulars that cannot be used; the message names the key and the remedy."""
+
+
+def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
+    for item in dataclasses.fields(record):
+        value = getattr(record, item.name)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            continue
+        if not math.isfinite(value):
+            raise ParticularsError(f"{item.name} = {value} is not a finite number")
+        if value < 0.0 or (value == 0.0 and item.name in positive):
+            bound = "above 0" if item.name in positive else "0 or more"
+            raise ParticularsError(f"{item.name} = {value} must be {bound}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instruments:
+    """Standard deviations and delays that the data sheets of the sensors state.
+
+    Parameters
+    ----------
+    gps_sd : float
+        Position, m.
+    doppler_sd : float
+        Velocity over ground, m/s.
+    compass_sd : float
+        Heading, rad.
+    gyro_sd, gyro_bias_sd : float
+        Yaw rate: white noise per sample and bias, rad/s.
+    accel_sd, accel_bias_sd : float
+        Specific force: white noise per sample and bias, m/s2. Give the white noise room
+        for what the model leaves out (waves, tilt).
+    gps_latency : float
+        Age of a fix when it arrives, s.
+    """
+
+    gps_sd: float = 1.0
+    doppler_sd: float = 0.08
+    compass_sd: float = 0.012
+    gyro_sd: float = 0.002
+    gyro_bias_sd: float = 0.001
+    accel_sd: float = 0.12
+    accel_bias_sd: float = 0.05
+    gps_latency: float = 0.1
+
+    def __post_init__(self) -> None:
+        _check_fields(
+            self, ("gps_sd", "doppler_sd", "compass_sd", "gyro_sd", "accel_sd", "accel_bias_sd")
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Particulars:
+    """Main particulars of a boat, as far as its twin needs them.
+
+    Parameters
+    ----------
+    name : str
+        For tables and pictures.
+    length, beam, draft : float
+        On the waterline, m.
+    mass : float
+        Displacement, kg.
+    speed : float
+        A usual speed, m/s ...
+    shaft_speed : float
+        ... and the shaft speed of each propeller that keeps it, rev/s. Where the unit of
+        the recorded command is unknown (per cent, pulse width), any unit will do, if the
+        log uses the same.
+    steering : str
+        One of :data:`STEERING`.
+    shaft_lag, steer_lag : float
+        Time constants of the shaft speed and of the drive angle, s.
+    steer_rate : float
+        Largest turning speed of the drive, rad/s.
+    instruments : Instruments
+        Sensors on board.
+    """
+
+    name: str
+    length: float
+    beam: float
+    draft: float
+    mass: float
+    speed: float
+    shaft_speed: float
+    steering: str = "drives"
+    shaft_lag: float = 0.6
+    steer_lag: float = 0.1
+    steer_rate: float = 0.35
+    instruments: Instruments = field(default_factory=Instruments)
+
+    def __post_init__(self) -> None:
+        _check_fields(
+            self,
+            (
+                "length",
+                "beam",
+                "draft",
+                "mass",
+                "speed",
+                "shaft_speed",
+                "shaft_lag",
+                "steer_lag",
+                "steer_rate",
+            ),
+        )
+        if self.steering not in STEERING:
+            raise ParticularsError(
+                f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Particulars:
+        """Read particulars from a TOML file.
+
+        Parameters
+        ----------
+        path : str or Path
+            File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys
+            are the fields of :class:`Particulars` and :class:`Instruments`, in SI units.
+
+        Returns
+        -------
+        Particulars
+
+        Raises
+        ------
+        ParticularsError
+            Names the file, the key and the remedy.
+        """
+        path = Path(path)
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ParticularsError(f"{path}: cannot be read ({error.strerror})") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ParticularsError(f"{path}: is not valid TOML: {error}") from None
+        unknown = set(table) - {"particulars", "instruments"}
+        if unknown or "particulars" not in table:
+            raise ParticularsError(
+                f"{path}: expected the tables [particulars] and, if wished, [instruments]; "
+                f"found {', '.join(sorted(table)) or 'none'}"
+            )
+        try:
+            instruments = Instruments(**_known(Instruments, table.get("instruments", {})))
+            return cls(**_known(cls, table["particulars"]), instruments=instruments)
+        except ParticularsError as error:
+            raise ParticularsError(f"{path}: {error}") from None
+
+    def to_toml(self) -> str:
+        """Return the text of a file that :meth:`load` reads back to the same value."""
+        lines = ["# Main particulars for the twin, SI units.", "[particulars]"]
+        for item in dataclasses.fields(self):
+            if item.name != "instruments":
+                value = getattr(self, item.name)
+                # A JSON string is a TOML string, quotes and all.
+                is_text = isinstance(value, str)
+                text = json.dumps(value, ensure_ascii=False) if is_text else repr(float(value))
+                lines.append(f"{item.name} = {text}")
+        lines += ["", "[instruments]"]
+        for item in dataclasses.fields(self.instruments):
+            lines.append(f"{item.name} = {float(getattr(self.instruments, item.name))!r}")
+        return "\n".join(lines) + "\n"
+
+
+def _known(kind: type, table: Any) -> dict[str, Any]:
+    """Return the table if each key is a field of the right type and none is missing."""
+    if not isinstance(table, dict):
+        raise ParticularsError("expected a table of keys and values")
+    fields = {item.name: item for item in dataclasses.fields(kind) if item.name != "instruments"}
+    for key, value in table.items():
+        if key not in fields:
+            raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
+        text = key in ("name", "steering")
+        wanted = str if text else (int, float)
+        if not isinstance(value, wanted) or isinstance(value, bool):
+            raise ParticularsError(f"{key} = {value!r} must be a {'text' if text else 'number'}")
+    missing = [
+        name
+        for name, item in fields.items()
+        if name not in table and item.default is dataclasses.MISSING
+    ]
+    if missing:
+        raise ParticularsError(f"missing key(s): {', '.join(missing)}")
+    return table

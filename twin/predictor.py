@@ -1,0 +1,356 @@
+"""Predictors: what they are asked, what they answer, and the simple ones.
+
+A predictor is fed one row of measurements and commands after the other, and may at any time
+be asked where the boat will be under a plan of commands. It sees nothing else: not the truth,
+not the future beyond the plan, not another predictor.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.navigation import Navigator
+from twin.particulars import Particulars
+
+__all__ = [
+    "CHANNELS",
+    "Estimate",
+    "HistoryPredictor",
+    "Persistence",
+    "Prediction",
+    "Predictor",
+    "SmoothedPersistence",
+    "hold_velocity",
+]
+
+Array = NDArray[np.float64]
+
+CHANNELS = ("x_m", "y_m", "psi_rad", "u_mps", "v_mps", "r_radps")
+"""Columns of a state: north, east, heading, speed forward, to starboard, yaw rate."""
+
+GRID = 0.25
+"""Step of the history that learners and baselines look back on, s."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a predictor believes now.
+
+    Parameters
+    ----------
+    t : float
+        Time of the last row, s.
+    s, sd : ndarray, shape (6,)
+        State in the order of :data:`CHANNELS`, and its standard deviation.
+    xi, xi_sd : ndarray, shape (p,)
+        Model parameters and their standard deviations; empty where there is no model.
+    ready : bool
+        False until a first fix and a first heading have come; the rest means nothing then.
+    """
+
+    t: float
+    s: Array
+    sd: Array
+    xi: Array
+    xi_sd: Array
+    ready: bool
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where the boat will be, and how sure that is.
+
+    Parameters
+    ----------
+    t0 : float
+        Time at which it was made, s.
+    start : ndarray, shape (6,)
+        State that it starts from, in the order of :data:`CHANNELS`.
+    t : ndarray, shape (K,)
+        Times that it speaks of, s.
+    mean : ndarray, shape (K, 6)
+        Predicted states; heading not wrapped.
+    cov : ndarray, shape (K, 6, 6)
+        Covariances of their errors.
+    """
+
+    t0: float
+    start: Array
+    t: Array
+    mean: Array
+    cov: Array
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations, shape (K, 6)."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=1, axis2=2), 0.0))
+
+    def at(self, horizons: Array) -> tuple[Array, Array]:
+        """Return mean (h, 6) and covariance (h, 6, 6) at times after t0, interpolated.
+
+        Parameters
+        ----------
+        horizons : array_like, shape (h,)
+            Seconds after t0, within the prediction.
+        """
+        after = np.concatenate([[0.0], self.t - self.t0])
+        mean = np.concatenate([self.start[None], self.mean])
+        cov = np.concatenate([np.zeros((1, 6, 6)), self.cov])
+        place = np.interp(horizons, after, np.arange(len(after)))
+        low = np.minimum(place.astype(int), len(after) - 2)
+        share = place - low
+        return (
+            mean[low] + share[:, None] * (mean[low + 1] - mean[low]),
+            cov[low] + share[:, None, None] * (cov[low + 1] - cov[low]),
+        )
+
+
+class Predictor(ABC):
+    """The contract of every entry of ``twin.PREDICTORS``.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        What is known of the boat beforehand.
+    seed : int
+        For predictors that draw random numbers; the same seed gives the same bits.
+    """
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        self.particulars = particulars
+        self.seed = seed
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+
+    @abstractmethod
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row.
+
+        Parameters
+        ----------
+        t, dt : float
+            Time of the row and time since the row before, s; dt is 0 in the first row.
+        z : ndarray, shape (9,)
+            Measurements in the order of ``twin.log.MEASUREMENTS``; NaN is missing.
+        cmd : ndarray, shape (4,)
+            Command that was in force since the row before, in the order of
+            ``twin.log.COMMANDS``.
+        """
+
+    @property
+    @abstractmethod
+    def s(self) -> Array:
+        """State believed now, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
+
+    @abstractmethod
+    def estimate(self) -> Estimate:
+        """Return what is believed now."""
+
+    def mean(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states (K, 6) alone, where that is cheaper.
+
+        Parameters
+        ----------
+        plan, dt
+            As for :meth:`predict`.
+        """
+        return self.predict(plan, dt).mean
+
+    @abstractmethod
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; nothing of the predictor's state changes by it.
+
+        Parameters
+        ----------
+        plan : ndarray, shape (K, 4)
+            Commands; row k is in force from k to k + 1 times dt after the last row.
+        dt : float
+            Time between rows of the plan, s.
+
+        Returns
+        -------
+        Prediction
+            At the ends of the rows of the plan; always finite.
+        """
+
+
+def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
+    """Return the states of a boat that keeps body velocity and yaw rate.
+
+    Parameters
+    ----------
+    start : ndarray, shape (..., 6)
+        State at time 0.
+    velocity : ndarray, shape (..., 3)
+        Held u, v, r in m/s and rad/s.
+    after : ndarray, shape (K,)
+        Times, s.
+
+    Returns
+    -------
+    ndarray, shape (..., K, 6)
+    """
+    u, v, r = (velocity[..., i, None] for i in range(3))
+    psi_0 = start[..., 2, None]
+    half = 0.5 * r * after
+    # chord of the arc: length times sin(half)/half, along the middle heading
+    chord = after * np.sinc(half / math.pi)
+    c, s = np.cos(psi_0 + half), np.sin(psi_0 + half)
+    out = np.empty((*start.shape[:-1], len(after), 6))
+    out[..., 0] = start[..., 0, None] + chord * (u * c - v * s)
+    out[..., 1] = start[..., 1, None] + chord * (u * s + v * c)
+    out[..., 2] = psi_0 + r * after
+    out[..., 3], out[..., 4], out[..., 5] = u, v, r
+    return out
+
+
+class HistoryPredictor(Predictor):
+    """A predictor that looks back on its navigation filter's states, on an even grid.
+
+    Its bands come from its own forecasts of the last :attr:`memory` seconds: the root mean
+    square of their errors at each horizon, judged by what the navigation filter said later.
+
+    Subclasses provide :meth:`forecast`.
+    """
+
+    memory = 90.0
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        super().__init__(particulars, seed=seed)
+        self.navigator = Navigator(particulars)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+        self.navigator.reset()
+        self.t = 0.0
+        self._cmd = np.zeros(4)
+        self._last = np.zeros(10)
+        self._rows: list[Array] = []
+        self._next = math.inf
+        self._errors_at = -math.inf
+        self._errors = np.zeros((0, 6))
+
+    @abstractmethod
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts from several rows of a history.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (M, 10)
+            History every :data:`GRID` seconds: six states, then the four commands that were
+            in force before the row.
+        origins : ndarray of int, shape (B,)
+            Rows to start from; only rows up to and with each may be used for it.
+        plans : ndarray, shape (B, K, 4)
+            Commands of the K grid steps after each origin.
+
+        Returns
+        -------
+        ndarray, shape (B, K, 6)
+            States at the ends of the steps.
+        """
+
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row; see :meth:`Predictor.update`."""
+        self.t = t
+        s = self.navigator.update(dt, z)
+        self._cmd = np.array(cmd, dtype=np.float64)
+        if not self.navigator.ready:
+            return
+        now = np.concatenate([s, self._cmd])
+        if not math.isfinite(self._next):
+            self._next = t
+            self._last = now
+        while self._next <= t + 1e-9:
+            share = 1.0 if dt <= 0.0 else min(max(1.0 - (t - self._next) / dt, 0.0), 1.0)
+            row = self._last + share * (now - self._last)
+            row[6:] = self._cmd
+            self._rows.append(row)
+            self._next += GRID
+        self._last = now
+
+    @property
+    def s(self) -> Array:
+        """State, a view of shape (6,)."""
+        return self.navigator.n[:6]
+
+    def estimate(self) -> Estimate:
+        """Return what is believed now."""
+        n, P = self.navigator.n, self.navigator.P
+        empty = np.zeros(0)
+        return Estimate(
+            self.t, n[:6].copy(), np.sqrt(np.diag(P)[:6]), empty, empty, self.navigator.ready
+        )
+
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; see :meth:`Predictor.predict`."""
+        after = dt * np.arange(1, len(plan) + 1)
+        start = self.navigator.n[:6].copy()
+        K = math.ceil(after[-1] / GRID - 1e-9)
+        # the plan on the grid: the command in force in the middle of each grid step
+        middle = (np.arange(K) + 0.5) * GRID
+        grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
+        rows = np.array([*self._rows, np.concatenate([start, self._cmd])])
+        path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
+        times = GRID * np.arange(K + 1)
+        path = np.concatenate([start[None], np.nan_to_num(path)])
+        mean = np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
+        errors = self._own_errors()
+        grow = np.stack(
+            [np.interp(after, GRID * np.arange(1, len(errors) + 1), errors[:, j]) for j in range(6)],
+            axis=1,
+        )
+        cov = np.zeros((len(plan), 6, 6))
+        cov[:, range(6), range(6)] = grow**2 + np.diag(self.navigator.P)[:6]
+        return Prediction(self.t, start, self.t + after, mean, cov)
+
+    def _own_errors(self, horizon: float = 10.0) -> Array:
+        """Return the root mean square errors (K, 6) of this predictor's past forecasts."""
+        if self.t - self._errors_at < 1.0:
+            return self._errors
+        K = round(horizon / GRID)
+        begin = max(len(self._rows) - round(self.memory / GRID), 0)
+        rows = np.array(self._rows[begin:]).reshape(-1, 10)
+        origins = np.arange(round(5.0 / GRID), len(rows) - K, round(1.0 / GRID))
+        if len(origins) < 5:
+            U, L = self.particulars.speed, self.particulars.length
+            rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
+            return np.outer(np.sqrt(GRID * np.arange(1, K + 1)), rate)
+        ahead = origins[:, None] + np.arange(1, K + 1)
+        error = self.forecast(rows, origins, rows[ahead, 6:]) - rows[ahead, :6]
+        self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
+        self._errors_at = self.t
+        return self._errors
+
+
+class Persistence(HistoryPredictor):
+    """Body velocities and yaw rate of this moment, held and integrated.
+
+    ``average`` seconds of their mean may stand in for the moment.
+    """
+
+    average = 0.0
+
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
+        width = max(round(self.average / GRID), 1)
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, 3:6], axis=0)])
+        first = np.maximum(origins + 1 - width, 0)
+        velocity = (sums[origins + 1] - sums[first]) / (origins + 1 - first)[:, None]
+        return hold_velocity(
+            rows[origins, :6], velocity, GRID * np.arange(1, plans.shape[1] + 1)
+        )
+
+
+class SmoothedPersistence(Persistence):
+    """The mean of the last 8 s of body velocities and yaw rate, held and integrated."""
+
+    average = 8.0

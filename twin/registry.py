@@ -1,0 +1,62 @@
+"""The predictors by name: the one place to add one."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from twin.particulars import Particulars
+from twin.predictor import Predictor
+
+__all__ = ["DEFAULT", "PREDICTORS", "PredictorError", "make_predictor"]
+
+PREDICTORS: dict[str, str | type[Predictor]] = {
+    "persistence": "twin.predictor:Persistence",
+    "persistence-8s": "twin.predictor:SmoothedPersistence",
+    "ukf": "twin.identifier:UKFPredictor",
+    "dsw-ukf": "twin.dsw:DSWPredictor",
+    "lstm": "twin.neural:LSTMPredictor",
+}
+"""Name to class, or to ``module:Class``, which is imported when it is first asked for."""
+
+DEFAULT = "ukf"
+"""The predictor that is used where none is named."""
+
+
+class PredictorError(ValueError):
+    """A predictor that is not known or cannot be used; the message says what can."""
+
+
+def make_predictor(
+    name: str, particulars: Particulars, *, seed: int = 0, **options: Any
+) -> Predictor:
+    """Return a new predictor.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`PREDICTORS`.
+    particulars : Particulars
+        The boat.
+    seed : int
+        For those that draw random numbers.
+    **options
+        Handed to the class.
+
+    Raises
+    ------
+    PredictorError
+        Lists the names that there are.
+    """
+    try:
+        entry = PREDICTORS[name]
+    except (KeyError, TypeError):
+        raise PredictorError(
+            f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
+        ) from None
+    if isinstance(entry, str):
+        module, _, attribute = entry.partition(":")
+        entry = getattr(import_module(module), attribute)
+    if not (isinstance(entry, type) and issubclass(entry, Predictor)):
+        raise PredictorError(f"predictor {name!r}: {entry!r} is not a subclass of Predictor")
+    return entry(particulars, seed=seed, **options)

@@ -1,0 +1,542 @@
+"""The unscented Kalman filter for a state plus many constant parameters; it knows no ship.
+
+The filter's vector is x = (s, xi): ``n_s`` states that move and are measured, then ``n_xi``
+parameters that stand still but for a random walk. The caller's model must be affine in xi,
+
+    f(s, xi) = f(s, 0) + slope(s) xi,
+
+and the measurement is z = s + noise, each entry present or not. Then, of the 1 + 2 (n_s +
+n_xi) sigma points, those that move xi alone can be summed by hand: only 1 + 2 n_s are sent
+through the model, and the result is that of the full filter for any alpha, beta and kappa.
+
+A step is three calls, with the model in the middle:
+
+1. :func:`sigma_points` writes the points;
+2. the caller replaces the s part of each point by the model's answer, and writes the slope
+   at the centre point;
+3. :func:`time_update` forms the predicted mean and covariance;
+
+and :func:`measurement_update` when something was measured. All three share one array
+``work`` from :func:`workspace`; its slots hold
+
+- ``work[POINTS]`` (1 + 2 n_s rows): sigma points, the centre first, then those up, then down;
+- ``work[ROOT]`` (n_s rows): the first rows of the upper Cholesky factor of P;
+- ``work[SLOPE]`` (n_s rows): derivative of the model's answer by x, of which only the xi
+  columns (n_s and up) are read, and there only those within ``limits``;
+- ``work[SCRATCH]``: room for what is in between.
+
+Their first n = n_s + n_xi columns count.
+
+P is kept exactly symmetric, and neither x nor P ever becomes NaN or infinite:
+
+- Where rounding has left P without a Cholesky factor, its correlations are shrunk by 1e-10,
+  then 1e-8 and so on, until the factor exists (at 1, P is diagonal, so that it ends);
+- a prediction that overflows is dropped: x stays and P grows by Q;
+- an entry of z that is not finite counts as missing.
+
+Each of the first two is counted in what the functions return.
+
+Source: Qu et al. 2025, Eq (28)-(34) with the corrections of Wan and van der Merwe (2000);
+physics.md section 7, performance.md "The structured UKF".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from usv_kernel import kernel, wrap
+
+__all__ = [
+    "POINTS",
+    "ROOT",
+    "SCRATCH",
+    "SLOPE",
+    "StructuredUKF",
+    "measurement_update",
+    "scaled_weights",
+    "sigma_points",
+    "time_update",
+    "workspace",
+]
+
+Array = NDArray[np.float64]
+
+POINTS, ROOT, SLOPE, SCRATCH = 0, 1, 2, 3
+"""Slots of the work array."""
+
+SPREAD, MEAN_0, COVARIANCE_0, OTHERS = 0, 1, 2, 3
+"""Entries of the weights."""
+
+_PIVOT_MIN = 1e-14
+"""Below this part of a variance, what a difference leaves of it is rounding."""
+
+_OVERFLOW = 1e30
+"""No state is as large as this; the model's cube of it, squared, is still a number."""
+
+
+def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Array:
+    """Return the weights of the scaled unscented transform.
+
+    Parameters
+    ----------
+    n : int
+        Length of x, states and parameters.
+    alpha, beta, kappa : float
+        Spread of the points, weight of the centre in the covariance, second spread. A small
+        alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
+
+    Returns
+    -------
+    (4,) array
+        Square of the points' distance in standard deviations, alpha^2 (n + kappa); weight of
+        the centre in the mean; in the covariance; weight of each other point.
+
+    Source: physics.md section 7.1; Wan and van der Merwe 2000.
+    """
+    spread = alpha**2 * (n + kappa)
+    if not spread > 0.0:
+        raise ValueError(f"alpha^2 (n + kappa) = {spread} must be above 0")
+    mean_0 = 1.0 - n / spread
+    return np.array([spread, mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / spread])
+
+
+def workspace(n_s: int, n_xi: int) -> Array:
+    """Return the array that the kernels work in; see the head of this file for its slots.
+
+    Parameters
+    ----------
+    n_s, n_xi : int
+        Number of states and of parameters.
+
+    Returns
+    -------
+    (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+        Zeros.
+    """
+    return np.zeros((4, 1 + 2 * n_s, 2 * n_s + n_xi + 1))
+
+
+@kernel
+def _add_rows(target, i, start, stop, factors, row, rows, first, last):  # type: ignore[no-untyped-def]
+    """Add factors[row, j] * rows[j] for j = first ... last - 1 to target[i], start to stop.
+
+    Several rows at a time save loads and stores; the order of the sum is that of j.
+    """
+    j = first
+    while j + 6 <= last:
+        a, b, c = factors[row, j], factors[row, j + 1], factors[row, j + 2]
+        d, e, f = factors[row, j + 3], factors[row, j + 4], factors[row, j + 5]
+        for k in range(start, stop):
+            three = target[i, k] + a * rows[j, k] + b * rows[j + 1, k] + c * rows[j + 2, k]
+            target[i, k] = three + d * rows[j + 3, k] + e * rows[j + 4, k] + f * rows[j + 5, k]
+        j += 6
+    while j + 3 <= last:
+        a, b, c = factors[row, j], factors[row, j + 1], factors[row, j + 2]
+        for k in range(start, stop):
+            target[i, k] = target[i, k] + a * rows[j, k] + b * rows[j + 1, k] + c * rows[j + 2, k]
+        j += 3
+    while j < last:
+        a = factors[row, j]
+        for k in range(start, stop):
+            target[i, k] += a * rows[j, k]
+        j += 1
+
+
+@kernel
+def _subtract_squares(P, rows, m):  # type: ignore[no-untyped-def]
+    """Subtract rows' rows from P for the first m rows; P stays symmetric to the last bit."""
+    n = P.shape[0]
+    j = 0
+    while j + 6 <= m:
+        for i in range(n):
+            a, b, c = rows[j, i], rows[j + 1, i], rows[j + 2, i]
+            d, e, f = rows[j + 3, i], rows[j + 4, i], rows[j + 5, i]
+            for k in range(n):
+                three = P[i, k] - a * rows[j, k] - b * rows[j + 1, k] - c * rows[j + 2, k]
+                P[i, k] = three - d * rows[j + 3, k] - e * rows[j + 4, k] - f * rows[j + 5, k]
+        j += 6
+    while j + 2 <= m:
+        for i in range(n):
+            a, b = rows[j, i], rows[j + 1, i]
+            for k in range(n):
+                P[i, k] = P[i, k] - a * rows[j, k] - b * rows[j + 1, k]
+        j += 2
+    while j < m:
+        for i in range(n):
+            a = rows[j, i]
+            for k in range(n):
+                P[i, k] -= a * rows[j, k]
+        j += 1
+
+
+@kernel
+def _factorise(P, root, factors, n_s):  # type: ignore[no-untyped-def]
+    """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist."""
+    n = P.shape[0]
+    for j in range(n_s):
+        pivot = P[j, j]
+        for i in range(j):
+            pivot -= root[i, j] * root[i, j]
+        if not (pivot > _PIVOT_MIN * P[j, j] and pivot < _OVERFLOW**2):
+            return False
+        scale = 1.0 / math.sqrt(pivot)
+        for i in range(j):
+            root[j, i] = 0.0
+            factors[0, i] = -scale * root[i, j]
+        for k in range(j, n):
+            root[j, k] = scale * P[j, k]
+        _add_rows(root, j, j, n, factors, 0, root, 0, j)
+    return True
+
+
+@kernel
+def _repair(P, shrink):  # type: ignore[no-untyped-def]
+    """Make P symmetric, its variances positive and its correlations (1 - shrink) of possible."""
+    n = P.shape[0]
+    for i in range(n):
+        if not (P[i, i] > 0.0 and P[i, i] < _OVERFLOW**2):
+            P[i, i] = 1.0 if P[i, i] > 0.0 else _PIVOT_MIN
+            for k in range(n):
+                if k != i:
+                    P[i, k] = 0.0
+                    P[k, i] = 0.0
+    for i in range(n):
+        for k in range(i):
+            most = math.sqrt(P[i, i]) * math.sqrt(P[k, k])
+            value = 0.5 * (P[i, k] + P[k, i])
+            value = min(max(value, -most), most) if math.isfinite(value) else 0.0
+            P[i, k] = (1.0 - shrink) * value
+            P[k, i] = P[i, k]
+
+
+@kernel
+def sigma_points(x, P, weights, work):  # type: ignore[no-untyped-def]
+    """Write the sigma points that move a state to ``work[POINTS]``.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Mean, states first.
+    P : (n, n) array
+        Covariance; changed only where it has no Cholesky factor (see the head of this file).
+    weights : (4,) array
+        From :func:`scaled_weights`.
+    work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+        From :func:`workspace`; fills the points and the root.
+
+    Returns
+    -------
+    int
+        Number of repairs of P; 0 as a rule.
+
+    Source: Eq (29) with n + lambda in place of n + k; physics.md section 7.2.
+    """
+    n = x.shape[0]
+    n_s = (work.shape[1] - 1) // 2
+    points = work[POINTS]
+    root = work[ROOT]
+    repairs = 0
+    shrink = 1e-10
+    while not _factorise(P, root, work[SCRATCH], n_s):
+        _repair(P, shrink)
+        repairs += 1
+        shrink = min(100.0 * shrink, 1.0)
+    distance = math.sqrt(weights[SPREAD])
+    for k in range(n):
+        points[0, k] = x[k]
+    for j in range(n_s):
+        for k in range(n):
+            offset = distance * root[j, k]
+            points[1 + j, k] = x[k] + offset
+            points[1 + n_s + j, k] = x[k] - offset
+    return repairs
+
+
+@kernel
+def _hold(P, Q_s, q_xi):  # type: ignore[no-untyped-def]
+    """Add the process noise while the states stand still; return 1, to be counted."""
+    n_s = Q_s.shape[0]
+    for i in range(n_s):
+        for k in range(n_s):
+            P[i, k] += Q_s[i, k]
+    for k in range(q_xi.shape[0]):
+        P[n_s + k, n_s + k] += q_xi[k]
+    return 1
+
+
+@kernel
+def time_update(x, P, Q_s, q_xi, limits, weights, work):  # type: ignore[no-untyped-def]
+    """Turn the propagated sigma points into the predicted mean and covariance.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Mean; predicted in place.
+    P : (n, n) array
+        Covariance, as :func:`sigma_points` left it; predicted in place.
+    Q_s : (n_s, n_s) array
+        Process noise of the states for this step; symmetric.
+    q_xi : (n_xi,) array
+        Variance that each parameter's random walk adds in this step.
+    limits : (n_s, 2) array of int
+        First and last + 1 of the columns in which a row of the slope may differ from 0,
+        counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one.
+    weights : (4,) array
+        From :func:`scaled_weights`.
+    work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+        As :func:`sigma_points` left it, but with the model's answer in the first n_s columns
+        of ``work[POINTS]`` and its slope in ``work[SLOPE]``; both are used up.
+
+    Returns
+    -------
+    int
+        1 if the prediction was dropped because it overflowed, else 0.
+
+    Source: Eq (30) with the noise added once; performance.md "The structured UKF".
+    """
+    n = x.shape[0]
+    n_s = (work.shape[1] - 1) // 2
+    points = work[POINTS]
+    root = work[ROOT]
+    slope = work[SLOPE]
+    new = work[SCRATCH]  # Rows of P'; their first n_s columns hold factors.
+    common = n_s  # new[common + l] is slope_l G', what a slope has in common with the root.
+    error = 2 * n_s  # new[error] is the answer at the centre less the mean.
+    block = n_s  # slope[block + l] takes row l of P'_ss until all of it is known to be finite.
+
+    # Each pair of answers becomes half its difference, and its middle less the mean. A pair
+    # counts 2 w = 1 / spread; its square root goes into the numbers.
+    scale = math.sqrt(2.0 * weights[OTHERS])
+    tame = True
+    for l in range(n_s):
+        f_0 = points[0, l]
+        bend = 0.0
+        for j in range(1, 1 + n_s):
+            up = points[j, l] - f_0
+            down = points[j + n_s, l] - f_0
+            points[j, l] = scale * 0.5 * (up - down)
+            points[j + n_s, l] = 0.5 * (up + down)
+            bend += 2.0 * weights[OTHERS] * points[j + n_s, l]
+        for j in range(1 + n_s, 1 + 2 * n_s):
+            points[j, l] = scale * (points[j, l] - bend)
+        new[error, l] = -bend
+        points[0, l] = f_0 + bend
+        tame = tame and abs(points[0, l]) < _OVERFLOW
+
+    # P'_ss = points + slope C slope', P'_sx = points + slope C, where C = P_xx - G'G.
+    centre = weights[COVARIANCE_0] + 2.0 * (n - n_s) * weights[OTHERS]
+    for l in range(n_s):
+        for j in range(n_s):
+            product = 0.0
+            for k in range(limits[l, 0], limits[l, 1]):
+                product += slope[l, k] * root[j, k]
+            new[common + l, j] = product
+        for k in range(n_s, n):
+            new[l, k] = 0.0
+        _add_rows(new, l, n_s, n, slope, l, P, limits[l, 0], limits[l, 1])
+        for q in range(l + 1):
+            product = Q_s[l, q] + centre * new[error, l] * new[error, q]
+            for j in range(1, 1 + 2 * n_s):
+                product += points[j, l] * points[j, q]
+            for j in range(n_s):
+                product -= new[common + l, j] * new[common + q, j]
+            for k in range(limits[q, 0], limits[q, 1]):
+                product += new[l, k] * slope[q, k]
+            slope[block + l, q] = product
+        for j in range(n_s):
+            new[l, j] = points[1 + j, l] - new[common + l, j]
+        _add_rows(new, l, n_s, n, new, l, root, 0, n_s)
+        tame = tame and slope[block + l, l] < _OVERFLOW**2
+
+    if not tame:
+        return _hold(P, Q_s, q_xi)
+    for l in range(n_s):
+        x[l] = points[0, l]
+        for q in range(l + 1):
+            P[l, q] = slope[block + l, q]
+            P[q, l] = slope[block + l, q]
+        for k in range(n_s, n):
+            P[l, k] = new[l, k]
+            P[k, l] = new[l, k]
+    for k in range(n - n_s):
+        P[n_s + k, n_s + k] += q_xi[k]
+    return 0
+
+
+@kernel
+def measurement_update(x, P, z, mask, R, angle, gate, work):  # type: ignore[no-untyped-def]
+    """Correct mean and covariance by a measurement of the states, as far as there is one.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Mean; corrected in place.
+    P : (n, n) array
+        Covariance; corrected in place.
+    z : (n_s,) array
+        Measured states; what is not finite counts as missing.
+    mask : (n_s,) array of bool
+        Entries of z that were measured.
+    R : (n_s, n_s) array
+        Covariance of the measurement noise; symmetric.
+    angle : int
+        Index of a state in radians, whose innovation is wrapped; -1 if there is none.
+    gate : float
+        Normalised innovation squared above which the measurement is refused as a whole;
+        infinity to refuse none.
+    work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+        From :func:`workspace`.
+
+    Returns
+    -------
+    float
+        Normalised innovation squared; chi-square of as many degrees as there were entries.
+        Above ``gate``, or infinite, it says that x and P were left as they were.
+
+    Source: Eq (31)-(33) for z = s + noise; physics.md section 7.2.
+    """
+    # Elimination turns the rows (P_s | S | y) of what was measured, with S = P_ss + R = L L',
+    # into L^-1 P_s, L' and L^-1 y.
+    n = x.shape[0]
+    n_s = z.shape[0]
+    rows = work[SCRATCH]
+    S = n
+    y = n + n_s
+    factors = work[POINTS]
+    m = 0
+    nis = 0.0
+    for i in range(n_s):
+        if not (mask[i] and abs(z[i]) < _OVERFLOW):
+            continue
+        pivot = P[i, i] + R[i, i]
+        floor = _PIVOT_MIN * pivot
+        for j in range(m):
+            pivot -= rows[j, S + i] * rows[j, S + i]
+        if not (pivot > floor and pivot < _OVERFLOW**2):
+            continue  # This entry repeats the others to the last digit.
+        scale = 1.0 / math.sqrt(pivot)
+        innovation = z[i] - x[i]
+        if i == angle:
+            innovation = wrap(innovation)
+        for j in range(m):
+            factors[0, j] = -scale * rows[j, S + i]
+        for k in range(n):
+            rows[m, k] = scale * P[i, k]
+        for k in range(n_s):
+            rows[m, S + k] = scale * (P[i, k] + R[i, k])
+        rows[m, y] = scale * innovation
+        _add_rows(rows, m, 0, y + 1, factors, 0, rows, 0, m)
+        nis += rows[m, y] * rows[m, y]
+        m += 1
+    if not (nis <= gate and nis < math.inf):
+        return nis
+
+    for j in range(m):
+        for k in range(n):
+            x[k] += rows[j, y] * rows[j, k]
+    least = work[ROOT, 0]
+    for i in range(n):
+        least[i] = _PIVOT_MIN * P[i, i]
+    _subtract_squares(P, rows, m)
+    for i in range(n):
+        P[i, i] = max(P[i, i], least[i])
+    return nis
+
+
+class StructuredUKF:
+    """The filter as an object, for notebooks and tests.
+
+    Parameters
+    ----------
+    x : (n_s + n_xi,) array
+        Mean, states first.
+    P : (n_s + n_xi, n_s + n_xi) array
+        Covariance.
+    n_s : int
+        Number of states.
+    limits : (n_s, 2) array of int or None
+        Where the slope may differ from 0, see :func:`time_update`; None: everywhere.
+    alpha, beta, kappa : float
+        Of :func:`scaled_weights`.
+    """
+
+    def __init__(
+        self,
+        x: ArrayLike,
+        P: ArrayLike,
+        n_s: int,
+        limits: ArrayLike | None = None,
+        alpha: float = 1.0,
+        beta: float = 2.0,
+        kappa: float = 0.0,
+    ) -> None:
+        self.x: Array = np.array(x, dtype=np.float64)
+        self.P: Array = np.array(P, dtype=np.float64)
+        n = len(self.x)
+        everywhere = np.tile(np.array([n_s, n]), (n_s, 1))
+        self.limits = everywhere if limits is None else np.array(limits, dtype=np.int64)
+        self.weights = scaled_weights(n, alpha, beta, kappa)
+        self.work = workspace(n_s, n - n_s)
+        self.n_s = n_s
+
+    def predict(
+        self, model: Callable[[Array, Array], None], Q_s: ArrayLike, q_xi: ArrayLike
+    ) -> int:
+        """Predict over one step.
+
+        Parameters
+        ----------
+        model : callable
+            ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the
+            (1 + 2 n_s, n) sigma points by those one step later, and the (n_s, n) slope by
+            their derivative by x at ``points[0]`` (only its columns n_s and up count).
+        Q_s : (n_s, n_s) array
+            Process noise of the states for this step.
+        q_xi : (n_xi,) array
+            Variances of the parameters' random walk for this step.
+
+        Returns
+        -------
+        int
+            Number of repairs; 0 as a rule.
+        """
+        repairs = sigma_points(self.x, self.P, self.weights, self.work)
+        n = len(self.x)
+        model(self.work[POINTS, :, :n], self.work[SLOPE, : self.n_s, :n])
+        return repairs + time_update(
+            self.x,
+            self.P,
+            np.asarray(Q_s, dtype=np.float64),
+            np.asarray(q_xi, dtype=np.float64),
+            self.limits,
+            self.weights,
+            self.work,
+        )
+
+    def update(
+        self, z: ArrayLike, R: ArrayLike, angle: int = -1, gate: float = math.inf
+    ) -> float:
+        """Correct by a measurement of the states.
+
+        Parameters
+        ----------
+        z : (n_s,) array
+            Measured states; NaN where there is none.
+        R : (n_s, n_s) array
+            Covariance of the measurement noise.
+        angle, gate
+            See :func:`measurement_update`.
+
+        Returns
+        -------
+        float
+            Normalised innovation squared.
+        """
+        z = np.asarray(z, dtype=np.float64)
+        R = np.asarray(R, dtype=np.float64)
+        mask = np.isfinite(z)
+        return measurement_update(self.x, self.P, z, mask, R, angle, gate, self.work)

@@ -1,0 +1,19 @@
+"""The world: ship, sea, sensors, and the Gymnasium environment ``USVTwin-v0`` over them."""
+
+from gymnasium.envs.registration import register, registry
+
+from usv_gym.sea import SEA_STATES, SeaState
+from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.vessel import Vessel, vessel_names
+
+__all__ = ["SEA_STATES", "Fault", "SeaState", "SensorSuite", "Vessel", "vessel_names"]
+
+MAX_EPISODE_STEPS = 2400
+
+if "USVTwin-v0" not in registry:
+    # The twin is named by a string: nothing of it is imported before gym.make.
+    register(
+        id="USVTwin-v0",
+        entry_point="twin.wrapper:make_env",
+        max_episode_steps=MAX_EPISODE_STEPS,
+    )

@@ -1,0 +1,36 @@
+"""The physics of ship and sea: plain compiled functions of arrays.
+
+Notation, signs and units of every file in this folder
+=======================================================
+
+Frames
+    Earth: north-east-down (NED), x north, y east, z down. Body: x forward, y starboard,
+    z down, origin at the point that the vessel file names (usually the centre of gravity).
+    psi is clockwise from north; r > 0 turns to starboard.
+State (16 numbers, indices in :mod:`~usv_gym.physics.frames`)
+    ``eta = (x, y, z, phi, theta, psi)`` in m and rad,
+    ``nu = (u, v, w, p, q, r)`` over the ground in m/s and rad/s,
+    actuators ``(n_left, n_right, delta_left, delta_right)`` in rev/s and rad.
+Command ``cmd`` (4 numbers)
+    ``(n_left, n_right, delta_left, delta_right)``: where the actuators are told to go.
+    delta > 0 turns to starboard (the paper's Eq 10 has it the other way round).
+Forces
+    Suffix names the part: ``X_H Y_H N_H`` hull, ``_P`` propulsion, ``_wind``, ``_wave``.
+    Coefficients as printed in the literature (``Y_v``, ``N_r``); primed values of the MMG
+    standard method are made dimensionless with ``1/2 rho L d U^2`` (and ``L`` for moments).
+Directions
+    ``wind_from`` (where it comes from), ``wave_to`` and ``current_to`` (where it goes),
+    clockwise from north.
+Units
+    SI and radians; shaft speed in rev/s.
+Equation numbers
+    Those of Qu et al. 2025, J. Mar. Sci. Eng. 13(5) 932, with its misprints mended.
+
+Order of reading: frames, parameters, hull, propulsion, wind, waves, ship. Only
+:mod:`~usv_gym.physics.ship` is called from outside.
+"""
+
+GRAVITY = 9.80665
+"""Standard gravity, m/s2."""
+AIR_DENSITY = 1.224
+"""kg/m3, at 15 degrees and sea level."""

@@ -1,0 +1,106 @@
+"""Hull forces: resistance curve, MMG polynomial and cross-flow drag (Eq 9)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from usv_gym.physics import parameters as par
+from usv_kernel import kernel
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+R_PRIME_MAX = 4.0
+"""Largest |r'| that the polynomial sees: turning on the spot has no r' at all."""
+
+
+@kernel
+def resistance(u: float, p: np.ndarray) -> float:
+    """Return the resistance of the upright hull sailing straight, in N, odd in u.
+
+    Monotone cubic interpolation (Fritsch-Butland slopes) through the points of the vessel
+    file: smooth, without overshoot at the hump. Beyond the last point it grows with u^2.
+
+    Parameters
+    ----------
+    u : float
+        Speed through water in m/s.
+    p : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
+    """
+    speed = abs(u)
+    a, f, last = par.RESISTANCE_SPEEDS, par.RESISTANCE_FORCES, par.RESISTANCE_POINTS - 1
+    while last > 1 and p[a + last] <= p[a + last - 1]:
+        last -= 1
+    if speed >= p[a + last]:
+        return math.copysign(p[f + last] * (speed / p[a + last]) ** 2, u)
+    i = 0
+    while speed >= p[a + i + 1]:
+        i += 1
+    h = p[a + i + 1] - p[a + i]
+    secant = (p[f + i + 1] - p[f + i]) / h
+    left = secant
+    if i > 0:
+        before = (p[f + i] - p[f + i - 1]) / (p[a + i] - p[a + i - 1])
+        left = 2.0 * before * secant / (before + secant) if before * secant > 0.0 else 0.0
+    right = secant
+    if i + 1 < last:
+        after = (p[f + i + 2] - p[f + i + 1]) / (p[a + i + 2] - p[a + i + 1])
+        right = 2.0 * after * secant / (after + secant) if after * secant > 0.0 else 0.0
+    s = (speed - p[a + i]) / h
+    value = p[f + i] + h * s * (
+        left + s * (3.0 * secant - 2.0 * left - right + s * (left + right - 2.0 * secant))
+    )
+    return math.copysign(value, u)
+
+
+@kernel
+def hull_forces(u: float, v: float, r: float, p: np.ndarray) -> tuple[float, float, float]:
+    """Return the hull's surge force, sway force (N) and yaw moment (N m).
+
+    Parameters
+    ----------
+    u, v, r : float
+        Velocity through water at midship, m/s and rad/s.
+    p : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
+
+    Notes
+    -----
+    Source: Yasukawa and Yoshimura 2015, and cross-flow drag after Fossen 2021. The added
+    mass part stands in the ship's left-hand side.
+    """
+    L, d, rho = p[par.LENGTH], p[par.DRAFT], p[par.DENSITY]
+    U = math.hypot(u, v)
+    q = 0.5 * rho * L * d * U * U
+    v_ = v / max(U, 1e-9)
+    r_ = L * r / max(U, abs(L * r) / R_PRIME_MAX, 1e-9)
+    vv, rr, vr = v_ * v_, r_ * r_, v_ * r_
+    X_H = -resistance(u, p) + q * (
+        p[par.X_VV] * vv + p[par.X_VR] * vr + p[par.X_RR] * rr + p[par.X_VVVV] * vv * vv
+    )
+    Y_H = q * (
+        p[par.Y_V] * v_
+        + p[par.Y_R] * r_
+        + p[par.Y_VVV] * vv * v_
+        + p[par.Y_VVR] * vv * r_
+        + p[par.Y_VRR] * v_ * rr
+        + p[par.Y_RRR] * rr * r_
+    )
+    N_H = (q * L) * (
+        p[par.N_V] * v_
+        + p[par.N_R] * r_
+        + p[par.N_VVV] * vv * v_
+        + p[par.N_VVR] * vv * r_
+        + p[par.N_VRR] * v_ * rr
+        + p[par.N_RRR] * rr * r_
+    )
+    side, moment = 0.0, 0.0
+    for i in range(_NODES.shape[0]):
+        x = 0.5 * L * _NODES[i]
+        flow = v + x * r
+        strip = _WEIGHTS[i] * abs(flow) * flow
+        side += strip
+        moment += x * strip
+    drag = -0.25 * rho * d * p[par.CROSSFLOW] * L
+    return X_H, Y_H + drag * side, N_H + drag * moment

@@ -1,0 +1,109 @@
+"""Wind: gusts as a sum of harmonics, apparent wind, Blendermann loads (Eq 12-13)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from usv_gym.physics import AIR_DENSITY, frames
+from usv_gym.physics import parameters as par
+from usv_kernel import SUM_MATH, kernel
+
+
+def npd_spectrum(f: np.ndarray, wind: float, height: float = 10.0) -> np.ndarray:
+    """Return the NPD (NORSOK) gust spectrum in (m/s)^2/Hz.
+
+    Parameters
+    ----------
+    f : ndarray
+        Frequency, Hz; meant for 1/600 to 0.5 Hz.
+    wind : float
+        Mean wind speed 10 m above the sea, m/s; above 0.
+    height : float
+        Height above the sea, m.
+    """
+    n = 0.468
+    x = 172.0 * f * (height / 10.0) ** (2 / 3) * (wind / 10.0) ** (-0.75)
+    return (
+        320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45 / (1.0 + x**n) ** (5.0 / (3.0 * n))
+    )
+
+
+@kernel(fastmath=SUM_MATH)
+def gust(t: float, gusts: np.ndarray) -> float:
+    """Return the gust speed in m/s at time t.
+
+    Parameters
+    ----------
+    t : float
+        Time, s.
+    gusts : ndarray, shape (3, G)
+        Rows: circular frequency (rad/s), phase (rad), amplitude (m/s).
+    """
+    total = 0.0
+    for i in range(gusts.shape[1]):
+        total += gusts[2, i] * math.cos(gusts[0, i] * t + gusts[1, i])
+    return total
+
+
+@kernel
+def coefficients(gamma: float, p: np.ndarray) -> tuple[float, float, float]:
+    """Return the Blendermann wind coefficients C_X, C_Y, C_N.
+
+    Parameters
+    ----------
+    gamma : float
+        Direction of the apparent wind off the bow, rad; above 0 comes over the port bow.
+    p : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
+
+    Notes
+    -----
+    Source: Blendermann 1994; Eq (13), whose print lacks the minus of C_X.
+    The formula for C_N holds for wind over port; the other side is its mirror image.
+    """
+    g = abs(gamma)
+    AL_AF = p[par.A_L] / p[par.A_F]
+    bow = g <= 0.5 * math.pi
+    CD_l_AF = p[par.CD_L_BOW] if bow else p[par.CD_L_STERN]
+    CD_l = CD_l_AF / AL_AF
+    CD_t = p[par.CD_T]
+    den = 1.0 - 0.5 * p[par.DELTA_WIND] * (1.0 - CD_l / CD_t) * math.sin(2.0 * g) ** 2
+    C_X = -CD_l_AF * math.cos(g) / den
+    C_Y = CD_t * math.sin(g) / den
+    C_N = (p[par.S_L] / p[par.LENGTH_OVERALL] - 0.18 * (g - 0.5 * math.pi)) * C_Y
+    if gamma < 0.0:
+        return C_X, -C_Y, -C_N
+    return C_X, C_Y, C_N
+
+
+@kernel
+def wind_loads(
+    u: float, v: float, psi: float, north: float, east: float, p: np.ndarray
+) -> tuple[float, float, float]:
+    """Return surge force, sway force (N) and yaw moment (N m) of the apparent wind.
+
+    Parameters
+    ----------
+    u, v : float
+        Velocity over the ground, m/s.
+    psi : float
+        Heading, rad.
+    north, east : float
+        Velocity of the air over the ground, m/s.
+    p : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
+
+    Notes
+    -----
+    Source: Eq (12).
+    """
+    air_u, air_v = frames.to_body(north, east, psi)
+    u_rw, v_rw = u - air_u, v - air_v
+    pressure = 0.5 * AIR_DENSITY * (u_rw * u_rw + v_rw * v_rw)
+    if pressure == 0.0:
+        return 0.0, 0.0, 0.0
+    C_X, C_Y, C_N = coefficients(-math.atan2(v_rw, u_rw), p)
+    side = pressure * p[par.A_L]
+    return pressure * p[par.A_F] * C_X, side * C_Y, side * p[par.LENGTH_OVERALL] * C_N

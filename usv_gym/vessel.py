@@ -1,0 +1,355 @@
+"""A vessel: read from TOML, checked, and packed for the kernels."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from usv_gym.physics import frames as fr
+from usv_gym.physics import parameters as par
+from usv_gym.physics.hull import resistance
+from usv_gym.physics.propulsion import drive_forces
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["Vessel", "VesselError", "vessel_names"]
+
+UNITS: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "mm": 1e-3},
+    "m2": {"m2": 1.0},
+    "kg": {"kg": 1.0, "t": 1e3},
+    "kg m2": {"kg m2": 1.0},
+    "kg/m3": {"kg/m3": 1.0},
+    "m/s": {"m/s": 1.0, "kn": 1852.0 / 3600.0},
+    "N": {"N": 1.0, "kN": 1e3},
+    "s": {"s": 1.0},
+    "rev/s": {"rev/s": 1.0, "rpm": 1.0 / 60.0},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "1/rad": {"1/rad": 1.0, "1/deg": 180.0 / math.pi},
+    "1": {"1": 1.0},
+}
+"""For each SI unit, the units that a file may use and their factors."""
+
+_HULL = (
+    *("X_vv", "X_vr", "X_rr", "X_vvvv"),
+    *("Y_v", "Y_r", "Y_vvv", "Y_vvr", "Y_vrr", "Y_rrr"),
+    *("N_v", "N_r", "N_vvv", "N_vvr", "N_vrr", "N_rrr"),
+)
+
+# table -> key -> (SI unit, bound): "+" above 0, "0" 0 or more, "" any
+SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
+    "particulars": {
+        "length_overall": ("m", "+"),
+        "length_waterline": ("m", "+"),
+        "beam": ("m", "+"),
+        "draft": ("m", "+"),
+        "block_coefficient": ("1", "+"),
+        "water_density": ("kg/m3", "+"),
+        "mass": ("kg", "+"),
+        "x_G": ("m", ""),
+        "I_zz": ("kg m2", "+"),
+        "m_x": ("kg", "0"),
+        "m_y": ("kg", "0"),
+        "J_zz": ("kg m2", "0"),
+    },
+    "hull": {**{key: ("1", "") for key in _HULL}, "C_d_crossflow": ("1", "0")},
+    "propulsion": {
+        "propeller_diameter": ("m", "+"),
+        "k_0": ("1", "+"),
+        "k_1": ("1", ""),
+        "k_2": ("1", ""),
+        "wake_fraction": ("1", ""),
+        "thrust_deduction": ("1", ""),
+        "x_P": ("m", ""),
+        "y_P": ("m", "0"),
+        "A_R": ("m2", "0"),
+        "f_alpha": ("1/rad", "0"),
+        "slipstream": ("1", "0"),
+        "shaft_lag": ("s", "+"),
+        "shaft_speed_max": ("rev/s", "+"),
+        "shaft_speed_service": ("rev/s", "+"),
+        "shaft_speed_manoeuvring": ("rev/s", "+"),
+        "steer_lag": ("s", "+"),
+        "steer_rate": ("rad/s", "+"),
+        "steer_max": ("rad", "+"),
+    },
+    "wind": {
+        "A_F": ("m2", "+"),
+        "A_L": ("m2", "+"),
+        "s_L": ("m", ""),
+        "CD_t": ("1", "+"),
+        "CD_l_bow": ("1", "+"),
+        "CD_l_stern": ("1", "+"),
+        "delta_wind": ("1", "0"),
+    },
+}
+
+
+class VesselError(ValueError):
+    """A vessel that cannot be used; the message names the file, the key and the remedy."""
+
+
+def vessel_names() -> tuple[str, ...]:
+    """Return the names of the vessels that come with the package."""
+    folder = resources.files("usv_gym") / "vessels"
+    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vessel:
+    """A ship with two propellers on steerable drives.
+
+    Parameters
+    ----------
+    name, title : str
+        Short name, and one line for people.
+    values : Mapping[str, float]
+        Every number of :data:`SCHEMA` in SI units.
+    resistance_speed, resistance_force : tuple of float
+        Points of the resistance curve, m/s and N, starting at (0, 0).
+    guesses : frozenset of str
+        Keys that the file marks as judgement.
+    """
+
+    name: str
+    title: str
+    values: Mapping[str, float]
+    resistance_speed: tuple[float, ...]
+    resistance_force: tuple[float, ...]
+    guesses: frozenset[str] = field(default=frozenset())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        self._check()
+
+    # A mapping proxy cannot be pickled, and parallel workers need the vessel.
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (
+            self.name,
+            self.title,
+            dict(self.values),
+            self.resistance_speed,
+            self.resistance_force,
+            self.guesses,
+        )
+
+    def __getattr__(self, key: str) -> float:
+        values = self.__dict__.get("values", {})
+        if key in values:
+            return values[key]
+        raise AttributeError(f"vessel has no {key!r}")
+
+    @classmethod
+    def load(cls, source: str | Path | Vessel) -> Vessel:
+        """Return a vessel by the name of one that comes with the package, or from a file.
+
+        Parameters
+        ----------
+        source : str or Path or Vessel
+            Name (see :func:`vessel_names`), path of a TOML file, or a vessel.
+
+        Returns
+        -------
+        Vessel
+
+        Raises
+        ------
+        VesselError
+            Names the file, the key and the remedy.
+        """
+        if isinstance(source, Vessel):
+            return source
+        path = Path(source)
+        if str(source) in vessel_names():
+            path = Path(str(resources.files("usv_gym") / "vessels" / f"{source}.toml"))
+        elif path.suffix != ".toml":
+            raise VesselError(
+                f"no vessel is called {str(source)!r}; known: {', '.join(vessel_names())}, "
+                "or give the path of a .toml file"
+            )
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise VesselError(f"{path}: cannot be read ({error.strerror})") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise VesselError(f"{path}: is not valid TOML: {error}") from None
+        try:
+            return cls._from_table(table, path.stem)
+        except VesselError as error:
+            raise VesselError(f"{path}: {error}") from None
+
+    @classmethod
+    def _from_table(cls, table: dict[str, Any], stem: str) -> Vessel:
+        known = {"vessel", *SCHEMA}
+        for name in table:
+            if name not in known:
+                raise VesselError(f"unknown table [{name}]; known: {', '.join(sorted(known))}")
+        about = table.get("vessel", {})
+        if not isinstance(about, dict):
+            raise VesselError("[vessel] must be a table")
+        for key, value in about.items():
+            if key not in ("name", "title") or not isinstance(value, str):
+                raise VesselError(f"[vessel] {key}: unknown key; known: name, title (texts)")
+        values: dict[str, float] = {}
+        guesses = set()
+        curve: dict[str, tuple[float, ...]] = {}
+        for name, keys in SCHEMA.items():
+            if not isinstance(table.get(name), dict):
+                raise VesselError(f"the table [{name}] is missing")
+            given = dict(table[name])
+            if name == "hull":
+                points = given.pop("resistance", None)
+                if not isinstance(points, dict) or set(points) != {"speed", "force"}:
+                    raise VesselError("[hull.resistance] must hold speed and force, nothing else")
+                for key, unit in (("speed", "m/s"), ("force", "N")):
+                    curve[key], guess = _numbers(points[key], unit, f"[hull.resistance] {key}")
+                    if guess:
+                        guesses.add(f"resistance_{key}")
+            for key in given:
+                if key not in keys:
+                    raise VesselError(f"[{name}] {key}: unknown key; known: {', '.join(keys)}")
+            for key, (unit, _) in keys.items():
+                if key not in given:
+                    raise VesselError(f"[{name}] {key}: is missing (a number in {unit})")
+                numbers, guess = _numbers(given[key], unit, f"[{name}] {key}", scalar=True)
+                values[key] = numbers[0]
+                if guess:
+                    guesses.add(key)
+        return cls(
+            name=about.get("name", stem),
+            title=about.get("title", stem),
+            values=values,
+            resistance_speed=curve["speed"],
+            resistance_force=curve["force"],
+            guesses=frozenset(guesses),
+        )
+
+    def _check(self) -> None:
+        for name, keys in SCHEMA.items():
+            for key, (unit, bound) in keys.items():
+                value = self.values.get(key, math.nan)
+                if not math.isfinite(value):
+                    raise VesselError(f"[{name}] {key}: must be a finite number, got {value}")
+                if (bound == "+" and value <= 0.0) or (bound == "0" and value < 0.0):
+                    rule = "above 0" if bound == "+" else "0 or more"
+                    raise VesselError(f"[{name}] {key}: must be {rule}, got {value:g} {unit}")
+        unknown = set(self.values) - {key for keys in SCHEMA.values() for key in keys}
+        if unknown:
+            raise VesselError(f"unknown value(s): {', '.join(sorted(unknown))}")
+        speed, force = self.resistance_speed, self.resistance_force
+        if len(speed) != len(force) or not 3 <= len(speed) <= par.RESISTANCE_POINTS:
+            raise VesselError(
+                "[hull.resistance] speed and force need equally many points, 3 to "
+                f"{par.RESISTANCE_POINTS}; got {len(speed)} and {len(force)}"
+            )
+        if speed[0] != 0.0 or force[0] != 0.0 or min(np.diff(speed)) <= 0.0 or min(force) < 0.0:
+            raise VesselError(
+                "[hull.resistance] must start at speed 0, force 0; speeds must rise and forces "
+                "must not be negative"
+            )
+        v = self.values
+        displaced = (
+            v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
+        ) * v["water_density"]
+        if not 0.8 < displaced / v["mass"] < 1.25:
+            raise VesselError(
+                f"[particulars] mass: {v['mass']:g} kg, but block coefficient, length, beam and "
+                f"draft displace {displaced:.4g} kg; they must agree within 20 %"
+            )
+        if v["x_P"] >= 0.0:
+            raise VesselError("[propulsion] x_P: the drives must be aft (x_P below 0)")
+
+    @cached_property
+    def packed(self) -> np.ndarray:
+        """Flat float64 vector for the kernels, read-only; layout in ``physics.parameters``."""
+        vector = np.empty(par.PACKED_SIZE)
+        vector[: len(par.SCALARS)] = [self.values[key] for key in par.SCALARS]
+        for start, points in (
+            (par.RESISTANCE_SPEEDS, self.resistance_speed),
+            (par.RESISTANCE_FORCES, self.resistance_force),
+        ):
+            vector[start : start + par.RESISTANCE_POINTS] = points[-1]
+            vector[start : start + len(points)] = points
+        vector.setflags(write=False)
+        return vector
+
+    def straight_speed(self, n: float) -> float:
+        """Return the speed in calm water, in m/s, with both shafts at n.
+
+        Parameters
+        ----------
+        n : float
+            Shaft speed, rev/s; 0 or more.
+        """
+        if n <= 0.0:
+            return 0.0
+        state = np.zeros(fr.STATE_SIZE)
+        state[fr.N_LEFT] = state[fr.N_RIGHT] = n
+
+        def surplus(u: float) -> float:
+            return drive_forces(u, 0.0, 0.0, state, self.packed)[0] - resistance(u, self.packed)
+
+        top = 2.0 * n * self.values["propeller_diameter"] * 2.0 + 1.0
+        return float(brentq(surplus, 0.0, top, xtol=1e-9))
+
+
+def _rebuild(
+    name: str,
+    title: str,
+    values: dict[str, float],
+    speed: tuple[float, ...],
+    force: tuple[float, ...],
+    guesses: frozenset[str],
+) -> Vessel:
+    return Vessel(
+        name=name,
+        title=title,
+        values=values,
+        resistance_speed=speed,
+        resistance_force=force,
+        guesses=guesses,
+    )
+
+
+def _numbers(
+    entry: Any, unit: str, place: str, *, scalar: bool = False
+) -> tuple[tuple[float, ...], bool]:
+    """Return the numbers of one entry in SI units, and whether it is marked as a guess."""
+    example = f'{{ value = ..., unit = "{unit}", source = "..." }}'
+    if not isinstance(entry, dict):
+        raise VesselError(f"{place}: has no unit; write it as {example}")
+    for key in entry:
+        if key not in ("value", "unit", "source", "guess"):
+            raise VesselError(f"{place}: unknown key {key!r}; write it as {example}")
+    for key in ("value", "unit", "source"):
+        if key not in entry:
+            raise VesselError(f"{place}: {key} is missing; write it as {example}")
+    factors = UNITS[unit]
+    if entry["unit"] not in factors:
+        raise VesselError(
+            f"{place}: unit {entry['unit']!r} is not known here; use {', '.join(factors)}"
+        )
+    if not isinstance(entry["source"], str) or not isinstance(entry.get("guess", False), bool):
+        raise VesselError(f"{place}: source must be a text and guess true or false")
+    raw = [entry["value"]] if scalar else entry["value"]
+    if not isinstance(raw, list) or any(
+        isinstance(v, bool) or not isinstance(v, (int, float)) for v in raw
+    ):
+        kind = "a number" if scalar else "a list of numbers"
+        raise VesselError(f"{place}: value must be {kind}, got {entry['value']!r}")
+    factor = factors[entry["unit"]]
+    return tuple(float(v) * factor for v in raw), bool(entry.get("guess", False))
