@@ -432,8 +432,9 @@ class ModelPredictor(Predictor):
         """Predict the motion under a plan; see :meth:`twin.predictor.Predictor.predict`."""
         mean, acts = self.ukf.roll(plan, dt)
         after = dt * np.arange(1, len(plan) + 1)
+        start_cov = self.ukf.P[:N_STATES, :N_STATES].copy()
         return Prediction(
-            self.t, self.s.copy(), self.t + after, mean, self.ukf.bands(acts, dt)
+            self.t, self.s.copy(), start_cov, self.t + after, mean, self.ukf.bands(acts, dt)
         )
 
 

@@ -69,8 +69,8 @@ class Prediction:
     ----------
     t0 : float
         Time at which it was made, s.
-    start : ndarray, shape (6,)
-        State that it starts from, in the order of :data:`CHANNELS`.
+    start, start_cov : ndarray, shapes (6,), (6, 6)
+        State that it starts from, in the order of :data:`CHANNELS`, and its covariance.
     t : ndarray, shape (K,)
         Times that it speaks of, s.
     mean : ndarray, shape (K, 6)
@@ -81,6 +81,7 @@ class Prediction:
 
     t0: float
     start: Array
+    start_cov: Array
     t: Array
     mean: Array
     cov: Array
@@ -100,7 +101,7 @@ class Prediction:
         """
         after = np.concatenate([[0.0], self.t - self.t0])
         mean = np.concatenate([self.start[None], self.mean])
-        cov = np.concatenate([np.zeros((1, 6, 6)), self.cov])
+        cov = np.concatenate([self.start_cov[None], self.cov])
         place = np.interp(horizons, after, np.arange(len(after)))
         low = np.minimum(place.astype(int), len(after) - 2)
         share = place - low
@@ -308,9 +309,10 @@ class HistoryPredictor(Predictor):
             [np.interp(after, GRID * np.arange(1, len(errors) + 1), errors[:, j]) for j in range(6)],
             axis=1,
         )
-        cov = np.zeros((len(plan), 6, 6))
-        cov[:, range(6), range(6)] = grow**2 + np.diag(self.navigator.P)[:6]
-        return Prediction(self.t, start, self.t + after, mean, cov)
+        start_cov = self.navigator.P[:6, :6].copy()
+        cov = np.repeat(start_cov[None], len(plan), axis=0)
+        cov[:, range(6), range(6)] += grow**2
+        return Prediction(self.t, start, start_cov, self.t + after, mean, cov)
 
     def _own_errors(self, horizon: float = 10.0) -> Array:
         """Return the root mean square errors (K, 6) of this predictor's past forecasts."""

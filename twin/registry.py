@@ -8,7 +8,7 @@ from typing import Any
 from twin.particulars import Particulars
 from twin.predictor import Predictor
 
-__all__ = ["DEFAULT", "PREDICTORS", "PredictorError", "make_predictor"]
+__all__ = ["DEFAULT", "EXTRAS", "PREDICTORS", "PredictorError", "make_predictor"]
 
 PREDICTORS: dict[str, str | type[Predictor]] = {
     "persistence": "twin.predictor:Persistence",
@@ -18,6 +18,9 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
     "lstm": "twin.neural:LSTMPredictor",
 }
 """Name to class, or to ``module:Class``, which is imported when it is first asked for."""
+
+EXTRAS = {"lstm": ("torch", "lstm")}
+"""Predictors that need more than the base: the module, and the extra that installs it."""
 
 DEFAULT = "ukf"
 """The predictor that is used where none is named."""

@@ -147,29 +147,33 @@ def _add_rows(target, i, start, stop, factors, row, rows, first, last):  # type:
 
 
 @kernel
-def _subtract_squares(P, rows, m):  # type: ignore[no-untyped-def]
-    """Subtract rows' rows from P for the first m rows; P stays symmetric to the last bit."""
-    n = P.shape[0]
-    j = 0
-    while j + 6 <= m:
-        for i in range(n):
-            a, b, c = rows[j, i], rows[j + 1, i], rows[j + 2, i]
-            d, e, f = rows[j + 3, i], rows[j + 4, i], rows[j + 5, i]
-            for k in range(n):
-                three = P[i, k] - a * rows[j, k] - b * rows[j + 1, k] - c * rows[j + 2, k]
-                P[i, k] = three - d * rows[j + 3, k] - e * rows[j + 4, k] - f * rows[j + 5, k]
+def _add_product(target, left, right, size, start, stop, first, last, sign):  # type: ignore[no-untyped-def]
+    """Add sign * left' right, summed over their rows first to last, to the target.
+
+    Its rows are the first ``size`` columns of left, its columns are start to stop of right.
+    With left = right and sign = 1 or -1, what is added is symmetric to the last bit.
+    """
+    j = first
+    while j + 6 <= last:
+        for i in range(size):
+            a, b, c = sign * left[j, i], sign * left[j + 1, i], sign * left[j + 2, i]
+            d, e, f = sign * left[j + 3, i], sign * left[j + 4, i], sign * left[j + 5, i]
+            for k in range(start, stop):
+                three = target[i, k] + a * right[j, k] + b * right[j + 1, k] + c * right[j + 2, k]
+                three = three + d * right[j + 3, k] + e * right[j + 4, k] + f * right[j + 5, k]
+                target[i, k] = three
         j += 6
-    while j + 2 <= m:
-        for i in range(n):
-            a, b = rows[j, i], rows[j + 1, i]
-            for k in range(n):
-                P[i, k] = P[i, k] - a * rows[j, k] - b * rows[j + 1, k]
+    while j + 2 <= last:
+        for i in range(size):
+            a, b = sign * left[j, i], sign * left[j + 1, i]
+            for k in range(start, stop):
+                target[i, k] = target[i, k] + a * right[j, k] + b * right[j + 1, k]
         j += 2
-    while j < m:
-        for i in range(n):
-            a = rows[j, i]
-            for k in range(n):
-                P[i, k] -= a * rows[j, k]
+    while j < last:
+        for i in range(size):
+            a = sign * left[j, i]
+            for k in range(start, stop):
+                target[i, k] += a * right[j, k]
         j += 1
 
 
@@ -303,65 +307,66 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):  # type: ignore[no-unty
     points = work[POINTS]
     root = work[ROOT]
     slope = work[SLOPE]
-    new = work[SCRATCH]  # Rows of P'; their first n_s columns hold factors.
-    common = n_s  # new[common + l] is slope_l G', what a slope has in common with the root.
-    error = 2 * n_s  # new[error] is the answer at the centre less the mean.
-    block = n_s  # slope[block + l] takes row l of P'_ss until all of it is known to be finite.
+    rows = work[SCRATCH]  # The first n_s become rows of P'_sx.
+    common = n_s  # rows[common + j, i] is slope_l . G_j, what slope and root have in common.
+    error = 2 * n_s  # rows[error] is the answer at the centre less the mean.
 
-    # Each pair of answers becomes half its difference, and its middle less the mean. A pair
-    # counts 2 w = 1 / spread; its square root goes into the numbers.
+    # The mean. Each pair of answers becomes half its difference and its middle less the mean;
+    # a pair counts twice the weight of a point, whose root goes into the numbers.
     scale = math.sqrt(2.0 * weights[OTHERS])
+    for i in range(n_s):
+        rows[error, i] = 0.0
+    for j in range(1, 1 + n_s):
+        for i in range(n_s):
+            up = points[j, i] - points[0, i]
+            down = points[j + n_s, i] - points[0, i]
+            points[j, i] = scale * 0.5 * (up - down)
+            points[j + n_s, i] = 0.5 * (up + down)
+            rows[error, i] -= weights[OTHERS] * (up + down)
+    for j in range(1 + n_s, 1 + 2 * n_s):
+        for i in range(n_s):
+            points[j, i] = scale * (points[j, i] + rows[error, i])
     tame = True
-    for l in range(n_s):
-        f_0 = points[0, l]
-        bend = 0.0
-        for j in range(1, 1 + n_s):
-            up = points[j, l] - f_0
-            down = points[j + n_s, l] - f_0
-            points[j, l] = scale * 0.5 * (up - down)
-            points[j + n_s, l] = 0.5 * (up + down)
-            bend += 2.0 * weights[OTHERS] * points[j + n_s, l]
-        for j in range(1 + n_s, 1 + 2 * n_s):
-            points[j, l] = scale * (points[j, l] - bend)
-        new[error, l] = -bend
-        points[0, l] = f_0 + bend
-        tame = tame and abs(points[0, l]) < _OVERFLOW
+    for i in range(n_s):
+        points[0, i] -= rows[error, i]
+        tame = tame and abs(points[0, i]) < _OVERFLOW
 
-    # P'_ss = points + slope C slope', P'_sx = points + slope C, where C = P_xx - G'G.
-    centre = weights[COVARIANCE_0] + 2.0 * (n - n_s) * weights[OTHERS]
-    for l in range(n_s):
-        for j in range(n_s):
+    # P'_sx = slope P_xx + (difference - slope G') G, which is the points' part and slope C
+    # with C = P_xx - G'G. The factor of G takes the place of the root's own s columns.
+    for j in range(n_s):
+        for i in range(n_s):
             product = 0.0
-            for k in range(limits[l, 0], limits[l, 1]):
-                product += slope[l, k] * root[j, k]
-            new[common + l, j] = product
+            for k in range(limits[i, 0], limits[i, 1]):
+                product += slope[i, k] * root[j, k]
+            rows[common + j, i] = product
+            root[j, i] = points[1 + j, i] - product
+    centre = weights[COVARIANCE_0] + 2.0 * (n - n_s) * weights[OTHERS]
+    for i in range(n_s):
         for k in range(n_s, n):
-            new[l, k] = 0.0
-        _add_rows(new, l, n_s, n, slope, l, P, limits[l, 0], limits[l, 1])
-        for q in range(l + 1):
-            product = Q_s[l, q] + centre * new[error, l] * new[error, q]
-            for j in range(1, 1 + 2 * n_s):
-                product += points[j, l] * points[j, q]
-            for j in range(n_s):
-                product -= new[common + l, j] * new[common + q, j]
+            rows[i, k] = 0.0
+        _add_rows(rows, i, n_s, n, slope, i, P, limits[i, 0], limits[i, 1])
+        # P'_ss takes the slope's s columns until all of it is known to be finite.
+        for q in range(i + 1):
+            product = Q_s[i, q] + centre * rows[error, i] * rows[error, q]
             for k in range(limits[q, 0], limits[q, 1]):
-                product += new[l, k] * slope[q, k]
-            slope[block + l, q] = product
-        for j in range(n_s):
-            new[l, j] = points[1 + j, l] - new[common + l, j]
-        _add_rows(new, l, n_s, n, new, l, root, 0, n_s)
-        tame = tame and slope[block + l, l] < _OVERFLOW**2
+                product += rows[i, k] * slope[q, k]
+            slope[i, q] = product
+            slope[q, i] = product
+    _add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
+    _add_product(slope, points, points, n_s, 0, n_s, 1, 1 + 2 * n_s, 1.0)
+    _add_product(slope, rows, rows, n_s, 0, n_s, common, common + n_s, -1.0)
 
+    for i in range(n_s):
+        tame = tame and slope[i, i] < _OVERFLOW**2
     if not tame:
         return _hold(P, Q_s, q_xi)
-    for l in range(n_s):
-        x[l] = points[0, l]
-        for q in range(l + 1):
-            P[l, q] = slope[block + l, q]
-            P[q, l] = slope[block + l, q]
+    for i in range(n_s):
+        x[i] = points[0, i]
+        for k in range(n_s):
+            P[i, k] = slope[i, k]
         for k in range(n_s, n):
-            P[l, k] = new[l, k]
-            P[k, l] = new[l, k]
+            P[i, k] = rows[i, k]
+            P[k, i] = rows[i, k]
     for k in range(n - n_s):
         P[n_s + k, n_s + k] += q_xi[k]
     return 0
@@ -441,7 +446,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):  # type: ignore[no-
     least = work[ROOT, 0]
     for i in range(n):
         least[i] = _PIVOT_MIN * P[i, i]
-    _subtract_squares(P, rows, m)
+    _add_product(P, rows, rows, n, 0, n, 0, m, -1.0)
     for i in range(n):
         P[i, i] = max(P[i, i], least[i])
     return nis
@@ -517,9 +522,7 @@ class StructuredUKF:
             self.work,
         )
 
-    def update(
-        self, z: ArrayLike, R: ArrayLike, angle: int = -1, gate: float = math.inf
-    ) -> float:
+    def update(self, z: ArrayLike, R: ArrayLike, angle: int = -1, gate: float = math.inf) -> float:
         """Correct by a measurement of the states.
 
         Parameters

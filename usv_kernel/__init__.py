@@ -21,7 +21,9 @@ from typing import Any, TypeVar
 import numba
 import platformdirs
 
-__all__ = ["SUM_MATH", "actuate", "cache_directory", "kernel", "sources_digest", "wrap"]
+__version__ = "0.1.0"
+
+__all__ = ["SUM_MATH", "cached", "actuate", "cache_directory", "kernel", "sources_digest", "wrap"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -75,6 +77,12 @@ def cache_directory() -> Path | None:
 
 
 _CACHE = cache_directory()
+
+
+def cached() -> bool:
+    """Return whether kernels of today's sources have been compiled before."""
+    return _CACHE is not None and next(_CACHE.rglob("*.nbi"), None) is not None
+
 
 
 def kernel(function: F | None = None, *, fastmath: frozenset[str] = frozenset()) -> Any:

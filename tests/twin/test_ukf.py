@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -134,3 +132,146 @@ def test_equals_the_full_filter(
         )
     assert worst < 1e-9
     assert np.array_equal(P, P.T)
+
+
+def test_equals_a_textbook_filter_on_a_linear_model() -> None:
+    rng = np.random.default_rng(5)
+    n_s, n_xi = 4, 7
+    n = n_s + n_xi
+    A = np.eye(n)
+    A[:n_s, :n_s] += 0.2 * rng.normal(size=(n_s, n_s))
+    A[:n_s, :n_s] /= 1.05 * np.max(np.abs(np.linalg.eigvals(A[:n_s, :n_s])))
+    A[0, n_s:], A[1, n_s + 2 : n_s + 5], A[3, n_s:] = 1.0, 0.5, rng.normal(size=n_xi)
+    limits = [[n_s, n], [n_s + 2, n_s + 5], [n_s, n_s], [n_s, n]]
+    x, P = rng.normal(size=n), np.diag(rng.uniform(0.5, 2.0, n))
+    filtered = ukf.StructuredUKF(x, P, n_s, limits, alpha=0.9, beta=1.0, kappa=3.0)
+
+    def move(points: np.ndarray, slope: np.ndarray) -> None:
+        points[:, :n_s] = points @ A[:n_s].T
+        slope[:, n_s:] = A[:n_s, n_s:]
+
+    for _ in range(1000):
+        Q = np.diag(rng.uniform(0.01, 0.1, n))
+        Q[:n_s, :n_s] += 0.005
+        R = np.diag(rng.uniform(0.1, 1.0, n_s)) + 0.05
+        z = np.where(rng.random(n_s) < 0.3, math.nan, x[:n_s] + rng.normal(size=n_s))
+        assert filtered.predict(move, Q[:n_s, :n_s], np.diag(Q)[n_s:]) == 0
+        nis = filtered.update(z, R)
+        x, P = A @ x, A @ P @ A.T + Q
+        seen = np.isfinite(z)
+        C = np.eye(n)[:n_s][seen]
+        S = C @ P @ C.T + R[np.ix_(seen, seen)]
+        K = np.linalg.solve(S, C @ P).T
+        y = z[seen] - x[:n_s][seen]
+        x, P = x + K @ y, (np.eye(n) - K @ C) @ P
+        sd = np.sqrt(np.diag(P))
+        np.testing.assert_allclose((filtered.x - x) / sd, 0.0, atol=1e-10)
+        np.testing.assert_allclose((filtered.P - P) / np.outer(sd, sd), 0.0, atol=1e-10)
+        assert nis == pytest.approx(y @ np.linalg.solve(S, y), rel=1e-9, abs=1e-12)
+
+
+def test_weights_are_those_of_the_scaled_transform() -> None:
+    # Source: physics.md sections 7.1 and 11 (filterpy 2.0.0).
+    spread, mean_0, covariance_0, others = ukf.scaled_weights(6, 0.1, 2.0, -3.0)
+    assert spread == pytest.approx(0.03)
+    assert mean_0 == pytest.approx(-199.0, rel=1e-9)
+    assert covariance_0 == pytest.approx(-196.01, rel=1e-9)
+    assert others == pytest.approx(100.0 / 6.0, rel=1e-9)
+    with pytest.raises(ValueError, match="must be above 0"):
+        ukf.scaled_weights(31, 1.0, 2.0, -31.0)
+
+
+def test_heading_innovation_is_wrapped() -> None:
+    x, P = start()
+    x[2] = math.pi - 0.01
+    z = np.full(6, math.nan)
+    z[2] = -math.pi + 0.01
+    filtered = ukf.StructuredUKF(x, P, 6)
+    nis = filtered.update(z, np.eye(6), angle=2)
+    assert nis == pytest.approx(0.02**2 / (P[2, 2] + 1.0), rel=1e-9)
+    assert filtered.x[2] > x[2]
+
+
+def test_gate_refuses_and_leaves_everything_as_it_was() -> None:
+    x, P = start()
+    filtered = ukf.StructuredUKF(x, P, 6)
+    z = x[:6] + 100.0
+    assert filtered.update(z, np.eye(6), gate=30.0) > 30.0
+    assert np.array_equal(filtered.x, x) and np.array_equal(filtered.P, P)
+    filtered.update(z, np.eye(6))
+    assert not np.array_equal(filtered.x, x)
+
+
+def test_a_measurement_that_repeats_another_is_left_out() -> None:
+    x, P = np.zeros(3), np.diag([1.0, 1.0, 1.0])
+    P[0, 1] = P[1, 0] = 1.0
+    both, one = ukf.StructuredUKF(x, P, 2), ukf.StructuredUKF(x, P, 2)
+    both.update([1.0, 1.0], np.zeros((2, 2)))
+    one.update([1.0, math.nan], np.zeros((2, 2)))
+    assert np.array_equal(both.x, one.x) and np.array_equal(both.P, one.P)
+    assert both.x[0] == 1.0 and np.isfinite(both.P).all()
+
+
+@pytest.mark.parametrize("spoil", ["indefinite", "nan", "negative", "infinite", "skew"])
+def test_a_spoilt_covariance_is_repaired(spoil: str) -> None:
+    x, P = start()
+    if spoil == "indefinite":
+        P[3, 4] = P[4, 3] = 2.0 * math.sqrt(P[3, 3] * P[4, 4])
+    elif spoil == "nan":
+        P[2, :] = P[:, 2] = math.nan
+    elif spoil == "negative":
+        P[5, 5] *= -1.0
+    elif spoil == "infinite":
+        P[1, 1] = math.inf
+    else:
+        P[3, 20] = 100.0 * P[3, 3]
+        P[0, 1] = P[1, 0] = 1.0001 * math.sqrt(P[0, 0] * P[1, 1])
+    weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
+    assert ukf.sigma_points(x, P, weights, work) > 0
+    assert np.isfinite(work).all()
+    assert np.array_equal(P, P.T)
+    np.linalg.cholesky(P[:6, :6])
+    assert ukf.sigma_points(x, P, weights, work) == 0
+
+
+def test_a_prediction_that_overflows_is_dropped() -> None:
+    x, P = start()
+    x[3] = 1e25  # Its square is beyond what the filter believes.
+    before_x, before_P = x.copy(), P.copy()
+    Q_s, q_xi = np.diag(STEP_SD**2), np.full(25, 1e-6)
+    weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
+    act = np.array([6.33, 6.33, 0.0, 0.0])
+    assert model.joint_predict(x, P, act, 0.0, H, Q_s, q_xi, weights, work) == 1
+    assert np.array_equal(x, before_x)
+    np.testing.assert_array_equal(np.diag(P - before_P)[:6] > 0.0, True)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    loss=st.floats(0.0, 0.95),
+    outliers=st.floats(0.0, 0.2),
+    gate=st.sampled_from([30.0, math.inf]),
+)
+def test_survives_losses_and_outliers(seed: int, loss: float, outliers: float, gate: float) -> None:
+    steps = 2000
+    rng = np.random.default_rng(seed)
+    acts, zs = run_of_boat(steps, seed)
+    x, P = start()
+    weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
+    Q_s, R = np.diag(STEP_SD**2), np.diag(SENSOR_SD**2)
+    q_xi = (1e-3 * model.hand_prior(BOAT)[1]) ** 2
+    masks = rng.random((steps, 6)) >= loss
+    wild = rng.random((steps, 6)) < outliers
+    zs = zs + np.where(wild, 1e6 * SENSOR_SD * rng.normal(size=(steps, 6)), 0.0)
+    for k in range(steps):
+        repairs = model.joint_predict(x, P, acts[k], 0.0, H, Q_s, q_xi, weights, work)
+        ukf.measurement_update(x, P, zs[k], masks[k], R, 2, gate, work)
+        assert np.isfinite(x).all() and np.isfinite(P).all()
+        assert np.array_equal(P, P.T)
+        assert (np.diag(P) > 0.0).all()
+        if math.isfinite(gate):
+            assert repairs == 0
+        if k % 50 == 0 or repairs:
+            sd = np.sqrt(np.diag(P))
+            np.linalg.cholesky(P / np.outer(sd, sd) + 1e-12 * np.eye(31))

@@ -1,0 +1,634 @@
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import functools
+import json
+import math
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from twin import benchmark as bench
+from twin.log import Log, LogError
+from twin.model import PARAMETER_NAMES, PARAMETER_UNITS
+from twin.particulars import ParticularsError
+from twin.predictor import CHANNELS, Estimate, Prediction
+from twin.registry import DEFAULT, PREDICTORS, PredictorError
+from twin.simulated import particulars_of, simulate
+from twin.twin import Twin, TwinError, known_plan
+from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.sea import SEA_STATES, SeaError, SeaState
+from usv_gym.sensors import FAULT_KINDS, FaultError, parse_faults
+from usv_gym.simulation import SimulationError
+from usv_gym.vessel import Vessel, VesselError, vessel_names
+from usv_kernel import cached
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
+    "predict where it will be, and benchmark predictors under GPS loss.",
+)
+console = Console()
+errors = Console(stderr=True)
+
+EXPECTED = (
+    bench.BenchmarkError,
+    FaultError,
+    ImportError,
+    LogError,
+    ManoeuvreError,
+    OSError,
+    ParticularsError,
+    PredictorError,
+    SeaError,
+    SimulationError,
+    TwinError,
+    VesselError,
+)
+INTERRUPTED = 130
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def _speaking(command: Command) -> Command:
+    """Turn errors that a user can mend into one line and exit code 2."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except EXPECTED as error:
+            errors.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+            raise typer.Exit(2) from None
+
+    return run  # type: ignore[return-value]
+
+
+PredictorOption = Annotated[
+    str, typer.Option("--predictor", "-p", help=f"One of: {', '.join(PREDICTORS)}.")
+]
+ShipOption = Annotated[
+    str | None,
+    typer.Option(
+        "--ship",
+        "--vessel",
+        help="Main particulars of the boat: a TOML file, or the name of a vessel. "
+        "Left out: the .toml of the log's name beside the log, else usv75.",
+    ),
+]
+HsOption = Annotated[float | None, typer.Option(help="Significant wave height, m.")]
+WindOption = Annotated[float | None, typer.Option(help="Mean wind speed at 10 m, m/s.")]
+WindFromOption = Annotated[
+    float | None, typer.Option(help="Where the wind comes from, degrees clockwise from north.")
+]
+FAULTS_HELP = f"none, or a kind ({', '.join(FAULT_KINDS)}) and its seconds, as gps10"
+
+
+@app.command("simulate")
+@_speaking
+def simulate_command(
+    manoeuvre: Annotated[
+        str, typer.Argument(help=f"One of: {', '.join(MANOEUVRES)}.")
+    ] = "turn",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Log to write; <manoeuvre>_<seed>.csv.")
+    ] = None,
+    vessel: Annotated[
+        str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
+    ] = "usv75",
+    duration: Annotated[float, typer.Option(min=1.0, help="Length of the run, s.")] = 120.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
+    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    hs: HsOption = None,
+    wind: WindOption = None,
+    wind_from: WindFromOption = None,
+    faults: Annotated[str, typer.Option(help=f"Loss of sensors: {FAULTS_HELP}.")] = "none",
+    fault_start: Annotated[float, typer.Option(help="When the loss begins, s.")] = 85.0,
+) -> None:
+    """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
+    from twin.report import picture_of_log
+
+    boat = Vessel.load(vessel)
+    degrees = None if wind_from is None else math.radians(wind_from)
+    state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=degrees)
+    lost = parse_faults(faults, fault_start)
+    path = out or Path(f"{manoeuvre}_{seed}.csv")
+    with _compiling():
+        log = simulate(
+            manoeuvre, vessel=boat, sea=state, duration=duration, seed=seed, faults=lost
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log.write(path)
+    stem = path.name.removesuffix(".gz").removesuffix(".csv")
+    particulars = path.with_name(f"{stem}.toml")
+    particulars.write_text(particulars_of(boat).to_toml(), encoding="utf-8")
+    picture = path.with_name(f"{stem}.png")
+    windows = [(f.start, f.start + f.duration) for f in lost if f.kind in ("gps", "all")]
+    picture_of_log(log, picture, windows)
+    console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")
+
+
+@app.command("identify")
+@_speaking
+def identify_command(
+    log: Annotated[Path, typer.Argument(help="Log of a run, CSV or CSV.gz.")],
+    predictor: PredictorOption = DEFAULT,
+    ship: ShipOption = None,
+    until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="CSV of state and parameters with sd at every row."),
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="The last estimate, in full precision.")
+    ] = None,
+) -> None:
+    """Run the twin over a log and print what it makes of the boat.
+
+    The log needs the columns t_s, n_left_rps, n_right_rps, delta_left_rad, delta_right_rad,
+    gps_x_m, gps_y_m and compass_rad; gps_vx_mps, gps_vy_mps, gyro_radps, accel_x_mps2 and
+    accel_y_mps2 help. Empty cells are missing data.
+    """
+    run, twin = _begin(log, predictor, ship, until)
+    prior = twin.estimate()
+    header = ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)]
+    names = PARAMETER_NAMES if len(prior.xi) else ()
+    header += [*names, *(f"sd_{n}" for n in names)]
+    rows = []
+    with _compiling(), _bar("identifying", len(run)) as advance:
+        for t, z, cmd in run:
+            twin.step(t, z, cmd)
+            if out is not None:
+                now = twin.estimate()
+                rows.append([t, *now.s, *now.sd, *now.xi, *now.xi_sd])
+            advance()
+    last = twin.estimate()
+    if out is not None:
+        _write_csv(out, header, rows)
+    if json_file is not None:
+        _write_json(json_file, _estimate_json(last, predictor))
+    if not last.ready:
+        raise LogError(f"{log}: no fix and heading came together, so there is nothing to say")
+    _print_state(last, predictor, run)
+    if len(last.xi):
+        _print_parameters(prior, last, twin)
+    else:
+        console.print(f"{predictor} has no model, and so identifies no parameters.")
+    if out is not None:
+        console.print(f"every row: {out}")
+
+
+@app.command("predict")
+@_speaking
+def predict_command(
+    log: Annotated[Path, typer.Argument(help="Log of a run, CSV or CSV.gz.")],
+    predictor: PredictorOption = DEFAULT,
+    ship: ShipOption = None,
+    at: Annotated[
+        float | None,
+        typer.Option(
+            help="Time of the log at which to predict, s; left out: its end, or where the "
+            "horizon still fits when the plan is known."
+        ),
+    ] = None,
+    horizon: Annotated[float, typer.Option(min=0.1, max=600.0, help="How far, s.")] = 10.0,
+    plan: Annotated[
+        str,
+        typer.Option(
+            help="Future commands. hold: the last one stays; known: those that the log goes on "
+            "with; or a CSV file with t_s from now and the four command columns."
+        ),
+    ] = "hold",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="CSV of the prediction with sd.")
+    ] = None,
+) -> None:
+    """Run the twin over a log up to a time, and predict where the boat will be after it."""
+    run, twin = _begin(log, predictor, ship, None)
+    last = float(run.t[-1])
+    if at is None:
+        at = last - horizon if plan == "known" else last
+    if not run.t[0] <= at <= last:
+        raise TwinError(f"--at {at:g}: the log runs from {run.t[0]:g} to {last:g} s")
+    if plan == "known" and at + horizon > last + 1e-6:
+        raise TwinError(
+            f"--plan known: the log ends {last - at:.1f} s after {at:g} s; "
+            f"choose --at {last - horizon:g} or earlier, or --plan hold"
+        )
+    row = int(np.searchsorted(run.t, at + 1e-9) - 1)
+    with _compiling(), _bar("identifying", row + 1) as advance:
+        for index, (t, z, cmd) in enumerate(run):
+            if index > row:
+                break
+            twin.step(t, z, cmd)
+            advance()
+    if not twin.estimate().ready:
+        raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
+    dt = horizon / max(round(horizon / 0.1), 1)
+    if plan == "hold":
+        prediction = twin.predict("hold", horizon=horizon, dt=dt)
+    elif plan == "known":
+        prediction = twin.predict(known_plan(run, row, horizon, dt), dt=dt)
+    else:
+        prediction = twin.predict(_read_plan(Path(plan), horizon, dt), dt=dt)
+    _print_prediction(prediction, predictor, plan, run, row)
+    if out is not None:
+        rows = [
+            [t, *m, *s]
+            for t, m, s in zip(prediction.t, prediction.mean, prediction.sd, strict=True)
+        ]
+        _write_csv(out, ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)], rows)
+        console.print(f"every 0.1 s: {out}")
+
+
+@app.command("benchmark")
+@_speaking
+def benchmark_command(
+    scenarios: Annotated[
+        str, typer.Option(help=f"Comma-separated, of: {', '.join(MANOEUVRES)}.")
+    ] = "turn,zigzag",
+    faults: Annotated[
+        str, typer.Option(help=f"Comma-separated, each {FAULTS_HELP}.")
+    ] = "none,gps10",
+    seeds: Annotated[str, typer.Option(help="A:B for A to B - 1, or a list as 0,4,7.")] = "0:6",
+    predictors: Annotated[
+        str, typer.Option(help=f"Comma-separated, of: {', '.join(PREDICTORS)}.")
+    ] = ",".join(PREDICTORS),
+    plans: Annotated[
+        str, typer.Option(help="known: future commands are given; hold: the last one stays.")
+    ] = "known",
+    vessel: Annotated[
+        str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
+    ] = "usv75",
+    hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
+    wind: Annotated[float, typer.Option(help="Mean wind speed at 10 m, m/s.")] = 4.5,
+    wind_from: Annotated[
+        float, typer.Option(help="Where the wind comes from, degrees from north.")
+    ] = 135.0,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recorded runs to score instead of simulated ones (several files)."),
+    ] = None,
+    ship: ShipOption = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of results.")] = Path(
+        "benchmark"
+    ),
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Worker processes; results do not depend on it.")
+    ] = os.cpu_count() or 1,
+) -> None:
+    """Compare predictors on the same runs, with and without a loss of GPS.
+
+    A 10 s prediction every second after 80 s of identification, scored against the truth.
+    Without arguments: a 20 degree turn and a 20/-20 zigzag of the 7.5 m boat in sea state 2,
+    six seeds each, and one recorded run of a real boat. Writes results.json, report.html,
+    the pictures, and every run as a log that identify and predict read. Ctrl-C keeps what is
+    finished; the same command goes on from there.
+    """
+    names, notes = bench.available(_listed(predictors, "--predictors"))
+    if not names:
+        raise PredictorError("; ".join(notes))
+    recorded = tuple(str(path) for path in log) if log else ()
+    for path in recorded:
+        if not Path(path).is_file():
+            raise LogError(f"{path}: no such file")
+    settings = bench.Settings(
+        scenarios=() if recorded else _listed(scenarios, "--scenarios"),
+        faults=_listed(faults, "--faults"),
+        seeds=_seeds(seeds),
+        predictors=names,
+        plans=_listed(plans, "--plans"),
+        vessel=vessel,
+        hs=hs,
+        wind=wind,
+        wind_from_deg=wind_from,
+        logs=recorded or bench.default_logs(),
+        ship=ship if recorded else None,
+    )
+    Vessel.load(vessel)
+    for note in notes:
+        console.print(f"note: {note}", style="yellow", highlight=False)
+    out.mkdir(parents=True, exist_ok=True)
+    done, failed = _work(settings, out, jobs)
+    command = shlex.join(["usv-twin", *sys.argv[1:]])
+    results = bench.collect(settings, done, command)
+    _write_json(out / "results.json", results)
+    _print_benchmark(results)
+    for name, error in failed.items():
+        errors.print(f"not scored: {name}: {error}", style="red", highlight=False, soft_wrap=True)
+    total = len(bench.units(settings))
+    if len(done) + len(failed) < total:
+        errors.print(
+            f"stopped: {len(done)} of {total} results are kept in {out}; "
+            "the same command goes on from there",
+            style="yellow",
+        )
+        raise typer.Exit(INTERRUPTED)
+    if done:
+        from twin.report import write_report
+
+        with console.status("drawing the report"):
+            written = write_report(out, results, bench.figures(settings, done, out))
+        console.print(f"{out / 'results.json'}, {written[0]}")
+    if failed:
+        raise typer.Exit(2)
+
+
+def _work(
+    settings: bench.Settings, out: Path, jobs: int
+) -> tuple[dict[bench.Unit, dict[str, Any]], dict[str, Exception]]:
+    """Do all pieces of work under a progress bar; Ctrl-C ends it early."""
+    done: dict[bench.Unit, dict[str, Any]] = {}
+    failed: dict[str, Exception] = {}
+    total = len(bench.units(settings))
+    try:
+        with _compiling():
+            bench.warm_up(settings)
+        with Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+        ) as progress:
+            bar = progress.add_task("benchmark", total=total)
+            for unit, result in bench.runs(settings, out, jobs=jobs):
+                if isinstance(result, Exception):
+                    failed[f"{unit.run} {unit.predictor}"] = result
+                else:
+                    done[unit] = result
+                progress.advance(bar)
+    except KeyboardInterrupt:
+        pass
+    return done, failed
+
+
+def _begin(
+    path: Path, predictor: str, ship: str | None, until: float | None
+) -> tuple[Log, Twin]:
+    """Read a log, say what is missing in it, and make a twin for it."""
+    log = Log.read(path).without_truth()
+    for note in log.notes:
+        console.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
+    if until is not None:
+        log = log.slice(-math.inf, math.nextafter(until, math.inf))
+        if len(log) == 0:
+            raise TwinError(f"--until {until:g}: the log has no row before it")
+    particulars = bench.particulars_beside(path, ship)
+    console.print(f"boat: {particulars.name}, {particulars.length:g} m", highlight=False)
+    return log, Twin(particulars, predictor)
+
+
+class _compiling:
+    """Say that kernels are being compiled, where they are."""
+
+    def __enter__(self) -> None:
+        self._status = None
+        if not cached():
+            self._status = console.status(
+                "compiling the kernels (once after an installation or an edit, under a minute)"
+            )
+            self._status.start()
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+
+class _bar:
+    """A progress bar for rows of a log."""
+
+    def __init__(self, text: str, total: int) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            console=console,
+            transient=True,
+        )
+        self._task = self._progress.add_task(text, total=total)
+        self._count = 0
+
+    def __enter__(self) -> Callable[[], None]:
+        if cached():  # a status line of the compiler is on the screen otherwise
+            self._progress.start()
+        return self._advance
+
+    def _advance(self) -> None:
+        self._count += 1
+        if self._count % 100 == 0:
+            self._progress.update(self._task, completed=self._count)
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+
+def _listed(text: str, option: str) -> tuple[str, ...]:
+    items = tuple(dict.fromkeys(item.strip() for item in text.split(",") if item.strip()))
+    if not items:
+        raise bench.BenchmarkError(f"{option}: name at least one")
+    return items
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    try:
+        if ":" in text:
+            first, last = text.split(":")
+            seeds = tuple(range(int(first or 0), int(last)))
+        else:
+            seeds = tuple(dict.fromkeys(int(item) for item in text.split(",")))
+    except ValueError:
+        raise bench.BenchmarkError(
+            f"--seeds {text}: write A:B for A to B - 1, or a list as 0,4,7"
+        ) from None
+    if not seeds or min(seeds) < 0:
+        raise bench.BenchmarkError(f"--seeds {text}: holds no seed of 0 or more")
+    return seeds
+
+
+def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
+    """Return a plan of commands on the grid of a prediction, from a CSV file."""
+    names = ("t_s", "n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
+    if not path.is_file():
+        raise TwinError(f"--plan {path}: use hold, known, or a CSV file with {', '.join(names)}")
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in names if name not in (reader.fieldnames or ())]
+        if missing:
+            raise TwinError(f"{path}: the column(s) {', '.join(missing)} are missing")
+        try:
+            rows = np.array([[float(line[name]) for name in names] for line in reader])
+        except (TypeError, ValueError) as error:
+            raise TwinError(f"{path}: line {reader.line_num}: {error}") from None
+    if len(rows) == 0 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
+        raise TwinError(f"{path}: needs at least one row, finite numbers, and a rising t_s")
+    middle = dt * (np.arange(round(horizon / dt)) + 0.5)
+    return rows[np.maximum(np.searchsorted(rows[:, 0], middle, side="right") - 1, 0), 1:]
+
+
+def _estimate_json(estimate: Estimate, predictor: str) -> dict[str, Any]:
+    names = PARAMETER_NAMES if len(estimate.xi) else ()
+    return {
+        "predictor": predictor,
+        "t_s": estimate.t,
+        "ready": estimate.ready,
+        "state": dict(zip(CHANNELS, estimate.s.tolist(), strict=True)),
+        "state_sd": dict(zip(CHANNELS, estimate.sd.tolist(), strict=True)),
+        "parameters": dict(zip(names, estimate.xi.tolist(), strict=True)),
+        "parameters_sd": dict(zip(names, estimate.xi_sd.tolist(), strict=True)),
+    }
+
+
+def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
+    table = Table(title=f"{log.name}: state at t = {estimate.t:.2f} s by {predictor}")
+    for name in ("", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s"):
+        table.add_column(name, justify="right")
+    scale = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
+    s = estimate.s.copy()
+    s[2] %= 2.0 * math.pi
+    table.add_row("value", *(f"{v:.3f}" for v in s * scale))
+    table.add_row("sd", *(f"{v:.3f}" for v in estimate.sd * scale))
+    console.print(table)
+
+
+def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
+    unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
+    table = Table(title="parameters (mean and standard deviation)")
+    for name in ("", "unit", "prior", "sd", "identified", "sd", "sd / prior sd"):
+        table.add_column(name, justify="left" if name in ("", "unit") else "right")
+    for i, (name, symbol) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)):
+        ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
+        numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
+        table.add_row(name, symbol, *(f"{v:.4g}" for v in numbers), f"{ratio:.2f}")
+    console.print(table)
+    console.print(
+        "A ratio near 1 says that the data told nothing of that parameter; left and right "
+        "thrust cannot be told apart at equal shaft speed and angle.",
+        style="dim",
+        soft_wrap=True,
+    )
+    if unit is not None and unit.n_unit != 1.0:
+        console.print(
+            f"Shaft speeds enter the thrust terms times {unit.n_unit:.4g} (see FilterSettings).",
+            style="dim",
+        )
+
+
+def _print_prediction(
+    prediction: Prediction, predictor: str, plan: str, log: Log, row: int
+) -> None:
+    span = float(prediction.t[-1] - prediction.t0)
+    horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
+    mean, cov = prediction.at(np.array(horizons))
+    sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    table = Table(
+        title=f"{log.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, "
+        f"plan {plan} (value +- 1.64 sd: 90 % band)"
+    )
+    heads = ("after s", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
+    for name in heads:
+        table.add_column(name, justify="right")
+    scale = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
+    for h, m, s in zip(horizons, mean, sd, strict=True):
+        m = m.copy()
+        m[2] %= 2.0 * math.pi
+        cells = (f"{a:.2f} +- {1.645 * b:.2f}" for a, b in zip(m * scale, s * scale, strict=True))
+        table.add_row(f"{h:g}", *cells)
+    console.print(table)
+
+
+def _print_benchmark(results: dict[str, Any]) -> None:
+    """Print the result table, a block for each run and loss."""
+    cells: dict[tuple[str, str, str], dict[str, dict[str, dict[str, Any]]]] = {}
+    for item in results["summary"]:
+        block = cells.setdefault((item["scenario"], item["fault"], item["plan"]), {})
+        block.setdefault(item["predictor"], {})[item["metric"]] = item
+    heads = {
+        "mae": "MAE",
+        "mse": "MSE",
+        "normalised": "normalised",
+        "skill": "skill",
+        "start_error": "start error m",
+        "coverage90": "in 90 % band",
+    }
+    for (scenario, fault, plan), block in cells.items():
+        loss = "no loss" if fault == "none" else f"loss {fault}"
+        table = Table(title=f"{scenario}, {loss}, plan {plan}")
+        table.add_column("predictor")
+        for head in heads.values():
+            table.add_column(head, justify="right")
+        for predictor, metrics in block.items():
+            table.add_row(predictor, *(_cell(metrics.get(metric)) for metric in heads))
+        console.print(table)
+    console.print(
+        "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
+        "2, 5 and 10 s, units mixed. normalised: error over the true change. skill: 1 - error / "
+        "error of raw persistence. start error: believed against true position when the "
+        "prediction is made. [95 % interval over seeds]",
+        style="dim",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def _cell(item: dict[str, Any] | None) -> str:
+    if item is None:
+        return "-"
+    text = f"{item['value']:.3g}"
+    if item["low"] is not None:
+        text += f" \\[{item['low']:.3g}, {item['high']:.3g}]"
+    return text
+
+
+def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([[repr(float(v)) for v in row] for row in rows])
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+def _expand(arguments: list[str], option: str = "--log") -> list[str]:
+    """Let one option take several files: ``--log a b`` becomes ``--log a --log b``."""
+    expanded: list[str] = []
+    inside = False
+    for argument in arguments:
+        if argument.startswith("-"):
+            inside = argument == option
+            if not inside:
+                expanded.append(argument)
+        elif inside:
+            expanded += [option, argument]
+        else:
+            expanded.append(argument)
+    return expanded
+
+
+def main() -> None:
+    """Run the command line."""
+    app(args=_expand(sys.argv[1:]), prog_name="usv-twin")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""Where world and belief meet: particulars of a vessel, and simulated runs as logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.log import MEASUREMENTS, Log
+from twin.particulars import Instruments, Particulars
+from usv_gym import sensors
+from usv_gym.manoeuvres import commands
+from usv_gym.physics import frames as fr
+from usv_gym.sea import SeaState
+from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.simulation import Simulation
+from usv_gym.vessel import Vessel
+
+__all__ = ["TRUE_STATE", "measurement_row", "particulars_of", "simulate"]
+
+Array = NDArray[np.float64]
+
+TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
+"""Entries of the ship's state that a log keeps as the truth."""
+
+if MEASUREMENTS[: len(sensors.CHANNELS)] != sensors.CHANNELS:
+    raise ImportError("usv_gym.sensors.CHANNELS and twin.log.MEASUREMENTS have come apart")
+
+
+def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particulars:
+    """Return what the owner of a simulated vessel would tell its twin.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The vessel; only main particulars, actuators and the usual speed are passed on.
+    suite : SensorSuite, optional
+        Its sensors, as their data sheets describe them; the default suite if left out.
+
+    Returns
+    -------
+    Particulars
+    """
+    suite = suite or SensorSuite()
+    v = vessel.values
+    n = v["shaft_speed_manoeuvring"]
+    return Particulars(
+        name=vessel.name,
+        length=v["length_waterline"],
+        beam=v["beam"],
+        draft=v["draft"],
+        mass=v["mass"],
+        speed=vessel.straight_speed(n),
+        shaft_speed=n,
+        shaft_lag=v["shaft_lag"],
+        steer_lag=v["steer_lag"],
+        steer_rate=v["steer_rate"],
+        instruments=Instruments(
+            gps_sd=max(math.hypot(suite.gps_white, suite.gps_bias), 0.02),
+            # room for what the latency makes of a wavy motion
+            doppler_sd=math.hypot(suite.doppler_white, 0.06),
+            compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
+            gyro_sd=max(suite.gyro_white, 1e-4),
+            gyro_bias_sd=max(suite.gyro_bias, 1e-5),
+            accel_sd=math.hypot(suite.accel_white, 0.07),
+            accel_bias_sd=max(suite.accel_bias, 1e-3),
+            gps_latency=suite.gps_latency,
+        ),
+    )
+
+
+def measurement_row(channels: Array) -> Array:
+    """Return a row of ``twin.log.MEASUREMENTS`` for what the simulated sensors said."""
+    row = np.full(len(MEASUREMENTS), math.nan)
+    row[: len(channels)] = channels
+    return row
+
+
+def simulate(
+    manoeuvre: str,
+    *,
+    vessel: Vessel,
+    sea: SeaState,
+    duration: float,
+    seed: int,
+    faults: Sequence[Fault] = (),
+    suite: SensorSuite | None = None,
+    dt: float = 0.05,
+    name: str | None = None,
+) -> Log:
+    """Sail a manoeuvre and return its log, with the truth.
+
+    Parameters
+    ----------
+    manoeuvre : str
+        One of ``usv_gym.manoeuvres.MANOEUVRES``.
+    vessel, sea
+        Boat and sea state.
+    duration : float
+        Length of the run, s.
+    seed : int
+        Seed of sea, sensors and (random) manoeuvre.
+    faults : sequence of Fault
+        Losses of sensors.
+    suite : SensorSuite, optional
+        Sensors; the default suite if left out.
+    dt : float
+        Control step, s.
+    name : str, optional
+        Name of the log; manoeuvre and seed if left out.
+
+    Returns
+    -------
+    Log
+    """
+    world, helmsman = np.random.default_rng(seed).spawn(2)
+    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dt=dt)
+    simulation.reset([0], [world])
+    N = max(round(duration / dt), 1)
+    n = vessel.values["shaft_speed_manoeuvring"]
+    given = commands(manoeuvre, np.arange(N) * dt, n, helmsman)
+    t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
+    z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
+    for k in range(N + 1):
+        if k:
+            simulation.step(given[k - 1 : k])
+        t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
+        z[k, : len(sensors.CHANNELS)] = simulation.z[0]
+        truth[k] = simulation.state[0, TRUE_STATE]
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{manoeuvre}_{seed}")
