@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -218,8 +219,10 @@ def particulars_beside(path: str | Path, ship: str | None = None) -> Particulars
     beside = path.with_name(path.name.removesuffix(".gz").removesuffix(".csv") + ".toml")
     if ship is None:
         return Particulars.load(beside) if beside.exists() else particulars_of(Vessel.load("usv75"))
-    if Path(ship).suffix == ".toml" and "[particulars]" in _text(ship) and "[hull]" not in _text(
-        ship
+    if (
+        Path(ship).suffix == ".toml"
+        and "[particulars]" in _text(ship)
+        and "[hull]" not in _text(ship)
     ):
         return Particulars.load(ship)
     return particulars_of(Vessel.load(ship))
@@ -242,9 +245,7 @@ def without_signals(log: Log, faults: Sequence[Fault]) -> Log:
     z = log.z.copy()
     columns = {GPS_BIT: GPS, COMPASS_BIT: COMPASS, IMU_BIT: IMU}
     for fault in faults:
-        lost = (log.t >= log.t[0] + fault.start) & (
-            log.t < log.t[0] + fault.start + fault.duration
-        )
+        lost = (log.t >= log.t[0] + fault.start) & (log.t < log.t[0] + fault.start + fault.duration)
         for bit, entries in columns.items():
             if FAULT_KINDS[fault.kind] & bit:
                 z[lost, entries] = math.nan
@@ -435,10 +436,15 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
         }
     path = result_file(folder, unit)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    partial = _partial(path)
     partial.write_text(json.dumps(result), encoding="utf-8")
     partial.replace(path)
     return result
+
+
+def _partial(path: Path) -> Path:
+    """Return a name beside a file that no other worker uses."""
+    return path.with_name(f".{os.getpid()}_{threading.get_ident()}_{path.name}")
 
 
 def _thin(prediction: Prediction) -> dict[str, Any]:
@@ -459,7 +465,7 @@ def _write_log(log: Log, path: Path) -> None:
     if path.exists():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}_{path.name}")
+    partial = _partial(path)
     log.write(partial)
     partial.replace(path)
 
@@ -469,7 +475,9 @@ def digest(settings: Settings, unit: Unit) -> str:
     kept = dataclasses.asdict(settings)
     for key in ("scenarios", "faults", "seeds", "predictors", "logs"):
         del kept[key]
-    text = json.dumps([__version__, sources_digest(), kept, dataclasses.asdict(unit)], sort_keys=True)
+    text = json.dumps(
+        [__version__, sources_digest(), kept, dataclasses.asdict(unit)], sort_keys=True
+    )
     value = hashlib.sha256(text.encode())
     for path in (unit.log, settings.ship if unit.log else settings.vessel):
         if path and Path(path).is_file():
@@ -482,7 +490,9 @@ def result_file(folder: Path, unit: Unit) -> Path:
     return folder / "runs" / f"{unit.run}_{unit.predictor}.json"
 
 
-def finished(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) -> dict[str, Any] | None:
+def finished(
+    settings: Settings, unit: Unit, folder: Path, *, pictures: bool
+) -> dict[str, Any] | None:
     """Return the result of earlier work, if it is there and was got with the same settings."""
     try:
         result = json.loads(result_file(folder, unit).read_text(encoding="utf-8"))
@@ -623,9 +633,7 @@ def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return summary
 
 
-def collect(
-    settings: Settings, done: dict[Unit, dict[str, Any]], command: str
-) -> dict[str, Any]:
+def collect(settings: Settings, done: dict[Unit, dict[str, Any]], command: str) -> dict[str, Any]:
     """Return the content of ``results.json``.
 
     Parameters
@@ -674,9 +682,7 @@ def warm_up(settings: Settings) -> None:
         twin.predict("hold")
 
 
-def figures(
-    settings: Settings, done: dict[Unit, dict[str, Any]], folder: Path
-) -> list[RunFigure]:
+def figures(settings: Settings, done: dict[Unit, dict[str, Any]], folder: Path) -> list[RunFigure]:
     """Return what the report draws: one entry for each run that kept its pictures.
 
     Parameters

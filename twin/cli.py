@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import functools
 import json
 import math
@@ -16,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -101,9 +101,7 @@ FAULTS_HELP = f"none, or a kind ({', '.join(FAULT_KINDS)}) and its seconds, as g
 @app.command("simulate")
 @_speaking
 def simulate_command(
-    manoeuvre: Annotated[
-        str, typer.Argument(help=f"One of: {', '.join(MANOEUVRES)}.")
-    ] = "turn",
+    manoeuvre: Annotated[str, typer.Argument(help=f"One of: {', '.join(MANOEUVRES)}.")] = "turn",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Log to write; <manoeuvre>_<seed>.csv.")
     ] = None,
@@ -128,9 +126,7 @@ def simulate_command(
     lost = parse_faults(faults, fault_start)
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     with _compiling():
-        log = simulate(
-            manoeuvre, vessel=boat, sea=state, duration=duration, seed=seed, faults=lost
-        )
+        log = simulate(manoeuvre, vessel=boat, sea=state, duration=duration, seed=seed, faults=lost)
     path.parent.mkdir(parents=True, exist_ok=True)
     log.write(path)
     stem = path.name.removesuffix(".gz").removesuffix(".csv")
@@ -283,7 +279,10 @@ def benchmark_command(
         list[Path] | None,
         typer.Option(help="Recorded runs to score instead of simulated ones (several files)."),
     ] = None,
-    ship: ShipOption = None,
+    ship: Annotated[
+        str | None,
+        typer.Option(help="Particulars for the recorded runs, as for identify."),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of results.")] = Path(
         "benchmark"
     ),
@@ -377,9 +376,7 @@ def _work(
     return done, failed
 
 
-def _begin(
-    path: Path, predictor: str, ship: str | None, until: float | None
-) -> tuple[Log, Twin]:
+def _begin(path: Path, predictor: str, ship: str | None, until: float | None) -> tuple[Log, Twin]:
     """Read a log, say what is missing in it, and make a twin for it."""
     log = Log.read(path).without_truth()
     for note in log.notes:
@@ -494,7 +491,9 @@ def _estimate_json(estimate: Estimate, predictor: str) -> dict[str, Any]:
 
 
 def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
-    table = Table(title=f"{log.name}: state at t = {estimate.t:.2f} s by {predictor}")
+    table = Table(
+        title=f"{log.name}: state at t = {estimate.t:.2f} s by {predictor}", box=SIMPLE_HEAD
+    )
     for name in ("", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s"):
         table.add_column(name, justify="right")
     scale = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
@@ -507,7 +506,7 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
-    table = Table(title="parameters (mean and standard deviation)")
+    table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
     for name in ("", "unit", "prior", "sd", "identified", "sd", "sd / prior sd"):
         table.add_column(name, justify="left" if name in ("", "unit") else "right")
     for i, (name, symbol) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)):
@@ -536,8 +535,9 @@ def _print_prediction(
     mean, cov = prediction.at(np.array(horizons))
     sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     table = Table(
+        box=SIMPLE_HEAD,
         title=f"{log.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, "
-        f"plan {plan} (value +- 1.64 sd: 90 % band)"
+        f"plan {plan} (value +- 1.64 sd: 90 % band)",
     )
     heads = ("after s", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
     for name in heads:
@@ -546,7 +546,7 @@ def _print_prediction(
     for h, m, s in zip(horizons, mean, sd, strict=True):
         m = m.copy()
         m[2] %= 2.0 * math.pi
-        cells = (f"{a:.2f} +- {1.645 * b:.2f}" for a, b in zip(m * scale, s * scale, strict=True))
+        cells = (f"{a:.2f}\n+-{1.645 * b:.2f}" for a, b in zip(m * scale, s * scale, strict=True))
         table.add_row(f"{h:g}", *cells)
     console.print(table)
 
@@ -562,35 +562,42 @@ def _print_benchmark(results: dict[str, Any]) -> None:
         "mse": "MSE",
         "normalised": "normalised",
         "skill": "skill",
-        "start_error": "start error m",
-        "coverage90": "in 90 % band",
+        "start_error": "start m",
+        "coverage90": "in band",
     }
     for (scenario, fault, plan), block in cells.items():
         loss = "no loss" if fault == "none" else f"loss {fault}"
-        table = Table(title=f"{scenario}, {loss}, plan {plan}")
-        table.add_column("predictor")
+        table = Table(title=f"{scenario}, {loss}, plan {plan}", box=SIMPLE_HEAD, padding=(0, 1))
+        table.add_column("predictor", no_wrap=True)
         for head in heads.values():
-            table.add_column(head, justify="right")
+            table.add_column(head, justify="right", no_wrap=True)
         for predictor, metrics in block.items():
-            table.add_row(predictor, *(_cell(metrics.get(metric)) for metric in heads))
+            table.add_row(
+                predictor,
+                *(
+                    _cell(metrics.get(metric), interval=metric not in ("start_error", "coverage90"))
+                    for metric in heads
+                ),
+            )
         console.print(table)
     console.print(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
         "2, 5 and 10 s, units mixed. normalised: error over the true change. skill: 1 - error / "
-        "error of raw persistence. start error: believed against true position when the "
-        "prediction is made. [95 % interval over seeds]",
+        "error of raw persistence. start: distance of the believed from the true position when "
+        "a prediction is made. in band: share of errors inside the 90 % bands. Below a value: "
+        "its 95 % interval over seeds.",
         style="dim",
         markup=False,
         soft_wrap=True,
     )
 
 
-def _cell(item: dict[str, Any] | None) -> str:
+def _cell(item: dict[str, Any] | None, *, interval: bool) -> str:
     if item is None:
         return "-"
     text = f"{item['value']:.3g}"
-    if item["low"] is not None:
-        text += f" \\[{item['low']:.3g}, {item['high']:.3g}]"
+    if interval and item["low"] is not None:
+        text += f"\n{item['low']:.2g}..{item['high']:.2g}"
     return text
 
 

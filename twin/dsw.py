@@ -83,7 +83,7 @@ def _rerun(
     qx,
     R,
     work,
-):  # type: ignore[no-untyped-def]
+):
     """Run the filter over ``count`` rows of the ring buffers from row ``first`` on."""
     size = states.shape[0]
     for i in range(N_STATES):

@@ -165,7 +165,8 @@ class LateFusion:
         )
 
         sensors = instruments
-        gps_R = np.array([sensors.gps_sd, sensors.gps_sd, sensors.doppler_sd, sensors.doppler_sd])
+        fix_sd = math.hypot(sensors.gps_sd, sensors.gps_bias_sd)
+        gps_R = np.array([fix_sd, fix_sd, sensors.doppler_sd, sensors.doppler_sd])
         gyro_var = sensors.gyro_sd**2 + sensors.gyro_bias_sd**2
         self._gps_R = gps_R**2
         self._gps_H = np.eye(6)[_GPS_TO_FUSED]

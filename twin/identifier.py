@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ __all__ = [
     "plain_settings",
 ]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 N = N_STATES + N_XI
 PSI = 2
@@ -131,7 +132,7 @@ def plain_settings(particulars: Particulars) -> FilterSettings:
 
 
 @kernel
-def _follow_commands(act, cmd, lags, n_unit, h):  # type: ignore[no-untyped-def]
+def _follow_commands(act, cmd, lags, n_unit, h):
     """Move the four actuators towards their commands for a time h."""
     for k in range(2):
         act[k] = follow(act[k], n_unit * cmd[k], lags[0], math.inf, h)
@@ -139,7 +140,7 @@ def _follow_commands(act, cmd, lags, n_unit, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work):  # type: ignore[no-untyped-def]
+def advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work):
     """Predict state, parameters and covariance over dt, actuators included.
 
     Parameters
@@ -173,7 +174,7 @@ def advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q,
 
 
 @kernel
-def hold_inside(x, envelope):  # type: ignore[no-untyped-def]
+def hold_inside(x, envelope):
     """Keep the velocities inside what the boat can do: bad parameters must not run away.
 
     Parameters
@@ -216,7 +217,7 @@ def _tight_step(
     R,
     phi,
     work,
-):  # type: ignore[no-untyped-def]
+):
     """One row of the tight identifier: navigate, predict, correct; all arrays in place.
 
     ``clock`` holds the time since the model last aided the navigation and whether the
@@ -262,9 +263,7 @@ def _tight_step(
 
 
 @kernel
-def _bands(
-    x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, envelope, out
-):  # type: ignore[no-untyped-def]
+def _bands(x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, envelope, out):
     """Write the covariance of the state after each ``every`` rows of a prediction."""
     h = dt * every
     for i in range(N_STATES):
@@ -301,9 +300,7 @@ class JointUKF:
     def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:
         self.settings = settings
         self.differential = is_differential(particulars)
-        self.lags = np.array(
-            [particulars.shaft_lag, particulars.steer_lag, particulars.steer_rate]
-        )
+        self.lags = np.array([particulars.shaft_lag, particulars.steer_lag, particulars.steer_rate])
         U, L = particulars.speed, particulars.length
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
         self.weights = scaled_weights(N, settings.alpha, settings.beta, settings.kappa)
@@ -419,10 +416,10 @@ class ModelPredictor(Predictor):
 
     def estimate(self) -> Estimate:
         """Return what is believed now."""
-        x, sd = self.ukf.x.copy(), np.sqrt(np.maximum(np.diag(self.ukf.P), 0.0))
-        return Estimate(
-            self.t, x[:N_STATES], sd[:N_STATES], x[N_STATES:], sd[N_STATES:], self.ready
-        )
+        x, P = self.ukf.x.copy(), self.ukf.P
+        state = self.with_gps_bias(P[:N_STATES, :N_STATES])
+        sd, xi_sd = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:]))
+        return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], xi_sd, self.ready)
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states alone; see :meth:`twin.predictor.Predictor.mean`."""
@@ -432,9 +429,14 @@ class ModelPredictor(Predictor):
         """Predict the motion under a plan; see :meth:`twin.predictor.Predictor.predict`."""
         mean, acts = self.ukf.roll(plan, dt)
         after = dt * np.arange(1, len(plan) + 1)
-        start_cov = self.ukf.P[:N_STATES, :N_STATES].copy()
+        start_cov = self.with_gps_bias(self.ukf.P[:N_STATES, :N_STATES])
         return Prediction(
-            self.t, self.s.copy(), start_cov, self.t + after, mean, self.ukf.bands(acts, dt)
+            self.t,
+            self.s.copy(),
+            start_cov,
+            self.t + after,
+            mean,
+            self.with_gps_bias(self.ukf.bands(acts, dt)),
         )
 
 

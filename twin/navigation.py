@@ -36,8 +36,14 @@ GATE = 6.0
 """Standard deviations beyond which a number is refused ..."""
 REFUSED_MAX = 20
 """... unless this many in a row were refused."""
+SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH = 20.0, 10.0, 50.0, 1e7
+"""No boat does more: speed in usual speeds, yaw rate in rad/s, specific force in m/s2, and
+position in m. Numbers beyond are no samples."""
 STEP_MAX = 0.1
 """Longest step of the prediction, s; longer gaps are cut up."""
+
+_VARIANCE_MIN = 1e-14
+"""Below this a variance is rounding."""
 
 # entries of the settings
 (
@@ -80,7 +86,7 @@ def navigation_settings(particulars: Particulars) -> Array:
     turn = U / L
     return np.array(
         [
-            I.gps_sd**2,
+            I.gps_sd**2 + I.gps_bias_sd**2,
             I.doppler_sd**2,
             I.compass_sd**2,
             I.gyro_sd**2,
@@ -99,7 +105,29 @@ def navigation_settings(particulars: Particulars) -> Array:
 
 
 @kernel
-def _predict(n, P, h, ax, ay, accel_var, driven, r_rate, settings, A):  # type: ignore[no-untyped-def]
+def _cap(P, settings):
+    """Keep variances below what can be; one that is cut also loses its correlations.
+
+    Left with them it would be a gain that is too large, and the filter would run away.
+    """
+    speed, turn = settings[_VELOCITY_VAR_0], settings[_R_VAR_0]
+    for i in range(6):
+        top = 1e8 * speed / turn  # ten thousand lengths
+        if i == 2:
+            top = 40.0
+        elif i == 5:
+            top = 100.0 * turn
+        elif i > 2:
+            top = 100.0 * speed
+        if not P[i, i] <= top:
+            for k in range(N_NAV):
+                P[i, k] = 0.0
+                P[k, i] = 0.0
+            P[i, i] = top
+
+
+@kernel
+def _predict(n, P, h, ax, ay, accel_var, driven, r_rate, settings, A):
     """Advance mean and covariance by h; ``driven`` says that ax, ay are specific forces."""
     psi, u, v, r = n[2], n[3], n[4], n[5]
     c, s = math.cos(psi), math.sin(psi)
@@ -141,6 +169,7 @@ def _predict(n, P, h, ax, ay, accel_var, driven, r_rate, settings, A):  # type: 
         for k in range(i):
             P[i, k] = 0.5 * (P[i, k] + P[k, i])
             P[k, i] = P[i, k]
+    _cap(P, settings)
     n[0] += h * (u * c - v * s)
     n[1] += h * (u * s + v * c)
     n[2] += h * (r + 0.5 * h * r_rate)
@@ -153,30 +182,26 @@ def _predict(n, P, h, ax, ay, accel_var, driven, r_rate, settings, A):  # type: 
     n[5] += h * r_rate
     for i in range(6, N_NAV):
         n[i] *= 1.0 - decay
+    fastest = SPEED_LIMIT * math.sqrt(settings[_VELOCITY_VAR_0])
+    n[3] = min(max(n[3], -fastest), fastest)
+    n[4] = min(max(n[4], -fastest), fastest)
+    n[5] = min(max(n[5], -TURN_LIMIT), TURN_LIMIT)
 
 
 @kernel
-def _correct(n, P, H, innovation, variance, status, channel, gain):  # type: ignore[no-untyped-def]
+def _correct(n, P, H, innovation, variance, status, channel, gain):
     """Correct by one number with measurement row H; refuse it where it is far off."""
-    S = variance
-    for i in range(N_NAV):
-        gain[i] = 0.0
-        for k in range(N_NAV):
-            gain[i] += P[i, k] * H[k]
-    for i in range(N_NAV):
-        S += H[i] * gain[i]
+    S = _gain(P, H, variance, gain)
     if channel >= 0:
         if innovation * innovation > GATE * GATE * S:
             status[REFUSED + channel] += 1.0
             if status[REFUSED + channel] <= REFUSED_MAX:
                 return
-            # the filter is lost: believe the number as if nothing were known
-            grow = innovation * innovation
+            # the filter is lost: take the number as if nothing had been known
             for i in range(N_NAV):
-                if H[i] == 1.0:
-                    P[i, i] += grow
-                    gain[i] += grow
-                    S += grow
+                if H[i] * H[i] > 0.25:
+                    P[i, i] += innovation * innovation
+            S = _gain(P, H, variance, gain)
         status[REFUSED + channel] = 0.0
     for i in range(N_NAV):
         n[i] += gain[i] / S * innovation
@@ -184,10 +209,24 @@ def _correct(n, P, H, innovation, variance, status, channel, gain):  # type: ign
         for k in range(i + 1):
             P[i, k] -= gain[i] * gain[k] / S
             P[k, i] = P[i, k]
+        P[i, i] = max(P[i, i], _VARIANCE_MIN)
 
 
 @kernel
-def aid_velocity(n, P, u, v, variance, status, H, gain):  # type: ignore[no-untyped-def]
+def _gain(P, H, variance, gain):
+    """Write P H' and return the variance of the innovation."""
+    S = variance
+    for i in range(N_NAV):
+        gain[i] = 0.0
+        for k in range(N_NAV):
+            gain[i] += P[i, k] * H[k]
+    for i in range(N_NAV):
+        S += H[i] * gain[i]
+    return S
+
+
+@kernel
+def aid_velocity(n, P, u, v, variance, status, H, gain):
     """Correct the velocity by what a model says of it.
 
     Parameters
@@ -209,25 +248,27 @@ def aid_velocity(n, P, u, v, variance, status, H, gain):  # type: ignore[no-unty
 
 
 @kernel
-def _start(n, P, z, settings, status):  # type: ignore[no-untyped-def]
+def _start(n, P, z, settings, status):
     """Take the first heading and the first fix as they come."""
     if status[READY_HEADING] == 0.0 and math.isfinite(z[4]):
         n[2] = z[4]
         P[2, 2] = settings[_COMPASS_VAR]
         status[READY_HEADING] = 1.0
-    if status[READY_FIX] == 0.0 and math.isfinite(z[0]) and math.isfinite(z[1]):
+    if status[READY_FIX] == 0.0 and abs(z[0]) < REACH and abs(z[1]) < REACH:
         n[0], n[1] = z[0], z[1]
         P[0, 0] = P[1, 1] = settings[_GPS_VAR]
         status[READY_FIX] = 1.0
-        if math.isfinite(z[2]) and math.isfinite(z[3]) and status[READY_HEADING] > 0.0:
+        fastest = SPEED_LIMIT * math.sqrt(settings[_VELOCITY_VAR_0])
+        doppler = abs(z[2]) < fastest and abs(z[3]) < fastest
+        if doppler and status[READY_HEADING] > 0.0:
             c, s = math.cos(n[2]), math.sin(n[2])
             n[3], n[4] = z[2] * c + z[3] * s, z[3] * c - z[2] * s
-    if math.isfinite(z[5]):
+    if abs(z[5]) < TURN_LIMIT:
         n[5] = z[5]
 
 
 @kernel
-def navigate(n, P, dt, z, model, settings, status, work):  # type: ignore[no-untyped-def]
+def navigate(n, P, dt, z, model, settings, status, work):
     """Take one row of measurements.
 
     Parameters
@@ -258,8 +299,8 @@ def navigate(n, P, dt, z, model, settings, status, work):  # type: ignore[no-unt
         if status[READY_FIX] * status[READY_HEADING] > 0.0:
             status[GPS_AGE] = status[COMPASS_AGE] = status[IMU_AGE] = 0.0
         return
-    driven = math.isfinite(z[6]) and math.isfinite(z[7])
-    gyro = math.isfinite(z[5])
+    driven = abs(z[6]) < ACCEL_LIMIT and abs(z[7]) < ACCEL_LIMIT
+    gyro = abs(z[5]) < TURN_LIMIT
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
     if driven:
@@ -291,7 +332,7 @@ def navigate(n, P, dt, z, model, settings, status, work):  # type: ignore[no-unt
         status[COMPASS_AGE] = 0.0
     late = settings[_LATENCY]
     for j in range(2):
-        if not math.isfinite(z[j]):
+        if not abs(z[j]) < REACH:
             continue
         c, s = math.cos(n[2]), math.sin(n[2])
         velocity = n[3] * c - n[4] * s if j == 0 else n[3] * s + n[4] * c
@@ -304,8 +345,9 @@ def navigate(n, P, dt, z, model, settings, status, work):  # type: ignore[no-unt
         innovation = z[j] - (n[j] - late * velocity)
         _correct(n, P, H, innovation, settings[_GPS_VAR], status, j, gain)
         status[GPS_AGE] = 0.0
+    fastest = SPEED_LIMIT * math.sqrt(settings[_VELOCITY_VAR_0])
     for j in range(2):
-        if not math.isfinite(z[2 + j]):
+        if not abs(z[2 + j]) < fastest:
             continue
         c, s = math.cos(n[2]), math.sin(n[2])
         a, b = 0.0, 0.0
@@ -395,7 +437,5 @@ class Navigator:
             State (x, y, psi, u, v, r), a view.
         """
         z = np.ascontiguousarray(z, dtype=np.float64)
-        navigate(
-            self.n, self.P, dt, z, self._model, self._settings, self.status, self._work
-        )
+        navigate(self.n, self.P, dt, z, self._model, self._settings, self.status, self._work)
         return self.n[:6]

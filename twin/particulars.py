@@ -19,7 +19,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["Instruments", "Particulars", "STEERING"]
+__all__ = ["STEERING", "Instruments", "Particulars"]
 
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
@@ -48,8 +48,9 @@ class Instruments:
 
     Parameters
     ----------
-    gps_sd : float
-        Position, m.
+    gps_sd, gps_bias_sd : float
+        Position, m: what changes from fix to fix, and what drifts over minutes. No filter
+        takes the second away, so it is added to every standard deviation of a position.
     doppler_sd : float
         Velocity over ground, m/s.
     compass_sd : float
@@ -63,7 +64,8 @@ class Instruments:
         Age of a fix when it arrives, s.
     """
 
-    gps_sd: float = 1.0
+    gps_sd: float = 0.4
+    gps_bias_sd: float = 1.0
     doppler_sd: float = 0.08
     compass_sd: float = 0.012
     gyro_sd: float = 0.002

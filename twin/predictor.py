@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ __all__ = [
     "hold_velocity",
 ]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 CHANNELS = ("x_m", "y_m", "psi_rad", "u_mps", "v_mps", "r_radps")
 """Columns of a state: north, east, heading, speed forward, to starboard, yaw rate."""
@@ -125,6 +126,17 @@ class Predictor(ABC):
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
         self.seed = seed
+
+    def with_gps_bias(self, cov: Array) -> Array:
+        """Return covariances (..., 6, 6) with the drifting part of the GPS error added.
+
+        It is the same at every time of a prediction, and no filter can tell it from the
+        position.
+        """
+        cov = cov.copy()
+        for i in (0, 1):
+            cov[..., i, i] += self.particulars.instruments.gps_bias_sd**2
+        return cov
 
     @abstractmethod
     def reset(self) -> None:
@@ -285,11 +297,9 @@ class HistoryPredictor(Predictor):
 
     def estimate(self) -> Estimate:
         """Return what is believed now."""
-        n, P = self.navigator.n, self.navigator.P
-        empty = np.zeros(0)
-        return Estimate(
-            self.t, n[:6].copy(), np.sqrt(np.diag(P)[:6]), empty, empty, self.navigator.ready
-        )
+        sd = np.sqrt(np.diag(self.with_gps_bias(self.navigator.P[:6, :6])))
+        none = np.zeros(0)
+        return Estimate(self.t, self.s.copy(), sd, none, none, self.navigator.ready)
 
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`Predictor.predict`."""
@@ -305,11 +315,9 @@ class HistoryPredictor(Predictor):
         path = np.concatenate([start[None], np.nan_to_num(path)])
         mean = np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
         errors = self._own_errors()
-        grow = np.stack(
-            [np.interp(after, GRID * np.arange(1, len(errors) + 1), errors[:, j]) for j in range(6)],
-            axis=1,
-        )
-        start_cov = self.navigator.P[:6, :6].copy()
+        known = GRID * np.arange(1, len(errors) + 1)
+        grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
+        start_cov = self.with_gps_bias(self.navigator.P[:6, :6])
         cov = np.repeat(start_cov[None], len(plan), axis=0)
         cov[:, range(6), range(6)] += grow**2
         return Prediction(self.t, start, start_cov, self.t + after, mean, cov)
@@ -347,9 +355,7 @@ class Persistence(HistoryPredictor):
         sums = np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, 3:6], axis=0)])
         first = np.maximum(origins + 1 - width, 0)
         velocity = (sums[origins + 1] - sums[first]) / (origins + 1 - first)[:, None]
-        return hold_velocity(
-            rows[origins, :6], velocity, GRID * np.arange(1, plans.shape[1] + 1)
-        )
+        return hold_velocity(rows[origins, :6], velocity, GRID * np.arange(1, plans.shape[1] + 1))
 
 
 class SmoothedPersistence(Persistence):

@@ -58,7 +58,8 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particul
         steer_lag=v["steer_lag"],
         steer_rate=v["steer_rate"],
         instruments=Instruments(
-            gps_sd=max(math.hypot(suite.gps_white, suite.gps_bias), 0.02),
+            gps_sd=max(suite.gps_white, 0.02),
+            gps_bias_sd=suite.gps_bias,
             # room for what the latency makes of a wavy motion
             doppler_sd=math.hypot(suite.doppler_white, 0.06),
             compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),

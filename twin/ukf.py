@@ -29,12 +29,13 @@ Their first n = n_s + n_xi columns count.
 
 P is kept exactly symmetric, and neither x nor P ever becomes NaN or infinite:
 
-- Where rounding has left P without a Cholesky factor, its correlations are shrunk by 1e-10,
-  then 1e-8 and so on, until the factor exists (at 1, P is diagonal, so that it ends);
-- a prediction that overflows is dropped: x stays and P grows by Q;
-- an entry of z that is not finite counts as missing.
+- Where rounding has left P without a Cholesky factor, its correlations are dropped;
+- where a prediction overflows, x stays, and P loses its correlations and grows by Q;
+- an entry of z that is not finite counts as missing, and none is believed beyond 1e-10 of the
+  variance that it meets.
 
-Each of the first two is counted in what the functions return.
+The first two are counted in what the functions return. They tell of a filter that followed an
+absurd measurement for want of a gate, or that predicted for too long without any.
 
 Source: Qu et al. 2025, Eq (28)-(34) with the corrections of Wan and van der Merwe (2000);
 physics.md section 7, performance.md "The structured UKF".
@@ -74,8 +75,11 @@ SPREAD, MEAN_0, COVARIANCE_0, OTHERS = 0, 1, 2, 3
 _PIVOT_MIN = 1e-14
 """Below this part of a variance, what a difference leaves of it is rounding."""
 
-_OVERFLOW = 1e30
-"""No state is as large as this; the model's cube of it, squared, is still a number."""
+_NOISE_MIN = 1e-10
+"""A measurement is not believed beyond this part of the variance that it meets."""
+
+_OVERFLOW = 1e12
+"""No state in SI units is as large as this, nor its variance as its square."""
 
 
 def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Array:
@@ -179,7 +183,10 @@ def _add_product(target, left, right, size, start, stop, first, last, sign):  # 
 
 @kernel
 def _factorise(P, root, factors, n_s):  # type: ignore[no-untyped-def]
-    """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist."""
+    """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist.
+
+    They do not either where a parameter would be left a negative variance, given the states.
+    """
     n = P.shape[0]
     for j in range(n_s):
         pivot = P[j, j]
@@ -194,27 +201,28 @@ def _factorise(P, root, factors, n_s):  # type: ignore[no-untyped-def]
         for k in range(j, n):
             root[j, k] = scale * P[j, k]
         _add_rows(root, j, j, n, factors, 0, root, 0, j)
-    return True
+    for k in range(n_s, n):
+        factors[0, k] = P[k, k]
+    for j in range(n_s):
+        for k in range(n_s, n):
+            factors[0, k] -= root[j, k] * root[j, k]
+    left = True
+    for k in range(n_s, n):
+        left = left and factors[0, k] > _PIVOT_MIN * P[k, k]
+    return left
 
 
 @kernel
-def _repair(P, shrink):  # type: ignore[no-untyped-def]
-    """Make P symmetric, its variances positive and its correlations (1 - shrink) of possible."""
+def _decorrelate(P):  # type: ignore[no-untyped-def]
+    """Keep of P its variances only, as far as they are some."""
     n = P.shape[0]
     for i in range(n):
-        if not (P[i, i] > 0.0 and P[i, i] < _OVERFLOW**2):
-            P[i, i] = 1.0 if P[i, i] > 0.0 else _PIVOT_MIN
-            for k in range(n):
-                if k != i:
-                    P[i, k] = 0.0
-                    P[k, i] = 0.0
-    for i in range(n):
-        for k in range(i):
-            most = math.sqrt(P[i, i]) * math.sqrt(P[k, k])
-            value = 0.5 * (P[i, k] + P[k, i])
-            value = min(max(value, -most), most) if math.isfinite(value) else 0.0
-            P[i, k] = (1.0 - shrink) * value
-            P[k, i] = P[i, k]
+        for k in range(n):
+            if k != i:
+                P[i, k] = 0.0
+        if not P[i, i] > _PIVOT_MIN:  # NaN as well
+            P[i, i] = _PIVOT_MIN
+        P[i, i] = min(P[i, i], _OVERFLOW)
 
 
 @kernel
@@ -226,7 +234,7 @@ def sigma_points(x, P, weights, work):  # type: ignore[no-untyped-def]
     x : (n,) array
         Mean, states first.
     P : (n, n) array
-        Covariance; changed only where it has no Cholesky factor (see the head of this file).
+        Covariance; changed only where it has no Cholesky factor, see the head of this file.
     weights : (4,) array
         From :func:`scaled_weights`.
     work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
@@ -244,11 +252,10 @@ def sigma_points(x, P, weights, work):  # type: ignore[no-untyped-def]
     points = work[POINTS]
     root = work[ROOT]
     repairs = 0
-    shrink = 1e-10
-    while not _factorise(P, root, work[SCRATCH], n_s):
-        _repair(P, shrink)
-        repairs += 1
-        shrink = min(100.0 * shrink, 1.0)
+    if not _factorise(P, root, work[SCRATCH], n_s):
+        _decorrelate(P)
+        _factorise(P, root, work[SCRATCH], n_s)
+        repairs = 1
     distance = math.sqrt(weights[SPREAD])
     for k in range(n):
         points[0, k] = x[k]
@@ -262,8 +269,9 @@ def sigma_points(x, P, weights, work):  # type: ignore[no-untyped-def]
 
 @kernel
 def _hold(P, Q_s, q_xi):  # type: ignore[no-untyped-def]
-    """Add the process noise while the states stand still; return 1, to be counted."""
+    """Let the states stand still, uncorrelated, under process noise; return 1, to be counted."""
     n_s = Q_s.shape[0]
+    _decorrelate(P)
     for i in range(n_s):
         for k in range(n_s):
             P[i, k] += Q_s[i, k]
@@ -417,7 +425,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):  # type: ignore[no-
     for i in range(n_s):
         if not (mask[i] and abs(z[i]) < _OVERFLOW):
             continue
-        pivot = P[i, i] + R[i, i]
+        pivot = P[i, i] + max(R[i, i], _NOISE_MIN * P[i, i])
         floor = _PIVOT_MIN * pivot
         for j in range(m):
             pivot -= rows[j, S + i] * rows[j, S + i]

@@ -44,7 +44,7 @@ TWIN_OBSERVATION = (
 
 
 @kernel
-def _spread(cov, c, s, length, speed, out, at):  # type: ignore[no-untyped-def]
+def _spread(cov, c, s, length, speed, out, at):
     """Write the six standard deviations of a state, position turned into the body frame."""
     a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
     out[at] = math.sqrt(max(c * c * a + 2.0 * c * s * b + s * s * d, 0.0)) / length
@@ -56,7 +56,7 @@ def _spread(cov, c, s, length, speed, out, at):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _describe(s, ahead, cov_now, cov_ahead, speed, points, legs, reach, errors, first, obs):  # type: ignore[no-untyped-def]
+def _describe(s, ahead, cov_now, cov_ahead, speed, points, legs, reach, errors, first, obs):
     """Write the twin's part of the observation, from entry ``first`` on."""
     psi = s[2]
     c, d = math.cos(psi), math.sin(psi)
@@ -178,9 +178,7 @@ class TwinObservation(
         self._renew_at = 0.0
         return self._augment(obs, info), info
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail one step, and let the twin see it."""
         obs, reward, terminated, truncated, info = self.env.step(action)
         return self._augment(obs, info), float(reward), terminated, truncated, info
@@ -278,4 +276,3 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     if path is not None:
         log.write(path)
     return log
-

@@ -287,9 +287,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.history.clear()
         return self._observation(), self._info()
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail for one control step; see :meth:`gymnasium.Env.step`.
 
         Parameters

@@ -64,9 +64,7 @@ MANOEUVRES: dict[
 """Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
 
 
-def commands(
-    name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Generator
-) -> np.ndarray:
+def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Generator) -> np.ndarray:
     """Return the commands of a manoeuvre.
 
     Parameters

@@ -106,9 +106,7 @@ class SeaState:
         components = self._waves(vessel, rng_waves, steady[ship.DRIFT :])
         return Sea(waves=components, gusts=self._gusts(rng_gusts), steady=steady)
 
-    def _waves(
-        self, vessel: Vessel, rng: np.random.Generator, drift: np.ndarray
-    ) -> np.ndarray:
+    def _waves(self, vessel: Vessel, rng: np.random.Generator, drift: np.ndarray) -> np.ndarray:
         if self.hs == 0.0:
             return np.zeros((waves.WAVE_ROWS, 0))
         M = self.components

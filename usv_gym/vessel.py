@@ -262,9 +262,9 @@ class Vessel:
                 "must not be negative"
             )
         v = self.values
-        displaced = (
-            v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
-        ) * v["water_density"]
+        displaced = (v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]) * v[
+            "water_density"
+        ]
         if not 0.8 < displaced / v["mass"] < 1.25:
             raise VesselError(
                 f"[particulars] mass: {v['mass']:g} kg, but block coefficient, length, beam and "

@@ -23,7 +23,7 @@ import platformdirs
 
 __version__ = "0.1.0"
 
-__all__ = ["SUM_MATH", "cached", "actuate", "cache_directory", "kernel", "sources_digest", "wrap"]
+__all__ = ["SUM_MATH", "actuate", "cache_directory", "cached", "kernel", "sources_digest", "wrap"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -82,7 +82,6 @@ _CACHE = cache_directory()
 def cached() -> bool:
     """Return whether kernels of today's sources have been compiled before."""
     return _CACHE is not None and next(_CACHE.rglob("*.nbi"), None) is not None
-
 
 
 def kernel(function: F | None = None, *, fastmath: frozenset[str] = frozenset()) -> Any:

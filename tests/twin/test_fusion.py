@@ -116,7 +116,7 @@ def test_first_update_of_the_gps_filter_by_hand() -> None:
     # One axis, constant acceleration, no process noise to speak of: the position variance
     # after a second fix one second later is that of two equal measurements of the position,
     # one of them carried on with a known velocity.
-    sensors = Instruments(gps_sd=2.0, doppler_sd=1e-6)
+    sensors = Instruments(gps_sd=2.0, gps_bias_sd=0.0, doppler_sd=1e-6)
     fusion = LateFusion(sensors, LENGTH, jerk=1e-6)
     z = np.full(9, math.nan)
     z[:5] = 0.0, 0.0, 3.0, 0.0, 0.0
@@ -130,7 +130,7 @@ def test_first_update_of_the_gps_filter_by_hand() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_feedback_decides_how_good_velocities_are(seed: int) -> None:
     # twin.md 5.2: u, v rms .16-.25 m/s with feedback, .5-1 m/s without, GPS without Doppler.
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(seed), 1000, instruments)
     z[:, DOPPLER] = math.nan
     with_it = rms(run(LateFusion(instruments, LENGTH), z), s, 500)
@@ -142,7 +142,7 @@ def test_feedback_decides_how_good_velocities_are(seed: int) -> None:
 
 
 def test_accuracy_with_doppler() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(4), 1000, instruments)
     error = rms(run(LateFusion(instruments, LENGTH), z), s, 500)
     assert (error[:2] < 0.7).all()
@@ -152,7 +152,7 @@ def test_accuracy_with_doppler() -> None:
 
 
 def test_without_feedback_the_imu_weight_goes_to_zero() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     _, z = measured(np.random.default_rng(0), 1000, instruments)
     weights = []
     for feedback in (True, False):
@@ -164,7 +164,7 @@ def test_without_feedback_the_imu_weight_goes_to_zero() -> None:
 
 
 def test_heading_is_unwrapped() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(1), 1000, instruments)
     out = run(LateFusion(instruments, LENGTH), z)
     assert s[-1, 2] > 2.0 * math.pi
@@ -173,7 +173,7 @@ def test_heading_is_unwrapped() -> None:
 
 def test_latency_is_not_compensated() -> None:
     # as published: the position lags by about speed times latency
-    instruments = Instruments(gps_sd=0.01, gps_latency=0.5)
+    instruments = Instruments(gps_sd=0.01, gps_bias_sd=0.0, gps_latency=0.5)
     s, z = measured(np.random.default_rng(2), 400, instruments)
     out = run(LateFusion(instruments, LENGTH), z)
     lag = np.hypot(*(out - s)[200:, :2].T).mean()
@@ -181,7 +181,7 @@ def test_latency_is_not_compensated() -> None:
 
 
 def test_before_the_first_fix() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(0), 200, instruments)
     z[:100, GPS] = math.nan
     z[:50, COMPASS] = math.nan
@@ -200,7 +200,7 @@ def test_before_the_first_fix() -> None:
 
 
 def test_a_fix_without_compass_is_not_ready() -> None:
-    fusion = LateFusion(Instruments(), LENGTH)
+    fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
     z = np.full(9, math.nan)
     z[:4] = 5.0, 6.0, 1.0, 2.0
     np.testing.assert_allclose(fusion.update(DT, z), [5.0, 6.0, 0.0, 1.0, 2.0, 0.0])
@@ -212,7 +212,7 @@ def test_a_fix_without_compass_is_not_ready() -> None:
 
 
 def test_reset_is_a_fresh_start() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     _, z = measured(np.random.default_rng(0), 100, instruments)
     fusion = LateFusion(instruments, LENGTH)
     first = run(fusion, z)
@@ -222,7 +222,7 @@ def test_reset_is_a_fresh_start() -> None:
 
 
 def test_gps_loss_of_a_minute() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(3), 2400, instruments)
     lost, back = 600, 1800
     z[lost:back, GPS] = math.nan
@@ -247,7 +247,7 @@ def test_gps_loss_of_a_minute() -> None:
 
 
 def test_loss_of_all_sensors_for_five_minutes() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     n = 600 + 6000 + 600
     s, z = measured(np.random.default_rng(6), n, instruments)
     lost, back = 600, 6600
@@ -267,7 +267,7 @@ def test_loss_of_all_sensors_for_five_minutes() -> None:
 
 
 def test_missing_imu_leaves_gps_and_compass() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(7), 1000, instruments)
     z[:, GYRO] = math.nan
     z[:, ACCEL] = math.nan
@@ -278,7 +278,7 @@ def test_missing_imu_leaves_gps_and_compass() -> None:
 
 
 def test_missing_compass_is_bridged_by_the_gyro() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(8), 1000, instruments)
     z[400:, COMPASS] = math.nan
     out = run(LateFusion(instruments, LENGTH), z)
@@ -291,7 +291,7 @@ def test_missing_compass_is_bridged_by_the_gyro() -> None:
 
 @pytest.mark.parametrize("every", [4, 20])
 def test_slow_gps(every: int) -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(9), 1000, instruments)
     z[np.arange(len(z)) % every != 0, GPS] = math.nan
     error = rms(run(LateFusion(instruments, LENGTH), z), s, 500)
@@ -300,7 +300,7 @@ def test_slow_gps(every: int) -> None:
 
 
 def test_irregular_steps() -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     rng = np.random.default_rng(10)
     fine = 0.01
     s, z = measured(rng, 8000, instruments, fine)
@@ -315,8 +315,8 @@ def test_irregular_steps() -> None:
 
 
 def test_matrices_are_kept_while_dt_stays() -> None:
-    fusion = LateFusion(Instruments(), LENGTH)
-    _, z = measured(np.random.default_rng(0), 5, Instruments())
+    fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
+    _, z = measured(np.random.default_rng(0), 5, Instruments(gps_sd=1.0, gps_bias_sd=0.0))
     fusion.update(DT, z[0])
     fusion.update(DT, z[1])
     kept = fusion._gps_Q
@@ -328,7 +328,7 @@ def test_matrices_are_kept_while_dt_stays() -> None:
 
 @pytest.mark.parametrize("length", [1.0, 7.5, 300.0])
 def test_two_hours_of_loss_leave_sound_covariances(length: float) -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     _, z = measured(np.random.default_rng(0), 40, instruments)
     fusion = LateFusion(instruments, length)
     run(fusion, z)
@@ -348,7 +348,7 @@ def test_two_hours_of_loss_leave_sound_covariances(length: float) -> None:
 def test_rare_fixes_do_not_make_the_filter_run_away(dt: float, feedback: bool) -> None:
     # A boat at rest. A cap that kept correlations would blow up here.
     rng = np.random.default_rng(0)
-    fusion = LateFusion(Instruments(), LENGTH, feedback=feedback)
+    fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH, feedback=feedback)
     for doppler in (0.0, math.nan):
         row = np.array([0.0, 0.0, doppler, doppler, 1.0, 0.0, 0.0, 0.0, math.nan])
         for i in range(100):
@@ -362,7 +362,7 @@ def test_rare_fixes_do_not_make_the_filter_run_away(dt: float, feedback: bool) -
 
 def test_covariance_is_that_of_the_body_velocities() -> None:
     # against the spread of draws from the earth-fixed estimate
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     _, z = measured(np.random.default_rng(0), 900, instruments)
     fusion = LateFusion(instruments, LENGTH)
     run(fusion, z)
@@ -377,7 +377,7 @@ def test_covariance_is_that_of_the_body_velocities() -> None:
 
 
 def test_refuses_what_it_cannot_use() -> None:
-    fusion = LateFusion(Instruments(), LENGTH)
+    fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
     z = np.zeros(9)
     for dt in (-0.1, math.nan, math.inf):
         with pytest.raises(ValueError, match="dt"):
@@ -392,7 +392,7 @@ def test_refuses_what_it_cannot_use() -> None:
     ]
     for bad in unusable:
         with pytest.raises(ValueError, match=next(iter(bad))):
-            LateFusion(**{"instruments": Instruments(), "length": LENGTH, **bad})
+            LateFusion(**{"instruments": Instruments(gps_sd=1.0, gps_bias_sd=0.0), "length": LENGTH, **bad})
 
 
 @settings(max_examples=40, deadline=None)
@@ -412,7 +412,7 @@ def test_refuses_what_it_cannot_use() -> None:
 def test_any_pattern_of_missing_samples(
     patterns: list[tuple[int, int, float]], seed: int, feedback: bool
 ) -> None:
-    instruments = Instruments()
+    instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     _, z = measured(np.random.default_rng(seed), 150, instruments)
     fusion = LateFusion(instruments, LENGTH, feedback=feedback)
     i = 0

@@ -88,7 +88,7 @@ def test_values_that_no_instrument_has(name: str) -> None:
         Instruments(**{name: -1.0})
     with pytest.raises(ParticularsError, match=f"^{name} = nan is not a finite number"):
         Instruments(**{name: math.nan})
-    if name in ("gyro_bias_sd", "gps_latency"):
+    if name in ("gps_bias_sd", "gyro_bias_sd", "gps_latency"):
         assert getattr(Instruments(**{name: 0.0}), name) == 0.0
     else:
         with pytest.raises(ParticularsError, match=f"^{name} = 0.0 must be above 0"):

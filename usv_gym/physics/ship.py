@@ -85,9 +85,7 @@ def derivative(
         X_still, Y_still, N_still = wind_loads(state[fr.U], state[fr.V], psi, 0.0, 0.0, p)
         X, Y, N = X + X_air - X_still, Y + Y_air - Y_still, N + N_air - N_still
     if waves.shape[1] > 0:
-        X_wave, Y_wave, N_wave = first_order_loads(
-            state[fr.X], state[fr.Y], psi, t, waves, factors
-        )
+        X_wave, Y_wave, N_wave = first_order_loads(state[fr.X], state[fr.Y], psi, t, waves, factors)
         X_drift, Y_drift, N_drift = mean_drift_loads(psi, steady[DRIFT:])
         X, Y, N = X + X_wave + X_drift, Y + Y_wave + Y_drift, N + N_wave + N_drift
 

@@ -25,9 +25,7 @@ def npd_spectrum(f: np.ndarray, wind: float, height: float = 10.0) -> np.ndarray
     """
     n = 0.468
     x = 172.0 * f * (height / 10.0) ** (2 / 3) * (wind / 10.0) ** (-0.75)
-    return (
-        320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45 / (1.0 + x**n) ** (5.0 / (3.0 * n))
-    )
+    return 320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45 / (1.0 + x**n) ** (5.0 / (3.0 * n))
 
 
 @kernel(fastmath=SUM_MATH)

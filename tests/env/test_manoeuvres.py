@@ -1,0 +1,75 @@
+"""Manoeuvres: contract of every one, and the shape of the named ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from usv_gym.manoeuvres import ANGLE, APPROACH, LEG, MANOEUVRES, SWITCH, ManoeuvreError, commands
+
+T = 0.05 * np.arange(4000)
+N = 20.4
+
+
+def given(name: str, seed: int = 0) -> np.ndarray:
+    return commands(name, T, N, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", MANOEUVRES)
+def test_contract(name: str) -> None:
+    cmd = given(name)
+    assert cmd.shape == (len(T), 4)
+    assert np.all(np.isfinite(cmd))
+    assert np.all((cmd[:, :2] > 0.0) & (cmd[:, :2] <= N))
+    assert np.max(np.abs(cmd[:, 2:])) <= math.radians(30.0)
+    # both units together; straight ahead during the approach
+    np.testing.assert_array_equal(cmd[:, 0], cmd[:, 1])
+    np.testing.assert_array_equal(cmd[:, 2], cmd[:, 3])
+    assert np.all(cmd[T < APPROACH] == [N, N, 0.0, 0.0])
+    np.testing.assert_array_equal(cmd, given(name))
+
+
+@pytest.mark.parametrize("name", MANOEUVRES)
+def test_a_longer_run_begins_like_a_shorter_one(name: str) -> None:
+    short = commands(name, T[:700], N, np.random.default_rng(0))
+    np.testing.assert_array_equal(short, given(name)[:700])
+
+
+def test_turn_and_straight() -> None:
+    assert np.all(given("straight")[:, 2] == 0.0)
+    assert np.all(given("turn")[T >= APPROACH, 2] == math.radians(20.0))
+
+
+def test_zigzag_has_equal_legs_to_either_side() -> None:
+    """The paper: the same duration either way."""
+    angle = given("zigzag")[:, 2]
+    for leg in range(5):
+        since = T - (APPROACH + leg * LEG)
+        inside = (since > 0.01) & (since < LEG - 0.01)
+        assert np.all(angle[inside] == (ANGLE if leg % 2 == 0 else -ANGLE))
+
+
+def test_turn_zigzag_turns_and_then_zigzags() -> None:
+    angle = given("turn-zigzag")[:, 2]
+    np.testing.assert_array_equal(angle[T < SWITCH], given("turn")[T < SWITCH, 2])
+    assert np.all(angle[(T > SWITCH) & (T < SWITCH + LEG - 0.01)] == -ANGLE)
+    later = (T > SWITCH + LEG + 0.01) & (T < SWITCH + 2 * LEG - 0.01)
+    assert np.all(angle[later] == ANGLE)
+
+
+def test_random_holds_each_step_for_3_to_10_seconds() -> None:
+    cmd = given("random")
+    changes = T[1:][np.any(np.diff(cmd, axis=0) != 0.0, axis=1)]
+    assert changes[0] == pytest.approx(APPROACH, abs=0.06)
+    held = np.diff(changes)
+    # sampled at 20 Hz
+    assert np.all((held > 2.94) & (held < 10.06))
+    assert len(held) > 20
+    assert not np.array_equal(cmd, given("random", seed=1))
+
+
+def test_unknown_names_list_those_there_are() -> None:
+    with pytest.raises(ManoeuvreError, match="'loop'; known: straight, turn, zigzag"):
+        given("loop")

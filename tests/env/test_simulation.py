@@ -1,0 +1,179 @@
+"""The simulation: many boats are one boat many times; each randomness stands alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from usv_gym import Fault, SeaState, SensorSuite, Vessel
+from usv_gym.physics import frames as fr
+from usv_gym.sensors import COMPASS, GPS, IMU
+from usv_gym.simulation import NOISE_BLOCK, Simulation, SimulationError
+
+BOAT = Vessel.load("usv75")
+SEA = SeaState.named("2").replace(current=0.4, current_to=1.0)
+STEPS = NOISE_BLOCK + 100  # past a new block of noise
+CMD = np.random.default_rng(9).uniform([5, 5, -0.4, -0.4], [25, 25, 0.4, 0.4], (STEPS, 4))
+
+
+def gps_loss(rng: np.random.Generator) -> Sequence[Fault]:
+    return (Fault("gps", rng.uniform(2.0, 8.0), 3.0),)
+
+
+def run(seed: int = 3, steps: int = STEPS, **kwargs: object) -> tuple[np.ndarray, np.ndarray]:
+    """Return the true states and measurements of one boat."""
+    sim = Simulation(1, BOAT, kwargs.pop("sea", SEA), **kwargs)  # type: ignore[arg-type]
+    sim.reset([0], [np.random.default_rng(seed)])
+    states, z = [sim.state[0].copy()], [sim.z[0].copy()]
+    for k in range(steps):
+        sim.step(CMD[k][None])
+        states.append(sim.state[0].copy())
+        z.append(sim.z[0].copy())
+    return np.array(states), np.array(z)
+
+
+def test_each_of_many_boats_is_a_boat_alone() -> None:
+    """Bit for bit: the physics is written once."""
+    many = Simulation(3, BOAT, SEA, faults=gps_loss)
+    many.reset([0, 1, 2], [np.random.default_rng(seed) for seed in (7, 8, 9)])
+    alone = [Simulation(1, BOAT, SEA, faults=gps_loss) for _ in range(3)]
+    for sim, seed in zip(alone, (7, 8, 9), strict=True):
+        sim.reset([0], [np.random.default_rng(seed)])
+    for k in range(STEPS):
+        cmd = np.stack([CMD[k], CMD[-k - 1], 0.5 * CMD[k]])
+        many.step(cmd)
+        if k == 300:  # one boat starts over, and the others do not feel it
+            many.reset([1], [np.random.default_rng(20)])
+            alone[1].reset([0], [np.random.default_rng(20)])
+        for i, sim in enumerate(alone):
+            if not (k == 300 and i == 1):
+                sim.step(cmd[i : i + 1])
+            np.testing.assert_array_equal(many.state[i], sim.state[0])
+            np.testing.assert_array_equal(many.z[i], sim.z[0])
+            assert many.t[i] == sim.t[0]
+    assert not np.array_equal(many.state[0], many.state[2])
+
+
+def test_a_seed_is_a_run() -> None:
+    states, z = run()
+    again, z_again = run()
+    np.testing.assert_array_equal(states, again)
+    np.testing.assert_array_equal(z, z_again)
+    other, z_other = run(seed=4)
+    assert np.all(states[1:, fr.X] != other[1:, fr.X])
+    assert np.all(z[5:, 5] != z_other[5:, 5])
+
+
+def test_a_reset_boat_remembers_nothing() -> None:
+    sim = Simulation(1, BOAT, SEA, faults=gps_loss)
+    runs = []
+    for _ in range(2):
+        sim.reset([0], [np.random.default_rng(3)])
+        for k in range(STEPS):
+            sim.step(CMD[k][None])
+        runs.append((sim.state.copy(), sim.z.copy(), sim.t.copy(), sim.cmd.copy()))
+    for one, two in zip(*runs, strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_sensors_do_not_move_the_boat() -> None:
+    states, _ = run()
+    perfect, _ = run(suite=SensorSuite.perfect())
+    np.testing.assert_array_equal(states, perfect)
+    faulty, _ = run(faults=gps_loss)
+    np.testing.assert_array_equal(states, faulty)
+
+
+@pytest.mark.parametrize(
+    ("quiet", "changed"),
+    [
+        ({"gps_white": 0.0, "gps_bias": 0.0, "doppler_white": 0.0}, GPS),
+        ({"compass_white": 0.0, "compass_bias": 0.0}, COMPASS),
+        ({"gyro_white": 0.0, "accel_white": 0.0, "gyro_bias": 0.0, "accel_bias": 0.0}, IMU),
+    ],
+)
+def test_one_sensor_does_not_touch_the_noise_of_another(
+    quiet: dict[str, float], changed: slice
+) -> None:
+    _, z = run()
+    _, z_quiet = run(suite=dataclasses.replace(SensorSuite(), **quiet))  # type: ignore[arg-type]
+    same = np.ones(z.shape[1], dtype=bool)
+    same[changed] = False
+    np.testing.assert_array_equal(z[:, same], z_quiet[:, same])
+    assert np.all(z[5:, changed] != z_quiet[5:, changed])
+
+
+def test_a_loss_only_takes_samples_away() -> None:
+    _, z = run()
+    _, lossy = run(faults=gps_loss)
+    kept = np.isfinite(lossy)
+    np.testing.assert_array_equal(z[kept], lossy[kept])
+    gone = np.isfinite(z) & ~kept
+    assert gone[:, GPS].sum() == 4 * 60  # 3 s at 20 Hz
+    assert not gone[:, COMPASS].any()
+    assert not gone[:, IMU].any()
+
+
+def test_gusts_do_not_touch_the_waves() -> None:
+    with_gusts, without = (
+        Simulation(1, BOAT, dataclasses.replace(SEA, gusty=gusty)) for gusty in (True, False)
+    )
+    for sim in (with_gusts, without):
+        sim.reset([0], [np.random.default_rng(3)])
+    np.testing.assert_array_equal(with_gusts.waves, without.waves)
+    np.testing.assert_array_equal(with_gusts.z, without.z)
+    assert with_gusts.gusts.shape[2] > 0 == without.gusts.shape[2]
+
+
+def test_no_global_randomness() -> None:
+    np.random.seed(1)  # noqa: NPY002 - that it changes nothing is the point
+    one, _ = run(steps=20)
+    np.random.seed(2)  # noqa: NPY002
+    two, _ = run(steps=20)
+    np.testing.assert_array_equal(one, two)
+
+
+def test_it_starts_straight_ahead_at_its_speed() -> None:
+    states, _ = run(sea=SeaState(), steps=0)
+    n = BOAT.values["shaft_speed_manoeuvring"]
+    expected = np.zeros(fr.STATE_SIZE)
+    expected[fr.U] = BOAT.straight_speed(n)
+    expected[fr.N_LEFT : fr.N_RIGHT + 1] = n
+    np.testing.assert_array_equal(states[0], expected)
+
+
+def test_finer_physics_under_the_same_control_step() -> None:
+    coarse, _ = run(sea=SeaState(), steps=100)
+    fine, _ = run(sea=SeaState(), steps=100, dt_physics=0.01)
+    # calm water, 5 s with a new random command each step: RK4's error where it is not smooth
+    np.testing.assert_allclose(fine, coarse, atol=5e-3)
+    assert np.any(fine != coarse)
+
+
+def test_time_is_a_whole_multiple_of_the_step() -> None:
+    sim = Simulation(1, BOAT, SeaState())
+    sim.reset([0], [np.random.default_rng(0)])
+    for k in range(1, 2401):
+        sim.step(CMD[:1])
+        assert sim.t[0] == k * 0.05
+
+
+@pytest.mark.parametrize(
+    ("dt", "dt_physics"), [(0.05, 0.03), (0.05, 0.1), (0.05, 0.0), (0.0, 0.05), (-0.05, 0.05)]
+)
+def test_steps_that_do_not_fit(dt: float, dt_physics: float) -> None:
+    with pytest.raises(SimulationError, match="whole multiple of dt_physics") as caught:
+        Simulation(1, BOAT, SeaState(), dt=dt, dt_physics=dt_physics)
+    assert f"dt = {dt} s" in str(caught.value)
+
+
+@pytest.mark.parametrize("dt", [math.nan, math.inf])
+def test_steps_that_are_no_numbers(dt: float) -> None:
+    with pytest.raises(SimulationError, match="whole multiple of dt_physics"):
+        Simulation(1, BOAT, SeaState(), dt=dt)
+    with pytest.raises(SimulationError, match="whole multiple of dt_physics"):
+        Simulation(1, BOAT, SeaState(), dt_physics=dt)

@@ -1,0 +1,210 @@
+"""Wind: Blendermann's coefficients and loads, gusts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from usv_gym import SeaState, Vessel
+from usv_gym.physics import frames as fr
+from usv_gym.physics import parameters as par
+from usv_gym.physics import ship, wind
+
+BOAT = Vessel.load("usv75")
+P = BOAT.packed.copy()
+CALM = np.zeros((6, 0))
+NO_FACTORS = np.zeros((3, 0))
+
+angles = st.floats(-math.pi, math.pi)
+
+
+def apparent(gamma_deg: float, speed: float = 10.0) -> np.ndarray:
+    """Return the loads of apparent wind off the bow, above 0 from port, on a boat at rest."""
+    to = math.radians(gamma_deg) + math.pi  # blowing away from where it comes
+    # from port: the air moves to starboard, which is east of a boat heading north
+    return np.array(wind.wind_loads(0.0, 0.0, 0.0, speed * math.cos(to), -speed * math.sin(to), P))
+
+
+def test_the_boat_is_the_one_of_the_golden_rows() -> None:
+    v = BOAT.values
+    assert (v["A_F"], v["A_L"], v["length_overall"], v["s_L"]) == (4.0, 9.0, 7.5, -0.3)
+
+
+# physics.md section 11, "Blendermann speed boat", to 1e-4
+
+
+def test_head_wind() -> None:
+    X, Y, N = apparent(0.0)
+    assert pytest.approx(-134.64, rel=1e-4) == X
+    assert abs(Y) < 1e-10
+    assert abs(N) < 1e-10
+
+
+def test_coefficients_at_30_degrees() -> None:
+    C_X, C_Y, C_N = wind.coefficients(math.radians(30.0), P)
+    assert pytest.approx(-0.56968, rel=1e-4) == C_X
+    assert pytest.approx(0.53821, rel=1e-4) == C_Y
+    assert pytest.approx(0.07992, rel=1e-4) == C_N
+
+
+def test_coefficients_abeam() -> None:
+    C_X, C_Y, C_N = wind.coefficients(0.5 * math.pi, P)
+    assert abs(C_X) < 1e-15
+    assert pytest.approx(0.9, rel=1e-4) == C_Y
+    assert pytest.approx(-0.0360, rel=1e-4) == C_N
+
+
+@pytest.mark.parametrize(
+    ("gamma", "want"),
+    [
+        (30.0, (-139.46, 296.44, 330.15)),
+        (90.0, (0.0, 495.72, -148.72)),
+        (135.0, (131.65, 444.33, -604.42)),
+    ],
+)
+def test_golden_loads(gamma: float, want: tuple[float, ...]) -> None:
+    # half a unit of the last printed figure is within the 1e-4 of physics.md section 11
+    np.testing.assert_allclose(apparent(gamma), want, rtol=1e-4, atol=1e-10)
+
+
+@given(gamma=angles)
+@settings(max_examples=200, deadline=None)
+def test_port_mirrors_starboard(gamma: float) -> None:
+    C_X, C_Y, C_N = wind.coefficients(gamma, P)
+    mirrored = wind.coefficients(-gamma, P)
+    # the same expressions on either side: equal to the bit
+    assert mirrored == (C_X, -C_Y, -C_N)
+
+
+@given(u=st.floats(-20, 20), v=st.floats(-5, 5), psi=angles, speed=st.floats(0, 30), to=angles)
+@settings(max_examples=200, deadline=None)
+def test_loads_hang_on_the_air_seen_from_the_boat(
+    u: float, v: float, psi: float, speed: float, to: float
+) -> None:
+    """Turning boat and wind together, or adding one velocity to both, changes nothing."""
+    north, east = speed * math.cos(to), speed * math.sin(to)
+    loads = wind.wind_loads(u, v, psi, north, east, P)
+    turned = wind.wind_loads(u, v, 0.0, *fr.to_body(north, east, psi), P)
+    # at the seam astern, rounding may choose the other side of the mirror: compare sizes
+    scale = 0.5 * 1.224 * ((abs(u) + abs(v) + speed) ** 2) * 9.0 * 7.5
+    for a, b in zip(loads, turned, strict=True):
+        assert abs(a) == pytest.approx(abs(b), abs=1e-12 * scale + 1e-12)
+    ahead, side = fr.to_body(north, east, psi)
+    at_rest = wind.wind_loads(0.0, 0.0, 0.0, ahead - u, side - v, P)
+    for a, b in zip(loads, at_rest, strict=True):
+        assert abs(a) == pytest.approx(abs(b), abs=1e-12 * scale + 1e-12)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 90.0, -90.0, 180.0])
+def test_loads_are_continuous_at_the_branches(gamma: float) -> None:
+    eps = 1e-7
+    left, at, right = (apparent(gamma + d) for d in (-eps, 0.0, eps))
+    # slopes are below 1e3 N(m) per degree
+    np.testing.assert_allclose(left, at, atol=2e3 * eps)
+    np.testing.assert_allclose(right, at, atol=2e3 * eps)
+
+
+def test_signs() -> None:
+    """Wind from port pushes to starboard; from astern ahead; C_N needs Eq 13's mirror."""
+    assert apparent(60.0)[1] > 0.0
+    assert apparent(-60.0)[1] < 0.0
+    assert apparent(180.0)[0] > 0.0
+    assert apparent(30.0)[2] == pytest.approx(-apparent(-30.0)[2])
+
+
+def test_quadratic_in_speed() -> None:
+    np.testing.assert_allclose(apparent(50.0, 12.0), 9.0 * apparent(50.0, 4.0), rtol=1e-12)
+
+
+# ---------------------------------------------------------------- zero wind
+
+
+@given(
+    u=st.floats(-10, 20),
+    v=st.floats(-3, 3),
+    r=st.floats(-0.5, 0.5),
+    psi=angles,
+    n=st.floats(-10, 40),
+    delta=st.floats(-0.5, 0.5),
+)
+@settings(max_examples=100, deadline=None)
+def test_no_wind_no_load(u: float, v: float, r: float, psi: float, n: float, delta: float) -> None:
+    """Without wind, the wind areas do not enter the ship at all, to the bit."""
+    state = np.zeros(fr.STATE_SIZE)
+    state[[fr.PSI, fr.U, fr.V, fr.R]] = psi, u, v, r
+    state[fr.N_LEFT :] = n, n, delta, -delta
+    cmd, steady = state[fr.N_LEFT :].copy(), np.zeros(ship.STEADY_SIZE)
+    bare = P.copy()
+    bare[[par.A_F, par.A_L]] *= 0.5
+    north, east = ship.air_velocity(3.0, np.zeros((3, 0)), steady)
+    assert (north, east) == (0.0, 0.0)
+    out, out_bare = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
+    for p, o in ((P, out), (bare, out_bare)):
+        ship.derivative(state, cmd, p, CALM, NO_FACTORS, steady, north, east, 3.0, o)
+    np.testing.assert_array_equal(out, out_bare)
+
+
+def test_wind_load_vanishes_with_the_wind() -> None:
+    """The ship feels wind less still air, so that a breath of wind makes no jump."""
+    state = np.zeros(fr.STATE_SIZE)
+    state[[fr.U, fr.V]] = 10.0, 0.5
+    cmd, steady = np.zeros(4), np.zeros(ship.STEADY_SIZE)
+    calm, breath = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
+    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 0.0, 0.0, 0.0, calm)
+    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 1e-8, 1e-8, 0.0, breath)
+    # 1e-8 m/s on 10 m/s: loads of 5e-7 N on 3.4 t
+    np.testing.assert_allclose(breath, calm, atol=1e-8)
+    assert np.any(breath != calm)
+
+
+# ---------------------------------------------------------------- gusts
+
+
+def test_npd_standard_deviation() -> None:
+    # .871 m/s at U10 = 10 m/s, 1/600 to .5 Hz: physics.md section 11, 1 %
+    f = np.geomspace(1 / 600, 0.5, 20_001)
+    sigma = math.sqrt(np.trapezoid(wind.npd_spectrum(f, 10.0), f))
+    assert sigma == pytest.approx(0.871, rel=0.01)
+    # .28 m/s at 4.5 m/s: physics.md 4.3, two figures
+    assert math.sqrt(np.trapezoid(wind.npd_spectrum(f, 4.5), f)) == pytest.approx(0.28, abs=0.005)
+
+
+def test_realised_gusts_have_that_standard_deviation() -> None:
+    variances = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        gusts = SeaState(wind=10.0).realise(BOAT, rng, rng).gusts
+        variances.append(0.5 * np.sum(gusts[2] ** 2))
+        assert np.all((gusts[0] >= 2 * math.pi / 600) & (gusts[0] <= math.pi))
+    # a random frequency in each of 32 bins: 2 % in the mean of 20
+    assert math.sqrt(np.mean(variances)) == pytest.approx(0.871, rel=0.02)
+
+
+@given(t=st.floats(0.0, 4000.0))
+@settings(max_examples=50, deadline=None)
+def test_gust_is_the_plain_sum(t: float) -> None:
+    rng = np.random.default_rng(1)
+    gusts = SeaState(wind=8.0).realise(BOAT, rng, rng).gusts
+    # rounding of phases up to 1e4 rad
+    assert wind.gust(t, gusts) == pytest.approx(
+        np.sum(gusts[2] * np.cos(gusts[0] * t + gusts[1])), abs=1e-10
+    )
+
+
+def test_air_comes_from_where_it_is_said_to() -> None:
+    steady = np.zeros(ship.STEADY_SIZE)
+    steady[ship.WIND_SPEED], steady[ship.WIND_FROM] = 4.0, math.radians(135.0)  # south-east
+    north, east = ship.air_velocity(0.0, np.zeros((3, 0)), steady)
+    assert north == pytest.approx(4.0 * math.sqrt(0.5))  # blows to the north-west
+    assert east == pytest.approx(-4.0 * math.sqrt(0.5))
+
+
+def test_a_gust_cannot_turn_the_wind_round() -> None:
+    steady = np.zeros(ship.STEADY_SIZE)
+    steady[ship.WIND_SPEED] = 1.0
+    lull = np.array([[0.1], [math.pi], [5.0]])  # minus 5 m/s at t = 0
+    assert ship.air_velocity(0.0, lull, steady) == (0.0, 0.0)
