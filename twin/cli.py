@@ -560,14 +560,16 @@ def _print_benchmark(results: dict[str, Any]) -> None:
     heads = {
         "mae": "MAE",
         "mse": "MSE",
-        "normalised": "normalised",
+        "normalised": "norm.",
         "skill": "skill",
-        "start_error": "start m",
-        "coverage90": "in band",
+        "start_error": "start",
+        "coverage90": "band",
     }
     for (scenario, fault, plan), block in cells.items():
         loss = "no loss" if fault == "none" else f"loss {fault}"
-        table = Table(title=f"{scenario}, {loss}, plan {plan}", box=SIMPLE_HEAD, padding=(0, 1))
+        table = Table(
+            title=f"{scenario}, {loss}, plan {plan}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+        )
         table.add_column("predictor", no_wrap=True)
         for head in heads.values():
             table.add_column(head, justify="right", no_wrap=True)
@@ -582,9 +584,9 @@ def _print_benchmark(results: dict[str, Any]) -> None:
         console.print(table)
     console.print(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
-        "2, 5 and 10 s, units mixed. normalised: error over the true change. skill: 1 - error / "
-        "error of raw persistence. start: distance of the believed from the true position when "
-        "a prediction is made. in band: share of errors inside the 90 % bands. Below a value: "
+        "2, 5 and 10 s, units mixed. norm.: error over the true change. skill: 1 - error / "
+        "error of raw persistence. start (m): distance of the believed from the true position when "
+        "a prediction is made. band: share of errors inside the 90 % bands. Below a value: "
         "its 95 % interval over seeds.",
         style="dim",
         markup=False,
@@ -595,10 +597,18 @@ def _print_benchmark(results: dict[str, Any]) -> None:
 def _cell(item: dict[str, Any] | None, *, interval: bool) -> str:
     if item is None:
         return "-"
-    text = f"{item['value']:.3g}"
+    text = _short(item["value"], 3)
     if interval and item["low"] is not None:
-        text += f"\n{item['low']:.2g}..{item['high']:.2g}"
+        text += f"\n{_short(item['low'], 2)}..{_short(item['high'], 2)}"
     return text
+
+
+def _short(value: float, digits: int) -> str:
+    """Return a number with so many decimals below 10, and fewer above."""
+    for bound, fewer in ((10.0, 0), (100.0, 1)):
+        if abs(value) < bound:
+            return f"{value:.{digits - fewer}f}"
+    return f"{value:.0f}"
 
 
 def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:

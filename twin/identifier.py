@@ -279,6 +279,30 @@ def _bands(x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, e
                 out[j, i, k] = P[i, k]
 
 
+@kernel
+def _roll(plan, dt, x, act, lags, n_unit, envelope, differential, phi, scaled, out, acts):
+    """Roll the model under a plan whose shaft speeds are in the unit of the particulars."""
+    for row in range(plan.shape[0]):
+        for k in range(2):
+            scaled[row, k], scaled[row, 2 + k] = n_unit * plan[row, k], plan[row, 2 + k]
+    roll_out(
+        x[:N_STATES],
+        x[N_STATES:],
+        act,
+        scaled,
+        dt,
+        lags[0],
+        lags[1],
+        lags[2],
+        envelope[0],
+        envelope[2],
+        differential,
+        out,
+        acts,
+        phi,
+    )
+
+
 class JointUKF:
     """State and 25 parameters of the twin's model in the structured UKF.
 
@@ -309,6 +333,7 @@ class JointUKF:
         self.qx = np.zeros(N_XI)
         self.R = np.zeros((N_STATES, N_STATES))
         self._phi = np.zeros((3, N_XI))
+        self._scaled = np.empty((0, 4))
         self.reset()
 
     def reset(self) -> None:
@@ -316,6 +341,15 @@ class JointUKF:
         self.x = np.concatenate([np.zeros(N_STATES), self.settings.xi0])
         self.P = np.diag(np.concatenate([self.settings.p0, self.settings.xi0_var]))
         self.act = np.zeros(4)
+        self._model = (
+            self.x,
+            self.act,
+            self.lags,
+            self.settings.n_unit,
+            self.envelope,
+            self.differential,
+            self._phi,
+        )
 
     @property
     def xi(self) -> Array:
@@ -332,22 +366,11 @@ class JointUKF:
         dt : float
             Time between rows, s.
         """
-        out, acts = np.empty((len(plan), N_STATES)), np.empty((len(plan), 4))
-        scaled = plan * np.array([self.settings.n_unit, self.settings.n_unit, 1.0, 1.0])
-        roll_out(
-            self.x[:N_STATES],
-            self.x[N_STATES:],
-            self.act,
-            scaled,
-            dt,
-            *self.lags,
-            self.envelope[0],
-            self.envelope[2],
-            self.differential,
-            out,
-            acts,
-            self._phi,
-        )
+        K = len(plan)
+        out, acts = np.empty((K, N_STATES)), np.empty((K, 4))
+        if len(self._scaled) != K:
+            self._scaled = np.empty((K, 4))
+        _roll(plan, dt, *self._model, self._scaled, out, acts)
         return out, acts
 
     def bands(self, acts: Array, dt: float) -> Array:

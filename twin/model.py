@@ -88,7 +88,10 @@ LIMITS = np.array(
 )
 """Columns of the joint vector (s, xi) that each row's acceleration depends on (for twin.ukf)."""
 
-STEP_MAX = 0.1
+ARRIVED = 1e-12
+"""Part of its target within which an actuator counts as there."""
+
+STEP_MAX = 0.25
 """Longest integration step of :func:`roll_out`, s."""
 
 PAPER_TABLE_2 = np.concatenate(
@@ -153,7 +156,7 @@ PAPER_TABLE_3 = np.concatenate(
 
 
 @kernel
-def hull_regressors(u, v, r, phi):  # type: ignore[no-untyped-def]
+def hull_regressors(u, v, r, phi):
     """Write the 19 regressors that depend on the velocities.
 
     Parameters
@@ -188,7 +191,7 @@ def hull_regressors(u, v, r, phi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def thrust_regressors(act, differential, phi):  # type: ignore[no-untyped-def]
+def thrust_regressors(act, differential, phi):
     """Write the 6 regressors that depend on the actuators.
 
     Parameters
@@ -213,7 +216,7 @@ def thrust_regressors(act, differential, phi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def regressors(u, v, r, act, differential, phi):  # type: ignore[no-untyped-def]
+def regressors(u, v, r, act, differential, phi):
     """Write all 25 regressors, so that each acceleration is its block of phi times that of xi.
 
     Parameters
@@ -234,7 +237,7 @@ def regressors(u, v, r, act, differential, phi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def accelerations(phi, xi, first):  # type: ignore[no-untyped-def]
+def accelerations(phi, xi, first):
     """Return the three accelerations from regressors and parameters.
 
     Parameters
@@ -266,7 +269,7 @@ def accelerations(phi, xi, first):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def derivative(s, xi, act, differential, phi, out):  # type: ignore[no-untyped-def]
+def derivative(s, xi, act, differential, phi, out):
     """Write the time derivative of the state.
 
     Parameters
@@ -296,7 +299,7 @@ def derivative(s, xi, act, differential, phi, out):  # type: ignore[no-untyped-d
 
 
 @kernel
-def step(s, xi, act, differential, h, phi, out):  # type: ignore[no-untyped-def]
+def step(s, xi, act, differential, h, phi, out):
     """Write the state one Euler step later.
 
     Parameters
@@ -316,7 +319,7 @@ def step(s, xi, act, differential, h, phi, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def propagate_points(act, differential, h, work):  # type: ignore[no-untyped-def]
+def propagate_points(act, differential, h, work):
     """Send the sigma points of twin.ukf through :func:`step`, and write the model's slope.
 
     Parameters
@@ -364,7 +367,7 @@ def propagate_points(act, differential, h, work):  # type: ignore[no-untyped-def
 
 
 @kernel
-def joint_predict(x, P, act, differential, h, Q_s, q_xi, weights, work):  # type: ignore[no-untyped-def]
+def joint_predict(x, P, act, differential, h, Q_s, q_xi, weights, work):
     """Predict state and parameters over one step with the structured UKF.
 
     Parameters
@@ -401,7 +404,7 @@ def joint_predict(x, P, act, differential, h, Q_s, q_xi, weights, work):  # type
 
 
 @kernel
-def follow(value, target, lag, rate, h):  # type: ignore[no-untyped-def]
+def follow(value, target, lag, rate, h):
     """Return where a lagged, rate-limited actuator is after a time h, exactly.
 
     It solves ``usv_kernel.actuate`` for a constant target: straight at full rate, then an
@@ -424,8 +427,8 @@ def follow(value, target, lag, rate, h):  # type: ignore[no-untyped-def]
         Later value, in the same unit.
     """
     gap = target - value
-    if gap == 0.0:
-        return value
+    if abs(gap) <= ARRIVED * abs(target):
+        return target
     reach = rate * lag  # Within this gap the lag, not the rate, sets the speed.
     if abs(gap) > reach:
         straight = (abs(gap) - reach) / rate
@@ -437,7 +440,7 @@ def follow(value, target, lag, rate, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _follow_all(act, command, shaft_lag, steer_lag, steer_rate, h):  # type: ignore[no-untyped-def]
+def _follow_all(act, command, shaft_lag, steer_lag, steer_rate, h):
     """Advance the four actuators by h in place."""
     for k in range(2):
         act[k] = follow(act[k], command[k], shaft_lag, math.inf, h)
@@ -445,17 +448,14 @@ def _follow_all(act, command, shaft_lag, steer_lag, steer_rate, h):  # type: ign
 
 
 @kernel
-def _rates(psi, u, v, r, xi, phi):  # type: ignore[no-untyped-def]
-    """Return the derivatives of x, y, u, v, r; phi holds the thrust regressors already."""
+def _rates(u, v, r, xi, phi):
+    """Return the derivatives of u, v, r; phi holds the thrust regressors already."""
     hull_regressors(u, v, r, phi)
-    du, dv, dr = accelerations(phi, xi, 0)
-    cos_psi = math.cos(psi)
-    sin_psi = math.sin(psi)
-    return u * cos_psi - v * sin_psi, u * sin_psi + v * cos_psi, du, dv, dr
+    return accelerations(phi, xi, 0)
 
 
 @kernel
-def _bounded(value, bound):  # type: ignore[no-untyped-def]
+def _bounded(value, bound):
     """Return the value within -bound ... bound; -bound for NaN."""
     if value >= bound:
         return bound
@@ -463,7 +463,7 @@ def _bounded(value, bound):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def roll_out(  # type: ignore[no-untyped-def]
+def roll_out(
     s_0,
     xi,
     act_0,
@@ -517,6 +517,8 @@ def roll_out(  # type: ignore[no-untyped-def]
     u = _bounded(s_0[3], speed_max)
     v = _bounded(s_0[4], speed_max)
     r = _bounded(s_0[5], turn_max)
+    vx = u * math.cos(psi) - v * math.sin(psi)
+    vy = u * math.sin(psi) + v * math.cos(psi)
     steps = max(math.ceil(dt_plan / STEP_MAX - 1e-9), 1)
     h = dt_plan / steps
     start, end = 0, 2
@@ -530,25 +532,36 @@ def roll_out(  # type: ignore[no-untyped-def]
             thrust_regressors(act, differential, phi[1])
             _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h)
             thrust_regressors(act, differential, phi[end])
-            dx_1, dy_1, du_1, dv_1, dr_1 = _rates(psi, u, v, r, xi, phi[start])
+            du_1, dv_1, dr_1 = _rates(u, v, r, xi, phi[start])
             u_2 = _bounded(u + 0.5 * h * du_1, speed_max)
             v_2 = _bounded(v + 0.5 * h * dv_1, speed_max)
             r_2 = _bounded(r + 0.5 * h * dr_1, turn_max)
-            dx_2, dy_2, du_2, dv_2, dr_2 = _rates(psi + 0.5 * h * r, u_2, v_2, r_2, xi, phi[1])
+            du_2, dv_2, dr_2 = _rates(u_2, v_2, r_2, xi, phi[1])
             u_3 = _bounded(u + 0.5 * h * du_2, speed_max)
             v_3 = _bounded(v + 0.5 * h * dv_2, speed_max)
             r_3 = _bounded(r + 0.5 * h * dr_2, turn_max)
-            dx_3, dy_3, du_3, dv_3, dr_3 = _rates(psi + 0.5 * h * r_2, u_3, v_3, r_3, xi, phi[1])
+            du_3, dv_3, dr_3 = _rates(u_3, v_3, r_3, xi, phi[1])
             u_4 = _bounded(u + h * du_3, speed_max)
             v_4 = _bounded(v + h * dv_3, speed_max)
             r_4 = _bounded(r + h * dr_3, turn_max)
-            dx_4, dy_4, du_4, dv_4, dr_4 = _rates(psi + h * r_3, u_4, v_4, r_4, xi, phi[end])
-            x += h / 6.0 * (dx_1 + 2.0 * (dx_2 + dx_3) + dx_4)
-            y += h / 6.0 * (dy_1 + 2.0 * (dy_2 + dy_3) + dy_4)
-            psi += h / 6.0 * (r + 2.0 * (r_2 + r_3) + r_4)
+            du_4, dv_4, dr_4 = _rates(u_4, v_4, r_4, xi, phi[end])
+            u_1, v_1, r_1 = u, v, r
             u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), speed_max)
             v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), speed_max)
             r = _bounded(r + h / 6.0 * (dr_1 + 2.0 * (dr_2 + dr_3) + dr_4), turn_max)
+            # heading and place follow the velocities by Simpson's rule, with two sines a step;
+            # the velocities in the middle are those of a cubic through both ends
+            u_m = _bounded(0.5 * (u_1 + u) + 0.125 * h * (du_1 - du_4), speed_max)
+            v_m = _bounded(0.5 * (v_1 + v) + 0.125 * h * (dv_1 - dv_4), speed_max)
+            r_m = _bounded(0.5 * (r_1 + r) + 0.125 * h * (dr_1 - dr_4), turn_max)
+            psi_m = psi + h / 24.0 * (5.0 * r_1 + 8.0 * r_m - r)
+            psi += h / 6.0 * (r_1 + 4.0 * r_m + r)
+            cos_m, sin_m = math.cos(psi_m), math.sin(psi_m)
+            vx_1, vy_1 = vx, vy
+            cos_psi, sin_psi = math.cos(psi), math.sin(psi)
+            vx, vy = u * cos_psi - v * sin_psi, u * sin_psi + v * cos_psi
+            x += h / 6.0 * (vx_1 + 4.0 * (u_m * cos_m - v_m * sin_m) + vx)
+            y += h / 6.0 * (vy_1 + 4.0 * (u_m * sin_m + v_m * cos_m) + vy)
             start, end = end, start
         out[row, 0], out[row, 1], out[row, 2] = x, y, psi
         out[row, 3], out[row, 4], out[row, 5] = u, v, r

@@ -101,6 +101,10 @@ class Twin:
             raise TwinError(f"t = {t} must be finite and later than the row before ({self.t})")
         if not math.isfinite(cmd.sum()):
             raise TwinError(f"cmd = {cmd} holds NaN or infinity; hand in the last command")
+        self.feed(t, z, cmd)
+
+    def feed(self, t: float, z: Array, cmd: Array) -> None:
+        """Take one row that is known to be sound: :meth:`step` without its checks."""
         self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
         self.t, self.cmd = t, cmd
 

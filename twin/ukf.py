@@ -125,7 +125,7 @@ def workspace(n_s: int, n_xi: int) -> Array:
 
 
 @kernel
-def _add_rows(target, i, start, stop, factors, row, rows, first, last):  # type: ignore[no-untyped-def]
+def _add_rows(target, i, start, stop, factors, row, rows, first, last):
     """Add factors[row, j] * rows[j] for j = first ... last - 1 to target[i], start to stop.
 
     Several rows at a time save loads and stores; the order of the sum is that of j.
@@ -151,7 +151,7 @@ def _add_rows(target, i, start, stop, factors, row, rows, first, last):  # type:
 
 
 @kernel
-def _add_product(target, left, right, size, start, stop, first, last, sign):  # type: ignore[no-untyped-def]
+def _add_product(target, left, right, size, start, stop, first, last, sign):
     """Add sign * left' right, summed over their rows first to last, to the target.
 
     Its rows are the first ``size`` columns of left, its columns are start to stop of right.
@@ -182,7 +182,7 @@ def _add_product(target, left, right, size, start, stop, first, last, sign):  # 
 
 
 @kernel
-def _factorise(P, root, factors, n_s):  # type: ignore[no-untyped-def]
+def _factorise(P, root, factors, n_s):
     """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist.
 
     They do not either where a parameter would be left a negative variance, given the states.
@@ -213,7 +213,7 @@ def _factorise(P, root, factors, n_s):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _decorrelate(P):  # type: ignore[no-untyped-def]
+def _decorrelate(P):
     """Keep of P its variances only, as far as they are some."""
     n = P.shape[0]
     for i in range(n):
@@ -226,7 +226,7 @@ def _decorrelate(P):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def sigma_points(x, P, weights, work):  # type: ignore[no-untyped-def]
+def sigma_points(x, P, weights, work):
     """Write the sigma points that move a state to ``work[POINTS]``.
 
     Parameters
@@ -268,7 +268,7 @@ def sigma_points(x, P, weights, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _hold(P, Q_s, q_xi):  # type: ignore[no-untyped-def]
+def _hold(P, Q_s, q_xi):
     """Let the states stand still, uncorrelated, under process noise; return 1, to be counted."""
     n_s = Q_s.shape[0]
     _decorrelate(P)
@@ -281,7 +281,7 @@ def _hold(P, Q_s, q_xi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def time_update(x, P, Q_s, q_xi, limits, weights, work):  # type: ignore[no-untyped-def]
+def time_update(x, P, Q_s, q_xi, limits, weights, work):
     """Turn the propagated sigma points into the predicted mean and covariance.
 
     Parameters
@@ -381,7 +381,7 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):  # type: ignore[no-unty
 
 
 @kernel
-def measurement_update(x, P, z, mask, R, angle, gate, work):  # type: ignore[no-untyped-def]
+def measurement_update(x, P, z, mask, R, angle, gate, work):
     """Correct mean and covariance by a measurement of the states, as far as there is one.
 
     Parameters

@@ -56,11 +56,11 @@ def _spread(cov, c, s, length, speed, out, at):
 
 
 @kernel
-def _describe(s, ahead, cov_now, cov_ahead, speed, points, legs, reach, errors, first, obs):
-    """Write the twin's part of the observation, from entry ``first`` on."""
+def _describe(s, ahead, cov_now, cov_ahead, speed, points, legs, reach, errors, first, truth, obs):
+    """Write the twin's part of the observation; return how far its position is off."""
     psi = s[2]
     c, d = math.cos(psi), math.sin(psi)
-    legs[0] = follow(s[0], s[1], psi, points, legs[0], reach, errors)
+    legs[0] = follow(s[0], s[1], psi, points[0], legs[0], reach, errors)
     o = obs[first:]
     o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
     o[5], o[6] = errors[0] / CROSS_TRACK_SCALE, errors[1] / TO_GO_SCALE
@@ -79,6 +79,7 @@ def _describe(s, ahead, cov_now, cov_ahead, speed, points, legs, reach, errors, 
         at += 13
     for j in range(o.shape[0]):
         o[j] = min(max(o[j], -BOUND), BOUND)
+    return math.hypot(s[0] - truth[0, 0], s[1] - truth[0, 1])
 
 
 class TwinObservation(
@@ -188,7 +189,7 @@ class TwinObservation(
         t = sim.t.item(0)
         cmd = sim.cmd[0]
         self._row[: sim.z.shape[1]] = sim.z[0]
-        self.twin.step(t, self._row, cmd)
+        self.twin.feed(t, self._row, cmd)
         self._plan[:] = cmd
         if t >= self._renew_at:
             prediction = predictor.predict(self._plan, PLAN_STEP)
@@ -201,21 +202,19 @@ class TwinObservation(
         out = np.empty(self._first + len(TWIN_OBSERVATION), np.float32)
         out[: self._first] = obs
         s = predictor.s
-        _describe(
+        info["twin_position_error_m"] = _describe(
             s,
             ahead,
             self._cov_now,
             self._cov_ahead,
             self._base.speed,
-            task.points[0],
+            task.points,
             self._legs,
             task.reach,
             self._errors,
             self._first,
+            sim.state,
             out,
-        )
-        info["twin_position_error_m"] = math.hypot(
-            s.item(0) - sim.state.item(0), s.item(1) - sim.state.item(1)
         )
         return out
 

@@ -308,7 +308,8 @@ def test_roll_out_equals_an_accurate_integration(steering: str, dt: float) -> No
         state = solve_ivp(move, (0.0, dt), state, rtol=1e-7, atol=1e-8).y[:, -1]
         expected[k] = state
     out, out_act = roll_out(xi, np.ascontiguousarray(plan), dt, differential=differential)
-    np.testing.assert_allclose(out, expected[:, :6], atol=1e-4)
+    # 0.5 s is cut into the longest steps there are, 0.25 s
+    np.testing.assert_allclose(out, expected[:, :6], atol=1e-4 if dt < 0.25 else 5e-4)
     np.testing.assert_allclose(out_act, expected[:, 6:], atol=1e-5)
 
 
