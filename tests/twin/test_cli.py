@@ -1,0 +1,278 @@
+"""The command line as a user meets it: results, files, and what it says of bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym
+from twin import Log, Twin, recorded_runs
+from twin.cli import _expand, _seeds
+from twin.model import PARAMETER_NAMES
+from twin.predictor import CHANNELS
+from twin.simulated import particulars_of
+from twin.wrapper import log_of
+from usv_gym import Vessel
+
+
+def run(*arguments: str, cwd=None, check: int | None = 0) -> subprocess.CompletedProcess[str]:
+    result = subprocess.run(
+        [sys.executable, "-m", "twin.cli", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=300,
+    )
+    assert "Traceback" not in result.stderr + result.stdout
+    if check is not None:
+        assert result.returncode == check, result.stderr + result.stdout
+    return result
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cli")
+    run(
+        *("simulate", "zigzag", "--duration", "40", "--seed", "3", "--faults", "gps5"),
+        *("--fault-start", "20", "--out", str(path / "run.csv")),
+    )
+    return path
+
+
+def test_simulate_writes_log_particulars_and_picture(folder):
+    log = Log.read(folder / "run.csv")
+    assert len(log) == 801
+    assert log.truth is not None
+    lost = (log.t >= 20.0) & (log.t < 25.0)
+    assert np.isnan(log.z[lost, 0]).all()
+    assert np.isfinite(log.z[log.t > 25.0, 0]).all()
+    assert (folder / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert "[particulars]" in (folder / "run.toml").read_text()
+
+
+def test_identify_equals_the_twin_in_python(folder):
+    out = run(
+        *("identify", str(folder / "run.csv"), "--json", str(folder / "last.json")),
+        *("--out", str(folder / "all.csv")),
+    )
+    assert "X_uu" in out.stdout
+    log = Log.read(folder / "run.csv").without_truth()
+    twin = Twin(particulars_of(Vessel.load("usv75")))
+    twin.run(log)
+    estimate = twin.estimate()
+    last = json.loads((folder / "last.json").read_text())
+    assert list(last["state"].values()) == estimate.s.tolist()
+    assert [last["parameters"][name] for name in PARAMETER_NAMES] == estimate.xi.tolist()
+    with (folder / "all.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(log)
+    assert [float(rows[-1][name]) for name in CHANNELS] == estimate.s.tolist()
+
+
+def test_wrapper_equals_identify_on_the_log_of_the_same_run(tmp_path):
+    env = gym.make(
+        "USVTwin-v0", record=True, faults=[usv_gym.Fault("gps", 5.0, 4.0)], disable_env_checker=True
+    )
+    env.reset(seed=11)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        env.step(rng.uniform(-0.2, 1.0, 2).astype(np.float32))
+    believed = env.get_wrapper_attr("twin").estimate()
+    log_of(env, tmp_path / "episode.csv")
+    run("identify", str(tmp_path / "episode.csv"), "--json", str(tmp_path / "e.json"))
+    last = json.loads((tmp_path / "e.json").read_text())
+    assert list(last["state"].values()) == believed.s.tolist()
+    assert list(last["parameters"].values()) == believed.xi.tolist()
+    assert list(last["parameters_sd"].values()) == believed.xi_sd.tolist()
+
+
+def test_predict_prints_bands_and_writes_them(folder):
+    out = run(
+        *("predict", str(folder / "run.csv"), "--plan", "known", "--at", "25"),
+        *("--out", str(folder / "prediction.csv")),
+    )
+    assert "+-" in out.stdout
+    with (folder / "prediction.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["t_s"]) == pytest.approx(35.0)
+    log = Log.read(folder / "run.csv")
+    k = int(np.searchsorted(log.t, 35.0 - 1e-9))
+    miss = np.hypot(
+        float(rows[-1]["x_m"]) - log.truth[k, 0], float(rows[-1]["y_m"]) - log.truth[k, 1]
+    )
+    assert miss < 8.0
+    plan = folder / "plan.csv"
+    plan.write_text(
+        "t_s,n_left_rps,n_right_rps,delta_left_rad,delta_right_rad\n0,20,20,0,0\n5,20,20,.3,.3\n"
+    )
+    run("predict", str(folder / "run.csv"), "--plan", str(plan))
+
+
+def test_predict_on_the_recorded_run():
+    out = run("predict", str(recorded_runs()["boat1_usv_circle"]), "--at", "100")
+    assert "boat1 USV" in out.stdout
+
+
+def write(path, text):
+    path.write_text(text)
+    return str(path)
+
+
+HEADER = "t_s,n_left_rps,n_right_rps,delta_left_rad,delta_right_rad,gps_x_m,gps_y_m,compass_rad\n"
+ROWS = "".join(f"{k / 10},5,5,0,0,{k * 0.1},{k * 0.2},{0.1 + 0.001 * k}\n" for k in range(50))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (HEADER.replace("compass_rad", "magnet") + ROWS, ["compass_rad"]),
+        (HEADER + ROWS + "1.0,5,5,0,0,1,1,1\n", ["line 52", "t_s"]),
+        (HEADER + ROWS.replace("0.3,5,5", "0.3,5,five"), ["five", "n_right_rps"]),
+        (
+            HEADER + "".join(f"{k / 10},5,5,0,0,{k},{k},0.5\n" for k in range(50)),
+            ["compass_rad", "empty"],
+        ),
+        ("", ["empty"]),
+        (HEADER, ["no row"]),
+    ],
+)
+def test_broken_logs(tmp_path, text, words):
+    path = write(tmp_path / "bad.csv", text)
+    result = run("identify", path, check=2)
+    assert result.stderr.startswith("error: ")
+    assert "bad.csv" in result.stderr
+    for word in words:
+        assert word in result.stderr, result.stderr
+
+
+def test_gaps_and_empty_cells_are_reported(tmp_path):
+    rows = ROWS.splitlines()
+    rows[10] = rows[10].replace(",1.0,2.0,", ",,nan,")
+    del rows[20:40]
+    path = write(tmp_path / "gappy.csv", HEADER + "\n".join(rows) + "\n")
+    result = run("identify", path)
+    assert "gps_x_m: 1 of 30 cells empty" in result.stdout
+    assert "gap" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("mass = {", "weight = {"), ["weight", "unknown key"]),
+        (('unit = "kg", source = "Qu', 'source = "Qu'), ["mass", "unit"]),
+        (("value = 3420.0", "value = -3420.0"), ["mass", "above 0"]),
+        (("[particulars]", "[particulars"), ["not valid TOML"]),
+    ],
+)
+def test_broken_vessels(tmp_path, change, words):
+    from importlib import resources
+
+    text = (resources.files("usv_gym") / "vessels" / "usv75.toml").read_text()
+    assert change[0] in text
+    path = write(tmp_path / "boat.toml", text.replace(*change, 1))
+    result = run("simulate", "--vessel", path, "--duration", "1", check=2, cwd=tmp_path)
+    assert "boat.toml" in result.stderr
+    for word in words:
+        assert word in result.stderr, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulate", "loop"], ["loop", "zigzag"]),
+        (["simulate", "--sea", "9"], ["9", "calm"]),
+        (["simulate", "--hs", "-1"], ["hs = -1"]),
+        (["simulate", "--faults", "radar10"], ["radar", "gps"]),
+        (["simulate", "--vessel", "boat.toml"], ["boat.toml", "cannot be read"]),
+        (["identify", "none.csv"], ["none.csv"]),
+        (["benchmark", "--predictors", "magic"], ["magic", "dsw-ukf"]),
+        (["benchmark", "--seeds", "5:5"], ["--seeds"]),
+        (["benchmark", "--log", "none.csv"], ["none.csv", "no such file"]),
+    ],
+)
+def test_wrong_words(tmp_path, arguments, words):
+    result = run(*arguments, check=2, cwd=tmp_path)
+    for word in words:
+        assert word in result.stderr, result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_benchmark_end_to_end(tmp_path):
+    arguments = [
+        *("benchmark", "--scenarios", "zigzag", "--faults", "gps5", "--seeds", "0:2"),
+        *("--predictors", "persistence,ukf", "--out", "out", "--jobs", "1"),
+    ]
+    out = run(*arguments, cwd=tmp_path)
+    assert "ukf" in out.stdout
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert {"version", "command", "rows", "summary"} <= set(results)
+    assert {row["scenario"] for row in results["rows"]} == {"zigzag", "boat1_usv_circle"}
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    log = tmp_path / "out" / "logs" / "zigzag_gps5_0.csv"
+    run("identify", str(log), "--until", "20")
+    scored = run(
+        *("benchmark", "--log", str(log), str(log.with_name("zigzag_gps5_1.csv"))),
+        *("--predictors", "persistence,ukf", "--faults", "none", "--out", "again"),
+        cwd=tmp_path,
+    )
+    assert "zigzag_gps5_1" in scored.stdout
+    broken = tmp_path / "broken.csv"
+    broken.write_text("t_s\n1\n")
+    mixed = run(
+        *("benchmark", "--log", str(broken), str(log), "--predictors", "persistence"),
+        *("--faults", "none", "--out", "mixed"),
+        cwd=tmp_path,
+        check=2,
+    )
+    assert "broken.csv" in mixed.stderr
+    rows = json.loads((tmp_path / "mixed" / "results.json").read_text())["rows"]
+    assert {row["scenario"] for row in rows} == {"zigzag_gps5_0"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are POSIX")
+def test_ctrl_c_keeps_what_is_finished(tmp_path):
+    arguments = [
+        *(sys.executable, "-m", "twin.cli", "benchmark", "--scenarios", "turn,zigzag"),
+        *("--seeds", "0:20", "--predictors", "persistence,ukf", "--jobs", "1", "--out", "out"),
+    ]
+    process = subprocess.Popen(
+        arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 200
+    while len(list((tmp_path / "out").glob("runs/*.json"))) < 5 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "goes on from there" in error
+    assert "Traceback" not in error
+    kept = len(list((tmp_path / "out").glob("runs/*.json")))
+    assert kept >= 5
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
+
+
+def test_seeds():
+    assert _seeds("2:5") == (2, 3, 4)
+    assert _seeds(":2") == (0, 1)
+    assert _seeds("7,3,7") == (7, 3)
+
+
+def test_several_files_after_one_option():
+    words = ["benchmark", "--log", "a", "b", "--jobs", "2", "--log", "c"]
+    assert _expand(words) == [
+        *("benchmark", "--log", "a", "--log", "b", "--jobs", "2", "--log", "c")
+    ]
+
+
+@pytest.mark.parametrize("command", ["simulate", "identify", "predict", "benchmark"])
+def test_help(command):
+    assert "Usage" in run(command, "--help").stdout
