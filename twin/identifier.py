@@ -61,7 +61,7 @@ STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
-BAND_STEP = 0.2
+BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
@@ -280,7 +280,7 @@ def _bands(x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, e
 
 
 @kernel
-def _roll(plan, dt, x, act, lags, n_unit, envelope, differential, phi, scaled, out, acts):
+def _roll(plan, dt, x, act, lags, n_unit, envelope, differential, turned, scaled, out, acts):
     """Roll the model under a plan whose shaft speeds are in the unit of the particulars."""
     for row in range(plan.shape[0]):
         for k in range(2):
@@ -299,7 +299,7 @@ def _roll(plan, dt, x, act, lags, n_unit, envelope, differential, phi, scaled, o
         differential,
         out,
         acts,
-        phi,
+        turned,
     )
 
 
@@ -332,7 +332,7 @@ class JointUKF:
         self.Q = np.zeros((N_STATES, N_STATES))
         self.qx = np.zeros(N_XI)
         self.R = np.zeros((N_STATES, N_STATES))
-        self._phi = np.zeros((3, N_XI))
+        self._turned = np.zeros(4)
         self._scaled = np.empty((0, 4))
         self.reset()
 
@@ -348,7 +348,7 @@ class JointUKF:
             self.settings.n_unit,
             self.envelope,
             self.differential,
-            self._phi,
+            self._turned,
         )
 
     @property

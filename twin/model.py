@@ -47,6 +47,7 @@ __all__ = [
     "follow",
     "hand_prior",
     "hull_regressors",
+    "hull_terms",
     "is_differential",
     "joint_predict",
     "parameter_scales",
@@ -55,6 +56,7 @@ __all__ = [
     "roll_out",
     "step",
     "thrust_regressors",
+    "thrust_terms",
 ]
 
 Array = NDArray[np.float64]
@@ -88,7 +90,7 @@ LIMITS = np.array(
 )
 """Columns of the joint vector (s, xi) that each row's acceleration depends on (for twin.ukf)."""
 
-ARRIVED = 1e-12
+ARRIVED = 1e-7
 """Part of its target within which an actuator counts as there."""
 
 STEP_MAX = 0.25
@@ -156,43 +158,77 @@ PAPER_TABLE_3 = np.concatenate(
 
 
 @kernel
-def hull_regressors(u, v, r, phi):
-    """Write the 19 regressors that depend on the velocities.
+def hull_terms(u, v, r):
+    """Return the 19 regressors that depend on the velocities.
 
     Parameters
     ----------
     u, v, r : float
         Velocities, m/s and rad/s.
-    phi : (25,) array
-        Regressors; all but the thrust entries are written.
+
+    Returns
+    -------
+    tuple of 19 floats
+        Four of surge, seven of sway, eight of yaw; in registers, for the inner loops.
 
     Source: Eq (22).
     """
-    au, av, ar = abs(u), abs(v), abs(r)
-    phi[0] = u * au
-    phi[1] = v * v
-    phi[2] = v * r
-    phi[3] = r * r
-    phi[6] = u
-    phi[7] = v
-    phi[8] = r
-    phi[9] = v * av
-    phi[10] = v * ar
-    phi[11] = r * ar
-    phi[12] = u * r
-    phi[15] = u
-    phi[16] = v
-    phi[17] = r
-    phi[18] = phi[9]
-    phi[19] = phi[10]
-    phi[20] = phi[11]
-    phi[21] = phi[1] * r
-    phi[22] = phi[3] * v
+    v_v, v_r, r_r = v * abs(v), v * abs(r), r * abs(r)
+    vv, rr = v * v, r * r
+    surge = (u * abs(u), vv, v * r, rr)
+    sway = (u, v, r, v_v, v_r, r_r, u * r)
+    yaw = (u, v, r, v_v, v_r, r_r, vv * r, rr * v)
+    return surge + sway + yaw
+
+
+@kernel
+def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, differential):
+    """Return the 6 regressors that depend on the actuators.
+
+    Parameters
+    ----------
+    n_left, n_right : float
+        Shaft speeds, rev/s.
+    cos_left, sin_left, cos_right, sin_right : float
+        Of the drive angles.
+    differential : float
+        1 if the boat steers by unequal thrust, 0 if by the drive angles.
+
+    Returns
+    -------
+    tuple of 6 floats
+        Left and right of surge, sway, yaw.
+
+    Source: Eq (22) with sin in sway and yaw.
+    """
+    left, right = n_left * abs(n_left), n_right * abs(n_right)
+    yaw_left = left if differential > 0.5 else left * sin_left
+    yaw_right = -right if differential > 0.5 else right * sin_right
+    return (
+        left * cos_left,
+        right * cos_right,
+        left * sin_left,
+        right * sin_right,
+        yaw_left,
+        yaw_right,
+    )
+
+
+@kernel
+def hull_regressors(u, v, r, phi):
+    """Write :func:`hull_terms` to their places in the 25 regressors phi."""
+    terms = hull_terms(u, v, r)
+    for k in range(4):
+        phi[k] = terms[k]
+    for k in range(7):
+        phi[X_END + k] = terms[4 + k]
+    for k in range(8):
+        phi[Y_END + k] = terms[11 + k]
 
 
 @kernel
 def thrust_regressors(act, differential, phi):
-    """Write the 6 regressors that depend on the actuators.
+    """Write :func:`thrust_terms` to their places in the 25 regressors phi.
 
     Parameters
     ----------
@@ -202,17 +238,20 @@ def thrust_regressors(act, differential, phi):
         1 if the boat steers by unequal thrust, 0 if by the drive angles.
     phi : (25,) array
         Regressors; the thrust entries are written.
-
-    Source: Eq (22) with sin in sway and yaw.
     """
-    left = act[0] * abs(act[0])
-    right = act[1] * abs(act[1])
-    phi[4] = left * math.cos(act[2])
-    phi[5] = right * math.cos(act[3])
-    phi[13] = left * math.sin(act[2])
-    phi[14] = right * math.sin(act[3])
-    phi[23] = left if differential > 0.5 else phi[13]
-    phi[24] = -right if differential > 0.5 else phi[14]
+    terms = thrust_terms(
+        act[0],
+        act[1],
+        math.cos(act[2]),
+        math.sin(act[2]),
+        math.cos(act[3]),
+        math.sin(act[3]),
+        differential,
+    )
+    for k in range(2):
+        phi[X_END - 2 + k] = terms[k]
+        phi[Y_END - 2 + k] = terms[2 + k]
+        phi[N_XI - 2 + k] = terms[4 + k]
 
 
 @kernel
@@ -440,18 +479,39 @@ def follow(value, target, lag, rate, h):
 
 
 @kernel
-def _follow_all(act, command, shaft_lag, steer_lag, steer_rate, h):
-    """Advance the four actuators by h in place."""
-    for k in range(2):
-        act[k] = follow(act[k], command[k], shaft_lag, math.inf, h)
-        act[2 + k] = follow(act[2 + k], command[2 + k], steer_lag, steer_rate, h)
+def _rates(u, v, r, thrust, xi):
+    """Return the derivatives of u, v, r at given thrust accelerations."""
+    terms = hull_terms(u, v, r)
+    du, dv, dr = thrust
+    for k in range(4):
+        du += terms[k] * xi[k]
+    for k in range(7):
+        dv += terms[4 + k] * xi[X_END + k]
+    for k in range(8):
+        dr += terms[11 + k] * xi[Y_END + k]
+    return du, dv, dr
 
 
 @kernel
-def _rates(u, v, r, xi, phi):
-    """Return the derivatives of u, v, r; phi holds the thrust regressors already."""
-    hull_regressors(u, v, r, phi)
-    return accelerations(phi, xi, 0)
+def _thrust(act, turned, differential, xi):
+    """Return the accelerations by thrust; ``turned`` holds cosines and sines of the drives."""
+    terms = thrust_terms(act[0], act[1], turned[0], turned[1], turned[2], turned[3], differential)
+    return (
+        terms[0] * xi[X_END - 2] + terms[1] * xi[X_END - 1],
+        terms[2] * xi[Y_END - 2] + terms[3] * xi[Y_END - 1],
+        terms[4] * xi[N_XI - 2] + terms[5] * xi[N_XI - 1],
+    )
+
+
+@kernel
+def _follow_all(act, command, shaft_lag, steer_lag, steer_rate, h, turned):
+    """Advance the four actuators by h in place, and renew the sines of drives that moved."""
+    for k in range(2):
+        act[k] = follow(act[k], command[k], shaft_lag, math.inf, h)
+        before = act[2 + k]
+        act[2 + k] = follow(before, command[2 + k], steer_lag, steer_rate, h)
+        if act[2 + k] != before:
+            turned[2 * k], turned[2 * k + 1] = math.cos(act[2 + k]), math.sin(act[2 + k])
 
 
 @kernel
@@ -477,7 +537,7 @@ def roll_out(
     differential,
     out,
     out_act,
-    phi,
+    turned,
 ):
     """Predict the motion under a plan of commands, actuators included.
 
@@ -508,8 +568,8 @@ def roll_out(
         Row k is the state at the end of row k of the plan ...
     out_act : (K, 4) array
         ... and this the actuators then.
-    phi : (3, 25) array
-        Room for the regressors at start, middle and end of a step.
+    turned : (4,) array
+        Room for cosine and sine of the drive angles, left and right.
 
     Source: Eq (25)-(27), with Eq (27) replaced by ``usv_kernel.actuate``.
     """
@@ -521,30 +581,32 @@ def roll_out(
     vy = u * math.sin(psi) + v * math.cos(psi)
     steps = max(math.ceil(dt_plan / STEP_MAX - 1e-9), 1)
     h = dt_plan / steps
-    start, end = 0, 2
-    thrust_regressors(act_0, differential, phi[start])
+    for k in range(2):
+        turned[2 * k], turned[2 * k + 1] = math.cos(act_0[2 + k]), math.sin(act_0[2 + k])
+    end = _thrust(act_0, turned, differential, xi)
     for row in range(plan.shape[0]):
         act = out_act[row]
         for k in range(N_ACT):
             act[k] = out_act[row - 1, k] if row > 0 else act_0[k]
         for _ in range(steps):
-            _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h)
-            thrust_regressors(act, differential, phi[1])
-            _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h)
-            thrust_regressors(act, differential, phi[end])
-            du_1, dv_1, dr_1 = _rates(u, v, r, xi, phi[start])
+            start = end
+            _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h, turned)
+            middle = _thrust(act, turned, differential, xi)
+            _follow_all(act, plan[row], shaft_lag, steer_lag, steer_rate, 0.5 * h, turned)
+            end = _thrust(act, turned, differential, xi)
+            du_1, dv_1, dr_1 = _rates(u, v, r, start, xi)
             u_2 = _bounded(u + 0.5 * h * du_1, speed_max)
             v_2 = _bounded(v + 0.5 * h * dv_1, speed_max)
             r_2 = _bounded(r + 0.5 * h * dr_1, turn_max)
-            du_2, dv_2, dr_2 = _rates(u_2, v_2, r_2, xi, phi[1])
+            du_2, dv_2, dr_2 = _rates(u_2, v_2, r_2, middle, xi)
             u_3 = _bounded(u + 0.5 * h * du_2, speed_max)
             v_3 = _bounded(v + 0.5 * h * dv_2, speed_max)
             r_3 = _bounded(r + 0.5 * h * dr_2, turn_max)
-            du_3, dv_3, dr_3 = _rates(u_3, v_3, r_3, xi, phi[1])
+            du_3, dv_3, dr_3 = _rates(u_3, v_3, r_3, middle, xi)
             u_4 = _bounded(u + h * du_3, speed_max)
             v_4 = _bounded(v + h * dv_3, speed_max)
             r_4 = _bounded(r + h * dr_3, turn_max)
-            du_4, dv_4, dr_4 = _rates(u_4, v_4, r_4, xi, phi[end])
+            du_4, dv_4, dr_4 = _rates(u_4, v_4, r_4, end, xi)
             u_1, v_1, r_1 = u, v, r
             u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), speed_max)
             v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), speed_max)
@@ -562,7 +624,6 @@ def roll_out(
             vx, vy = u * cos_psi - v * sin_psi, u * sin_psi + v * cos_psi
             x += h / 6.0 * (vx_1 + 4.0 * (u_m * cos_m - v_m * sin_m) + vx)
             y += h / 6.0 * (vy_1 + 4.0 * (u_m * sin_m + v_m * cos_m) + vy)
-            start, end = end, start
         out[row, 0], out[row, 1], out[row, 2] = x, y, psi
         out[row, 3], out[row, 4], out[row, 5] = u, v, r
 

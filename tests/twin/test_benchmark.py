@@ -56,8 +56,16 @@ def test_rows_are_complete(small):
         assert row["n"] == 11  # every second from 30 to 40 s
         assert 0.0 <= row["mae"] ** 2 <= row["mse"] * (1 + 1e-12)
     for item in results["summary"]:
-        assert set(item) == {"scenario", "fault", "predictor", "plan", "metric", "value", "low",
-                             "high"}
+        assert set(item) == {
+            "scenario",
+            "fault",
+            "predictor",
+            "plan",
+            "metric",
+            "value",
+            "low",
+            "high",
+        }
     metrics = {item["metric"] for item in results["summary"]}
     assert metrics == set(bench.METRICS)
     json.dumps(results, allow_nan=False)
@@ -82,9 +90,7 @@ def test_summary_is_made_of_the_rows(small):
             if (i["fault"], i["predictor"], i["metric"]) == ("none", predictor, "mae")
         )
         assert item["value"] == pytest.approx(np.mean(values))
-    skill = {
-        i["predictor"]: i["value"] for i in results["summary"] if i["metric"] == "skill"
-    }
+    skill = {i["predictor"]: i["value"] for i in results["summary"] if i["metric"] == "skill"}
     assert skill["persistence"] == 0.0
     assert skill["ukf"] > 0.3  # the zigzag is where a model pays
 
@@ -144,9 +150,7 @@ def test_recorded_run_is_scored_against_its_record(tmp_path):
     results = run_all(settings, tmp_path)
     assert {row["channel"] for row in results["rows"]} == {"along", "across", "psi"}
     assert {row["scenario"] for row in results["rows"]} == {"boat1_usv_circle"}
-    value = {
-        (i["predictor"], i["fault"], i["metric"]): i["value"] for i in results["summary"]
-    }
+    value = {(i["predictor"], i["fault"], i["metric"]): i["value"] for i in results["summary"]}
     assert value["ukf", "none", "mae"] < 0.6 * value["persistence", "none", "mae"]
     assert value["ukf", "gps5", "start_error"] > value["ukf", "none", "start_error"]
 

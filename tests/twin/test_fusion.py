@@ -392,7 +392,9 @@ def test_refuses_what_it_cannot_use() -> None:
     ]
     for bad in unusable:
         with pytest.raises(ValueError, match=next(iter(bad))):
-            LateFusion(**{"instruments": Instruments(gps_sd=1.0, gps_bias_sd=0.0), "length": LENGTH, **bad})
+            LateFusion(
+                **{"instruments": Instruments(gps_sd=1.0, gps_bias_sd=0.0), "length": LENGTH, **bad}
+            )
 
 
 @settings(max_examples=40, deadline=None)

@@ -61,7 +61,7 @@ def roll_out(
         differential,
         out,
         out_act,
-        np.empty((3, 25)),
+        np.empty(4),
     )
     return out, out_act
 

@@ -1,4 +1,4 @@
-"""State and command indices, and the turn between body and earth (Eq 1-3)."""
+"""State and command indices, sines, and the turn between body and earth (Eq 1-3)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,34 @@ STATE_SIZE = 16
 COMMAND_SIZE = 4
 UNITS = 2
 """Propulsion units; index 0 is port (left), 1 is starboard (right)."""
+
+# 33 bits of pi/2 and the rest: their products with a whole number are exact (Cody-Waite)
+_TWO_OVER_PI = 6.36619772367581382433e-01
+_PIO2_HIGH = 1.57079632673412561417e00
+_PIO2_LOW = 6.07710050650619224932e-11
+
+
+@kernel
+def sincos(x: float) -> tuple[float, float]:
+    """Return sine and cosine to 2e-15, in straight-line code that vectorises.
+
+    Meant for |x| below 1e6, where the reduction loses nothing.
+    """
+    n = math.floor(x * _TWO_OVER_PI + 0.5)
+    r = (x - n * _PIO2_HIGH) - n * _PIO2_LOW
+    half = math.floor(0.5 * n)
+    odd = n - 2.0 * half
+    sign = 1.0 - 2.0 * (half - 2.0 * math.floor(0.5 * half))
+    z = r * r
+    s = 1.60590438368216145994e-10 - z * 7.64716373181981647590e-13
+    s = 2.75573192239858906526e-06 + z * (-2.50521083854417187751e-08 + z * s)
+    s = 8.33333333333333333333e-03 + z * (-1.98412698412698412698e-04 + z * s)
+    s = r + r * z * (-1.66666666666666666667e-01 + z * s)
+    c = 2.08767569878680989792e-09 - z * 1.14707455977297247139e-11
+    c = 2.48015873015873015873e-05 + z * (-2.75573192239858906526e-07 + z * c)
+    c = 4.16666666666666666667e-02 + z * (-1.38888888888888888889e-03 + z * c)
+    c = 1.0 + z * (-0.5 + z * c)
+    return sign * (s + odd * (c - s)), sign * (c - odd * (c + s))
 
 
 @kernel

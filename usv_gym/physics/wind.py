@@ -8,6 +8,7 @@ import numpy as np
 
 from usv_gym.physics import AIR_DENSITY, frames
 from usv_gym.physics import parameters as par
+from usv_gym.physics.frames import sincos
 from usv_kernel import SUM_MATH, kernel
 
 
@@ -41,7 +42,8 @@ def gust(t: float, gusts: np.ndarray) -> float:
     """
     total = 0.0
     for i in range(gusts.shape[1]):
-        total += gusts[2, i] * math.cos(gusts[0, i] * t + gusts[1, i])
+        _, c = sincos(gusts[0, i] * t + gusts[1, i])
+        total += gusts[2, i] * c
     return total
 
 
