@@ -597,7 +597,7 @@ def _print_benchmark(results: dict[str, Any]) -> None:
 def _cell(item: dict[str, Any] | None, *, interval: bool) -> str:
     if item is None:
         return "-"
-    text = _short(item["value"], 3)
+    text = _short(item["value"], 3 if interval else 2)
     if interval and item["low"] is not None:
         text += f"\n{_short(item['low'], 2)}..{_short(item['high'], 2)}"
     return text

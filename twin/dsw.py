@@ -55,7 +55,6 @@ def paper_settings(particulars: Particulars) -> FilterSettings:
         q_xi=np.zeros(N_XI),
         xi0=np.full(N_XI, 0.1),
         xi0_var=np.ones(N_XI),
-        r_per_second=False,
         n_unit=RATED_SHAFT_SPEED / particulars.shaft_speed,
         alpha=1e-3,
     )

@@ -31,6 +31,7 @@ from twin.navigation import (
     N_NAV,
     READY_FIX,
     READY_HEADING,
+    STATUS_SIZE,
     aid_velocity,
     initial_navigation,
     navigate,
@@ -63,6 +64,8 @@ GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
+AID_SD = 0.25 / 5.4
+"""Standard deviation of the model's velocity as an aid, in usual speeds."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
@@ -78,8 +81,6 @@ class FilterSettings:
     r : ndarray, shape (6,)
         Variance of each measured state for rows 0.05 s apart (of the study boat's time);
         rows further apart count for more, as their waves are less alike.
-    r_per_second : bool
-        Whether that holds; False takes ``r`` for every row as it is.
     p0 : ndarray, shape (6,)
         Variance of each state at the start.
     q_xi : ndarray, shape (25,)
@@ -98,7 +99,6 @@ class FilterSettings:
     q_xi: Array
     xi0: Array
     xi0_var: Array
-    r_per_second: bool = True
     n_unit: float = 1.0
     alpha: float = 1.0
     beta: float = 2.0
@@ -188,91 +188,102 @@ def hold_inside(x, envelope):
         x[3 + i] = min(max(x[3 + i], -envelope[i]), envelope[i])
 
 
-@kernel
-def _tight_step(
-    dt,
-    z,
-    cmd,
-    n,
-    P_nav,
-    nav_settings,
-    status,
-    nav_work,
-    x,
-    P,
-    act,
-    lags,
-    n_unit,
-    differential,
-    q,
-    q_xi,
-    r,
-    p0,
-    envelope,
-    aid_var,
-    clock,
-    weights,
-    Q,
-    qx,
-    R,
-    phi,
-    work,
-):
-    """One row of the tight identifier: navigate, predict, correct; all arrays in place.
+# flat memory of the joint filter: where each part begins
+_X = 0
+_P = _X + N
+_ACT = _P + N * N
+MEMORY_SIZE = _ACT + 4
+# its constants
+_Q, _Q_XI = 0, N_STATES
+_R = _Q_XI + N_XI
+_P0 = _R + N_STATES
+_LAGS = _P0 + N_STATES
+_ENVELOPE = _LAGS + 3
+_WEIGHTS = _ENVELOPE + 3
+_UNIT = _WEIGHTS + 4
+_DIFFERENTIAL = _UNIT + 1
+CONSTANTS_SIZE = _DIFFERENTIAL + 1
+# its scratch
+_QS, _QX = 0, N_STATES * N_STATES
+_RS = _QX + N_XI
+_PHI = _RS + N_STATES * N_STATES
+_MODEL = _PHI + N_XI
+_MASK = _MODEL + 4
+_TURNED = _MASK + N_STATES
+SCRATCH_SIZE = _TURNED + 4
+# flat memory of the navigation filter
+_NAV_P = N_NAV
+_STATUS = _NAV_P + N_NAV * N_NAV
+_SINCE_AID, _BEGUN = _STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE + 1
+NAV_SIZE = _BEGUN + 1
 
-    ``clock`` holds the time since the model last aided the navigation and whether the
-    filter has begun.
-    """
-    model, mask = phi[N_XI : N_XI + 4], phi[N_XI + 4 :]
+
+@kernel
+def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work):
+    """One row of the plain predictor: navigate, predict, correct; all memory in place."""
+    n, P_nav = nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
+    status = nav[_STATUS:_SINCE_AID]
+    x, P, act = memory[_X:_P], memory[_P:_ACT].reshape((N, N)), memory[_ACT:]
+    q, q_xi, r = constants[_Q:_Q_XI], constants[_Q_XI:_R], constants[_R:_P0]
+    lags, envelope = constants[_LAGS:_ENVELOPE], constants[_ENVELOPE:_WEIGHTS]
+    weights = constants[_WEIGHTS:_UNIT]
+    n_unit, differential = constants[_UNIT], constants[_DIFFERENTIAL]
+    Q = scratch[_QS:_QX].reshape((N_STATES, N_STATES))
+    qx, R = scratch[_QX:_RS], scratch[_RS:_PHI].reshape((N_STATES, N_STATES))
+    phi, model, mask = scratch[_PHI:_MODEL], scratch[_MODEL:_MASK], scratch[_MASK:_TURNED]
+
     for k in range(4):
         model[k] = 0.0
-    if clock[1] > 0.0:
-        regressors(x[3], x[4], x[5], act, differential, phi[:N_XI])
-        du, dv, dr = accelerations(phi[:N_XI], x, N_STATES)
-        limit = 4.0 * nav_settings[nav_settings.shape[0] - 2]  # 4 U^2; over L it bounds
-        bound_r = 4.0 * nav_settings[nav_settings.shape[0] - 1]
-        bound = math.sqrt(limit * bound_r)
-        model[0] = min(max(du, -bound), bound)
-        model[1] = min(max(dv, -bound), bound)
-        model[2] = min(max(dr, -bound_r), bound_r)
+    if nav[_BEGUN] > 0.0:
+        regressors(x[3], x[4], x[5], act, differential, phi)
+        du, dv, dr = accelerations(phi, x, N_STATES)
+        turn, speed = envelope[2], envelope[0]
+        model[0] = min(max(du, -speed * turn), speed * turn)
+        model[1] = min(max(dv, -speed * turn), speed * turn)
+        model[2] = min(max(dr, -turn * turn), turn * turn)
         model[3] = 1.0
     navigate(n, P_nav, min(dt, GAP_MAX), z, model, nav_settings, status, nav_work)
-    if status[READY_FIX] * status[READY_HEADING] == 0.0:
+    if nav[_BEGUN] == 0.0:
         for k in range(2):
             act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
-        return
-    if clock[1] == 0.0:
-        for i in range(N_STATES):
-            x[i] = n[i]
-            P[i, i] = p0[i]
-        for k in range(2):
-            act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
-        clock[1] = 1.0
+        if status[READY_FIX] * status[READY_HEADING] > 0.0:
+            for i in range(N_STATES):
+                x[i] = n[i]
+                P[i, i] = constants[_P0 + i]
+            nav[_BEGUN] = 1.0
         return
     advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
-        R[i, i] = r[i] / row + P_nav[i, i]
+        R[i, i] = STUDY_STEP * r[i] / row + P_nav[i, i]
         mask[i] = 1.0
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
-    clock[0] += dt
-    if status[GPS_AGE] > AID_AFTER and clock[0] >= AID_EVERY:
-        clock[0] = 0.0
+    nav[_SINCE_AID] += dt
+    if status[GPS_AGE] > AID_AFTER and nav[_SINCE_AID] >= AID_EVERY:
+        nav[_SINCE_AID] = 0.0
+        aid_var = (AID_SD * 0.25 * envelope[0]) ** 2
         aid_velocity(n, P_nav, x[3], x[4], aid_var, status, nav_work[0], nav_work[1])
 
 
 @kernel
-def _bands(x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, envelope, out):
+def _bands(acts, dt, every, memory, constants, scratch, work, x, P, out):
     """Write the covariance of the state after each ``every`` rows of a prediction."""
     h = dt * every
+    Q = scratch[_QS:_QX].reshape((N_STATES, N_STATES))
+    qx, weights = scratch[_QX:_RS], constants[_WEIGHTS:_UNIT]
+    envelope = constants[_ENVELOPE:_WEIGHTS]
+    for i in range(N):
+        x[i] = memory[_X + i]
+        for k in range(N):
+            P[i, k] = memory[_P + N * i + k]
     for i in range(N_STATES):
-        Q[i, i] = q[i] * h
+        Q[i, i] = constants[_Q + i] * h
     for k in range(N_XI):
-        qx[k] = q_xi[k] * h
+        qx[k] = constants[_Q_XI + k] * h
     for j in range(out.shape[0]):
         last = min((j + 1) * every, acts.shape[0]) - 1
-        joint_predict(x, P, acts[last], differential, h, Q, qx, weights, work)
+        joint_predict(x, P, acts[last], constants[_DIFFERENTIAL], h, Q, qx, weights, work)
         hold_inside(x, envelope)
         for i in range(N_STATES):
             for k in range(N_STATES):
@@ -280,26 +291,27 @@ def _bands(x, P, acts, dt, every, differential, q, q_xi, weights, Q, qx, work, e
 
 
 @kernel
-def _roll(plan, dt, x, act, lags, n_unit, envelope, differential, turned, scaled, out, acts):
+def _roll(plan, dt, memory, constants, scratch, scaled, out, acts):
     """Roll the model under a plan whose shaft speeds are in the unit of the particulars."""
     for row in range(plan.shape[0]):
         for k in range(2):
-            scaled[row, k], scaled[row, 2 + k] = n_unit * plan[row, k], plan[row, 2 + k]
+            scaled[row, k] = constants[_UNIT] * plan[row, k]
+            scaled[row, 2 + k] = plan[row, 2 + k]
     roll_out(
-        x[:N_STATES],
-        x[N_STATES:],
-        act,
+        memory[_X : _X + N_STATES],
+        memory[_X + N_STATES : _P],
+        memory[_ACT:],
         scaled,
         dt,
-        lags[0],
-        lags[1],
-        lags[2],
-        envelope[0],
-        envelope[2],
-        differential,
+        constants[_LAGS],
+        constants[_LAGS + 1],
+        constants[_LAGS + 2],
+        constants[_ENVELOPE],
+        constants[_ENVELOPE + 2],
+        constants[_DIFFERENTIAL],
         out,
         acts,
-        turned,
+        scratch[_TURNED:],
     )
 
 
@@ -328,28 +340,31 @@ class JointUKF:
         U, L = particulars.speed, particulars.length
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
         self.weights = scaled_weights(N, settings.alpha, settings.beta, settings.kappa)
+        # few flat arrays: each one that a kernel takes costs a call
+        self.memory = np.zeros(MEMORY_SIZE)
+        self.x, self.act = self.memory[_X:_P], self.memory[_ACT:]
+        self.P = self.memory[_P:_ACT].reshape(N, N)
+        self.constants = np.concatenate(
+            [
+                *(settings.q, settings.q_xi, settings.r, settings.p0),
+                *(self.lags, self.envelope, self.weights),
+                [settings.n_unit, self.differential],
+            ]
+        )
+        self.scratch = np.zeros(SCRATCH_SIZE)
+        self.Q = self.scratch[_QS:_QX].reshape(N_STATES, N_STATES)
+        self.qx = self.scratch[_QX:_RS]
+        self.R = self.scratch[_RS:_PHI].reshape(N_STATES, N_STATES)
         self.work = workspace(N_STATES, N_XI)
-        self.Q = np.zeros((N_STATES, N_STATES))
-        self.qx = np.zeros(N_XI)
-        self.R = np.zeros((N_STATES, N_STATES))
-        self._turned = np.zeros(4)
         self._scaled = np.empty((0, 4))
+        self._x, self._P = np.empty(N), np.empty((N, N))
         self.reset()
 
     def reset(self) -> None:
         """Go back to the prior."""
-        self.x = np.concatenate([np.zeros(N_STATES), self.settings.xi0])
-        self.P = np.diag(np.concatenate([self.settings.p0, self.settings.xi0_var]))
-        self.act = np.zeros(4)
-        self._model = (
-            self.x,
-            self.act,
-            self.lags,
-            self.settings.n_unit,
-            self.envelope,
-            self.differential,
-            self._turned,
-        )
+        self.memory[:] = 0.0
+        self.x[N_STATES:] = self.settings.xi0
+        np.fill_diagonal(self.P, np.concatenate([self.settings.p0, self.settings.xi0_var]))
 
     @property
     def xi(self) -> Array:
@@ -370,7 +385,7 @@ class JointUKF:
         out, acts = np.empty((K, N_STATES)), np.empty((K, 4))
         if len(self._scaled) != K:
             self._scaled = np.empty((K, 4))
-        _roll(plan, dt, *self._model, self._scaled, out, acts)
+        _roll(plan, dt, self.memory, self.constants, self.scratch, self._scaled, out, acts)
         return out, acts
 
     def bands(self, acts: Array, dt: float) -> Array:
@@ -378,20 +393,8 @@ class JointUKF:
         every = max(1, min(round(BAND_STEP / dt), len(acts)))
         coarse = np.zeros((math.ceil(len(acts) / every), N_STATES, N_STATES))
         _bands(
-            self.x.copy(),
-            self.P.copy(),
-            acts,
-            dt,
-            every,
-            self.differential,
-            self.settings.q,
-            self.settings.q_xi,
-            self.weights,
-            self.Q,
-            self.qx,
-            self.work,
-            self.envelope,
-            coarse,
+            *(acts, dt, every, self.memory, self.constants, self.scratch, self.work),
+            *(self._x, self._P, coarse),
         )
         if every == 1:
             return coarse
@@ -488,50 +491,29 @@ class UKFPredictor(ModelPredictor):
         seed: int = 0,
     ) -> None:
         super().__init__(particulars, settings or plain_settings(particulars), seed=seed)
+        self.nav = np.zeros(NAV_SIZE)
+        self.n = self.nav[:_NAV_P]
+        self.P_nav = self.nav[_NAV_P:_STATUS].reshape(N_NAV, N_NAV)
+        self.status = self.nav[_STATUS:_SINCE_AID]
         self._nav_settings = navigation_settings(particulars)
-        self._nav_work = np.zeros((2 + N_NAV, N_NAV))
-        self._phi = np.zeros(N_XI + 4 + N_STATES)
-        self._aid_var = (0.25 * particulars.speed / 5.4) ** 2
+        ukf = self.ukf
+        self._arguments = (
+            *(self.nav, self._nav_settings, np.zeros((2 + N_NAV, N_NAV))),
+            *(ukf.memory, ukf.constants, ukf.scratch, ukf.work),
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.ukf.reset()
-        self.n, self.P_nav, self.status = initial_navigation(self._nav_settings)
-        self._clock = np.zeros(2)
-        ukf, settings = self.ukf, self.ukf.settings
-        # every array that the kernel works on in place, gathered once: a call is then cheap
-        self._arguments = (
-            self.n,
-            self.P_nav,
-            self._nav_settings,
-            self.status,
-            self._nav_work,
-            ukf.x,
-            ukf.P,
-            ukf.act,
-            ukf.lags,
-            settings.n_unit,
-            ukf.differential,
-            settings.q,
-            settings.q_xi,
-            settings.r * STUDY_STEP,
-            settings.p0,
-            ukf.envelope,
-            self._aid_var,
-            self._clock,
-            ukf.weights,
-            ukf.Q,
-            ukf.qx,
-            ukf.R,
-            self._phi,
-            ukf.work,
-        )
+        self.nav[:] = 0.0
+        self.n[:], self.P_nav[:], self.status[:] = initial_navigation(self._nav_settings)
+        self.t = 0.0
 
     @property
     def ready(self) -> bool:
         """True once the filter has begun."""
-        return bool(self._clock[1])
+        return bool(self.nav[_BEGUN])
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictor.Predictor.update`."""

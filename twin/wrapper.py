@@ -17,10 +17,17 @@ from twin.registry import DEFAULT
 from twin.simulated import TRUE_STATE, measurement_row, particulars_of
 from twin.twin import Twin
 from usv_gym.env import BOUND, CROSS_TRACK_SCALE, OBSERVATION, TO_GO_SCALE, USVEnv
-from usv_gym.tasks import ERRORS, follow
+from usv_gym.tasks import ERRORS, REACH, follow
 from usv_kernel import kernel
 
-__all__ = ["HORIZONS", "TWIN_OBSERVATION", "TwinObservation", "log_of", "make_env"]
+__all__ = [
+    "HORIZONS",
+    "TWIN_OBSERVATION",
+    "TwinObservation",
+    "USVTwinEnv",
+    "log_of",
+    "make_env",
+]
 
 HORIZONS = (1.0, 2.0, 5.0, 10.0)
 """How far ahead the observation looks, s."""
@@ -82,6 +89,106 @@ def _describe(s, ahead, cov_now, cov_ahead, speed, points, legs, reach, errors, 
     return math.hypot(s[0] - truth[0, 0], s[1] - truth[0, 1])
 
 
+class TwinObserver:
+    """What a twin adds to the observations of one environment.
+
+    Parameters
+    ----------
+    base : USVEnv
+        The environment; only its measurements, commands and path are looked at.
+    twin : str or Predictor
+        A name in ``twin.PREDICTORS``, or a predictor.
+    particulars : Particulars, optional
+        What the twin is told of the boat; that of the vessel if left out.
+    band_period : float
+        The standard deviations are renewed this often, s; 0 for every step.
+    seed : int
+        For predictors that draw random numbers.
+
+    Attributes
+    ----------
+    twin : Twin
+        The twin.
+    space : gymnasium.spaces.Box
+        Space of the observations with the twin's part.
+    """
+
+    def __init__(
+        self,
+        base: USVEnv,
+        twin: str | Predictor,
+        particulars: Particulars | None,
+        band_period: float,
+        seed: int,
+    ) -> None:
+        if not (math.isfinite(band_period) and band_period >= 0.0):
+            raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
+        self._base = base
+        self.twin = Twin(
+            particulars or particulars_of(base.vessel, base.simulation.suite), twin, seed=seed
+        )
+        self._first = len(OBSERVATION)
+        size = self._first + len(TWIN_OBSERVATION)
+        self.space = spaces.Box(-BOUND, BOUND, (size,), np.float32)
+        self.band_period = band_period
+        self._row = np.full(len(MEASUREMENTS), math.nan)
+        self._legs = np.zeros(1, dtype=np.int64)
+        self._errors = np.zeros(len(ERRORS))
+        self._reach = float(base.task.rules[REACH])
+        self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), 4))
+        self._cov_now = np.zeros((6, 6))
+        self._cov_ahead = np.zeros((len(HORIZONS), 6, 6))
+        self._renew_at = 0.0
+
+    def reset(self) -> None:
+        """Begin an episode with a twin that knows nothing yet."""
+        self.twin.reset()
+        self._legs[0] = 0
+        self._renew_at = 0.0
+
+    def augment(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        """Let the twin see this step, and return the observation with its part.
+
+        Parameters
+        ----------
+        obs : ndarray, shape (23,)
+            Observation of the environment.
+        info : dict
+            Gains ``twin_position_error_m``.
+        """
+        sim, predictor = self._base.simulation, self.twin.predictor
+        t = sim.t.item(0)
+        cmd = sim.cmd[0]
+        self._row[: sim.z.shape[1]] = sim.z[0]
+        self.twin.feed(t, self._row, cmd)
+        self._plan[:] = cmd
+        if t >= self._renew_at:
+            prediction = predictor.predict(self._plan, PLAN_STEP)
+            ahead = prediction.mean
+            self._cov_ahead[:] = prediction.cov[_ROWS]
+            np.fill_diagonal(self._cov_now, predictor.estimate().sd ** 2)
+            self._renew_at = t + self.band_period - 1e-9
+        else:
+            ahead = predictor.mean(self._plan, PLAN_STEP)
+        out = np.empty(self._first + len(TWIN_OBSERVATION), np.float32)
+        out[: self._first] = obs
+        info["twin_position_error_m"] = _describe(
+            predictor.s,
+            ahead,
+            self._cov_now,
+            self._cov_ahead,
+            self._base.speed,
+            self._base.task.points,
+            self._legs,
+            self._reach,
+            self._errors,
+            self._first,
+            sim.state,
+            out,
+        )
+        return out
+
+
 class TwinObservation(
     gym.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     gym.utils.RecordConstructorArgs,
@@ -138,7 +245,7 @@ class TwinObservation(
         twin: str | Predictor = DEFAULT,
         *,
         particulars: Particulars | None = None,
-        band_period: float = 1.0,
+        band_period: float = 2.0,
         seed: int = 0,
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
@@ -150,100 +257,82 @@ class TwinObservation(
             raise TypeError(
                 f"TwinObservation wraps environments over USVEnv, not {type(base).__name__}"
             )
-        if not (math.isfinite(band_period) and band_period >= 0.0):
-            raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
-        self._base = base
-        self.twin = Twin(
-            particulars or particulars_of(base.vessel, base.simulation.suite), twin, seed=seed
-        )
-        self._first = len(OBSERVATION)
-        if base.observation_space.shape != env.observation_space.shape:
-            raise TypeError("wrap the environment in TwinObservation before other observations")
-        size = self._first + len(TWIN_OBSERVATION)
-        self.observation_space = spaces.Box(-BOUND, BOUND, (size,), np.float32)
-        self.band_period = band_period
-        self._row = np.full(len(MEASUREMENTS), math.nan)
-        self._legs = np.zeros(1, dtype=np.int64)
-        self._errors = np.zeros(len(ERRORS))
-        self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), 4))
-        self._cov_now = np.zeros((6, 6))
-        self._cov_ahead = np.zeros((len(HORIZONS), 6, 6))
+        if env.observation_space.shape != (len(OBSERVATION),):
+            raise TypeError(
+                "TwinObservation comes before other observations are made of it, and only once; "
+                "gym.make('USVTwin-v0', twin=None) gives an environment without a twin"
+            )
+        self._observer = TwinObserver(base, twin, particulars, band_period, seed)
+        self.twin = self._observer.twin
+        self.observation_space = self._observer.space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode with a twin that knows nothing yet."""
         obs, info = self.env.reset(seed=seed, options=options)
-        self.twin.reset()
-        self._legs[0] = 0
-        self._renew_at = 0.0
-        return self._augment(obs, info), info
+        self._observer.reset()
+        return self._observer.augment(obs, info), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail one step, and let the twin see it."""
         obs, reward, terminated, truncated, info = self.env.step(action)
-        return self._augment(obs, info), float(reward), terminated, truncated, info
-
-    def _augment(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        sim, task, predictor = self._base.simulation, self._base.task, self.twin.predictor
-        t = sim.t.item(0)
-        cmd = sim.cmd[0]
-        self._row[: sim.z.shape[1]] = sim.z[0]
-        self.twin.feed(t, self._row, cmd)
-        self._plan[:] = cmd
-        if t >= self._renew_at:
-            prediction = predictor.predict(self._plan, PLAN_STEP)
-            ahead = prediction.mean
-            self._cov_ahead[:] = prediction.cov[_ROWS]
-            np.fill_diagonal(self._cov_now, predictor.estimate().sd ** 2)
-            self._renew_at = t + self.band_period - 1e-9
-        else:
-            ahead = predictor.mean(self._plan, PLAN_STEP)
-        out = np.empty(self._first + len(TWIN_OBSERVATION), np.float32)
-        out[: self._first] = obs
-        s = predictor.s
-        info["twin_position_error_m"] = _describe(
-            s,
-            ahead,
-            self._cov_now,
-            self._cov_ahead,
-            self._base.speed,
-            task.points,
-            self._legs,
-            task.reach,
-            self._errors,
-            self._first,
-            sim.state,
-            out,
-        )
-        return out
+        return self._observer.augment(obs, info), float(reward), terminated, truncated, info
 
 
-def make_env(
-    *,
-    twin: str | Predictor | None = DEFAULT,
-    particulars: Particulars | None = None,
-    band_period: float = 1.0,
-    twin_seed: int = 0,
-    **kwargs: Any,
-) -> gym.Env[np.ndarray, np.ndarray]:
+class USVTwinEnv(USVEnv):
+    """``USVTwin-v0``: :class:`USVEnv` and the twin's part of the observation in one.
+
+    Actions, reward, start and end are those of :class:`usv_gym.env.USVEnv`; the observation
+    is that of :class:`TwinObservation`, 90 numbers in all.
+
+    Parameters
+    ----------
+    twin, particulars, band_period, twin_seed
+        As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
+    **kwargs
+        As for :class:`usv_gym.env.USVEnv`.
+    """
+
+    def __init__(
+        self,
+        *,
+        twin: str | Predictor = DEFAULT,
+        particulars: Particulars | None = None,
+        band_period: float = 2.0,
+        twin_seed: int = 0,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(**kwargs)
+        self._observer = TwinObserver(self, twin, particulars, band_period, twin_seed)
+        self.twin = self._observer.twin
+        self.observation_space = self._observer.space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; see :meth:`USVEnv.reset`."""
+        obs, info = super().reset(seed=seed, options=options)
+        self._observer.reset()
+        return self._observer.augment(obs, info), info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Sail one step; see :meth:`USVEnv.step`."""
+        obs, reward, terminated, truncated, info = super().step(action)
+        return self._observer.augment(obs, info), reward, terminated, truncated, info
+
+
+def make_env(*, twin: str | Predictor | None = DEFAULT, **kwargs: Any) -> USVEnv:
     """Make ``USVTwin-v0``: the vessel at sea, with or without a twin.
 
     Parameters
     ----------
     twin : str or Predictor or None
         A name in ``twin.PREDICTORS``, a predictor, or None for the plain environment.
-    particulars, band_period, twin_seed
-        See :class:`TwinObservation`.
     **kwargs
-        See :class:`usv_gym.env.USVEnv`.
+        See :class:`USVTwinEnv` and :class:`usv_gym.env.USVEnv`.
     """
-    env = USVEnv(**kwargs)
-    if twin is None:
-        return env
-    return TwinObservation(
-        env, twin, particulars=particulars, band_period=band_period, seed=twin_seed
-    )
+    return USVEnv(**kwargs) if twin is None else USVTwinEnv(twin=twin, **kwargs)
 
 
 def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:

@@ -13,9 +13,24 @@ from gymnasium import spaces
 
 from usv_gym import sensors
 from usv_gym.sea import SeaState
-from usv_gym.sensors import Fault, SensorSuite
-from usv_gym.simulation import Simulation
-from usv_gym.tasks import ERRORS, TERMS, follow, make_task
+from usv_gym.sensors import Fault, FaultError, SensorSuite
+from usv_gym.simulation import BIAS, CMD, Simulation, Z, advance
+from usv_gym.tasks import (
+    ERROR,
+    ERRORS,
+    KNOWN_LEG,
+    LEG,
+    REACH,
+    REWARD,
+    SPEED,
+    SUCCESS,
+    TERM,
+    TERMINATED,
+    TERMS,
+    follow,
+    judge,
+    make_task,
+)
 from usv_gym.vessel import Vessel
 from usv_kernel import kernel
 
@@ -38,68 +53,114 @@ FAULT_START = (10.0, 60.0)
 """A fault given by its name begins at random between these times, s."""
 
 
-@kernel
-def _command(action: np.ndarray, scale: np.ndarray, cmd: np.ndarray) -> bool:
-    """Write commands for actions cut to [-1, 1]; return False if one is not finite."""
-    width = action.shape[1]
-    for i in range(action.shape[0]):
-        for j in range(width):
-            if not math.isfinite(action[i, j]):
-                return False
-            action[i, j] = min(max(action[i, j], -1.0), 1.0)
-        for j in range(4):
-            cmd[i, j] = scale[j] * action[i, j if width == 4 else j // 2]
-    return True
+# one row of numbers per boat: the last samples, their ages, task errors as known on board
+HELD = 0
+AGE = HELD + len(sensors.CHANNELS)
+KNOWN_ERROR = AGE + 3
+RECORD_SIZE = KNOWN_ERROR + len(ERRORS)
 
 
 @kernel
 def _observe(
-    z: np.ndarray,
-    cmd: np.ndarray,
-    dt: float,
-    speed: float,
-    scale: np.ndarray,
+    world: np.ndarray,
+    task: np.ndarray,
     points: np.ndarray,
-    legs: np.ndarray,
-    reach: float,
-    held: np.ndarray,
-    age: np.ndarray,
-    errors: np.ndarray,
-    obs: np.ndarray,
+    rules: np.ndarray,
+    scale: np.ndarray,
+    dt: float,
+    seen: np.ndarray,
+    o: np.ndarray,
 ) -> None:
-    """Hold the last sample of each sensor, and write the observation from it."""
-    for i in range(z.shape[0]):
-        for j in range(3):
-            age[i, j] += dt
-        if math.isfinite(z[i, 0]):
-            age[i, 0] = 0.0
-            for j in range(4):
-                held[i, j] = z[i, j]
-        if math.isfinite(z[i, 4]):
-            age[i, 1] = 0.0
-            held[i, 4] = z[i, 4]
-        if math.isfinite(z[i, 5]):
-            age[i, 2] = 0.0
-            for j in range(5, 8):
-                held[i, j] = z[i, j]
-        c, s = math.cos(held[i, 4]), math.sin(held[i, 4])
-        legs[i] = follow(held[i, 0], held[i, 1], held[i, 4], points[i], legs[i], reach, errors)
-        o = obs[i]
-        o[0], o[1], o[2] = c, s, held[i, 5]
-        o[3], o[4] = held[i, 6] / 9.80665, held[i, 7] / 9.80665
-        o[5] = (held[i, 2] * c + held[i, 3] * s) / speed
-        o[6] = (held[i, 3] * c - held[i, 2] * s) / speed
-        for j in range(3):
-            o[7 + j] = 1.0 if age[i, j] == 0.0 else 0.0
-            o[10 + j] = age[i, j] / AGE_SCALE
+    """Hold the last sample of each sensor of one boat, and write the observation from it."""
+    z, held = world[Z:BIAS], seen[HELD:AGE]
+    age, errors = seen[AGE:KNOWN_ERROR], seen[KNOWN_ERROR:]
+    for j in range(3):
+        age[j] += dt
+    if math.isfinite(z[0]):
+        age[0] = 0.0
         for j in range(4):
-            o[13 + j] = cmd[i, j] / scale[j]
-        o[17] = errors[0] / CROSS_TRACK_SCALE
-        o[18] = errors[1] / TO_GO_SCALE
-        o[19], o[20] = math.cos(errors[2]), math.sin(errors[2])
-        o[21], o[22] = math.cos(errors[3]), math.sin(errors[3])
-        for j in range(o.shape[0]):
-            o[j] = min(max(o[j], -BOUND), BOUND)
+            held[j] = z[j]
+    if math.isfinite(z[4]):
+        age[1] = 0.0
+        held[4] = z[4]
+    if math.isfinite(z[5]):
+        age[2] = 0.0
+        for j in range(5, 8):
+            held[j] = z[j]
+    leg = int(task[KNOWN_LEG])
+    leg = follow(held[0], held[1], held[4], points, leg, rules[REACH], errors)
+    task[KNOWN_LEG] = leg
+    speed = rules[SPEED]
+    c, s = math.cos(held[4]), math.sin(held[4])
+    o[0], o[1], o[2] = c, s, held[5]
+    o[3], o[4] = held[6] / 9.80665, held[7] / 9.80665
+    o[5] = (held[2] * c + held[3] * s) / speed
+    o[6] = (held[3] * c - held[2] * s) / speed
+    for j in range(3):
+        o[7 + j] = 1.0 if age[j] == 0.0 else 0.0
+        o[10 + j] = age[j] / AGE_SCALE
+    for j in range(4):
+        o[13 + j] = world[CMD + j] / scale[j]
+    o[17] = errors[0] / CROSS_TRACK_SCALE
+    o[18] = errors[1] / TO_GO_SCALE
+    o[19], o[20] = math.cos(errors[2]), math.sin(errors[2])
+    o[21], o[22] = math.cos(errors[3]), math.sin(errors[3])
+    for j in range(o.shape[0]):
+        o[j] = min(max(o[j], -BOUND), BOUND)
+
+
+@kernel
+def _step(
+    worlds: np.ndarray,
+    waves: np.ndarray,
+    factors: np.ndarray,
+    gusts: np.ndarray,
+    noise: np.ndarray,
+    faults: np.ndarray,
+    rings: np.ndarray,
+    constants: np.ndarray,
+    dt: float,
+    substeps: int,
+    tasks: np.ndarray,
+    points: np.ndarray,
+    rules: np.ndarray,
+    scale: np.ndarray,
+    seen: np.ndarray,
+    actions: np.ndarray,
+    obs: np.ndarray,
+) -> bool:
+    """Take one step of every boat; return False, with nothing done, if an action is no number.
+
+    ``actions`` (2, n, A) holds the action of the last step, and this one.
+    """
+    width = actions.shape[2]
+    for i in range(worlds.shape[0]):
+        for j in range(width):
+            if not math.isfinite(actions[1, i, j]):
+                return False
+    for i in range(worlds.shape[0]):
+        before, action = actions[0, i], actions[1, i]
+        for j in range(width):
+            action[j] = min(max(action[j], -1.0), 1.0)
+        for j in range(4):
+            worlds[i, CMD + j] = scale[j] * action[j if width == 4 else j // 2]
+        advance(
+            worlds[i],
+            waves[i],
+            factors[i],
+            gusts[i],
+            noise[i],
+            faults[i],
+            rings[i],
+            constants,
+            dt,
+            substeps,
+        )
+        judge(worlds[i, :CMD], action, before, points[i], rules, tasks[i])
+        _observe(worlds[i], tasks[i], points[i], rules, scale, dt, seen[i], obs[i])
+        for j in range(width):
+            before[j] = action[j]
+    return True
 
 
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -233,8 +294,15 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 dt_physics=dt_physics,
             )
         else:
+            items = list(faults) if isinstance(faults, Sequence) else [faults]
+            given = [fault for fault in items if isinstance(fault, Fault)]
+            if len(given) < len(items):
+                raise FaultError(
+                    f"faults = {faults!r}: give a name such as 'gps10', or a list of "
+                    "usv_gym.Fault(kind, start, duration)"
+                )
             self.simulation = Simulation(
-                1, self.vessel, self.sea, suite=suite, faults=faults, dt=dt, dt_physics=dt_physics
+                1, self.vessel, self.sea, suite=suite, faults=given, dt=dt, dt_physics=dt_physics
             )
         limits = self.vessel.values
         self.speed = self.vessel.straight_speed(limits["shaft_speed_manoeuvring"])
@@ -245,12 +313,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self.action_space = spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.observation_space = spaces.Box(-BOUND, BOUND, (len(OBSERVATION),), np.float32)
         self._shape = (width,)
-        self._action = np.zeros((1, width))
-        self._before = np.zeros((1, width))
-        self._cmd = np.zeros((1, 4))
-        self._held = np.zeros((1, len(sensors.CHANNELS)))
-        self._age = np.zeros((1, 3))
-        self._errors = np.zeros(len(ERRORS))
+        self._actions = np.zeros((2, 1, width))
+        self._seen = np.zeros((1, RECORD_SIZE))
+        self._arguments = (
+            *self.simulation.arguments,
+            self.task.records,
+            self.task.points,
+            self.task.rules,
+            self._scale,
+            self._seen,
+            self._actions,
+        )
         self._started = False
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
@@ -275,17 +348,23 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         super().reset(seed=seed)
         if options:
             raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
-        world, task = self.np_random.spawn(2)
-        self.simulation.reset([0], [world])
-        self.task.reset(0, task)
+        for_world, for_task = self.np_random.spawn(2)
+        self.simulation.reset([0], [for_world])
+        self.task.reset(0, for_task)
         share = self.simulation.cmd[0] / self._scale
-        self._action[0] = share if self._action.shape[1] == 4 else share[::2]
-        self._held[:] = 0.0
-        self._age[:] = 0.0
+        self._actions[:] = share if self._shape == (4,) else share[::2]
+        self._seen[:] = 0.0
         self._started = True
         if self.history is not None:
             self.history.clear()
-        return self._observation(), self._info()
+        obs = np.empty((1, len(OBSERVATION)), np.float32)
+        sim, task = self.simulation, self.task
+        _observe(
+            *(sim.records[0], task.records[0], task.points[0], task.rules, self._scale),
+            *(sim.dt, self._seen[0], obs[0]),
+        )
+        self._remember()
+        return obs[0], self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail for one control step; see :meth:`gymnasium.Env.step`.
@@ -311,46 +390,30 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 f"action has shape {values.shape}; it must be {self._shape}: "
                 "see the action table of USVEnv"
             )
-        self._before, self._action = self._action, self._before
-        self._action[0] = values
-        if not _command(self._action, self._scale, self._cmd):
-            self._before, self._action = self._action, self._before
+        self._actions[1, 0] = values
+        self.simulation.prepare()
+        obs = np.empty((1, len(OBSERVATION)), np.float32)
+        if not _step(*self._arguments, obs):
             raise ValueError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
-        self.simulation.step(self._cmd)
-        self.task.step(self.simulation.state, self._action, self._before)
-        task = self.task
-        reward, terminated = task.rewards.item(0), task.terminated.item(0)
-        return self._observation(), reward, terminated, False, self._info()
+        self._remember()
+        record = self.task.records
+        reward, terminated = record.item(REWARD), record.item(TERMINATED) != 0.0
+        return obs[0], reward, terminated, False, self._info()
 
-    def _observation(self) -> np.ndarray:
-        sim, task = self.simulation, self.task
-        obs = np.empty((1, len(OBSERVATION)), np.float32)
-        _observe(
-            sim.z,
-            sim.cmd,
-            sim.dt,
-            self.speed,
-            self._scale,
-            task.points,
-            task.known_legs,
-            task.reach,
-            self._held,
-            self._age,
-            self._errors,
-            obs,
-        )
+    def _remember(self) -> None:
+        """Keep this step's row for the log, if asked to."""
         if self.history is not None:
+            sim = self.simulation
             self.history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
-        return obs[0]
 
     def _info(self) -> dict[str, Any]:
-        task = self.task
+        record = self.task.records[0].tolist()
         return {
             "t_s": self.simulation.t.item(0),
-            "cross_track_m": task.errors.item(0),
-            "leg": task.legs.item(0),
-            "is_success": task.success.item(0),
-            "reward_terms": dict(zip(TERMS, task.terms[0].tolist(), strict=True)),
+            "cross_track_m": record[ERROR],
+            "leg": int(record[LEG]),
+            "is_success": record[SUCCESS] != 0.0,
+            "reward_terms": dict(zip(TERMS, record[TERM:REWARD], strict=True)),
         }

@@ -55,8 +55,11 @@ class SeaState:
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
-            if value is not None and not math.isfinite(value):
-                raise SeaError(f"{item.name} = {value}: must be a finite number")
+            number = isinstance(value, (int, float, np.number))
+            if value is not None and not (number and math.isfinite(value)):
+                raise SeaError(f"{item.name} = {value!r}: must be a finite number")
+        if self.components != int(self.components):
+            raise SeaError(f"components = {self.components}: must be a whole number")
         for name, top in (("hs", 20.0), ("wind", 75.0), ("current", 10.0)):
             value = getattr(self, name)
             if not 0.0 <= value <= top:

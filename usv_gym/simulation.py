@@ -9,6 +9,7 @@ import numpy as np
 
 from usv_gym import sensors
 from usv_gym.physics import frames as fr
+from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics.waves import FACTOR_ROWS
 from usv_gym.sea import SeaState
@@ -26,57 +27,99 @@ class SimulationError(ValueError):
     """A simulation that cannot be set up; the message names the argument and the remedy."""
 
 
+# one row of numbers per boat: where each part begins
+STATE = 0
+CMD = STATE + fr.STATE_SIZE
+Z = CMD + fr.COMMAND_SIZE
+BIAS = Z + len(sensors.CHANNELS)
+STEADY = BIAS + sensors.BIAS_SIZE
+TIME = STEADY + ship.STEADY_SIZE
+COUNT = TIME + 1
+WORK = COUNT + 1
+RECORD_SIZE = WORK + ship.WORK_ROWS * fr.STATE_SIZE
+
+
 @kernel
-def _advance(
-    states: np.ndarray,
-    cmds: np.ndarray,
-    p: np.ndarray,
+def advance(
+    record: np.ndarray,
     waves: np.ndarray,
-    gusts: np.ndarray,
-    steady: np.ndarray,
-    t: np.ndarray,
-    count: np.ndarray,
-    dt: float,
-    substeps: int,
     factors: np.ndarray,
-    work: np.ndarray,
-    suite: np.ndarray,
+    gusts: np.ndarray,
     noise: np.ndarray,
     faults: np.ndarray,
-    bias: np.ndarray,
     ring: np.ndarray,
-    z: np.ndarray,
+    constants: np.ndarray,
+    dt: float,
+    substeps: int,
 ) -> None:
-    """Advance every boat by one control step and let its sensors measure."""
+    """Advance one boat by one control step and let its sensors measure.
+
+    Parameters
+    ----------
+    record : ndarray, shape (RECORD_SIZE,)
+        All numbers of the boat; parts as named above. The command is read from it.
+    waves, factors, gusts : ndarray, shapes (6, M), (3, M), (3, G)
+        Its sea, and scratch for it.
+    noise : ndarray, shape (B, 14)
+        Sensor noise; row ``count % B`` is used.
+    faults, ring : ndarray, shapes (F, 3), (delay + 1, 4)
+        See :func:`usv_gym.sensors.measure`.
+    constants : ndarray, shape (PACKED_SIZE + ...,)
+        Packed vessel, then packed sensor suite.
+    dt, substeps
+        Control step in s, and into how many integration steps it is cut.
+    """
+    state, cmd = record[STATE:CMD], record[CMD:Z]
+    work = record[WORK:].reshape((ship.WORK_ROWS, fr.STATE_SIZE))
+    p, suite = constants[: par.PACKED_SIZE], constants[par.PACKED_SIZE :]
     h = dt / substeps
-    for i in range(states.shape[0]):
-        for j in range(substeps):
-            ship.step(
-                states[i],
-                cmds[i],
-                p,
-                waves[i],
-                gusts[i],
-                steady[i],
-                t[i] + j * h,
-                h,
-                factors[i],
-                work[i],
-            )
-        count[i] += 1
-        t[i] = count[i] * dt  # whole multiples of the step do not drift
-        sensors.measure(
-            states[i],
-            work[i, 0],
-            t[i],
-            count[i],
-            dt,
-            suite,
-            noise[i, count[i] % noise.shape[1]],
+    for j in range(substeps):
+        t = record[TIME] + j * h
+        ship.step(state, cmd, p, waves, gusts, record[STEADY:TIME], t, h, factors, work)
+    count = int(record[COUNT]) + 1
+    record[COUNT] = count
+    record[TIME] = count * dt  # whole multiples of the step do not drift
+    sensors.measure(
+        state,
+        work[0],
+        record[TIME],
+        count,
+        dt,
+        suite,
+        noise[count % noise.shape[0]],
+        faults,
+        record[BIAS:STEADY],
+        ring,
+        record[Z:BIAS],
+    )
+
+
+@kernel
+def _advance_all(
+    records: np.ndarray,
+    waves: np.ndarray,
+    factors: np.ndarray,
+    gusts: np.ndarray,
+    noise: np.ndarray,
+    faults: np.ndarray,
+    rings: np.ndarray,
+    constants: np.ndarray,
+    dt: float,
+    substeps: int,
+) -> None:
+    """Advance every boat; see :func:`advance`."""
+    for i in range(records.shape[0]):
+        advance(
+            records[i],
+            waves[i],
+            factors[i],
+            gusts[i],
+            noise[i],
             faults[i],
-            bias[i],
-            ring[i],
-            z[i],
+            rings[i],
+            constants,
+            dt,
+            substeps,
         )
 
 
@@ -127,8 +170,9 @@ class Simulation:
         dt: float = 0.05,
         dt_physics: float = 0.05,
     ) -> None:
-        substeps = round(dt / dt_physics) if dt_physics > 0 else 0
-        if not (dt > 0 and substeps >= 1 and math.isclose(substeps * dt_physics, dt)):
+        sound = math.isfinite(dt) and math.isfinite(dt_physics) and dt_physics > 0
+        substeps = round(dt / dt_physics) if sound else 0
+        if not (substeps >= 1 and math.isclose(substeps * dt_physics, dt)):
             raise SimulationError(
                 f"dt = {dt} s must be a whole multiple of dt_physics = {dt_physics} s"
             )
@@ -139,24 +183,35 @@ class Simulation:
         max_faults = max_faults if callable(faults) else len(fixed)
         quiet = np.random.default_rng(0)
         example = sea.realise(vessel, quiet, quiet)
-        self.state = np.zeros((n, fr.STATE_SIZE))
-        self.cmd = np.zeros((n, fr.COMMAND_SIZE))
-        self.t = np.zeros(n)
-        self.z = np.full((n, len(sensors.CHANNELS)), math.nan)
-        self.count = np.zeros(n, dtype=np.int64)
-        self._p = vessel.packed.copy()
+        self.records = np.zeros((n, RECORD_SIZE))
+        self.state = self.records[:, STATE:CMD]
+        self.cmd = self.records[:, CMD:Z]
+        self.z = self.records[:, Z:BIAS]
+        self.z[:] = math.nan
+        self.steady = self.records[:, STEADY:TIME]
+        self.t = self.records[:, TIME]
         self.waves = np.zeros((n, *example.waves.shape))
         self.gusts = np.zeros((n, *example.gusts.shape))
-        self.steady = np.zeros((n, *example.steady.shape))
-        self._factors = np.zeros((n, FACTOR_ROWS, self.waves.shape[2]))
-        self._work = np.zeros((n, ship.WORK_ROWS, fr.STATE_SIZE))
-        self._suite = self.suite.pack(dt)
+        self.constants = np.concatenate([vessel.packed, self.suite.pack(dt)])
         self._noise = np.zeros((n, NOISE_BLOCK, sensors.NOISE_SIZE))
         self._faults = np.full((n, max_faults, 3), math.nan)
         if fixed:
             self._faults[:] = sensors.fault_windows(fixed)
-        self._bias = np.zeros((n, sensors.BIAS_SIZE))
-        self._ring = np.zeros((n, self.suite.delay_steps(dt) + 1, 4))
+        self._rings = np.zeros((n, self.suite.delay_steps(dt) + 1, 4))
+        self.arguments = (
+            self.records,
+            self.waves,
+            np.zeros((n, FACTOR_ROWS, self.waves.shape[2])),
+            self.gusts,
+            self._noise,
+            self._faults,
+            self._rings,
+            self.constants,
+            dt,
+            substeps,
+        )
+        """What the kernels :func:`advance` and those built on it take, for all boats."""
+        self._until_refill = 1
         self._noise_rngs: list[tuple[np.random.Generator, ...]] = [()] * n
         self._start_speed = vessel.straight_speed(vessel.values["shaft_speed_manoeuvring"])
 
@@ -177,7 +232,7 @@ class Simulation:
             sea = self.sea.realise(self.vessel, rng_waves, rng_gusts)
             self.waves[i], self.gusts[i], self.steady[i] = sea.waves, sea.gusts, sea.steady
             self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu)
-            self._refill(i)
+            self._refill(int(i))
             if self._draw_faults is not None:
                 windows = sensors.fault_windows(tuple(self._draw_faults(rng_faults)))
                 self._faults[i] = math.nan
@@ -186,24 +241,18 @@ class Simulation:
             self.state[i, fr.U] = self._start_speed
             self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
             self.cmd[i] = n_start, n_start, 0.0, 0.0
-            self.t[i], self.count[i] = 0.0, 0
-            self._ring[i] = 0.0
-            self._work[i] = 0.0
-            noise = self._noise[i, 0]
-            sensors.start_biases(self._suite, noise, self._bias[i])
+            self.records[i, TIME] = self.records[i, COUNT] = 0.0
+            self.records[i, WORK:] = 0.0
+            self._rings[i] = 0.0
+            noise, bias = self._noise[i, 0], self.records[i, BIAS:STEADY]
+            suite = self.constants[par.PACKED_SIZE :]
+            still = np.zeros(fr.STATE_SIZE)
+            sensors.start_biases(suite, noise, bias)
             sensors.measure(
-                self.state[i],
-                self._work[i, 0],
-                0.0,
-                0,
-                0.0,
-                self._suite,
-                noise,
-                self._faults[i],
-                self._bias[i],
-                self._ring[i],
-                self.z[i],
+                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self._faults[i], bias),
+                *(self._rings[i], self.z[i]),
             )
+        self._until_refill = 1  # looked at anew by the next step
 
     def step(self, cmd: np.ndarray) -> None:
         """Advance every boat by one control step.
@@ -214,29 +263,18 @@ class Simulation:
             Left and right shaft speed (rev/s), left and right drive angle (rad); finite.
         """
         self.cmd[:] = cmd
-        for i in range(self.n):
-            if (self.count[i] + 1) % NOISE_BLOCK == 0:
-                self._refill(i)
-        _advance(
-            self.state,
-            self.cmd,
-            self._p,
-            self.waves,
-            self.gusts,
-            self.steady,
-            self.t,
-            self.count,
-            self.dt,
-            self.substeps,
-            self._factors,
-            self._work,
-            self._suite,
-            self._noise,
-            self._faults,
-            self._bias,
-            self._ring,
-            self.z,
-        )
+        self.prepare()
+        _advance_all(*self.arguments)
+
+    def prepare(self) -> None:
+        """Draw sensor noise where a boat's block is used up; call before each step."""
+        self._until_refill -= 1
+        if self._until_refill > 0:
+            return
+        used = (self.records[:, COUNT].astype(int) + 1) % NOISE_BLOCK
+        for i in np.flatnonzero(used == 0):
+            self._refill(int(i))
+        self._until_refill = int(NOISE_BLOCK - used.max())
 
     def _refill(self, i: int) -> None:
         """Draw the next block of sensor noise of one boat, each sensor from its own source."""

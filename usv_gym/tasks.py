@@ -8,7 +8,7 @@ import numpy as np
 
 from usv_kernel import kernel, wrap
 
-__all__ = ["TASKS", "FreeManoeuvre", "PathFollowing", "Task", "TaskError", "path_errors"]
+__all__ = ["TASKS", "FreeManoeuvre", "PathFollowing", "Task", "TaskError", "follow", "judge"]
 
 ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
 TERMS = ("progress", "cross_track", "effort")
@@ -70,60 +70,64 @@ def follow(
     return leg
 
 
+# one row of numbers per boat: where each part begins
+LEG = 0
+ERROR = LEG + 1
+TERM = ERROR + len(ERRORS)
+REWARD = TERM + len(TERMS)
+TERMINATED, SUCCESS = REWARD + 1, REWARD + 2
+KNOWN_LEG = SUCCESS + 1
+RECORD_SIZE = KNOWN_LEG + 1
+# and what is common to all boats
+RATED, REACH, SPEED, AREA = 0, 1, 2, 3
+
+
 @kernel
-def path_reward(
-    states: np.ndarray,
-    actions: np.ndarray,
+def judge(
+    state: np.ndarray,
+    action: np.ndarray,
     before: np.ndarray,
     points: np.ndarray,
-    legs: np.ndarray,
-    reach: float,
-    area: float,
-    speed: float,
-    errors: np.ndarray,
-    terms: np.ndarray,
-    rewards: np.ndarray,
-    terminated: np.ndarray,
-    success: np.ndarray,
+    rules: np.ndarray,
+    record: np.ndarray,
 ) -> None:
-    """Write reward terms and ends of every boat, from the truth.
+    """Write errors, reward terms and end of one step of one boat, from the truth.
 
     Parameters
     ----------
-    states : ndarray, shape (n, 16)
-        True states.
-    actions, before : ndarray, shape (n, A)
+    state : ndarray, shape (16,)
+        True state.
+    action, before : ndarray, shape (A,)
         Action of this step and of the step before.
-    points, legs : ndarray, shapes (n, K, 2), (n,)
-        Paths, and the leg that each boat is on (advanced in place).
-    reach, area : float
-        A way point counts as reached within ``reach`` m; further than ``area`` m off the
-        path ends the episode.
-    speed : float
-        Speed along the path that earns one unit, m/s.
-    errors, terms, rewards : ndarray, shapes (n, 4), (n, 3), (n,)
-        Written.
-    terminated, success : ndarray of bool, shape (n,)
-        Written.
+    points : ndarray, shape (K, 2)
+        Path.
+    rules : ndarray, shape (4,)
+        Whether steps are rated at all, the distance at which a way point counts as reached
+        (m), the speed along the path that earns one unit (m/s), and the distance off the
+        path that ends the episode (m).
+    record : ndarray, shape (RECORD_SIZE,)
+        Parts as named above; written, but for the leg that the boat believes to be on.
     """
-    for i in range(states.shape[0]):
-        x, y, psi = states[i, 0], states[i, 1], states[i, 5]
-        legs[i] = follow(x, y, psi, points[i], legs[i], reach, errors[i])
-        u, v = states[i, 6], states[i, 7]
-        along = u * math.cos(errors[i, 2]) + v * math.sin(errors[i, 2])
-        terms[i, 0] = min(along / speed, 1.0)
-        terms[i, 1] = -min(abs(errors[i, 0]) / CROSS_TRACK_SCALE, 2.0)
-        change = 0.0
-        for j in range(actions.shape[1]):
-            change += abs(actions[i, j] - before[i, j])
-        terms[i, 2] = -0.05 * change
-        rewards[i] = terms[i, 0] + terms[i, 1] + terms[i, 2]
-        success[i] = legs[i] + 2 == points.shape[1] and errors[i, 1] < reach
-        terminated[i] = success[i] or abs(errors[i, 0]) > area
+    errors = record[ERROR:TERM]
+    leg = follow(state[0], state[1], state[5], points, int(record[LEG]), rules[REACH], errors)
+    record[LEG] = leg
+    if rules[RATED] == 0.0:
+        return
+    along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
+    change = 0.0
+    for j in range(action.shape[0]):
+        change += abs(action[j] - before[j])
+    record[TERM] = min(along / rules[SPEED], 1.0)
+    record[TERM + 1] = -min(abs(errors[0]) / CROSS_TRACK_SCALE, 2.0)
+    record[TERM + 2] = -0.05 * change
+    record[REWARD] = record[TERM] + record[TERM + 1] + record[TERM + 2]
+    reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
+    record[SUCCESS] = 1.0 if reached else 0.0
+    record[TERMINATED] = 1.0 if reached or abs(errors[0]) > rules[AREA] else 0.0
 
 
 class Task:
-    """State of n episodes' tasks; the base is a boat that is left to itself.
+    """State of n episodes' tasks; subclasses draw the path and say what is rated.
 
     Parameters
     ----------
@@ -136,44 +140,39 @@ class Task:
 
     Attributes
     ----------
-    points, known_legs : ndarray, shapes (n, K, 2), (n,)
-        Paths, and the leg that each boat believes to be on.
-    errors, terms : ndarray, shapes (n, 4), (n, 3)
-        True errors and reward terms of the last step; order of ``ERRORS`` and ``TERMS``.
-    rewards : ndarray, shape (n,)
-        Sums of the terms.
-    terminated, success : ndarray of bool, shape (n,)
-        Whether the episode ended, and whether by reaching the goal.
-    reach : float
-        Distance at which a way point counts as reached, m.
+    points : ndarray, shape (n, K, 2)
+        Paths, m north and east.
+    records : ndarray, shape (n, RECORD_SIZE)
+        Leg, errors, reward terms and ends; parts as named at the top of this file.
+    rules : ndarray, shape (4,)
+        See :func:`judge`.
     """
 
     legs_per_path = 1
+    rated = False
     off_track = math.inf
 
     def __init__(self, n: int, speed: float, length: float) -> None:
-        self.speed, self.length = speed, length
-        self.reach = 2.0 * length
+        self.length = length
+        self.rules = np.array([float(self.rated), 2.0 * length, speed, self.off_track])
         self.points = np.zeros((n, self.legs_per_path + 1, 2))
-        self.legs = np.zeros(n, dtype=np.int64)
-        self.known_legs = np.zeros(n, dtype=np.int64)
-        self.errors = np.zeros((n, len(ERRORS)))
-        self.terms = np.zeros((n, len(TERMS)))
-        self.rewards = np.zeros(n)
-        self.terminated = np.zeros(n, dtype=np.bool_)
-        self.success = np.zeros(n, dtype=np.bool_)
+        self.records = np.zeros((n, RECORD_SIZE))
+
+    @property
+    def errors(self) -> np.ndarray:
+        """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
+        return self.records[:, ERROR:TERM]
+
+    @property
+    def terms(self) -> np.ndarray:
+        """Reward terms of the last step, shape (n, 3) in the order of ``TERMS``; a view."""
+        return self.records[:, TERM:REWARD]
 
     def reset(self, i: int, rng: np.random.Generator) -> None:
         """Draw the path of boat i; it starts at the origin, heading north."""
         self.points[i] = self._path(rng)
-        self.legs[i] = self.known_legs[i] = 0
-        self.terms[i] = 0.0
-        self.terminated[i] = self.success[i] = False
-        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.errors[i])
-
-    def step(self, states: np.ndarray, actions: np.ndarray, before: np.ndarray) -> None:
-        """Judge one step of every boat; see :func:`path_reward`."""
-        raise TypeError("a task must judge its steps")
+        self.records[i] = 0.0
+        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records[i, ERROR:TERM])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         raise TypeError("a task must draw its path")
@@ -181,11 +180,6 @@ class Task:
 
 class FreeManoeuvre(Task):
     """No goal, no reward, no end; the path ahead is a line to the north."""
-
-    def step(self, states: np.ndarray, actions: np.ndarray, before: np.ndarray) -> None:
-        """Write the true errors to the line; there is nothing to judge."""
-        for i, state in enumerate(states):
-            path_errors(state[0], state[1], state[5], self.points[i], 0, self.errors[i])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         return np.array([[0.0, 0.0], [1e4, 0.0]])
@@ -201,25 +195,8 @@ class PathFollowing(Task):
     """
 
     legs_per_path = 6
+    rated = True
     off_track = 50.0
-
-    def step(self, states: np.ndarray, actions: np.ndarray, before: np.ndarray) -> None:
-        """Judge one step of every boat; see :func:`path_reward`."""
-        path_reward(
-            states,
-            actions,
-            before,
-            self.points,
-            self.legs,
-            self.reach,
-            self.off_track,
-            self.speed,
-            self.errors,
-            self.terms,
-            self.rewards,
-            self.terminated,
-            self.success,
-        )
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         turns = np.radians(rng.uniform(-70.0, 70.0, self.legs_per_path))

@@ -173,6 +173,8 @@ class Vessel:
         """
         if isinstance(source, Vessel):
             return source
+        if not isinstance(source, (str, Path)):
+            raise VesselError(f"vessel = {source!r}: give a name, the path of a file, or a Vessel")
         path = Path(source)
         if str(source) in vessel_names():
             path = Path(str(resources.files("usv_gym") / "vessels" / f"{source}.toml"))
@@ -256,6 +258,8 @@ class Vessel:
                 "[hull.resistance] speed and force need equally many points, 3 to "
                 f"{par.RESISTANCE_POINTS}; got {len(speed)} and {len(force)}"
             )
+        if not np.isfinite([*speed, *force]).all():
+            raise VesselError("[hull.resistance] speed and force must be finite numbers")
         if speed[0] != 0.0 or force[0] != 0.0 or min(np.diff(speed)) <= 0.0 or min(force) < 0.0:
             raise VesselError(
                 "[hull.resistance] must start at speed 0, force 0; speeds must rise and forces "
@@ -270,6 +274,9 @@ class Vessel:
                 f"[particulars] mass: {v['mass']:g} kg, but block coefficient, length, beam and "
                 f"draft displace {displaced:.4g} kg; they must agree within 20 %"
             )
+        for key in ("wake_fraction", "thrust_deduction"):
+            if v[key] >= 1.0:
+                raise VesselError(f"[propulsion] {key}: must be below 1, got {v[key]:g}")
         if v["x_P"] >= 0.0:
             raise VesselError("[propulsion] x_P: the drives must be aft (x_P below 0)")
 
@@ -303,7 +310,12 @@ class Vessel:
         def surplus(u: float) -> float:
             return drive_forces(u, 0.0, 0.0, state, self.packed)[0] - resistance(u, self.packed)
 
-        top = 2.0 * n * self.values["propeller_diameter"] * 2.0 + 1.0
+        top = 4.0 * n * self.values["propeller_diameter"] + 1.0
+        if not surplus(0.0) > 0.0 > surplus(top):
+            raise VesselError(
+                f"{self.name}: [propulsion] k_0, k_1, k_2: at {n:g} rev/s the propellers do not "
+                "balance the resistance at any speed; K_T must be above 0 at rest and fall with J"
+            )
         return float(brentq(surplus, 0.0, top, xtol=1e-9))
 
 
@@ -339,7 +351,7 @@ def _numbers(
         if key not in entry:
             raise VesselError(f"{place}: {key} is missing; write it as {example}")
     factors = UNITS[unit]
-    if entry["unit"] not in factors:
+    if not isinstance(entry["unit"], str) or entry["unit"] not in factors:
         raise VesselError(
             f"{place}: unit {entry['unit']!r} is not known here; use {', '.join(factors)}"
         )
@@ -352,4 +364,8 @@ def _numbers(
         kind = "a number" if scalar else "a list of numbers"
         raise VesselError(f"{place}: value must be {kind}, got {entry['value']!r}")
     factor = factors[entry["unit"]]
-    return tuple(float(v) * factor for v in raw), bool(entry.get("guess", False))
+    try:
+        numbers = tuple(float(v) * factor for v in raw)
+    except OverflowError:
+        raise VesselError(f"{place}: value must be a finite number") from None
+    return numbers, bool(entry.get("guess", False))

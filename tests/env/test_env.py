@@ -19,7 +19,7 @@ import usv_gym
 from twin import Log, Twin
 from twin.registry import PREDICTORS, PredictorError
 from twin.simulated import particulars_of
-from twin.wrapper import HORIZONS, TWIN_OBSERVATION, TwinObservation, log_of, make_env
+from twin.wrapper import HORIZONS, TWIN_OBSERVATION, TwinObservation, USVTwinEnv, log_of, make_env
 from usv_gym import Fault, SeaState, SensorSuite
 from usv_gym.env import OBSERVATION, USVEnv
 from usv_gym.physics import frames as fr
@@ -57,14 +57,23 @@ def actions_of(env: gym.Env[Any, Any], count: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
-# the twin is a wrapper, which Gymnasium's check remarks on whatever the wrapper does
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
 def test_gymnasium_check(kwargs: dict[str, Any]) -> None:
-    env = gym.make("USVTwin-v0", **kwargs)
-    while isinstance(env, gym.Wrapper) and not isinstance(env, TwinObservation):
-        env = env.env
-    assert isinstance(env, TwinObservation) == (kwargs["twin"] is not None)
+    made = gym.make("USVTwin-v0", **kwargs)
+    env = made.unwrapped
+    # what is checked is what was made: the twin is no wrapper that unwrapping takes away
+    assert env.observation_space == made.observation_space
+    assert isinstance(env, USVTwinEnv) == (kwargs["twin"] is not None)
     check_env(env)
+
+
+def test_wrapped_by_hand_is_the_same() -> None:
+    made, by_hand = gym.make("USVTwin-v0"), TwinObservation(USVEnv())
+    assert made.observation_space == by_hand.observation_space
+    np.testing.assert_array_equal(made.reset(seed=5)[0], by_hand.reset(seed=5)[0])
+    for action in actions_of(made, 60):
+        one, two = made.step(action), by_hand.step(action)
+        np.testing.assert_array_equal(one[0], two[0])
+        assert one[1:] == two[1:]
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
@@ -368,7 +377,7 @@ def test_only_a_vessel_at_sea_can_have_a_twin() -> None:
     with pytest.raises(TypeError, match="wraps environments over USVEnv, not CartPole"):
         TwinObservation(gym.make("CartPole-v1"))  # type: ignore[arg-type]
     flat = gym.wrappers.FrameStackObservation(USVEnv(), 2)
-    with pytest.raises(TypeError, match="before other observations"):
+    with pytest.raises(TypeError, match="comes before other observations"):
         TwinObservation(flat)
 
 

@@ -1,0 +1,132 @@
+"""Speed, beside peers in the same run: ``pytest tests/bench -m bench --benchmark-enable``.
+
+Prints pytest-benchmark's table, relative to the fastest of each group. Not part of the timed
+tests: figures move with the machine, ratios hardly do.
+"""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym  # noqa: F401 - registers the environment
+from twin import Twin
+from twin.identifier import JointUKF, plain_settings
+from twin.model import derivative, joint_predict
+from twin.simulated import particulars_of, simulate
+from twin.ukf import measurement_update
+from usv_gym import SeaState, Vessel
+
+pytestmark = pytest.mark.bench
+STEPS = 200
+BOAT = particulars_of(Vessel.load("usv75"))
+
+
+def stepping(env, action):
+    env.reset(seed=0)
+
+    def run():
+        for _ in range(STEPS):
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+
+    return run
+
+
+AHEAD = np.array([0.8, 0.1], np.float32)
+
+
+@pytest.mark.benchmark(group="200 environment steps through gym.make (100 wave components)")
+@pytest.mark.parametrize("twin", [None, "ukf"])
+def test_environment(benchmark, twin):
+    env = gym.make("USVTwin-v0", twin=twin, task="free")
+    benchmark(stepping(env, AHEAD))
+    benchmark.extra_info["steps_per_s"] = STEPS / benchmark.stats["median"]
+
+
+@pytest.mark.benchmark(group="200 environment steps through gym.make (100 wave components)")
+def test_pendulum(benchmark):
+    benchmark(stepping(gym.make("Pendulum-v1"), np.zeros(1, np.float32)))
+    benchmark.extra_info["steps_per_s"] = STEPS / benchmark.stats["median"]
+
+
+@pytest.mark.benchmark(group="200 environment steps through gym.make (100 wave components)")
+def test_gym_sailing(benchmark):
+    pytest.importorskip("gym_sailing")
+    env = gym.make("MotorboatTest-v0")
+    benchmark(stepping(env, env.action_space.sample()))
+
+
+@pytest.mark.benchmark(group="UKF with 6 states and 25 parameters: one predict and update")
+def test_structured_ukf(benchmark):
+    ukf = JointUKF(BOAT, plain_settings(BOAT))
+    ukf.x[3] = 5.0
+    ukf.act[:] = 20.0, 20.0, 0.1, 0.1
+    z, mask = ukf.x[:6].copy(), np.ones(6, dtype=bool)
+    np.fill_diagonal(ukf.R, 0.1)
+    np.fill_diagonal(ukf.Q, 1e-4)
+
+    def run():
+        joint_predict(*(ukf.x, ukf.P, ukf.act, 0.0, 0.05, ukf.Q, ukf.qx, ukf.weights, ukf.work))
+        measurement_update(ukf.x, ukf.P, z, mask, ukf.R, 2, math.inf, ukf.work)
+
+    run()
+    benchmark(run)
+
+
+@pytest.mark.benchmark(group="UKF with 6 states and 25 parameters: one predict and update")
+def test_filterpy_ukf(benchmark):
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+    settings = plain_settings(BOAT)
+    phi, rate = np.zeros(25), np.zeros(6)
+    act = np.array([20.0, 20.0, 0.1, 0.1])
+
+    def move(x, dt):
+        derivative(x[:6], x[6:], act, 0.0, phi, rate)
+        return np.concatenate([x[:6] + dt * rate, x[6:]])
+
+    points = MerweScaledSigmaPoints(31, 1.0, 2.0, 0.0)
+    ukf = UnscentedKalmanFilter(31, 6, 0.05, lambda x: x[:6], move, points)
+    ukf.x = np.concatenate([[0, 0, 0, 5.0, 0, 0], settings.xi0])
+    ukf.P = np.diag(np.concatenate([settings.p0, settings.xi0_var]))
+    ukf.Q = np.diag(np.concatenate([np.full(6, 1e-4), np.zeros(25)]))
+    ukf.R = 0.1 * np.eye(6)
+    z = ukf.x[:6].copy()
+
+    def run():
+        ukf.predict()
+        ukf.update(z)
+
+    benchmark(run)
+
+
+@pytest.mark.benchmark(group="twin: one row, and one 10 s prediction")
+@pytest.mark.parametrize("name", ["persistence", "ukf", "dsw-ukf"])
+def test_row(benchmark, name):
+    log = simulate(
+        "zigzag",
+        vessel=Vessel.load("usv75"),
+        sea=SeaState(hs=0.5, wind=4.5),
+        duration=60.0,
+        seed=0,
+    )
+    twin = Twin(BOAT, name)
+    twin.run(log)
+    z, cmd = log.z[-1], log.cmd[-1]
+
+    def run():
+        twin.step(twin.t + 0.05, z, cmd)
+
+    benchmark(run)
+
+
+@pytest.mark.benchmark(group="twin: one row, and one 10 s prediction")
+def test_prediction_with_bands(benchmark):
+    twin = Twin(BOAT, "ukf")
+    twin.step(0.0, np.array([0, 0, 5, 0, 0, 0, 0, 0, np.nan]), np.array([20.0, 20.0, 0.1, 0.1]))
+    benchmark(twin.predict)

@@ -1,0 +1,64 @@
+"""Every example runs as it stands, and so do the README's blocks of Python."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+def run(code: list[str], cwd: Path) -> str:
+    result = subprocess.run(
+        [sys.executable, *code], capture_output=True, text=True, cwd=cwd, timeout=300
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
+def test_example(path, tmp_path):
+    assert run([str(path)], tmp_path).strip()
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_readme_block(number, tmp_path):
+    run(["-c", BLOCKS[number]], tmp_path)
+
+
+def test_readme_has_its_blocks():
+    assert len(BLOCKS) >= 2
+
+
+def test_readme_files_exist():
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+def test_readme_results_are_those_of_the_checked_in_benchmark():
+    import json
+
+    results = json.loads((ROOT / "examples/benchmark/results.json").read_text())
+    value = {
+        (i["scenario"], i["fault"], i["predictor"]): i
+        for i in results["summary"]
+        if i["metric"] == "mae"
+    }
+    rows = re.findall(r"^\| (\S+) \| (.+) \|$", README, flags=re.MULTILINE)
+    table = {
+        name: cells.split(" | ")
+        for name, cells in rows
+        if name in results["settings"]["predictors"]
+    }
+    assert set(table) == set(results["settings"]["predictors"])
+    runs = [("turn", "none"), ("turn", "gps10"), ("zigzag", "none"), ("zigzag", "gps10")]
+    for name, cells in table.items():
+        for cell, (scenario, fault) in zip(cells, runs, strict=False):
+            item = value[scenario, fault, name]
+            assert cell == f"{item['value']:.2f} [{item['low']:.2f}, {item['high']:.2f}]"
