@@ -58,7 +58,7 @@ def advance(
     ----------
     record : ndarray, shape (RECORD_SIZE,)
         All numbers of the boat; parts as named above. The command is read from it.
-    waves, factors, gusts : ndarray, shapes (6, M), (3, M), (3, G)
+    waves, factors, gusts : ndarray, shapes (6, M), (6, M), (3, G)
         Its sea, and scratch for it.
     noise : ndarray, shape (B, 14)
         Sensor noise; row ``count % B`` is used.

@@ -23,12 +23,9 @@ import platformdirs
 
 __version__ = "0.1.0"
 
-__all__ = ["SUM_MATH", "actuate", "cache_directory", "cached", "kernel", "sources_digest", "wrap"]
+__all__ = ["actuate", "cache_directory", "cached", "kernel", "sources_digest", "wrap"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-SUM_MATH = frozenset({"contract", "reassoc", "nsz", "arcp"})
-"""Relaxations for long sums only. NaN and infinity keep their meaning under these."""
 
 _ROOT = Path(__file__).resolve().parent.parent
 _PACKAGES = ("usv_kernel", "usv_gym", "usv_gym/physics", "twin")
@@ -84,35 +81,30 @@ def cached() -> bool:
     return _CACHE is not None and next(_CACHE.rglob("*.nbi"), None) is not None
 
 
-def kernel(function: F | None = None, *, fastmath: frozenset[str] = frozenset()) -> Any:
+def kernel(function: F) -> F:
     """Compile a function to machine code on its first call, and keep the code on disk.
+
+    Floating-point rules stay strict: a relaxed sum compiles to other roundings wherever it
+    is inlined, and the same seed would no longer give the same bits in every process.
 
     Parameters
     ----------
     function : callable
         Plain function of scalars and arrays.
-    fastmath : set of str
-        LLVM relaxations; none, or :data:`SUM_MATH`, and only in long sums.
 
     Returns
     -------
     callable
         The compiled function; it releases the interpreter lock while it runs.
     """
-    if function is None:
-        return lambda f: kernel(f, fastmath=fastmath)
     # The folder is chosen when the function is decorated, so the setting can go back at once.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_CACHE) if _CACHE else before
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(_CACHE) if _CACHE else before  # type: ignore[attr-defined]
     try:
-        return numba.njit(
-            cache=_CACHE is not None,
-            nogil=True,
-            error_model="numpy",
-            fastmath=set(fastmath),
-        )(function)
+        compiled = numba.njit(cache=_CACHE is not None, nogil=True, error_model="numpy")(function)
     finally:
-        numba.config.CACHE_DIR = before
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    return compiled  # type: ignore[no-any-return]
 
 
 @kernel

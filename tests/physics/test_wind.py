@@ -17,7 +17,7 @@ from usv_gym.physics import ship, wind
 BOAT = Vessel.load("usv75")
 P = BOAT.packed.copy()
 CALM = np.zeros((6, 0))
-NO_FACTORS = np.zeros((3, 0))
+NO_FACTORS = np.zeros((6, 0))
 
 angles = st.floats(-math.pi, math.pi)
 

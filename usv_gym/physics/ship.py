@@ -57,7 +57,7 @@ def derivative(
         Command.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    waves, factors : ndarray, shapes (6, M), (3, M)
+    waves, factors : ndarray, shapes (6, M), (6, M)
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
     steady : ndarray, shape (STEADY_SIZE,)
         Mean wind, current and drift sums.
@@ -132,7 +132,7 @@ def step(
         Packed vessel and sea; see :func:`derivative` and :func:`usv_gym.physics.wind.gust`.
     t, dt : float
         Time and step, s.
-    factors : ndarray, shape (3, M)
+    factors : ndarray, shape (6, M)
         Scratch for :func:`~usv_gym.physics.waves.box_factors`.
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.

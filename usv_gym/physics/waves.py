@@ -9,12 +9,13 @@ import numpy as np
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import parameters as par
 from usv_gym.physics.frames import sincos
-from usv_kernel import SUM_MATH, kernel
+from usv_kernel import kernel
 
 # rows of the array of wave components, shape (6, M)
 OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE = 0, 1, 2, 3, 4, 5
 WAVE_ROWS = 6
-FACTOR_ROWS = 3
+FACTOR_ROWS = 6
+LANES = 4
 DRIFT_SUMS = 6
 
 PM_ALPHA = 8.1e-3
@@ -127,7 +128,7 @@ def _j1(s: float, sine: float, cosine: float) -> float:
     return series if z < 0.01 else closed
 
 
-@kernel(fastmath=SUM_MATH)
+@kernel
 def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
     """Return the height of the sea surface above rest in m.
 
@@ -148,7 +149,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
     return total
 
 
-@kernel(fastmath=SUM_MATH)
+@kernel
 def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarray) -> None:
     """Write what the length and the beam of the hull make of each component.
 
@@ -162,8 +163,9 @@ def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarra
         Wave components; PRESSURE holds ``rho g a (1 - exp(-k d)) / k``.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    factors : ndarray, shape (3, M)
-        Written: force per wave number, and the moment's shares of length and beam.
+    factors : ndarray, shape (6, M)
+        Written in its first three rows: force per wave number, and the moment's shares of
+        length and beam.
     """
     half_length = 0.5 * p[par.LENGTH]
     half_beam = 0.5 * p[par.BEAM]
@@ -182,7 +184,7 @@ def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarra
         factors[2, i] = pressure * half_beam * S * _j1(c, sin_c, cos_c)
 
 
-@kernel(fastmath=SUM_MATH)
+@kernel
 def first_order_loads(
     x: float, y: float, psi: float, t: float, waves: np.ndarray, factors: np.ndarray
 ) -> tuple[float, float, float]:
@@ -198,20 +200,38 @@ def first_order_loads(
         Position in m and heading in rad.
     t : float
         Time, s.
-    waves, factors : ndarray, shapes (6, M), (3, M)
-        Wave components, and what :func:`box_factors` makes of them.
+    waves, factors : ndarray, shapes (6, M), (6, M)
+        Wave components, and what :func:`box_factors` makes of them; the last three rows
+        are scratch.
     """
     cp, sp = math.cos(psi), math.sin(psi)
-    north, east, N = 0.0, 0.0, 0.0
-    for i in range(waves.shape[1]):
+    norths, easts, turns = factors[3], factors[4], factors[5]
+    M = waves.shape[1]
+    for i in range(M):
         k_north, k_east = waves[K_NORTH, i], waves[K_EAST, i]
         s, c = sincos(k_north * x + k_east * y - waves[OMEGA, i] * t + waves[PHASE, i])
         force = factors[0, i] * s
-        north += k_north * force
-        east += k_east * force
+        norths[i] = k_north * force
+        easts[i] = k_east * force
         k_x = k_north * cp + k_east * sp
         k_y = k_east * cp - k_north * sp
-        N += c * (k_y * factors[1, i] - k_x * factors[2, i])
+        turns[i] = c * (k_y * factors[1, i] - k_x * factors[2, i])
+    # four sums at a time, in an order that no compiler changes: same seed, same bits
+    a_0, a_1, a_2, a_3 = 0.0, 0.0, 0.0, 0.0
+    b_0, b_1, b_2, b_3 = 0.0, 0.0, 0.0, 0.0
+    c_0, c_1, c_2, c_3 = 0.0, 0.0, 0.0, 0.0
+    whole = M - M % LANES
+    for i in range(0, whole, LANES):
+        a_0, a_1 = a_0 + norths[i], a_1 + norths[i + 1]
+        a_2, a_3 = a_2 + norths[i + 2], a_3 + norths[i + 3]
+        b_0, b_1 = b_0 + easts[i], b_1 + easts[i + 1]
+        b_2, b_3 = b_2 + easts[i + 2], b_3 + easts[i + 3]
+        c_0, c_1 = c_0 + turns[i], c_1 + turns[i + 1]
+        c_2, c_3 = c_2 + turns[i + 2], c_3 + turns[i + 3]
+    for i in range(whole, M):
+        a_0, b_0, c_0 = a_0 + norths[i], b_0 + easts[i], c_0 + turns[i]
+    north, east = (a_0 + a_1) + (a_2 + a_3), (b_0 + b_1) + (b_2 + b_3)
+    N = (c_0 + c_1) + (c_2 + c_3)
     return north * cp + east * sp, east * cp - north * sp, N
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from usv_gym.physics import AIR_DENSITY, frames
 from usv_gym.physics import parameters as par
 from usv_gym.physics.frames import sincos
-from usv_kernel import SUM_MATH, kernel
+from usv_kernel import kernel
 
 
 def npd_spectrum(f: np.ndarray, wind: float, height: float = 10.0) -> np.ndarray:
@@ -29,7 +29,7 @@ def npd_spectrum(f: np.ndarray, wind: float, height: float = 10.0) -> np.ndarray
     return 320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45 / (1.0 + x**n) ** (5.0 / (3.0 * n))
 
 
-@kernel(fastmath=SUM_MATH)
+@kernel
 def gust(t: float, gusts: np.ndarray) -> float:
     """Return the gust speed in m/s at time t.
 
