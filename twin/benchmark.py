@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.log import Log, recorded_runs
+from twin.log import Log, beside, recorded_runs
 from twin.particulars import Particulars
 from twin.predictor import Prediction
-from twin.registry import EXTRAS, PREDICTORS, PredictorError
+from twin.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
 from twin.report import PredictorFigure, RunFigure
 from twin.simulated import particulars_of, simulate
-from twin.twin import Twin, known_plan
+from twin.twin import PLANS, Twin, known_plan
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SeaState
 from usv_gym.sensors import (
@@ -128,8 +128,12 @@ class Settings:
                     f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
                 )
         for name in self.plans:
-            if name not in ("known", "hold"):
-                raise PredictorError(f"no plan is called {name!r}; known: known, hold")
+            if name not in PLANS:
+                raise PredictorError(f"no plan is called {name!r}; known: {', '.join(PLANS)}")
+        names = [beside(path, "").name for path in self.logs]
+        for name in names:
+            if names.count(name) > 1 or name in self.scenarios:
+                raise BenchmarkError(f"two runs are called {name!r}; rename a log file")
         for text in self.faults:
             parse_faults(text, 0.0)
         if not (self.identify_s > 0 and self.duration_s > self.identify_s + HORIZONS[-1]):
@@ -176,7 +180,7 @@ def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         else:
             notes.append(
                 f"{name} is left out: {module} is not installed; "
-                f"python -m pip install 'usv-twin[{extra}]'"
+                f"python -m pip install {module} (the extra [{extra}] of usv-twin)"
             )
     return tuple(usable), tuple(notes)
 
@@ -191,7 +195,7 @@ def units(settings: Settings) -> list[Unit]:
         for predictor in settings.predictors
     ]
     for path in settings.logs:
-        name = Path(path).name.removesuffix(".gz").removesuffix(".csv")
+        name = beside(path, "").name
         work += [
             Unit(name, fault, 0, predictor, path)
             for fault in settings.faults
@@ -200,8 +204,14 @@ def units(settings: Settings) -> list[Unit]:
     return work
 
 
-def particulars_beside(path: str | Path, ship: str | None = None) -> Particulars:
-    """Return the particulars for a log: from a file, or from ``<log>.toml`` beside it.
+NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FILE names a boat"
+"""Said where :func:`particulars_beside` found none."""
+
+
+def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
+    """Return the particulars for a log, and whether any were given for it.
+
+    They are those of ``ship``, else those in ``<log>.toml`` beside the log, else the usv75's.
 
     Parameters
     ----------
@@ -215,17 +225,18 @@ def particulars_beside(path: str | Path, ship: str | None = None) -> Particulars
     ParticularsError, VesselError
         Names the file and the remedy.
     """
-    path = Path(path)
-    beside = path.with_name(path.name.removesuffix(".gz").removesuffix(".csv") + ".toml")
     if ship is None:
-        return Particulars.load(beside) if beside.exists() else particulars_of(Vessel.load("usv75"))
+        file = beside(path, ".toml")
+        if file.exists():
+            return Particulars.load(file), True
+        return particulars_of(Vessel.load("usv75")), False
     if (
         Path(ship).suffix == ".toml"
         and "[particulars]" in _text(ship)
         and "[hull]" not in _text(ship)
     ):
-        return Particulars.load(ship)
-    return particulars_of(Vessel.load(ship))
+        return Particulars.load(ship), True
+    return particulars_of(Vessel.load(ship)), True
 
 
 def _text(path: str) -> str:
@@ -252,6 +263,11 @@ def without_signals(log: Log, faults: Sequence[Fault]) -> Log:
     return dataclasses.replace(log, z=z)
 
 
+def _recorded_identify(log: Log) -> float:
+    """Return the time before the first prediction of a recorded run, s."""
+    return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
+
+
 def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, float]:
     """Return the log to be seen, the log to be scored against, the boat and the first origin."""
     if not unit.log:
@@ -268,13 +284,12 @@ def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, flo
         )
         return log.without_truth(), log, particulars_of(vessel), settings.identify_s
     log = Log.read(unit.log)
-    span = float(log.t[-1] - log.t[0])
-    identify = min(60.0, 0.4 * span)
+    identify = _recorded_identify(log)
     seen = without_signals(log, parse_faults(unit.fault, fault_start(settings, identify)))
     return (
         seen.without_truth(),
         log,
-        particulars_beside(unit.log, settings.ship),
+        particulars_beside(unit.log, settings.ship)[0],
         float(log.t[0]) + identify,
     )
 
@@ -357,9 +372,12 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
     """
     seen, reference_log, particulars, identify = load_run(settings, unit)
     if not unit.log:
-        _write_log(reference_log, folder / "logs" / f"{unit.run}.csv")
+        _write_log(reference_log, particulars, folder / "logs" / f"{unit.run}.csv")
     reference = _Reference(reference_log)
-    options = {"train_at": identify - float(seen.t[0])} if unit.predictor in EXTRAS else {}
+    options = {}
+    if predictor_class(unit.predictor).trains:
+        # in time for the first prediction: its history begins with the first late fix
+        options["train_at"] = identify - float(seen.t[0]) - 0.5
     twin = Twin(particulars, unit.predictor, seed=unit.seed, **options)
     dt = min(max(seen.dt, 0.02), 0.25)
     end = float(seen.t[-1]) - HORIZONS[-1]
@@ -460,14 +478,14 @@ def _thin(prediction: Prediction) -> dict[str, Any]:
     }
 
 
-def _write_log(log: Log, path: Path) -> None:
-    """Write a log unless it is there; two workers may want it at the same time."""
-    if path.exists():
-        return
+def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
+    """Write a log and its particulars, as a whole: another worker may do so at the same time."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = _partial(path)
     log.write(partial)
     partial.replace(path)
+    partial.write_text(particulars.to_toml(), encoding="utf-8")
+    partial.replace(beside(path, ".toml"))
 
 
 def digest(settings: Settings, unit: Unit) -> str:
@@ -501,6 +519,14 @@ def finished(
     if result.get("digest") != digest(settings, unit) or result.get("pictures") != pictures:
         return None
     return dict(result)
+
+
+def all_finished(settings: Settings, folder: Path) -> bool:
+    """Return whether nothing is left to do."""
+    return all(
+        finished(settings, unit, folder, pictures=wants_pictures(settings, unit)) is not None
+        for unit in units(settings)
+    )
 
 
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
@@ -587,15 +613,17 @@ def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             rows = [row for row in result["rows"] if row["plan"] == plan]
             key = (unit["scenario"], unit["fault"], unit["seed"], unit["predictor"], plan)
             mae = np.array([row["mae"] for row in rows])
-            scale = np.maximum(np.array(extra["scale"]).ravel(), 1e-9)
+            scale = np.array(extra["scale"]).ravel()
+            moves = scale > 1e-6  # in a calm straight run nothing changes, and nothing is scored
             tables[key] = mae
             pooled[key] = {
                 "mae": float(mae.mean()),
                 "mse": float(np.mean([row["mse"] for row in rows])),
-                "normalised": float(np.mean(mae / scale)),
                 "start_error": result["start_error"],
                 "coverage90": float(np.mean(extra["coverage90"])),
             }
+            if moves.any():
+                pooled[key]["normalised"] = float(np.mean(mae[moves] / scale[moves]))
     for key, values in pooled.items():
         base = tables.get((*key[:3], BASELINE, key[4]))
         if base is not None:
@@ -633,7 +661,12 @@ def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return summary
 
 
-def collect(settings: Settings, done: dict[Unit, dict[str, Any]], command: str) -> dict[str, Any]:
+def collect(
+    settings: Settings,
+    done: dict[Unit, dict[str, Any]],
+    command: str,
+    notes: Sequence[str] = (),
+) -> dict[str, Any]:
     """Return the content of ``results.json``.
 
     Parameters
@@ -644,12 +677,18 @@ def collect(settings: Settings, done: dict[Unit, dict[str, Any]], command: str) 
         Results by unit; those that are missing are left out.
     command : str
         The command that made them.
+    notes : sequence of str
+        What a reader must know of them.
     """
     ordered = [done[unit] for unit in units(settings) if unit in done]
     return {
         "version": __version__,
         "command": command,
-        "settings": dataclasses.asdict(settings),
+        "notes": list(notes),
+        "settings": {
+            **dataclasses.asdict(settings),
+            "logs": [Path(path).name for path in settings.logs],
+        },
         "rows": [row for result in ordered for row in result["rows"]],
         "summary": summarise(ordered),
     }
@@ -657,12 +696,16 @@ def collect(settings: Settings, done: dict[Unit, dict[str, Any]], command: str) 
 
 def lost_gps(settings: Settings, unit: Unit, log: Log) -> list[tuple[float, float]]:
     """Return the spans of time without GPS in a run, s."""
-    span = float(log.t[-1] - log.t[0])
-    identify = min(60.0, 0.4 * span) if unit.log else settings.identify_s
+    identify = _recorded_identify(log) if unit.log else settings.identify_s
     start = float(log.t[0]) + fault_start(settings, identify)
+    return gps_windows(parse_faults(unit.fault, start))
+
+
+def gps_windows(faults: Sequence[Fault]) -> list[tuple[float, float]]:
+    """Return the spans of time without GPS that faults bring, s."""
     return [
         (fault.start, fault.start + fault.duration)
-        for fault in parse_faults(unit.fault, start)
+        for fault in faults
         if FAULT_KINDS[fault.kind] & GPS_BIT
     ]
 
@@ -682,7 +725,7 @@ def warm_up(settings: Settings) -> None:
         twin.predict("hold")
 
 
-def figures(settings: Settings, done: dict[Unit, dict[str, Any]], folder: Path) -> list[RunFigure]:
+def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
     """Return what the report draws: one entry for each run that kept its pictures.
 
     Parameters
@@ -691,8 +734,6 @@ def figures(settings: Settings, done: dict[Unit, dict[str, Any]], folder: Path) 
         What was measured.
     done : dict
         Results by unit.
-    folder : Path
-        Folder of results, with the logs.
     """
     shown: dict[tuple[str, str, int], RunFigure] = {}
     for unit in units(settings):

@@ -21,13 +21,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twin import benchmark as bench
-from twin.log import Log, LogError
+from twin.log import Log, LogError, beside
 from twin.model import PARAMETER_NAMES, PARAMETER_UNITS
 from twin.particulars import ParticularsError
 from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
-from twin.twin import Twin, TwinError, known_plan
+from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULT_KINDS, FaultError, parse_faults
@@ -42,8 +42,8 @@ app = typer.Typer(
     help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
     "predict where it will be, and benchmark predictors under GPS loss.",
 )
-console = Console()
-errors = Console(stderr=True)
+console = Console(markup=False)
+errors = Console(stderr=True, markup=False)
 
 EXPECTED = (
     bench.BenchmarkError,
@@ -72,6 +72,10 @@ def _speaking(command: Command) -> Command:
         try:
             command(*args, **kwargs)
         except EXPECTED as error:
+            if isinstance(error, OSError) and error.filename is not None:
+                error = OSError(
+                    f"{error.filename}: {error.strerror}; choose another file or folder"
+                )
             errors.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
             raise typer.Exit(2) from None
 
@@ -108,7 +112,9 @@ def simulate_command(
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
     ] = "usv75",
-    duration: Annotated[float, typer.Option(min=1.0, help="Length of the run, s.")] = 120.0,
+    duration: Annotated[
+        float, typer.Option(min=1.0, max=86400.0, help="Length of the run, s.")
+    ] = 120.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
     sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
     hs: HsOption = None,
@@ -129,11 +135,9 @@ def simulate_command(
         log = simulate(manoeuvre, vessel=boat, sea=state, duration=duration, seed=seed, faults=lost)
     path.parent.mkdir(parents=True, exist_ok=True)
     log.write(path)
-    stem = path.name.removesuffix(".gz").removesuffix(".csv")
-    particulars = path.with_name(f"{stem}.toml")
+    particulars, picture = beside(path, ".toml"), beside(path, ".png")
     particulars.write_text(particulars_of(boat).to_toml(), encoding="utf-8")
-    picture = path.with_name(f"{stem}.png")
-    windows = [(f.start, f.start + f.duration) for f in lost if f.kind in ("gps", "all")]
+    windows = bench.gps_windows(lost)
     picture_of_log(log, picture, windows)
     console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")
 
@@ -241,7 +245,7 @@ def predict_command(
         prediction = twin.predict(known_plan(run, row, horizon, dt), dt=dt)
     else:
         prediction = twin.predict(_read_plan(Path(plan), horizon, dt), dt=dt)
-    _print_prediction(prediction, predictor, plan, run, row)
+    _print_prediction(prediction, predictor, plan, run)
     if out is not None:
         rows = [
             [t, *m, *s]
@@ -265,7 +269,7 @@ def benchmark_command(
         str, typer.Option(help=f"Comma-separated, of: {', '.join(PREDICTORS)}.")
     ] = ",".join(PREDICTORS),
     plans: Annotated[
-        str, typer.Option(help="known: future commands are given; hold: the last one stays.")
+        str, typer.Option(help=f"Comma-separated, of: {', '.join(PLANS)} (commands of the future).")
     ] = "known",
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
@@ -319,12 +323,17 @@ def benchmark_command(
         ship=ship if recorded else None,
     )
     Vessel.load(vessel)
+    notes += tuple(
+        bench.NO_PARTICULARS.format(path)
+        for path in recorded
+        if not bench.particulars_beside(path, ship)[1]
+    )
     for note in notes:
-        console.print(f"note: {note}", style="yellow", highlight=False)
+        _note(note)
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _work(settings, out, jobs)
     command = shlex.join(["usv-twin", *sys.argv[1:]])
-    results = bench.collect(settings, done, command)
+    results = bench.collect(settings, done, command, notes)
     _write_json(out / "results.json", results)
     _print_benchmark(results)
     for name, error in failed.items():
@@ -341,7 +350,7 @@ def benchmark_command(
         from twin.report import write_report
 
         with console.status("drawing the report"):
-            written = write_report(out, results, bench.figures(settings, done, out))
+            written = write_report(out, results, bench.figures(settings, done))
         console.print(f"{out / 'results.json'}, {written[0]}")
     if failed:
         raise typer.Exit(2)
@@ -355,8 +364,9 @@ def _work(
     failed: dict[str, Exception] = {}
     total = len(bench.units(settings))
     try:
-        with _compiling():
-            bench.warm_up(settings)
+        if not bench.all_finished(settings, out):
+            with _compiling():
+                bench.warm_up(settings)
         with Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -376,16 +386,24 @@ def _work(
     return done, failed
 
 
+def _note(text: str) -> None:
+    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
 def _begin(path: Path, predictor: str, ship: str | None, until: float | None) -> tuple[Log, Twin]:
     """Read a log, say what is missing in it, and make a twin for it."""
     log = Log.read(path).without_truth()
     for note in log.notes:
-        console.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
+        _note(note)
     if until is not None:
+        if not math.isfinite(until):
+            raise TwinError(f"--until {until}: must be a finite time in s")
         log = log.slice(-math.inf, math.nextafter(until, math.inf))
         if len(log) == 0:
             raise TwinError(f"--until {until:g}: the log has no row before it")
-    particulars = bench.particulars_beside(path, ship)
+    particulars, found = bench.particulars_beside(path, ship)
+    if not found:
+        _note(bench.NO_PARTICULARS.format(path))
     console.print(f"boat: {particulars.name}, {particulars.length:g} m", highlight=False)
     return log, Twin(particulars, predictor)
 
@@ -507,16 +525,16 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
     table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
-    for name in ("", "unit", "prior", "sd", "identified", "sd", "sd / prior sd"):
-        table.add_column(name, justify="left" if name in ("", "unit") else "right")
+    for name in ("", "unit", "prior", "sd", "identified", "sd", "ratio"):
+        table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
     for i, (name, symbol) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)):
         ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
-        table.add_row(name, symbol, *(f"{v:.4g}" for v in numbers), f"{ratio:.2f}")
+        table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}")
     console.print(table)
     console.print(
-        "A ratio near 1 says that the data told nothing of that parameter; left and right "
-        "thrust cannot be told apart at equal shaft speed and angle.",
+        "ratio: sd over that of the prior. Near 1 it says that the data told nothing of that "
+        "parameter; left and right thrust cannot be told apart at equal shaft speed and angle.",
         style="dim",
         soft_wrap=True,
     )
@@ -527,9 +545,7 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         )
 
 
-def _print_prediction(
-    prediction: Prediction, predictor: str, plan: str, log: Log, row: int
-) -> None:
+def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Log) -> None:
     span = float(prediction.t[-1] - prediction.t0)
     horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
     mean, cov = prediction.at(np.array(horizons))
@@ -584,12 +600,11 @@ def _print_benchmark(results: dict[str, Any]) -> None:
         console.print(table)
     console.print(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
-        "2, 5 and 10 s, units mixed. norm.: error over the true change. skill: 1 - error / "
-        "error of raw persistence. start (m): distance of the believed from the true position when "
-        "a prediction is made. band: share of errors inside the 90 % bands. Below a value: "
-        "its 95 % interval over seeds.",
+        "2, 5 and 10 s, units mixed. norm. (error over the true change) and skill (1 - error / "
+        "error of raw persistence) are means over channels and horizons. start (m): distance of "
+        "the believed from the true position when a prediction is made. band: share of errors "
+        "inside the 90 % bands. Below a value: its 95 % interval over seeds.",
         style="dim",
-        markup=False,
         soft_wrap=True,
     )
 

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from twin.model import (
     N_STATES,
     N_XI,
+    STUDY_LENGTH,
+    STUDY_SPEED,
     accelerations,
     follow,
     hand_prior,
@@ -64,7 +66,7 @@ GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
-AID_SD = 0.25 / 5.4
+AID_SD = 0.25 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in usual speeds."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
@@ -108,13 +110,13 @@ class FilterSettings:
 def plain_settings(particulars: Particulars) -> FilterSettings:
     """Return the settings of the plain joint UKF.
 
-    Those that worked for a 7.5 m boat at 5.4 m/s and 20 Hz, scaled to any boat by length and
-    speed (Froude). The measurement noise is far above that of the sensors, because the
-    measured velocities carry the waves and the model does not.
+    Those that worked for a boat of 6.336 m (waterline) at 5.4 m/s and 20 Hz, scaled to any
+    boat by length and speed (Froude). The measurement noise is far above that of the
+    sensors, because the measured velocities carry the waves and the model does not.
 
     Source: twin.md section 5.1.
     """
-    L, U = particulars.length / 7.5, particulars.speed / 5.4
+    L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
     time = L / U
     scale = np.array([L, L, 1.0, U, U, 1.0 / time])
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
@@ -202,7 +204,6 @@ _ENVELOPE = _LAGS + 3
 _WEIGHTS = _ENVELOPE + 3
 _UNIT = _WEIGHTS + 4
 _DIFFERENTIAL = _UNIT + 1
-CONSTANTS_SIZE = _DIFFERENTIAL + 1
 # its scratch
 _QS, _QX = 0, N_STATES * N_STATES
 _RS = _QX + N_XI

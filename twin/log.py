@@ -258,6 +258,12 @@ class Log:
         return _assemble(_open_csv(Path(path)))
 
 
+def beside(path: str | Path, suffix: str) -> Path:
+    """Return the file of a log's name with another ending (``.toml``, ``.png``) beside it."""
+    path = Path(path)
+    return path.with_name(path.name.removesuffix(".gz").removesuffix(".csv") + suffix)
+
+
 def recorded_runs() -> dict[str, Path]:
     """Return the recorded runs that ship with the package.
 

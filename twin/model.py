@@ -700,7 +700,9 @@ _STUDY_SD = np.concatenate(
         [0.005, 0.3, 1.0, 0.1, 1.0, 1.0, 0.3, 0.5, 0.006, 0.006],
     )
 )
-_STUDY_SCALES = parameter_scales(7.5, 5.4, 6.33)
+STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
+"""Waterline (m) and speed (m/s) of the boat that prior and filter were tuned for."""
+_STUDY_SCALES = parameter_scales(STUDY_LENGTH, STUDY_SPEED, 6.33)
 
 # Fixed propellers .2 L off the middle turn a boat whose radius of gyration is .25 L.
 _DIFFERENTIAL_MEAN, _DIFFERENTIAL_SD = 0.24, 0.14
@@ -709,7 +711,7 @@ _DIFFERENTIAL_MEAN, _DIFFERENTIAL_SD = 0.24, 0.14
 def hand_prior(particulars: Particulars) -> tuple[Array, Array]:
     """Return what is believed of the parameters before any data, from main particulars.
 
-    The prior of a 7.5 m boat at 5.4 m/s with 6.33 rev/s, made dimensionless by
+    The prior of a boat of 6.336 m (waterline) at 5.4 m/s with 6.33 rev/s, made dimensionless by
     :func:`parameter_scales` and given the units of this boat. Where the boat steers by
     unequal thrust, T_r is (.24 +- .14) U^2 / (L n)^2 and T_v is 0 on average.
 

@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 INPUT_MAX = 6.0
 """Bound of a scaled input: the net is not asked to extrapolate further beyond its data."""
 
-REMEDY = "the LSTM predictor needs torch: pip install 'usv-twin[lstm]'"
+REMEDY = (
+    "the LSTM predictor needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
+)
 
 
 class MissingTorch(ImportError):
@@ -175,6 +177,8 @@ class LSTMPredictor(HistoryPredictor):
     MissingTorch
         Torch is not installed.
     """
+
+    trains = True
 
     warm = 12
     """Steps that the net sees before it predicts."""

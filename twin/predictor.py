@@ -123,6 +123,9 @@ class Predictor(ABC):
         For predictors that draw random numbers; the same seed gives the same bits.
     """
 
+    trains = False
+    """Whether the class takes ``train_at``: seconds of data after which it trains itself."""
+
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
         self.seed = seed

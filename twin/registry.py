@@ -8,7 +8,7 @@ from typing import Any
 from twin.particulars import Particulars
 from twin.predictor import Predictor
 
-__all__ = ["DEFAULT", "EXTRAS", "PREDICTORS", "PredictorError", "make_predictor"]
+__all__ = ["DEFAULT", "EXTRAS", "PREDICTORS", "PredictorError", "make_predictor", "predictor_class"]
 
 PREDICTORS: dict[str, str | type[Predictor]] = {
     "persistence": "twin.predictor:Persistence",
@@ -28,6 +28,22 @@ DEFAULT = "ukf"
 
 class PredictorError(ValueError):
     """A predictor that is not known or cannot be used; the message says what can."""
+
+
+def predictor_class(name: str) -> type[Predictor]:
+    """Return the class of a predictor; errors as for :func:`make_predictor`."""
+    try:
+        entry = PREDICTORS[name]
+    except (KeyError, TypeError):
+        raise PredictorError(
+            f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
+        ) from None
+    if isinstance(entry, str):
+        module, _, attribute = entry.partition(":")
+        entry = getattr(import_module(module), attribute)
+    if not (isinstance(entry, type) and issubclass(entry, Predictor)):
+        raise PredictorError(f"predictor {name!r}: {entry!r} is not a subclass of Predictor")
+    return entry
 
 
 def make_predictor(
@@ -51,15 +67,4 @@ def make_predictor(
     PredictorError
         Lists the names that there are.
     """
-    try:
-        entry = PREDICTORS[name]
-    except (KeyError, TypeError):
-        raise PredictorError(
-            f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
-        ) from None
-    if isinstance(entry, str):
-        module, _, attribute = entry.partition(":")
-        entry = getattr(import_module(module), attribute)
-    if not (isinstance(entry, type) and issubclass(entry, Predictor)):
-        raise PredictorError(f"predictor {name!r}: {entry!r} is not a subclass of Predictor")
-    return entry(particulars, seed=seed, **options)
+    return predictor_class(name)(particulars, seed=seed, **options)

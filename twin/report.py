@@ -154,6 +154,8 @@ def write_report(out: Path, results: dict[str, Any], runs: list[RunFigure]) -> l
     out = Path(out)
     folder = out / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
+    for stale in folder.glob("*.png"):
+        stale.unlink()
     pictures = _Pictures(folder)
     names = dict.fromkeys(_text(row, "predictor") for row in results.get("rows") or [])
     names.update(dict.fromkeys(_text(row, "predictor") for row in results.get("summary") or []))

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from twin.log import MEASUREMENTS, Log
+from twin.log import MEASUREMENTS, Log, beside
 from twin.particulars import Particulars
 from twin.predictor import Predictor
 from twin.registry import DEFAULT
@@ -343,7 +343,7 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     env : gymnasium.Env
         Made with ``record=True``.
     path : str or Path, optional
-        Write it there as well.
+        Write it there as well, with the particulars beside it.
 
     Raises
     ------
@@ -363,4 +363,6 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     )
     if path is not None:
         log.write(path)
+        particulars = particulars_of(base.vessel, base.simulation.suite)
+        beside(path, ".toml").write_text(particulars.to_toml(), encoding="utf-8")
     return log

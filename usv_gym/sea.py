@@ -68,10 +68,12 @@ class SeaState:
             raise SeaError(f"components = {self.components}: must lie between 1 and 10000")
 
     @classmethod
-    def named(cls, name: str | SeaState) -> SeaState:
+    def named(cls, name: str | int | SeaState) -> SeaState:
         """Return a sea state by its name in :data:`SEA_STATES` (or the one handed in)."""
         if isinstance(name, SeaState):
             return name
+        if isinstance(name, int):
+            name = str(name)
         try:
             return SEA_STATES[name]
         except (KeyError, TypeError):

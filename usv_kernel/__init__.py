@@ -28,7 +28,7 @@ __all__ = ["actuate", "cache_directory", "cached", "kernel", "sources_digest", "
 F = TypeVar("F", bound=Callable[..., Any])
 
 _ROOT = Path(__file__).resolve().parent.parent
-_PACKAGES = ("usv_kernel", "usv_gym", "usv_gym/physics", "twin")
+_PACKAGES = ("usv_kernel", "usv_gym", "twin")
 
 
 def sources_digest(root: Path = _ROOT) -> str:
@@ -49,8 +49,8 @@ def sources_digest(root: Path = _ROOT) -> str:
     """
     digest = hashlib.sha256()
     for package in _PACKAGES:
-        for path in sorted((root / package).glob("*.py")):
-            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:20]
 
 

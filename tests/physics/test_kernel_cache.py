@@ -153,3 +153,33 @@ def test_without_a_writable_folder_kernels_are_still_compiled(
         return 2.0 * x
 
     assert usv_kernel.kernel(double)(3.0) == 6.0
+
+
+SAIL = """
+import numpy as np
+from usv_gym.sea import SeaState
+from usv_gym.simulation import Simulation
+from usv_gym.vessel import Vessel
+simulation = Simulation(1, Vessel.load("usv75"), SeaState(hs=0.5, wind=4.5))
+simulation.reset([0], [np.random.default_rng(0)])
+for _ in range(200):
+    simulation.step(np.array([[20.4, 20.4, 0.2, 0.2]]))
+print(simulation.state.tobytes().hex())
+"""
+
+
+def test_fresh_and_cached_code_give_the_same_bits(tmp_path: Path) -> None:
+    """What was just compiled and what was read from disk are two pieces of machine code."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    ends = [
+        subprocess.run(
+            [sys.executable, "-c", SAIL],
+            capture_output=True,
+            text=True,
+            env=environment,
+            check=True,
+            timeout=300,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert ends[0] == ends[1]

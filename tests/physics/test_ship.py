@@ -485,7 +485,10 @@ def test_the_step_reports_its_mean_derivative() -> None:
     """Row 0 of the scratch is what an IMU reads: the change over the step, over dt."""
     sea, s = a_sea(1), start(6.0, v=0.3, r=0.1, n=20.0, delta=0.1)
     before = s.copy()
-    factors, work = np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1])), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+    factors, work = (
+        np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1])),
+        np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
+    )
     ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.steady, 1.0, 0.05, factors, work)
     np.testing.assert_allclose(work[0], (s - before) / 0.05, rtol=1e-9, atol=1e-11)
 

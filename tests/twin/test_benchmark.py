@@ -144,6 +144,35 @@ def test_logs_can_be_fed_back(small):
     np.testing.assert_array_equal(reference.truth, log.truth)
 
 
+def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
+    small = dataclasses.replace(SMALL, faults=("none",), seeds=(0,), predictors=("persistence",))
+    run_all(small, tmp_path)
+    path = tmp_path / "logs" / "zigzag_none_0.csv"
+    before = path.read_bytes()
+    run_all(dataclasses.replace(small, hs=1.0), tmp_path)
+    assert path.read_bytes() != before
+    boat, found = bench.particulars_beside(path)
+    assert found
+    assert boat.length == 6.336
+    other = tmp_path / "alone.csv"
+    other.write_bytes(before)
+    assert not bench.particulars_beside(other)[1]
+
+
+def test_two_runs_of_one_name_are_refused():
+    with pytest.raises(bench.BenchmarkError, match="two runs are called 'run'"):
+        dataclasses.replace(SMALL, logs=("a/run.csv", "b/run.csv.gz"))
+
+
+def test_a_calm_straight_run_has_no_absurd_normalised_error(tmp_path):
+    calm = dataclasses.replace(
+        SMALL, scenarios=("straight",), faults=("none",), seeds=(0,), hs=0.0, wind=0.0
+    )
+    results = run_all(calm, tmp_path)
+    values = [i["value"] for i in results["summary"] if i["metric"] == "normalised"]
+    assert max(values) < 1e3
+
+
 def test_recorded_run_is_scored_against_its_record(tmp_path):
     path = str(recorded_runs()["boat1_usv_circle"])
     settings = dataclasses.replace(SMALL, scenarios=(), logs=(path,))
@@ -200,7 +229,7 @@ def test_lost_signals_of_a_recorded_log():
         ({"predictors": ("magic",)}, PredictorError, "no predictor is called 'magic'"),
         ({"faults": ("gps",)}, FaultError, "gps10"),
         ({"faults": ("sonar10",)}, FaultError, "sonar"),
-        ({"plans": ("guess",)}, PredictorError, "known, hold"),
+        ({"plans": ("guess",)}, PredictorError, "hold, known"),
         ({"hs": -1.0}, SeaError, "hs = -1.0"),
         ({"duration_s": 35.0}, bench.BenchmarkError, "duration_s"),
     ],
@@ -214,4 +243,4 @@ def test_missing_torch_is_said(monkeypatch):
     monkeypatch.setattr(bench, "find_spec", lambda name: None)
     names, notes = bench.available(("ukf", "lstm"))
     assert names == ("ukf",)
-    assert "usv-twin[lstm]" in notes[0]
+    assert "pip install torch" in notes[0]

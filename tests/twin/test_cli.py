@@ -69,6 +69,8 @@ def test_identify_equals_the_twin_in_python(folder):
     twin = Twin(particulars_of(Vessel.load("usv75")))
     twin.run(log)
     estimate = twin.estimate()
+    assert "..." not in out.stdout  # nothing is cut off at 80 columns
+    assert "\u2026" not in out.stdout
     last = json.loads((folder / "last.json").read_text())
     assert list(last["state"].values()) == estimate.s.tolist()
     assert [last["parameters"][name] for name in PARAMETER_NAMES] == estimate.xi.tolist()
@@ -167,7 +169,7 @@ def test_gaps_and_empty_cells_are_reported(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("mass = {", "weight = {"), ["weight", "unknown key"]),
+        (("mass = {", "weight = {"), ["[particulars] weight", "unknown key"]),
         (('unit = "kg", source = "Qu', 'source = "Qu'), ["mass", "unit"]),
         (("value = 3420.0", "value = -3420.0"), ["mass", "above 0"]),
         (("[particulars]", "[particulars"), ["not valid TOML"]),

@@ -16,7 +16,7 @@ from usv_kernel import actuate
 
 STUDY = {
     "name": "study boat",
-    "length": 7.5,
+    "length": 6.336,
     "beam": 2.714,
     "draft": 0.526,
     "mass": 3420.0,
@@ -250,7 +250,7 @@ def test_prior_of_the_study_boat() -> None:
 def test_prior_for_fixed_propellers() -> None:
     boat = Particulars(**{**STUDY, "shaft_speed": 80.0}, steering="differential")  # type: ignore[arg-type]
     xi, sd = model.hand_prior(boat)
-    unit = 5.4**2 / (7.5 * 80.0) ** 2
+    unit = 5.4**2 / (6.336 * 80.0) ** 2
     np.testing.assert_allclose(xi[23:], 0.24 * unit)
     np.testing.assert_allclose(sd[23:], 0.14 * unit)
     assert (xi[13:15] == 0.0).all() and (sd[13:15] > 0.0).all()
