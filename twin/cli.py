@@ -302,7 +302,8 @@ def benchmark_command(
     the pictures, and every run as a log that identify and predict read. Ctrl-C keeps what is
     finished; the same command goes on from there.
     """
-    names, notes = bench.available(_listed(predictors, "--predictors"))
+    asked = _listed(predictors, "--predictors")
+    names, notes = bench.available(asked)
     if not names:
         raise PredictorError("; ".join(notes))
     recorded = tuple(str(path) for path in log) if log else ()
@@ -335,7 +336,7 @@ def benchmark_command(
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = bench.collect(settings, done, command, notes)
     _write_json(out / "results.json", results)
-    _print_benchmark(results)
+    _print_benchmark(results, [name for name in asked if name not in names])
     for name, error in failed.items():
         errors.print(f"not scored: {name}: {error}", style="red", highlight=False, soft_wrap=True)
     total = len(bench.units(settings))
@@ -567,8 +568,8 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
     console.print(table)
 
 
-def _print_benchmark(results: dict[str, Any]) -> None:
-    """Print the result table, a block for each run and loss."""
+def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
+    """Print the result table, a block for each run and loss, and the notes."""
     cells: dict[tuple[str, str, str], dict[str, dict[str, dict[str, Any]]]] = {}
     for item in results["summary"]:
         block = cells.setdefault((item["scenario"], item["fault"], item["plan"]), {})
@@ -597,7 +598,11 @@ def _print_benchmark(results: dict[str, Any]) -> None:
                     for metric in heads
                 ),
             )
+        for predictor in left_out:
+            table.add_row(predictor, "left out", *("-" for _ in range(len(heads) - 1)))
         console.print(table)
+    for note in results["notes"]:
+        _note(note)
     console.print(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
         "2, 5 and 10 s, units mixed. norm. (error over the true change) and skill (1 - error / "

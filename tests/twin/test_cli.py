@@ -240,6 +240,17 @@ def test_benchmark_end_to_end(tmp_path):
     assert {row["scenario"] for row in rows} == {"zigzag_gps5_0"}
 
 
+def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):
+    from twin.cli import _print_benchmark
+
+    item = {"scenario": "turn", "fault": "none", "predictor": "ukf", "plan": "known"}
+    item |= {"metric": "mae", "value": 0.2, "low": None, "high": None}
+    _print_benchmark({"summary": [item], "notes": ["lstm is left out: no [torch]"]}, ["lstm"])
+    out = capsys.readouterr().out
+    assert "left out" in out.split("lstm", 1)[1].splitlines()[0]
+    assert "no [torch]" in out
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals are POSIX")
 def test_ctrl_c_keeps_what_is_finished(tmp_path):
     arguments = [
