@@ -7,6 +7,7 @@ interrupted benchmark goes on where it stopped, and the number of workers change
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -230,11 +231,8 @@ def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Parti
         if file.exists():
             return Particulars.load(file), True
         return particulars_of(Vessel.load("usv75")), False
-    if (
-        Path(ship).suffix == ".toml"
-        and "[particulars]" in _text(ship)
-        and "[hull]" not in _text(ship)
-    ):
+    text = _text(ship) if Path(ship).suffix == ".toml" else ""
+    if "[particulars]" in text and "[hull]" not in text:
         return Particulars.load(ship), True
     return particulars_of(Vessel.load(ship)), True
 
@@ -488,14 +486,18 @@ def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
     partial.replace(beside(path, ".toml"))
 
 
+@functools.cache
+def _program() -> str:
+    """Return the digest of the running program; every piece of work asks for it."""
+    return sources_digest()
+
+
 def digest(settings: Settings, unit: Unit) -> str:
     """Return what a result hangs on besides its unit: program, settings and recorded file."""
     kept = dataclasses.asdict(settings)
     for key in ("scenarios", "faults", "seeds", "predictors", "logs"):
         del kept[key]
-    text = json.dumps(
-        [__version__, sources_digest(), kept, dataclasses.asdict(unit)], sort_keys=True
-    )
+    text = json.dumps([__version__, _program(), kept, dataclasses.asdict(unit)], sort_keys=True)
     value = hashlib.sha256(text.encode())
     for path in (unit.log, settings.ship if unit.log else settings.vessel):
         if path and Path(path).is_file():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import json
@@ -364,7 +365,7 @@ def _work(
     done: dict[bench.Unit, dict[str, Any]] = {}
     failed: dict[str, Exception] = {}
     total = len(bench.units(settings))
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         if not bench.all_finished(settings, out):
             with _compiling():
                 bench.warm_up(settings)
@@ -382,8 +383,6 @@ def _work(
                 else:
                     done[unit] = result
                 progress.advance(bar)
-    except KeyboardInterrupt:
-        pass
     return done, failed
 
 
