@@ -16,10 +16,12 @@ from usv_gym import Vessel, vessel_names
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
-from usv_gym.vessel import SCHEMA, UNITS, VesselError
+from usv_gym.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError
 
 FOLDER = Path(usv_gym.__file__).parent / "vessels"
 USV75 = (FOLDER / "usv75.toml").read_text(encoding="utf-8")
+
+NOT_EVERY_VESSEL = {*SCHEMA["hull"], *(key for keys in KIND_SCHEMA.values() for key in keys)}
 
 # ------------------------------------------------- contract of every vessel
 
@@ -47,7 +49,11 @@ def test_packs_every_number_and_nothing_else(boat: Vessel) -> None:
     assert packed.dtype == np.float64
     assert np.all(np.isfinite(packed))
     for key in par.SCALARS:
-        assert packed[par.INDEX[key]] == boat.values[key] == getattr(boat, key)
+        if key in boat.values:
+            assert packed[par.INDEX[key]] == boat.values[key] == getattr(boat, key)
+        else:  # of another kind of propulsion, or a term that the hull does not have
+            assert key == "kind" or key in NOT_EVERY_VESSEL
+    assert par.KINDS[int(packed[par.KIND])] == boat.kind
     count = len(boat.resistance_speed)
     for at, points in (
         (par.RESISTANCE_SPEEDS, boat.resistance_speed),
@@ -80,11 +86,12 @@ def test_sails_straight_after_a_push(boat: Vessel) -> None:
     state[[fr.U, fr.V, fr.R]] = speed, 0.02 * speed, 0.01
     state[fr.N_LEFT : fr.N_RIGHT + 1] = n
     work, dt = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)), 0.05
-    calm, gusts, steady = np.zeros((6, 0)), np.zeros((3, 0)), np.zeros(ship.STEADY_SIZE)
+    calm, gusts, steady = np.zeros((7, 0)), np.zeros((3, 0)), np.zeros(ship.STEADY_SIZE)
     seconds = 60.0 * boat.values["length_waterline"] / speed
     for k in range(int(seconds / dt)):
         ship.step(
-            state, cmd, boat.packed.copy(), calm, gusts, steady, k * dt, dt, np.zeros((3, 0)), work
+            *(state, cmd, boat.packed.copy(), calm, gusts, steady),
+            *(k * dt, dt, 3, np.zeros((12, 0)), work),
         )
     # 60 lengths on, the push is forgotten
     assert abs(state[fr.V]) < 1e-4 * speed
@@ -113,7 +120,7 @@ def test_every_number_has_its_source(boat: Vessel) -> None:
     """Unit and source are checked at loading; an empty source is none."""
     text = (FOLDER / f"{boat.name}.toml").read_text(encoding="utf-8")
     sources = re.findall(r'source = "([^"]*)"', text)
-    assert len(sources) == sum(len(keys) for keys in SCHEMA.values()) + 2
+    assert len(sources) == len(boat.values) + (2 if boat.resistance_speed else 0)
     assert all(len(source.strip()) > 3 for source in sources)
 
 
@@ -302,7 +309,8 @@ def test_knots_and_kilonewtons(tmp_path: Path) -> None:
 
 
 def test_every_unit_of_the_schema_is_known_and_si_first() -> None:
-    used = {unit for keys in SCHEMA.values() for unit, _ in keys.values()}
+    tables = [*SCHEMA.values(), *KIND_SCHEMA.values()]
+    used = {unit for keys in tables for unit, _ in keys.values()}
     assert used | {"m/s", "N"} == set(UNITS)
     for unit, factors in UNITS.items():
         assert factors[unit] == 1.0

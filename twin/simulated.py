@@ -54,9 +54,11 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particul
         mass=v["mass"],
         speed=vessel.straight_speed(n),
         shaft_speed=n,
+        steering="differential" if vessel.kind == "thruster_pair" else "drives",
         shaft_lag=v["shaft_lag"],
-        steer_lag=v["steer_lag"],
-        steer_rate=v["steer_rate"],
+        # a fixed pair has no drives to turn
+        steer_lag=v.get("steer_lag", 0.1),
+        steer_rate=v.get("steer_rate", 1.0),
         instruments=Instruments(
             gps_sd=max(suite.gps_white, 0.02),
             gps_bias_sd=suite.gps_bias,

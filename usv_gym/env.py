@@ -121,10 +121,12 @@ def _step(
     constants: np.ndarray,
     dt: float,
     substeps: int,
+    dof: int,
     tasks: np.ndarray,
     points: np.ndarray,
     rules: np.ndarray,
     scale: np.ndarray,
+    mixing: np.ndarray,
     seen: np.ndarray,
     actions: np.ndarray,
     obs: np.ndarray,
@@ -143,7 +145,10 @@ def _step(
         for j in range(width):
             action[j] = min(max(action[j], -1.0), 1.0)
         for j in range(4):
-            worlds[i, CMD + j] = scale[j] * action[j if width == 4 else j // 2]
+            share = 0.0
+            for k in range(width):
+                share += mixing[j, k] * action[k]
+            worlds[i, CMD + j] = scale[j] * min(max(share, -1.0), 1.0)
         advance(
             worlds[i],
             waves[i],
@@ -155,6 +160,7 @@ def _step(
             constants,
             dt,
             substeps,
+            dof,
         )
         judge(worlds[i, :CMD], action, before, points[i], rules, tasks[i])
         _observe(worlds[i], tasks[i], points[i], rules, scale, dt, seen[i], obs[i])
@@ -183,7 +189,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     1 angle of both drives             1 is ``steer_max``; > 0 turns to starboard
     = ================================ ========================================
 
-    ``actions="units"`` gives four: left and right shaft, left and right drive.
+    ``actions="units"`` gives one for each actuator: left and right shaft, then left and right
+    drive or rudder (a single unit has one of each; a fixed pair of thrusters has shafts only,
+    and the common angle then speeds one up and slows the other).
 
     Observation
     -----------
@@ -237,6 +245,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         One of :data:`usv_gym.tasks.TASKS`.
     actions : str
         ``"common"`` or ``"units"``.
+    dof : int
+        Degrees of freedom of the ship: 3 (surge, sway, yaw), or 6, with heave, roll and pitch
+        in the waves, and their share of gravity in the accelerometers.
     dt, dt_physics : float
         Control and integration step, s.
     record : bool
@@ -259,6 +270,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         faults: str | Sequence[Fault] = "none",
         task: str = "path",
         actions: str = "common",
+        dof: int = 3,
         dt: float = 0.05,
         dt_physics: float = 0.05,
         record: bool = False,
@@ -290,6 +302,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 suite=suite,
                 faults=draw,
                 max_faults=len(sensors.parse_faults(name, 0.0)),
+                dof=dof,
                 dt=dt,
                 dt_physics=dt_physics,
             )
@@ -302,14 +315,22 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                     "usv_gym.Fault(kind, start, duration)"
                 )
             self.simulation = Simulation(
-                1, self.vessel, self.sea, suite=suite, faults=given, dt=dt, dt_physics=dt_physics
+                1,
+                self.vessel,
+                self.sea,
+                suite=suite,
+                faults=given,
+                dof=dof,
+                dt=dt,
+                dt_physics=dt_physics,
             )
         limits = self.vessel.values
         self.speed = self.vessel.straight_speed(limits["shaft_speed_manoeuvring"])
         self.task = make_task(task, 1, self.speed, limits["length_waterline"])
-        n_max, delta_max = limits["shaft_speed_service"], limits["steer_max"]
+        n_max, delta_max = limits["shaft_speed_service"], self.vessel.helm_max
         self._scale = np.array([n_max, n_max, delta_max, delta_max])
-        width = 4 if actions == "units" else 2
+        mixing = self.vessel.mixing if actions == "common" else self.vessel.actuators
+        width = mixing.shape[1]
         self.action_space = spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.observation_space = spaces.Box(-BOUND, BOUND, (len(OBSERVATION),), np.float32)
         self._shape = (width,)
@@ -321,9 +342,11 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.task.points,
             self.task.rules,
             self._scale,
+            mixing,
             self._seen,
             self._actions,
         )
+        self._mixing = mixing
         self._started = False
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
@@ -351,8 +374,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         for_world, for_task = self.np_random.spawn(2)
         self.simulation.reset([0], [for_world])
         self.task.reset(0, for_task)
-        share = self.simulation.cmd[0] / self._scale
-        self._actions[:] = share if self._shape == (4,) else share[::2]
+        self._actions[:] = np.linalg.pinv(self._mixing) @ (self.simulation.cmd[0] / self._scale)
         self._seen[:] = 0.0
         self._started = True
         if self.history is not None:

@@ -128,6 +128,7 @@ class SeaState:
         rows[waves.PHASE] = rng.uniform(0.0, 2.0 * math.pi, M)
         rows[waves.AMPLITUDE] = amplitude
         rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * vessel.values["draft"]) / k
+        rows[waves.BOTTOM] = rho_g * amplitude * np.exp(-k * vessel.values["draft"])
         L = vessel.values["length_waterline"]
         for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
             load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * float(np.sum(c)) * amplitude**2
@@ -150,7 +151,7 @@ class Sea:
 
     Parameters
     ----------
-    waves : ndarray, shape (6, M)
+    waves : ndarray, shape (7, M)
         Wave components; rows in :mod:`usv_gym.physics.waves`.
     gusts : ndarray, shape (3, G)
         Circular frequency, phase and amplitude of the gusts.

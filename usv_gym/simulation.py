@@ -51,6 +51,7 @@ def advance(
     constants: np.ndarray,
     dt: float,
     substeps: int,
+    dof: int,
 ) -> None:
     """Advance one boat by one control step and let its sensors measure.
 
@@ -58,7 +59,7 @@ def advance(
     ----------
     record : ndarray, shape (RECORD_SIZE,)
         All numbers of the boat; parts as named above. The command is read from it.
-    waves, factors, gusts : ndarray, shapes (6, M), (6, M), (3, G)
+    waves, factors, gusts : ndarray, shapes (7, M), (12, M), (3, G)
         Its sea, and scratch for it.
     noise : ndarray, shape (B, 14)
         Sensor noise; row ``count % B`` is used.
@@ -68,6 +69,8 @@ def advance(
         Packed vessel, then packed sensor suite.
     dt, substeps
         Control step in s, and into how many integration steps it is cut.
+    dof
+        Degrees of freedom, 3 or 6.
     """
     state, cmd = record[STATE:CMD], record[CMD:Z]
     work = record[WORK:].reshape((ship.WORK_ROWS, fr.STATE_SIZE))
@@ -75,7 +78,7 @@ def advance(
     h = dt / substeps
     for j in range(substeps):
         t = record[TIME] + j * h
-        ship.step(state, cmd, p, waves, gusts, record[STEADY:TIME], t, h, factors, work)
+        ship.step(state, cmd, p, waves, gusts, record[STEADY:TIME], t, h, dof, factors, work)
     count = int(record[COUNT]) + 1
     record[COUNT] = count
     record[TIME] = count * dt  # whole multiples of the step do not drift
@@ -106,6 +109,7 @@ def _advance_all(
     constants: np.ndarray,
     dt: float,
     substeps: int,
+    dof: int,
 ) -> None:
     """Advance every boat; see :func:`advance`."""
     for i in range(records.shape[0]):
@@ -120,6 +124,7 @@ def _advance_all(
             constants,
             dt,
             substeps,
+            dof,
         )
 
 
@@ -141,6 +146,8 @@ class Simulation:
         them anew at each reset.
     max_faults : int
         Most faults that the function returns.
+    dof : int
+        Degrees of freedom: 3 (surge, sway, yaw) or 6 (and heave, roll, pitch).
     dt : float
         Control step, s.
     dt_physics : float
@@ -167,6 +174,7 @@ class Simulation:
         suite: SensorSuite | None = None,
         faults: Sequence[Fault] | Callable[[np.random.Generator], Sequence[Fault]] = (),
         max_faults: int = 4,
+        dof: int = 3,
         dt: float = 0.05,
         dt_physics: float = 0.05,
     ) -> None:
@@ -176,6 +184,9 @@ class Simulation:
             raise SimulationError(
                 f"dt = {dt} s must be a whole multiple of dt_physics = {dt_physics} s"
             )
+        if dof not in (3, 6):
+            raise SimulationError(f"dof = {dof!r}: must be 3 or 6")
+        self.dof = int(dof)
         self.n, self.vessel, self.sea, self.dt, self.substeps = n, vessel, sea, dt, substeps
         self.suite = SensorSuite() if suite is None else suite
         self._draw_faults = faults if callable(faults) else None
@@ -209,6 +220,7 @@ class Simulation:
             self.constants,
             dt,
             substeps,
+            dof,
         )
         """What the kernels :func:`advance` and those built on it take, for all boats."""
         self._until_refill = 1

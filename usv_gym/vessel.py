@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from collections.abc import Mapping
@@ -17,8 +18,8 @@ from scipy.optimize import brentq
 
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
-from usv_gym.physics.hull import resistance
-from usv_gym.physics.propulsion import drive_forces
+from usv_gym.physics.hull import hull_forces
+from usv_gym.physics.propulsion import propulsion_forces
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -37,6 +38,11 @@ UNITS: dict[str, dict[str, float]] = {
     "N": {"N": 1.0, "kN": 1e3},
     "s": {"s": 1.0},
     "rev/s": {"rev/s": 1.0, "rpm": 1.0 / 60.0},
+    "rev/s2": {"rev/s2": 1.0, "rpm/s": 1.0 / 60.0},
+    "kg/s": {"kg/s": 1.0},
+    "kg/m": {"kg/m": 1.0},
+    "kg m2/s": {"kg m2/s": 1.0},
+    "kg m2 s": {"kg m2 s": 1.0},
     "rad": {"rad": 1.0, "deg": math.pi / 180.0},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "1/rad": {"1/rad": 1.0, "1/deg": 180.0 / math.pi},
@@ -45,10 +51,20 @@ UNITS: dict[str, dict[str, float]] = {
 """For each SI unit, the units that a file may use and their factors."""
 
 _HULL = (
-    *("X_vv", "X_vr", "X_rr", "X_vvvv"),
+    *("R_0", "X_vv", "X_vr", "X_rr", "X_vvvv"),
     *("Y_v", "Y_r", "Y_vvv", "Y_vvr", "Y_vrr", "Y_rrr"),
     *("N_v", "N_r", "N_vvv", "N_vvr", "N_vrr", "N_rrr"),
 )
+
+_DAMPING = {
+    "D_u": ("kg/s", "0"),
+    "D_uu": ("kg/m", "0"),
+    "D_v": ("kg/s", "0"),
+    "D_vv": ("kg/m", "0"),
+    "D_r": ("kg m2/s", "0"),
+    "D_rr": ("kg m2", "0"),
+    "D_rrr": ("kg m2 s", "0"),
+}
 
 # table -> key -> (SI unit, bound): "+" above 0, "0" 0 or more, "" any
 SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
@@ -61,42 +77,96 @@ SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
         "water_density": ("kg/m3", "+"),
         "mass": ("kg", "+"),
         "x_G": ("m", ""),
+        "KG": ("m", "+"),
+        "I_xx": ("kg m2", "+"),
+        "I_yy": ("kg m2", "+"),
         "I_zz": ("kg m2", "+"),
         "m_x": ("kg", "0"),
         "m_y": ("kg", "0"),
         "J_zz": ("kg m2", "0"),
     },
-    "hull": {**{key: ("1", "") for key in _HULL}, "C_d_crossflow": ("1", "0")},
+    "seakeeping": {
+        "A_wp": ("m2", "+"),
+        "x_F": ("m", ""),
+        "GM_T": ("m", "+"),
+        "GM_L": ("m", "+"),
+        "m_z": ("kg", "0"),
+        "J_xx": ("kg m2", "0"),
+        "J_yy": ("kg m2", "0"),
+        "zeta_heave": ("1", "0"),
+        "zeta_roll": ("1", "0"),
+        "zeta_pitch": ("1", "0"),
+        "z_H": ("m", ""),
+    },
+    "hull": {**{key: ("1", "") for key in _HULL}, "C_d_crossflow": ("1", "0"), **_DAMPING},
     "propulsion": {
+        "units": ("1", "+"),
         "propeller_diameter": ("m", "+"),
         "k_0": ("1", "+"),
         "k_1": ("1", ""),
         "k_2": ("1", ""),
+        "astern": ("1", "0"),
         "wake_fraction": ("1", ""),
         "thrust_deduction": ("1", ""),
-        "x_P": ("m", ""),
         "y_P": ("m", "0"),
-        "A_R": ("m2", "0"),
-        "f_alpha": ("1/rad", "0"),
-        "slipstream": ("1", "0"),
+        "z_P": ("m", ""),
         "shaft_lag": ("s", "+"),
+        "shaft_rate": ("rev/s2", "+"),
         "shaft_speed_max": ("rev/s", "+"),
         "shaft_speed_service": ("rev/s", "+"),
         "shaft_speed_manoeuvring": ("rev/s", "+"),
-        "steer_lag": ("s", "+"),
-        "steer_rate": ("rad/s", "+"),
-        "steer_max": ("rad", "+"),
     },
     "wind": {
         "A_F": ("m2", "+"),
         "A_L": ("m2", "+"),
         "s_L": ("m", ""),
+        "s_H": ("m", "0"),
+        "kappa_wind": ("1", "0"),
         "CD_t": ("1", "+"),
         "CD_l_bow": ("1", "+"),
         "CD_l_stern": ("1", "+"),
         "delta_wind": ("1", "0"),
     },
 }
+
+_STEERED = {
+    "steer_lag": ("s", "+"),
+    "steer_rate": ("rad/s", "+"),
+    "steer_max": ("rad", "+"),
+    "A_R": ("m2", "0"),
+    "f_alpha": ("1/rad", "0"),
+}
+# kind of propulsion -> the keys that it adds to [propulsion]
+KIND_SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
+    "steerable_drive": {**_STEERED, "x_P": ("m", ""), "slipstream": ("1", "0")},
+    "propeller_rudder": {
+        **_STEERED,
+        "rudder_height": ("m", "+"),
+        "C_1": ("1", "0"),
+        "C_2_plus": ("1", "0"),
+        "C_2_minus": ("1", "0"),
+        "x_P_prime": ("1", ""),
+        "epsilon": ("1", "+"),
+        "kappa": ("1", "0"),
+        "l_R_prime": ("1", ""),
+        "gamma_R_plus": ("1", "0"),
+        "gamma_R_minus": ("1", "0"),
+        "t_R": ("1", ""),
+        "a_H": ("1", "0"),
+        "x_H_prime": ("1", ""),
+        "x_R_prime": ("1", ""),
+    },
+    "thruster_pair": {},
+}
+# what the kernels read of a vessel without the key
+_ABSENT = {
+    **{key: 0.0 for keys in KIND_SCHEMA.values() for key in keys},
+    **{key: 0.0 for key in (*_HULL, "C_d_crossflow", *_DAMPING)},
+    "steer_lag": 1.0,
+    "rudder_height": 1.0,
+}
+FULL_HELM = math.radians(30.0)
+"""Helm angle at which a fixed pair of thrusters stops one of them and doubles the other, rad."""
 
 
 class VesselError(ValueError):
@@ -111,25 +181,30 @@ def vessel_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Vessel:
-    """A ship with two propellers on steerable drives.
+    """A ship with one or two propulsion units.
 
     Parameters
     ----------
     name, title : str
         Short name, and one line for people.
+    kind : str
+        Kind of propulsion, a key of :data:`KIND_SCHEMA`.
     values : Mapping[str, float]
-        Every number of :data:`SCHEMA` in SI units.
+        Every number of :data:`SCHEMA` and of the kind, in SI units; terms of the hull may be
+        left out and are then 0.
     resistance_speed, resistance_force : tuple of float
-        Points of the resistance curve, m/s and N, starting at (0, 0).
+        Points of the resistance curve, m/s and N, starting at (0, 0); empty where R_0, D_u
+        and D_uu say it all.
     guesses : frozenset of str
         Keys that the file marks as judgement.
     """
 
     name: str
     title: str
+    kind: str
     values: Mapping[str, float]
-    resistance_speed: tuple[float, ...]
-    resistance_force: tuple[float, ...]
+    resistance_speed: tuple[float, ...] = ()
+    resistance_force: tuple[float, ...] = ()
     guesses: frozenset[str] = field(default=frozenset())
 
     def __post_init__(self) -> None:
@@ -138,14 +213,8 @@ class Vessel:
 
     # A mapping proxy cannot be pickled, and parallel workers need the vessel.
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild, (
-            self.name,
-            self.title,
-            dict(self.values),
-            self.resistance_speed,
-            self.resistance_force,
-            self.guesses,
-        )
+        fields = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        return _rebuild, ({**fields, "values": dict(self.values)},)
 
     def __getattr__(self, key: str) -> float:
         values = self.__dict__.get("values", {})
@@ -208,13 +277,17 @@ class Vessel:
                 raise VesselError(f"[vessel] {key}: unknown key; known: name, title (texts)")
         values: dict[str, float] = {}
         guesses = set()
-        curve: dict[str, tuple[float, ...]] = {}
+        curve: dict[str, tuple[float, ...]] = {"speed": (), "force": ()}
+        kind = ""
         for name, keys in SCHEMA.items():
             if not isinstance(table.get(name), dict):
                 raise VesselError(f"the table [{name}] is missing")
             given = dict(table[name])
-            if name == "hull":
-                points = given.pop("resistance", None)
+            if name == "propulsion":
+                kind = _kind(given.pop("kind", None))
+                keys = {**keys, **KIND_SCHEMA[kind]}
+            if name == "hull" and "resistance" in given:
+                points = given.pop("resistance")
                 if not isinstance(points, dict) or set(points) != {"speed", "force"}:
                     raise VesselError("[hull.resistance] must hold speed and force, nothing else")
                 for key, unit in (("speed", "m/s"), ("force", "N")):
@@ -226,6 +299,8 @@ class Vessel:
                     raise VesselError(f"[{name}] {key}: unknown key; known: {', '.join(keys)}")
             for key, (unit, _) in keys.items():
                 if key not in given:
+                    if name == "hull":
+                        continue
                     raise VesselError(f"[{name}] {key}: is missing (a number in {unit})")
                 numbers, guess = _numbers(given[key], unit, f"[{name}] {key}", scalar=True)
                 values[key] = numbers[0]
@@ -234,6 +309,7 @@ class Vessel:
         return cls(
             name=about.get("name", stem),
             title=about.get("title", stem),
+            kind=kind,
             values=values,
             resistance_speed=curve["speed"],
             resistance_force=curve["force"],
@@ -241,30 +317,22 @@ class Vessel:
         )
 
     def _check(self) -> None:
-        for name, keys in SCHEMA.items():
+        schema = {name: dict(keys) for name, keys in SCHEMA.items()}
+        schema["propulsion"].update(KIND_SCHEMA[_kind(self.kind)])
+        for name, keys in schema.items():
             for key, (unit, bound) in keys.items():
+                if name == "hull" and key not in self.values:
+                    continue
                 value = self.values.get(key, math.nan)
                 if not math.isfinite(value):
                     raise VesselError(f"[{name}] {key}: must be a finite number, got {value}")
                 if (bound == "+" and value <= 0.0) or (bound == "0" and value < 0.0):
                     rule = "above 0" if bound == "+" else "0 or more"
                     raise VesselError(f"[{name}] {key}: must be {rule}, got {value:g} {unit}")
-        unknown = set(self.values) - {key for keys in SCHEMA.values() for key in keys}
+        unknown = set(self.values) - {key for keys in schema.values() for key in keys}
         if unknown:
             raise VesselError(f"unknown value(s): {', '.join(sorted(unknown))}")
-        speed, force = self.resistance_speed, self.resistance_force
-        if len(speed) != len(force) or not 3 <= len(speed) <= par.RESISTANCE_POINTS:
-            raise VesselError(
-                "[hull.resistance] speed and force need equally many points, 3 to "
-                f"{par.RESISTANCE_POINTS}; got {len(speed)} and {len(force)}"
-            )
-        if not np.isfinite([*speed, *force]).all():
-            raise VesselError("[hull.resistance] speed and force must be finite numbers")
-        if speed[0] != 0.0 or force[0] != 0.0 or min(np.diff(speed)) <= 0.0 or min(force) < 0.0:
-            raise VesselError(
-                "[hull.resistance] must start at speed 0, force 0; speeds must rise and forces "
-                "must not be negative"
-            )
+        self._check_resistance()
         v = self.values
         displaced = (v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]) * v[
             "water_density"
@@ -277,22 +345,92 @@ class Vessel:
         for key in ("wake_fraction", "thrust_deduction"):
             if v[key] >= 1.0:
                 raise VesselError(f"[propulsion] {key}: must be below 1, got {v[key]:g}")
-        if v["x_P"] >= 0.0:
+        if self.kind == "steerable_drive" and v["x_P"] >= 0.0:
             raise VesselError("[propulsion] x_P: the drives must be aft (x_P below 0)")
+        if v["units"] not in (1.0, 2.0):
+            raise VesselError(f"[propulsion] units: must be 1 or 2, got {v['units']:g}")
+        if self.kind == "thruster_pair" and (v["units"] != 2.0 or v["y_P"] == 0.0):
+            raise VesselError(
+                "[propulsion] a thruster_pair steers by unequal thrust: units must be 2 and y_P "
+                "above 0"
+            )
+
+    def _check_resistance(self) -> None:
+        speed, force = self.resistance_speed, self.resistance_force
+        if not speed and not force:
+            if not any(self.values.get(key, 0.0) > 0.0 for key in ("R_0", "D_u", "D_uu")):
+                raise VesselError("[hull] needs a resistance curve, or one of R_0, D_u, D_uu")
+            return
+        if len(speed) != len(force) or not 3 <= len(speed) <= par.RESISTANCE_POINTS:
+            raise VesselError(
+                "[hull.resistance] speed and force need equally many points, 3 to "
+                f"{par.RESISTANCE_POINTS}; got {len(speed)} and {len(force)}"
+            )
+        if not np.isfinite([*speed, *force]).all():
+            raise VesselError("[hull.resistance] speed and force must be finite numbers")
+        if speed[0] != 0.0 or force[0] != 0.0 or min(np.diff(speed)) <= 0.0 or min(force) < 0.0:
+            raise VesselError(
+                "[hull.resistance] must start at speed 0, force 0; speeds must rise and forces "
+                "must not be negative"
+            )
 
     @cached_property
     def packed(self) -> np.ndarray:
         """Flat float64 vector for the kernels, read-only; layout in ``physics.parameters``."""
-        vector = np.empty(par.PACKED_SIZE)
-        vector[: len(par.SCALARS)] = [self.values[key] for key in par.SCALARS]
+        vector = np.zeros(par.PACKED_SIZE)
+        values = {**_ABSENT, **self.values, "kind": par.KINDS.index(self.kind)}
+        vector[: len(par.SCALARS)] = [values[key] for key in par.SCALARS]
         for start, points in (
             (par.RESISTANCE_SPEEDS, self.resistance_speed),
             (par.RESISTANCE_FORCES, self.resistance_force),
         ):
-            vector[start : start + par.RESISTANCE_POINTS] = points[-1]
-            vector[start : start + len(points)] = points
+            if points:
+                vector[start : start + par.RESISTANCE_POINTS] = points[-1]
+                vector[start : start + len(points)] = points
         vector.setflags(write=False)
         return vector
+
+    @property
+    def helm_max(self) -> float:
+        """Largest helm angle, rad."""
+        return self.values.get("steer_max", FULL_HELM)
+
+    @cached_property
+    def mixing(self) -> np.ndarray:
+        """Shares of full throttle and full helm in each command, shape (4, 2)."""
+        if self.kind == "thruster_pair":
+            return np.array([[1.0, 1.0], [1.0, -1.0], [0.0, 0.0], [0.0, 0.0]])
+        return np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+
+    @cached_property
+    def actuators(self) -> np.ndarray:
+        """Share of each actuator's full command in each command, shape (4, actuators)."""
+        if self.kind == "thruster_pair":
+            return np.eye(4)[:, :2]
+        return np.eye(4) if self.values["units"] == 2.0 else self.mixing
+
+    def helm(self, n: np.ndarray | float, angle: np.ndarray | float) -> np.ndarray:
+        """Return the command for a shaft speed and a helm angle.
+
+        Parameters
+        ----------
+        n : float or ndarray, shape (...)
+            Shaft speed, rev/s.
+        angle : float or ndarray, shape (...)
+            Helm angle, rad, above 0 to starboard: that of drives or rudders. A fixed pair of
+            thrusters turns by unequal speeds; at 30 degrees one stops and one doubles.
+
+        Returns
+        -------
+        ndarray, shape (..., 4)
+            Left and right shaft speed (rev/s), left and right angle (rad).
+        """
+        n, angle = np.broadcast_arrays(np.asarray(n, float), np.asarray(angle, float))
+        if self.kind == "thruster_pair":
+            share = angle / FULL_HELM
+            still = np.zeros_like(n)
+            return np.stack([n * (1.0 + share), n * (1.0 - share), still, still], axis=-1)
+        return np.stack([n, n, angle, angle], axis=-1)
 
     def straight_speed(self, n: float) -> float:
         """Return the speed in calm water, in m/s, with both shafts at n.
@@ -306,11 +444,14 @@ class Vessel:
             return 0.0
         state = np.zeros(fr.STATE_SIZE)
         state[fr.N_LEFT] = state[fr.N_RIGHT] = n
+        p = self.packed
 
         def surplus(u: float) -> float:
-            return drive_forces(u, 0.0, 0.0, state, self.packed)[0] - resistance(u, self.packed)
+            return propulsion_forces(u, 0.0, 0.0, state, p)[0] + hull_forces(u, 0.0, 0.0, p)[0]
 
         top = 4.0 * n * self.values["propeller_diameter"] + 1.0
+        while surplus(top) > 0.0 and top < 200.0:
+            top *= 2.0
         if not surplus(0.0) > 0.0 > surplus(top):
             raise VesselError(
                 f"{self.name}: [propulsion] k_0, k_1, k_2: at {n:g} rev/s the propellers do not "
@@ -319,22 +460,16 @@ class Vessel:
         return float(brentq(surplus, 0.0, top, xtol=1e-9))
 
 
-def _rebuild(
-    name: str,
-    title: str,
-    values: dict[str, float],
-    speed: tuple[float, ...],
-    force: tuple[float, ...],
-    guesses: frozenset[str],
-) -> Vessel:
-    return Vessel(
-        name=name,
-        title=title,
-        values=values,
-        resistance_speed=speed,
-        resistance_force=force,
-        guesses=guesses,
-    )
+def _kind(kind: Any) -> str:
+    if not isinstance(kind, str) or kind not in KIND_SCHEMA:
+        raise VesselError(
+            f"[propulsion] kind: must be one of {', '.join(KIND_SCHEMA)}, got {kind!r}"
+        )
+    return kind
+
+
+def _rebuild(fields: dict[str, Any]) -> Vessel:
+    return Vessel(**fields)
 
 
 def _numbers(

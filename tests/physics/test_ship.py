@@ -51,26 +51,36 @@ def start(
 
 
 def derivative(
-    state: np.ndarray, cmd: np.ndarray | None = None, sea: Sea = CALM, p: np.ndarray = P
+    state: np.ndarray,
+    cmd: np.ndarray | None = None,
+    sea: Sea = CALM,
+    p: np.ndarray = P,
+    dof: int = 3,
 ) -> np.ndarray:
     out = np.zeros(fr.STATE_SIZE)
     factors = np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1]))
-    waves.box_factors(state[fr.PSI], sea.waves, p, factors)
+    waves.box_factors(state[fr.PSI], sea.waves, p, dof, factors)
     air = ship.air_velocity(0.0, sea.gusts, sea.steady)
     cmd = state[fr.N_LEFT :].copy() if cmd is None else cmd
-    ship.derivative(state, cmd, p, sea.waves, factors, sea.steady, *air, 0.0, out)
+    ship.derivative(state, cmd, p, sea.waves, factors, sea.steady, *air, 0.0, dof, out)
     return out
 
 
 def sail(
-    state: np.ndarray, cmd: np.ndarray, seconds: float, sea: Sea = CALM, dt: float = 0.05
+    state: np.ndarray,
+    cmd: np.ndarray,
+    seconds: float,
+    sea: Sea = CALM,
+    dt: float = 0.05,
+    dof: int = 3,
+    p: np.ndarray = P,
 ) -> np.ndarray:
     """Return the states of a run, the first included."""
     s, states = state.copy(), [state.copy()]
     factors = np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1]))
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     for k in range(round(seconds / dt)):
-        ship.step(s, cmd, P, sea.waves, sea.gusts, sea.steady, k * dt, dt, factors, work)
+        ship.step(s, cmd, p, sea.waves, sea.gusts, sea.steady, k * dt, dt, dof, factors, work)
         states.append(s.copy())
     return np.array(states)
 
@@ -489,7 +499,7 @@ def test_the_step_reports_its_mean_derivative() -> None:
         np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1])),
         np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
     )
-    ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.steady, 1.0, 0.05, factors, work)
+    ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.steady, 1.0, 0.05, 3, factors, work)
     np.testing.assert_allclose(work[0], (s - before) / 0.05, rtol=1e-9, atol=1e-11)
 
 

@@ -18,6 +18,9 @@ RHO_G = BOAT.values["water_density"] * GRAVITY
 LENGTH, BEAM, DRAFT = (BOAT.values[key] for key in ("length_waterline", "beam", "draft"))
 BOX = BOAT.packed.copy()
 BOX[par.BLOCK] = 1.0  # the loads are those of a box times the block coefficient
+BOX[par.MASS] = BOAT.values["water_density"] * LENGTH * BEAM * DRAFT
+BOX[par.A_WP] = LENGTH * BEAM
+BOX[par.GM_L], BOX[par.GM_T] = LENGTH**2 / (12.0 * DRAFT), BEAM**2 / (12.0 * DRAFT)
 OMEGA = np.geomspace(0.05, 500.0, 400_001)
 
 
@@ -29,15 +32,44 @@ def components(
     rows[waves.K_NORTH], rows[waves.K_EAST] = k * np.cos(to), k * np.sin(to)
     rows[waves.PHASE], rows[waves.AMPLITUDE] = phase, amplitude
     rows[waves.PRESSURE] = RHO_G * amplitude * -np.expm1(-k * DRAFT) / k
+    rows[waves.BOTTOM] = RHO_G * amplitude * np.exp(-k * DRAFT)
     return rows
 
 
 def loads(
     x: float, y: float, psi: float, t: float, rows: np.ndarray, p: np.ndarray = BOX
 ) -> np.ndarray:
+    """Return X, Y, N."""
     factors = np.zeros((waves.FACTOR_ROWS, rows.shape[1]))
-    waves.box_factors(psi, rows, p, factors)
-    return np.array(waves.first_order_loads(x, y, psi, t, rows, factors))
+    waves.box_factors(psi, rows, p, 3, factors)
+    return np.array(waves.first_order_loads(x, y, psi, t, rows, 3, factors))[:3]
+
+
+def vertical_loads(
+    x: float, y: float, psi: float, t: float, rows: np.ndarray, p: np.ndarray = BOX
+) -> np.ndarray:
+    """Return Z (down), K (starboard down), M (bow up)."""
+    factors = np.zeros((waves.FACTOR_ROWS, rows.shape[1]))
+    waves.box_factors(psi, rows, p, 6, factors)
+    six = np.array(waves.first_order_loads(x, y, psi, t, rows, 6, factors))
+    np.testing.assert_array_equal(six[:3], loads(x, y, psi, t, rows, p))
+    return six[3:]
+
+
+def bottom_quadrature(x: float, y: float, psi: float, t: float, row: np.ndarray) -> np.ndarray:
+    """Integrate the pressure of one component over the bottom of the box."""
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    a, w_a = 0.5 * LENGTH * nodes, 0.5 * LENGTH * weights
+    b, w_b = 0.5 * BEAM * nodes, 0.5 * BEAM * weights
+    k = math.hypot(row[waves.K_NORTH], row[waves.K_EAST])
+    north = x + a[:, None] * math.cos(psi) - b[None, :] * math.sin(psi)
+    east = y + a[:, None] * math.sin(psi) + b[None, :] * math.cos(psi)
+    phase = row[waves.K_NORTH] * north + row[waves.K_EAST] * east
+    phase += row[waves.PHASE] - row[waves.OMEGA] * t
+    up = RHO_G * row[waves.AMPLITUDE] * math.exp(-k * DRAFT) * np.cos(phase)
+    up *= w_a[:, None] * w_b[None, :]
+    # an upward force at (a, b): K = -b up, M = a up (bow up)
+    return np.array([-np.sum(up), -np.sum(b[None, :] * up), np.sum(a[:, None] * up)])
 
 
 def quadrature(x: float, y: float, psi: float, t: float, row: np.ndarray) -> np.ndarray:
@@ -197,6 +229,38 @@ def test_loads_equal_the_pressure_integral_anywhere(
     got, want = loads(0.0, 0.0, psi, 0.0, rows), quadrature(0.0, 0.0, psi, 0.0, rows[:, 0])
     # 1e-10 as above, of the largest load that a phase could bring
     assert np.all(np.abs(got - want) <= 1e-10 * load_scale(rows[:, 0]))
+
+
+@given(
+    k=st.floats(0.02, 8.0),
+    to=st.floats(-math.pi, math.pi),
+    psi=st.floats(-7.0, 7.0),
+    phase=st.floats(0.0, 6.2),
+)
+@settings(max_examples=60, deadline=None)
+def test_heave_roll_and_pitch_loads_equal_the_pressure_on_the_bottom(
+    k: float, to: float, psi: float, phase: float
+) -> None:
+    rows = components(np.array([k]), np.array([to]), np.array([0.2]), np.array([phase]))
+    got = vertical_loads(2.0, -5.0, psi, 3.3, rows)
+    want = bottom_quadrature(2.0, -5.0, psi, 3.3, rows[:, 0])
+    scale = rows[waves.BOTTOM, 0] * LENGTH * BEAM * np.array([1.0, 0.5 * BEAM, 0.5 * LENGTH])
+    # 1e-10: physics.md section 11, "FK box vs quadrature", of the largest load of any phase
+    assert np.all(np.abs(got - want) <= 1e-10 * scale)
+
+
+@pytest.mark.parametrize("to", [0.0, 0.6, math.pi / 2, 2.5])
+def test_a_very_long_wave_lifts_by_its_height_and_tilts_by_its_slope(to: float) -> None:
+    """Weight over restoring: heave is the elevation, roll and pitch are its slopes."""
+    k, a, phase, v = 1e-4, 0.3, 0.9, BOAT.values
+    rows = components(np.array([k]), np.array([to]), np.array([a]), np.array([phase]))
+    Z, K, M = vertical_loads(0.0, 0.0, 0.0, 0.0, rows, BOAT.packed.copy())
+    weight = v["mass"] * GRAVITY
+    # the next terms are k d smaller, 5e-5
+    assert -Z / (RHO_G * v["A_wp"]) == pytest.approx(a * math.cos(phase), rel=1e-4)
+    slope = -k * a * math.sin(phase)  # of the surface along its direction, upwards
+    assert M / (weight * v["GM_L"]) == pytest.approx(slope * math.cos(to), rel=1e-4, abs=1e-12)
+    assert K / (weight * v["GM_T"]) == pytest.approx(-slope * math.sin(to), rel=1e-4, abs=1e-12)
 
 
 @pytest.mark.parametrize(("psi", "silent"), [(0.0, 1), (math.pi / 2, 0)])

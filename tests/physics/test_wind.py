@@ -144,7 +144,7 @@ def test_no_wind_no_load(u: float, v: float, r: float, psi: float, n: float, del
     assert (north, east) == (0.0, 0.0)
     out, out_bare = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
     for p, o in ((P, out), (bare, out_bare)):
-        ship.derivative(state, cmd, p, CALM, NO_FACTORS, steady, north, east, 3.0, o)
+        ship.derivative(state, cmd, p, CALM, NO_FACTORS, steady, north, east, 3.0, 3, o)
     np.testing.assert_array_equal(out, out_bare)
 
 
@@ -154,8 +154,8 @@ def test_wind_load_vanishes_with_the_wind() -> None:
     state[[fr.U, fr.V]] = 10.0, 0.5
     cmd, steady = np.zeros(4), np.zeros(ship.STEADY_SIZE)
     calm, breath = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
-    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 0.0, 0.0, 0.0, calm)
-    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 1e-8, 1e-8, 0.0, breath)
+    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 0.0, 0.0, 0.0, 3, calm)
+    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 1e-8, 1e-8, 0.0, 3, breath)
     # 1e-8 m/s on 10 m/s: loads of 5e-7 N on 3.4 t
     np.testing.assert_allclose(breath, calm, atol=1e-8)
     assert np.any(breath != calm)

@@ -58,3 +58,32 @@ def to_body(north: float, east: float, psi: float) -> tuple[float, float]:
     """Turn a horizontal earth vector into forward and starboard parts."""
     c, s = math.cos(psi), math.sin(psi)
     return north * c + east * s, east * c - north * s
+
+
+@kernel
+def rotate(
+    phi: float, theta: float, psi: float, a: float, b: float, c: float
+) -> tuple[float, float, float]:
+    """Turn a body vector into its north, east and down parts.
+
+    Source: Eq (1)-(2), R_z(psi) R_y(theta) R_x(phi).
+    """
+    sf, cf = math.sin(phi), math.cos(phi)
+    st, ct = math.sin(theta), math.cos(theta)
+    side = cf * b - sf * c
+    down = sf * b + cf * c
+    ahead = ct * a + st * down
+    north, east = to_earth(ahead, side, psi)
+    return north, east, ct * down - st * a
+
+
+@kernel
+def unrotate(
+    phi: float, theta: float, psi: float, north: float, east: float, down: float
+) -> tuple[float, float, float]:
+    """Turn an earth vector into its forward, starboard and downward parts in the body."""
+    ahead, side = to_body(north, east, psi)
+    sf, cf = math.sin(phi), math.cos(phi)
+    st, ct = math.sin(theta), math.cos(theta)
+    rest = st * ahead + ct * down
+    return ct * ahead - st * down, cf * side + sf * rest, cf * rest - sf * side

@@ -1,4 +1,4 @@
-"""Two propellers on steerable drives: thrust, leg as a foil, actuators (Eq 10-11)."""
+"""Propulsion of three kinds: thrust, drive leg or rudder, actuators (Eq 10-11)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
+from usv_gym.physics.hull import R_PRIME_MAX
 from usv_kernel import actuate, kernel
 
 
@@ -27,56 +28,110 @@ def thrust(n: float, u_P: float, p: np.ndarray) -> float:
     Notes
     -----
     ``rho D^4 n^2 K_T(J)`` with ``J = u_P / (n D)``, written without the quotient so that it
-    holds through n = 0; astern the propeller is taken as turned round.
+    holds through n = 0; astern the propeller is taken as turned round, with a pull at rest
+    of its own.
     """
     D = p[par.DIAMETER]
     J_n = u_P / D
+    k_0 = p[par.K_0] if n >= 0.0 else p[par.K_0] * p[par.ASTERN]
     return (
         p[par.DENSITY]
         * D**4
-        * (p[par.K_0] * n * abs(n) + p[par.K_1] * abs(n) * J_n + p[par.K_2] * J_n * abs(J_n))
+        * (k_0 * n * abs(n) + p[par.K_1] * abs(n) * J_n + p[par.K_2] * J_n * abs(J_n))
     )
 
 
 @kernel
-def drive_forces(
+def _drive_forces(
+    u: float, v: float, r: float, y: float, n: float, delta: float, p: np.ndarray
+) -> tuple[float, float, float]:
+    """Return X, Y, N of one steerable drive, or of one fixed thruster (which has no leg).
+
+    Source: Eq (10) with delta > 0 to starboard; the leg as an MMG rudder (Yasukawa and
+    Yoshimura 2015) without hull interaction.
+    """
+    area = p[par.DENSITY] * math.pi * p[par.DIAMETER] ** 2 / 8.0
+    u_unit = u - y * r
+    T = thrust(n, (1.0 - p[par.WAKE]) * u_unit, p)
+    c, s = math.cos(delta), math.sin(delta)
+    u_R = u_unit + p[par.SLIPSTREAM] * math.sqrt(max(T, 0.0) / area)
+    v_R = v + p[par.X_P] * r
+    # sin(delta + atan2(v_R, u_R)) * (u_R^2 + v_R^2), without the arc tangent
+    speed = math.sqrt(u_R * u_R + v_R * v_R)
+    F_N = 0.5 * p[par.DENSITY] * p[par.A_R] * p[par.F_ALPHA] * speed * (s * u_R + c * v_R)
+    T *= 1.0 - p[par.DEDUCTION]
+    X = T * c - F_N * s
+    Y = -T * s - F_N * c
+    return X, Y, p[par.X_P] * Y - y * X
+
+
+@kernel
+def _rudder_forces(
+    u: float, v: float, r: float, y: float, n: float, delta: float, p: np.ndarray
+) -> tuple[float, float, float]:
+    """Return X, Y, N of one propeller and the rudder behind it.
+
+    Source: MMG standard method, Yasukawa and Yoshimura 2015. The rudder's inflow is written
+    without the quotient J, so that it holds with the ship at rest, and with signed squares,
+    so that it goes through zero when the ship goes astern.
+    """
+    L, D = p[par.LENGTH], p[par.DIAMETER]
+    u_unit = u - y * r
+    U = math.hypot(u, v)
+    beta = math.atan2(-v, abs(u))
+    r_ = L * r / max(U, abs(L * r) / R_PRIME_MAX, 1e-9)
+    beta_P = beta - p[par.X_P_PRIME] * r_
+    C_2 = p[par.C_2_PLUS] if beta_P > 0.0 else p[par.C_2_MINUS]
+    gain = 1.0 + (1.0 - math.exp(-p[par.C_1] * abs(beta_P))) * (C_2 - 1.0)
+    u_P = u_unit * (1.0 - p[par.WAKE]) * gain
+    T = thrust(n, u_P, p)
+
+    jet = math.sqrt(max(u_P * u_P + 8.0 * T / (math.pi * p[par.DENSITY] * D * D), 0.0))
+    inside = u_P + p[par.KAPPA] * (jet - abs(u_P))
+    eta = min(D / p[par.RUDDER_HEIGHT], 1.0)
+    square = eta * inside * abs(inside) + (1.0 - eta) * u_P * abs(u_P)
+    u_R = p[par.EPSILON] * math.copysign(math.sqrt(abs(square)), square)
+    drift = U * beta - p[par.L_R_PRIME] * L * r
+    v_R = drift * (p[par.GAMMA_R_PLUS] if drift > 0.0 else p[par.GAMMA_R_MINUS])
+    speed = math.sqrt(u_R * u_R + v_R * v_R)
+    c, s = math.cos(delta), math.sin(delta)
+    # sin(delta - atan2(v_R, u_R)) * (u_R^2 + v_R^2), without the arc tangent
+    F_N = 0.5 * p[par.DENSITY] * p[par.A_R] * p[par.F_ALPHA] * speed * (s * u_R - c * v_R)
+
+    X = (1.0 - p[par.DEDUCTION]) * T - (1.0 - p[par.T_R]) * F_N * s
+    Y = -(1.0 + p[par.A_H]) * F_N * c
+    N = -(p[par.X_R_PRIME] + p[par.A_H] * p[par.X_H_PRIME]) * L * F_N * c
+    return X, Y, N - y * X
+
+
+@kernel
+def propulsion_forces(
     u: float, v: float, r: float, state: np.ndarray, p: np.ndarray
 ) -> tuple[float, float, float]:
-    """Return surge force, sway force (N) and yaw moment (N m) of both drives.
+    """Return surge force, sway force (N) and yaw moment (N m) of all propulsion units.
 
     Parameters
     ----------
     u, v, r : float
         Velocity through water at the origin, m/s and rad/s.
     state : ndarray, shape (16,)
-        Only the actuators are read.
+        Only the actuators are read. A single unit is the left one.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-
-    Notes
-    -----
-    Source: Eq (10) with delta > 0 to starboard; the leg as an MMG rudder
-    (Yasukawa and Yoshimura 2015) without hull interaction.
     """
     X_P, Y_P, N_P = 0.0, 0.0, 0.0
-    area = p[par.DENSITY] * math.pi * p[par.DIAMETER] ** 2 / 8.0
-    for i in range(fr.UNITS):
-        y = -p[par.Y_P] if i == 0 else p[par.Y_P]
-        u_unit = u - y * r
-        T = thrust(state[fr.N_LEFT + i], (1.0 - p[par.WAKE]) * u_unit, p)
-        delta = state[fr.DELTA_LEFT + i]
-        c, s = math.cos(delta), math.sin(delta)
-        u_R = u_unit + p[par.SLIPSTREAM] * math.sqrt(max(T, 0.0) / area)
-        v_R = v + p[par.X_P] * r
-        # sin(delta + atan2(v_R, u_R)) * (u_R^2 + v_R^2), without the arc tangent
-        speed = math.sqrt(u_R * u_R + v_R * v_R)
-        F_N = 0.5 * p[par.DENSITY] * p[par.A_R] * p[par.F_ALPHA] * speed * (s * u_R + c * v_R)
-        T *= 1.0 - p[par.DEDUCTION]
-        X = T * c - F_N * s
-        Y = -T * s - F_N * c
+    units = int(p[par.UNITS])
+    rudder = p[par.KIND] == par.PROPELLER_RUDDER
+    for i in range(units):
+        y = 0.0 if units == 1 else (-p[par.Y_P] if i == 0 else p[par.Y_P])
+        n, delta = state[fr.N_LEFT + i], state[fr.DELTA_LEFT + i]
+        if rudder:
+            X, Y, N = _rudder_forces(u, v, r, y, n, delta, p)
+        else:
+            X, Y, N = _drive_forces(u, v, r, y, n, delta, p)
         X_P += X
         Y_P += Y
-        N_P += p[par.X_P] * Y - y * X
+        N_P += N
     return X_P, Y_P, N_P
 
 
@@ -102,5 +157,5 @@ def actuator_rates(state: np.ndarray, cmd: np.ndarray, p: np.ndarray, out: np.nd
         n = min(max(cmd[i], -n_max), n_max)
         delta = min(max(cmd[2 + i], -delta_max), delta_max)
         j, k = fr.N_LEFT + i, fr.DELTA_LEFT + i
-        out[j] = actuate(state[j], n, p[par.SHAFT_LAG], math.inf)
+        out[j] = actuate(state[j], n, p[par.SHAFT_LAG], p[par.SHAFT_RATE])
         out[k] = actuate(state[k], delta, p[par.STEER_LAG], p[par.STEER_RATE])

@@ -1,4 +1,11 @@
-"""The ship: sum of forces, mass matrix, Runge-Kutta step."""
+"""The ship: sum of forces, kinematics, Runge-Kutta step (Eq 1-8).
+
+Where the model ends: forces are those of a displacement ship. Above about 0.6 of the Froude
+number sqrt(g L) the resistance curve is all that knows of planing: trim, lift, the shorter
+periods of heave and pitch, porpoising and the heel into a turn of a planing hull are not
+there. Waves are linear and the hull wall-sided: no slamming, no green water, no capsizing in
+breaking seas.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +15,9 @@ import numpy as np
 
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
-from usv_gym.physics.hull import hull_forces
-from usv_gym.physics.propulsion import actuator_rates, drive_forces
+from usv_gym.physics.hull import heave_force, hull_forces, restoring
+from usv_gym.physics.propulsion import actuator_rates, propulsion_forces
+from usv_gym.physics.rigid_body import accelerate_3, accelerate_6
 from usv_gym.physics.waves import (
     DRIFT_SUMS,
     box_factors,
@@ -23,6 +31,8 @@ from usv_kernel import kernel
 WIND_SPEED, WIND_FROM, CURRENT_NORTH, CURRENT_EAST, DRIFT = 0, 1, 2, 3, 4
 STEADY_SIZE = DRIFT + DRIFT_SUMS
 WORK_ROWS = 3
+LEVEL_MIN = 0.05
+"""Least cosine of the pitch in the rate of the Euler angles, which have no yaw at 90 degrees."""
 
 
 @kernel
@@ -45,9 +55,10 @@ def derivative(
     air_north: float,
     air_east: float,
     t: float,
+    dof: int,
     out: np.ndarray,
 ) -> None:
-    """Write the time derivative of the state; heave, roll and pitch are held.
+    """Write the time derivative of the state.
 
     Parameters
     ----------
@@ -57,7 +68,7 @@ def derivative(
         Command.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    waves, factors : ndarray, shapes (6, M), (6, M)
+    waves, factors : ndarray, shapes (7, M), (12, M)
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
     steady : ndarray, shape (STEADY_SIZE,)
         Mean wind, current and drift sums.
@@ -65,45 +76,107 @@ def derivative(
         Velocity of the air, m/s.
     t : float
         Time, s.
+    dof : int
+        Degrees of freedom: 3 holds heave, roll and pitch where they are; 6 frees them.
 
     Notes
     -----
-    Source: Eq (4)-(8) about a midship origin (Yasukawa and Yoshimura 2015). The sum of
-    rigid body and added mass is driven by the velocity through water, which is exact for a
-    current that is the same everywhere (Fossen 2021, section 10.3).
+    Source: Eq (1)-(8), physics.md 2.1-2.3 C. The sum of rigid body and added mass is driven by
+    the velocity through water, which is exact for a current that is the same everywhere
+    (Fossen 2021, section 10.3). Weight and buoyancy act along the vertical, the water plane's
+    share at its centre; wave forces at the centre of gravity; hull, propulsion and wind at
+    their heights in the vessel file.
     """
     psi, r = state[fr.PSI], state[fr.R]
-    current_u, current_v = fr.to_body(steady[CURRENT_NORTH], steady[CURRENT_EAST], psi)
+    phi, theta = state[fr.PHI], state[fr.THETA]
+    free = dof == 6
+    current_w = 0.0
+    if free:
+        current_u, current_v, current_w = fr.unrotate(
+            phi, theta, psi, steady[CURRENT_NORTH], steady[CURRENT_EAST], 0.0
+        )
+    else:
+        current_u, current_v = fr.to_body(steady[CURRENT_NORTH], steady[CURRENT_EAST], psi)
     u, v = state[fr.U] - current_u, state[fr.V] - current_v
 
     X_H, Y_H, N_H = hull_forces(u, v, r, p)
-    X_P, Y_P, N_P = drive_forces(u, v, r, state, p)
+    X_P, Y_P, N_P = propulsion_forces(u, v, r, state, p)
     X, Y, N = X_H + X_P, Y_H + Y_P, N_H + N_P
+    X_wind, Y_wind = 0.0, 0.0
     if air_north != 0.0 or air_east != 0.0:
         # the resistance curve has the drag of still air in it already
         X_air, Y_air, N_air = wind_loads(state[fr.U], state[fr.V], psi, air_north, air_east, p)
         X_still, Y_still, N_still = wind_loads(state[fr.U], state[fr.V], psi, 0.0, 0.0, p)
-        X, Y, N = X + X_air - X_still, Y + Y_air - Y_still, N + N_air - N_still
+        X_wind, Y_wind = X_air - X_still, Y_air - Y_still
+        X, Y, N = X + X_wind, Y + Y_wind, N + N_air - N_still
+    X_wave, Y_wave, Z_wave, K_wave, M_wave = 0.0, 0.0, 0.0, 0.0, 0.0
     if waves.shape[1] > 0:
-        X_wave, Y_wave, N_wave = first_order_loads(state[fr.X], state[fr.Y], psi, t, waves, factors)
+        X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave = first_order_loads(
+            state[fr.X], state[fr.Y], psi, t, waves, dof, factors
+        )
         X_drift, Y_drift, N_drift = mean_drift_loads(psi, steady[DRIFT:])
-        X, Y, N = X + X_wave + X_drift, Y + Y_wave + Y_drift, N + N_wave + N_drift
+        X_wave, Y_wave, N = X_wave + X_drift, Y_wave + Y_drift, N + N_wave + N_drift
 
-    m, m_x, m_y, x_G = p[par.MASS], p[par.M_X], p[par.M_Y], p[par.X_G]
-    m_xG = m * x_G
-    X += (m + m_y) * v * r + m_xG * r * r
-    Y -= (m + m_x) * u * r
-    N -= m_xG * u * r
-    a, c = m + m_y, p[par.I_ZZ] + m_xG * x_G + p[par.J_ZZ]
-    det = a * c - m_xG * m_xG
-    # the current turns in the body frame as the boat turns
-    out[fr.U] = X / (m + m_x) + r * current_v
-    out[fr.V] = (c * Y - m_xG * N) / det - r * current_u
-    out[fr.R] = (a * N - m_xG * Y) / det
-    out[fr.X], out[fr.Y] = fr.to_earth(state[fr.U], state[fr.V], psi)
-    out[fr.PSI] = r
-    out[fr.Z] = out[fr.PHI] = out[fr.THETA] = 0.0
-    out[fr.W] = out[fr.P] = out[fr.Q] = 0.0
+    for i in range(fr.N_LEFT):
+        out[i] = 0.0
+    if not free:
+        du, dv, dr = accelerate_3(X + X_wave, Y + Y_wave, N, u, v, r, p)
+        # the current turns in the body frame as the boat turns
+        out[fr.U], out[fr.V], out[fr.R] = du + r * current_v, dv - r * current_u, dr
+        out[fr.X], out[fr.Y] = fr.to_earth(state[fr.U], state[fr.V], psi)
+        out[fr.PSI] = r
+        actuator_rates(state, cmd, p, out)
+        return
+
+    w, p_rate, q_rate = state[fr.W] - current_w, state[fr.P], state[fr.Q]
+    sf, cf = math.sin(phi), math.cos(phi)
+    st, ct = math.sin(theta), math.cos(theta)
+    k_x, k_y, k_z = -st, ct * sf, ct * cf  # downwards
+    north, east, down = fr.rotate(phi, theta, psi, state[fr.U], state[fr.V], state[fr.W])
+    x_F, z_G = p[par.X_F], p[par.DRAFT] - p[par.KG]
+    z_H, z_P = p[par.Z_H], p[par.Z_P]
+    sinkage = state[fr.Z] + x_F * k_x
+    vertical = heave_force(sinkage, down + x_F * (k_y * r - k_z * q_rate), p) + Z_wave
+    # wave forces lie in the horizontal plane, and are turned into the body
+    X_level, Y_level = ct * X_wave, sf * st * X_wave + cf * Y_wave
+    Z = cf * st * X_wave - sf * Y_wave + k_z * vertical
+    K_0, M_0, N_0 = restoring(k_x, k_y, k_z, p_rate, q_rate, p)
+    K = (
+        K_0
+        + K_wave
+        - z_G * Y_level
+        - z_H * Y_H
+        - z_P * Y_P
+        + p[par.KAPPA_WIND] * p[par.S_H] * Y_wind
+    )
+    M = M_0 + M_wave + z_G * X_level + z_H * X_H + z_P * X_P - p[par.S_H] * X_wind
+    M -= x_F * k_z * vertical
+    N += N_0 + x_F * k_y * vertical
+    du, dv, dw, dp, dq, dr = accelerate_6(
+        X + X_level + k_x * vertical,
+        Y + Y_level + k_y * vertical,
+        Z,
+        K,
+        M,
+        N,
+        u,
+        v,
+        w,
+        p_rate,
+        q_rate,
+        r,
+        p,
+    )
+    out[fr.U] = du + r * current_v - q_rate * current_w
+    out[fr.V] = dv + p_rate * current_w - r * current_u
+    out[fr.W] = dw + q_rate * current_u - p_rate * current_v
+    out[fr.P], out[fr.Q], out[fr.R] = dp, dq, dr
+    out[fr.X], out[fr.Y], out[fr.Z] = north, east, down
+    turn = q_rate * sf + r * cf
+    level = math.copysign(max(abs(ct), LEVEL_MIN), ct)
+    out[fr.PHI] = p_rate + turn * st / level
+    out[fr.THETA] = q_rate * cf - r * sf
+    out[fr.PSI] = turn / level
     actuator_rates(state, cmd, p, out)
 
 
@@ -117,6 +190,7 @@ def step(
     steady: np.ndarray,
     t: float,
     dt: float,
+    dof: int,
     factors: np.ndarray,
     work: np.ndarray,
 ) -> None:
@@ -132,28 +206,30 @@ def step(
         Packed vessel and sea; see :func:`derivative` and :func:`usv_gym.physics.wind.gust`.
     t, dt : float
         Time and step, s.
-    factors : ndarray, shape (6, M)
+    dof : int
+        3 or 6; see :func:`derivative`.
+    factors : ndarray, shape (12, M)
         Scratch for :func:`~usv_gym.physics.waves.box_factors`.
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.
     """
     north, east = air_velocity(t, gusts, steady)
-    box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], waves, p, factors)
+    box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], waves, p, dof, factors)
     k, trial = work[1], work[2]
     total = work[0]
-    derivative(state, cmd, p, waves, factors, steady, north, east, t, k)
+    derivative(state, cmd, p, waves, factors, steady, north, east, t, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] = k[i]
         trial[i] = state[i] + 0.5 * dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, k)
+    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] += 2.0 * k[i]
         trial[i] = state[i] + 0.5 * dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, k)
+    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] += 2.0 * k[i]
         trial[i] = state[i] + dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + dt, k)
+    derivative(trial, cmd, p, waves, factors, steady, north, east, t + dt, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] = (total[i] + k[i]) / 6.0
         state[i] += dt * total[i]

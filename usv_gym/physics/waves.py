@@ -11,10 +11,13 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics.frames import sincos
 from usv_kernel import kernel
 
-# rows of the array of wave components, shape (6, M)
-OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE = 0, 1, 2, 3, 4, 5
-WAVE_ROWS = 6
-FACTOR_ROWS = 6
+# rows of the array of wave components, shape (7, M); pressure is rho g a, integrated over the
+# draft (PRESSURE, N/m), and at the bottom of the hull (BOTTOM, N/m2)
+OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE, BOTTOM = 0, 1, 2, 3, 4, 5, 6
+WAVE_ROWS = 7
+# what hull and heading make of each component, for X and Y, N, Z, M, K, and scratch for sums
+SURGE_SWAY, YAW_LENGTH, YAW_BEAM, HEAVE, PITCH, ROLL, SCRATCH = 0, 1, 2, 3, 4, 5, 6
+FACTOR_ROWS = 12
 LANES = 4
 DRIFT_SUMS = 6
 
@@ -138,7 +141,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
         Place, m north and east.
     t : float
         Time, s.
-    waves : ndarray, shape (6, M)
+    waves : ndarray, shape (7, M)
         Wave components; rows as named at the top of this file.
     """
     total = 0.0
@@ -150,7 +153,9 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 
 
 @kernel
-def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarray) -> None:
+def box_factors(
+    psi: float, waves: np.ndarray, p: np.ndarray, dof: int, factors: np.ndarray
+) -> None:
     """Write what the length and the beam of the hull make of each component.
 
     They hang on the heading only, so that one evaluation, at its middle, serves a step.
@@ -159,17 +164,28 @@ def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarra
     ----------
     psi : float
         Heading, rad.
-    waves : ndarray, shape (6, M)
-        Wave components; PRESSURE holds ``rho g a (1 - exp(-k d)) / k``.
+    waves : ndarray, shape (7, M)
+        Wave components.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    factors : ndarray, shape (6, M)
-        Written in its first three rows: force per wave number, and the moment's shares of
-        length and beam.
+    dof : int
+        3 or 6; with 3 the rows for heave, pitch and roll are left as they are.
+    factors : ndarray, shape (12, M)
+        Written in its first rows: horizontal force per wave number, the yaw moment's shares
+        of length and beam, heave force, pitch and roll moment.
+
+    Notes
+    -----
+    Source: physics.md 2.3 C. Forces and moments are those on a box; heave is scaled to the
+    water plane, pitch and roll to the restoring moments, so that a long wave lifts the boat
+    by its height and tilts it by its slope.
     """
-    half_length = 0.5 * p[par.LENGTH]
-    half_beam = 0.5 * p[par.BEAM]
-    area = p[par.BLOCK] * p[par.LENGTH] * p[par.BEAM]
+    L, B = p[par.LENGTH], p[par.BEAM]
+    half_length = 0.5 * L
+    half_beam = 0.5 * B
+    area = p[par.BLOCK] * L * B
+    pitch = 6.0 * p[par.MASS] * p[par.GM_L] / (p[par.DENSITY] * L)
+    roll = 6.0 * p[par.MASS] * p[par.GM_T] / (p[par.DENSITY] * B)
     cp, sp = math.cos(psi), math.sin(psi)
     for i in range(waves.shape[1]):
         s = (waves[K_NORTH, i] * cp + waves[K_EAST, i] * sp) * half_length
@@ -177,18 +193,41 @@ def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarra
         sin_s, cos_s = sincos(s)
         sin_c, cos_c = sincos(c)
         S, C = _sinc(s, sin_s), _sinc(c, sin_c)
+        j_s, j_c = _j1(s, sin_s, cos_s), _j1(c, sin_c, cos_c)
         pressure = area * waves[PRESSURE, i]
-        factors[0, i] = pressure * S * C
+        factors[SURGE_SWAY, i] = pressure * S * C
         # Q(s, k_x) = L^2/2 j1(s), Q(c, k_y) = B^2/2 j1(c), over L B as the forces
-        factors[1, i] = pressure * half_length * C * _j1(s, sin_s, cos_s)
-        factors[2, i] = pressure * half_beam * S * _j1(c, sin_c, cos_c)
+        factors[YAW_LENGTH, i] = pressure * half_length * C * j_s
+        factors[YAW_BEAM, i] = pressure * half_beam * S * j_c
+        if dof == 6:
+            bottom = waves[BOTTOM, i]
+            factors[HEAVE, i] = bottom * p[par.A_WP] * S * C
+            factors[PITCH, i] = bottom * pitch * C * j_s
+            factors[ROLL, i] = bottom * roll * S * j_c
+
+
+@kernel
+def _sum_rows(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[float, float, float]:
+    """Return three sums, four terms at a time, in an order that no compiler changes."""
+    a_0, a_1, a_2, a_3 = 0.0, 0.0, 0.0, 0.0
+    b_0, b_1, b_2, b_3 = 0.0, 0.0, 0.0, 0.0
+    c_0, c_1, c_2, c_3 = 0.0, 0.0, 0.0, 0.0
+    M = a.shape[0]
+    whole = M - M % LANES
+    for i in range(0, whole, LANES):
+        a_0, a_1, a_2, a_3 = a_0 + a[i], a_1 + a[i + 1], a_2 + a[i + 2], a_3 + a[i + 3]
+        b_0, b_1, b_2, b_3 = b_0 + b[i], b_1 + b[i + 1], b_2 + b[i + 2], b_3 + b[i + 3]
+        c_0, c_1, c_2, c_3 = c_0 + c[i], c_1 + c[i + 1], c_2 + c[i + 2], c_3 + c[i + 3]
+    for i in range(whole, M):
+        a_0, b_0, c_0 = a_0 + a[i], b_0 + b[i], c_0 + c[i]
+    return (a_0 + a_1) + (a_2 + a_3), (b_0 + b_1) + (b_2 + b_3), (c_0 + c_1) + (c_2 + c_3)
 
 
 @kernel
 def first_order_loads(
-    x: float, y: float, psi: float, t: float, waves: np.ndarray, factors: np.ndarray
-) -> tuple[float, float, float]:
-    """Return the first-order surge force, sway force (N) and yaw moment (N m).
+    x: float, y: float, psi: float, t: float, waves: np.ndarray, dof: int, factors: np.ndarray
+) -> tuple[float, float, float, float, float, float]:
+    """Return the first-order loads in the frame of the heading.
 
     Froude-Krylov pressure integrated over a box of the hull's length, beam and draft, with
     the loads scaled by the block coefficient. The phase is taken at the moving position, so
@@ -200,39 +239,41 @@ def first_order_loads(
         Position in m and heading in rad.
     t : float
         Time, s.
-    waves, factors : ndarray, shapes (6, M), (6, M)
-        Wave components, and what :func:`box_factors` makes of them; the last three rows
-        are scratch.
+    waves : ndarray, shape (7, M)
+        Wave components.
+    dof : int
+        3 or 6.
+    factors : ndarray, shape (12, M)
+        What :func:`box_factors` makes of the components; the last rows are scratch.
+
+    Returns
+    -------
+    X, Y, N, Z, K, M : float
+        Forces forward and to starboard (N), yaw moment (N m); with ``dof`` 6 also the
+        downward force and the roll and pitch moments, else zeros.
     """
     cp, sp = math.cos(psi), math.sin(psi)
-    norths, easts, turns = factors[3], factors[4], factors[5]
-    M = waves.shape[1]
-    for i in range(M):
+    norths, easts, turns = factors[SCRATCH], factors[SCRATCH + 1], factors[SCRATCH + 2]
+    downs, rolls, pitches = factors[SCRATCH + 3], factors[SCRATCH + 4], factors[SCRATCH + 5]
+    for i in range(waves.shape[1]):
         k_north, k_east = waves[K_NORTH, i], waves[K_EAST, i]
         s, c = sincos(k_north * x + k_east * y - waves[OMEGA, i] * t + waves[PHASE, i])
-        force = factors[0, i] * s
+        force = factors[SURGE_SWAY, i] * s
         norths[i] = k_north * force
         easts[i] = k_east * force
         k_x = k_north * cp + k_east * sp
         k_y = k_east * cp - k_north * sp
-        turns[i] = c * (k_y * factors[1, i] - k_x * factors[2, i])
-    # four sums at a time, in an order that no compiler changes: same seed, same bits
-    a_0, a_1, a_2, a_3 = 0.0, 0.0, 0.0, 0.0
-    b_0, b_1, b_2, b_3 = 0.0, 0.0, 0.0, 0.0
-    c_0, c_1, c_2, c_3 = 0.0, 0.0, 0.0, 0.0
-    whole = M - M % LANES
-    for i in range(0, whole, LANES):
-        a_0, a_1 = a_0 + norths[i], a_1 + norths[i + 1]
-        a_2, a_3 = a_2 + norths[i + 2], a_3 + norths[i + 3]
-        b_0, b_1 = b_0 + easts[i], b_1 + easts[i + 1]
-        b_2, b_3 = b_2 + easts[i + 2], b_3 + easts[i + 3]
-        c_0, c_1 = c_0 + turns[i], c_1 + turns[i + 1]
-        c_2, c_3 = c_2 + turns[i + 2], c_3 + turns[i + 3]
-    for i in range(whole, M):
-        a_0, b_0, c_0 = a_0 + norths[i], b_0 + easts[i], c_0 + turns[i]
-    north, east = (a_0 + a_1) + (a_2 + a_3), (b_0 + b_1) + (b_2 + b_3)
-    N = (c_0 + c_1) + (c_2 + c_3)
-    return north * cp + east * sp, east * cp - north * sp, N
+        turns[i] = c * (k_y * factors[YAW_LENGTH, i] - k_x * factors[YAW_BEAM, i])
+        if dof == 6:
+            downs[i] = -factors[HEAVE, i] * c
+            rolls[i] = factors[ROLL, i] * s
+            pitches[i] = -factors[PITCH, i] * s
+    north, east, N = _sum_rows(norths, easts, turns)
+    X, Y = north * cp + east * sp, east * cp - north * sp
+    if dof != 6:
+        return X, Y, N, 0.0, 0.0, 0.0
+    Z, K, M = _sum_rows(downs, rolls, pitches)
+    return X, Y, N, Z, K, M
 
 
 @kernel

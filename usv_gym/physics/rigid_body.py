@@ -1,0 +1,132 @@
+"""Rigid body and added mass: from forces to accelerations (Eq 4-8)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from usv_gym.physics import parameters as par
+from usv_kernel import kernel
+
+
+@kernel
+def accelerate_3(
+    X: float, Y: float, N: float, u: float, v: float, r: float, p: np.ndarray
+) -> tuple[float, float, float]:
+    """Return the accelerations of surge, sway and yaw; heave, roll and pitch are held.
+
+    Parameters
+    ----------
+    X, Y, N : float
+        Forces and moment about the origin, N and N m.
+    u, v, r : float
+        Velocity through water, m/s and rad/s.
+    p : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
+
+    Notes
+    -----
+    Source: Yasukawa and Yoshimura 2015, midship origin. The moment that the added masses make
+    in drift (Munk) stands in N_v.
+    """
+    m, m_x, m_y, x_G = p[par.MASS], p[par.M_X], p[par.M_Y], p[par.X_G]
+    m_xG = m * x_G
+    X += (m + m_y) * v * r + m_xG * r * r
+    Y -= (m + m_x) * u * r
+    N -= m_xG * u * r
+    a, c = m + m_y, p[par.I_ZZ] + m_xG * x_G + p[par.J_ZZ]
+    det = a * c - m_xG * m_xG
+    return X / (m + m_x), (c * Y - m_xG * N) / det, (a * N - m_xG * Y) / det
+
+
+@kernel
+def _solve(
+    a: float, b: float, c: float, d: float, e: float, f: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Solve the symmetric system with rows (a b c), (b d e), (c e f) for the right side x, y, z."""
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    det = a * A + b * B + c * C
+    return (
+        (A * x + B * y + C * z) / det,
+        (B * x + D * y + E * z) / det,
+        (C * x + E * y + F * z) / det,
+    )
+
+
+@kernel
+def accelerate_6(
+    X: float,
+    Y: float,
+    Z: float,
+    K: float,
+    M: float,
+    N: float,
+    u: float,
+    v: float,
+    w: float,
+    p: float,
+    q: float,
+    r: float,
+    vessel: np.ndarray,
+) -> tuple[float, float, float, float, float, float]:
+    """Return the accelerations in all six degrees of freedom.
+
+    Parameters
+    ----------
+    X, Y, Z, K, M, N : float
+        Forces and moments about the origin in the water line, N and N m.
+    u, v, w, p, q, r : float
+        Velocity through water, m/s and rad/s.
+    vessel : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
+
+    Notes
+    -----
+    Source: Eq (6) as restored in physics.md 2.1 (SNAME) with ``y_G = 0`` and the axes of
+    inertia along the body. The added masses of surge and sway act ``z_H`` below the water
+    line, and as in the MMG standard method in the horizontal plane; that of heave moves with
+    the boat as a part of it, so that the period of heave does not hang on the speed (strip
+    theory's lift at speed would be wrong for planing hulls). With w = p = q = 0 and held,
+    the rows of X, Y and N are those of :func:`accelerate_3`.
+    """
+    m, m_x, m_y, m_z = vessel[par.MASS], vessel[par.M_X], vessel[par.M_Y], vessel[par.M_Z]
+    x_G, z_G, z_H = vessel[par.X_G], vessel[par.DRAFT] - vessel[par.KG], vessel[par.Z_H]
+    I_x = vessel[par.I_XX] + vessel[par.J_XX] + m * z_G * z_G
+    I_y = vessel[par.I_YY] + vessel[par.J_YY] + m * (x_G * x_G + z_G * z_G)
+    I_z = vessel[par.I_ZZ] + vessel[par.J_ZZ] + m * x_G * x_G
+    I_xz = m * x_G * z_G
+
+    # the added masses, at their depth
+    u_H, v_H = u + z_H * q, v - z_H * p
+    X_A, Y_A = m_y * v_H * r, -m_x * u_H * r
+    a_x, a_y, a_z = v * r - w * q, w * p - u * r, u * q - v * p
+    X += X_A + m * (a_x + x_G * (q * q + r * r) - z_G * p * r) - m_z * w * q
+    Y += Y_A + m * (a_y - z_G * q * r - x_G * q * p) + m_z * w * p
+    Z += m * (a_z + z_G * (p * p + q * q) - x_G * r * p) + m_z * a_z
+    K += -z_H * Y_A - (I_z - I_y) * q * r + p * q * I_xz - m * z_G * a_y
+    M += z_H * X_A - (I_x - I_z) * r * p - (p * p - r * r) * I_xz + m * (z_G * a_x - x_G * a_z)
+    N += -(I_y - I_x) * p * q - r * q * I_xz + m * x_G * a_y
+
+    du, dw, dq = _solve(
+        m + m_x,
+        0.0,
+        m * z_G + m_x * z_H,
+        m + m_z,
+        -m * x_G,
+        I_y + m_x * z_H * z_H,
+        X,
+        Z,
+        M,
+    )
+    dv, dp, dr = _solve(
+        m + m_y,
+        -m * z_G - m_y * z_H,
+        m * x_G,
+        I_x + m_y * z_H * z_H,
+        -I_xz,
+        I_z,
+        Y,
+        K,
+        N,
+    )
+    return du, dv, dw, dp, dq, dr
