@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,8 @@ from scipy.optimize import brentq
 
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.manoeuvres import commands
+from usv_gym.physics import GRAVITY, hull, propulsion, ship, waves
 from usv_gym.physics import frames as fr
-from usv_gym.physics import hull, propulsion, ship, waves
 from usv_gym.physics import parameters as par
 from usv_gym.sea import Sea
 from usv_gym.simulation import Simulation
@@ -188,7 +189,7 @@ def test_zigzag_overshoot() -> None:
 
 def mirrored(state: np.ndarray) -> np.ndarray:
     out = state.copy()
-    out[..., [fr.Y, fr.PSI, fr.V, fr.R]] *= -1.0
+    out[..., [fr.Y, fr.PHI, fr.PSI, fr.V, fr.P, fr.R]] *= -1.0
     out[..., [fr.N_LEFT, fr.N_RIGHT]] = state[..., [fr.N_RIGHT, fr.N_LEFT]]
     out[..., [fr.DELTA_LEFT, fr.DELTA_RIGHT]] = -state[..., [fr.DELTA_RIGHT, fr.DELTA_LEFT]]
     return out
@@ -229,6 +230,22 @@ runs = {
     "current_to": angles,
     "seed": st.integers(0, 2**32 - 1),
 }
+freedom = st.sampled_from([3, 6])
+tilts = st.tuples(
+    st.floats(-0.5, 0.5),  # z, m
+    st.floats(-0.6, 0.6),  # phi
+    st.floats(-0.3, 0.3),  # theta
+    st.floats(-0.5, 0.5),  # w, m/s
+    st.floats(-0.5, 0.5),  # p
+    st.floats(-0.3, 0.3),  # q
+)
+HELD = [fr.Z, fr.PHI, fr.THETA, fr.W, fr.P, fr.Q]
+
+
+def tilted(state: np.ndarray, tilt: tuple[float, ...], dof: int) -> np.ndarray:
+    if dof == 6:
+        state[HELD] = tilt
+    return state
 
 
 def a_run(
@@ -238,26 +255,30 @@ def a_run(
     return start(u, v, r, n=20.0), np.array(list(cmd.values())), sea
 
 
-@given(**runs)
-@settings(max_examples=30, deadline=None)
-def test_port_mirrors_starboard(**kwargs: float) -> None:
+@given(dof=freedom, tilt=tilts, **runs)
+@settings(max_examples=40, deadline=None)
+def test_port_mirrors_starboard(dof: int, tilt: tuple[float, ...], **kwargs: float) -> None:
     state, cmd, sea = a_run(**kwargs)  # type: ignore[arg-type]
-    one = sail(state, cmd, 8.0, sea)
+    tilted(state, tilt, dof)
+    one = sail(state, cmd, 8.0, sea, dof=dof)
     other_cmd = np.array([cmd[1], cmd[0], -cmd[3], -cmd[2]])
-    other = sail(mirrored(state), other_cmd, 8.0, mirrored_sea(sea))
+    other = sail(mirrored(state), other_cmd, 8.0, mirrored_sea(sea), dof=dof)
     # left and right are added in the other order: rounding, grown over 160 steps
     np.testing.assert_allclose(mirrored(other), one, rtol=1e-9, atol=1e-9)
 
 
-@given(by=angles, **runs)
-@settings(max_examples=30, deadline=None)
-def test_north_is_not_special(by: float, **kwargs: float) -> None:
+@given(by=angles, dof=freedom, tilt=tilts, **runs)
+@settings(max_examples=40, deadline=None)
+def test_north_is_not_special(
+    by: float, dof: int, tilt: tuple[float, ...], **kwargs: float
+) -> None:
     """Heading, wind, waves and current turned together turn the track, and nothing else."""
     state, cmd, sea = a_run(**kwargs)  # type: ignore[arg-type]
-    one = sail(state, cmd, 8.0, sea)
+    tilted(state, tilt, dof)
+    one = sail(state, cmd, 8.0, sea, dof=dof)
     turned = state.copy()
     turned[fr.PSI] += by
-    other = sail(turned, cmd, 8.0, turned_sea(sea, by))
+    other = sail(turned, cmd, 8.0, turned_sea(sea, by), dof=dof)
     expected = one.copy()
     expected[:, fr.X], expected[:, fr.Y] = turn(one[:, fr.X], one[:, fr.Y], by)
     expected[:, fr.PSI] += by
@@ -265,10 +286,16 @@ def test_north_is_not_special(by: float, **kwargs: float) -> None:
     np.testing.assert_allclose(other, expected, rtol=1e-8, atol=1e-8)
 
 
-@given(speed=st.floats(0.1, 3.0), to=angles, v=st.floats(-1, 1), delta=st.floats(-0.5, 0.5))
-@settings(max_examples=15, deadline=None)
+@given(
+    dof=freedom,
+    speed=st.floats(0.1, 3.0),
+    to=angles,
+    v=st.floats(-1, 1),
+    delta=st.floats(-0.5, 0.5),
+)
+@settings(max_examples=20, deadline=None)
 def test_a_uniform_current_only_shifts_the_track(
-    speed: float, to: float, v: float, delta: float
+    dof: int, speed: float, to: float, v: float, delta: float
 ) -> None:
     state, cmd, dt = start(8.0, v=v, n=25.0), np.array([25.0, 25.0, delta, delta]), 0.0125
     north, east = speed * math.cos(to), speed * math.sin(to)
@@ -277,8 +304,8 @@ def test_a_uniform_current_only_shifts_the_track(
     adrift = state.copy()
     adrift[fr.U] += north  # heading north
     adrift[fr.V] += east
-    still = sail(state, cmd, 10.0, dt=dt)
-    moving = sail(adrift, cmd, 10.0, dataclasses.replace(CALM, steady=steady), dt=dt)
+    still = sail(state, cmd, 10.0, dt=dt, dof=dof)
+    moving = sail(adrift, cmd, 10.0, dataclasses.replace(CALM, steady=steady), dt=dt, dof=dof)
     t = dt * np.arange(len(still))
     # the turning current is integrated, not exact: the integrator's dt^4 is 2.4e-8
     np.testing.assert_allclose(moving[:, fr.X] - north * t, still[:, fr.X], atol=1e-5)
@@ -289,40 +316,163 @@ def test_a_uniform_current_only_shifts_the_track(
 # ------------------------------------------------- loads that must vanish, energy
 
 
-@given(u=st.floats(-5, 20), v=st.floats(-3, 3), r=st.floats(-0.6, 0.6), psi=angles)
+@given(
+    u=st.floats(-5, 20),
+    v=st.floats(-3, 3),
+    r=st.floats(-0.6, 0.6),
+    psi=angles,
+    dof=freedom,
+    tilt=tilts,
+)
 @settings(max_examples=60, deadline=None)
-def test_a_sea_of_no_height_is_no_sea(u: float, v: float, r: float, psi: float) -> None:
+def test_a_sea_of_no_height_is_no_sea(
+    u: float, v: float, r: float, psi: float, dof: int, tilt: tuple[float, ...]
+) -> None:
     """Wind, waves and current of zero leave the derivative as it is, to the bit."""
-    state = start(u, v, r, n=15.0, delta=0.1, psi=psi)
+    state = tilted(start(u, v, r, n=15.0, delta=0.1, psi=psi), tilt, dof)
     flat = a_sea(0)
-    flat.waves[[waves.AMPLITUDE, waves.PRESSURE]] = 0.0
+    flat.waves[[waves.AMPLITUDE, waves.PRESSURE, waves.BOTTOM]] = 0.0
     flat.steady[:] = 0.0
-    np.testing.assert_array_equal(derivative(state, sea=flat), derivative(state))
+    calm = derivative(state, dof=dof)
+    np.testing.assert_array_equal(derivative(state, sea=flat, dof=dof), calm)
     named = SeaState.named("calm").realise(BOAT, np.random.default_rng(0), np.random.default_rng(0))
-    np.testing.assert_array_equal(derivative(state, sea=named), derivative(state))
+    np.testing.assert_array_equal(derivative(state, sea=named, dof=dof), calm)
 
 
-def test_a_boat_at_rest_in_calm_water_stays() -> None:
-    track = sail(start(0.0, psi=0.7), np.zeros(4), 30.0)
+@pytest.mark.parametrize("dof", [3, 6])
+def test_a_boat_at_rest_in_calm_water_stays(dof: int) -> None:
+    track = sail(start(0.0, psi=0.7), np.zeros(4), 30.0, dof=dof)
     np.testing.assert_array_equal(track, np.tile(track[0], (len(track), 1)))
 
 
-def energy(states: np.ndarray) -> np.ndarray:
-    v = BOAT.values
-    return 0.5 * (
-        (v["mass"] + v["m_x"]) * states[:, fr.U] ** 2
-        + (v["mass"] + v["m_y"]) * states[:, fr.V] ** 2
-        + (v["I_zz"] + v["J_zz"]) * states[:, fr.R] ** 2
-    )
+def energy(states: np.ndarray, v: Mapping[str, float] = BOAT.values) -> np.ndarray:
+    """Return what moves, and what weight and buoyancy have stored, in J."""
+    m, m_x, m_y, m_z = (v[key] for key in ("mass", "m_x", "m_y", "m_z"))
+    z_G, z_H = v["draft"] - v["KG"], v["z_H"]
+    u, sway, w, p, q, r = (states[:, i] for i in range(fr.U, fr.R + 1))
+    moving = m * ((u + z_G * q) ** 2 + (sway - z_G * p) ** 2 + w**2)
+    moving += m_x * (u + z_H * q) ** 2 + m_y * (sway - z_H * p) ** 2 + m_z * w**2
+    moving += (v["I_xx"] + v["J_xx"]) * p**2 + (v["I_yy"] + v["J_yy"]) * q**2
+    moving += (v["I_zz"] + v["J_zz"]) * r**2
+    k_x = -np.sin(states[:, fr.THETA])
+    k_y = np.cos(states[:, fr.THETA]) * np.sin(states[:, fr.PHI])
+    stored = v["water_density"] * GRAVITY * v["A_wp"] * states[:, fr.Z] ** 2
+    stored += m * GRAVITY * (v["GM_T"] * k_y**2 + v["GM_L"] * k_x**2)
+    return 0.5 * (moving + stored)
 
 
-@given(u=st.floats(-20, 20), v=st.floats(-5, 5), r=st.floats(-1.2, 1.2))
-@settings(max_examples=40, deadline=None)
-def test_without_thrust_the_energy_only_falls(u: float, v: float, r: float) -> None:
-    course = energy(sail(start(u, v, r), np.zeros(4), 10.0))
-    # rounding of energies up to 1e6 J
-    assert np.all(np.diff(course) <= 1e-9 * course[0])
+@given(u=st.floats(-20, 20), v=st.floats(-5, 5), r=st.floats(-1.2, 1.2), dof=freedom, tilt=tilts)
+@settings(max_examples=60, deadline=None)
+def test_without_thrust_the_energy_only_falls(
+    u: float, v: float, r: float, dof: int, tilt: tuple[float, ...]
+) -> None:
+    course = energy(sail(tilted(start(u, v, r), tilt, dof), np.zeros(4), 10.0, dof=dof))
+    # rounding of energies up to 1e6 J; with heave and roll of 2 s the integrator's own error
+    # at 20 Hz, (0.05 * 3.1)^6 / 144 a step, is 1e-7
+    assert np.all(np.diff(course) <= (1e-9 if dof == 3 else 1e-6) * course[0])
     assert course[-1] < course[0] or course[0] < 1e-9
+
+
+def test_energy_is_kept_without_damping() -> None:
+    """Weight, buoyancy and rigid body alone turn one form of energy into the other."""
+    p = P.copy()
+    p[[par.ZETA_HEAVE, par.ZETA_ROLL, par.ZETA_PITCH, par.M_X, par.M_Y]] = 0.0
+    p[par.R_0 : par.KIND] = 0.0  # no hull forces
+    p[[par.RESISTANCE_SPEEDS + i for i in range(2 * par.RESISTANCE_POINTS)]] = 0.0
+    p[[par.A_R, par.K_1, par.K_2, par.Z_H]] = 0.0
+    state = tilted(start(3.0, 0.5, 0.3), (0.3, 0.5, 0.2, 0.2, -0.4, 0.3), 6)
+    cmd = np.zeros(4)
+    track = sail(state, cmd, 5.0, dt=0.005, dof=6, p=p)
+    course = energy(track, {**BOAT.values, "m_x": 0.0, "m_y": 0.0, "z_H": 0.0})
+    # RK4 at 200 Hz: (0.005 * 3.1)^4 relative
+    np.testing.assert_allclose(course, course[0], rtol=1e-7)
+
+
+# ------------------------------------------------- heave, roll, pitch
+
+
+@given(u=st.floats(-5, 20), v=st.floats(-3, 3), r=st.floats(-0.6, 0.6), delta=st.floats(-0.5, 0.5))
+@settings(max_examples=60, deadline=None)
+def test_three_degrees_are_six_with_heave_roll_and_pitch_held(
+    u: float, v: float, r: float, delta: float
+) -> None:
+    """Inertia without bounds holds what 3-DOF holds; the other three rows must agree."""
+    heavy = P.copy()
+    heavy[[par.M_Z, par.J_XX, par.J_YY]] = 1e15
+    state, sea = start(u, v, r, n=15.0, delta=delta, psi=0.4), a_sea(3, current=0.5)
+    three = derivative(state, sea=sea, p=heavy)
+    six = derivative(state, sea=sea, p=heavy, dof=6)
+    # the held accelerations are 1e-9 of the free ones
+    np.testing.assert_allclose(six[MOTION], three[MOTION], rtol=1e-7, atol=1e-8)
+    assert np.max(np.abs(six[HELD])) < 1e-7
+
+
+def decay(column: int, size: float) -> np.ndarray:
+    """Return one motion after it is let go, at rest in calm water, every 10 ms."""
+    state = start(0.0)
+    state[column] = size
+    return sail(state, np.zeros(4), 12.0, dt=0.01, dof=6)[:, column]
+
+
+@pytest.mark.parametrize(
+    ("column", "period", "damping"),
+    [
+        # physics.md 2.2: heave 2.1-2.2 s, pitch 2.1 s, roll 1.8-2.3 s; damping as in the file
+        (fr.Z, (2.05, 2.2), "zeta_heave"),
+        (fr.THETA, (2.0, 2.2), "zeta_pitch"),
+        (fr.PHI, (1.8, 2.3), "zeta_roll"),
+    ],
+)
+def test_natural_periods_and_damping(
+    column: int, period: tuple[float, float], damping: str
+) -> None:
+    motion = decay(column, 0.02)
+    peaks = np.flatnonzero((motion[1:-1] > motion[:-2]) & (motion[1:-1] >= motion[2:])) + 1
+    log_decrement = math.log(motion[0] / motion[peaks[0]])
+    zeta = log_decrement / math.hypot(2.0 * math.pi, log_decrement)
+    undamped = 0.01 * peaks[0] * math.sqrt(1.0 - zeta**2)
+    assert period[0] <= undamped <= period[1]
+    # roll and pitch draw sway and surge along: a fifth
+    assert zeta == pytest.approx(BOAT.values[damping], rel=0.2)
+
+
+def test_rolls_outward_in_a_turn_and_sails_upright_before_and_after() -> None:
+    n = shaft_for(8.0)
+    track = sail(start(8.0 * KNOT, n=n), helm(n, 15.0), 60.0, dof=6)
+    assert track[-1, fr.R] > 0.0  # to starboard, so that the boat leans to port
+    assert math.radians(-15.0) < track[-1, fr.PHI] < math.radians(-0.2)
+    straight = sail(start(8.0 * KNOT, n=n), helm(n, 0.0), 60.0, dof=6)[-1]
+    assert abs(straight[fr.PHI]) < 1e-9
+    assert abs(straight[fr.THETA]) < math.radians(2.0)
+    assert abs(straight[fr.Z]) < 0.05
+
+
+def test_a_boat_on_a_very_long_wave_follows_its_surface() -> None:
+    """Heave is the elevation, pitch its slope: the limit that the loads are scaled to."""
+    amplitude, omega = 1.0, 0.25  # 989 m long, 25 s
+    k = omega**2 / GRAVITY
+    rows = np.zeros((waves.WAVE_ROWS, 1))
+    rows[[waves.OMEGA, waves.K_NORTH, waves.AMPLITUDE], 0] = omega, k, amplitude
+    draft, rho_g = BOAT.values["draft"], BOAT.values["water_density"] * GRAVITY
+    rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
+    rows[waves.BOTTOM] = rho_g * amplitude * np.exp(-k * draft)
+    track = sail(start(0.0), np.zeros(4), 200.0, Sea(rows, CALM.gusts, CALM.steady), dof=6)
+    t = 0.05 * np.arange(len(track))
+    surface = amplitude * np.cos(k * track[:, fr.X] - omega * t)
+    slope = -k * amplitude * np.sin(k * track[:, fr.X] - omega * t)
+    late = t > 60.0
+    # the boat lags by 2 zeta omega / omega_n = 5 % and dynamic terms are (omega/omega_n)^2
+    np.testing.assert_allclose(-track[late, fr.Z], surface[late], atol=0.06 * amplitude)
+    np.testing.assert_allclose(track[late, fr.THETA], slope[late], atol=0.1 * k * amplitude)
+
+
+def test_a_storm_leaves_no_nan_and_a_capsized_boat_is_a_state_like_any_other() -> None:
+    sea = a_sea(5, hs=6.0, wind=16.3, components=60)
+    track = sail(start(5.0, n=20.0), helm(20.0, 10.0), 300.0, sea, dof=6)
+    assert np.all(np.isfinite(track))
+    state = start(3.0, n=10.0)
+    state[[fr.PHI, fr.THETA]] = 3.0, 1.5707
+    assert np.all(np.isfinite(sail(state, helm(10.0, 0.0), 60.0, sea, dof=6)))
 
 
 # ------------------------------------------------- branches
@@ -474,13 +624,15 @@ def test_port_propeller_and_positive_angle_turn_to_starboard() -> None:
 # ------------------------------------------------- integrator
 
 
-def test_fourth_order_in_calm_water() -> None:
+@pytest.mark.parametrize("dof", [3, 6])
+def test_fourth_order_in_calm_water(dof: int) -> None:
     # between two resistance points (25 and 30 kn), turning one way, below the rate limit:
     # nothing but smooth functions on the way
     state, cmd = start(14.0, v=-0.8, r=0.2, n=33.0, delta=0.1), helm(33.0, math.degrees(0.1))
+    tilted(state, (0.1, 0.1, 0.02, 0.1, 0.1, -0.05), dof)
 
     def end(dt: float) -> np.ndarray:
-        track = sail(state, cmd, 1.0, dt=dt)
+        track = sail(state, cmd, 1.0, dt=dt, dof=dof)
         assert np.all((track[:, fr.U] > 25.0 * KNOT) & (track[:, fr.U] < 30.0 * KNOT))
         return track[-1, MOTION]
 
@@ -488,7 +640,8 @@ def test_fourth_order_in_calm_water() -> None:
     errors = [np.linalg.norm(end(dt) - exact) for dt in (0.05, 0.025, 0.0125)]
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert np.all(orders > 3.7)
-    assert errors[0] < 1e-6
+    # the 2 s motions of heave, roll and pitch cost more than turning does
+    assert errors[0] < (1e-6 if dof == 3 else 1e-4)
 
 
 def test_the_step_reports_its_mean_derivative() -> None:
