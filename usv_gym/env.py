@@ -16,6 +16,7 @@ from usv_gym.sea import SeaState
 from usv_gym.sensors import Fault, FaultError, SensorSuite
 from usv_gym.simulation import BIAS, CMD, Simulation, Z, advance
 from usv_gym.tasks import (
+    CAPSIZED,
     ERROR,
     ERRORS,
     KNOWN_LEG,
@@ -221,7 +222,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     Start and end
     -------------
     Straight ahead to the north at the speed of ``shaft_speed_manoeuvring``. The task ends
-    the episode; ``USVTwin-v0`` truncates it after 2400 steps (120 s).
+    the episode, and so does capsizing (``dof=6``; ``info["capsized"]``); ``USVTwin-v0`` truncates it after 2400 steps (120 s).
 
     Version history
     ---------------
@@ -437,5 +438,6 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             "cross_track_m": record[ERROR],
             "leg": int(record[LEG]),
             "is_success": record[SUCCESS] != 0.0,
+            "capsized": record[CAPSIZED] != 0.0,
             "reward_terms": dict(zip(TERMS, record[TERM:REWARD], strict=True)),
         }

@@ -76,7 +76,8 @@ ERROR = LEG + 1
 TERM = ERROR + len(ERRORS)
 REWARD = TERM + len(TERMS)
 TERMINATED, SUCCESS = REWARD + 1, REWARD + 2
-KNOWN_LEG = SUCCESS + 1
+CAPSIZED = SUCCESS + 1
+KNOWN_LEG = CAPSIZED + 1
 RECORD_SIZE = KNOWN_LEG + 1
 # and what is common to all boats
 RATED, REACH, SPEED, AREA = 0, 1, 2, 3
@@ -111,6 +112,9 @@ def judge(
     errors = record[ERROR:TERM]
     leg = follow(state[0], state[1], state[5], points, int(record[LEG]), rules[REACH], errors)
     record[LEG] = leg
+    # the mast points below the horizon
+    capsized = math.cos(state[3]) * math.cos(state[4]) < 0.0
+    record[CAPSIZED] = record[TERMINATED] = 1.0 if capsized else 0.0
     if rules[RATED] == 0.0:
         return
     along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
@@ -123,7 +127,8 @@ def judge(
     record[REWARD] = record[TERM] + record[TERM + 1] + record[TERM + 2]
     reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
     record[SUCCESS] = 1.0 if reached else 0.0
-    record[TERMINATED] = 1.0 if reached or abs(errors[0]) > rules[AREA] else 0.0
+    if reached or abs(errors[0]) > rules[AREA]:
+        record[TERMINATED] = 1.0
 
 
 class Task:
@@ -179,7 +184,7 @@ class Task:
 
 
 class FreeManoeuvre(Task):
-    """No goal, no reward, no end; the path ahead is a line to the north."""
+    """No goal, no reward, no end but capsizing; the path ahead is a line to the north."""
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         return np.array([[0.0, 0.0], [1e4, 0.0]])
@@ -191,7 +196,7 @@ class PathFollowing(Task):
     Reward per step, from the truth: ``progress`` (speed along the leg over the usual speed,
     at most 1), ``cross_track`` (minus the distance off the leg in units of 10 m, at most 2)
     and ``effort`` (minus 0.05 times the change of the action). The episode ends with success
-    at the last way point, and without it 50 m off the leg.
+    at the last way point, and without it 50 m off the leg or capsized.
     """
 
     legs_per_path = 6

@@ -32,7 +32,7 @@ from usv_gym.vessel import VesselError
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
 INDEX = {name: i for i, name in enumerate((*OBSERVATION, *TWIN_OBSERVATION))}
 AHEAD = np.array([0.8, 0.0], dtype=np.float32)
-INFO = {"t_s", "cross_track_m", "leg", "is_success", "reward_terms"}
+INFO = {"t_s", "cross_track_m", "leg", "is_success", "capsized", "reward_terms"}
 
 VARIANTS = [
     pytest.param({"twin": twin, "task": task, "actions": actions}, id=f"{twin}-{task}-{actions}")
