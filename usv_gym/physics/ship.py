@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import actuator_rates, drive_forces
-from usv_gym.physics.waves import (
-    DRIFT_SUMS,
-    box_factors,
-    first_order_loads,
-    mean_drift_loads,
+from usv_gym.physics.waves import box_factors, first_order_loads, mean_drift_loads
+from usv_gym.physics.weather import (
+    CURRENT_EAST,
+    CURRENT_NORTH,
+    DRIFT,
+    DRIFT_END,
+    air_velocity,
+    wave_gain,
 )
-from usv_gym.physics.wind import gust, wind_loads
+from usv_gym.physics.wind import wind_loads
 from usv_kernel import kernel
 
-# entries of the vector of what is steady in a sea state
-WIND_SPEED, WIND_FROM, CURRENT_NORTH, CURRENT_EAST, DRIFT = 0, 1, 2, 3, 4
-STEADY_SIZE = DRIFT + DRIFT_SUMS
 WORK_ROWS = 3
-
-
-@kernel
-def air_velocity(t: float, gusts: np.ndarray, steady: np.ndarray) -> tuple[float, float]:
-    """Return the velocity of the air in m/s, north and east, at time t."""
-    speed = steady[WIND_SPEED]
-    if speed > 0.0:
-        speed = max(speed + gust(t, gusts), 0.0)
-    return -speed * math.cos(steady[WIND_FROM]), -speed * math.sin(steady[WIND_FROM])
 
 
 @kernel
@@ -41,9 +30,10 @@ def derivative(
     p: np.ndarray,
     waves: np.ndarray,
     factors: np.ndarray,
-    steady: np.ndarray,
+    weather: np.ndarray,
     air_north: float,
     air_east: float,
+    gain: float,
     t: float,
     out: np.ndarray,
 ) -> None:
@@ -59,10 +49,12 @@ def derivative(
         Packed vessel.
     waves, factors : ndarray, shapes (6, M), (6, M)
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
-    steady : ndarray, shape (STEADY_SIZE,)
-        Mean wind, current and drift sums.
+    weather : ndarray, shape (WEATHER_SIZE,)
+        Current and drift sums; layout in :mod:`~usv_gym.physics.weather`.
     air_north, air_east : float
         Velocity of the air, m/s.
+    gain : float
+        What the amplitudes of the waves are multiplied by.
     t : float
         Time, s.
 
@@ -73,7 +65,7 @@ def derivative(
     current that is the same everywhere (Fossen 2021, section 10.3).
     """
     psi, r = state[fr.PSI], state[fr.R]
-    current_u, current_v = fr.to_body(steady[CURRENT_NORTH], steady[CURRENT_EAST], psi)
+    current_u, current_v = fr.to_body(weather[CURRENT_NORTH], weather[CURRENT_EAST], psi)
     u, v = state[fr.U] - current_u, state[fr.V] - current_v
 
     X_H, Y_H, N_H = hull_forces(u, v, r, p)
@@ -86,8 +78,10 @@ def derivative(
         X, Y, N = X + X_air - X_still, Y + Y_air - Y_still, N + N_air - N_still
     if waves.shape[1] > 0:
         X_wave, Y_wave, N_wave = first_order_loads(state[fr.X], state[fr.Y], psi, t, waves, factors)
-        X_drift, Y_drift, N_drift = mean_drift_loads(psi, steady[DRIFT:])
-        X, Y, N = X + X_wave + X_drift, Y + Y_wave + Y_drift, N + N_wave + N_drift
+        X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather[DRIFT:DRIFT_END])
+        X += gain * (X_wave + gain * X_drift)
+        Y += gain * (Y_wave + gain * Y_drift)
+        N += gain * (N_wave + gain * N_drift)
 
     m, m_x, m_y, x_G = p[par.MASS], p[par.M_X], p[par.M_Y], p[par.X_G]
     m_xG = m * x_G
@@ -114,7 +108,7 @@ def step(
     p: np.ndarray,
     waves: np.ndarray,
     gusts: np.ndarray,
-    steady: np.ndarray,
+    weather: np.ndarray,
     t: float,
     dt: float,
     factors: np.ndarray,
@@ -128,7 +122,7 @@ def step(
         State at t; on return at t + dt.
     cmd : ndarray, shape (4,)
         Command, held over the step.
-    p, waves, gusts, steady
+    p, waves, gusts, weather
         Packed vessel and sea; see :func:`derivative` and :func:`usv_gym.physics.wind.gust`.
     t, dt : float
         Time and step, s.
@@ -137,23 +131,24 @@ def step(
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.
     """
-    north, east = air_velocity(t, gusts, steady)
+    north, east = air_velocity(t, gusts, weather)
+    gain = wave_gain(t, weather)
     box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], waves, p, factors)
     k, trial = work[1], work[2]
     total = work[0]
-    derivative(state, cmd, p, waves, factors, steady, north, east, t, k)
+    derivative(state, cmd, p, waves, factors, weather, north, east, gain, t, k)
     for i in range(fr.STATE_SIZE):
         total[i] = k[i]
         trial[i] = state[i] + 0.5 * dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, k)
+    derivative(trial, cmd, p, waves, factors, weather, north, east, gain, t + 0.5 * dt, k)
     for i in range(fr.STATE_SIZE):
         total[i] += 2.0 * k[i]
         trial[i] = state[i] + 0.5 * dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, k)
+    derivative(trial, cmd, p, waves, factors, weather, north, east, gain, t + 0.5 * dt, k)
     for i in range(fr.STATE_SIZE):
         total[i] += 2.0 * k[i]
         trial[i] = state[i] + dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + dt, k)
+    derivative(trial, cmd, p, waves, factors, weather, north, east, gain, t + dt, k)
     for i in range(fr.STATE_SIZE):
         total[i] = (total[i] + k[i]) / 6.0
         state[i] += dt * total[i]
