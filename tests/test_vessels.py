@@ -15,7 +15,7 @@ import usv_gym
 from usv_gym import Vessel, vessel_names
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
-from usv_gym.physics import ship
+from usv_gym.physics import ship, weather
 from usv_gym.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError
 
 FOLDER = Path(usv_gym.__file__).parent / "vessels"
@@ -86,11 +86,11 @@ def test_sails_straight_after_a_push(boat: Vessel) -> None:
     state[[fr.U, fr.V, fr.R]] = speed, 0.02 * speed, 0.01
     state[fr.N_LEFT : fr.N_RIGHT + 1] = n
     work, dt = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)), 0.05
-    calm, gusts, steady = np.zeros((7, 0)), np.zeros((3, 0)), np.zeros(ship.STEADY_SIZE)
+    calm, gusts, still = np.zeros((7, 0)), np.zeros((3, 0)), weather.constant()
     seconds = 60.0 * boat.values["length_waterline"] / speed
     for k in range(int(seconds / dt)):
         ship.step(
-            *(state, cmd, boat.packed.copy(), calm, gusts, steady),
+            *(state, cmd, boat.packed.copy(), calm, gusts, still),
             *(k * dt, dt, 3, np.zeros((12, 0)), work),
         )
     # 60 lengths on, the push is forgotten

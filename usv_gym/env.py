@@ -222,7 +222,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     Start and end
     -------------
     Straight ahead to the north at the speed of ``shaft_speed_manoeuvring``. The task ends
-    the episode, and so does capsizing (``dof=6``; ``info["capsized"]``); ``USVTwin-v0`` truncates it after 2400 steps (120 s).
+    the episode, and so does capsizing (``dof=6``; ``info["capsized"]``); ``USVTwin-v0``
+    truncates it after 2400 steps (120 s).
 
     Version history
     ---------------

@@ -11,6 +11,7 @@ from usv_gym import sensors
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
+from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import FACTOR_ROWS
 from usv_gym.sea import SeaState
 from usv_gym.sensors import Fault, SensorSuite
@@ -20,7 +21,7 @@ from usv_kernel import kernel
 __all__ = ["Simulation", "SimulationError"]
 
 NOISE_BLOCK = 512
-"""Control steps of sensor noise that are drawn at a time."""
+"""Control steps of noise that are drawn at a time."""
 
 
 class SimulationError(ValueError):
@@ -32,11 +33,14 @@ STATE = 0
 CMD = STATE + fr.STATE_SIZE
 Z = CMD + fr.COMMAND_SIZE
 BIAS = Z + len(sensors.CHANNELS)
-STEADY = BIAS + sensors.BIAS_SIZE
-TIME = STEADY + ship.STEADY_SIZE
+WEATHER = BIAS + sensors.BIAS_SIZE
+TIME = WEATHER + wx.WEATHER_SIZE
 COUNT = TIME + 1
 WORK = COUNT + 1
 RECORD_SIZE = WORK + ship.WORK_ROWS * fr.STATE_SIZE
+# columns of a row of noise: the sensors', then the weather's
+NOISE_WEATHER = sensors.NOISE_SIZE
+NOISE_SIZE = NOISE_WEATHER + wx.NOISE_SIZE
 
 
 @kernel
@@ -61,8 +65,8 @@ def advance(
         All numbers of the boat; parts as named above. The command is read from it.
     waves, factors, gusts : ndarray, shapes (7, M), (12, M), (3, G)
         Its sea, and scratch for it.
-    noise : ndarray, shape (B, 14)
-        Sensor noise; row ``count % B`` is used.
+    noise : ndarray, shape (B, 16)
+        Noise of the sensors, then of the weather; row ``count % B`` is used.
     faults, ring : ndarray, shapes (F, 3), (delay + 1, 4)
         See :func:`usv_gym.sensors.measure`.
     constants : ndarray, shape (PACKED_SIZE + ...,)
@@ -76,10 +80,13 @@ def advance(
     work = record[WORK:].reshape((ship.WORK_ROWS, fr.STATE_SIZE))
     p, suite = constants[: par.PACKED_SIZE], constants[par.PACKED_SIZE :]
     h = dt / substeps
+    count = int(record[COUNT]) + 1
+    normal = noise[count % noise.shape[0]]
+    weather = record[WEATHER:TIME]
+    wx.drift_on(weather, dt, normal[NOISE_WEATHER], normal[NOISE_WEATHER + 1])
     for j in range(substeps):
         t = record[TIME] + j * h
-        ship.step(state, cmd, p, waves, gusts, record[STEADY:TIME], t, h, dof, factors, work)
-    count = int(record[COUNT]) + 1
+        ship.step(state, cmd, p, waves, gusts, weather, t, h, dof, factors, work)
     record[COUNT] = count
     record[TIME] = count * dt  # whole multiples of the step do not drift
     sensors.measure(
@@ -89,9 +96,9 @@ def advance(
         count,
         dt,
         suite,
-        noise[count % noise.shape[0]],
+        normal,
         faults,
-        record[BIAS:STEADY],
+        record[BIAS:WEATHER],
         ring,
         record[Z:BIAS],
     )
@@ -199,12 +206,12 @@ class Simulation:
         self.cmd = self.records[:, CMD:Z]
         self.z = self.records[:, Z:BIAS]
         self.z[:] = math.nan
-        self.steady = self.records[:, STEADY:TIME]
+        self.weather = self.records[:, WEATHER:TIME]
         self.t = self.records[:, TIME]
         self.waves = np.zeros((n, *example.waves.shape))
         self.gusts = np.zeros((n, *example.gusts.shape))
         self.constants = np.concatenate([vessel.packed, self.suite.pack(dt)])
-        self._noise = np.zeros((n, NOISE_BLOCK, sensors.NOISE_SIZE))
+        self._noise = np.zeros((n, NOISE_BLOCK, NOISE_SIZE))
         self._faults = np.full((n, max_faults, 3), math.nan)
         if fixed:
             self._faults[:] = sensors.fault_windows(fixed)
@@ -242,8 +249,10 @@ class Simulation:
         for i, rng in zip(boats, rngs, strict=True):
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, rng_faults = rng.spawn(6)
             sea = self.sea.realise(self.vessel, rng_waves, rng_gusts)
-            self.waves[i], self.gusts[i], self.steady[i] = sea.waves, sea.gusts, sea.steady
-            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu)
+            self.waves[i], self.gusts[i], self.weather[i] = sea.waves, sea.gusts, sea.weather
+            # a child: with or without gusts, the slow wind is the same
+            (rng_weather,) = rng_gusts.spawn(1)
+            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, rng_weather)
             self._refill(int(i))
             if self._draw_faults is not None:
                 windows = sensors.fault_windows(tuple(self._draw_faults(rng_faults)))
@@ -256,7 +265,8 @@ class Simulation:
             self.records[i, TIME] = self.records[i, COUNT] = 0.0
             self.records[i, WORK:] = 0.0
             self._rings[i] = 0.0
-            noise, bias = self._noise[i, 0], self.records[i, BIAS:STEADY]
+            noise, bias = self._noise[i, 0], self.records[i, BIAS:WEATHER]
+            wx.drift_on(self.weather[i], math.inf, *noise[NOISE_WEATHER:])
             suite = self.constants[par.PACKED_SIZE :]
             still = np.zeros(fr.STATE_SIZE)
             sensors.start_biases(suite, noise, bias)
@@ -279,7 +289,7 @@ class Simulation:
         _advance_all(*self.arguments)
 
     def prepare(self) -> None:
-        """Draw sensor noise where a boat's block is used up; call before each step."""
+        """Draw noise where a boat's block is used up; call before each step."""
         self._until_refill -= 1
         if self._until_refill > 0:
             return
@@ -289,9 +299,14 @@ class Simulation:
         self._until_refill = int(NOISE_BLOCK - used.max())
 
     def _refill(self, i: int) -> None:
-        """Draw the next block of sensor noise of one boat, each sensor from its own source."""
-        rng_gps, rng_compass, rng_imu = self._noise_rngs[i]
+        """Draw the next block of noise of one boat, each sensor and the weather from its own."""
+        rng_gps, rng_compass, rng_imu, rng_weather = self._noise_rngs[i]
         a, b = sensors.NOISE_GPS, sensors.NOISE_GPS + sensors.NOISE_COMPASS
         self._noise[i, :, :a] = rng_gps.standard_normal((NOISE_BLOCK, sensors.NOISE_GPS))
         self._noise[i, :, a:b] = rng_compass.standard_normal((NOISE_BLOCK, sensors.NOISE_COMPASS))
-        self._noise[i, :, b:] = rng_imu.standard_normal((NOISE_BLOCK, sensors.NOISE_IMU))
+        self._noise[i, :, b:NOISE_WEATHER] = rng_imu.standard_normal(
+            (NOISE_BLOCK, sensors.NOISE_IMU)
+        )
+        self._noise[i, :, NOISE_WEATHER:] = rng_weather.standard_normal(
+            (NOISE_BLOCK, wx.NOISE_SIZE)
+        )

@@ -23,6 +23,7 @@ from twin.wrapper import HORIZONS, TWIN_OBSERVATION, TwinObservation, USVTwinEnv
 from usv_gym import Fault, SeaState, SensorSuite
 from usv_gym.env import OBSERVATION, USVEnv
 from usv_gym.physics import frames as fr
+from usv_gym.physics.weather import WIND_SPEED
 from usv_gym.sea import SeaError
 from usv_gym.sensors import FaultError
 from usv_gym.simulation import SimulationError
@@ -368,7 +369,7 @@ def test_sea_arguments_change_the_sea_state() -> None:
     env = make_env(twin=None, sea="3", hs=0.2, wind=3.0, wind_from_deg=90.0)
     assert env.sea == SeaState(hs=0.2, wind=3.0, wind_from=0.5 * math.pi)
     env.reset(seed=0)
-    assert env.simulation.steady[0, 0] == 3.0
+    assert env.simulation.weather[0, WIND_SPEED] == 3.0
     calm = make_env(twin=None, hs=0.0, wind=0.0)
     assert (calm.sea.hs, calm.sea.wind) == (0.0, 0.0)
 

@@ -120,7 +120,7 @@ def test_a_loss_only_takes_samples_away() -> None:
 
 def test_gusts_do_not_touch_the_waves() -> None:
     with_gusts, without = (
-        Simulation(1, BOAT, dataclasses.replace(SEA, gusty=gusty)) for gusty in (True, False)
+        Simulation(1, BOAT, SEA.replace(gusts=gusts)) for gusts in ("npd", "none")
     )
     for sim in (with_gusts, without):
         sim.reset([0], [np.random.default_rng(3)])

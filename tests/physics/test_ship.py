@@ -25,6 +25,7 @@ from usv_gym.manoeuvres import commands
 from usv_gym.physics import GRAVITY, hull, propulsion, ship, waves
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
+from usv_gym.physics import weather as wx
 from usv_gym.sea import Sea
 from usv_gym.simulation import Simulation
 
@@ -33,9 +34,7 @@ KNOT = 1852.0 / 3600.0
 BOAT = Vessel.load("usv75")
 P = BOAT.packed.copy()
 LOA = BOAT.values["length_overall"]
-CALM = Sea(
-    waves=np.zeros((waves.WAVE_ROWS, 0)), gusts=np.zeros((3, 0)), steady=np.zeros(ship.STEADY_SIZE)
-)
+CALM = Sea(waves=np.zeros((waves.WAVE_ROWS, 0)), gusts=np.zeros((3, 0)), weather=wx.constant())
 MOTION = [fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R]
 BODY = [fr.U, fr.V, fr.R]
 
@@ -61,9 +60,10 @@ def derivative(
     out = np.zeros(fr.STATE_SIZE)
     factors = np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1]))
     waves.box_factors(state[fr.PSI], sea.waves, p, dof, factors)
-    air = ship.air_velocity(0.0, sea.gusts, sea.steady)
+    air = wx.air_velocity(0.0, sea.gusts, sea.weather)
+    gain = wx.wave_gain(0.0, sea.weather)
     cmd = state[fr.N_LEFT :].copy() if cmd is None else cmd
-    ship.derivative(state, cmd, p, sea.waves, factors, sea.steady, *air, 0.0, dof, out)
+    ship.derivative(state, cmd, p, sea.waves, factors, sea.weather, *air, gain, 0.0, dof, out)
     return out
 
 
@@ -81,7 +81,7 @@ def sail(
     factors = np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1]))
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     for k in range(round(seconds / dt)):
-        ship.step(s, cmd, p, sea.waves, sea.gusts, sea.steady, k * dt, dt, dof, factors, work)
+        ship.step(s, cmd, p, sea.waves, sea.gusts, sea.weather, k * dt, dt, dof, factors, work)
         states.append(s.copy())
     return np.array(states)
 
@@ -196,21 +196,22 @@ def mirrored(state: np.ndarray) -> np.ndarray:
 
 
 def mirrored_sea(sea: Sea) -> Sea:
-    rows, steady = sea.waves.copy(), sea.steady.copy()
+    rows, weather = sea.waves.copy(), sea.weather.copy()
     rows[waves.K_EAST] *= -1.0
-    steady[[ship.WIND_FROM, ship.CURRENT_EAST]] *= -1.0
-    steady[ship.DRIFT + 1 :: 2] *= -1.0  # sums over the sine of the direction
-    return dataclasses.replace(sea, waves=rows, steady=steady)
+    weather[[wx.WIND_FROM, wx.CURRENT_EAST]] *= -1.0
+    weather[wx.DRIFT + 1 : wx.DRIFT_END : 2] *= -1.0  # sums over the sine of the direction
+    return dataclasses.replace(sea, waves=rows, weather=weather)
 
 
 def turned_sea(sea: Sea, by: float) -> Sea:
-    rows, steady = sea.waves.copy(), sea.steady.copy()
+    rows, weather = sea.waves.copy(), sea.weather.copy()
     rows[waves.K_NORTH], rows[waves.K_EAST] = turn(rows[waves.K_NORTH], rows[waves.K_EAST], by)
-    steady[ship.WIND_FROM] += by
-    pairs = steady[ship.CURRENT_NORTH : ship.DRIFT], *steady[ship.DRIFT :].reshape(3, 2)
+    weather[wx.WIND_FROM] += by
+    current = weather[wx.CURRENT_NORTH : wx.DRIFT]
+    pairs = current, *weather[wx.DRIFT : wx.DRIFT_END].reshape(3, 2)
     for pair in pairs:
         pair[:] = turn(pair[0], pair[1], by)
-    return dataclasses.replace(sea, waves=rows, steady=steady)
+    return dataclasses.replace(sea, waves=rows, weather=weather)
 
 
 def turn(north: np.ndarray, east: np.ndarray, by: float) -> tuple[np.ndarray, np.ndarray]:
@@ -299,13 +300,12 @@ def test_a_uniform_current_only_shifts_the_track(
 ) -> None:
     state, cmd, dt = start(8.0, v=v, n=25.0), np.array([25.0, 25.0, delta, delta]), 0.0125
     north, east = speed * math.cos(to), speed * math.sin(to)
-    steady = CALM.steady.copy()
-    steady[[ship.CURRENT_NORTH, ship.CURRENT_EAST]] = north, east
+    weather = wx.constant(north=north, east=east)
     adrift = state.copy()
     adrift[fr.U] += north  # heading north
     adrift[fr.V] += east
     still = sail(state, cmd, 10.0, dt=dt, dof=dof)
-    moving = sail(adrift, cmd, 10.0, dataclasses.replace(CALM, steady=steady), dt=dt, dof=dof)
+    moving = sail(adrift, cmd, 10.0, dataclasses.replace(CALM, weather=weather), dt=dt, dof=dof)
     t = dt * np.arange(len(still))
     # the turning current is integrated, not exact: the integrator's dt^4 is 2.4e-8
     np.testing.assert_allclose(moving[:, fr.X] - north * t, still[:, fr.X], atol=1e-5)
@@ -332,7 +332,7 @@ def test_a_sea_of_no_height_is_no_sea(
     state = tilted(start(u, v, r, n=15.0, delta=0.1, psi=psi), tilt, dof)
     flat = a_sea(0)
     flat.waves[[waves.AMPLITUDE, waves.PRESSURE, waves.BOTTOM]] = 0.0
-    flat.steady[:] = 0.0
+    flat.weather[:] = wx.constant()
     calm = derivative(state, dof=dof)
     np.testing.assert_array_equal(derivative(state, sea=flat, dof=dof), calm)
     named = SeaState.named("calm").realise(BOAT, np.random.default_rng(0), np.random.default_rng(0))
@@ -456,7 +456,7 @@ def test_a_boat_on_a_very_long_wave_follows_its_surface() -> None:
     draft, rho_g = BOAT.values["draft"], BOAT.values["water_density"] * GRAVITY
     rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
     rows[waves.BOTTOM] = rho_g * amplitude * np.exp(-k * draft)
-    track = sail(start(0.0), np.zeros(4), 200.0, Sea(rows, CALM.gusts, CALM.steady), dof=6)
+    track = sail(start(0.0), np.zeros(4), 200.0, Sea(rows, CALM.gusts, CALM.weather), dof=6)
     t = 0.05 * np.arange(len(track))
     surface = amplitude * np.cos(k * track[:, fr.X] - omega * t)
     slope = -k * amplitude * np.sin(k * track[:, fr.X] - omega * t)
@@ -652,7 +652,7 @@ def test_the_step_reports_its_mean_derivative() -> None:
         np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1])),
         np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
     )
-    ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.steady, 1.0, 0.05, 3, factors, work)
+    ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.weather, 1.0, 0.05, 3, factors, work)
     np.testing.assert_allclose(work[0], (s - before) / 0.05, rtol=1e-9, atol=1e-11)
 
 

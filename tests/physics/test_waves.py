@@ -1,4 +1,4 @@
-"""Waves: spectra, realisation, surface, first-order loads against quadrature, mean drift."""
+"""Waves: surface, first-order loads against quadrature, mean drift."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym import SeaState, Vessel
-from usv_gym.physics import GRAVITY, ship, waves
+from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import parameters as par
+from usv_gym.physics.weather import DRIFT, DRIFT_END
 
 BOAT = Vessel.load("usv75")
 RHO_G = BOAT.values["water_density"] * GRAVITY
@@ -21,7 +22,6 @@ BOX[par.BLOCK] = 1.0  # the loads are those of a box times the block coefficient
 BOX[par.MASS] = BOAT.values["water_density"] * LENGTH * BEAM * DRAFT
 BOX[par.A_WP] = LENGTH * BEAM
 BOX[par.GM_L], BOX[par.GM_T] = LENGTH**2 / (12.0 * DRAFT), BEAM**2 / (12.0 * DRAFT)
-OMEGA = np.geomspace(0.05, 500.0, 400_001)
 
 
 def components(
@@ -104,57 +104,6 @@ def load_scale(row: np.ndarray) -> np.ndarray:
     k = math.hypot(row[waves.K_NORTH], row[waves.K_EAST])
     force = row[waves.PRESSURE] * LENGTH * BEAM * k
     return np.array([force, force, 0.5 * force * LENGTH])
-
-
-# ---------------------------------------------------------------- spectra
-
-
-def test_pm_moment_of_the_wind_spectrum() -> None:
-    # m0 g^2 / U^4 = .0027365, Hs g / U^2 = .2092: physics.md section 11, to 1e-3
-    wind = 7.0
-    m0 = np.trapezoid(waves.pm_spectrum_wind(OMEGA, wind), OMEGA)
-    assert m0 * GRAVITY**2 / wind**4 == pytest.approx(0.0027365, rel=1e-3)
-    assert 4.0 * math.sqrt(m0) * GRAVITY / wind**2 == pytest.approx(0.2092, rel=1e-3)
-
-
-@pytest.mark.parametrize("hs", [0.1, 0.5, 6.0])
-def test_pm_moment_and_peak_of_the_height_spectrum(hs: float) -> None:
-    spectrum = waves.pm_spectrum(OMEGA, hs)
-    # consistency wants 4 alpha = .0324 exactly (physics.md 5.1); the grid ends cost 1e-6
-    assert 4.0 * math.sqrt(np.trapezoid(spectrum, OMEGA)) == pytest.approx(hs, rel=1e-5)
-    # w_p sqrt(Hs/g) = .4012: physics.md section 11, to 1e-3
-    peak = OMEGA[np.argmax(spectrum)]
-    assert peak * math.sqrt(hs / GRAVITY) == pytest.approx(0.4012, rel=1e-3)
-
-
-def test_peak_of_the_papers_sea() -> None:
-    # Hs = .5 m: 1.777 rad/s, 3.54 s, 19.5 m: physics.md section 11, to 1e-2
-    peak = OMEGA[np.argmax(waves.pm_spectrum(OMEGA, 0.5))]
-    assert peak == pytest.approx(1.777, rel=1e-2)
-    assert 2.0 * math.pi / peak == pytest.approx(3.54, rel=1e-2)
-    assert 2.0 * math.pi * GRAVITY / peak**2 == pytest.approx(19.5, rel=1e-2)
-
-
-def test_equal_energy_components() -> None:
-    # N = 50, Hs = .5: 25 mm each, 1.283 to 5.935 rad/s: physics.md section 11. That was with
-    # g = 9.81 m/s2; the frequencies go with its root, which is 2e-4 less here
-    quantiles = (np.arange(50) + 0.5) / 50
-    omega, amplitude = waves.pm_equal_energy(0.5, quantiles)
-    assert amplitude == pytest.approx(0.025, abs=1e-12)
-    scale = math.sqrt(9.81 / GRAVITY)
-    np.testing.assert_allclose(omega[[0, -1]] * scale, [1.283, 5.935], atol=5e-4)
-    assert np.all(np.diff(omega) > 0)
-
-
-def test_equal_energy_frequencies_are_quantiles_of_the_spectrum() -> None:
-    quantiles = np.array([0.05, 0.3, 0.5, 0.8, 0.95])
-    omega, _ = waves.pm_equal_energy(0.5, quantiles)
-    spectrum = waves.pm_spectrum(OMEGA, 0.5)
-    below = np.concatenate(
-        [[0.0], np.cumsum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(OMEGA))]
-    )
-    # trapezoids on 4e5 points: 1e-6
-    np.testing.assert_allclose(np.interp(omega, OMEGA, below / below[-1]), quantiles, atol=1e-5)
 
 
 # ---------------------------------------------------------------- sine, cosine, surface
@@ -371,7 +320,8 @@ def test_limited_drift_ends_and_is_continuous() -> None:
 
 def sums(limited: bool, to: float = 0.0, hs: float = 0.5) -> np.ndarray:
     """Return the three drift sums for a very fine sea."""
-    omega, amplitude = waves.pm_equal_energy(hs, (np.arange(200_000) + 0.5) / 200_000)
+    omega = spectra.pm_equal_energy(hs, (np.arange(200_000) + 0.5) / 200_000)
+    amplitude = hs / math.sqrt(8.0 * len(omega))
     ratio = 2.0 * math.pi * GRAVITY / omega**2 / LENGTH
     if limited:
         c = np.array(waves.drift_coefficients_limited(ratio))
@@ -393,7 +343,7 @@ def test_drift_sums_of_a_realised_sea() -> None:
     direction = math.radians(40.0)
     rng = np.random.default_rng(5)
     sea = SeaState(hs=0.5, wave_to=direction).realise(BOAT, rng, rng)
-    drift = sea.steady[ship.DRIFT :]
+    drift = sea.weather[DRIFT:DRIFT_END]
     fine = sums(limited=True)
     # one frequency at random in each of 100 bins: 8 % (the spread over seeds is 1 to 4 %)
     np.testing.assert_allclose(drift[0::2], fine * math.cos(direction), rtol=0.16)
@@ -405,7 +355,8 @@ def test_drift_sums_of_a_realised_sea() -> None:
 def test_mean_drift_signs() -> None:
     """A head sea pushes astern, a sea from port pushes to starboard (physics.md 5.3)."""
     rng = np.random.default_rng(5)
-    drift = SeaState(hs=0.5, wave_to=0.0).realise(BOAT, rng, rng).steady[ship.DRIFT :].copy()
+    sea = SeaState(hs=0.5, wave_to=0.0).realise(BOAT, rng, rng)
+    drift = sea.weather[DRIFT:DRIFT_END].copy()
     following, head = waves.mean_drift_loads(0.0, drift), waves.mean_drift_loads(math.pi, drift)
     assert following[0] > 0.0
     assert head[0] == pytest.approx(-following[0])

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
-from usv_gym.physics import ship, wind
+from usv_gym.physics import ship, weather, wind
 
 BOAT = Vessel.load("usv75")
 P = BOAT.packed.copy()
-CALM = np.zeros((6, 0))
+CALM = np.zeros((7, 0))
 NO_FACTORS = np.zeros((6, 0))
 
 angles = st.floats(-math.pi, math.pi)
@@ -137,14 +137,14 @@ def test_no_wind_no_load(u: float, v: float, r: float, psi: float, n: float, del
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.PSI, fr.U, fr.V, fr.R]] = psi, u, v, r
     state[fr.N_LEFT :] = n, n, delta, -delta
-    cmd, steady = state[fr.N_LEFT :].copy(), np.zeros(ship.STEADY_SIZE)
+    cmd, still = state[fr.N_LEFT :].copy(), weather.constant()
     bare = P.copy()
     bare[[par.A_F, par.A_L]] *= 0.5
-    north, east = ship.air_velocity(3.0, np.zeros((3, 0)), steady)
+    north, east = weather.air_velocity(3.0, np.zeros((3, 0)), still)
     assert (north, east) == (0.0, 0.0)
     out, out_bare = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
     for p, o in ((P, out), (bare, out_bare)):
-        ship.derivative(state, cmd, p, CALM, NO_FACTORS, steady, north, east, 3.0, 3, o)
+        ship.derivative(state, cmd, p, CALM, NO_FACTORS, still, north, east, 1.0, 3.0, 3, o)
     np.testing.assert_array_equal(out, out_bare)
 
 
@@ -152,25 +152,16 @@ def test_wind_load_vanishes_with_the_wind() -> None:
     """The ship feels wind less still air, so that a breath of wind makes no jump."""
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.U, fr.V]] = 10.0, 0.5
-    cmd, steady = np.zeros(4), np.zeros(ship.STEADY_SIZE)
+    cmd, still = np.zeros(4), weather.constant()
     calm, breath = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
-    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 0.0, 0.0, 0.0, 3, calm)
-    ship.derivative(state, cmd, P, CALM, NO_FACTORS, steady, 1e-8, 1e-8, 0.0, 3, breath)
+    ship.derivative(state, cmd, P, CALM, NO_FACTORS, still, 0.0, 0.0, 1.0, 0.0, 3, calm)
+    ship.derivative(state, cmd, P, CALM, NO_FACTORS, still, 1e-8, 1e-8, 1.0, 0.0, 3, breath)
     # 1e-8 m/s on 10 m/s: loads of 5e-7 N on 3.4 t
     np.testing.assert_allclose(breath, calm, atol=1e-8)
     assert np.any(breath != calm)
 
 
 # ---------------------------------------------------------------- gusts
-
-
-def test_npd_standard_deviation() -> None:
-    # .871 m/s at U10 = 10 m/s, 1/600 to .5 Hz: physics.md section 11, 1 %
-    f = np.geomspace(1 / 600, 0.5, 20_001)
-    sigma = math.sqrt(np.trapezoid(wind.npd_spectrum(f, 10.0), f))
-    assert sigma == pytest.approx(0.871, rel=0.01)
-    # .28 m/s at 4.5 m/s: physics.md 4.3, two figures
-    assert math.sqrt(np.trapezoid(wind.npd_spectrum(f, 4.5), f)) == pytest.approx(0.28, abs=0.005)
 
 
 def test_realised_gusts_have_that_standard_deviation() -> None:
@@ -196,15 +187,12 @@ def test_gust_is_the_plain_sum(t: float) -> None:
 
 
 def test_air_comes_from_where_it_is_said_to() -> None:
-    steady = np.zeros(ship.STEADY_SIZE)
-    steady[ship.WIND_SPEED], steady[ship.WIND_FROM] = 4.0, math.radians(135.0)  # south-east
-    north, east = ship.air_velocity(0.0, np.zeros((3, 0)), steady)
+    air = weather.constant(wind=4.0, wind_from=math.radians(135.0))  # south-east
+    north, east = weather.air_velocity(0.0, np.zeros((3, 0)), air)
     assert north == pytest.approx(4.0 * math.sqrt(0.5))  # blows to the north-west
     assert east == pytest.approx(-4.0 * math.sqrt(0.5))
 
 
 def test_a_gust_cannot_turn_the_wind_round() -> None:
-    steady = np.zeros(ship.STEADY_SIZE)
-    steady[ship.WIND_SPEED] = 1.0
     lull = np.array([[0.1], [math.pi], [5.0]])  # minus 5 m/s at t = 0
-    assert ship.air_velocity(0.0, lull, steady) == (0.0, 0.0)
+    assert weather.air_velocity(0.0, lull, weather.constant(wind=1.0)) == (0.0, 0.0)

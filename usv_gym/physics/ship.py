@@ -18,30 +18,21 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import heave_force, hull_forces, restoring
 from usv_gym.physics.propulsion import actuator_rates, propulsion_forces
 from usv_gym.physics.rigid_body import accelerate_3, accelerate_6
-from usv_gym.physics.waves import (
-    DRIFT_SUMS,
-    box_factors,
-    first_order_loads,
-    mean_drift_loads,
+from usv_gym.physics.waves import box_factors, first_order_loads, mean_drift_loads
+from usv_gym.physics.weather import (
+    CURRENT_EAST,
+    CURRENT_NORTH,
+    DRIFT,
+    DRIFT_END,
+    air_velocity,
+    wave_gain,
 )
-from usv_gym.physics.wind import gust, wind_loads
+from usv_gym.physics.wind import wind_loads
 from usv_kernel import kernel
 
-# entries of the vector of what is steady in a sea state
-WIND_SPEED, WIND_FROM, CURRENT_NORTH, CURRENT_EAST, DRIFT = 0, 1, 2, 3, 4
-STEADY_SIZE = DRIFT + DRIFT_SUMS
 WORK_ROWS = 3
 LEVEL_MIN = 0.05
 """Least cosine of the pitch in the rate of the Euler angles, which have no yaw at 90 degrees."""
-
-
-@kernel
-def air_velocity(t: float, gusts: np.ndarray, steady: np.ndarray) -> tuple[float, float]:
-    """Return the velocity of the air in m/s, north and east, at time t."""
-    speed = steady[WIND_SPEED]
-    if speed > 0.0:
-        speed = max(speed + gust(t, gusts), 0.0)
-    return -speed * math.cos(steady[WIND_FROM]), -speed * math.sin(steady[WIND_FROM])
 
 
 @kernel
@@ -51,9 +42,10 @@ def derivative(
     p: np.ndarray,
     waves: np.ndarray,
     factors: np.ndarray,
-    steady: np.ndarray,
+    weather: np.ndarray,
     air_north: float,
     air_east: float,
+    gain: float,
     t: float,
     dof: int,
     out: np.ndarray,
@@ -70,10 +62,12 @@ def derivative(
         Packed vessel.
     waves, factors : ndarray, shapes (7, M), (12, M)
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
-    steady : ndarray, shape (STEADY_SIZE,)
-        Mean wind, current and drift sums.
+    weather : ndarray, shape (WEATHER_SIZE,)
+        Current and drift sums; layout in :mod:`~usv_gym.physics.weather`.
     air_north, air_east : float
         Velocity of the air, m/s.
+    gain : float
+        What the amplitudes of the waves are multiplied by.
     t : float
         Time, s.
     dof : int
@@ -93,10 +87,10 @@ def derivative(
     current_w = 0.0
     if free:
         current_u, current_v, current_w = fr.unrotate(
-            phi, theta, psi, steady[CURRENT_NORTH], steady[CURRENT_EAST], 0.0
+            phi, theta, psi, weather[CURRENT_NORTH], weather[CURRENT_EAST], 0.0
         )
     else:
-        current_u, current_v = fr.to_body(steady[CURRENT_NORTH], steady[CURRENT_EAST], psi)
+        current_u, current_v = fr.to_body(weather[CURRENT_NORTH], weather[CURRENT_EAST], psi)
     u, v = state[fr.U] - current_u, state[fr.V] - current_v
 
     X_H, Y_H, N_H = hull_forces(u, v, r, p)
@@ -114,8 +108,11 @@ def derivative(
         X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave = first_order_loads(
             state[fr.X], state[fr.Y], psi, t, waves, dof, factors
         )
-        X_drift, Y_drift, N_drift = mean_drift_loads(psi, steady[DRIFT:])
-        X_wave, Y_wave, N = X_wave + X_drift, Y_wave + Y_drift, N + N_wave + N_drift
+        X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather[DRIFT:DRIFT_END])
+        X_wave = gain * (X_wave + gain * X_drift)
+        Y_wave = gain * (Y_wave + gain * Y_drift)
+        N += gain * (N_wave + gain * N_drift)
+        Z_wave, K_wave, M_wave = gain * Z_wave, gain * K_wave, gain * M_wave
 
     for i in range(fr.N_LEFT):
         out[i] = 0.0
@@ -187,7 +184,7 @@ def step(
     p: np.ndarray,
     waves: np.ndarray,
     gusts: np.ndarray,
-    steady: np.ndarray,
+    weather: np.ndarray,
     t: float,
     dt: float,
     dof: int,
@@ -202,7 +199,7 @@ def step(
         State at t; on return at t + dt.
     cmd : ndarray, shape (4,)
         Command, held over the step.
-    p, waves, gusts, steady
+    p, waves, gusts, weather
         Packed vessel and sea; see :func:`derivative` and :func:`usv_gym.physics.wind.gust`.
     t, dt : float
         Time and step, s.
@@ -213,23 +210,24 @@ def step(
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.
     """
-    north, east = air_velocity(t, gusts, steady)
+    north, east = air_velocity(t, gusts, weather)
+    gain = wave_gain(t, weather)
     box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], waves, p, dof, factors)
     k, trial = work[1], work[2]
     total = work[0]
-    derivative(state, cmd, p, waves, factors, steady, north, east, t, dof, k)
+    derivative(state, cmd, p, waves, factors, weather, north, east, gain, t, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] = k[i]
         trial[i] = state[i] + 0.5 * dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, dof, k)
+    derivative(trial, cmd, p, waves, factors, weather, north, east, gain, t + 0.5 * dt, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] += 2.0 * k[i]
         trial[i] = state[i] + 0.5 * dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + 0.5 * dt, dof, k)
+    derivative(trial, cmd, p, waves, factors, weather, north, east, gain, t + 0.5 * dt, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] += 2.0 * k[i]
         trial[i] = state[i] + dt * k[i]
-    derivative(trial, cmd, p, waves, factors, steady, north, east, t + dt, dof, k)
+    derivative(trial, cmd, p, waves, factors, weather, north, east, gain, t + dt, dof, k)
     for i in range(fr.STATE_SIZE):
         total[i] = (total[i] + k[i]) / 6.0
         state[i] += dt * total[i]

@@ -1,4 +1,4 @@
-"""Irregular waves: spectrum, elevation, first-order loads, mean drift (Eq 14-19)."""
+"""Irregular waves: elevation, first-order loads, mean drift (Eq 14, 18-19)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from usv_gym.physics import GRAVITY
 from usv_gym.physics import parameters as par
 from usv_gym.physics.frames import sincos
 from usv_kernel import kernel
@@ -21,67 +20,7 @@ FACTOR_ROWS = 12
 LANES = 4
 DRIFT_SUMS = 6
 
-PM_ALPHA = 8.1e-3
-PM_BETA = 0.74
-
 _TINY = 1e-30
-
-
-def pm_spectrum(omega: np.ndarray, hs: float) -> np.ndarray:
-    """Return the Pierson-Moskowitz spectrum in m2 s/rad for a significant wave height.
-
-    Parameters
-    ----------
-    omega : ndarray
-        Circular frequency, rad/s; above 0.
-    hs : float
-        Significant wave height, m.
-
-    Notes
-    -----
-    Source: Eq (17), with ``4 alpha`` for the printed .031 (which gives 2.2 % too much).
-    """
-    omega = np.asarray(omega, dtype=float)
-    return (
-        PM_ALPHA
-        * GRAVITY**2
-        * omega**-5.0
-        * np.exp(-4.0 * PM_ALPHA * (GRAVITY / hs) ** 2 * omega**-4.0)
-    )
-
-
-def pm_spectrum_wind(omega: np.ndarray, wind: float) -> np.ndarray:
-    """Return the Pierson-Moskowitz spectrum in m2 s/rad for a wind speed at 19.5 m.
-
-    Parameters
-    ----------
-    omega : ndarray
-        Circular frequency, rad/s; above 0.
-    wind : float
-        Wind speed 19.5 m above the sea, m/s (1.026 times that at 10 m).
-
-    Notes
-    -----
-    Source: Eq (15).
-    """
-    omega = np.asarray(omega, dtype=float)
-    return (
-        PM_ALPHA * GRAVITY**2 * omega**-5.0 * np.exp(-PM_BETA * (GRAVITY / (wind * omega)) ** 4.0)
-    )
-
-
-def pm_equal_energy(hs: float, quantiles: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return frequencies (rad/s) and the amplitude (m) of components of equal energy.
-
-    Parameters
-    ----------
-    hs : float
-        Significant wave height, m.
-    quantiles : ndarray, shape (M,)
-        Shares of the energy below each frequency, in (0, 1).
-    """
-    c = 4.0 * PM_ALPHA * (GRAVITY / hs) ** 2
-    return (c / -np.log(quantiles)) ** 0.25, hs / math.sqrt(8.0 * len(quantiles))
 
 
 def drift_coefficients(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,23 +12,6 @@ from usv_gym.physics.frames import sincos
 from usv_kernel import kernel
 
 
-def npd_spectrum(f: np.ndarray, wind: float, height: float = 10.0) -> np.ndarray:
-    """Return the NPD (NORSOK) gust spectrum in (m/s)^2/Hz.
-
-    Parameters
-    ----------
-    f : ndarray
-        Frequency, Hz; meant for 1/600 to 0.5 Hz.
-    wind : float
-        Mean wind speed 10 m above the sea, m/s; above 0.
-    height : float
-        Height above the sea, m.
-    """
-    n = 0.468
-    x = 172.0 * f * (height / 10.0) ** (2 / 3) * (wind / 10.0) ** (-0.75)
-    return 320.0 * (wind / 10.0) ** 2 * (height / 10.0) ** 0.45 / (1.0 + x**n) ** (5.0 / (3.0 * n))
-
-
 @kernel
 def gust(t: float, gusts: np.ndarray) -> float:
     """Return the gust speed in m/s at time t.
