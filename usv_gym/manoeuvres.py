@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-__all__ = ["MANOEUVRES", "ManoeuvreError", "commands"]
+__all__ = ["MANOEUVRES", "ManoeuvreError", "both_alike", "commands"]
 
 
 class ManoeuvreError(ValueError):
@@ -64,7 +64,18 @@ MANOEUVRES: dict[
 """Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
 
 
-def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Generator) -> np.ndarray:
+def both_alike(n: float, angle: float) -> tuple[float, float, float, float]:
+    """Return the command that gives both units one shaft speed (rev/s) and one angle (rad)."""
+    return n, n, angle, angle
+
+
+def commands(
+    name: str,
+    t: np.ndarray,
+    shaft_speed: float,
+    rng: np.random.Generator,
+    helm: Callable[[float, float], Sequence[float]] = both_alike,
+) -> np.ndarray:
     """Return the commands of a manoeuvre.
 
     Parameters
@@ -77,6 +88,8 @@ def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Genera
         Shaft speed at full share, rev/s.
     rng : numpy.random.Generator
         Used by ``random`` only.
+    helm : callable
+        Makes a command of shaft speed (rev/s) and helm angle (rad).
 
     Returns
     -------
@@ -90,5 +103,4 @@ def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Genera
             f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}"
         ) from None
     throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
-    n = throttle * shaft_speed
-    return np.stack([n, n, angle, angle], axis=1)
+    return np.array([helm(*both) for both in zip(throttle * shaft_speed, angle, strict=True)])
