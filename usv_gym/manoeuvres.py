@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -64,9 +64,9 @@ MANOEUVRES: dict[
 """Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
 
 
-def both_alike(n: float, angle: float) -> tuple[float, float, float, float]:
-    """Return the command that gives both units one shaft speed (rev/s) and one angle (rad)."""
-    return n, n, angle, angle
+def both_alike(n: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return commands, shape (..., 4), of one shaft speed (rev/s) and angle (rad) for both."""
+    return np.stack([n, n, angle, angle], axis=-1)
 
 
 def commands(
@@ -74,7 +74,7 @@ def commands(
     t: np.ndarray,
     shaft_speed: float,
     rng: np.random.Generator,
-    helm: Callable[[float, float], Sequence[float]] = both_alike,
+    helm: Callable[[np.ndarray, np.ndarray], np.ndarray] = both_alike,
 ) -> np.ndarray:
     """Return the commands of a manoeuvre.
 
@@ -89,7 +89,7 @@ def commands(
     rng : numpy.random.Generator
         Used by ``random`` only.
     helm : callable
-        Makes a command of shaft speed (rev/s) and helm angle (rad).
+        Makes commands, shape (N, 4), of shaft speeds (rev/s) and helm angles (rad), shape (N,).
 
     Returns
     -------
@@ -103,4 +103,4 @@ def commands(
             f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}"
         ) from None
     throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
-    return np.array([helm(*both) for both in zip(throttle * shaft_speed, angle, strict=True)])
+    return helm(throttle * shaft_speed, angle)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -235,9 +236,9 @@ def random_steps(
     angles = rng.uniform(-largest, largest, steps)
     unit = sea_trial.length / (sea_trial.speed * sea_trial.dt)
     counts = np.ceil(rng.uniform(2.0, 8.0, steps) * unit).astype(int)
-    return sea_trial.sail(
-        {"random steps": _follow(np.repeat(angles, counts))}, limit=9.0 * steps
-    )[0]
+    return sea_trial.sail({"random steps": _follow(np.repeat(angles, counts))}, limit=9.0 * steps)[
+        0
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,12 +331,13 @@ class _Trial:
                 f"n = {n:g} rev/s and speed = {self.speed:g} m/s: trials begin ahead, both above 0"
             )
         self.length = vessel.values["length_waterline"]
-        self.largest = vessel.values["steer_max"]
+        self.largest = getattr(vessel, "helm_max", vessel.values.get("steer_max", 0.0))
+        self.helm = getattr(vessel, "helm", both_alike)
         # orders are late by up to a step, and a step must be short beside every period
         step = min(0.005 * self.length / self.speed, 0.05 * math.sqrt(self.length / 7.0))
         self.dt = step if dt is None else dt
         # 3 is what a simulation does by itself
-        self.how = {} if dof == 3 else {"dof": dof}
+        self.how: dict[str, Any] = {} if dof == 3 else {"dof": dof}
 
     def within_stops(self, angle: float) -> float:
         """Return a helm angle after a look at whether the helm goes so far."""
@@ -383,15 +385,16 @@ class _Trial:
                     f"{self.vessel.name}: {list(helmsmen)[next(iter(sailing))]}: not done in the "
                     f"time to sail {limit:g} lengths ({len(states) * self.dt:.0f} s)"
                 )
-            simulation.step(np.array([both_alike(order, angle) for angle in angles]))
+            simulation.step(self.helm(np.full(boats, order), angles))
             states.append(state.copy())
             orders.append(angles.copy())
             for i, man in list(sailing.items()):
-                try:
-                    angles[i] = man.send(state[i])
-                except StopIteration:
+                angle = _ask(man, state[i])
+                if angle is None:
                     ends[i] = len(states)
                     del sailing[i]
+                else:
+                    angles[i] = angle
         all_states, all_orders = np.array(states), np.array(orders)
         columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
         return [
@@ -402,6 +405,14 @@ class _Trial:
             )
             for i, end in enumerate(ends)
         ]
+
+
+def _ask(helmsman: Helmsman, state: np.ndarray) -> float | None:
+    """Return the next order of a helmsman, None when he is done."""
+    try:
+        return helmsman.send(state)
+    except StopIteration:
+        return None
 
 
 # ------------------------------------------------- what the helmsmen do
