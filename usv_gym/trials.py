@@ -114,6 +114,10 @@ def zigzag(
     Track
     """
     sea_trial = _Trial(vessel, n, speed, dof, dt)
+    if not (switch > 0.0 and overshoots >= 1):
+        raise TrialError(
+            f"switch = {switch:g} rad must be above 0 and overshoots = {overshoots} at least 1"
+        )
     helmsman = _zigzag(switch, sea_trial.within_stops(helm), overshoots)
     return sea_trial.sail({"zigzag": helmsman})[0]
 
@@ -200,7 +204,10 @@ def stopping(
     Track
     """
     sea_trial = _Trial(vessel, n, speed, dof, dt)
-    return sea_trial.sail({"stopping": _stop()}, order=-(n if astern is None else astern))[0]
+    astern = n if astern is None else astern
+    if not astern > 0.0:
+        raise TrialError(f"astern = {astern:g} rev/s must be above 0")
+    return sea_trial.sail({"stopping": _stop()}, order=-astern)[0]
 
 
 def random_steps(
@@ -232,6 +239,8 @@ def random_steps(
     Track
     """
     sea_trial = _Trial(vessel, n, speed, dof, dt)
+    if steps < 1:
+        raise TrialError(f"steps = {steps} must be at least 1")
     largest = sea_trial.within_stops(largest)
     angles = rng.uniform(-largest, largest, steps)
     unit = sea_trial.length / (sea_trial.speed * sea_trial.dt)
