@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 from usv_gym import Vessel, indices, trials
+from usv_gym import vessel as vessel_module
 from usv_gym.indices import Track
 from usv_gym.trials import TrialError
 from usv_gym.vessel import SCHEMA
@@ -19,24 +20,32 @@ DEGREE = math.pi / 180.0
 BOAT = Vessel.load("usv75")
 LOA, LWL = BOAT.values["length_overall"], BOAT.values["length_waterline"]
 
-# powers of the scale in Froude's law
-POWERS = {"m": 1.0, "m2": 2.0, "kg": 3.0, "kg m2": 5.0, "m/s": 0.5, "N": 3.0, "s": 0.5}
-POWERS |= {"rev/s": -0.5, "rad/s": -0.5}
+SCHEMAS = [*SCHEMA.values(), *getattr(vessel_module, "KIND_SCHEMA", {}).values()]
+UNIT_OF = {key: unit for keys in SCHEMAS for key, (unit, _) in keys.items()}
 
 
 def shaft_for(knots: float) -> float:
     return float(brentq(lambda n: BOAT.straight_speed(n) - knots * KNOT, 1.0, 60.0))
 
 
+def power(unit: str) -> float:
+    """Return with which power of length a unit grows by Froude's law."""
+    total, sign = 0.0, 1.0
+    for part in unit.replace("/", " / ").split():
+        if part == "/":
+            sign = -1.0
+            continue
+        name = part.rstrip("0123456789")
+        times = float(part[len(name) :] or 1.0)
+        total += sign * times * {"m": 1.0, "kg": 3.0, "s": 0.5}.get(name, 0.0)
+    return total
+
+
 def scaled(scale: float) -> Vessel:
     """Return a ship of another size that is similar by Froude's law."""
-    values = dict(BOAT.values)
-    for keys in SCHEMA.values():
-        for key, (unit, _) in keys.items():
-            values[key] *= scale ** POWERS.get(unit, 0.0)
     return dataclasses.replace(
         BOAT,
-        values=values,
+        values={key: a * scale ** power(UNIT_OF[key]) for key, a in BOAT.values.items()},
         resistance_speed=tuple(v * scale**0.5 for v in BOAT.resistance_speed),
         resistance_force=tuple(f * scale**3 for f in BOAT.resistance_force),
     )
