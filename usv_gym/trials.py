@@ -59,7 +59,7 @@ def turning_circle(
     dof: int = 3,
     dt: float | None = None,
 ) -> Track:
-    """Sail a turning circle, to a change of heading of 540 degrees.
+    """Sail a turning circle, to a change of heading of 720 degrees.
 
     Parameters
     ----------
@@ -387,6 +387,7 @@ class _Trial:
         state[:, [fr.N_LEFT, fr.N_RIGHT]] = self.n
         angles = np.array([next(man) for man in helmsmen.values()])
         states, orders = [state.copy()], [np.zeros(boats)]
+        cmd = self.helm(np.full(boats, order), angles)
         ends, sailing = [0] * boats, dict(enumerate(helmsmen.values()))
         while sailing:
             if len(states) * self.dt * self.speed > limit * self.length:
@@ -394,7 +395,7 @@ class _Trial:
                     f"{self.vessel.name}: {list(helmsmen)[next(iter(sailing))]}: not done in the "
                     f"time to sail {limit:g} lengths ({len(states) * self.dt:.0f} s)"
                 )
-            simulation.step(self.helm(np.full(boats, order), angles))
+            simulation.step(cmd)
             states.append(state.copy())
             orders.append(angles.copy())
             for i, man in list(sailing.items()):
@@ -402,8 +403,9 @@ class _Trial:
                 if angle is None:
                     ends[i] = len(states)
                     del sailing[i]
-                else:
+                elif angle != angles[i]:
                     angles[i] = angle
+                    cmd[i] = self.helm(np.float64(order), np.float64(angle))
         all_states, all_orders = np.array(states), np.array(orders)
         columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
         return [
@@ -429,7 +431,7 @@ def _ask(helmsman: Helmsman, state: np.ndarray) -> float | None:
 
 def _turn(angle: float) -> Helmsman:
     state = yield angle
-    while abs(state[fr.PSI]) < 3.0 * math.pi:
+    while abs(state[fr.PSI]) < 4.0 * math.pi:
         state = yield angle
 
 
