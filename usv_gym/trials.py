@@ -9,7 +9,7 @@ as its instructions do.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -341,7 +341,7 @@ class _Trial:
             )
         self.length = vessel.values["length_waterline"]
         self.largest = getattr(vessel, "helm_max", vessel.values.get("steer_max", 0.0))
-        self.helm = getattr(vessel, "helm", both_alike)
+        self.helm: Callable[..., np.ndarray] = getattr(vessel, "helm", both_alike)
         # orders are late by up to a step, and a step must be short beside every period
         step = min(0.005 * self.length / self.speed, 0.05 * math.sqrt(self.length / 7.0))
         self.dt = step if dt is None else dt
