@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["MANOEUVRES", "ManoeuvreError", "commands"]
+__all__ = ["MANOEUVRES", "ManoeuvreError", "both_alike", "commands"]
 
 
 class ManoeuvreError(ValueError):
@@ -64,7 +64,18 @@ MANOEUVRES: dict[
 """Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
 
 
-def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Generator) -> np.ndarray:
+def both_alike(n: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return commands, shape (..., 4), of one shaft speed (rev/s) and angle (rad) for both."""
+    return np.stack([n, n, angle, angle], axis=-1)
+
+
+def commands(
+    name: str,
+    t: np.ndarray,
+    shaft_speed: float,
+    rng: np.random.Generator,
+    helm: Callable[[np.ndarray, np.ndarray], np.ndarray] = both_alike,
+) -> np.ndarray:
     """Return the commands of a manoeuvre.
 
     Parameters
@@ -77,6 +88,8 @@ def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Genera
         Shaft speed at full share, rev/s.
     rng : numpy.random.Generator
         Used by ``random`` only.
+    helm : callable
+        Makes commands, shape (N, 4), of shaft speeds (rev/s) and helm angles (rad), shape (N,).
 
     Returns
     -------
@@ -90,5 +103,4 @@ def commands(name: str, t: np.ndarray, shaft_speed: float, rng: np.random.Genera
             f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}"
         ) from None
     throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
-    n = throttle * shaft_speed
-    return np.stack([n, n, angle, angle], axis=1)
+    return helm(throttle * shaft_speed, angle)

@@ -70,6 +70,16 @@ def test_random_holds_each_step_for_3_to_10_seconds() -> None:
     assert not np.array_equal(cmd, given("random", seed=1))
 
 
+def test_a_vessel_may_steer_in_its_own_way() -> None:
+    def pair(n: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        return np.stack([n * (1.0 + angle), n * (1.0 - angle), 0.0 * n, 0.0 * n], axis=-1)
+
+    cmd = commands("turn", T, N, np.random.default_rng(0), helm=pair)
+    alike = given("turn")
+    np.testing.assert_allclose(cmd[:, 0] - cmd[:, 1], 2.0 * N * alike[:, 2], atol=1e-12)
+    assert np.all(cmd[:, 2:] == 0.0)
+
+
 def test_unknown_names_list_those_there_are() -> None:
     with pytest.raises(ManoeuvreError, match="'loop'; known: straight, turn, zigzag"):
         given("loop")
