@@ -90,6 +90,7 @@ def simulate(
     seed: int,
     faults: Sequence[Fault] = (),
     suite: SensorSuite | None = None,
+    dof: int = 3,
     dt: float = 0.05,
     name: str | None = None,
 ) -> Log:
@@ -109,6 +110,8 @@ def simulate(
         Losses of sensors.
     suite : SensorSuite, optional
         Sensors; the default suite if left out.
+    dof : int
+        Degrees of freedom of the ship, 3 or 6.
     dt : float
         Control step, s.
     name : str, optional
@@ -119,11 +122,10 @@ def simulate(
     Log
     """
     world, helmsman = np.random.default_rng(seed).spawn(2)
-    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dt=dt)
+    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
     simulation.reset([0], [world])
     N = max(round(duration / dt), 1)
-    n = vessel.values["shaft_speed_manoeuvring"]
-    given = commands(manoeuvre, np.arange(N) * dt, n, helmsman)
+    given = commands(manoeuvre, np.arange(N) * dt, vessel, helmsman)
     t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     for k in range(N + 1):

@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["MANOEUVRES", "ManoeuvreError", "both_alike", "commands"]
+from usv_gym.vessel import Vessel
+
+__all__ = ["MANOEUVRES", "ManoeuvreError", "commands"]
 
 
 class ManoeuvreError(ValueError):
@@ -64,17 +66,8 @@ MANOEUVRES: dict[
 """Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
 
 
-def both_alike(n: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return commands, shape (..., 4), of one shaft speed (rev/s) and angle (rad) for both."""
-    return np.stack([n, n, angle, angle], axis=-1)
-
-
 def commands(
-    name: str,
-    t: np.ndarray,
-    shaft_speed: float,
-    rng: np.random.Generator,
-    helm: Callable[[np.ndarray, np.ndarray], np.ndarray] = both_alike,
+    name: str, t: np.ndarray, vessel: Vessel, rng: np.random.Generator, n: float | None = None
 ) -> np.ndarray:
     """Return the commands of a manoeuvre.
 
@@ -84,17 +77,17 @@ def commands(
         One of :data:`MANOEUVRES`.
     t : ndarray, shape (N,)
         Times, s; rising from 0.
-    shaft_speed : float
-        Shaft speed at full share, rev/s.
+    vessel : Vessel
+        Whose commands.
     rng : numpy.random.Generator
         Used by ``random`` only.
-    helm : callable
-        Makes commands, shape (N, 4), of shaft speeds (rev/s) and helm angles (rad), shape (N,).
+    n : float, optional
+        Shaft speed at full share, rev/s; by default the vessel's for manoeuvring.
 
     Returns
     -------
     ndarray, shape (N, 4)
-        Left and right shaft speed (rev/s), left and right drive angle (rad).
+        Left and right shaft speed (rev/s), left and right angle (rad).
     """
     try:
         manoeuvre = MANOEUVRES[name]
@@ -103,4 +96,5 @@ def commands(
             f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}"
         ) from None
     throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
-    return helm(throttle * shaft_speed, angle)
+    full = vessel.values["shaft_speed_manoeuvring"] if n is None else n
+    return vessel.helm(throttle * full, angle)

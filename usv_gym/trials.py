@@ -9,15 +9,13 @@ as its instructions do.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from usv_gym import indices
 from usv_gym.indices import Criterion, Track, Turning, Zigzag
-from usv_gym.manoeuvres import both_alike
 from usv_gym.physics import frames as fr
 from usv_gym.sea import SeaState
 from usv_gym.sensors import SensorSuite
@@ -340,13 +338,11 @@ class _Trial:
                 f"n = {n:g} rev/s and speed = {self.speed:g} m/s: trials begin ahead, both above 0"
             )
         self.length = vessel.values["length_waterline"]
-        self.largest = getattr(vessel, "helm_max", vessel.values.get("steer_max", 0.0))
-        self.helm: Callable[..., np.ndarray] = getattr(vessel, "helm", both_alike)
+        self.largest = vessel.helm_max
         # orders are late by up to a step, and a step must be short beside every period
         step = min(0.005 * self.length / self.speed, 0.05 * math.sqrt(self.length / 7.0))
         self.dt = step if dt is None else dt
-        # 3 is what a simulation does by itself
-        self.how: dict[str, Any] = {} if dof == 3 else {"dof": dof}
+        self.dof = dof
 
     def within_stops(self, angle: float) -> float:
         """Return a helm angle after a look at whether the helm goes so far."""
@@ -379,7 +375,7 @@ class _Trial:
             suite=SensorSuite.perfect(),
             dt=self.dt,
             dt_physics=self.dt,
-            **self.how,
+            dof=self.dof,
         )
         simulation.reset(range(boats), [np.random.default_rng(0) for _ in range(boats)])
         state = simulation.state
@@ -387,7 +383,7 @@ class _Trial:
         state[:, [fr.N_LEFT, fr.N_RIGHT]] = self.n
         angles = np.array([next(man) for man in helmsmen.values()])
         states, orders = [state.copy()], [np.zeros(boats)]
-        cmd = self.helm(np.full(boats, order), angles)
+        cmd = self.vessel.helm(order, angles)
         ends, sailing = [0] * boats, dict(enumerate(helmsmen.values()))
         while sailing:
             if len(states) * self.dt * self.speed > limit * self.length:
@@ -405,7 +401,7 @@ class _Trial:
                     del sailing[i]
                 elif angle != angles[i]:
                     angles[i] = angle
-                    cmd[i] = self.helm(np.float64(order), np.float64(angle))
+                    cmd[i] = self.vessel.helm(order, angle)
         all_states, all_orders = np.array(states), np.array(orders)
         columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
         return [

@@ -7,14 +7,16 @@ import math
 import numpy as np
 import pytest
 
+from usv_gym import Vessel
 from usv_gym.manoeuvres import ANGLE, APPROACH, LEG, MANOEUVRES, SWITCH, ManoeuvreError, commands
 
 T = 0.05 * np.arange(4000)
-N = 20.4
+BOAT = Vessel.load("usv75")
+N = BOAT.values["shaft_speed_manoeuvring"]
 
 
 def given(name: str, seed: int = 0) -> np.ndarray:
-    return commands(name, T, N, np.random.default_rng(seed))
+    return commands(name, T, BOAT, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("name", MANOEUVRES)
@@ -33,7 +35,7 @@ def test_contract(name: str) -> None:
 
 @pytest.mark.parametrize("name", MANOEUVRES)
 def test_a_longer_run_begins_like_a_shorter_one(name: str) -> None:
-    short = commands(name, T[:700], N, np.random.default_rng(0))
+    short = commands(name, T[:700], BOAT, np.random.default_rng(0))
     np.testing.assert_array_equal(short, given(name)[:700])
 
 
@@ -70,16 +72,10 @@ def test_random_holds_each_step_for_3_to_10_seconds() -> None:
     assert not np.array_equal(cmd, given("random", seed=1))
 
 
-def test_a_vessel_may_steer_in_its_own_way() -> None:
-    def pair(n: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        return np.stack([n * (1.0 + angle), n * (1.0 - angle), 0.0 * n, 0.0 * n], axis=-1)
-
-    cmd = commands("turn", T, N, np.random.default_rng(0), helm=pair)
-    alike = given("turn")
-    np.testing.assert_allclose(cmd[:, 0] - cmd[:, 1], 2.0 * N * alike[:, 2], atol=1e-12)
+def test_a_fixed_pair_of_thrusters_steers_by_unequal_speeds() -> None:
+    otter = Vessel.load("otter")
+    cmd = commands("turn", T, otter, np.random.default_rng(0), n=N)
+    share = given("turn")[:, 2] / math.radians(30.0)
+    np.testing.assert_allclose(cmd[:, 0], N * (1.0 + share), rtol=1e-12)
+    np.testing.assert_allclose(cmd[:, 1], N * (1.0 - share), rtol=1e-12)
     assert np.all(cmd[:, 2:] == 0.0)
-
-
-def test_unknown_names_list_those_there_are() -> None:
-    with pytest.raises(ManoeuvreError, match="'loop'; known: straight, turn, zigzag"):
-        given("loop")

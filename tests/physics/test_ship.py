@@ -664,9 +664,8 @@ def zigzag() -> dict[str, list[float]]:
     simulation = Simulation(1, BOAT, SeaState.named("2"), suite=SensorSuite.perfect())
     simulation.reset([0], [np.random.default_rng(0)])
     t = 0.05 * np.arange(1200)
-    n = BOAT.values["shaft_speed_manoeuvring"]
     states = {}
-    for k, cmd in enumerate(commands("zigzag", t, n, np.random.default_rng(0)), start=1):
+    for k, cmd in enumerate(commands("zigzag", t, BOAT, np.random.default_rng(0)), start=1):
         simulation.step(cmd[None])
         if k % 120 == 0:
             states[f"{k * 0.05:g}"] = simulation.state[0].tolist()
