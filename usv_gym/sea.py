@@ -418,9 +418,8 @@ class SeaState:
         if self.hs == 0.0:
             return np.zeros((waves.WAVE_ROWS, 0))
         omega, amplitude = self._components(rng)
-        M, k = len(omega), omega**2 / GRAVITY
-        rows = np.zeros((waves.WAVE_ROWS, M))
-        rows[waves.PHASE] = rng.uniform(0.0, 2.0 * math.pi, M)
+        M = len(omega)
+        phase = rng.uniform(0.0, 2.0 * math.pi, M)
         to = self.wave_to
         if to is None:
             highest = max(self.course, key=lambda stage: stage.hs, default=None)
@@ -433,17 +432,7 @@ class SeaState:
             aside = np.arcsin(2.0 * betaincinv(shape, shape, shares) - 1.0)
         north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)
         east = math.sin(to) * np.cos(aside) + math.cos(to) * np.sin(aside)
-        rho_g, draft = vessel.values["water_density"] * GRAVITY, vessel.values["draft"]
-        rows[waves.OMEGA] = omega
-        rows[waves.K_NORTH] = k * north
-        rows[waves.K_EAST] = k * east
-        rows[waves.AMPLITUDE] = amplitude
-        rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
-        rows[waves.BOTTOM] = rho_g * amplitude * np.exp(-k * draft)
-        L = vessel.values["length_waterline"]
-        for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
-            load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2
-            drift[2 * i : 2 * i + 2] = np.sum(load * north), np.sum(load * east)
+        rows, drift[:] = wave_rows(vessel, omega, amplitude, north, east, phase)
         return rows
 
     def _gusts(self, rng: np.random.Generator) -> Array:
@@ -468,6 +457,48 @@ def _check(name: str, value: object, where: str = "", *, optional: bool = False)
         raise SeaError(f"{where}{name} = {value}: must lie between {low:g} and {high:g}")
 
 
+def wave_rows(
+    vessel: Vessel,
+    omega: ArrayLike,
+    amplitude: ArrayLike,
+    north: ArrayLike,
+    east: ArrayLike,
+    phase: ArrayLike,
+) -> tuple[Array, Array]:
+    """Return wave components as the kernels read them, and the sums of their mean drift.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        Its draft and length decide how deep the pressure reaches and which waves it reflects.
+    omega, amplitude : array_like, shape (M,)
+        Circular frequency (rad/s) and amplitude (m).
+    north, east : array_like, shape (M,)
+        Parts of the unit vector that each component goes along.
+    phase : array_like, shape (M,)
+        Phase at the origin at time 0, rad.
+
+    Returns
+    -------
+    ndarray, shape (7, M), and ndarray, shape (6,)
+    """
+    omega, amplitude, north, east, phase = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))
+    )
+    k = omega**2 / GRAVITY
+    rho_g, draft = vessel.values["water_density"] * GRAVITY, vessel.values["draft"]
+    rows = np.zeros((waves.WAVE_ROWS, len(k)))
+    rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
+    rows[waves.K_NORTH], rows[waves.K_EAST] = k * north, k * east
+    rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
+    rows[waves.BOTTOM] = rho_g * amplitude * np.exp(-k * draft)
+    L, drift = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
+    for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
+        load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2
+        drift[2 * i : 2 * i + 2] = np.sum(load * north), np.sum(load * east)
+    return rows, drift
+
+
 @dataclass(frozen=True)
 class Sea:
     """One realisation, as the kernels read it.
@@ -485,6 +516,26 @@ class Sea:
     waves: Array
     gusts: Array
     weather: Array
+
+    @classmethod
+    def regular(
+        cls, vessel: Vessel, omega: float, amplitude: float, to: float = 0.0, phase: float = 0.0
+    ) -> Sea:
+        """Return a sea of one regular wave, without wind or mean drift.
+
+        Parameters
+        ----------
+        vessel : Vessel
+            The vessel that is to feel it.
+        omega, amplitude : float
+            Circular frequency (rad/s) and amplitude (m).
+        to : float
+            Direction that the wave goes to, rad.
+        phase : float
+            Phase at the origin at time 0, rad.
+        """
+        rows, _ = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
+        return cls(waves=rows, gusts=np.zeros((3, 0)), weather=wx.constant())
 
     def elevation(self, x: ArrayLike, y: ArrayLike, t: ArrayLike) -> Array:
         """Return the height of the sea surface above rest in m, as the boat feels it.

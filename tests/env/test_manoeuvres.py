@@ -79,3 +79,8 @@ def test_a_fixed_pair_of_thrusters_steers_by_unequal_speeds() -> None:
     np.testing.assert_allclose(cmd[:, 0], N * (1.0 + share), rtol=1e-12)
     np.testing.assert_allclose(cmd[:, 1], N * (1.0 - share), rtol=1e-12)
     assert np.all(cmd[:, 2:] == 0.0)
+
+
+def test_unknown_names_list_those_there_are() -> None:
+    with pytest.raises(ManoeuvreError, match="'loop'; known: straight, turn, zigzag"):
+        given("loop")

@@ -10,17 +10,16 @@ import pytest
 from scipy.optimize import brentq
 
 from usv_gym import Vessel, indices, trials
-from usv_gym import vessel as vessel_module
 from usv_gym.indices import Track
 from usv_gym.trials import TrialError
-from usv_gym.vessel import SCHEMA
+from usv_gym.vessel import KIND_SCHEMA, SCHEMA
 
 KNOT = 1852.0 / 3600.0
 DEGREE = math.pi / 180.0
 BOAT = Vessel.load("usv75")
 LOA, LWL = BOAT.values["length_overall"], BOAT.values["length_waterline"]
 
-SCHEMAS = [*SCHEMA.values(), *getattr(vessel_module, "KIND_SCHEMA", {}).values()]
+SCHEMAS = [*SCHEMA.values(), *KIND_SCHEMA.values()]
 UNIT_OF = {key: unit for keys in SCHEMAS for key, (unit, _) in keys.items()}
 
 

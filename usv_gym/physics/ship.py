@@ -231,3 +231,32 @@ def step(
     for i in range(fr.STATE_SIZE):
         total[i] = (total[i] + k[i]) / 6.0
         state[i] += dt * total[i]
+
+
+@kernel
+def sail(
+    states: np.ndarray,
+    cmds: np.ndarray,
+    p: np.ndarray,
+    waves: np.ndarray,
+    gusts: np.ndarray,
+    weather: np.ndarray,
+    dt: float,
+    dof: int,
+    factors: np.ndarray,
+    work: np.ndarray,
+) -> None:
+    """Sail one boat through a list of commands, from time 0.
+
+    Parameters
+    ----------
+    states : ndarray, shape (K + 1, 16)
+        The first row is the start; the others are written.
+    cmds : ndarray, shape (K, 4)
+        Commands, each held over one step.
+    p, waves, gusts, weather, dt, dof, factors, work
+        As for :func:`step`.
+    """
+    for k in range(cmds.shape[0]):
+        states[k + 1] = states[k]
+        step(states[k + 1], cmds[k], p, waves, gusts, weather, k * dt, dt, dof, factors, work)
