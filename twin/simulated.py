@@ -14,7 +14,7 @@ from usv_gym import sensors
 from usv_gym.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.sea import SeaState
-from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.simulation import Simulation
 from usv_gym.vessel import Vessel
 
@@ -86,7 +86,7 @@ def simulate(
     sea: SeaState,
     duration: float,
     seed: int,
-    faults: Sequence[Fault] = (),
+    faults: Sequence[Disturbance] = (),
     suite: SensorSuite | None = None,
     dt: float = 0.05,
     name: str | None = None,
@@ -103,8 +103,8 @@ def simulate(
         Length of the run, s.
     seed : int
         Seed of sea, sensors and (random) manoeuvre.
-    faults : sequence of Fault
-        Losses of sensors.
+    faults : sequence of Disturbance
+        Faults of sensors.
     suite : SensorSuite, optional
         Sensors; the default suite if left out.
     dt : float

@@ -13,7 +13,7 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics.waves import FACTOR_ROWS
 from usv_gym.sea import SeaState
-from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
 from usv_kernel import kernel
 
@@ -32,7 +32,7 @@ STATE = 0
 CMD = STATE + fr.STATE_SIZE
 Z = CMD + fr.COMMAND_SIZE
 BIAS = Z + len(sensors.CHANNELS)
-STEADY = BIAS + sensors.BIAS_SIZE
+STEADY = BIAS + sensors.MEMORY_SIZE
 TIME = STEADY + ship.STEADY_SIZE
 COUNT = TIME + 1
 WORK = COUNT + 1
@@ -60,9 +60,9 @@ def advance(
         All numbers of the boat; parts as named above. The command is read from it.
     waves, factors, gusts : ndarray, shapes (6, M), (6, M), (3, G)
         Its sea, and scratch for it.
-    noise : ndarray, shape (B, 14)
+    noise : ndarray, shape (B, 14 + 3 F)
         Sensor noise; row ``count % B`` is used.
-    faults, ring : ndarray, shapes (F, 3), (delay + 1, 4)
+    faults, ring : ndarray, shapes (F, FAULT_SIZE), (delay + 1, 4)
         See :func:`usv_gym.sensors.measure`.
     constants : ndarray, shape (PACKED_SIZE + ...,)
         Packed vessel, then packed sensor suite.
@@ -84,7 +84,7 @@ def advance(
         work[0],
         record[TIME],
         count,
-        dt,
+        h,  # the mean derivative is that of the last integration step
         suite,
         noise[count % noise.shape[0]],
         faults,
@@ -136,8 +136,8 @@ class Simulation:
         The sea state; each boat gets its own realisation at each reset.
     suite : SensorSuite
         Errors and rates of the sensors.
-    faults : sequence of Fault or callable
-        Losses of sensors, the same for every boat, or a function of a generator that draws
+    faults : sequence of Disturbance or callable
+        Faults of sensors, the same for every boat, or a function of a generator that draws
         them anew at each reset.
     max_faults : int
         Most faults that the function returns.
@@ -165,7 +165,9 @@ class Simulation:
         sea: SeaState,
         *,
         suite: SensorSuite | None = None,
-        faults: Sequence[Fault] | Callable[[np.random.Generator], Sequence[Fault]] = (),
+        faults: (
+            Sequence[Disturbance] | Callable[[np.random.Generator], Sequence[Disturbance]]
+        ) = (),
         max_faults: int = 4,
         dt: float = 0.05,
         dt_physics: float = 0.05,
@@ -178,9 +180,10 @@ class Simulation:
             )
         self.n, self.vessel, self.sea, self.dt, self.substeps = n, vessel, sea, dt, substeps
         self.suite = SensorSuite() if suite is None else suite
-        self._draw_faults = faults if callable(faults) else None
         fixed = () if callable(faults) else tuple(faults)
+        sensors.fault_rows(fixed, dt)  # what does not fit dies here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
+        self._draw_faults = faults if callable(faults) else lambda rng: fixed
         quiet = np.random.default_rng(0)
         example = sea.realise(vessel, quiet, quiet)
         self.records = np.zeros((n, RECORD_SIZE))
@@ -193,10 +196,10 @@ class Simulation:
         self.waves = np.zeros((n, *example.waves.shape))
         self.gusts = np.zeros((n, *example.gusts.shape))
         self.constants = np.concatenate([vessel.packed, self.suite.pack(dt)])
-        self._noise = np.zeros((n, NOISE_BLOCK, sensors.NOISE_SIZE))
-        self._faults = np.full((n, max_faults, 3), math.nan)
-        if fixed:
-            self._faults[:] = sensors.fault_windows(fixed)
+        self._noise = np.zeros(
+            (n, NOISE_BLOCK, sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults)
+        )
+        self._faults = np.full((n, max_faults, sensors.FAULT_SIZE), math.nan)
         self._rings = np.zeros((n, self.suite.delay_steps(dt) + 1, 4))
         self.arguments = (
             self.records,
@@ -231,12 +234,12 @@ class Simulation:
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, rng_faults = rng.spawn(6)
             sea = self.sea.realise(self.vessel, rng_waves, rng_gusts)
             self.waves[i], self.gusts[i], self.steady[i] = sea.waves, sea.gusts, sea.steady
-            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu)
+            faults = tuple(self._draw_faults(rng_faults))
+            self._faults[i] = math.nan
+            self._faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
+            sources = sensors.fault_sources(faults, rng_faults)
+            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, *sources)
             self._refill(int(i))
-            if self._draw_faults is not None:
-                windows = sensors.fault_windows(tuple(self._draw_faults(rng_faults)))
-                self._faults[i] = math.nan
-                self._faults[i, : len(windows)] = windows
             self.state[i] = 0.0
             self.state[i, fr.U] = self._start_speed
             self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
@@ -244,12 +247,12 @@ class Simulation:
             self.records[i, TIME] = self.records[i, COUNT] = 0.0
             self.records[i, WORK:] = 0.0
             self._rings[i] = 0.0
-            noise, bias = self._noise[i, 0], self.records[i, BIAS:STEADY]
+            noise, memory = self._noise[i, 0], self.records[i, BIAS:STEADY]
             suite = self.constants[par.PACKED_SIZE :]
             still = np.zeros(fr.STATE_SIZE)
-            sensors.start_biases(suite, noise, bias)
+            sensors.start_memory(suite, noise, memory)
             sensors.measure(
-                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self._faults[i], bias),
+                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self._faults[i], memory),
                 *(self._rings[i], self.z[i]),
             )
         self._until_refill = 1  # looked at anew by the next step
@@ -278,8 +281,13 @@ class Simulation:
 
     def _refill(self, i: int) -> None:
         """Draw the next block of sensor noise of one boat, each sensor from its own source."""
-        rng_gps, rng_compass, rng_imu = self._noise_rngs[i]
+        rng_gps, rng_compass, rng_imu, *rngs_faults = self._noise_rngs[i]
         a, b = sensors.NOISE_GPS, sensors.NOISE_GPS + sensors.NOISE_COMPASS
+        c, width = sensors.NOISE_SIZE, sensors.NOISE_FAULT
         self._noise[i, :, :a] = rng_gps.standard_normal((NOISE_BLOCK, sensors.NOISE_GPS))
         self._noise[i, :, a:b] = rng_compass.standard_normal((NOISE_BLOCK, sensors.NOISE_COMPASS))
-        self._noise[i, :, b:] = rng_imu.standard_normal((NOISE_BLOCK, sensors.NOISE_IMU))
+        self._noise[i, :, b:c] = rng_imu.standard_normal((NOISE_BLOCK, sensors.NOISE_IMU))
+        for j, rng in enumerate(rngs_faults):
+            self._noise[i, :, c + width * j : c + width * (j + 1)] = rng.random(
+                (NOISE_BLOCK, width)
+            )

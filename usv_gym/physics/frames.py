@@ -58,3 +58,35 @@ def to_body(north: float, east: float, psi: float) -> tuple[float, float]:
     """Turn a horizontal earth vector into forward and starboard parts."""
     c, s = math.cos(psi), math.sin(psi)
     return north * c + east * s, east * c - north * s
+
+
+@kernel
+def rotate(
+    phi: float, theta: float, psi: float, a: float, b: float, c: float
+) -> tuple[float, float, float]:
+    """Turn a body vector (forward, starboard, down) into north, east and down parts.
+
+    Source: Eq (1)-(2): roll, then pitch, then heading. Upright, it gives the bits of
+    :func:`to_earth`.
+    """
+    c_phi, s_phi = math.cos(phi), math.sin(phi)
+    c_theta, s_theta = math.cos(theta), math.sin(theta)
+    starboard, low = b * c_phi - c * s_phi, b * s_phi + c * c_phi
+    north, east = to_earth(a * c_theta + low * s_theta, starboard, psi)
+    return north, east, low * c_theta - a * s_theta
+
+
+@kernel
+def unrotate(
+    phi: float, theta: float, psi: float, north: float, east: float, down: float
+) -> tuple[float, float, float]:
+    """Turn an earth vector into forward, starboard and down parts; undoes :func:`rotate`."""
+    c_phi, s_phi = math.cos(phi), math.sin(phi)
+    c_theta, s_theta = math.cos(theta), math.sin(theta)
+    ahead, starboard = to_body(north, east, psi)
+    low = ahead * s_theta + down * c_theta
+    return (
+        ahead * c_theta - down * s_theta,
+        starboard * c_phi + low * s_phi,
+        low * c_phi - starboard * s_phi,
+    )
