@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -166,7 +167,7 @@ class SensorSuite:
             raise FaultError(
                 f"no grade of sensors is called {name!r}; use {', '.join(GRADES)} or a SensorSuite"
             )
-        return GRADES[name]()
+        return GRADES[name]
 
     def pack(self, dt: float) -> np.ndarray:
         """Return the numbers that :func:`measure` reads, for control steps of dt s."""
@@ -195,13 +196,11 @@ class SensorSuite:
         return round(self.gps_latency / dt)
 
 
-def _best() -> SensorSuite:
-    """Return good sensors: GPS of physics.md section 8, IMU and heading of an MTi-300 sheet.
-
-    Noise densities .01 deg/s/sqrt(Hz) and 60 ug/sqrt(Hz) become white at 20 Hz by sqrt(20);
-    bias stability 10 deg/h and 15 ug; heading 1 deg RMS in all.
-    """
-    return SensorSuite(
+GRADES = {
+    # GPS of physics.md section 8; IMU and heading of an MTi-300 class data sheet: .01
+    # deg/s/sqrt(Hz) and 60 ug/sqrt(Hz), white at 20 Hz by sqrt(20); biases stable to 10 deg/h
+    # and 15 ug; heading 1 deg RMS in all
+    "best": SensorSuite(
         gps_white=0.2,
         gps_bias=0.7,
         compass_white=math.radians(0.3),
@@ -210,24 +209,19 @@ def _best() -> SensorSuite:
         gyro_bias=math.radians(10.0 / 3600.0),
         accel_white=60e-6 * GRAVITY * math.sqrt(20.0),
         accel_bias=15e-6 * GRAVITY,
-    )
-
-
-GRADES: dict[str, Callable[[], SensorSuite]] = {
-    "best": _best,
-    "typical": SensorSuite,
-    "perfect": SensorSuite.perfect,
+    ),
+    "typical": SensorSuite(),
+    "perfect": SensorSuite.perfect(),
 }
 """Suites by name, for :meth:`SensorSuite.grade`."""
 
-
 SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
-"""How far a spike is off, in the unit of each of :data:`CHANNELS`: plain to a gate of 5
-standard deviations, and within what a receiver or a bus error hands out."""
+"""How far a spike is off, in the unit of each of :data:`CHANNELS`. By judgement: far beyond
+the noise, not beyond belief."""
 
 
 @dataclass(frozen=True)
-class Disturbance:
+class Disturbance(ABC):
     """What a fault does to which sensors; when it does so is the subclass's affair.
 
     Parameters
@@ -268,9 +262,9 @@ class Disturbance:
                 f"of usv_gym.sensors.CHANNELS, got {self.sizes}"
             )
 
+    @abstractmethod
     def _timing(self, dt: float) -> dict[int, float]:
         """Return the entries of the row that say when it strikes."""
-        raise NotImplementedError
 
     def row(self, dt: float) -> np.ndarray:
         """Return the numbers that :func:`measure` reads, for control steps of dt s."""

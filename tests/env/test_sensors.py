@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from twin.simulated import particulars_of
 from twin.wrapper import make_env
 from usv_gym import Bursts, Fault, RandomFaults, SeaState, SensorSuite, Vessel, sensors
 from usv_gym.env import USVEnv
@@ -406,6 +407,18 @@ def test_the_antenna_is_where_it_sits_and_moves_as_it_does(
         velocity = (place(t + h, arm) - place(t - h, arm)) / (2.0 * h)
         # h^2 / 6 of third derivatives below 200
         np.testing.assert_allclose(z[2:4], velocity[:2], atol=4e-7)
+
+
+def test_a_twin_hears_of_lever_arms_as_errors() -> None:
+    near = particulars_of(BOAT, SensorSuite()).instruments
+    assert near == particulars_of(BOAT).instruments
+    far = particulars_of(
+        BOAT, SensorSuite(gps_arm=(3.0, 4.0, -12.0), imu_arm=(2.0, 0.0, 0.0))
+    ).instruments
+    assert far.gps_bias_sd == pytest.approx(math.hypot(near.gps_bias_sd, 5.0))
+    # .2 rad/s of sway on an arm of 13 m, .2 rad/s2 on one of 2 m
+    assert far.doppler_sd == pytest.approx(math.hypot(near.doppler_sd, 0.2 * 13.0))
+    assert far.accel_sd == pytest.approx(math.hypot(near.accel_sd, 0.4))
 
 
 # ------------------------------------------------- faults
