@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from twin.simulated import particulars_of
@@ -315,6 +315,7 @@ ANGLE = st.floats(-4.0, 4.0)
 LENGTH = st.floats(-10.0, 10.0)
 
 
+@settings(deadline=None)  # the first one compiles
 @given(phi=ANGLE, theta=ANGLE, psi=ANGLE, a=LENGTH, b=LENGTH, c=LENGTH)
 def test_rotation_and_back(
     phi: float, theta: float, psi: float, a: float, b: float, c: float
@@ -700,6 +701,7 @@ TEXTS = st.one_of(
 )
 
 
+@settings(deadline=None)  # the first one compiles
 @given(text=TEXTS)
 @example("gps-bursts99x0.01")
 @example("gps-bursts100x1")
