@@ -408,7 +408,7 @@ ON: tuple[Disturbance, ...] = (
 _NUMBER = r"(\d+(?:\.\d+)?)"
 _FAULT = re.compile(
     rf"([a-z]+)(?:-({'|'.join(EFFECTS)}))?"
-    rf"(?:{_NUMBER}|(-random)|(-bursts)(?:{_NUMBER}x{_NUMBER})?)(?:@{_NUMBER})?",
+    rf"(?:{_NUMBER}|(-random)|-bursts(?:{_NUMBER}x{_NUMBER})?)(?:@{_NUMBER})?",
     re.ASCII,
 )
 FAULTS_HELP = (
@@ -442,24 +442,30 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
         return ()
     if text == "on":
         return ON
-    faults: list[Disturbance] = []
+    faults = []
     for part in text.split("+"):
         match = _FAULT.fullmatch(part)
         if not match:
             raise FaultError(f"fault {text!r} is not understood; write {FAULTS_HELP}")
-        kind, effect, seconds, random, _, loss, mean, at = match.groups()
-        effect, begin = effect or "loss", float(at or 0.0)
-        if seconds:
-            begin = float(at) if at else start
-            faults.append(Fault(kind, begin, float(seconds), effect=effect))
-        elif random:
-            faults.append(RandomFaults(kind, effect=effect, start=begin))
-        elif loss:
-            share = float(loss) / 100.0
-            faults.append(Bursts(kind, share, float(mean), begin, effect=effect))
-        else:
-            faults.append(Bursts(kind, start=begin, effect=effect))
+        try:
+            faults.append(_fault(match, start))
+        except FaultError as error:
+            raise FaultError(f"fault {part!r}: {error}") from None
     return tuple(faults)
+
+
+def _fault(match: re.Match[str], start: float) -> Disturbance:
+    """Return the fault that the groups of a match stand for."""
+    kind, effect, seconds, random, loss, mean, at = match.groups()
+    effect = effect or "loss"
+    if seconds:
+        return Fault(kind, float(at) if at else start, float(seconds), effect=effect)
+    begin = float(at or 0.0)
+    if random:
+        return RandomFaults(kind, effect=effect, start=begin)
+    if loss:
+        return Bursts(kind, float(loss) / 100.0, float(mean), begin, effect=effect)
+    return Bursts(kind, start=begin, effect=effect)
 
 
 def fault_rows(faults: Sequence[Disturbance], dt: float) -> np.ndarray:

@@ -723,7 +723,7 @@ def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
 
 
 def test_unknown_kinds_and_impossible_faults() -> None:
-    with pytest.raises(FaultError, match="'radar'; use gps, imu, compass, all"):
+    with pytest.raises(FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, all"):
         parse_faults("radar10", 0.0)
     for start, duration in ((0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)):
         with pytest.raises(FaultError, match="gps fault: start and duration"):
