@@ -32,15 +32,12 @@ from twin.twin import PLANS, Twin, known_plan
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SeaState
 from usv_gym.sensors import (
-    COMPASS,
-    COMPASS_BIT,
     FAULT_KINDS,
-    GPS,
     GPS_BIT,
-    IMU,
-    IMU_BIT,
+    Disturbance,
     Fault,
     parse_faults,
+    spoiled,
 )
 from usv_gym.vessel import Vessel
 from usv_kernel import __version__, sources_digest
@@ -58,7 +55,7 @@ __all__ = [
     "runs",
     "summarise",
     "units",
-    "without_signals",
+    "with_faults",
 ]
 
 Array = NDArray[np.float64]
@@ -249,16 +246,9 @@ def fault_start(settings: Settings, identify: float) -> float:
     return identify + settings.fault_after_s
 
 
-def without_signals(log: Log, faults: Sequence[Fault]) -> Log:
-    """Return a log with the samples of lost sensors taken out, as the faults say."""
-    z = log.z.copy()
-    columns = {GPS_BIT: GPS, COMPASS_BIT: COMPASS, IMU_BIT: IMU}
-    for fault in faults:
-        lost = (log.t >= log.t[0] + fault.start) & (log.t < log.t[0] + fault.start + fault.duration)
-        for bit, entries in columns.items():
-            if FAULT_KINDS[fault.kind] & bit:
-                z[lost, entries] = math.nan
-    return dataclasses.replace(log, z=z)
+def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
+    """Return a log with what the faults do to its sensors; the same whenever it is asked."""
+    return dataclasses.replace(log, z=spoiled(log.t, log.z, faults, np.random.default_rng(0)))
 
 
 def _recorded_identify(log: Log) -> float:
@@ -283,7 +273,7 @@ def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, flo
         return log.without_truth(), log, particulars_of(vessel), settings.identify_s
     log = Log.read(unit.log)
     identify = _recorded_identify(log)
-    seen = without_signals(log, parse_faults(unit.fault, fault_start(settings, identify)))
+    seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
     return (
         seen.without_truth(),
         log,
@@ -703,12 +693,12 @@ def lost_gps(settings: Settings, unit: Unit, log: Log) -> list[tuple[float, floa
     return gps_windows(parse_faults(unit.fault, start))
 
 
-def gps_windows(faults: Sequence[Fault]) -> list[tuple[float, float]]:
-    """Return the spans of time without GPS that faults bring, s."""
+def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
+    """Return the spans of time without GPS that are known beforehand, s."""
     return [
         (fault.start, fault.start + fault.duration)
         for fault in faults
-        if FAULT_KINDS[fault.kind] & GPS_BIT
+        if isinstance(fault, Fault) and fault.effect == "loss" and FAULT_KINDS[fault.kind] & GPS_BIT
     ]
 
 

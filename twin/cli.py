@@ -31,7 +31,7 @@ from twin.simulated import particulars_of, simulate
 from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
-from usv_gym.sensors import FAULT_KINDS, FaultError, parse_faults
+from usv_gym.sensors import FAULTS_HELP, GRADES, FaultError, SensorSuite, parse_faults
 from usv_gym.simulation import SimulationError
 from usv_gym.vessel import Vessel, VesselError, vessel_names
 from usv_kernel import cached
@@ -100,7 +100,6 @@ WindOption = Annotated[float | None, typer.Option(help="Mean wind speed at 10 m,
 WindFromOption = Annotated[
     float | None, typer.Option(help="Where the wind comes from, degrees clockwise from north.")
 ]
-FAULTS_HELP = f"none, or a kind ({', '.join(FAULT_KINDS)}) and its seconds, as gps10"
 
 
 @app.command("simulate")
@@ -121,8 +120,11 @@ def simulate_command(
     hs: HsOption = None,
     wind: WindOption = None,
     wind_from: WindFromOption = None,
-    faults: Annotated[str, typer.Option(help=f"Loss of sensors: {FAULTS_HELP}.")] = "none",
-    fault_start: Annotated[float, typer.Option(help="When the loss begins, s.")] = 85.0,
+    faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
+    fault_start: Annotated[
+        float, typer.Option(help="When a fault given by its seconds begins, s.")
+    ] = 85.0,
+    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
 ) -> None:
     """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
     from twin.report import picture_of_log
@@ -130,15 +132,23 @@ def simulate_command(
     boat = Vessel.load(vessel)
     degrees = None if wind_from is None else math.radians(wind_from)
     state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=degrees)
-    lost = parse_faults(faults, fault_start)
+    suite, broken = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     with _compiling():
-        log = simulate(manoeuvre, vessel=boat, sea=state, duration=duration, seed=seed, faults=lost)
+        log = simulate(
+            manoeuvre,
+            vessel=boat,
+            sea=state,
+            duration=duration,
+            seed=seed,
+            faults=broken,
+            suite=suite,
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     log.write(path)
     particulars, picture = beside(path, ".toml"), beside(path, ".png")
-    particulars.write_text(particulars_of(boat).to_toml(), encoding="utf-8")
-    windows = bench.gps_windows(lost)
+    particulars.write_text(particulars_of(boat, suite).to_toml(), encoding="utf-8")
+    windows = bench.gps_windows(broken)
     picture_of_log(log, picture, windows)
     console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")
 

@@ -14,13 +14,16 @@ from usv_gym import sensors
 from usv_gym.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.sea import SeaState
-from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.simulation import Simulation
 from usv_gym.vessel import Vessel
 
 __all__ = ["TRUE_STATE", "measurement_row", "particulars_of", "simulate"]
 
 Array = NDArray[np.float64]
+
+SWAY = 0.2
+"""Typical turning rate and acceleration of a boat in waves, rad/s and rad/s2."""
 
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
@@ -61,13 +64,14 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particul
         steer_rate=v.get("steer_rate", 1.0),
         instruments=Instruments(
             gps_sd=max(suite.gps_white, 0.02),
-            gps_bias_sd=suite.gps_bias,
-            # room for what the latency makes of a wavy motion
-            doppler_sd=math.hypot(suite.doppler_white, 0.06),
+            # a twin knows no lever arms: an antenna off the origin is a position off
+            gps_bias_sd=math.hypot(suite.gps_bias, *suite.gps_arm[:2]),
+            # room for what the latency makes of a wavy motion, and the arm of a swaying one
+            doppler_sd=math.hypot(suite.doppler_white, 0.06, SWAY * math.hypot(*suite.gps_arm)),
             compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
             gyro_sd=max(suite.gyro_white, 1e-4),
             gyro_bias_sd=max(suite.gyro_bias, 1e-5),
-            accel_sd=math.hypot(suite.accel_white, 0.07),
+            accel_sd=math.hypot(suite.accel_white, 0.07, SWAY * math.hypot(*suite.imu_arm)),
             accel_bias_sd=max(suite.accel_bias, 1e-3),
             gps_latency=suite.gps_latency,
         ),
@@ -88,7 +92,7 @@ def simulate(
     sea: SeaState,
     duration: float,
     seed: int,
-    faults: Sequence[Fault] = (),
+    faults: Sequence[Disturbance] = (),
     suite: SensorSuite | None = None,
     dof: int = 3,
     dt: float = 0.05,
@@ -106,8 +110,8 @@ def simulate(
         Length of the run, s.
     seed : int
         Seed of sea, sensors and (random) manoeuvre.
-    faults : sequence of Fault
-        Losses of sensors.
+    faults : sequence of Disturbance
+        Faults of sensors.
     suite : SensorSuite, optional
         Sensors; the default suite if left out.
     dof : int

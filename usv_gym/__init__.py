@@ -3,10 +3,19 @@
 from gymnasium.envs.registration import register, registry
 
 from usv_gym.sea import SEA_STATES, SeaState
-from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.sensors import Bursts, Fault, RandomFaults, SensorSuite
 from usv_gym.vessel import Vessel, vessel_names
 
-__all__ = ["SEA_STATES", "Fault", "SeaState", "SensorSuite", "Vessel", "vessel_names"]
+__all__ = [
+    "SEA_STATES",
+    "Bursts",
+    "Fault",
+    "RandomFaults",
+    "SeaState",
+    "SensorSuite",
+    "Vessel",
+    "vessel_names",
+]
 
 MAX_EPISODE_STEPS = 2400
 

@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from usv_gym import sensors
 from usv_gym.sea import SeaState
-from usv_gym.sensors import Fault, FaultError, SensorSuite
+from usv_gym.sensors import Disturbance, FaultError, SensorSuite
 from usv_gym.simulation import BIAS, CMD, Simulation, Z, advance
 from usv_gym.tasks import (
     CAPSIZED,
@@ -238,11 +238,13 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     hs, wind, wind_from_deg : float, optional
         Change the sea state's wave height (m), wind speed (m/s) and where the wind comes
         from (degrees).
-    suite : SensorSuite or "perfect", optional
-        Errors and rates of the sensors.
-    faults : str or sequence of Fault
-        ``"none"``; a name such as ``"gps10"`` (10 s without GPS, beginning at random
-        between 10 and 60 s); or faults with their times.
+    suite : SensorSuite or str, optional
+        Errors and rates of the sensors, or one of :data:`usv_gym.sensors.GRADES`
+        (``"typical"``, ``"best"``, ``"perfect"``).
+    faults : str or sequence of Disturbance
+        ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
+        without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,
+        see :func:`usv_gym.sensors.parse_faults`; or faults with their times.
     task : str
         One of :data:`usv_gym.tasks.TASKS`.
     actions : str
@@ -269,7 +271,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         wind: float | None = None,
         wind_from_deg: float | None = None,
         suite: SensorSuite | str | None = None,
-        faults: str | Sequence[Fault] = "none",
+        faults: str | Sequence[Disturbance] = "none",
         task: str = "path",
         actions: str = "common",
         dof: int = 3,
@@ -283,18 +285,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         if actions not in ("common", "units"):
             raise ValueError(f"actions = {actions!r}; use 'common' or 'units'")
         if isinstance(suite, str):
-            if suite != "perfect":
-                raise ValueError(f"suite = {suite!r}; use 'perfect' or a SensorSuite")
-            suite = SensorSuite.perfect()
+            suite = SensorSuite.grade(suite)
         self.render_mode = None
         self.vessel = Vessel.load(vessel)
         wind_from = None if wind_from_deg is None else math.radians(wind_from_deg)
         self.sea = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=wind_from)
         if isinstance(faults, str):
             name = faults
-            sensors.parse_faults(name, 0.0)  # a wrong name dies here, not at the first reset
+            # a wrong name dies here, not at the first reset
+            rows = sensors.fault_rows(sensors.parse_faults(name, 0.0), dt)
 
-            def draw(rng: np.random.Generator) -> tuple[Fault, ...]:
+            def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
                 return sensors.parse_faults(name, rng.uniform(*FAULT_START))
 
             self.simulation = Simulation(
@@ -303,17 +304,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 self.sea,
                 suite=suite,
                 faults=draw,
-                max_faults=len(sensors.parse_faults(name, 0.0)),
+                max_faults=len(rows),
                 dof=dof,
                 dt=dt,
                 dt_physics=dt_physics,
             )
         else:
             items = list(faults) if isinstance(faults, Sequence) else [faults]
-            given = [fault for fault in items if isinstance(fault, Fault)]
+            given = [fault for fault in items if isinstance(fault, Disturbance)]
             if len(given) < len(items):
                 raise FaultError(
-                    f"faults = {faults!r}: give a name such as 'gps10', or a list of "
+                    f"faults = {faults!r}: give a text such as 'gps10', or a list of "
                     "usv_gym.Fault(kind, start, duration)"
                 )
             self.simulation = Simulation(

@@ -14,7 +14,7 @@ from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import FACTOR_ROWS
 from usv_gym.sea import SeaState
-from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
 from usv_kernel import kernel
 
@@ -33,14 +33,11 @@ STATE = 0
 CMD = STATE + fr.STATE_SIZE
 Z = CMD + fr.COMMAND_SIZE
 BIAS = Z + len(sensors.CHANNELS)
-WEATHER = BIAS + sensors.BIAS_SIZE
+WEATHER = BIAS + sensors.MEMORY_SIZE
 TIME = WEATHER + wx.WEATHER_SIZE
 COUNT = TIME + 1
 WORK = COUNT + 1
 RECORD_SIZE = WORK + ship.WORK_ROWS * fr.STATE_SIZE
-# columns of a row of noise: the sensors', then the weather's
-NOISE_WEATHER = sensors.NOISE_SIZE
-NOISE_SIZE = NOISE_WEATHER + wx.NOISE_SIZE
 
 
 @kernel
@@ -65,9 +62,9 @@ def advance(
         All numbers of the boat; parts as named above. The command is read from it.
     waves, factors, gusts : ndarray, shapes (7, M), (12, M), (3, G)
         Its sea, and scratch for it.
-    noise : ndarray, shape (B, 16)
-        Noise of the sensors, then of the weather; row ``count % B`` is used.
-    faults, ring : ndarray, shapes (F, 3), (delay + 1, 4)
+    noise : ndarray, shape (B, 14 + 3 F + 2)
+        Noise of the sensors, their faults, and the weather; row ``count % B`` is used.
+    faults, ring : ndarray, shapes (F, FAULT_SIZE), (delay + 1, 4)
         See :func:`usv_gym.sensors.measure`.
     constants : ndarray, shape (PACKED_SIZE + ...,)
         Packed vessel, then packed sensor suite.
@@ -83,7 +80,7 @@ def advance(
     count = int(record[COUNT]) + 1
     normal = noise[count % noise.shape[0]]
     weather = record[WEATHER:TIME]
-    wx.drift_on(weather, dt, normal[NOISE_WEATHER], normal[NOISE_WEATHER + 1])
+    wx.drift_on(weather, dt, normal[normal.size - 2], normal[normal.size - 1])
     for j in range(substeps):
         t = record[TIME] + j * h
         ship.step(state, cmd, p, waves, gusts, weather, t, h, dof, factors, work)
@@ -94,7 +91,7 @@ def advance(
         work[0],
         record[TIME],
         count,
-        dt,
+        h,  # the mean derivative is that of the last integration step
         suite,
         normal,
         faults,
@@ -148,8 +145,8 @@ class Simulation:
         The sea state; each boat gets its own realisation at each reset.
     suite : SensorSuite
         Errors and rates of the sensors.
-    faults : sequence of Fault or callable
-        Losses of sensors, the same for every boat, or a function of a generator that draws
+    faults : sequence of Disturbance or callable
+        Faults of sensors, the same for every boat, or a function of a generator that draws
         them anew at each reset.
     max_faults : int
         Most faults that the function returns.
@@ -179,7 +176,9 @@ class Simulation:
         sea: SeaState,
         *,
         suite: SensorSuite | None = None,
-        faults: Sequence[Fault] | Callable[[np.random.Generator], Sequence[Fault]] = (),
+        faults: (
+            Sequence[Disturbance] | Callable[[np.random.Generator], Sequence[Disturbance]]
+        ) = (),
         max_faults: int = 4,
         dof: int = 3,
         dt: float = 0.05,
@@ -196,9 +195,10 @@ class Simulation:
         self.dof = int(dof)
         self.n, self.vessel, self.sea, self.dt, self.substeps = n, vessel, sea, dt, substeps
         self.suite = SensorSuite() if suite is None else suite
-        self._draw_faults = faults if callable(faults) else None
         fixed = () if callable(faults) else tuple(faults)
+        sensors.fault_rows(fixed, dt)  # what does not fit dies here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
+        self._draw_faults = faults if callable(faults) else lambda rng: fixed
         quiet = np.random.default_rng(0)
         example = sea.realise(vessel, quiet, quiet)
         self.records = np.zeros((n, RECORD_SIZE))
@@ -211,10 +211,9 @@ class Simulation:
         self.waves = np.zeros((n, *example.waves.shape))
         self.gusts = np.zeros((n, *example.gusts.shape))
         self.constants = np.concatenate([vessel.packed, self.suite.pack(dt)])
-        self._noise = np.zeros((n, NOISE_BLOCK, NOISE_SIZE))
-        self._faults = np.full((n, max_faults, 3), math.nan)
-        if fixed:
-            self._faults[:] = sensors.fault_windows(fixed)
+        width = sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults + wx.NOISE_SIZE
+        self._noise = np.zeros((n, NOISE_BLOCK, width))
+        self._faults = np.full((n, max_faults, sensors.FAULT_SIZE), math.nan)
         self._rings = np.zeros((n, self.suite.delay_steps(dt) + 1, 4))
         self.arguments = (
             self.records,
@@ -252,12 +251,12 @@ class Simulation:
             self.waves[i], self.gusts[i], self.weather[i] = sea.waves, sea.gusts, sea.weather
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
-            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, rng_weather)
+            faults = tuple(self._draw_faults(rng_faults))
+            self._faults[i] = math.nan
+            self._faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
+            sources = sensors.fault_sources(faults, rng_faults)
+            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, rng_weather, *sources)
             self._refill(int(i))
-            if self._draw_faults is not None:
-                windows = sensors.fault_windows(tuple(self._draw_faults(rng_faults)))
-                self._faults[i] = math.nan
-                self._faults[i, : len(windows)] = windows
             self.state[i] = 0.0
             self.state[i, fr.U] = self._start_speed
             self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
@@ -265,13 +264,13 @@ class Simulation:
             self.records[i, TIME] = self.records[i, COUNT] = 0.0
             self.records[i, WORK:] = 0.0
             self._rings[i] = 0.0
-            noise, bias = self._noise[i, 0], self.records[i, BIAS:WEATHER]
-            wx.drift_on(self.weather[i], math.inf, *noise[NOISE_WEATHER:])
+            noise, memory = self._noise[i, 0], self.records[i, BIAS:WEATHER]
+            wx.drift_on(self.weather[i], math.inf, *noise[-wx.NOISE_SIZE :])
             suite = self.constants[par.PACKED_SIZE :]
             still = np.zeros(fr.STATE_SIZE)
-            sensors.start_biases(suite, noise, bias)
+            sensors.start_memory(suite, noise, memory)
             sensors.measure(
-                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self._faults[i], bias),
+                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self._faults[i], memory),
                 *(self._rings[i], self.z[i]),
             )
         self._until_refill = 1  # looked at anew by the next step
@@ -299,14 +298,17 @@ class Simulation:
         self._until_refill = int(NOISE_BLOCK - used.max())
 
     def _refill(self, i: int) -> None:
-        """Draw the next block of noise of one boat, each sensor and the weather from its own."""
-        rng_gps, rng_compass, rng_imu, rng_weather = self._noise_rngs[i]
+        """Draw the next block of noise of one boat, each source from its own generator."""
+        rng_gps, rng_compass, rng_imu, rng_weather, *rngs_faults = self._noise_rngs[i]
         a, b = sensors.NOISE_GPS, sensors.NOISE_GPS + sensors.NOISE_COMPASS
+        c, width = sensors.NOISE_SIZE, sensors.NOISE_FAULT
         self._noise[i, :, :a] = rng_gps.standard_normal((NOISE_BLOCK, sensors.NOISE_GPS))
         self._noise[i, :, a:b] = rng_compass.standard_normal((NOISE_BLOCK, sensors.NOISE_COMPASS))
-        self._noise[i, :, b:NOISE_WEATHER] = rng_imu.standard_normal(
-            (NOISE_BLOCK, sensors.NOISE_IMU)
-        )
-        self._noise[i, :, NOISE_WEATHER:] = rng_weather.standard_normal(
+        self._noise[i, :, b:c] = rng_imu.standard_normal((NOISE_BLOCK, sensors.NOISE_IMU))
+        for j, rng in enumerate(rngs_faults):
+            self._noise[i, :, c + width * j : c + width * (j + 1)] = rng.random(
+                (NOISE_BLOCK, width)
+            )
+        self._noise[i, :, -wx.NOISE_SIZE :] = rng_weather.standard_normal(
             (NOISE_BLOCK, wx.NOISE_SIZE)
         )

@@ -508,7 +508,7 @@ def test_a_gps_loss_of_ten_seconds() -> None:
 
 
 def test_slow_sensors_show_their_last_sample_and_its_age() -> None:
-    suite = SensorSuite(gps_every=4, compass_every=2, gps_latency=0.0)
+    suite = SensorSuite(gps_rate=5.0, compass_rate=10.0, gps_latency=0.0)
     observations, _ = episode(make_env(twin=None, suite=suite, task="free"), 0, 40)
     k = np.arange(len(observations))
     np.testing.assert_array_equal(observations[:, INDEX["gps_valid"]], k % 4 == 0)

@@ -215,7 +215,7 @@ def test_along_and_across_are_seen_from_the_boat():
 
 def test_lost_signals_of_a_recorded_log():
     log = Log.read(recorded_runs()["boat1_usv_circle"])
-    cut = bench.without_signals(log, (Fault("gps", 50.0, 10.0), Fault("compass", 70.0, 5.0)))
+    cut = bench.with_faults(log, (Fault("gps", 50.0, 10.0), Fault("compass", 70.0, 5.0)))
     inside = (log.t >= 50.0) & (log.t < 60.0)
     assert np.isnan(cut.z[inside, :4]).all()
     np.testing.assert_array_equal(cut.z[~inside, :4], log.z[~inside, :4])

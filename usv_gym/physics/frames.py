@@ -64,26 +64,29 @@ def to_body(north: float, east: float, psi: float) -> tuple[float, float]:
 def rotate(
     phi: float, theta: float, psi: float, a: float, b: float, c: float
 ) -> tuple[float, float, float]:
-    """Turn a body vector into its north, east and down parts.
+    """Turn a body vector (forward, starboard, down) into north, east and down parts.
 
-    Source: Eq (1)-(2), R_z(psi) R_y(theta) R_x(phi).
+    Source: Eq (1)-(2): roll, then pitch, then heading. Upright, it gives the bits of
+    :func:`to_earth`.
     """
-    sf, cf = math.sin(phi), math.cos(phi)
-    st, ct = math.sin(theta), math.cos(theta)
-    side = cf * b - sf * c
-    down = sf * b + cf * c
-    ahead = ct * a + st * down
-    north, east = to_earth(ahead, side, psi)
-    return north, east, ct * down - st * a
+    c_phi, s_phi = math.cos(phi), math.sin(phi)
+    c_theta, s_theta = math.cos(theta), math.sin(theta)
+    starboard, low = b * c_phi - c * s_phi, b * s_phi + c * c_phi
+    north, east = to_earth(a * c_theta + low * s_theta, starboard, psi)
+    return north, east, low * c_theta - a * s_theta
 
 
 @kernel
 def unrotate(
     phi: float, theta: float, psi: float, north: float, east: float, down: float
 ) -> tuple[float, float, float]:
-    """Turn an earth vector into its forward, starboard and downward parts in the body."""
-    ahead, side = to_body(north, east, psi)
-    sf, cf = math.sin(phi), math.cos(phi)
-    st, ct = math.sin(theta), math.cos(theta)
-    rest = st * ahead + ct * down
-    return ct * ahead - st * down, cf * side + sf * rest, cf * rest - sf * side
+    """Turn an earth vector into forward, starboard and down parts; undoes :func:`rotate`."""
+    c_phi, s_phi = math.cos(phi), math.sin(phi)
+    c_theta, s_theta = math.cos(theta), math.sin(theta)
+    ahead, starboard = to_body(north, east, psi)
+    low = ahead * s_theta + down * c_theta
+    return (
+        ahead * c_theta - down * s_theta,
+        starboard * c_phi + low * s_phi,
+        low * c_phi - starboard * s_phi,
+    )
