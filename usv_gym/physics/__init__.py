@@ -26,8 +26,9 @@ Units
 Equation numbers
     Those of Qu et al. 2025, J. Mar. Sci. Eng. 13(5) 932, with its misprints mended.
 
-Order of reading: frames, parameters, hull, propulsion, wind, waves, ship. Only
-:mod:`~usv_gym.physics.ship` is called from outside.
+Order of reading: frames, parameters, hull, propulsion, spectra, wind, waves, weather, ship.
+What happens in a step is behind :mod:`~usv_gym.physics.ship`; :mod:`~usv_gym.sea` draws what
+it sails in.
 """
 
 GRAVITY = 9.80665
