@@ -183,7 +183,7 @@ class Simulation:
         fixed = () if callable(faults) else tuple(faults)
         sensors.fault_rows(fixed, dt)  # what does not fit dies here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
-        self._draw_faults = faults if callable(faults) else lambda rng: fixed
+        self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
         example = sea.realise(vessel, quiet, quiet)
         self.records = np.zeros((n, RECORD_SIZE))
@@ -234,7 +234,8 @@ class Simulation:
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, rng_faults = rng.spawn(6)
             sea = self.sea.realise(self.vessel, rng_waves, rng_gusts)
             self.waves[i], self.gusts[i], self.steady[i] = sea.waves, sea.gusts, sea.steady
-            faults = tuple(self._draw_faults(rng_faults))
+            given = self._given_faults
+            faults = tuple(given(rng_faults) if callable(given) else given)
             self._faults[i] = math.nan
             self._faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
             sources = sensors.fault_sources(faults, rng_faults)
