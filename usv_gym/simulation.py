@@ -198,7 +198,7 @@ class Simulation:
         fixed = () if callable(faults) else tuple(faults)
         sensors.fault_rows(fixed, dt)  # what does not fit dies here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
-        self._draw_faults = faults if callable(faults) else lambda rng: fixed
+        self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
         example = sea.realise(vessel, quiet, quiet)
         self.records = np.zeros((n, RECORD_SIZE))
@@ -251,7 +251,8 @@ class Simulation:
             self.waves[i], self.gusts[i], self.weather[i] = sea.waves, sea.gusts, sea.weather
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
-            faults = tuple(self._draw_faults(rng_faults))
+            given = self._given_faults
+            faults = tuple(given(rng_faults) if callable(given) else given)
             self._faults[i] = math.nan
             self._faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
             sources = sensors.fault_sources(faults, rng_faults)

@@ -508,6 +508,10 @@ def test_random_faults_keep_their_gaps_and_lengths() -> None:
         spread = (high - low) / math.sqrt(12.0 * len(value))
         assert seconds.mean() == pytest.approx(0.5 * (low + high), abs=3.0 * spread + DT)
         assert seconds.std() == pytest.approx((high - low) / math.sqrt(12.0), rel=0.05)
+    # what is drawn at one time is drawn apart: .017 is the spread of 3300 pairs
+    gaps, lengths = spans(~gone), spans(gone)[1:]
+    some = min(len(gaps), len(lengths))
+    assert abs(np.corrcoef(gaps[:some], lengths[:some])[0, 1]) < 0.07
 
 
 def test_a_frozen_sensor_keeps_its_rate_and_a_loss_hides_it() -> None:
