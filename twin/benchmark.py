@@ -85,6 +85,8 @@ class Settings:
         ``known``: the future commands are given (Eq 27); ``hold``: the last one is held.
     vessel : str
         Name or TOML file.
+    dof : int
+        Degrees of freedom of the simulated ship, 3 or 6.
     hs, wind, wind_from_deg : float
         Sea state: wave height (m), wind speed (m/s) and direction (degrees).
     logs : tuple of str
@@ -105,6 +107,7 @@ class Settings:
     predictors: tuple[str, ...] = tuple(PREDICTORS)
     plans: tuple[str, ...] = ("known",)
     vessel: str = "usv75"
+    dof: int = 3
     hs: float = 0.5
     wind: float = 4.5
     wind_from_deg: float = 135.0
@@ -139,6 +142,8 @@ class Settings:
                 f"duration_s = {self.duration_s} must exceed identify_s = {self.identify_s} "
                 f"by more than the horizon of {HORIZONS[-1]:g} s"
             )
+        if self.dof not in (3, 6):
+            raise BenchmarkError(f"dof = {self.dof}: must be 3 or 6")
         self.sea()
 
     def sea(self) -> SeaState:
@@ -268,9 +273,11 @@ def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, flo
             duration=settings.duration_s,
             seed=unit.seed,
             faults=parse_faults(unit.fault, start),
+            dof=settings.dof,
             name=unit.run,
         )
-        return log.without_truth(), log, particulars_of(vessel), settings.identify_s
+        particulars = particulars_of(vessel, dof=settings.dof)
+        return log.without_truth(), log, particulars, settings.identify_s
     log = Log.read(unit.log)
     identify = _recorded_identify(log)
     seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))

@@ -95,6 +95,9 @@ ShipOption = Annotated[
         "Left out: the .toml of the log's name beside the log, else usv75.",
     ),
 ]
+DofOption = Annotated[
+    int, typer.Option(help="Degrees of freedom of the ship: 3, or 6 with heave, roll, pitch.")
+]
 HsOption = Annotated[float | None, typer.Option(help="Significant wave height, m.")]
 WindOption = Annotated[float | None, typer.Option(help="Mean wind speed at 10 m, m/s.")]
 WindFromOption = Annotated[
@@ -125,6 +128,7 @@ def simulate_command(
         float, typer.Option(help="When a fault given by its seconds begins, s.")
     ] = 85.0,
     sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    dof: DofOption = 3,
 ) -> None:
     """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
     from twin.report import picture_of_log
@@ -143,11 +147,12 @@ def simulate_command(
             seed=seed,
             faults=broken,
             suite=suite,
+            dof=dof,
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     log.write(path)
     particulars, picture = beside(path, ".toml"), beside(path, ".png")
-    particulars.write_text(particulars_of(boat, suite).to_toml(), encoding="utf-8")
+    particulars.write_text(particulars_of(boat, suite, dof).to_toml(), encoding="utf-8")
     windows = bench.gps_windows(broken)
     picture_of_log(log, picture, windows)
     console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")
@@ -285,6 +290,7 @@ def benchmark_command(
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
     ] = "usv75",
+    dof: DofOption = 3,
     hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
     wind: Annotated[float, typer.Option(help="Mean wind speed at 10 m, m/s.")] = 4.5,
     wind_from: Annotated[
@@ -328,6 +334,7 @@ def benchmark_command(
         predictors=names,
         plans=_listed(plans, "--plans"),
         vessel=vessel,
+        dof=dof,
         hs=hs,
         wind=wind,
         wind_from_deg=wind_from,

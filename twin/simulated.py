@@ -22,6 +22,9 @@ __all__ = ["TRUE_STATE", "measurement_row", "particulars_of", "simulate"]
 
 Array = NDArray[np.float64]
 
+UPRIGHT, TILT = 0.07, 0.5
+"""Accelerations that a twin's model leaves out, m/s2: waves on an upright boat, and gravity in
+the accelerometers of one that rolls and pitches (sea state 2: 0.2 to 1, by the heading)."""
 SWAY = 0.2
 """Typical turning rate and acceleration of a boat in waves, rad/s and rad/s2."""
 
@@ -32,7 +35,7 @@ if MEASUREMENTS[: len(sensors.CHANNELS)] != sensors.CHANNELS:
     raise ImportError("usv_gym.sensors.CHANNELS and twin.log.MEASUREMENTS have come apart")
 
 
-def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particulars:
+def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
     """Return what the owner of a simulated vessel would tell its twin.
 
     Parameters
@@ -41,6 +44,8 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particul
         The vessel; only main particulars, actuators and the usual speed are passed on.
     suite : SensorSuite, optional
         Its sensors, as their data sheets describe them; the default suite if left out.
+    dof : int
+        Degrees of freedom of the ship; with 6 the accelerometers also feel its tilt.
 
     Returns
     -------
@@ -71,7 +76,11 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None) -> Particul
             compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
             gyro_sd=max(suite.gyro_white, 1e-4),
             gyro_bias_sd=max(suite.gyro_bias, 1e-5),
-            accel_sd=math.hypot(suite.accel_white, 0.07, SWAY * math.hypot(*suite.imu_arm)),
+            accel_sd=math.hypot(
+                suite.accel_white,
+                TILT if dof == 6 else UPRIGHT,
+                SWAY * math.hypot(*suite.imu_arm),
+            ),
             accel_bias_sd=max(suite.accel_bias, 1e-3),
             gps_latency=suite.gps_latency,
         ),

@@ -125,7 +125,9 @@ class TwinObserver:
             raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
         self._base = base
         self.twin = Twin(
-            particulars or particulars_of(base.vessel, base.simulation.suite), twin, seed=seed
+            particulars or particulars_of(base.vessel, base.simulation.suite, base.simulation.dof),
+            twin,
+            seed=seed,
         )
         self._first = len(OBSERVATION)
         size = self._first + len(TWIN_OBSERVATION)
@@ -363,6 +365,6 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     )
     if path is not None:
         log.write(path)
-        particulars = particulars_of(base.vessel, base.simulation.suite)
+        particulars = particulars_of(base.vessel, base.simulation.suite, base.simulation.dof)
         beside(path, ".toml").write_text(particulars.to_toml(), encoding="utf-8")
     return log
