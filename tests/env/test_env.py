@@ -41,6 +41,7 @@ VARIANTS = [
     for task in ("path", "free")
     for actions in ("common", "units")
 ]
+VARIANTS.append(pytest.param({"twin": "ukf", "dof": 6, "faults": "on"}, id="ukf-dof6-faults"))
 
 
 def actions_of(env: gym.Env[Any, Any], count: int, seed: int = 0) -> np.ndarray:
@@ -344,6 +345,7 @@ def test_step_before_reset(twin: str | None) -> None:
         ({"task": "race"}, TaskError, ("race", "path", "free")),
         ({"twin": "oracle"}, PredictorError, ("oracle", *PREDICTORS)),
         ({"actions": "rudder"}, ValueError, ("rudder", "common", "units")),
+        ({"dof": 4}, SimulationError, ("dof = 4", "3 or 6")),
         ({"suite": "good"}, ValueError, ("good", "perfect", "SensorSuite")),
         ({"render_mode": "human"}, ValueError, ("human",)),
         ({"dt": 0.05, "dt_physics": 0.03}, SimulationError, ("dt = 0.05", "dt_physics = 0.03")),
@@ -688,3 +690,71 @@ def test_the_position_error_in_info_is_for_grading() -> None:
     assert info["twin_position_error_m"] == pytest.approx(expected)
     # GPS bias of 1 m a side, and more than nothing
     assert 0.0 < expected < 5.0
+
+
+# ------------------------------------------------- six degrees of freedom, other vessels
+
+
+@pytest.mark.parametrize("vessel", usv_gym.vessel_names())
+def test_every_vessel_sails_in_six_degrees_and_steers_to_the_side_asked_for(vessel: str) -> None:
+    turned = {}
+    for side in (1.0, -1.0):
+        env = make_env(twin=None, vessel=vessel, dof=6, task="free", sea="1")
+        env.reset(seed=2)
+        for _ in range(600):
+            obs, _, terminated, _, info = env.step(np.array([0.8, 0.7 * side]))
+            assert np.all(np.isfinite(obs)) and not terminated and not info["capsized"]
+        state = env.simulation.state[0]
+        turned[side] = state[fr.PSI]
+        assert np.any(state[[fr.Z, fr.PHI, fr.THETA]] != 0.0)
+    assert turned[1.0] > 0.0 > turned[-1.0]
+
+
+@pytest.mark.parametrize(("vessel", "width"), [("otter", 2), ("kvlcc2_l7", 2), ("wamv16", None)])
+def test_units_are_the_actuators_that_a_vessel_has(vessel: str, width: int | None) -> None:
+    env = make_env(twin=None, vessel=vessel, actions="units", task="free")
+    if width is not None:
+        assert env.action_space.shape == (width,)
+    env.reset(seed=0)
+    env.step(np.full(env.action_space.shape, 0.5, dtype=np.float32))
+    share = env.simulation.cmd[0] / env.vessel.values["shaft_speed_service"]
+    np.testing.assert_allclose(share[:2], 0.5, rtol=1e-6)
+
+
+def test_three_degrees_hold_heave_roll_and_pitch_and_six_free_them() -> None:
+    swing = {}
+    for dof in (3, 6):
+        env = make_env(twin=None, dof=dof, task="free", sea="3", suite="perfect")
+        env.reset(seed=1)
+        rows = []
+        for _ in range(600):
+            env.step(AHEAD)
+            rows.append(env.simulation.state[0].copy())
+        swing[dof] = np.std(np.array(rows)[:, [fr.Z, fr.PHI, fr.THETA]], axis=0)
+    np.testing.assert_array_equal(swing[3], 0.0)
+    assert swing[6][0] > 0.05
+    assert np.all(swing[6][1:] > math.radians(0.5))
+
+
+@pytest.mark.parametrize("task", ["free", "path"])
+def test_capsizing_ends_the_episode(task: str) -> None:
+    env = make_env(twin=None, dof=6, task=task, sea="calm")
+    env.reset(seed=0)
+    *_, terminated, _, info = env.step(AHEAD)
+    assert not terminated and not info["capsized"]
+    env.simulation.state[0, fr.PHI] = math.radians(170.0)
+    obs, _, terminated, _, info = env.step(AHEAD)
+    assert terminated and info["capsized"] and not info["is_success"]
+    assert np.all(np.isfinite(obs))
+
+
+@pytest.mark.parametrize("dof", [3, 6])
+def test_a_storm_with_all_faults_on_leaves_every_observation_finite(dof: int) -> None:
+    env = make_env(twin="ukf", dof=dof, task="free", sea="6", faults="on")
+    for seed in range(2):
+        env.reset(seed=seed)
+        for action in actions_of(env, 600, seed):
+            obs, _, terminated, _, _ = env.step(action)
+            assert np.all(np.isfinite(obs))
+            if terminated:
+                break
