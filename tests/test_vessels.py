@@ -91,7 +91,7 @@ def test_sails_straight_after_a_push(boat: Vessel) -> None:
     for k in range(int(seconds / dt)):
         ship.step(
             *(state, cmd, boat.packed.copy(), calm, gusts, still),
-            *(k * dt, dt, 3, np.zeros((12, 0)), work),
+            *(k * dt, dt, 3, np.zeros((8, 0)), work),
         )
     # 60 lengths on, the push is forgotten
     assert abs(state[fr.V]) < 1e-4 * speed

@@ -19,6 +19,8 @@ from twin.model import derivative, joint_predict
 from twin.simulated import particulars_of, simulate
 from twin.ukf import measurement_update
 from usv_gym import SeaState, Vessel
+from usv_gym.physics import ship
+from usv_gym.physics.waves import FACTOR_ROWS
 
 pytestmark = pytest.mark.bench
 STEPS = 200
@@ -59,6 +61,39 @@ def test_gym_sailing(benchmark):
     pytest.importorskip("gym_sailing")
     env = gym.make("MotorboatTest-v0")
     benchmark(stepping(env, env.action_space.sample()))
+
+
+@pytest.mark.benchmark(group="200 ship steps of 0.05 s")
+@pytest.mark.parametrize("dof", [3, 6])
+@pytest.mark.parametrize("waves", [0, 100])
+def test_ship(benchmark, dof, waves):
+    boat, rng = Vessel.load("usv75"), np.random.default_rng(0)
+    state = SeaState(hs=0.5 if waves else 0.0, wind=4.5, components=max(waves, 1))
+    sea = state.realise(boat, rng, rng)
+    states, work = np.zeros((STEPS + 1, 16)), np.zeros((ship.WORK_ROWS, 16))
+    states[0, 6] = 5.6
+    factors, p = np.zeros((FACTOR_ROWS, sea.waves.shape[1])), boat.packed.copy()
+    cmds = np.tile(boat.helm(20.4, 0.1), (STEPS, 1))
+    arguments = (states, cmds, p, sea.waves, sea.gusts, sea.weather, 0.05, dof, factors, work)
+    ship.sail(*arguments)
+    benchmark(ship.sail, *arguments)
+    benchmark.extra_info["us_per_step"] = 1e6 * benchmark.stats["median"] / STEPS
+
+
+@pytest.mark.benchmark(group="200 ship steps of 0.05 s")
+def test_python_vehicle_simulator_otter(benchmark):
+    vehicles = pytest.importorskip("python_vehicle_simulator.vehicles")
+    otter = vehicles.otter()
+    eta, control = np.zeros(6), np.array([60.0, 50.0])
+    gnc = pytest.importorskip("python_vehicle_simulator.lib.gnc")
+
+    def run():
+        nu, actual, place = np.zeros(6), np.zeros(2), eta.copy()
+        for _ in range(STEPS):
+            nu, actual = otter.dynamics(place, nu, actual, control, 0.05)
+            place = gnc.attitudeEuler(place, nu, 0.05)
+
+    benchmark(run)
 
 
 @pytest.mark.benchmark(group="UKF with 6 states and 25 parameters: one predict and update")

@@ -59,7 +59,7 @@ def derivative(
 ) -> np.ndarray:
     out = np.zeros(fr.STATE_SIZE)
     factors = np.zeros((waves.FACTOR_ROWS, sea.waves.shape[1]))
-    waves.box_factors(state[fr.PSI], sea.waves, p, dof, factors)
+    waves.box_factors(state[fr.PSI], sea.waves, p, factors)
     air = wx.air_velocity(0.0, sea.gusts, sea.weather)
     gain = wx.wave_gain(0.0, sea.weather)
     cmd = state[fr.N_LEFT :].copy() if cmd is None else cmd

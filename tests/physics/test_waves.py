@@ -32,7 +32,7 @@ def components(
     rows[waves.K_NORTH], rows[waves.K_EAST] = k * np.cos(to), k * np.sin(to)
     rows[waves.PHASE], rows[waves.AMPLITUDE] = phase, amplitude
     rows[waves.PRESSURE] = RHO_G * amplitude * -np.expm1(-k * DRAFT) / k
-    rows[waves.BOTTOM] = RHO_G * amplitude * np.exp(-k * DRAFT)
+    rows[waves.BOTTOM] = k / np.expm1(k * DRAFT)
     return rows
 
 
@@ -41,8 +41,8 @@ def loads(
 ) -> np.ndarray:
     """Return X, Y, N."""
     factors = np.zeros((waves.FACTOR_ROWS, rows.shape[1]))
-    waves.box_factors(psi, rows, p, 3, factors)
-    return np.array(waves.first_order_loads(x, y, psi, t, rows, 3, factors))[:3]
+    waves.box_factors(psi, rows, p, factors)
+    return np.array(waves.first_order_loads(x, y, psi, t, rows, p, 3, factors))[:3]
 
 
 def vertical_loads(
@@ -50,8 +50,8 @@ def vertical_loads(
 ) -> np.ndarray:
     """Return Z (down), K (starboard down), M (bow up)."""
     factors = np.zeros((waves.FACTOR_ROWS, rows.shape[1]))
-    waves.box_factors(psi, rows, p, 6, factors)
-    six = np.array(waves.first_order_loads(x, y, psi, t, rows, 6, factors))
+    waves.box_factors(psi, rows, p, factors)
+    six = np.array(waves.first_order_loads(x, y, psi, t, rows, p, 6, factors))
     np.testing.assert_array_equal(six[:3], loads(x, y, psi, t, rows, p))
     return six[3:]
 
@@ -193,7 +193,13 @@ def test_heave_roll_and_pitch_loads_equal_the_pressure_on_the_bottom(
     rows = components(np.array([k]), np.array([to]), np.array([0.2]), np.array([phase]))
     got = vertical_loads(2.0, -5.0, psi, 3.3, rows)
     want = bottom_quadrature(2.0, -5.0, psi, 3.3, rows[:, 0])
-    scale = rows[waves.BOTTOM, 0] * LENGTH * BEAM * np.array([1.0, 0.5 * BEAM, 0.5 * LENGTH])
+    scale = (
+        rows[waves.BOTTOM, 0]
+        * rows[waves.PRESSURE, 0]
+        * LENGTH
+        * BEAM
+        * np.array([1.0, 0.5 * BEAM, 0.5 * LENGTH])
+    )
     # 1e-10: physics.md section 11, "FK box vs quadrature", of the largest load of any phase
     assert np.all(np.abs(got - want) <= 1e-10 * scale)
 

@@ -166,7 +166,7 @@ def accelerations(
         weather[wx.DRIFT : wx.DRIFT_END] = 0.0
     state, out = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
     factors = np.zeros((waves.FACTOR_ROWS, rows.shape[1]))
-    waves.box_factors(0.0, rows, P, dof, factors)
+    waves.box_factors(0.0, rows, P, factors)
     share = wx.wave_gain(0.0, weather)
     ship.derivative(state, np.zeros(4), P, rows, factors, weather, 0.0, 0.0, share, 0.0, dof, out)
     return out[[fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R] if dof == 6 else [fr.U, fr.V, fr.R]]

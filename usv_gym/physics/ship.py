@@ -60,7 +60,7 @@ def derivative(
         Command.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    waves, factors : ndarray, shapes (7, M), (12, M)
+    waves, factors : ndarray, shapes (7, M), (8, M)
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
     weather : ndarray, shape (WEATHER_SIZE,)
         Current and drift sums; layout in :mod:`~usv_gym.physics.weather`.
@@ -106,7 +106,7 @@ def derivative(
     X_wave, Y_wave, Z_wave, K_wave, M_wave = 0.0, 0.0, 0.0, 0.0, 0.0
     if waves.shape[1] > 0:
         X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave = first_order_loads(
-            state[fr.X], state[fr.Y], psi, t, waves, dof, factors
+            state[fr.X], state[fr.Y], psi, t, waves, p, dof, factors
         )
         X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather[DRIFT:DRIFT_END])
         X_wave = gain * (X_wave + gain * X_drift)
@@ -205,14 +205,14 @@ def step(
         Time and step, s.
     dof : int
         3 or 6; see :func:`derivative`.
-    factors : ndarray, shape (12, M)
+    factors : ndarray, shape (8, M)
         Scratch for :func:`~usv_gym.physics.waves.box_factors`.
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.
     """
     north, east = air_velocity(t, gusts, weather)
     gain = wave_gain(t, weather)
-    box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], waves, p, dof, factors)
+    box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], waves, p, factors)
     k, trial = work[1], work[2]
     total = work[0]
     derivative(state, cmd, p, waves, factors, weather, north, east, gain, t, dof, k)

@@ -10,13 +10,13 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics.frames import sincos
 from usv_kernel import kernel
 
-# rows of the array of wave components, shape (7, M); pressure is rho g a, integrated over the
-# draft (PRESSURE, N/m), and at the bottom of the hull (BOTTOM, N/m2)
+# rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
+# draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
 OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE, BOTTOM = 0, 1, 2, 3, 4, 5, 6
 WAVE_ROWS = 7
-# what hull and heading make of each component, for X and Y, N, Z, M, K, and scratch for sums
-SURGE_SWAY, YAW_LENGTH, YAW_BEAM, HEAVE, PITCH, ROLL, SCRATCH = 0, 1, 2, 3, 4, 5, 6
-FACTOR_ROWS = 12
+# what hull and heading make of each component, then scratch
+FORCE, YAW_LENGTH, YAW_BEAM, SCRATCH = 0, 1, 2, 3
+FACTOR_ROWS = SCRATCH + 5
 LANES = 4
 DRIFT_SUMS = 6
 
@@ -92,9 +92,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 
 
 @kernel
-def box_factors(
-    psi: float, waves: np.ndarray, p: np.ndarray, dof: int, factors: np.ndarray
-) -> None:
+def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarray) -> None:
     """Write what the length and the beam of the hull make of each component.
 
     They hang on the heading only, so that one evaluation, at its middle, serves a step.
@@ -107,24 +105,13 @@ def box_factors(
         Wave components.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    dof : int
-        3 or 6; with 3 the rows for heave, pitch and roll are left as they are.
-    factors : ndarray, shape (12, M)
-        Written in its first rows: horizontal force per wave number, the yaw moment's shares
-        of length and beam, heave force, pitch and roll moment.
-
-    Notes
-    -----
-    Source: physics.md 2.3 C. Forces and moments are those on a box; heave is scaled to the
-    water plane, pitch and roll to the restoring moments, so that a long wave lifts the boat
-    by its height and tilts it by its slope.
+    factors : ndarray, shape (8, M)
+        Written in its first three rows: force per wave number, and the moment's shares of
+        length and beam.
     """
-    L, B = p[par.LENGTH], p[par.BEAM]
-    half_length = 0.5 * L
-    half_beam = 0.5 * B
-    area = p[par.BLOCK] * L * B
-    pitch = 6.0 * p[par.MASS] * p[par.GM_L] / (p[par.DENSITY] * L)
-    roll = 6.0 * p[par.MASS] * p[par.GM_T] / (p[par.DENSITY] * B)
+    half_length = 0.5 * p[par.LENGTH]
+    half_beam = 0.5 * p[par.BEAM]
+    area = p[par.BLOCK] * p[par.LENGTH] * p[par.BEAM]
     cp, sp = math.cos(psi), math.sin(psi)
     for i in range(waves.shape[1]):
         s = (waves[K_NORTH, i] * cp + waves[K_EAST, i] * sp) * half_length
@@ -132,17 +119,11 @@ def box_factors(
         sin_s, cos_s = sincos(s)
         sin_c, cos_c = sincos(c)
         S, C = _sinc(s, sin_s), _sinc(c, sin_c)
-        j_s, j_c = _j1(s, sin_s, cos_s), _j1(c, sin_c, cos_c)
         pressure = area * waves[PRESSURE, i]
-        factors[SURGE_SWAY, i] = pressure * S * C
+        factors[FORCE, i] = pressure * S * C
         # Q(s, k_x) = L^2/2 j1(s), Q(c, k_y) = B^2/2 j1(c), over L B as the forces
-        factors[YAW_LENGTH, i] = pressure * half_length * C * j_s
-        factors[YAW_BEAM, i] = pressure * half_beam * S * j_c
-        if dof == 6:
-            bottom = waves[BOTTOM, i]
-            factors[HEAVE, i] = bottom * p[par.A_WP] * S * C
-            factors[PITCH, i] = bottom * pitch * C * j_s
-            factors[ROLL, i] = bottom * roll * S * j_c
+        factors[YAW_LENGTH, i] = pressure * half_length * C * _j1(s, sin_s, cos_s)
+        factors[YAW_BEAM, i] = pressure * half_beam * S * _j1(c, sin_c, cos_c)
 
 
 @kernel
@@ -164,13 +145,22 @@ def _sum_rows(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[float, float
 
 @kernel
 def first_order_loads(
-    x: float, y: float, psi: float, t: float, waves: np.ndarray, dof: int, factors: np.ndarray
+    x: float,
+    y: float,
+    psi: float,
+    t: float,
+    waves: np.ndarray,
+    p: np.ndarray,
+    dof: int,
+    factors: np.ndarray,
 ) -> tuple[float, float, float, float, float, float]:
     """Return the first-order loads in the frame of the heading.
 
-    Froude-Krylov pressure integrated over a box of the hull's length, beam and draft, with
-    the loads scaled by the block coefficient. The phase is taken at the moving position, so
-    that encounter frequency and turning need no further thought.
+    Froude-Krylov pressure integrated over a box of the hull's length, beam and draft. The
+    horizontal loads are scaled by the block coefficient, heave by the water plane, roll and
+    pitch by the restoring moments, so that a long wave lifts the boat by its height and
+    tilts it by its slope. The phase is taken at the moving position, so that encounter
+    frequency and turning need no further thought.
 
     Parameters
     ----------
@@ -180,9 +170,11 @@ def first_order_loads(
         Time, s.
     waves : ndarray, shape (7, M)
         Wave components.
+    p : ndarray, shape (PACKED_SIZE,)
+        Packed vessel.
     dof : int
         3 or 6.
-    factors : ndarray, shape (12, M)
+    factors : ndarray, shape (8, M)
         What :func:`box_factors` makes of the components; the last rows are scratch.
 
     Returns
@@ -190,28 +182,39 @@ def first_order_loads(
     X, Y, N, Z, K, M : float
         Forces forward and to starboard (N), yaw moment (N m); with ``dof`` 6 also the
         downward force and the roll and pitch moments, else zeros.
+
+    Notes
+    -----
+    Source: physics.md 2.3 C.
     """
     cp, sp = math.cos(psi), math.sin(psi)
-    norths, easts, turns = factors[SCRATCH], factors[SCRATCH + 1], factors[SCRATCH + 2]
-    downs, rolls, pitches = factors[SCRATCH + 3], factors[SCRATCH + 4], factors[SCRATCH + 5]
+    a, b, c = factors[SCRATCH], factors[SCRATCH + 1], factors[SCRATCH + 2]
+    sines, cosines = factors[SCRATCH + 3], factors[SCRATCH + 4]
     for i in range(waves.shape[1]):
         k_north, k_east = waves[K_NORTH, i], waves[K_EAST, i]
-        s, c = sincos(k_north * x + k_east * y - waves[OMEGA, i] * t + waves[PHASE, i])
-        force = factors[SURGE_SWAY, i] * s
-        norths[i] = k_north * force
-        easts[i] = k_east * force
+        sine, cosine = sincos(k_north * x + k_east * y - waves[OMEGA, i] * t + waves[PHASE, i])
+        force = factors[FORCE, i] * sine
+        a[i] = k_north * force
+        b[i] = k_east * force
         k_x = k_north * cp + k_east * sp
         k_y = k_east * cp - k_north * sp
-        turns[i] = c * (k_y * factors[YAW_LENGTH, i] - k_x * factors[YAW_BEAM, i])
-        if dof == 6:
-            downs[i] = -factors[HEAVE, i] * c
-            rolls[i] = factors[ROLL, i] * s
-            pitches[i] = -factors[PITCH, i] * s
-    north, east, N = _sum_rows(norths, easts, turns)
+        c[i] = cosine * (k_y * factors[YAW_LENGTH, i] - k_x * factors[YAW_BEAM, i])
+        sines[i], cosines[i] = sine, cosine
+    north, east, N = _sum_rows(a, b, c)
     X, Y = north * cp + east * sp, east * cp - north * sp
     if dof != 6:
         return X, Y, N, 0.0, 0.0, 0.0
-    Z, K, M = _sum_rows(downs, rolls, pitches)
+    for i in range(waves.shape[1]):
+        a[i] = waves[BOTTOM, i] * factors[FORCE, i] * cosines[i]
+        b[i] = waves[BOTTOM, i] * factors[YAW_LENGTH, i] * sines[i]
+        c[i] = waves[BOTTOM, i] * factors[YAW_BEAM, i] * sines[i]
+    lift, trim, heel = _sum_rows(a, b, c)
+    L, B = p[par.LENGTH], p[par.BEAM]
+    area = p[par.BLOCK] * L * B
+    restoring = 12.0 * p[par.MASS] / (p[par.DENSITY] * area)
+    Z = -lift * p[par.A_WP] / area
+    K = heel * restoring * p[par.GM_T] / (B * B)
+    M = -trim * restoring * p[par.GM_L] / (L * L)
     return X, Y, N, Z, K, M
 
 
