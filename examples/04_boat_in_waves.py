@@ -1,0 +1,126 @@
+"""The boat in its sea: heave, roll and pitch with six degrees of freedom, as a picture.
+
+Run ``python examples/04_boat_in_waves.py [picture.png]``.
+"""
+
+import sys
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from usv_gym import SeaState, Vessel
+from usv_gym.physics import frames
+from usv_gym.sea import Sea
+from usv_gym.sensors import CHANNELS, SensorSuite
+from usv_gym.simulation import Simulation
+
+SECONDS, AT = 60.0, 41.0
+
+
+def sail(vessel: Vessel, state: SeaState) -> tuple[Simulation, np.ndarray, np.ndarray]:
+    """Return the simulation, and at 20 Hz the true states and what the sensors said."""
+    simulation = Simulation(1, vessel, state, dof=6, suite=SensorSuite.perfect())
+    simulation.reset([0], [np.random.default_rng(3)])
+    states, seen = [], []
+    for _ in range(round(SECONDS / simulation.dt)):
+        heading, rate = simulation.state[0, [frames.PSI, frames.R]]
+        helm = np.clip(-0.6 * heading - 0.6 * rate, -vessel.helm_max, vessel.helm_max)
+        simulation.step(vessel.helm(vessel.values["shaft_speed_manoeuvring"], helm)[None])
+        states.append(simulation.state[0].copy())
+        seen.append(simulation.z[0].copy())
+    return simulation, np.array(states), np.array(seen)
+
+
+def hull(vessel: Vessel) -> list[np.ndarray]:
+    """Return the faces of a simple hull, corners as m forward, to starboard and down."""
+    v = vessel.values
+    L, B, d = v["length_overall"], v["beam"], v["draft"]
+    x = L * np.array([-0.5, -0.25, 0.0, 0.2, 0.35, 0.45, 0.5])
+    half = 0.5 * B * np.array([0.92, 0.98, 1.0, 0.92, 0.62, 0.28, 0.0])
+    deck = -d * (1.0 + 0.5 * np.linspace(0.0, 1.0, len(x)) ** 2) * 1.3
+    keel = np.array([x, 0.0 * x, d * np.array([0.9, 1.0, 1.0, 1.0, 0.7, 0.1, -0.9])])
+    chine = np.array([x, 0.85 * half, 0.1 * d + 0.0 * x])
+    rail = np.array([x, half, deck])
+    faces = []
+    for side in (1.0, -1.0):
+        mirror = np.array([[1.0], [side], [1.0]])
+        for low, high in ((keel, chine * mirror), (chine * mirror, rail * mirror)):
+            for i in range(len(x) - 1):
+                corners = [low[:, i], low[:, i + 1], high[:, i + 1], high[:, i]]
+                faces.append(np.array(corners))
+    faces.append(np.concatenate([rail.T, (rail * [[1.0], [-1.0], [1.0]]).T[::-1]]))
+    cabin = L * np.array([[-0.15, 0.12], [-0.16 * B / L, 0.16 * B / L]])
+    low, high = deck[2], deck[2] - 0.14 * L
+    box = [[(cabin[0, i], cabin[1, j], z) for z in (low, high)] for i, j in np.ndindex(2, 2)]
+    for a, b in ((0, 1), (1, 3), (3, 2), (2, 0)):
+        faces.append(np.array([box[a][0], box[b][0], box[b][1], box[a][1]]))
+    faces.append(np.array([box[a][1] for a in (0, 1, 3, 2)]))
+    return faces
+
+
+def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
+    """Draw the surface and the boat on it; north to the right, east towards the reader, up."""
+    x, y, z = state[:3]
+    side = 1.6 * vessel.values["length_overall"]
+    north, east = np.meshgrid(np.linspace(-side, side, 121), np.linspace(-side, side, 121))
+    height = sea.elevation(x + north, y + east, t)
+    shade = plt.get_cmap("Blues_r")(0.15 + 0.5 * (height - height.min()) / np.ptp(height))
+    ax.plot_surface(north, -east, height, facecolors=shade, rcount=121, ccount=121, shade=True)
+    attitude = state[[frames.PHI, frames.THETA, frames.PSI]]
+    faces = [
+        np.array([frames.rotate(*attitude, *corner) for corner in face]) * [1, -1, -1] + [0, 0, -z]
+        for face in hull(vessel)
+    ]
+    colours = ["#d55e00"] * (len(faces) - 6) + ["#f2e6d8"] + ["#777777"] * 4 + ["#999999"]
+    # matplotlib cannot cut surfaces with each other: the hull goes on top of the sea
+    ax.add_collection3d(
+        Poly3DCollection(faces, facecolors=colours, edgecolor="#552200", lw=0.2, zorder=10)
+    )
+    ax.computed_zorder = False
+    ax.set(xlim=(-side, side), ylim=(-side, side), zlim=(-1.5, 3.0))
+    ax.set_box_aspect((2 * side, 2 * side, 4.5), zoom=1.5)
+    ax.view_init(elev=24.0, azim=-62.0)
+    ax.set_axis_off()
+
+
+def main(path: str = "boat_in_waves.png") -> None:
+    """Sail a minute and draw it."""
+    vessel = Vessel.load("usv75")
+    state = SeaState.named("3").replace(wind_from=np.radians(35.0), spreading=4.0)
+    simulation, states, seen = sail(vessel, state)
+    sea = Sea(simulation.waves[0], simulation.gusts[0], simulation.weather[0])
+    t = simulation.dt * np.arange(1, len(states) + 1)
+    now = round(AT / simulation.dt) - 1
+
+    figure = plt.figure(figsize=(11.0, 4.6), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
+    draw_sea(figure.add_subplot(grid[:, 0], projection="3d"), sea, vessel, states[now], t[now])
+    surface = sea.elevation(states[:, frames.X], states[:, frames.Y], t)
+    axes = [figure.add_subplot(grid[i, 1]) for i in range(3)]
+    axes[0].plot(t, surface, color="#56b4e9", label="surface")
+    axes[0].plot(t, -states[:, frames.Z], color="#d55e00", label="boat")
+    axes[0].set_ylabel("height (m)")
+    axes[1].plot(t, np.degrees(states[:, frames.PHI]), color="#0072b2", label="roll")
+    axes[1].plot(t, np.degrees(states[:, frames.THETA]), color="#e69f00", label="pitch")
+    axes[1].set_ylabel("angle (deg)")
+    for name, colour in (("accel_x_mps2", "#009e73"), ("accel_y_mps2", "#cc79a7")):
+        label = "forward" if "_x_" in name else "starboard"
+        axes[2].plot(t, seen[:, CHANNELS.index(name)], color=colour, label=label)
+    axes[2].set(ylabel="accelerometer (m/s$^2$)", xlabel="time (s)")
+    for ax in axes:
+        ax.set_xlim(AT - 20.0, AT + 15.0)
+        ax.axvline(t[now], color="0.6", lw=0.8)
+        ax.grid(alpha=0.3)
+        ax.legend(loc="upper right", ncols=2, fontsize=8)
+    figure.align_ylabels(axes)
+    figure.suptitle(f"{vessel.title} in sea state 3, six degrees of freedom", fontsize=11)
+    figure.savefig(path, dpi=110)
+    print(f"roll {np.degrees(states[:, frames.PHI].std()):.1f} deg, written to {path}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])
