@@ -24,6 +24,8 @@ DT = 0.05
 """The integration step that simulations take unless told otherwise, s."""
 RK4_LIMIT = 2.5
 """Classical Runge-Kutta is stable while step times eigenvalue stays below about 2.7."""
+NO_TURN = 100.0
+"""A turning radius of so many lengths is none."""
 TWO_HULLS = 0.5
 """Below this water-plane coefficient the box is taken to hold two hulls."""
 # nothing of waves, gusts and weather
@@ -167,7 +169,7 @@ def _periods(vessel: Vessel) -> dict[str, float]:
     periods = {}
     for name, shares in zip(("heave", "roll", "pitch"), share, strict=True):
         at = int(np.argmax(shares))
-        periods[name] = 2.0 * math.pi / abs(values[at]) if shares[at] > 0.3 else math.nan
+        periods[name] = 2.0 * math.pi / float(abs(values[at])) if shares[at] > 0.3 else math.nan
     return periods
 
 
@@ -245,6 +247,10 @@ def inspect(vessel: Vessel) -> Inspection:
     L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
     plane = v["A_wp"] / (L * B)
     water = reg.hydrostatics(form, plane)
+    keel = water["KB"] - v["KG"]
+    estimates = {f"GM_{axis} by KB + BM - KG m": keel + water[f"BM_{axis}"] for axis in "TL"}
+    if plane < TWO_HULLS:
+        estimates = {}
     found = Inspection(vessel.name, vessel.title)
     found.particulars = {
         "mass kg": mass,
@@ -256,6 +262,7 @@ def inspect(vessel: Vessel) -> Inspection:
         "KG m": v["KG"],
         "GM_T m": v["GM_T"],
         "GM_L m": v["GM_L"],
+        **estimates,
         "gyradius in roll / beam": math.sqrt(v["I_xx"] / mass) / B,
         "gyradius in pitch / length": math.sqrt(v["I_yy"] / mass) / L,
         "gyradius in yaw / length": math.sqrt(v["I_zz"] / mass) / L,
@@ -265,10 +272,6 @@ def inspect(vessel: Vessel) -> Inspection:
         "bollard pull N": _pull(vessel, v["shaft_speed_max"]),
         "bollard pull astern N": -_pull(vessel, -v["shaft_speed_max"]),
     }
-    if plane > TWO_HULLS:
-        for key in ("GM_T", "GM_L"):
-            estimate = water["KB"] + water[f"BM_{key[-1]}"] - v["KG"]
-            found.particulars[f"{key} by KB + BM - KG m"] = estimate
     found.periods = _periods(vessel)
     try:
         found.speeds = _speeds(vessel)
@@ -340,7 +343,7 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
         "are both measured from the same origin?",
     )
     yield from _outside("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0)
-    yield from _outside("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 0.7)
+    yield from _outside("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0)
     if not two:
         for key in ("GM_T", "GM_L"):
             guess = facts[f"{key} by KB + BM - KG m"]
@@ -471,7 +474,7 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
         yield Finding(True, "The turning circle diverges: no steady turn is reached.")
     elif rate < 0.0:
         yield Finding(True, f"Helm to starboard turns the ship to port ({rate:.3g} deg/s).")
-    elif math.isnan(turn["tactical_diameter_m"]):
+    elif not turn["steady_radius_m"] < NO_TURN * vessel.values["length_waterline"]:
         yield Finding(
             True, f"With full helm the ship does not come about: {rate:.3g} deg/s in the end."
         )

@@ -31,29 +31,31 @@ __all__ = [
 ]
 
 # beam over twice the draft, and drag coefficient (Hoerner 1965, read off by Leite et al. 1998)
-_HOERNER = (
-    (0.0109, 1.966),
-    (0.1766, 1.966),
-    (0.3530, 1.898),
-    (0.4519, 1.787),
-    (0.4728, 1.584),
-    (0.4929, 1.279),
-    (0.5585, 1.084),
-    (0.6464, 0.9986),
-    (0.8336, 0.8796),
-    (0.9880, 0.8284),
-    (1.3081, 0.7599),
-    (1.6392, 0.6914),
-    (1.8600, 0.6571),
-    (2.3129, 0.6307),
-    (2.6000, 0.5962),
-    (3.0088, 0.5868),
-    (3.4508, 0.5859),
-    (4.0031, 0.5593),
+_HOERNER = np.array(
+    [
+        (0.0109, 1.966),
+        (0.1766, 1.966),
+        (0.3530, 1.898),
+        (0.4519, 1.787),
+        (0.4728, 1.584),
+        (0.4929, 1.279),
+        (0.5585, 1.084),
+        (0.6464, 0.9986),
+        (0.8336, 0.8796),
+        (0.9880, 0.8284),
+        (1.3081, 0.7599),
+        (1.6392, 0.6914),
+        (1.8600, 0.6571),
+        (2.3129, 0.6307),
+        (2.6000, 0.5962),
+        (3.0088, 0.5868),
+        (3.4508, 0.5859),
+        (4.0031, 0.5593),
+    ]
 )
 MERCHANT = {"L/B": (5.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.5, 0.87)}
 """Hulls of cargo ships: bounds of most regressions."""
-FISHING = {"L/B": (3.5, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
+FISHING = {"L/B": (4.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
 """Cargo ships and the fishing vessels of Yoshimura and Masumoto 2012."""
 
 
@@ -378,5 +380,5 @@ def cross_flow(form: Form) -> Estimate:
     -----
     Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points.
     """
-    drag = float(np.interp(form.beam / (2.0 * form.draft), *zip(*_HOERNER, strict=True)))
+    drag = float(np.interp(form.beam / (2.0 * form.draft), *_HOERNER.T))
     return _estimate("Hoerner 1965", form, {"C_d_crossflow": drag}, {"B/d": (0.1, 8.0)})
