@@ -73,7 +73,7 @@ def test_packs_every_number_and_nothing_else(boat: Vessel) -> None:
         (par.RESISTANCE_FORCES, boat.resistance_force),
     ):
         np.testing.assert_array_equal(packed[at : at + count], points)
-        assert np.all(packed[at + count : at + par.RESISTANCE_POINTS] == points[-1])
+        assert np.all(packed[at + count : at + par.RESISTANCE_POINTS] == (points or [0.0])[-1])
     with pytest.raises(ValueError, match="read-only"):
         packed[0] = 1.0
 
@@ -300,12 +300,13 @@ def test_a_sound_vessel_breaks_no_rule() -> None:
         ({"astern": 0.0}, False, ("cannot pull astern",)),
         ({"shaft_speed_service": 41.0}, True, ("must not fall",)),
         ({"k_0": 6.0, "k_1": -0.1}, True, ("Froude number", "thrust and resistance")),
-        ({"k_0": 0.3, "k_1": 0.3, "k_2": 0.0}, True, ("do not balance the resistance",)),
+        ({"k_0": 0.6, "k_1": 5.0, "k_2": 2.0}, True, ("do not balance the resistance",)),
         ({"N_v": -0.4}, False, ("drift doubles every",)),
         ({"A_R": 0.0, "steer_max": 1e-5}, True, ("Helm", "full helm")),
         ({"zeta_roll": 1.5}, False, ("does not swing in roll",)),
         ({"shaft_lag": 0.01}, True, ("dt_physics = 0.025",)),
         ({"J_yy": 200000.0}, False, ("period of pitch",)),
+        ({"GM_T": 0.15, "KG": 2.0, "z_P": 2.0}, True, ("capsizes",)),
     ],
 )
 def test_a_broken_rule_is_told_with_its_number(
@@ -362,6 +363,8 @@ def test_a_first_file_loads_passes_and_sails(
 ) -> None:
     if kind == "propeller_rudder":
         froude = min(froude, 0.35)
+    if froude > 0.4:  # what planes is flat and fine
+        flat, block = max(flat, 3.5), min(block, 0.55)
     if kind == "thruster_pair":  # no foil turns them
         slender = min(slender, 6.0)
     beam, draft = length / slender, length / slender / flat
@@ -384,12 +387,13 @@ def test_a_first_file_loads_passes_and_sails(
     assert boat.straight_speed(boat.values["shaft_speed_service"]) == pytest.approx(
         froude * math.sqrt(9.80665 * length), rel=1e-2
     )
-    simulation = Simulation(1, boat, SeaState.named("2"), dof=6)
+    # waves to its size: sea state 2 capsizes a boat of 1 m
+    simulation = Simulation(1, boat, SeaState(hs=min(0.5, 0.03 * length), wind=3.0), dof=6)
     simulation.reset([0], [np.random.default_rng(0)])
     for k in range(200):
         simulation.step(boat.helm(boat.values["shaft_speed_manoeuvring"], 0.1 * (k > 100))[None])
     assert np.isfinite(simulation.state).all()
-    assert np.max(np.abs(simulation.state[0, [fr.PHI, fr.THETA]])) < 1.5
+    assert np.max(np.abs(simulation.state[0, [fr.PHI, fr.THETA]])) < 0.8
 
 
 def test_a_first_file_marks_its_guesses_and_what_is_out_of_range() -> None:

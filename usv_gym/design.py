@@ -244,9 +244,10 @@ def _seakeeping(
     notes += water.notes
     KG = float(particulars["KG"].value)  # type: ignore[arg-type]
     metacentre = water["KB"] + water["BM_T"]
-    if metacentre - KG < 0.05 * form.beam:
-        KG = max(metacentre - 0.05 * form.beam, 0.4 * d)
-        notes.append(f"KG is lowered to {KG:.3g} m, so that GM_T is a twentieth of the beam")
+    least = (0.1 if boat else 0.05) * form.beam
+    if metacentre - KG < least:
+        KG = max(metacentre - least, 0.4 * d)
+        notes.append(f"KG is lowered to {KG:.3g} m for a GM_T of {least:.3g} m")
         particulars["KG"] = _Entry(KG, "as low as it must be to stand upright")
     GM_T = max(metacentre - KG, 0.03 * form.beam)
     GM_L = water["KB"] + water["BM_L"] - KG
@@ -272,16 +273,17 @@ def _resistance(form: reg.Form, speed: float) -> float:
     """Return the resistance in N: friction, and a hump from Froude number 0.2 to 0.7.
 
     Source: ITTC 1957 line with a quarter for form and 0.0004 for roughness on the wetted
-    surface of Denny and Mumford; the hump is that of the 7.5 m boat (0.14 of the weight), less
-    for slender hulls.
+    surface of Denny and Mumford, which shrinks above Froude number 0.9 as the hull planes; the
+    hump is that of the 7.5 m boat (0.14 of the weight), less for slender hulls.
     """
     if speed == 0.0:
         return 0.0
     L, volume = form.length, form.volume
-    surface = 1.7 * L * form.draft + volume / form.draft
+    froude = speed / math.sqrt(GRAVITY * L)
+    surface = (1.7 * L * form.draft + volume / form.draft) * min(1.0, 0.9 / froude)
     reynolds = max(speed * L / VISCOSITY, 1e4)
     friction = 1.25 * 0.075 / (math.log10(reynolds) - 2.0) ** 2 + 4e-4
-    s = min(max((speed / math.sqrt(GRAVITY * L) - 0.2) / 0.5, 0.0), 1.0)
+    s = min(max((froude - 0.2) / 0.5, 0.0), 1.0)
     hump = 0.14 * min(max((4.24 * volume ** (1.0 / 3.0) / L) ** 2, 0.1), 1.5)
     weight = form.mass * GRAVITY
     return 0.5 * form.water_density * surface * speed**2 * friction + hump * weight * s**3 * (

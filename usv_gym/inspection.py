@@ -24,6 +24,8 @@ DT = 0.05
 """The integration step that simulations take unless told otherwise, s."""
 RK4_LIMIT = 2.5
 """Classical Runge-Kutta is stable while step times eigenvalue stays below about 2.7."""
+CAPSIZED = math.radians(70.0)
+"""Heel from which no hull is taken to come back, rad."""
 NO_TURN = 100.0
 """A turning radius of so many lengths is none."""
 TWO_HULLS = 0.5
@@ -173,23 +175,29 @@ def _periods(vessel: Vessel) -> dict[str, float]:
     return periods
 
 
-def _turn(vessel: Vessel) -> dict[str, float]:
-    """Sail a turning circle to starboard with three degrees of freedom."""
+def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
+    """Sail a turning circle to starboard in calm water."""
     v = vessel.values
     n, L = v["shaft_speed_manoeuvring"], v["length_waterline"]
     speed = vessel.straight_speed(n)
-    dt = min(0.02 * L / speed, v["shaft_lag"], v.get("steer_lag", math.inf))
+    dt = min(
+        0.02 * L / speed,
+        v["shaft_lag"],
+        v.get("steer_lag", math.inf),
+        *(0.05 * period for period in periods),
+    )
     state, cmd = _state(vessel, n, speed), vessel.helm(n, vessel.helm_max)
     waves, factors, weather = _CALM
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
+    heel = 0.0
     for k in range(int(120.0 * L / speed / dt)):
         ship.step(
             *(state, cmd, vessel.packed, waves, _GUSTS, weather),
-            *(k * dt, dt, 3, factors, work),
+            *(k * dt, dt, 6, factors, work),
         )
-        heading = abs(state[fr.PSI])
-        if not np.isfinite(state).all() or heading > 4.0 * math.pi:
+        heading, heel = abs(state[fr.PSI]), max(heel, abs(state[fr.PHI]))
+        if not heel < CAPSIZED or heading > 4.0 * math.pi:
             break
         if heading >= 0.5 * math.pi and math.isnan(turn["advance_m"]):
             turn["advance_m"] = float(state[fr.X])
@@ -206,6 +214,7 @@ def _turn(vessel: Vessel) -> dict[str, float]:
         "steady_speed_share": end / speed,
         "steady_rate_degps": math.degrees(rate),
         "steady_radius_m": end / abs(rate) if rate != 0.0 else math.inf,
+        "largest_heel_deg": math.degrees(heel),
         "drift_angle_deg": math.degrees(math.atan2(-state[fr.V], state[fr.U])),
     }
 
@@ -282,7 +291,7 @@ def inspect(vessel: Vessel) -> Inspection:
             "second_real": second.real,
             "second_imag": second.imag,
         }
-        found.turn = _turn(vessel)
+        found.turn = _turn(vessel, [t for t in found.periods.values() if not math.isnan(t)])
     except VesselError as error:
         found.findings.append(Finding(True, str(error)))
     for rule in (_hull_rules, _mass_rules, _motion_rules, _speed_rules, _steering_rules):
@@ -472,6 +481,12 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     rate, speed = turn["steady_rate_degps"], turn["steady_speed_share"]
     if not all(math.isfinite(value) for value in (rate, speed)) or speed > 5.0:
         yield Finding(True, "The turning circle diverges: no steady turn is reached.")
+    elif turn["largest_heel_deg"] >= math.degrees(CAPSIZED):
+        yield Finding(
+            True,
+            f"Full helm at {turn['approach_speed_mps']:.3g} m/s capsizes the ship: GM_T "
+            f"({vessel.values['GM_T']:.3g} m) is too small, or KG, z_H and z_P lie too far apart.",
+        )
     elif rate < 0.0:
         yield Finding(True, f"Helm to starboard turns the ship to port ({rate:.3g} deg/s).")
     elif not turn["steady_radius_m"] < NO_TURN * vessel.values["length_waterline"]:
@@ -485,5 +500,8 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
         )
         yield from _outside(
             "The drift angle in the steady turn, degrees,", turn["drift_angle_deg"], -10.0, 45.0
+        )
+        yield from _outside(
+            "The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0
         )
         yield from _outside("The share of speed kept in the steady turn", speed, 0.1, 2.5)
