@@ -25,6 +25,7 @@ K_T = (0.45, -0.35, -0.05)
 """Thrust coefficients of a fixed propeller of pitch over diameter near 1."""
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.15, 1.3)
 """Points of the resistance curve, as shares of the service speed."""
+CURVE_SOURCE = "ITTC 1957 friction; from Froude number 0.2 a hump as of the 7.5 m boat"
 STABLE = 0.02
 """What the estimates are held to: a drift falls by this share for each length sailed."""
 
@@ -54,9 +55,13 @@ class Draft:
 
 @dataclass(frozen=True)
 class _Entry:
-    value: float | list[float]
+    value: float
     source: str
     guess: bool = True
+
+
+Tables = dict[str, dict[str, _Entry]]
+Curve = dict[str, list[float]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,18 +137,16 @@ def design(
     )
     form = _checked(wish)
     notes: list[str] = []
+    service, power = _speed(wish, form, notes)
+    particulars = _particulars(wish, form, notes)
     tables = {
-        "particulars": _particulars(wish, form, notes),
-        "seakeeping": {},
-        "hull": {},
-        "propulsion": {},
+        "particulars": particulars,
+        "seakeeping": _seakeeping(form, particulars, notes),
+        "hull": _hull(wish, form, particulars, notes),
+        "propulsion": _propulsion(wish, form, service, power, notes),
         "wind": _wind(wish),
     }
-    service, power = _speed(wish, form, notes)
-    tables["seakeeping"] = _seakeeping(form, tables["particulars"], notes)
-    tables["hull"] = _hull(wish, form, tables["particulars"], notes)
     curve = _curve(form, service)
-    tables["propulsion"] = _propulsion(wish, form, service, power, notes)
     vessel = _steadied(wish, tables, curve, service, notes)
     head = _head(wish, service, power)
     return Draft(_toml(wish, head, tables, curve), vessel, tuple(dict.fromkeys(notes)))
@@ -242,7 +245,7 @@ def _seakeeping(
     area = plane * form.length * form.beam
     water = reg.hydrostatics(form, plane)
     notes += water.notes
-    KG = float(particulars["KG"].value)  # type: ignore[arg-type]
+    KG = particulars["KG"].value
     metacentre = water["KB"] + water["BM_T"]
     least = (0.1 if boat else 0.05) * form.beam
     if metacentre - KG < least:
@@ -252,7 +255,7 @@ def _seakeeping(
     GM_T = max(metacentre - KG, 0.03 * form.beam)
     GM_L = water["KB"] + water["BM_L"] - KG
     mass = form.mass
-    I_xx, I_yy = (float(particulars[key].value) for key in ("I_xx", "I_yy"))  # type: ignore[arg-type]
+    I_xx, I_yy = particulars["I_xx"].value, particulars["I_yy"].value
     jensen = "period of Jensen 2004, 2 pi sqrt(2 d / g)"
     return {
         "A_wp": _Entry(area, f"water-plane coefficient {plane:.2f} (Schneekluth; boats 0.78)"),
@@ -319,20 +322,17 @@ def _speed(wish: _Wish, form: reg.Form, notes: list[str]) -> tuple[float, float]
     return speed, needed if wish.power is None else wish.power
 
 
-def _curve(form: reg.Form, service: float) -> dict[str, _Entry]:
+def _curve(form: reg.Form, service: float) -> Curve:
+    """Return the points of the resistance curve, m/s and N."""
     speeds = [share * service for share in SHARES]
-    source = "ITTC 1957 friction; from Froude number 0.2 a hump as of the 7.5 m boat"
-    return {
-        "speed": _Entry(speeds, source),
-        "force": _Entry([_resistance(form, speed) for speed in speeds], source),
-    }
+    return {"speed": speeds, "force": [_resistance(form, speed) for speed in speeds]}
 
 
 def _hull(
     wish: _Wish, form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
 ) -> dict[str, _Entry]:
     scale = 0.5 * form.water_density * form.length**2 * form.draft
-    m_x, m_y = (float(particulars[key].value) / scale for key in ("m_x", "m_y"))  # type: ignore[arg-type]
+    m_x, m_y = particulars["m_x"].value / scale, particulars["m_y"].value / scale
     estimate = reg.yoshimura(form, m_x, m_y)
     if not estimate.notes and wish.kind == "propeller_rudder":
         return {key: _Entry(value, estimate.source) for key, value in estimate.values.items()}
@@ -371,7 +371,7 @@ def _propulsion(
     aside = {"thruster_pair": 0.35}.get(wish.kind, 0.25) if wish.units == 2 else 0.0
     usual = "fixed propeller, pitch over diameter near 1"
     entries = {
-        "units": _Entry(wish.units, "given", False),
+        "units": _Entry(wish.units, "given, or usual for the kind", False),
         "propeller_diameter": _Entry(diameter, "a share of the draft, or by its thrust"),
         "k_0": _Entry(k_0, usual),
         "k_1": _Entry(k_1, usual),
@@ -455,32 +455,25 @@ def _wind(wish: _Wish) -> dict[str, _Entry]:
     }
 
 
-Tables = dict[str, dict[str, _Entry]]
-
-
-def _vessel(wish: _Wish, tables: Tables, curve: dict[str, _Entry]) -> Vessel:
+def _vessel(wish: _Wish, tables: Tables, curve: Curve) -> Vessel:
     """Return the vessel that the file will load as."""
-    values = {
-        key: _round(entry.value)  # type: ignore[arg-type]
-        for table in tables.values()
-        for key, entry in table.items()
-    }
+    entries = {key: entry for table in tables.values() for key, entry in table.items()}
     return Vessel(
         name=wish.name,
         title=_title(wish),
         kind=wish.kind,
-        values=values,
-        resistance_speed=tuple(_round(v) for v in curve["speed"].value),  # type: ignore[union-attr]
-        resistance_force=tuple(_round(v) for v in curve["force"].value),  # type: ignore[union-attr]
+        values={key: _round(entry.value) for key, entry in entries.items()},
+        resistance_speed=tuple(map(_round, curve["speed"])),
+        resistance_force=tuple(map(_round, curve["force"])),
         guesses=frozenset(
-            key for table in tables.values() for key, entry in table.items() if entry.guess
-        )
-        | {"resistance_speed", "resistance_force"},
+            ["resistance_speed", "resistance_force"]
+            + [key for key, entry in entries.items() if entry.guess]
+        ),
     )
 
 
 def _steadied(
-    wish: _Wish, tables: Tables, curve: dict[str, _Entry], service: float, notes: list[str]
+    wish: _Wish, tables: Tables, curve: Curve, service: float, notes: list[str]
 ) -> Vessel:
     """Reduce N_v, then raise N_r, until the ship holds its course at service speed."""
     hull = tables["hull"]
@@ -488,10 +481,10 @@ def _steadied(
     for part, whole in _steps():
         if (part, whole) != (1.0, 1.0):
             why = f"{N_v.source}; {part:g} of it: skegs or fins for a stable course"
-            hull["N_v"] = _Entry(part * float(N_v.value), why)  # type: ignore[arg-type]
+            hull["N_v"] = _Entry(part * N_v.value, why)
             if whole != 1.0:
                 why = f"{N_r.source}; {whole:g} of it: skegs or fins for a stable course"
-                hull["N_r"] = _Entry(whole * float(N_r.value), why)  # type: ignore[arg-type]
+                hull["N_r"] = _Entry(whole * N_r.value, why)
         vessel = _vessel(wish, tables, curve)
         n = vessel.values["shaft_speed_service"]
         if course_eigenvalues(vessel, n)[0].real < -STABLE * service / wish.length:
@@ -527,7 +520,7 @@ def _round(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _toml(wish: _Wish, head: list[str], tables: Tables, curve: dict[str, _Entry]) -> str:
+def _toml(wish: _Wish, head: list[str], tables: Tables, curve: Curve) -> str:
     lines = [f"# {line}" for line in head]
     lines += ["", "[vessel]", f'name = "{wish.name}"', f'title = "{_title(wish)}"']
     for name, entries in tables.items():
@@ -536,17 +529,17 @@ def _toml(wish: _Wish, head: list[str], tables: Tables, curve: dict[str, _Entry]
         if name == "propulsion":
             lines.append(f'kind = "{wish.kind}"')
             keys |= KIND_SCHEMA[wish.kind]
-        lines += [_line(key, entries[key], keys[key][0]) for key in keys if key in entries]
+        for key, (unit, _) in keys.items():
+            if key in entries:
+                entry = entries[key]
+                lines.append(_line(key, _round(entry.value), unit, entry.source, entry.guess))
         if name == "hull":
             lines += ["", "[hull.resistance]"]
-            lines += [_line(key, curve[key], {"speed": "m/s", "force": "N"}[key]) for key in curve]
+            for key, unit in (("speed", "m/s"), ("force", "N")):
+                lines.append(_line(key, list(map(_round, curve[key])), unit, CURVE_SOURCE, True))
     return "\n".join(lines) + "\n"
 
 
-def _line(key: str, entry: _Entry, unit: str) -> str:
-    value = entry.value
-    number: float | list[float] = (
-        [_round(v) for v in value] if isinstance(value, list) else _round(value)
-    )
-    guess = ", guess = true" if entry.guess else ""
-    return f'{key} = {{ value = {number!r}, unit = "{unit}", source = "{entry.source}"{guess} }}'
+def _line(key: str, value: float | list[float], unit: str, source: str, guess: bool) -> str:
+    mark = ", guess = true" if guess else ""
+    return f'{key} = {{ value = {value!r}, unit = "{unit}", source = "{source}"{mark} }}'

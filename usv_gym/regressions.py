@@ -2,8 +2,8 @@
 
 Each is a pure function of a :class:`Form` that returns an :class:`Estimate`: the numbers, where
 they come from, and a note for each particular outside the hulls that the regression was drawn
-from. Primed hull coefficients are made dimensionless as in :mod:`usv_gym.physics`. Bounds are
-those of the hulls behind each regression as far as they are published, rounded.
+from. Primed hull coefficients are made dimensionless as in :mod:`usv_gym.physics`. The bounds are
+those of the types of ship behind each regression: judgement, as few sources print their own.
 """
 
 from __future__ import annotations
@@ -153,8 +153,8 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
     Notes
     -----
     Source: Inoue et al. 1981, Kijima et al. 1990; physics.md section 3. The moment that the
-    added masses make in drift is in N_v. The square terms of drift and of turning are in
-    ``Y_vvv`` and so on only with :func:`yoshimura`.
+    added masses make in drift is in N_v. Their terms in ``v |v|`` and ``r |r|`` have no place in
+    the cubic polynomial of the hull and are left out; :func:`cross_flow` does their work.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c = 2.0 * d / L, C_b * B / L
