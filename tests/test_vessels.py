@@ -365,8 +365,8 @@ def test_a_first_file_loads_passes_and_sails(
         froude = min(froude, 0.35)
     if froude > 0.4:  # what planes is flat and fine
         flat, block = max(flat, 3.5), min(block, 0.55)
-    if kind == "thruster_pair":  # no foil turns them
-        slender = min(slender, 6.0)
+    if kind == "thruster_pair":  # no foil turns them: they must be wide
+        slender, flat = min(slender, 4.5), max(flat, 3.0)
     beam, draft = length / slender, length / slender / flat
     first = design(
         name="first",

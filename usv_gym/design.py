@@ -475,9 +475,10 @@ def _vessel(wish: _Wish, tables: Tables, curve: Curve) -> Vessel:
 def _steadied(
     wish: _Wish, tables: Tables, curve: Curve, service: float, notes: list[str]
 ) -> Vessel:
-    """Reduce N_v, then raise N_r, until the ship holds its course at service speed."""
+    """Reduce N_v, then raise N_r, until the ship holds its course."""
     hull = tables["hull"]
     N_v, N_r = hull["N_v"], hull["N_r"]
+    limit = -STABLE * service / wish.length
     for part, whole in _steps():
         if (part, whole) != (1.0, 1.0):
             why = f"{N_v.source}; {part:g} of it: skegs or fins for a stable course"
@@ -486,8 +487,10 @@ def _steadied(
                 why = f"{N_r.source}; {whole:g} of it: skegs or fins for a stable course"
                 hull["N_r"] = _Entry(whole * N_r.value, why)
         vessel = _vessel(wish, tables, curve)
-        n = vessel.values["shaft_speed_service"]
-        if course_eigenvalues(vessel, n)[0].real < -STABLE * service / wish.length:
+        if all(
+            course_eigenvalues(vessel, vessel.values[f"shaft_speed_{at}"])[0].real < limit
+            for at in ("manoeuvring", "service", "max")
+        ):
             break
     if part != 1.0:
         notes.append(
@@ -500,6 +503,7 @@ def _steadied(
 def _steps() -> Iterator[tuple[float, float]]:
     yield from ((part, 1.0) for part in (1.0, 0.8, 0.6, 0.4, 0.2, 0.0))
     yield from ((0.0, whole) for whole in (1.5, 2.0, 3.0, 5.0))
+    yield (-0.5, 5.0)
 
 
 def _title(wish: _Wish) -> str:
