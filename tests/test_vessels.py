@@ -1,8 +1,15 @@
-"""Vessels: the contract of every one that ships, and what a bad file is told."""
+"""Vessels: the contract of every one that ships, and what a bad file is told.
+
+``tests/physics/golden/<vessel>_6dof.json`` pins how each sails in six degrees of freedom. A change
+that moves them needs a stated fix in the change log; then write them anew with::
+
+    PYTHONPATH=. python tests/test_vessels.py
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import pickle
 import re
@@ -10,12 +17,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import usv_gym
-from usv_gym import Vessel, vessel_names
+from usv_gym import SeaState, SensorSuite, Vessel, vessel_names
+from usv_gym.design import DesignError, design
+from usv_gym.inspection import course_eigenvalues, inspect
+from usv_gym.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship, weather
+from usv_gym.physics import waves as wv
+from usv_gym.simulation import Simulation
 from usv_gym.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError
 
 FOLDER = Path(usv_gym.__file__).parent / "vessels"
@@ -60,7 +74,7 @@ def test_packs_every_number_and_nothing_else(boat: Vessel) -> None:
         (par.RESISTANCE_FORCES, boat.resistance_force),
     ):
         np.testing.assert_array_equal(packed[at : at + count], points)
-        assert np.all(packed[at + count : at + par.RESISTANCE_POINTS] == points[-1])
+        assert np.all(packed[at + count : at + par.RESISTANCE_POINTS] == (points or [0.0])[-1])
     with pytest.raises(ValueError, match="read-only"):
         packed[0] = 1.0
 
@@ -79,24 +93,86 @@ def test_shaft_speeds_are_in_order(boat: Vessel) -> None:
     assert 0.0 < v["shaft_speed_manoeuvring"] <= v["shaft_speed_service"] <= v["shaft_speed_max"]
 
 
-def test_sails_straight_after_a_push(boat: Vessel) -> None:
-    n = boat.values["shaft_speed_manoeuvring"]
-    state, cmd = np.zeros(fr.STATE_SIZE), np.array([n, n, 0.0, 0.0])
-    speed = boat.straight_speed(n)
-    state[[fr.U, fr.V, fr.R]] = speed, 0.02 * speed, 0.01
-    state[fr.N_LEFT : fr.N_RIGHT + 1] = n
+def run(boat: Vessel, state: np.ndarray, cmd: np.ndarray, seconds: float, dof: int) -> np.ndarray:
+    """Return the states of a run in calm water."""
     work, dt = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)), 0.05
-    calm, gusts, still = np.zeros((7, 0)), np.zeros((3, 0)), weather.constant()
-    seconds = 60.0 * boat.values["length_waterline"] / speed
-    for k in range(int(seconds / dt)):
-        ship.step(
-            *(state, cmd, boat.packed.copy(), calm, gusts, still),
-            *(k * dt, dt, 3, np.zeros((8, 0)), work),
-        )
-    # 60 lengths on, the push is forgotten
-    assert abs(state[fr.V]) < 1e-4 * speed
-    assert abs(state[fr.R]) < 1e-5
-    assert state[fr.U] == pytest.approx(speed, rel=1e-3)
+    calm, gusts = np.zeros((wv.WAVE_ROWS, 0)), np.zeros((3, 0))
+    steps = int(seconds / dt)
+    states = np.empty((steps + 1, fr.STATE_SIZE))
+    states[0] = state
+    ship.sail(
+        *(states, np.tile(cmd, (steps, 1)), boat.packed.copy(), calm, gusts, weather.constant()),
+        *(dt, dof, np.zeros((wv.FACTOR_ROWS, 0)), work),
+    )
+    return states
+
+
+def underway(boat: Vessel) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return state, command and speed of a boat at its manoeuvring shaft speed."""
+    n = boat.values["shaft_speed_manoeuvring"]
+    state, cmd = np.zeros(fr.STATE_SIZE), boat.helm(n, 0.0)
+    speed = boat.straight_speed(n)
+    state[fr.U], state[fr.N_LEFT :] = speed, cmd
+    return state, cmd, speed
+
+
+def course_stable(boat: Vessel, share: float = 0.01) -> bool:
+    """Return whether a drift loses so large a share of itself for each length sailed."""
+    n = boat.values["shaft_speed_manoeuvring"]
+    rate = boat.straight_speed(n) / boat.values["length_waterline"]
+    return course_eigenvalues(boat, n)[0].real < -share * rate
+
+
+@pytest.mark.parametrize("dof", [3, 6])
+def test_sails_straight_after_a_push(boat: Vessel, dof: int) -> None:
+    state, cmd, speed = underway(boat)
+    L = boat.values["length_waterline"]
+    state[[fr.V, fr.R]] = 0.02 * speed, 0.02 * speed / L
+    slowest = course_eigenvalues(boat, boat.values["shaft_speed_manoeuvring"])[0].real
+    if course_stable(boat):
+        end = run(boat, state, cmd, max(60.0 * L / speed, -15.0 / slowest), dof)[-1]
+        # fifteen time constants (or 60 lengths) on, the push is forgotten
+        assert abs(end[fr.V]) < 1e-4 * speed
+        assert abs(end[fr.R]) < 1e-4 * speed / L
+        assert end[fr.U] == pytest.approx(speed, rel=1e-3)
+    else:  # says so, and turns off slowly
+        text = (FOLDER / f"{boat.name}.toml").read_text(encoding="utf-8")
+        assert "course-" in text.split("[vessel]")[0]
+        end = run(boat, state, cmd, 20.0 * L / speed, dof)[-1]
+        assert abs(end[fr.R]) < 0.2 * speed / L
+        assert end[fr.U] > 0.8 * speed
+
+
+def test_comes_upright_again(boat: Vessel) -> None:
+    state, cmd, _ = underway(boat)
+    state[[fr.Z, fr.PHI, fr.THETA]] = 0.1 * boat.values["draft"], 0.1, 0.02
+    v = boat.values
+    roll = 2 * math.pi * math.sqrt((v["I_xx"] + v["J_xx"]) / (v["mass"] * 9.8 * v["GM_T"]))
+    seconds = 2.0 * roll / max(v["zeta_roll"], 0.05)
+    track = run(boat, state, cmd, seconds, 6)
+    assert np.isfinite(track).all()
+    tail = track[-len(track) // 10 :]
+    # two periods over the damping: e^-12 of the heel; the thrust keeps a little trim
+    assert np.max(np.abs(tail[:, fr.PHI])) < 1e-3
+    assert np.max(np.abs(tail[:, fr.THETA])) < 0.02
+    assert np.max(np.abs(tail[:, fr.Z])) < 0.02 * v["draft"]
+
+
+def test_port_mirrors_starboard_but_for_one_propeller(boat: Vessel) -> None:
+    """Helm to starboard turns to starboard, to port to port, about as fast."""
+    state, _, speed = underway(boat)
+    L, n = boat.values["length_waterline"], boat.values["shaft_speed_manoeuvring"]
+    rates = [
+        run(boat, state, boat.helm(n, sign * boat.helm_max), 10.0 * L / speed, 3)[-1, fr.R]
+        for sign in (1.0, -1.0)
+    ]
+    assert rates[0] > 0.0 > rates[1]
+    # one propeller turns one way: C_2 and gamma_R differ by side; 10 %
+    assert rates[0] == pytest.approx(-rates[1], rel=0.1)
+
+
+def test_inspection_finds_no_error(boat: Vessel) -> None:
+    assert inspect(boat).errors == []
 
 
 def test_pickles(boat: Vessel) -> None:
@@ -122,6 +198,249 @@ def test_every_number_has_its_source(boat: Vessel) -> None:
     sources = re.findall(r'source = "([^"]*)"', text)
     assert len(sources) == len(boat.values) + (2 if boat.resistance_speed else 0)
     assert all(len(source.strip()) > 3 for source in sources)
+
+
+# ------------------------------------------------- pinned, quoted
+
+GOLDEN = Path(__file__).parent / "physics" / "golden"
+
+
+def zigzag(boat: Vessel) -> dict[str, list[float]]:
+    """Sail the timed zigzag in sea state 2, seed 0, in six degrees of freedom.
+
+    Ships above 10 m take the longer the longer they are (Froude).
+    """
+    simulation = Simulation(1, boat, SeaState.named("2"), suite=SensorSuite.perfect(), dof=6)
+    simulation.reset([0], [np.random.default_rng(0)])
+    scale = max(1.0, round(math.sqrt(boat.values["length_waterline"] / 10.0)))
+    steps = int(1200 * scale)
+    t = 0.05 * np.arange(steps)
+    states = {}
+    for k, cmd in enumerate(commands("zigzag", t / scale, boat, np.random.default_rng(0)), start=1):
+        simulation.step(cmd[None])
+        if k % (steps // 10) == 0:
+            states[f"{k * 0.05:g}"] = simulation.state[0].tolist()
+    return states
+
+
+def test_golden_trajectory(boat: Vessel) -> None:
+    path = GOLDEN / f"{boat.name}_6dof.json"
+    golden = json.loads(path.read_text(encoding="utf-8"))["states"]
+    states = zigzag(boat)
+    assert list(states) == list(golden)
+    for t, state in states.items():
+        # 1e-6: the sums' order may differ between processors
+        np.testing.assert_allclose(state, golden[t], rtol=1e-8, atol=1e-6, err_msg=f"t = {t} s")
+    course = np.array(list(golden.values()))
+    assert np.ptp(course[:, fr.PSI]) > math.radians(5.0)  # it is a zigzag
+    assert np.max(np.abs(course[:, [fr.PHI, fr.THETA]])) < math.radians(60.0)
+
+
+def test_telemetron_at_full_throttle() -> None:
+    """physics.md section 11: 13.1 kN make 9.667 m/s, to 1e-3."""
+    boat = Vessel.load("telemetron")
+    top = inspect(boat).speeds[-1]
+    assert top["thrust_N"] == pytest.approx(13100.0, rel=1e-5)
+    assert top["speed_mps"] == pytest.approx(9.667, abs=1e-3)
+    # the published largest side force, 4 m aft
+    n = boat.values["shaft_speed_max"]
+    assert 13100.0 * math.sin(boat.helm_max) == pytest.approx(645.0, rel=1e-4)
+    assert boat.straight_speed(n) == top["speed_mps"]
+
+
+def test_otter_and_wamv_as_published() -> None:
+    otter, wamv = inspect(Vessel.load("otter")), inspect(Vessel.load("wamv16"))
+    # MSS: 24.4 kgf at most drive it at 6 kn of 0.5144 m/s; 13.6 kgf astern at its own limit
+    assert otter.speeds[-1]["speed_mps"] == pytest.approx(6 * 0.5144, rel=1e-3)
+    assert otter.speeds[-1]["thrust_N"] == pytest.approx(24.4 * 9.81, rel=1e-3)
+    # VRX: 250 N ahead and 100 N astern each; 500 = 51.3 u + 72.4 u^2
+    assert wamv.particulars["bollard pull N"] == pytest.approx(500.0, rel=1e-4)
+    assert wamv.particulars["bollard pull astern N"] == pytest.approx(200.0, rel=1e-4)
+    assert wamv.speeds[-1]["speed_mps"] == pytest.approx(2.2974, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "speed"), [("kvlcc2_l7", 11.85, 1.179), ("kvlcc2", 1.778, 7.974)]
+)
+def test_tanker_propels_itself(name: str, n: float, speed: float) -> None:
+    # physics.md section 11: 0.5 %
+    assert Vessel.load(name).straight_speed(n) == pytest.approx(speed, rel=5e-3)
+
+
+# ------------------------------------------------- inspection
+
+
+def findings(**changes: float) -> str:
+    """Return what the inspection says of usv75 with some values changed."""
+    boat = Vessel.load("usv75")
+    found = inspect(dataclasses.replace(boat, values={**boat.values, **changes}))
+    return "\n".join(f"{finding.error} {finding.text}" for finding in found.findings)
+
+
+def test_a_sound_vessel_breaks_no_rule() -> None:
+    assert findings() == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"mass": 4000.0}, False, ("The mass is 4000 kg", "3 %")),
+        ({"I_zz": 60000.0}, False, ("gyradius in yaw", "another mass")),
+        ({"I_xx": 20000.0}, False, ("gyradius in roll",)),
+        ({"GM_T": 0.02}, False, ("GM_T over beam",)),
+        ({"GM_T": 0.4}, False, ("GM_T (0.4 m) over KB",)),
+        ({"m_y": 100.0}, False, ("m_y (100 kg) is below m_x",)),
+        ({"m_z": 100.0}, False, ("added mass or inertia in heave",)),
+        ({"A_wp": 18.0}, True, ("A_wp is 18 m2",)),
+        ({"A_wp": 5.0}, True, ("widen downwards",)),
+        ({"x_G": 1.5}, False, ("x_G over the length", "midship")),
+        ({"KG": 3.0}, False, ("KG over draft",)),
+        ({"length_overall": 6.0}, True, ("length overall",)),
+        ({"astern": 0.0}, False, ("cannot pull astern",)),
+        ({"shaft_speed_service": 41.0}, True, ("must not fall",)),
+        ({"k_0": 6.0, "k_1": -0.1}, True, ("Froude number", "thrust and resistance")),
+        ({"k_0": 0.6, "k_1": 5.0, "k_2": 2.0}, True, ("do not balance the resistance",)),
+        ({"N_v": -0.4}, False, ("drift doubles every",)),
+        ({"A_R": 0.0, "steer_max": 1e-5}, True, ("Helm", "full helm")),
+        ({"zeta_roll": 1.5}, False, ("does not swing in roll",)),
+        ({"shaft_lag": 0.01}, True, ("dt_physics = 0.025",)),
+        ({"J_yy": 200000.0}, False, ("period of pitch",)),
+        ({"GM_T": 0.15, "KG": 2.0, "z_P": 2.0}, True, ("capsizes",)),
+    ],
+)
+def test_a_broken_rule_is_told_with_its_number(
+    changes: dict[str, float], error: bool, words: tuple[str, ...]
+) -> None:
+    lines = [line for line in findings(**changes).splitlines() if line.startswith(str(error))]
+    assert any(word in line for word in words for line in lines), lines
+
+
+def test_turning_to_the_wrong_side_is_an_error() -> None:
+    boat = Vessel.load("kvlcc2_l7")
+    values = {**boat.values, "x_R_prime": 0.5, "x_H_prime": 0.464}
+    texts = [finding.text for finding in inspect(dataclasses.replace(boat, values=values)).errors]
+    assert any("to port" in text for text in texts), texts
+
+
+def test_eigenvalues_quoted_for_usv75() -> None:
+    # physics.md 3.1: -2.65 and -8.0 1/s at 38 kn, 39.7 rev/s; two figures
+    first, second = course_eigenvalues(Vessel.load("usv75"), 39.7)
+    assert first.real == pytest.approx(-2.65, rel=0.015)
+    assert second.real == pytest.approx(-8.0, rel=0.015)
+
+
+def test_periods_quoted_for_usv75() -> None:
+    # physics.md 2.2: heave and pitch 2.1 s; roll 1.8 to 2.3 s
+    periods = inspect(Vessel.load("usv75")).periods
+    assert periods["heave"] == pytest.approx(2.1, abs=0.03)
+    assert periods["pitch"] == pytest.approx(2.1, abs=0.03)
+    assert 1.8 < periods["roll"] < 2.3
+
+
+# ------------------------------------------------- a first file
+
+hulls = {
+    "length": st.floats(1.0, 300.0),
+    "slender": st.floats(2.0, 8.5),
+    "flat": st.floats(2.0, 7.0),
+    "block": st.floats(0.32, 0.88),
+    "froude": st.floats(0.1, 1.0),
+    "kind": st.sampled_from(list(KIND_SCHEMA)),
+}
+
+
+@given(**hulls)
+@settings(max_examples=40, deadline=None)
+def test_a_first_file_loads_passes_and_sails(
+    tmp_path_factory: pytest.TempPathFactory,
+    length: float,
+    slender: float,
+    flat: float,
+    block: float,
+    froude: float,
+    kind: str,
+) -> None:
+    if kind == "propeller_rudder":
+        froude = min(froude, 0.35)
+    if froude > 0.4:  # what planes is flat and fine
+        flat, block = max(flat, 3.5), min(block, 0.55)
+    if kind == "thruster_pair":  # no foil turns them: they must be wide
+        slender, flat = min(slender, 4.5), max(flat, 3.0)
+    beam, draft = length / slender, length / slender / flat
+    first = design(
+        name="first",
+        length=length,
+        beam=beam,
+        draft=draft,
+        mass=1025.0 * block * length * beam * draft,
+        kind=kind,
+        speed=froude * math.sqrt(9.80665 * length),
+    )
+    path = tmp_path_factory.mktemp("new") / "first.toml"
+    path.write_text(first.text, encoding="utf-8")
+    boat = Vessel.load(path)
+    assert dict(boat.values) == pytest.approx(dict(first.vessel.values), rel=1e-12)
+    assert boat.guesses == first.vessel.guesses
+    assert inspect(boat).errors == []
+    assert course_stable(boat, 0.0)
+    assert boat.straight_speed(boat.values["shaft_speed_service"]) == pytest.approx(
+        froude * math.sqrt(9.80665 * length), rel=1e-2
+    )
+    # waves to its size: sea state 2 capsizes a boat of 1 m
+    simulation = Simulation(1, boat, SeaState(hs=min(0.5, 0.03 * length), wind=3.0), dof=6)
+    simulation.reset([0], [np.random.default_rng(0)])
+    for k in range(200):
+        simulation.step(boat.helm(boat.values["shaft_speed_manoeuvring"], 0.1 * (k > 100))[None])
+    assert np.isfinite(simulation.state).all()
+    assert np.max(np.abs(simulation.state[0, [fr.PHI, fr.THETA]])) < 0.8
+
+
+def test_a_first_file_marks_its_guesses_and_what_is_out_of_range() -> None:
+    first = design(name="a", length=6.336, beam=2.714, draft=0.526, mass=3420.0, speed=10.0)
+    assert "mass" not in first.vessel.guesses and "Y_v" in first.vessel.guesses
+    assert re.search(r"(?m)^Y_v = .*Kijima 1990; out of its range.*guess = true", first.text)
+    assert re.search(r"(?m)^mass = (?!.*guess)", first.text)
+    assert any("L/B is 2.33" in note for note in first.notes)
+    ship_ = design(
+        name="b", length=100.0, beam=16.0, draft=6.0, mass=6.9e6, kind="propeller_rudder"
+    )
+    assert re.search(r"(?m)^Y_vvv = .*Yoshimura and Masumoto 2012\"", ship_.text)
+    assert not any("Yoshimura" in note or "Kijima 1990: L/B" in note for note in ship_.notes)
+
+
+def test_power_and_speed_of_a_first_file() -> None:
+    particulars = {"length": 6.336, "beam": 2.714, "draft": 0.526, "mass": 3420.0}
+    by_power = design(name="a", power=260e3, **particulars)  # type: ignore[arg-type]
+    speed = by_power.vessel.straight_speed(by_power.vessel.values["shaft_speed_service"])
+    # the paper's boat needs about 260 kW for 38 kn by its own curve: within 20 %
+    assert speed * 3600 / 1852 == pytest.approx(38.0, rel=0.2)
+    both = design(name="a", power=10e3, speed=15.0, **particulars)  # type: ignore[arg-type]
+    assert any("kW" in note for note in both.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mass": 90000.0}, ("mass = 90000", "block coefficient")),
+        ({"mass": 10.0}, ("block coefficient",)),
+        ({"length": -1.0}, ("length = -1",)),
+        ({"beam": math.nan}, ("beam = nan",)),
+        ({"draft": 0.05, "mass": 300.0}, ("B/d", "1.2 to 20")),
+        ({"beam": 6.0, "draft": 1.0, "mass": 1e4}, ("L/B",)),
+        ({"speed": 100.0}, ("speed", "Froude")),
+        ({"speed": 0.0}, ("speed = 0",)),
+        ({"name": "a b"}, ("letters, digits",)),
+        ({"kind": "sail"}, ("kind", "thruster_pair")),
+        ({"kind": "thruster_pair", "units": 1}, ("units = 1",)),
+        ({"units": 3}, ("units = 3",)),
+        ({"length_overall": 5.0}, ("length_overall = 5",)),
+    ],
+)
+def test_bad_particulars_are_told(changes: dict[str, object], words: tuple[str, ...]) -> None:
+    good = {"name": "a", "length": 6.3, "beam": 2.7, "draft": 0.53, "mass": 3400.0}
+    with pytest.raises(DesignError) as caught:
+        design(**{**good, **changes})  # type: ignore[arg-type]
+    assert all(word in str(caught.value) for word in words)
 
 
 # ------------------------------------------------- bad files
@@ -322,3 +641,16 @@ def test_guesses_are_known() -> None:
     assert "A_R" in guesses
     assert "mass" not in guesses  # Table 1 of the paper
     assert "resistance_force" in guesses
+
+
+if __name__ == "__main__":
+    for vessel in map(Vessel.load, vessel_names()):
+        about = (
+            f"{vessel.name}, timed zigzag at shaft_speed_manoeuvring, sea state 2, seed 0, six "
+            "degrees of freedom: ten times the 16 states of usv_gym.physics.frames; written by "
+            "tests/test_vessels.py"
+        )
+        (GOLDEN / f"{vessel.name}_6dof.json").write_text(
+            json.dumps({"about": about, "states": zigzag(vessel)}, indent=1) + "\n",
+            encoding="utf-8",
+        )

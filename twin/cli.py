@@ -29,11 +29,13 @@ from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.twin import PLANS, Twin, TwinError, known_plan
+from usv_gym.design import DesignError, design
+from usv_gym.inspection import Inspection, inspect
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULTS_HELP, GRADES, FaultError, SensorSuite, parse_faults
 from usv_gym.simulation import SimulationError
-from usv_gym.vessel import Vessel, VesselError, vessel_names
+from usv_gym.vessel import KIND_SCHEMA, Vessel, VesselError, vessel_names
 from usv_kernel import cached
 
 app = typer.Typer(
@@ -43,11 +45,16 @@ app = typer.Typer(
     help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
     "predict where it will be, and benchmark predictors under GPS loss.",
 )
+vessel_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Check a vessel file, or begin a new one."
+)
+app.add_typer(vessel_app, name="vessel")
 console = Console(markup=False)
 errors = Console(stderr=True, markup=False)
 
 EXPECTED = (
     bench.BenchmarkError,
+    DesignError,
     FaultError,
     ImportError,
     LogError,
@@ -375,6 +382,83 @@ def benchmark_command(
         raise typer.Exit(2)
 
 
+@vessel_app.command("check")
+@_speaking
+def vessel_check_command(
+    vessel: Annotated[
+        str, typer.Argument(help=f"TOML file, or a name: {', '.join(vessel_names())}.")
+    ],
+    strict: Annotated[bool, typer.Option("--strict", help="Fail on warnings too.")] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Everything, in full precision.")
+    ] = None,
+) -> None:
+    """Print what a vessel's numbers amount to, and every rule of thumb that they break.
+
+    Exit code 0: sound; 1: errors (with --strict also warnings); 2: it cannot be read.
+    """
+    boat = Vessel.load(vessel)
+    with _compiling():
+        found = inspect(boat)
+    if json_file is not None:
+        _write_json(json_file, found.to_json())
+    _print_inspection(found)
+    if found.errors or (strict and found.findings):
+        raise typer.Exit(1)
+
+
+@vessel_app.command("new")
+@_speaking
+def vessel_new_command(
+    name: Annotated[str, typer.Option(help="Letters, digits, _ and -.")],
+    length: Annotated[float, typer.Option(help="At the water line, m.")],
+    beam: Annotated[float, typer.Option(help="At the water line, m.")],
+    draft: Annotated[float, typer.Option(help="Of the hull, m.")],
+    mass: Annotated[float, typer.Option(help="kg.")],
+    kind: Annotated[
+        str, typer.Option(help=f"Propulsion, one of: {', '.join(KIND_SCHEMA)}.")
+    ] = "steerable_drive",
+    units: Annotated[
+        int | None, typer.Option(help="1 or 2; left out: 1 propeller with rudder, else 2.")
+    ] = None,
+    speed: Annotated[float | None, typer.Option(help="In service, kn.")] = None,
+    power: Annotated[float | None, typer.Option(help="Of all shafts, kW.")] = None,
+    length_overall: Annotated[
+        float | None, typer.Option(help="m; left out: 5 % above the length.")
+    ] = None,
+    water_density: Annotated[float, typer.Option(help="kg/m3.")] = 1025.0,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File; <name>.toml.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Write a first vessel file: what is not given is estimated by regressions, and marked."""
+    path = out or Path(f"{name}.toml")
+    if path.exists() and not force:
+        raise DesignError(f"{path}: is there already; choose another --out, or --force")
+    with _compiling():
+        first = design(
+            name=name,
+            length=length,
+            beam=beam,
+            draft=draft,
+            mass=mass,
+            kind=kind,
+            units=units,
+            speed=None if speed is None else speed * 1852.0 / 3600.0,
+            power=None if power is None else power * 1e3,
+            length_overall=length_overall,
+            water_density=water_density,
+        )
+    for note in first.notes:
+        _note(note)
+    _write_text(path, first.text)
+    guesses, values = len(first.vessel.guesses), len(first.vessel.values) + 2
+    console.print(
+        f"{path}: {guesses} of {values} entries are estimates; look at it with "
+        f"usv-twin vessel check {path}",
+        soft_wrap=True,
+    )
+
+
 def _work(
     settings: bench.Settings, out: Path, jobs: int
 ) -> tuple[dict[bench.Unit, dict[str, Any]], dict[str, Exception]]:
@@ -562,6 +646,37 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         )
 
 
+def _print_inspection(found: Inspection) -> None:
+    """Print the derived particulars of a vessel, and the rules that it breaks."""
+    facts = Table(title=f"{found.name}: {found.title}", box=SIMPLE_HEAD, show_header=False)
+    for justify in ("left", "right"):
+        facts.add_column(justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    units = {"mps": "m/s", "degps": "deg/s"}
+    rows = {
+        **found.particulars,
+        **{f"period of {name} s": value for name, value in found.periods.items()},
+        **{
+            f"turn: {' '.join(units.get(word, word) for word in name.split('_'))}": value
+            for name, value in found.turn.items()
+        },
+        **{f"course: {name.replace('_', ' ')} 1/s": v for name, v in found.course.items()},
+    }
+    for name, value in rows.items():
+        facts.add_row(name, f"{value:.4g}")
+    console.print(facts)
+    speeds = Table(title="straight ahead in calm water", box=SIMPLE_HEAD)
+    for head in ("shaft rev/s", "speed m/s", "kn", "Froude", "thrust N"):
+        speeds.add_column(head, justify="right")
+    for row in found.speeds:
+        speeds.add_row(*(f"{value:.4g}" for value in row.values()))
+    console.print(speeds)
+    for finding in found.findings:
+        kind, style = ("error", "red") if finding.error else ("warning", "yellow")
+        console.print(f"{kind}: {finding.text}", style=style, highlight=False, soft_wrap=True)
+    warnings = len(found.findings) - len(found.errors)
+    console.print(f"{len(found.errors)} error(s), {warnings} warning(s)")
+
+
 def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Log) -> None:
     span = float(prediction.t[-1] - prediction.t0)
     horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
@@ -656,10 +771,18 @@ def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
+    _write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
-    partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    partial.replace(path)
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _expand(arguments: list[str], option: str = "--log") -> list[str]:

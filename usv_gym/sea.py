@@ -491,7 +491,7 @@ def wave_rows(
     rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
     rows[waves.K_NORTH], rows[waves.K_EAST] = k * north, k * east
     rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
-    rows[waves.BOTTOM] = k / np.expm1(k * draft)
+    rows[waves.BOTTOM] = k * np.exp(-k * draft) / -np.expm1(-k * draft)
     L, drift = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
     for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
         load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2

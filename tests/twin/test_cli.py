@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -289,3 +290,50 @@ def test_several_files_after_one_option():
 @pytest.mark.parametrize("command", ["simulate", "identify", "predict", "benchmark"])
 def test_help(command):
     assert "Usage" in run(command, "--help").stdout
+
+
+PARTICULARS = ("--length", "6.3", "--beam", "2.5", "--draft", "0.5", "--mass", "3000")
+
+
+def test_a_new_vessel_is_checked_and_simulated(tmp_path):
+    new = ("vessel", "new", "--name", "mine", *PARTICULARS, "--speed", "15")
+    out = run(*new, cwd=tmp_path).stdout
+    assert "note: Kijima 1990: L/B is 2.52" in out and "estimates" in out
+    text = (tmp_path / "mine.toml").read_text(encoding="utf-8")
+    assert "15 kn in service" in text and "guess = true" in text
+    found = run("vessel", "check", "mine.toml", "--json", "mine.json", "--strict", cwd=tmp_path)
+    assert "0 error(s), 0 warning(s)" in found.stdout
+    content = json.loads((tmp_path / "mine.json").read_text(encoding="utf-8"))
+    assert content["findings"] == []
+    assert any(abs(row["speed_kn"] - 15.0) < 0.05 for row in content["speeds"])
+    run("simulate", "turn", "--vessel", "mine.toml", "--duration", "10", cwd=tmp_path)
+
+    again = run(*new, cwd=tmp_path, check=2)
+    assert "mine.toml: is there already" in again.stderr and "--force" in again.stderr
+    assert (tmp_path / "mine.toml").read_text(encoding="utf-8") == text
+    run(*new, "--force", "--power", "100", cwd=tmp_path)
+    assert (tmp_path / "mine.toml").read_text(encoding="utf-8") != text
+    assert [path.name for path in tmp_path.glob(".*")] == []  # no partial file is left
+
+
+def test_vessel_check_says_what_is_wrong(tmp_path):
+    good = run("vessel", "check", "kvlcc2_l7")
+    assert "0 error(s), 1 warning(s)" in good.stdout
+    assert run("vessel", "check", "kvlcc2_l7", "--strict", check=1).stdout == good.stdout
+    text = ((Path(usv_gym.__file__).parent / "vessels") / "usv75.toml").read_text(encoding="utf-8")
+    bad = tmp_path / "bad.toml"
+    bad.write_text(text.replace("A_wp = { value = 13.41", "A_wp = { value = 18"))
+    assert "error: A_wp is 18 m2, above length" in run("vessel", "check", str(bad), check=1).stdout
+    bad.write_text(text.replace("mass = { value = 3420", "mass = { value = 9000"))
+    refused = run("vessel", "check", str(bad), check=2)
+    assert refused.stderr.count("\n") == 1
+    assert "[particulars] mass" in refused.stderr and "within 20 %" in refused.stderr
+    assert "known: kvlcc2" in run("vessel", "check", "bismarck", check=2).stderr
+
+
+def test_vessel_new_refuses_what_is_no_ship(tmp_path):
+    heavy = ("vessel", "new", "--name", "x", *PARTICULARS[:-1], "30000")
+    refused = run(*heavy, cwd=tmp_path, check=2)
+    assert refused.stderr.startswith("error: mass = 30000 kg")
+    assert refused.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
