@@ -10,6 +10,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import LightSource
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from usv_gym import SeaState, Vessel
@@ -68,8 +69,9 @@ def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
     side = 1.6 * vessel.values["length_overall"]
     north, east = np.meshgrid(np.linspace(-side, side, 121), np.linspace(-side, side, 121))
     height = sea.elevation(x + north, y + east, t)
-    shade = plt.get_cmap("Blues_r")(0.15 + 0.5 * (height - height.min()) / np.ptp(height))
-    ax.plot_surface(north, -east, height, facecolors=shade, rcount=121, ccount=121, shade=True)
+    light = LightSource(azdeg=300.0, altdeg=35.0)
+    shade = light.shade(height, plt.get_cmap("ocean"), vmin=-4.0, vmax=3.0, vert_exag=4.0)
+    ax.plot_surface(north, -east, height, facecolors=shade, rcount=121, ccount=121, shade=False)
     attitude = state[[frames.PHI, frames.THETA, frames.PSI]]
     faces = [
         np.array([frames.rotate(*attitude, *corner) for corner in face]) * [1, -1, -1] + [0, 0, -z]
@@ -81,8 +83,8 @@ def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
         Poly3DCollection(faces, facecolors=colours, edgecolor="#552200", lw=0.2, zorder=10)
     )
     ax.computed_zorder = False
-    ax.set(xlim=(-side, side), ylim=(-side, side), zlim=(-1.5, 3.0))
-    ax.set_box_aspect((2 * side, 2 * side, 4.5), zoom=1.5)
+    ax.set(xlim=(-side, side), ylim=(-side, side), zlim=(-1.5, 2.0))
+    ax.set_box_aspect((2 * side, 2 * side, 3.5), zoom=1.02)
     ax.view_init(elev=24.0, azim=-62.0)
     ax.set_axis_off()
 
@@ -96,11 +98,17 @@ def main(path: str = "boat_in_waves.png") -> None:
     t = simulation.dt * np.arange(1, len(states) + 1)
     now = round(AT / simulation.dt) - 1
 
-    figure = plt.figure(figsize=(11.0, 4.6), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0))
-    draw_sea(figure.add_subplot(grid[:, 0], projection="3d"), sea, vessel, states[now], t[now])
+    figure = plt.figure(figsize=(11.0, 4.6))
+    grid = figure.add_gridspec(3, 1, left=0.62, right=0.985, top=0.87, bottom=0.11, hspace=0.55)
+    draw_sea(
+        figure.add_axes((-0.075, -0.2, 0.66, 1.4), projection="3d"),
+        sea,
+        vessel,
+        states[now],
+        t[now],
+    )
     surface = sea.elevation(states[:, frames.X], states[:, frames.Y], t)
-    axes = [figure.add_subplot(grid[i, 1]) for i in range(3)]
+    axes = [figure.add_subplot(grid[i, 0]) for i in range(3)]
     axes[0].plot(t, surface, color="#56b4e9", label="surface")
     axes[0].plot(t, -states[:, frames.Z], color="#d55e00", label="boat")
     axes[0].set_ylabel("height (m)")
@@ -115,10 +123,10 @@ def main(path: str = "boat_in_waves.png") -> None:
         ax.set_xlim(AT - 20.0, AT + 15.0)
         ax.axvline(t[now], color="0.6", lw=0.8)
         ax.grid(alpha=0.3)
-        ax.legend(loc="upper right", ncols=2, fontsize=8)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, fontsize=8, frameon=False)
     figure.align_ylabels(axes)
-    figure.suptitle(f"{vessel.title} in sea state 3, six degrees of freedom", fontsize=11)
-    figure.savefig(path, dpi=110)
+    figure.suptitle(f"{vessel.title} in sea state 3, six degrees of freedom", fontsize=11, y=0.97)
+    figure.savefig(path, dpi=85)
     print(f"roll {np.degrees(states[:, frames.PHI].std()):.1f} deg, written to {path}")
 
 
