@@ -659,10 +659,13 @@ def _print_inspection(found: Inspection) -> None:
             f"turn: {' '.join(units.get(word, word) for word in name.split('_'))}": value
             for name, value in found.turn.items()
         },
-        **{f"course: {name.replace('_', ' ')} 1/s": v for name, v in found.course.items()},
     }
     for name, value in rows.items():
         facts.add_row(name, f"{value:.4g}")
+    if found.course:
+        pairs = [f"{found.course[f'{i}_real']:.3g}" for i in ("first", "second")]
+        stable = "stable" if found.course["first_real"] < 0.0 else "unstable"
+        facts.add_row("straight course at service speed", f"{stable} ({', '.join(pairs)} 1/s)")
     console.print(facts)
     speeds = Table(title="straight ahead in calm water", box=SIMPLE_HEAD)
     for head in ("shaft rev/s", "speed m/s", "kn", "Froude", "thrust N"):
