@@ -76,14 +76,14 @@ def _rudder_forces(
     so that it goes through zero when the ship goes astern.
     """
     L, D = p[par.LENGTH], p[par.DIAMETER]
-    u_unit = u - y * r
     U = math.hypot(u, v)
     beta = math.atan2(-v, abs(u))
     r_ = L * r / max(U, abs(L * r) / R_PRIME_MAX, 1e-9)
     beta_P = beta - p[par.X_P_PRIME] * r_
     C_2 = p[par.C_2_PLUS] if beta_P > 0.0 else p[par.C_2_MINUS]
     gain = 1.0 + (1.0 - math.exp(-p[par.C_1] * abs(beta_P))) * (C_2 - 1.0)
-    u_P = u_unit * (1.0 - p[par.WAKE]) * gain
+    # the share of turning keeps the wake of a straight course: a ship at rest has no drift
+    u_P = (1.0 - p[par.WAKE]) * (u * gain - y * r)
     T = thrust(n, u_P, p)
 
     jet = math.sqrt(max(u_P * u_P + 8.0 * T / (math.pi * p[par.DENSITY] * D * D), 0.0))
