@@ -1,9 +1,10 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark."""
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import functools
 import json
 import math
@@ -22,6 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twin import benchmark as bench
+from twin import validation_page
 from twin.log import Log, LogError, beside
 from twin.model import PARAMETER_NAMES, PARAMETER_UNITS
 from twin.particulars import ParticularsError
@@ -29,6 +31,7 @@ from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.twin import PLANS, Twin, TwinError, known_plan
+from twin.validation import SECTIONS, Section, Study, shared_folder
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULT_KINDS, FaultError, parse_faults
@@ -41,7 +44,8 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
-    "predict where it will be, and benchmark predictors under GPS loss.",
+    "predict where it will be, benchmark predictors under GPS loss, and validate the ship and "
+    "the sea.",
 )
 console = Console(markup=False)
 errors = Console(stderr=True, markup=False)
@@ -358,6 +362,57 @@ def benchmark_command(
         raise typer.Exit(2)
 
 
+@app.command("validate")
+@_speaking
+def validate_command(
+    check: Annotated[
+        bool, typer.Option("--check", help="Write nothing; fail where the page is not today's.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Every row, in full precision.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder of the page; the root of the repository."),
+    ] = None,
+) -> None:
+    """Compute what is published or measured, and write it beside that as VALIDATION.md.
+
+    With --check the page is read instead: exit code 1 where a value is out of its tolerance,
+    or is not the one on the page.
+    """
+    home = Path(__file__).resolve().parents[1]
+    root = out or home
+    page = root / validation_page.PAGE
+    before = page.read_text(encoding="utf-8") if page.is_file() else ""
+    if check and not before:
+        raise FileNotFoundError(errno.ENOENT, "no page to check", str(page))
+    study = Study(shared_folder(home))
+    try:
+        sections = _sections(study)
+    except KeyboardInterrupt:
+        errors.print("stopped: nothing is written", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    _print_validation(sections)
+    if json_file is not None:
+        _write_json(json_file, validation_page.to_json(sections))
+    wrong = validation_page.failures(sections)
+    if check:
+        wrong += validation_page.compare(before, sections)
+    else:
+        from twin.validation_pictures import draw
+
+        root.mkdir(parents=True, exist_ok=True)
+        page.write_text(validation_page.render(sections, before), encoding="utf-8")
+        with console.status("drawing the pictures"):
+            drawn = draw(study, root / validation_page.FOLDER)
+        console.print(f"{page}, {len(drawn)} pictures in {root / validation_page.FOLDER}")
+    for text in wrong:
+        errors.print(text, style="red", highlight=False, soft_wrap=True)
+    if wrong:
+        raise typer.Exit(1)
+
+
 def _work(
     settings: bench.Settings, out: Path, jobs: int
 ) -> tuple[dict[bench.Unit, dict[str, Any]], dict[str, Exception]]:
@@ -384,6 +439,36 @@ def _work(
                     done[unit] = result
                 progress.advance(bar)
     return done, failed
+
+
+def _sections(study: Study) -> list[Section]:
+    """Compute all sections of the validation page under a progress bar."""
+    sections = []
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console
+    ) as progress:
+        bar = progress.add_task("validating", total=len(SECTIONS))
+        for name, section in SECTIONS.items():
+            progress.update(bar, description=name)
+            sections.append(section(study))
+            progress.advance(bar)
+    return sections
+
+
+def _print_validation(sections: list[Section]) -> None:
+    table = Table(title="validation", box=SIMPLE_HEAD)
+    for name in ("section", "ok", "out", "reported", "skipped"):
+        table.add_column(name, justify="left" if name == "section" else "right")
+    reasons = []
+    for section in sections:
+        skipped = [row.skipped for row in section.rows if row.skipped]
+        judged = [row.ok for row in section.rows if not row.skipped]
+        counts = judged.count(True), judged.count(False), judged.count(None), len(skipped)
+        table.add_row(section.title, *map(str, counts))
+        reasons += [reason for reason in skipped if reason not in reasons]
+    console.print(table)
+    for reason in reasons:
+        _note(f"skipped: {reason}")
 
 
 def _note(text: str) -> None:
@@ -638,7 +723,7 @@ def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
         writer.writerows([[repr(float(v)) for v in row] for row in rows])
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
+def _write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -78,8 +78,9 @@ def derivative(
     Source: Eq (1)-(8), physics.md 2.1-2.3 C. The sum of rigid body and added mass is driven by
     the velocity through water, which is exact for a current that is the same everywhere
     (Fossen 2021, section 10.3). Weight and buoyancy act along the vertical, the water plane's
-    share at its centre; wave forces at the centre of gravity; hull, propulsion and wind at
-    their heights in the vessel file.
+    share at its centre; hull, propulsion and wind at their heights in the vessel file. The
+    horizontal wave force acts at the common centre of mass and added mass, so that a long wave
+    tilts a boat at rest by its slope, although it sways and surges on it.
     """
     psi, r = state[fr.PSI], state[fr.R]
     phi, theta = state[fr.PHI], state[fr.THETA]
@@ -132,6 +133,8 @@ def derivative(
     north, east, down = fr.rotate(phi, theta, psi, state[fr.U], state[fr.V], state[fr.W])
     x_F, z_G = p[par.X_F], p[par.DRAFT] - p[par.KG]
     z_H, z_P = p[par.Z_H], p[par.Z_P]
+    m, m_x, m_y = p[par.MASS], p[par.M_X], p[par.M_Y]
+    z_X, z_Y = (m * z_G + m_x * z_H) / (m + m_x), (m * z_G + m_y * z_H) / (m + m_y)
     sinkage = state[fr.Z] + x_F * k_x
     vertical = heave_force(sinkage, down + x_F * (k_y * r - k_z * q_rate), p) + Z_wave
     # wave forces lie in the horizontal plane, and are turned into the body
@@ -141,12 +144,12 @@ def derivative(
     K = (
         K_0
         + K_wave
-        - z_G * Y_level
+        - z_Y * Y_level
         - z_H * Y_H
         - z_P * Y_P
         + p[par.KAPPA_WIND] * p[par.S_H] * Y_wind
     )
-    M = M_0 + M_wave + z_G * X_level + z_H * X_H + z_P * X_P - p[par.S_H] * X_wind
+    M = M_0 + M_wave + z_X * X_level + z_H * X_H + z_P * X_P - p[par.S_H] * X_wind
     M -= x_F * k_z * vertical
     N += N_0 + x_F * k_y * vertical
     du, dv, dw, dp, dq, dr = accelerate_6(
