@@ -31,7 +31,8 @@ from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.twin import PLANS, Twin, TwinError, known_plan
-from twin.validation import SECTIONS, Section, Study, shared_folder
+from twin.validation import SECTIONS
+from twin.validation_study import Section, Study, shared_folder
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULT_KINDS, FaultError, parse_faults

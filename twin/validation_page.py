@@ -15,7 +15,7 @@ from decimal import Decimal, InvalidOperation
 from itertools import zip_longest
 from typing import Any
 
-from twin.validation import Row, Section
+from twin.validation_study import Row, Section
 
 __all__ = ["FOLDER", "PAGE", "compare", "failures", "render", "to_json", "verdict"]
 
@@ -159,8 +159,8 @@ def failures(sections: Sequence[Section]) -> list[str]:
 def to_json(sections: Sequence[Section]) -> list[dict[str, Any]]:
     """Return every row with item, value, reference, tolerance, source, ok, and its section.
 
-    ``kind`` says how the tolerance is meant (:data:`twin.validation.KINDS`); ``ok`` is None for
-    rows that are not judged or, with the reason in ``skipped``, not computed.
+    ``kind`` says how the tolerance is meant (:data:`twin.validation_study.KINDS`); ``ok`` is
+    None for rows that are not judged or, with the reason in ``skipped``, not computed.
     """
     return [
         {

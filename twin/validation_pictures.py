@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin import validation as val
-from twin.validation import DEGREE, KNOT, Study
+from twin.validation import BLENDERMANN_LOADS, SAVITSKY, SEAS
+from twin.validation_study import DEGREE, HEADINGS, KNOT, OMEGA, SPEEDS, Study, an_hour, realise
 from usv_gym.indices import Track
 from usv_gym.physics import GRAVITY, wind
 from usv_gym.physics.hull import hull_forces
@@ -52,7 +52,9 @@ def draw(study: Study, folder: Path) -> list[Path]:
         figure = picture(study)
         if figure is not None:
             # no date or version inside: equal pictures are equal bytes
-            figure.savefig(folder / name, metadata={"Software": None})
+            figure.savefig(
+                folder / name, metadata={"Software": None}, pil_kwargs={"optimize": True}
+            )
             written.append(folder / name)
     return written
 
@@ -78,7 +80,7 @@ def turns(study: Study) -> Figure | None:
     """Turning circles of KVLCC2."""
     if not study.recordings:
         return None
-    figure, ((axes,),) = _axes(1, 1, 7.0, 5.2)
+    figure, ((axes,),) = _axes(1, 1, 7.0, 5.6)
     got = study.tanker["L7, n = 10.4 rps"]
     measured, _, replayed = study.recordings["marin_tc_35"]
     # the steady turn says it all: a circle and a half
@@ -96,14 +98,14 @@ def turns(study: Study) -> Figure | None:
         axes.axvline(sign * DT, color=colour, lw=1, ls=":", label=f"MARIN to {side}: DT")
     tracks: tuple[tuple[Track, dict[str, Any], str], ...] = (
         (replayed, {"color": RED, "lw": 1.2, "ls": "--"}, "replay of the recorded rudder"),
-        (measured, {"color": "black", "lw": 0.8}, "recorded by MARIN"),
+        # printed to three figures: steps
+        (measured.smoothed(4.0), {"color": "black", "lw": 0.8}, "recorded by MARIN"),
     )
     for track, style, label in tracks:
         part = np.abs(track.psi - track.psi[0]) < 3.0 * math.pi
         axes.plot(track.y[part] / LENGTH, track.x[part] / LENGTH, label=label, **style)
     axes.set_aspect("equal")
-    axes.legend(fontsize=7, loc="lower center", ncols=2)
-    axes.set_ylim(-2.6, 4.0)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     _name(axes, "to starboard, y/L", "ahead, x/L", "KVLCC2, 7 m model: 35 degrees of rudder")
     return figure
 
@@ -150,7 +152,7 @@ def wind_coefficients(study: Study) -> Figure:
     for k, (name, colour) in enumerate((("C_X", BLUE), ("C_Y", ORANGE), ("5 C_N", GREEN))):
         scale = 5.0 if k == 2 else 1.0
         axes.plot(gamma, scale * values[k], color=colour, lw=2, label=name)
-        x, y = np.array([(g, load[k]) for g, load in val.BLENDERMANN_LOADS], dtype=float).T
+        x, y = np.array([(g, load[k]) for g, load in BLENDERMANN_LOADS], dtype=float).T
         axes.plot(x, scale * y / pressure / areas[k], "o", color=colour, mec="black")
     axes.legend()
     axes.set_xticks(range(0, 181, 30))
@@ -165,8 +167,8 @@ def seas(study: Study) -> Figure | None:
         return None
     figure, axes = _axes(1, 2, 9.0, 3.8)
     one, other = axes[0]
-    for (name, state), colour in zip(val.SEAS.items(), COLOURS, strict=False):
-        _, f, density = val.an_hour(val.realise(state, study.boat))
+    for (name, state), colour in zip(SEAS.items(), COLOURS, strict=False):
+        _, f, density = an_hour(realise(state, study.boat))
         table = state.wave_spectrum()
         one.plot(table.omega / (2 * math.pi), table.density * 2 * math.pi, color=colour, label=name)
         one.plot(f, density, ".", color=colour, ms=4)
@@ -184,18 +186,18 @@ def seas(study: Study) -> Figure | None:
 
 def raos(study: Study) -> Figure:
     """Response amplitudes beside Jensen's."""
-    figure, axes = _axes(3, 2, 9.0, 8.5)
-    k = val.OMEGA**2 / GRAVITY
-    there = val.OMEGA <= 4.6
-    for column, speed in enumerate(val.SPEEDS):
-        for (heading, _), colour in zip(val.HEADINGS.items(), COLOURS, strict=False):
+    figure, axes = _axes(3, 2, 7.6, 6.8)
+    k = OMEGA**2 / GRAVITY
+    there = OMEGA <= 4.6
+    for column, speed in enumerate(SPEEDS):
+        for (heading, _), colour in zip(HEADINGS.items(), COLOURS, strict=False):
             got, closed = study.responses[heading, speed], study.jensen(heading, speed)
             for row, (ours, theirs) in enumerate(
                 ((got.heave, closed[0]), (got.pitch / k, closed[1] / k), (got.roll / k, None))
             ):
                 if (row, heading) in ((1, "beam"), (2, "head")):
                     continue
-                one, x = axes[row, column], val.OMEGA[there]
+                one, x = axes[row, column], OMEGA[there]
                 one.plot(x, ours[there], color=colour, lw=1.8, label=heading)
                 if theirs is not None:
                     one.plot(x, theirs[there], color=colour, lw=1.2, ls="--")
@@ -222,7 +224,7 @@ def speed_power(study: Study) -> Figure:
         axes[0, 0].plot(froude, force / weight, color=colour, lw=1.8, label=name)
         axes[0, 1].plot(u / KNOT, force * u / 1e3, color=colour, lw=1.8, label=name)
         if name == study.boat.name:
-            knots, kilonewton = np.array(val.SAVITSKY).T
+            knots, kilonewton = np.array(SAVITSKY).T
             froude = knots * KNOT / math.sqrt(GRAVITY * v["length_waterline"])
             style = {"ls": "", "marker": "o", "color": colour, "mec": "black", "ms": 5}
             axes[0, 0].plot(froude, 1e3 * kilonewton / weight, **style)
@@ -231,6 +233,7 @@ def speed_power(study: Study) -> Figure:
         one.set_yscale("log")
     axes[0, 1].set_xscale("log")
     axes[0, 0].set_ylim(1e-4, 1.0)
+    axes[0, 1].set_xlim(0.5, 60.0)
     axes[0, 1].set_ylim(1e-3, 1e5)
     axes[0, 0].legend(fontsize=8)
     _name(axes[0, 0], "Froude number", "resistance / weight")
