@@ -13,7 +13,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 import typer
@@ -23,7 +23,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twin import benchmark as bench
-from twin import validation_page
 from twin.log import Log, LogError, beside
 from twin.model import PARAMETER_NAMES, PARAMETER_UNITS
 from twin.particulars import ParticularsError
@@ -31,14 +30,15 @@ from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.twin import PLANS, Twin, TwinError, known_plan
-from twin.validation import SECTIONS
-from twin.validation_study import Section, Study, shared_folder
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULT_KINDS, FaultError, parse_faults
 from usv_gym.simulation import SimulationError
 from usv_gym.vessel import Vessel, VesselError, vessel_names
 from usv_kernel import cached
+
+if TYPE_CHECKING:
+    from twin.validation_study import Section, Study
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -374,7 +374,7 @@ def validate_command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder of the page; the root of the repository."),
+        typer.Option("--out", "-o", help="Folder of the page; by default the repository's root."),
     ] = None,
 ) -> None:
     """Compute what is published or measured, and write it beside that as VALIDATION.md.
@@ -382,8 +382,12 @@ def validate_command(
     With --check the page is read instead: exit code 1 where a value is out of its tolerance,
     or is not the one on the page.
     """
+    from twin import validation_page
+    from twin.validation_study import Study, shared_folder
+
     home = Path(__file__).resolve().parents[1]
-    root = out or home
+    # the page of an installed package is that of the folder where one is
+    root = out or (home if (home / "pyproject.toml").is_file() else Path())
     page = root / validation_page.PAGE
     before = page.read_text(encoding="utf-8") if page.is_file() else ""
     if check and not before:
@@ -444,6 +448,8 @@ def _work(
 
 def _sections(study: Study) -> list[Section]:
     """Compute all sections of the validation page under a progress bar."""
+    from twin.validation import SECTIONS
+
     sections = []
     with Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console
@@ -460,15 +466,15 @@ def _print_validation(sections: list[Section]) -> None:
     table = Table(title="validation", box=SIMPLE_HEAD)
     for name in ("section", "ok", "out", "reported", "skipped"):
         table.add_column(name, justify="left" if name == "section" else "right")
-    reasons = []
+    reasons: list[str] = []
     for section in sections:
         skipped = [row.skipped for row in section.rows if row.skipped]
         judged = [row.ok for row in section.rows if not row.skipped]
         counts = judged.count(True), judged.count(False), judged.count(None), len(skipped)
         table.add_row(section.title, *map(str, counts))
-        reasons += [reason for reason in skipped if reason not in reasons]
+        reasons += skipped
     console.print(table)
-    for reason in reasons:
+    for reason in dict.fromkeys(reasons):
         _note(f"skipped: {reason}")
 
 

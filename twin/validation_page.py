@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from itertools import zip_longest
+from textwrap import fill
 from typing import Any
 
 from twin.validation_study import Row, Section
@@ -26,6 +27,7 @@ HEADS = ("item", "value", "reference", "tolerance", "result", "source")
 ROUNDING = Decimal("0.6")
 """Difference that is rounding, in units of the last figure on the page."""
 ABSENT = "-"
+WIDTH = 100
 
 INTRODUCTION = """# Validation
 
@@ -106,7 +108,7 @@ def render(sections: Sequence[Section], before: str = "", digits: int | None = N
     kept = _rows_of(before)
     lines = [INTRODUCTION]
     for section in sections:
-        lines += [f"## {section.title}", "", section.text, ""]
+        lines += [f"## {section.title}", "", fill(section.text, WIDTH), ""]
         lines += [f"| {' | '.join(HEADS)} |", "|---|---:|---:|---|---|---|"]
         for row in section.rows:
             found = cells(row, digits)
