@@ -31,9 +31,10 @@ WIDTH = 100
 
 INTRODUCTION = """# Validation
 
-What this code computes, beside numbers of others. Written by `usv-twin validate`, which computes
-every value anew; `usv-twin validate --check` (part of the CI) fails if a value is out of its
-tolerance or is no longer the one on this page. `--json FILE` gives the rows in full precision.
+What this code computes, beside what is published, measured, or computed apart from it. Written by
+`usv-twin validate`, which computes every value anew; `usv-twin validate --check` (part of the CI)
+fails if a value is out of its tolerance or is no longer the one on this page. `--json FILE` gives
+the rows in full precision.
 
 - **ok**: within the tolerance. **reported**: stands beside the reference, and is not judged.
 - Sections and item numbers of `physics.md` are those of the specification that the project was
@@ -50,7 +51,8 @@ What is **not** validated:
 - six degrees of freedom in steep waves: loads are linear, hulls wall-sided, nothing breaks;
 - the 7.5 m boat itself: no trials of it are public, and most of its coefficients are guesses,
   each marked in `usv_gym/vessels/usv75.toml`;
-- motions under way in beam and quartering seas, where sway damping is not relative to the waves.
+- motions under way in beam and quartering seas, where forces of sway count from still water;
+- tolerances, where a section says that they were chosen here.
 """
 
 

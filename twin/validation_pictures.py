@@ -141,7 +141,7 @@ def zigzags(study: Study) -> Figure | None:
 
 
 def wind_coefficients(study: Study) -> Figure:
-    """Wind coefficients with the published points."""
+    """Wind coefficients with the reference points."""
     figure, ((axes,),) = _axes(1, 1, 7.0, 3.8)
     p = study.boat.packed.copy()
     gamma = np.linspace(0.0, 180.0, 361)
@@ -156,7 +156,7 @@ def wind_coefficients(study: Study) -> Figure:
         axes.plot(x, scale * y / pressure / areas[k], "o", color=colour, mec="black")
     axes.legend()
     axes.set_xticks(range(0, 181, 30))
-    title = "Blendermann, speed boat (dots: published)"
+    title = "Blendermann, speed boat (dots: reference)"
     _name(axes, "apparent wind off the bow, deg", "coefficient", title)
     return figure
 
