@@ -1,9 +1,10 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark."""
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import functools
 import json
 import math
@@ -12,7 +13,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 import typer
@@ -38,12 +39,16 @@ from usv_gym.simulation import SimulationError
 from usv_gym.vessel import KIND_SCHEMA, Vessel, VesselError, vessel_names
 from usv_kernel import cached
 
+if TYPE_CHECKING:
+    from twin.validation_study import Section, Study
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
-    "predict where it will be, and benchmark predictors under GPS loss.",
+    "predict where it will be, benchmark predictors under GPS loss, and validate the ship and "
+    "the sea.",
 )
 vessel_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Check a vessel file, or begin a new one."
@@ -459,6 +464,61 @@ def vessel_new_command(
     )
 
 
+@app.command("validate")
+@_speaking
+def validate_command(
+    check: Annotated[
+        bool, typer.Option("--check", help="Write nothing; fail where the page is not today's.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Every row, in full precision.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder of the page; by default the repository's root."),
+    ] = None,
+) -> None:
+    """Compute what is published or measured, and write it beside that as VALIDATION.md.
+
+    With --check the page is read instead: exit code 1 where a value is out of its tolerance,
+    or is not the one on the page.
+    """
+    from twin import validation_page
+    from twin.validation_study import Study, shared_folder
+
+    home = Path(__file__).resolve().parents[1]
+    # the page of an installed package is that of the folder where one is
+    root = out or (home if (home / "pyproject.toml").is_file() else Path())
+    page = root / validation_page.PAGE
+    before = page.read_text(encoding="utf-8") if page.is_file() else ""
+    if check and not before:
+        raise FileNotFoundError(errno.ENOENT, "no page to check", str(page))
+    study = Study(shared_folder(home))
+    try:
+        sections = _sections(study)
+    except KeyboardInterrupt:
+        errors.print("stopped: nothing is written", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    _print_validation(sections)
+    if json_file is not None:
+        _write_json(json_file, validation_page.to_json(sections))
+    wrong = validation_page.failures(sections)
+    if check:
+        wrong += validation_page.compare(before, sections)
+    else:
+        from twin.validation_pictures import draw
+
+        root.mkdir(parents=True, exist_ok=True)
+        page.write_text(validation_page.render(sections, before), encoding="utf-8")
+        with console.status("drawing the pictures"):
+            drawn = draw(study, root / validation_page.FOLDER)
+        console.print(f"{page}, {len(drawn)} pictures in {root / validation_page.FOLDER}")
+    for text in wrong:
+        errors.print(text, style="red", highlight=False, soft_wrap=True)
+    if wrong:
+        raise typer.Exit(1)
+
+
 def _work(
     settings: bench.Settings, out: Path, jobs: int
 ) -> tuple[dict[bench.Unit, dict[str, Any]], dict[str, Exception]]:
@@ -485,6 +545,38 @@ def _work(
                     done[unit] = result
                 progress.advance(bar)
     return done, failed
+
+
+def _sections(study: Study) -> list[Section]:
+    """Compute all sections of the validation page under a progress bar."""
+    from twin.validation import SECTIONS
+
+    sections = []
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console
+    ) as progress:
+        bar = progress.add_task("validating", total=len(SECTIONS))
+        for name, section in SECTIONS.items():
+            progress.update(bar, description=name)
+            sections.append(section(study))
+            progress.advance(bar)
+    return sections
+
+
+def _print_validation(sections: list[Section]) -> None:
+    table = Table(title="validation", box=SIMPLE_HEAD)
+    for name in ("section", "ok", "out", "reported", "skipped"):
+        table.add_column(name, justify="left" if name == "section" else "right")
+    reasons: list[str] = []
+    for section in sections:
+        skipped = [row.skipped for row in section.rows if row.skipped]
+        judged = [row.ok for row in section.rows if not row.skipped]
+        counts = judged.count(True), judged.count(False), judged.count(None), len(skipped)
+        table.add_row(section.title, *map(str, counts))
+        reasons += skipped
+    console.print(table)
+    for reason in dict.fromkeys(reasons):
+        _note(f"skipped: {reason}")
 
 
 def _note(text: str) -> None:
@@ -773,7 +865,7 @@ def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
         writer.writerows([[repr(float(v)) for v in row] for row in rows])
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
+def _write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     _write_text(path, json.dumps(content, indent=1) + "\n")
 
 

@@ -60,7 +60,7 @@ def advance(
     ----------
     record : ndarray, shape (RECORD_SIZE,)
         All numbers of the boat; parts as named above. The command is read from it.
-    waves, factors, gusts : ndarray, shapes (7, M), (8, M), (3, G)
+    waves, factors, gusts : ndarray, shapes (7, M), (11, M), (3, G)
         Its sea, and scratch for it.
     noise : ndarray, shape (B, 14 + 3 F + 2)
         Noise of the sensors, their faults, and the weather; row ``count % B`` is used.

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import welch
 
+from twin.validation_study import an_hour, peak_period
 from usv_gym import SEA_STATES, SeaState, Vessel
 from usv_gym.physics import GRAVITY, spectra, waves, wind
 from usv_gym.physics import weather as wx
@@ -119,21 +119,6 @@ SEAS = {
     "jonswap": SeaState(hs=0.5, spectrum="jonswap", tp=4.0, components=400),
     "measured": SeaState(spectrum=MEASURED, components=400),
 }
-
-
-def an_hour(sea: Sea, segment: float = 200.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the elevation at one place at 4 Hz, and its spectrum over Hz."""
-    z = sea.elevation(3.0, -5.0, np.arange(0.0, 3600.0, 0.25))
-    f, density = welch(z, 4.0, nperseg=int(4 * segment))
-    return z, f[1:], density[1:]
-
-
-def peak_period(f: np.ndarray, density: np.ndarray) -> float:
-    """Return the peak period by the S^4-weighted mean frequency (Young 1995).
-
-    It is steady where the highest of many noisy bins is not.
-    """
-    return float(np.sum(density**4) / np.sum(f * density**4))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from twin.validation import energy, mirrored
 from usv_gym import SeaState, SensorSuite, Vessel
 from usv_gym.manoeuvres import commands
 from usv_gym.physics import GRAVITY, hull, propulsion, ship, waves
@@ -188,14 +188,6 @@ def test_zigzag_overshoot() -> None:
 # ------------------------------------------------- symmetries
 
 
-def mirrored(state: np.ndarray) -> np.ndarray:
-    out = state.copy()
-    out[..., [fr.Y, fr.PHI, fr.PSI, fr.V, fr.P, fr.R]] *= -1.0
-    out[..., [fr.N_LEFT, fr.N_RIGHT]] = state[..., [fr.N_RIGHT, fr.N_LEFT]]
-    out[..., [fr.DELTA_LEFT, fr.DELTA_RIGHT]] = -state[..., [fr.DELTA_RIGHT, fr.DELTA_LEFT]]
-    return out
-
-
 def mirrored_sea(sea: Sea) -> Sea:
     rows, weather = sea.waves.copy(), sea.weather.copy()
     rows[waves.K_EAST] *= -1.0
@@ -346,28 +338,14 @@ def test_a_boat_at_rest_in_calm_water_stays(dof: int) -> None:
     np.testing.assert_array_equal(track, np.tile(track[0], (len(track), 1)))
 
 
-def energy(states: np.ndarray, v: Mapping[str, float] = BOAT.values) -> np.ndarray:
-    """Return what moves, and what weight and buoyancy have stored, in J."""
-    m, m_x, m_y, m_z = (v[key] for key in ("mass", "m_x", "m_y", "m_z"))
-    z_G, z_H = v["draft"] - v["KG"], v["z_H"]
-    u, sway, w, p, q, r = (states[:, i] for i in range(fr.U, fr.R + 1))
-    moving = m * ((u + z_G * q) ** 2 + (sway - z_G * p) ** 2 + w**2)
-    moving += m_x * (u + z_H * q) ** 2 + m_y * (sway - z_H * p) ** 2 + m_z * w**2
-    moving += (v["I_xx"] + v["J_xx"]) * p**2 + (v["I_yy"] + v["J_yy"]) * q**2
-    moving += (v["I_zz"] + v["J_zz"]) * r**2
-    k_x = -np.sin(states[:, fr.THETA])
-    k_y = np.cos(states[:, fr.THETA]) * np.sin(states[:, fr.PHI])
-    stored = v["water_density"] * GRAVITY * v["A_wp"] * states[:, fr.Z] ** 2
-    stored += m * GRAVITY * (v["GM_T"] * k_y**2 + v["GM_L"] * k_x**2)
-    return 0.5 * (moving + stored)
-
-
 @given(u=st.floats(-20, 20), v=st.floats(-5, 5), r=st.floats(-1.2, 1.2), dof=freedom, tilt=tilts)
 @settings(max_examples=60, deadline=None)
 def test_without_thrust_the_energy_only_falls(
     u: float, v: float, r: float, dof: int, tilt: tuple[float, ...]
 ) -> None:
-    course = energy(sail(tilted(start(u, v, r), tilt, dof), np.zeros(4), 10.0, dof=dof))
+    course = energy(
+        sail(tilted(start(u, v, r), tilt, dof), np.zeros(4), 10.0, dof=dof), BOAT.values
+    )
     # rounding of energies up to 1e6 J; with heave and roll of 2 s the integrator's own error
     # at 20 Hz, (0.05 * 3.1)^6 / 144 a step, is 1e-7
     assert np.all(np.diff(course) <= (1e-9 if dof == 3 else 1e-6) * course[0])

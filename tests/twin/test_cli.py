@@ -287,7 +287,7 @@ def test_several_files_after_one_option():
     ]
 
 
-@pytest.mark.parametrize("command", ["simulate", "identify", "predict", "benchmark"])
+@pytest.mark.parametrize("command", ["simulate", "identify", "predict", "benchmark", "validate"])
 def test_help(command):
     assert "Usage" in run(command, "--help").stdout
 

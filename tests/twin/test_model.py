@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from twin import model, ukf
 from twin.particulars import Particulars
+from twin.validation import RATED, paper_run
 from usv_kernel import actuate
 
 STUDY = {
@@ -25,7 +26,6 @@ STUDY = {
 }
 BOAT = Particulars(**STUDY)  # type: ignore[arg-type]
 XI, SD = model.hand_prior(BOAT)
-RATED = 380.0 / 60.0  # rev/s; physics.md section 9
 
 LEFT_RIGHT = np.arange(25)
 LEFT_RIGHT[[4, 5, 13, 14, 23, 24]] = [5, 4, 14, 13, 24, 23]
@@ -178,25 +178,6 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
 # positive angle is the same turn in the tables as here: no sign had to be changed.
 
 
-def simulate(xi: np.ndarray, angle_deg: float, seconds: float) -> tuple[float, np.ndarray]:
-    """Return end time and state of a run from 5 m/s; it ends early at 1000 m/s."""
-    act = np.array([RATED, RATED, math.radians(angle_deg), math.radians(angle_deg)])
-
-    def fast(_: float, s: np.ndarray) -> float:
-        return 1000.0 - float(np.hypot(s[3], s[4]))
-
-    fast.terminal = True  # type: ignore[attr-defined]
-    run = solve_ivp(
-        lambda _, s: derivative(s, xi, act, 0.0),
-        (0.0, seconds),
-        [0.0, 0.0, 0.0, 5.0, 0.0, 0.0],
-        events=fast,
-        rtol=1e-8,
-        atol=1e-8,
-    )
-    return run.t[-1], run.y[:, -1]
-
-
 @pytest.mark.parametrize(
     ("table", "speed"), [(model.PAPER_TABLE_2, 5.58), (model.PAPER_TABLE_3, 7.76)]
 )
@@ -211,7 +192,7 @@ def test_straight_speed_of_the_paper_models(table: np.ndarray, speed: float) -> 
 
 @pytest.mark.parametrize(("angle_deg", "escape"), [(20.0, 7.3), (0.0, 12.9)])
 def test_table_2_escapes_to_infinity(angle_deg: float, escape: float) -> None:
-    end, state = simulate(model.PAPER_TABLE_2, angle_deg, 30.0)
+    end, state = paper_run(model.PAPER_TABLE_2, math.radians(angle_deg), 30.0)
     assert end == pytest.approx(escape, abs=0.2)
     assert np.hypot(state[3], state[4]) == pytest.approx(1000.0, rel=1e-3)
 
@@ -220,7 +201,7 @@ def test_table_2_escapes_to_infinity(angle_deg: float, escape: float) -> None:
     ("angle_deg", "u", "r_degps"), [(20.0, 10.35, 4.26), (-20.0, 11.51, -2.23)]
 )
 def test_table_3_turns(angle_deg: float, u: float, r_degps: float) -> None:
-    _, state = simulate(model.PAPER_TABLE_3, angle_deg, 300.0)
+    _, state = paper_run(model.PAPER_TABLE_3, math.radians(angle_deg), 300.0)
     assert state[3] == pytest.approx(u, rel=0.01)
     assert math.degrees(state[5]) == pytest.approx(r_degps, rel=0.01)
 

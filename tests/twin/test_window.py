@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twin.validation import henon, logistic
 from twin.window import (
     ENVIRONMENT_FORMS,
     NOISE_FORMS,
@@ -26,22 +27,6 @@ from twin.window import (
 )
 
 DT = 0.05
-
-
-def logistic(n: int, start: float = 0.4) -> np.ndarray:
-    x = np.empty(n)
-    x[0] = start
-    for i in range(1, n):
-        x[i] = 4.0 * x[i - 1] * (1.0 - x[i - 1])
-    return x
-
-
-def henon(n: int) -> np.ndarray:
-    x = np.empty(n + 100)
-    x[0], x[1] = 0.1, 0.1
-    for i in range(2, n + 100):
-        x[i] = 1.0 - 1.4 * x[i - 1] ** 2 + 0.3 * x[i - 2]
-    return x[100:]
 
 
 def slow_rosenstein(

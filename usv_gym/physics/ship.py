@@ -60,7 +60,7 @@ def derivative(
         Command.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    waves, factors : ndarray, shapes (7, M), (8, M)
+    waves, factors : ndarray, shapes (7, M), (11, M)
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
     weather : ndarray, shape (WEATHER_SIZE,)
         Current and drift sums; layout in :mod:`~usv_gym.physics.weather`.
@@ -76,10 +76,12 @@ def derivative(
     Notes
     -----
     Source: Eq (1)-(8), physics.md 2.1-2.3 C. The sum of rigid body and added mass is driven by
-    the velocity through water, which is exact for a current that is the same everywhere
-    (Fossen 2021, section 10.3). Weight and buoyancy act along the vertical, the water plane's
-    share at its centre; wave forces at the centre of gravity; hull, propulsion and wind at
-    their heights in the vessel file.
+    the velocity through a current, which is exact where that is the same everywhere (Fossen
+    2021, section 10.3). In waves, hull and propulsion feel the orbital motion of the water, and
+    the added mass its acceleration: a boat on a long wave moves with the water. Weight and
+    buoyancy act along the vertical, the water plane's share at its centre; the wave's push on
+    the boat's mass at its centre of gravity; hull, added mass, propulsion and wind at their
+    heights in the vessel file.
     """
     psi, r = state[fr.PSI], state[fr.R]
     phi, theta = state[fr.PHI], state[fr.THETA]
@@ -93,9 +95,24 @@ def derivative(
         current_u, current_v = fr.to_body(weather[CURRENT_NORTH], weather[CURRENT_EAST], psi)
     u, v = state[fr.U] - current_u, state[fr.V] - current_v
 
-    X_H, Y_H, N_H = hull_forces(u, v, r, p)
-    X_P, Y_P, N_P = propulsion_forces(u, v, r, state, p)
-    X, Y, N = X_H + X_P, Y_H + Y_P, N_H + N_P
+    X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    u_water, v_water = u, v
+    if waves.shape[1] > 0:
+        X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave, u_orbit, v_orbit = first_order_loads(
+            state[fr.X], state[fr.Y], psi, t, waves, p, dof, factors
+        )
+        X_wave, Y_wave, N_wave = gain * X_wave, gain * Y_wave, gain * N_wave
+        Z_wave, K_wave, M_wave = gain * Z_wave, gain * K_wave, gain * M_wave
+        u_water -= gain * u_orbit
+        v_water -= gain * v_orbit
+
+    X_H, Y_H, N_H = hull_forces(u_water, v_water, r, p)
+    X_P, Y_P, N_P = propulsion_forces(u_water, v_water, r, state, p)
+    x_share, y_share = p[par.M_X] / p[par.MASS], p[par.M_Y] / p[par.MASS]
+    # the water's acceleration pushes the added mass as its pressure pushes the boat's own
+    X_H, Y_H = X_H + x_share * X_wave, Y_H + y_share * Y_wave
+    X, Y = X_H + X_P, Y_H + Y_P
+    N = N_H + N_P + (1.0 + y_share) * N_wave
     X_wind, Y_wind = 0.0, 0.0
     if air_north != 0.0 or air_east != 0.0:
         # the resistance curve has the drag of still air in it already
@@ -103,16 +120,9 @@ def derivative(
         X_still, Y_still, N_still = wind_loads(state[fr.U], state[fr.V], psi, 0.0, 0.0, p)
         X_wind, Y_wind = X_air - X_still, Y_air - Y_still
         X, Y, N = X + X_wind, Y + Y_wind, N + N_air - N_still
-    X_wave, Y_wave, Z_wave, K_wave, M_wave = 0.0, 0.0, 0.0, 0.0, 0.0
     if waves.shape[1] > 0:
-        X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave = first_order_loads(
-            state[fr.X], state[fr.Y], psi, t, waves, p, dof, factors
-        )
         X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather[DRIFT:DRIFT_END])
-        X_wave = gain * (X_wave + gain * X_drift)
-        Y_wave = gain * (Y_wave + gain * Y_drift)
-        N += gain * (N_wave + gain * N_drift)
-        Z_wave, K_wave, M_wave = gain * Z_wave, gain * K_wave, gain * M_wave
+        X, Y, N = X + gain * gain * X_drift, Y + gain * gain * Y_drift, N + gain * gain * N_drift
 
     for i in range(fr.N_LEFT):
         out[i] = 0.0
@@ -205,7 +215,7 @@ def step(
         Time and step, s.
     dof : int
         3 or 6; see :func:`derivative`.
-    factors : ndarray, shape (8, M)
+    factors : ndarray, shape (11, M)
         Scratch for :func:`~usv_gym.physics.waves.box_factors`.
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.

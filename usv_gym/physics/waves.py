@@ -15,8 +15,8 @@ from usv_kernel import kernel
 OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE, BOTTOM = 0, 1, 2, 3, 4, 5, 6
 WAVE_ROWS = 7
 # what hull and heading make of each component, then scratch
-FORCE, YAW_LENGTH, YAW_BEAM, SCRATCH = 0, 1, 2, 3
-FACTOR_ROWS = SCRATCH + 5
+FORCE, YAW_LENGTH, YAW_BEAM, ORBITAL, SCRATCH = 0, 1, 2, 3, 4
+FACTOR_ROWS = SCRATCH + 7
 LANES = 4
 DRIFT_SUMS = 6
 
@@ -105,13 +105,14 @@ def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarra
         Wave components.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    factors : ndarray, shape (8, M)
-        Written in its first three rows: force per wave number, and the moment's shares of
-        length and beam.
+    factors : ndarray, shape (11, M)
+        Written in its first four rows: force per wave number, the moment's shares of length
+        and beam, and the orbital velocity per wave number.
     """
     half_length = 0.5 * p[par.LENGTH]
     half_beam = 0.5 * p[par.BEAM]
     area = p[par.BLOCK] * p[par.LENGTH] * p[par.BEAM]
+    mass_per_area = p[par.DENSITY] * p[par.DRAFT]
     cp, sp = math.cos(psi), math.sin(psi)
     for i in range(waves.shape[1]):
         s = (waves[K_NORTH, i] * cp + waves[K_EAST, i] * sp) * half_length
@@ -124,6 +125,9 @@ def box_factors(psi: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarra
         # Q(s, k_x) = L^2/2 j1(s), Q(c, k_y) = B^2/2 j1(c), over L B as the forces
         factors[YAW_LENGTH, i] = pressure * half_length * C * _j1(s, sin_s, cos_s)
         factors[YAW_BEAM, i] = pressure * half_beam * S * _j1(c, sin_c, cos_c)
+        factors[ORBITAL, i] = (
+            waves[PRESSURE, i] * S * C / (mass_per_area * (waves[OMEGA, i] + _TINY))
+        )
 
 
 @kernel
@@ -153,8 +157,8 @@ def first_order_loads(
     p: np.ndarray,
     dof: int,
     factors: np.ndarray,
-) -> tuple[float, float, float, float, float, float]:
-    """Return the first-order loads in the frame of the heading.
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return the first-order loads and the water's motion in the frame of the heading.
 
     Froude-Krylov pressure integrated over a box of the hull's length, beam and draft. The
     horizontal loads are scaled by the block coefficient, heave by the water plane, roll and
@@ -174,14 +178,15 @@ def first_order_loads(
         Packed vessel.
     dof : int
         3 or 6.
-    factors : ndarray, shape (8, M)
+    factors : ndarray, shape (11, M)
         What :func:`box_factors` makes of the components; the last rows are scratch.
 
     Returns
     -------
-    X, Y, N, Z, K, M : float
+    X, Y, N, Z, K, M, u, v : float
         Forces forward and to starboard (N), yaw moment (N m); with ``dof`` 6 also the
-        downward force and the roll and pitch moments, else zeros.
+        downward force and the roll and pitch moments, else zeros; and the orbital velocity
+        of the water forward and to starboard, mean over the hull (m/s).
 
     Notes
     -----
@@ -189,7 +194,8 @@ def first_order_loads(
     """
     cp, sp = math.cos(psi), math.sin(psi)
     a, b, c = factors[SCRATCH], factors[SCRATCH + 1], factors[SCRATCH + 2]
-    sines, cosines = factors[SCRATCH + 3], factors[SCRATCH + 4]
+    d, e = factors[SCRATCH + 3], factors[SCRATCH + 4]
+    sines, cosines = factors[SCRATCH + 5], factors[SCRATCH + 6]
     for i in range(waves.shape[1]):
         k_north, k_east = waves[K_NORTH, i], waves[K_EAST, i]
         sine, cosine = sincos(k_north * x + k_east * y - waves[OMEGA, i] * t + waves[PHASE, i])
@@ -199,23 +205,29 @@ def first_order_loads(
         k_x = k_north * cp + k_east * sp
         k_y = k_east * cp - k_north * sp
         c[i] = cosine * (k_y * factors[YAW_LENGTH, i] - k_x * factors[YAW_BEAM, i])
+        orbital = factors[ORBITAL, i] * cosine
+        d[i] = k_north * orbital
+        e[i] = k_east * orbital
         sines[i], cosines[i] = sine, cosine
     north, east, N = _sum_rows(a, b, c)
     X, Y = north * cp + east * sp, east * cp - north * sp
+    if dof == 6:
+        for i in range(waves.shape[1]):
+            a[i] = waves[BOTTOM, i] * factors[FORCE, i] * cosines[i]
+            b[i] = waves[BOTTOM, i] * factors[YAW_LENGTH, i] * sines[i]
+            c[i] = waves[BOTTOM, i] * factors[YAW_BEAM, i] * sines[i]
+    north, east, lift = _sum_rows(d, e, a)
+    u, v = north * cp + east * sp, east * cp - north * sp
     if dof != 6:
-        return X, Y, N, 0.0, 0.0, 0.0
-    for i in range(waves.shape[1]):
-        a[i] = waves[BOTTOM, i] * factors[FORCE, i] * cosines[i]
-        b[i] = waves[BOTTOM, i] * factors[YAW_LENGTH, i] * sines[i]
-        c[i] = waves[BOTTOM, i] * factors[YAW_BEAM, i] * sines[i]
-    lift, trim, heel = _sum_rows(a, b, c)
+        return X, Y, N, 0.0, 0.0, 0.0, u, v
+    trim, heel, _ = _sum_rows(b, c, c)
     L, B = p[par.LENGTH], p[par.BEAM]
     area = p[par.BLOCK] * L * B
     restoring = 12.0 * p[par.MASS] / (p[par.DENSITY] * area)
     Z = -lift * p[par.A_WP] / area
     K = heel * restoring * p[par.GM_T] / (B * B)
     M = -trim * restoring * p[par.GM_L] / (L * L)
-    return X, Y, N, Z, K, M
+    return X, Y, N, Z, K, M, u, v
 
 
 @kernel
