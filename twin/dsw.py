@@ -1,9 +1,9 @@
 """The paper's DSW-UKF: late fusion, joint UKF, dynamic sliding window.
 
 It is here to be compared with, and stated plainly: with the settings that the paper prints it
-loses to 8 s means of the velocities in a steady turn, and running the window again has no
-reliable effect: six seeds gave -17 to +7 % of the error in the turn and -12 to +79 % in the
-zigzag, against the same filter without a window (``stride=0``). What the paper leaves open is
+is no better than 8 s means of the velocities in a steady turn, and running the window again
+has no reliable effect: six seeds gave -54 to +6 % of the error in the turn and -36 to +53 % in
+the zigzag, against the same filter without a window (``stride=0``). What the paper leaves open is
 decided in the docstrings below, each decision where it is made.
 
 Source: Qu et al. 2025, sections 3.2.2 and 3.2.3.
