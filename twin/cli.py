@@ -431,7 +431,9 @@ def vessel_new_command(
     length_overall: Annotated[
         float | None, typer.Option(help="m; left out: 5 % above the length.")
     ] = None,
-    water_density: Annotated[float, typer.Option(help="kg/m3.")] = 1025.0,
+    water_density: Annotated[
+        float | None, typer.Option(help="kg/m3; left out: 1025, sea water.")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="File; <name>.toml.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
 ) -> None:

@@ -114,8 +114,11 @@ def render(sections: Sequence[Section], before: str = "", digits: int | None = N
         lines += [f"| {' | '.join(HEADS)} |", "|---|---:|---:|---|---|---|"]
         for row in section.rows:
             found = cells(row, digits)
-            if row.skipped:
-                found = kept.get((section.title, row.item), found)
+            old = kept.get((section.title, row.item))
+            if row.skipped and old:
+                # what was computed is kept; what it is held against is today's
+                reference = old[2] if row.reference is None else found[2]
+                found = (found[0], old[1], reference, found[3], old[4], found[5])
             lines.append(f"| {' | '.join(found)} |")
         lines.append("")
         for name, caption in section.pictures.items():

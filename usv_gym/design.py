@@ -79,6 +79,7 @@ class _Wish:
     power: float | None
     length_overall: float
     water_density: float
+    assumed: frozenset[str]
 
 
 def design(
@@ -93,7 +94,7 @@ def design(
     speed: float | None = None,
     power: float | None = None,
     length_overall: float | None = None,
-    water_density: float = 1025.0,
+    water_density: float | None = None,
 ) -> Draft:
     """Return a first vessel file for a ship of one hull.
 
@@ -114,8 +115,8 @@ def design(
         from a usual Froude number.
     length_overall : float or None
         m; None: 5 % above the length.
-    water_density : float
-        kg/m3.
+    water_density : float or None
+        kg/m3; None: 1025, sea water.
 
     Raises
     ------
@@ -133,7 +134,16 @@ def design(
         speed=speed,
         power=power,
         length_overall=1.05 * length if length_overall is None else length_overall,
-        water_density=water_density,
+        water_density=1025.0 if water_density is None else water_density,
+        assumed=frozenset(
+            key
+            for key, value in (
+                ("units", units),
+                ("length_overall", length_overall),
+                ("water_density", water_density),
+            )
+            if value is None
+        ),
     )
     form = _checked(wish)
     notes: list[str] = []
@@ -208,6 +218,12 @@ def _held(value: float, low: float, high: float, what: str, notes: list[str]) ->
     return inside
 
 
+def _wished(wish: _Wish, key: str, otherwise: str) -> _Entry:
+    """Return the entry of a value that is a guess where the user did not give it."""
+    guess = key in wish.assumed
+    return _Entry(getattr(wish, key), otherwise if guess else "given", guess)
+
+
 def _particulars(wish: _Wish, form: reg.Form, notes: list[str]) -> dict[str, _Entry]:
     given, mass = "given", wish.mass
     I_xx, I_zz = mass * (0.38 * wish.beam) ** 2, mass * (0.25 * wish.length) ** 2
@@ -218,12 +234,12 @@ def _particulars(wish: _Wish, form: reg.Form, notes: list[str]) -> dict[str, _En
     m_y = _held(added["m_y"] / mass, 0.3, 1.5, "m_y over the mass", notes) * mass
     J_zz = _held(added["J_zz"] / I_zz, 0.2, 1.5, "J_zz over I_zz", notes) * I_zz
     return {
-        "length_overall": _Entry(wish.length_overall, "given, or 1.05 of the length", False),
+        "length_overall": _wished(wish, "length_overall", "1.05 of the length"),
         "length_waterline": _Entry(wish.length, given, False),
         "beam": _Entry(wish.beam, given, False),
         "draft": _Entry(wish.draft, given, False),
         "block_coefficient": _Entry(form.block_coefficient, "from mass and dimensions", False),
-        "water_density": _Entry(wish.water_density, given, False),
+        "water_density": _wished(wish, "water_density", "sea water"),
         "mass": _Entry(mass, given, False),
         "x_G": _Entry(0.0, "origin at the centre of gravity", False),
         "KG": _Entry((1.5 if small else 0.9) * wish.draft, "1.5 of the draft; ships 0.9"),
@@ -371,7 +387,7 @@ def _propulsion(
     aside = {"thruster_pair": 0.35}.get(wish.kind, 0.25) if wish.units == 2 else 0.0
     usual = "fixed propeller, pitch over diameter near 1"
     entries = {
-        "units": _Entry(wish.units, "given, or usual for the kind", False),
+        "units": _wished(wish, "units", "usual for the kind"),
         "propeller_diameter": _Entry(diameter, "a share of the draft, or by its thrust"),
         "k_0": _Entry(k_0, usual),
         "k_1": _Entry(k_1, usual),

@@ -195,8 +195,8 @@ class SeaState:
     discretisation : str
         ``"equal-energy"``: one frequency at random in each of as many bins of equal energy
         as there are components, all amplitudes alike. ``"random-frequency"``: one in each of
-        bins of equal width, with the amplitude of the spectrum there. Neither repeats, and
-        both have exactly the height asked for.
+        bins of equal ratio of frequencies, with the amplitude of the spectrum there. Neither
+        repeats, and both have exactly the height asked for.
     spreading : float or None
         Exponent s of the directional spreading cos^2s, within 90 degrees of the mean, the
         same at all frequencies; None (or infinity): long-crested.
@@ -402,8 +402,9 @@ class SeaState:
         if self.discretisation == "random-frequency":
             table = self.wave_spectrum()
             low, high = spectra.quantile_frequencies(_BAND, table.omega, table.density)
-            omega = low + within / M * (high - low)
-            share = np.interp(omega, table.omega, table.density)
+            omega = low * (high / low) ** (within / M)
+            # bins of equal ratio: their width grows with the frequency
+            share = np.interp(omega, table.omega, table.density) * omega
             return omega, self.hs * np.sqrt(share / (8.0 * np.sum(share)))
         quantiles = np.clip(within / M, 1e-12, 1 - 1e-12)
         if self.spectrum == "pm":

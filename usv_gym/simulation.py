@@ -37,7 +37,8 @@ WEATHER = BIAS + sensors.MEMORY_SIZE
 TIME = WEATHER + wx.WEATHER_SIZE
 COUNT = TIME + 1
 WORK = COUNT + 1
-RECORD_SIZE = WORK + ship.WORK_ROWS * fr.STATE_SIZE
+MEAN_RATE = WORK + ship.WORK_ROWS * fr.STATE_SIZE
+RECORD_SIZE = MEAN_RATE + fr.STATE_SIZE
 
 
 @kernel
@@ -74,24 +75,28 @@ def advance(
         Degrees of freedom, 3 or 6.
     """
     state, cmd = record[STATE:CMD], record[CMD:Z]
-    work = record[WORK:].reshape((ship.WORK_ROWS, fr.STATE_SIZE))
+    work = record[WORK:MEAN_RATE].reshape((ship.WORK_ROWS, fr.STATE_SIZE))
     p, suite = constants[: par.PACKED_SIZE], constants[par.PACKED_SIZE :]
     h = dt / substeps
     count = int(record[COUNT]) + 1
     normal = noise[count % noise.shape[0]]
     weather = record[WEATHER:TIME]
     wx.drift_on(weather, dt, normal[normal.size - 2], normal[normal.size - 1])
+    mean = record[MEAN_RATE:]
+    mean[:] = 0.0
     for j in range(substeps):
         t = record[TIME] + j * h
         ship.step(state, cmd, p, waves, gusts, weather, t, h, dof, factors, work)
+        for i in range(fr.STATE_SIZE):
+            mean[i] += work[0, i] / substeps
     record[COUNT] = count
     record[TIME] = count * dt  # whole multiples of the step do not drift
     sensors.measure(
         state,
-        work[0],
+        mean,
         record[TIME],
         count,
-        h,  # the mean derivative is that of the last integration step
+        dt,
         suite,
         normal,
         faults,
@@ -236,6 +241,8 @@ class Simulation:
     def reset(self, boats: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         """Put some boats back to the start: straight ahead, at the manoeuvring speed.
 
+        With six degrees of freedom they begin on the surface of the sea, moving with it.
+
         Parameters
         ----------
         boats : sequence of int
@@ -262,6 +269,11 @@ class Simulation:
             self.state[i, fr.U] = self._start_speed
             self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
             self.cmd[i] = n_start, n_start, 0.0, 0.0
+            if self.dof == 6:
+                ship.float_on(
+                    *(self.state[i], self.waves[i], self.weather[i], self.vessel.packed.copy()),
+                    self.arguments[2][i],
+                )
             self.records[i, TIME] = self.records[i, COUNT] = 0.0
             self.records[i, WORK:] = 0.0
             self._rings[i] = 0.0

@@ -12,7 +12,7 @@ import pytest
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.sensors import COMPASS, GPS, IMU
-from usv_gym.simulation import NOISE_BLOCK, Simulation, SimulationError
+from usv_gym.simulation import MEAN_RATE, NOISE_BLOCK, Simulation, SimulationError
 
 BOAT = Vessel.load("usv75")
 SEA = SeaState.named("2").replace(current=0.4, current_to=1.0)
@@ -177,3 +177,40 @@ def test_steps_that_are_no_numbers(dt: float) -> None:
         Simulation(1, BOAT, SeaState(), dt=dt)
     with pytest.raises(SimulationError, match="whole multiple of dt_physics"):
         Simulation(1, BOAT, SeaState(), dt_physics=dt)
+
+
+@pytest.mark.parametrize(("vessel", "sea"), [("usv75", "4"), ("otter", "2"), ("wamv16", "3")])
+def test_six_degrees_begin_on_the_surface_of_the_sea(vessel: str, sea: str) -> None:
+    """No fall into the sea: the first seconds are like those that follow."""
+    first, later = [], []
+    for seed in range(4):
+        simulation = Simulation(1, Vessel.load(vessel), SeaState.named(sea), dof=6)
+        simulation.reset([0], [np.random.default_rng(seed)])
+        heave = [simulation.state[0, fr.W]]
+        for _ in range(600):
+            simulation.step(simulation.cmd)
+            heave.append(simulation.state[0, fr.W])
+        jerk = np.abs(np.diff(heave)) / simulation.dt
+        first.append(np.max(jerk[:60]))
+        later.append(np.max(jerk[200:]))
+    assert np.mean(first) < 1.5 * np.mean(later)
+
+
+def test_the_imu_reports_the_mean_of_the_whole_control_step() -> None:
+    """Also where that is cut into several steps of integration."""
+    simulation = Simulation(
+        1,
+        BOAT,
+        SeaState.named("3"),
+        suite=SensorSuite.perfect(),
+        dof=6,
+        dt=0.1,
+        dt_physics=0.0125,
+    )
+    simulation.reset([0], [np.random.default_rng(1)])
+    for _ in range(100):
+        before = simulation.state[0].copy()
+        simulation.step(simulation.cmd)
+        mean = simulation.records[0, MEAN_RATE:]
+        change = (simulation.state[0] - before) / simulation.dt
+        np.testing.assert_allclose(mean, change, rtol=1e-9, atol=1e-9)

@@ -5,8 +5,9 @@ Notation, signs and units of every file in this folder
 
 Frames
     Earth: north-east-down (NED), x north, y east, z down. Body: x forward, y starboard,
-    z down, origin at the point that the vessel file names (usually the centre of gravity).
-    psi is clockwise from north; r > 0 turns to starboard.
+    z down, origin in the still water line, at midship or at the length of the centre of
+    gravity (``x_G`` of the vessel file says which). psi is clockwise from north; r > 0 turns
+    to starboard, phi > 0 is starboard down, theta > 0 is bow up.
 State (16 numbers, indices in :mod:`~usv_gym.physics.frames`)
     ``eta = (x, y, z, phi, theta, psi)`` in m and rad,
     ``nu = (u, v, w, p, q, r)`` over the ground in m/s and rad/s,
@@ -26,7 +27,8 @@ Units
 Equation numbers
     Those of Qu et al. 2025, J. Mar. Sci. Eng. 13(5) 932, with its misprints mended.
 
-Order of reading: frames, parameters, hull, propulsion, spectra, wind, waves, weather, ship.
+Order of reading: frames, parameters, hull, propulsion, spectra, wind, waves, weather,
+rigid_body, ship.
 What happens in a step is behind :mod:`~usv_gym.physics.ship`; :mod:`~usv_gym.sea` draws what
 it sails in.
 """

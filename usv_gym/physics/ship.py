@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import heave_force, hull_forces, restoring
@@ -124,10 +125,11 @@ def derivative(
         X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather[DRIFT:DRIFT_END])
         X, Y, N = X + gain * gain * X_drift, Y + gain * gain * Y_drift, N + gain * gain * N_drift
 
+    x_G = p[par.X_G]
     for i in range(fr.N_LEFT):
         out[i] = 0.0
     if not free:
-        du, dv, dr = accelerate_3(X + X_wave, Y + Y_wave, N, u, v, r, p)
+        du, dv, dr = accelerate_3(X + X_wave, Y + Y_wave, N + x_G * Y_wave, u, v, r, p)
         # the current turns in the body frame as the boat turns
         out[fr.U], out[fr.V], out[fr.R] = du + r * current_v, dv - r * current_u, dr
         out[fr.X], out[fr.Y] = fr.to_earth(state[fr.U], state[fr.V], psi)
@@ -158,7 +160,7 @@ def derivative(
     )
     M = M_0 + M_wave + z_G * X_level + z_H * X_H + z_P * X_P - p[par.S_H] * X_wind
     M -= x_F * k_z * vertical
-    N += N_0 + x_F * k_y * vertical
+    N += N_0 + x_G * Y_level + x_F * k_y * vertical
     du, dv, dw, dp, dq, dr = accelerate_6(
         X + X_level + k_x * vertical,
         Y + Y_level + k_y * vertical,
@@ -185,6 +187,46 @@ def derivative(
     out[fr.THETA] = q_rate * cf - r * sf
     out[fr.PSI] = turn / level
     actuator_rates(state, cmd, p, out)
+
+
+@kernel
+def _lean(
+    x: float, y: float, psi: float, t: float, waves: np.ndarray, p: np.ndarray, factors: np.ndarray
+) -> tuple[float, float, float]:
+    """Return the z (m), phi and theta (rad) at which the boat would lie in a frozen sea."""
+    _, _, _, Z, K, M, _, _ = first_order_loads(x, y, psi, t, waves, p, 6, factors)
+    weight = p[par.MASS] * GRAVITY
+    z = Z / (p[par.DENSITY] * GRAVITY * p[par.A_WP])
+    return z, K / (weight * p[par.GM_T]), M / (weight * p[par.GM_L])
+
+
+@kernel
+def float_on(
+    state: np.ndarray, waves: np.ndarray, weather: np.ndarray, p: np.ndarray, factors: np.ndarray
+) -> None:
+    """Put a boat that sails straight on the surface of the sea at time 0, moving with it.
+
+    Parameters
+    ----------
+    state : ndarray, shape (16,)
+        Place, heading and speed are read; heave, roll, pitch and their rates are written.
+    waves, weather, p, factors
+        As for :func:`step`.
+    """
+    if waves.shape[1] == 0:
+        return
+    box_factors(state[fr.PSI], waves, p, factors)
+    gain = wave_gain(0.0, weather)
+    psi, u, h = state[fr.PSI], state[fr.U], 0.01
+    along_x, along_y = h * u * math.cos(psi), h * u * math.sin(psi)
+    x, y = state[fr.X], state[fr.Y]
+    z_0, phi_0, theta_0 = _lean(x - along_x, y - along_y, psi, -h, waves, p, factors)
+    z_1, phi_1, theta_1 = _lean(x + along_x, y + along_y, psi, h, waves, p, factors)
+    rate = gain / (2.0 * h)
+    state[fr.Z], state[fr.PHI] = 0.5 * gain * (z_0 + z_1), 0.5 * gain * (phi_0 + phi_1)
+    state[fr.THETA] = 0.5 * gain * (theta_0 + theta_1)
+    state[fr.W] = rate * (z_1 - z_0) + u * state[fr.THETA]
+    state[fr.P], state[fr.Q] = rate * (phi_1 - phi_0), rate * (theta_1 - theta_0)
 
 
 @kernel
