@@ -149,6 +149,9 @@ def simulate_command(
     degrees = None if wind_from is None else math.radians(wind_from)
     state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=degrees)
     suite, broken = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
+    for fault in broken:
+        if getattr(fault, "start", 0.0) >= duration:
+            _note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     with _compiling():
         log = simulate(
@@ -745,7 +748,7 @@ def _print_inspection(found: Inspection) -> None:
     facts = Table(title=f"{found.name}: {found.title}", box=SIMPLE_HEAD, show_header=False)
     for justify in ("left", "right"):
         facts.add_column(justify=justify, no_wrap=True)  # type: ignore[arg-type]
-    units = {"mps": "m/s", "degps": "deg/s"}
+    units = {"mps": "m/s", "degps": "deg/s", "rps": "rev/s"}
     rows = {
         **found.particulars,
         **{f"period of {name} s": value for name, value in found.periods.items()},

@@ -2,7 +2,7 @@
 
 from gymnasium.envs.registration import register, registry
 
-from usv_gym.sea import SEA_STATES, SeaState
+from usv_gym.sea import SEA_STATES, SeaState, Stage
 from usv_gym.sensors import Bursts, Fault, RandomFaults, SensorSuite
 from usv_gym.vessel import Vessel, vessel_names
 
@@ -13,6 +13,7 @@ __all__ = [
     "RandomFaults",
     "SeaState",
     "SensorSuite",
+    "Stage",
     "Vessel",
     "vessel_names",
 ]

@@ -171,12 +171,12 @@ def _step(
 
 
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):
-    """A 7.5 m unmanned surface vessel in wind and waves, seen through its sensors.
+    """An unmanned surface vessel in wind and waves, seen through its sensors.
 
     Description
     -----------
-    A ship after the MMG standard method with two propellers on steerable drives sails in
-    Blendermann wind and irregular Pierson-Moskowitz waves. The agent sees a GPS, a compass
+    A ship after the MMG standard method (by default the paper's: 7.5 m, two propellers on
+    steerable drives) sails in Blendermann wind and irregular waves. The agent sees a GPS, a compass
     and an IMU that are noisy, biased, late and may drop out; it never sees the truth.
     ``USVTwin-v0`` adds what a digital twin makes of the same sensors; see
     :class:`twin.wrapper.TwinObservation`.
@@ -284,11 +284,11 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"render_mode {render_mode!r} is not offered; leave it out")
         if actions not in ("common", "units"):
             raise ValueError(f"actions = {actions!r}; use 'common' or 'units'")
-        if isinstance(suite, str):
-            suite = SensorSuite.grade(suite)
         self.render_mode = None
         self.vessel = Vessel.load(vessel)
-        wind_from = None if wind_from_deg is None else math.radians(wind_from_deg)
+        if wind_from_deg is not None and not isinstance(wind_from_deg, (int, float, np.number)):
+            raise ValueError(f"wind_from_deg = {wind_from_deg!r}: must be a number of degrees")
+        wind_from = None if wind_from_deg is None else math.radians(wind_from_deg % 360.0)
         self.sea = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=wind_from)
         if isinstance(faults, str):
             name = faults

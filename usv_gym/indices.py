@@ -286,7 +286,10 @@ class Stopping:
 
 @dataclass(frozen=True)
 class Criterion:
-    """One row of IMO's list."""
+    """One row of IMO's list: ``name``, ``value``, ``limit``, ``unit`` and ``ok``.
+
+    Printed, it says it in a line, angles in degrees.
+    """
 
     name: str
     """What is asked."""
@@ -301,6 +304,12 @@ class Criterion:
     def ok(self) -> bool:
         """Whether it is met."""
         return self.value <= self.limit
+
+    def __str__(self) -> str:
+        scale, unit = (180.0 / math.pi, "deg") if self.unit == "rad" else (1.0, self.unit)
+        result = "ok" if self.ok else "not met"
+        value, limit = scale * self.value, scale * self.limit
+        return f"{self.name} {value:.2f} {unit}, at most {limit:.2f} {unit}: {result}"
 
 
 RESIDUAL = 0.02

@@ -207,6 +207,8 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
     end = math.hypot(state[fr.U], state[fr.V])
     rate = float(state[fr.R])
     return {
+        "helm_deg": math.degrees(vessel.helm_max),
+        "shaft_speed_rps": n,
         **turn,
         "advance_lengths": turn["advance_m"] / L,
         "tactical_diameter_lengths": turn["tactical_diameter_m"] / L,
@@ -374,7 +376,12 @@ def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
     for axis, key in (("pitch", "I_yy"), ("yaw", "I_zz")):
         gyradius = math.sqrt(v[key] / v["mass"]) / v["length_overall"]
         yield from _outside(
-            f"The gyradius in {axis} over the length overall", gyradius, 0.2, 0.3, stale
+            f"The gyradius in {axis} over the length overall",
+            gyradius,
+            0.2,
+            0.3,
+            stale,
+            error=not 0.1 < gyradius < 0.6,
         )
     if v["I_zz"] < 0.8 * max(v["I_xx"], v["I_yy"]):
         yield Finding(

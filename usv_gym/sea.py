@@ -31,7 +31,11 @@ GUST_COMPONENTS = 32
 _GUST_BAND_HZ = (1.0 / 600.0, 0.5)
 # shares of the energy between which random frequencies lie; the tail beyond would thin them
 _BAND = np.array([0.001, 0.999])
+_TURN = 2.0 * math.pi
+STEEPEST = 1.0 / 7.0
+"""Height over length at which waves break."""
 _RANGES = {
+    **{name: (-_TURN, _TURN) for name in ("wind_from", "wave_to", "current_to")},
     "hs": (0.0, 20.0),
     "wind": (0.0, 75.0),
     "current": (0.0, 10.0),
@@ -109,17 +113,20 @@ class Spectrum:
         path = Path(path)
         try:
             raw = path.read_bytes()
-            text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode()
+            text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
         except (OSError, EOFError, UnicodeDecodeError) as error:
             raise SeaError(f"{path}: cannot be read as a spectrum ({error})") from None
-        rows = [row for row in csv.reader(text.splitlines()) if row]
+        lines = [line for line in text.splitlines() if not line.startswith("#")]
+        rows = [row for row in csv.reader(lines) if row]
         header = ",".join(cell.strip() for cell in rows[0]) if rows else ""
         if header not in _PER_RADIAN:
             raise SeaError(f"{path}: header {header!r} must be {' or '.join(_PER_RADIAN)}")
         for i, row in enumerate(rows[1:], start=1):
-            if len(row) != 2:
+            if not _numbers(row):
                 raise SeaError(f"{path}: spectrum row {i}: {','.join(row)!r} must be two numbers")
-        values = np.array([[_number(cell) for cell in row] for row in rows[1:]]).reshape(-1, 2)
+        values = np.array([_numbers(row) for row in rows[1:]]).reshape(-1, 2)
+        # many files begin with a row at 0 Hz, which is no wave
+        values = values[1:] if len(values) and values[0, 0] == 0.0 else values
         scale = _PER_RADIAN[header]
         try:
             return cls(values[:, 0] * scale, values[:, 1] / scale)
@@ -138,12 +145,13 @@ class Spectrum:
         return Spectrum(omega, np.interp(omega, self.omega, self.density))
 
 
-def _number(cell: str) -> float:
-    """Return what a cell says, NaN if that is no number."""
+def _numbers(row: list[str]) -> list[float]:
+    """Return the two numbers of a row; none if it does not hold two."""
     try:
-        return float(cell)
+        values = [float(cell) for cell in row]
     except ValueError:
-        return math.nan
+        return []
+    return values if len(values) == 2 else []
 
 
 # header of a spectrum's file: rad/s in one unit of its frequency
@@ -252,7 +260,16 @@ class SeaState:
             raise SeaError(
                 f"tp = {self.tp}: only the spectra jonswap and ittc take a period of their own"
             )
+        if self.spectrum != "jonswap" and self.gamma != type(self).gamma:
+            raise SeaError(
+                f"gamma = {self.gamma}: only the spectrum jonswap takes a peak enhancement"
+            )
         self._take_course()
+        if self.tp is not None and self.hs > STEEPEST * GRAVITY * self.tp**2 / _TURN:
+            raise SeaError(
+                f"hs = {self.hs:g} m with tp = {self.tp:g} s: such waves break; the height must be "
+                f"at most {STEEPEST * GRAVITY * self.tp**2 / _TURN:.2g} m (a seventh of the length)"
+            )
 
     def _take_spectrum(self) -> None:
         """Read a measured spectrum from its file, and take its height if none is given."""
@@ -332,6 +349,10 @@ class SeaState:
 
     def replace(self, **changes: Any) -> SeaState:
         """Return the sea state with some values changed; None leaves a value as it is."""
+        unknown = set(changes) - {item.name for item in dataclasses.fields(self)}
+        if unknown:
+            known = ", ".join(item.name for item in dataclasses.fields(self))
+            raise SeaError(f"unknown value(s) {', '.join(sorted(unknown))}; known: {known}")
         given = {key: value for key, value in changes.items() if value is not None}
         if "course" in given:  # height and wind are its own
             given = {"hs": 0.0, "wind": 0.0} | given
@@ -455,7 +476,8 @@ def _check(name: str, value: object, where: str = "", *, optional: bool = False)
         raise SeaError(f"{where}{name} = {value!r}: must be a finite number")
     low, high = _RANGES.get(name, (-math.inf, math.inf))
     if not low <= value <= high:  # type: ignore[operator]
-        raise SeaError(f"{where}{name} = {value}: must lie between {low:g} and {high:g}")
+        hint = " (in rad: math.radians(90) is from or to the east)" if high == _TURN else ""
+        raise SeaError(f"{where}{name} = {value}: must lie between {low:g} and {high:g}{hint}")
 
 
 def wave_rows(

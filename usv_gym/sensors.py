@@ -74,6 +74,16 @@ BITS, START, END, EFFECT, CHANCE, GAP, LENGTH, ENTER, LEAVE, BURSTING, SIZES = (
 FAULT_SIZE = SIZES + len(CHANNELS)
 
 
+LATENCY_MAX = 10.0
+"""Largest age of a fix, s."""
+
+
+def _finite(value: object) -> bool:
+    """Return whether something is a finite number."""
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    return number and math.isfinite(value)  # type: ignore[arg-type]
+
+
 class FaultError(ValueError):
     """A sensor or a fault that cannot be; the message names it and the remedy."""
 
@@ -126,16 +136,20 @@ class SensorSuite:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
             if item.name.endswith("_arm"):
-                if len(value) != 3 or not all(map(math.isfinite, value)):
+                if np.ndim(value) != 1 or len(value) != 3 or not all(map(_finite, value)):
                     raise FaultError(
                         f"sensor {item.name} = {value}: must be three finite lengths in m "
                         "(forward, to starboard, down)"
                     )
                 continue
             positive = item.name.endswith(("_time", "_rate"))
-            if not math.isfinite(value) or value < 0 or (positive and value <= 0):
+            if not _finite(value) or value < 0 or (positive and value <= 0):
                 rule = "above 0" if positive else "0 or more"
-                raise FaultError(f"sensor {item.name} = {value}: must be finite and {rule}")
+                raise FaultError(f"sensor {item.name} = {value!r}: must be finite and {rule}")
+        if self.gps_latency > LATENCY_MAX:
+            raise FaultError(
+                f"sensor gps_latency = {self.gps_latency:g} s: must be {LATENCY_MAX:g} s or less"
+            )
 
     @classmethod
     def perfect(cls) -> SensorSuite:
@@ -163,11 +177,18 @@ class SensorSuite:
         FaultError
             Names what there is.
         """
-        if name not in GRADES:
+        if not isinstance(name, str) or name not in GRADES:
             raise FaultError(
                 f"no grade of sensors is called {name!r}; use {', '.join(GRADES)} or a SensorSuite"
             )
         return GRADES[name]
+
+    @classmethod
+    def of(cls, suite: str | SensorSuite | None) -> SensorSuite:
+        """Return a suite by the name of its grade (or the one handed in; None: the usual)."""
+        if suite is None:
+            return cls()
+        return suite if isinstance(suite, SensorSuite) else cls.grade(suite)
 
     def pack(self, dt: float) -> np.ndarray:
         """Return the numbers that :func:`measure` reads, for control steps of dt s."""
@@ -252,11 +273,11 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{self.kind} fault: there is no effect {self.effect!r}; use {', '.join(EFFECTS)}"
             )
-        if not 0.0 <= self.chance <= 1.0:
+        if not (_finite(self.chance) and 0.0 <= self.chance <= 1.0):
             raise FaultError(
                 f"{self.kind} fault: the chance of a spike must lie in [0, 1], got {self.chance}"
             )
-        if len(self.sizes) != len(CHANNELS) or not all(map(math.isfinite, self.sizes)):
+        if np.shape(self.sizes) != (len(CHANNELS),) or not all(map(_finite, self.sizes)):
             raise FaultError(
                 f"{self.kind} fault: sizes must be {len(CHANNELS)} finite numbers, one for each "
                 f"of usv_gym.sensors.CHANNELS, got {self.sizes}"
@@ -282,6 +303,8 @@ class Fault(Disturbance):
 
     Parameters
     ----------
+    kind, effect, chance, sizes
+        What is struck and how: see :class:`Disturbance`.
     start, duration : float
         When it begins and how long it lasts, s.
     """
@@ -293,7 +316,7 @@ class Fault(Disturbance):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.start) and math.isfinite(self.duration) and self.duration > 0):
+        if not (_finite(self.start) and _finite(self.duration) and self.duration > 0):
             raise FaultError(
                 f"{self.kind} fault: start and duration must be finite and the duration above 0, "
                 f"got {self.start} and {self.duration}"
@@ -309,6 +332,8 @@ class RandomFaults(Disturbance):
 
     Parameters
     ----------
+    kind, effect, chance, sizes
+        What is struck and how: see :class:`Disturbance`.
     gap, duration : tuple of float
         Shortest and longest time between two, and of each, s; uniform.
     start : float
@@ -324,7 +349,8 @@ class RandomFaults(Disturbance):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, span in (("gap", self.gap), ("duration", self.duration)):
-            if len(span) != 2 or not 0.0 < span[0] <= span[1] < math.inf:
+            sound = np.shape(span) == (2,) and all(map(_finite, span))
+            if not (sound and 0.0 < span[0] <= span[1]):
                 raise FaultError(
                     f"{self.kind} fault: {name} must be the shortest and the longest time in s, "
                     f"both above 0 and finite, got {span}"
@@ -349,6 +375,8 @@ class Bursts(Disturbance):
 
     Parameters
     ----------
+    kind, effect, chance, sizes
+        What is struck and how: see :class:`Disturbance`.
     loss : float
         Mean share of steps that are struck, above 0 and below 1.
     mean : float
@@ -365,11 +393,11 @@ class Bursts(Disturbance):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.loss < 1.0:
+        if not (_finite(self.loss) and 0.0 < self.loss < 1.0):
             raise FaultError(
                 f"{self.kind} bursts: the loss must be a share above 0 and below 1, got {self.loss}"
             )
-        if not 0.0 < self.mean < math.inf:
+        if not (_finite(self.mean) and self.mean > 0.0):
             raise FaultError(
                 f"{self.kind} bursts: the mean length must be finite and above 0 s, got {self.mean}"
             )
@@ -387,8 +415,8 @@ class Bursts(Disturbance):
 
 
 def _finite_start(kind: str, start: float) -> None:
-    if not math.isfinite(start):
-        raise FaultError(f"{kind} fault: the start must be finite, got {start}")
+    if not _finite(start):
+        raise FaultError(f"{kind} fault: the start must be finite, got {start!r}")
 
 
 ON: tuple[Disturbance, ...] = (

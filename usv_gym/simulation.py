@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -144,11 +145,11 @@ class Simulation:
     ----------
     n : int
         Number of boats.
-    vessel : Vessel
+    vessel : str or Path or Vessel
         The kind of boat.
-    sea : SeaState
+    sea : str or SeaState
         The sea state; each boat gets its own realisation at each reset.
-    suite : SensorSuite
+    suite : str or SensorSuite, optional
         Errors and rates of the sensors.
     faults : sequence of Disturbance or callable
         Faults of sensors, the same for every boat, or a function of a generator that draws
@@ -177,10 +178,10 @@ class Simulation:
     def __init__(
         self,
         n: int,
-        vessel: Vessel,
-        sea: SeaState,
+        vessel: str | Path | Vessel,
+        sea: str | SeaState,
         *,
-        suite: SensorSuite | None = None,
+        suite: str | SensorSuite | None = None,
         faults: (
             Sequence[Disturbance] | Callable[[np.random.Generator], Sequence[Disturbance]]
         ) = (),
@@ -197,10 +198,18 @@ class Simulation:
             )
         if dof not in (3, 6):
             raise SimulationError(f"dof = {dof!r}: must be 3 or 6")
+        if not (isinstance(n, (int, np.integer)) and n >= 1):
+            raise SimulationError(f"n = {n!r}: must be a whole number of boats, 1 or more")
+        vessel, sea, suite = Vessel.load(vessel), SeaState.named(sea), SensorSuite.of(suite)
         self.dof = int(dof)
         self.n, self.vessel, self.sea, self.dt, self.substeps = n, vessel, sea, dt, substeps
-        self.suite = SensorSuite() if suite is None else suite
+        self.suite = suite
         fixed = () if callable(faults) else tuple(faults)
+        if not all(isinstance(fault, Disturbance) for fault in fixed):
+            raise SimulationError(
+                f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
+                "(usv_gym.sensors.parse_faults reads a text)"
+            )
         sensors.fault_rows(fixed, dt)  # what does not fit dies here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
         self._given_faults = faults if callable(faults) else fixed
@@ -236,6 +245,7 @@ class Simulation:
         """What the kernels :func:`advance` and those built on it take, for all boats."""
         self._until_refill = 1
         self._noise_rngs: list[tuple[np.random.Generator, ...]] = [()] * n
+        self._asleep = set(range(n))
         self._start_speed = vessel.straight_speed(vessel.values["shaft_speed_manoeuvring"])
 
     def reset(self, boats: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
@@ -252,7 +262,19 @@ class Simulation:
             child, so that switching one off leaves the others as they were.
         """
         n_start = self.vessel.values["shaft_speed_manoeuvring"]
+        boats, rngs = list(boats), list(rngs)
+        if len(boats) != len(rngs) or not set(boats) <= set(range(self.n)):
+            raise SimulationError(
+                f"reset of boats {boats} with {len(rngs)} generator(s): boats count from 0 to "
+                f"{self.n - 1}, and each needs one generator"
+            )
+        for rng in rngs:
+            if not isinstance(rng, np.random.Generator):
+                raise SimulationError(
+                    f"{rng!r} is no generator; use numpy.random.default_rng(seed)"
+                )
         for i, rng in zip(boats, rngs, strict=True):
+            self._asleep.discard(i)
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, rng_faults = rng.spawn(6)
             sea = self.sea.realise(self.vessel, rng_waves, rng_gusts)
             self.waves[i], self.gusts[i], self.weather[i] = sea.waves, sea.gusts, sea.weather
@@ -296,6 +318,13 @@ class Simulation:
         cmd : ndarray, shape (n, 4)
             Left and right shaft speed (rev/s), left and right drive angle (rad); finite.
         """
+        if self._asleep:
+            raise SimulationError("call reset() for every boat before step()")
+        cmd = np.asarray(cmd, dtype=float)
+        if cmd.shape != self.cmd.shape or not np.isfinite(cmd).all():
+            raise SimulationError(
+                f"cmd of shape {cmd.shape}: must be finite numbers of shape {self.cmd.shape}"
+            )
         self.cmd[:] = cmd
         self.prepare()
         _advance_all(*self.arguments)

@@ -331,12 +331,14 @@ class _Trial:
     def __init__(
         self, vessel: Vessel, n: float, speed: float | None, dof: int, dt: float | None
     ) -> None:
+        for name, value in (("n", n), ("speed", speed), ("dt", dt)):
+            if value is None and name != "n":
+                continue
+            number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
+            if not (number and value > 0.0):  # type: ignore[operator]
+                raise TrialError(f"{name} = {value!r}: must be a finite number above 0")
         self.vessel, self.n = vessel, n
         self.speed = vessel.straight_speed(n) if speed is None else speed
-        if not (n > 0.0 and self.speed > 0.0):
-            raise TrialError(
-                f"n = {n:g} rev/s and speed = {self.speed:g} m/s: trials begin ahead, both above 0"
-            )
         self.length = vessel.values["length_waterline"]
         self.largest = vessel.helm_max
         # orders are late by up to a step, and a step must be short beside every period
@@ -346,10 +348,12 @@ class _Trial:
 
     def within_stops(self, angle: float) -> float:
         """Return a helm angle after a look at whether the helm goes so far."""
-        if not 0.0 < abs(angle) <= self.largest * (1.0 + 1e-9):
+        number = isinstance(angle, (int, float, np.number))
+        if not (number and 0.0 < abs(angle) <= self.largest * (1.0 + 1e-9)):
+            shown = f"{math.degrees(angle):.3g} degrees" if number else repr(angle)
             raise TrialError(
-                f"a helm angle of {math.degrees(angle):.3g} degrees: {self.vessel.name} goes to "
-                f"{math.degrees(self.largest):.3g} degrees, and 0 is no trial"
+                f"a trial with a helm angle of {shown}: {self.vessel.name} must be given one above "
+                f"0 and within the {math.degrees(self.largest):.3g} degrees that its helm goes to"
             )
         return angle
 

@@ -166,7 +166,7 @@ _ABSENT = {
     "rudder_height": 1.0,
 }
 FULL_HELM = math.radians(30.0)
-"""Helm angle at which a fixed pair of thrusters stops one of them and doubles the other, rad."""
+"""Helm angle at which a fixed pair of thrusters has moved all thrust to one of them, rad."""
 
 
 class VesselError(ValueError):
@@ -296,7 +296,8 @@ class Vessel:
                         guesses.add(f"resistance_{key}")
             for key in given:
                 if key not in keys:
-                    raise VesselError(f"[{name}] {key}: unknown key; known: {', '.join(keys)}")
+                    of = f" of a {kind}" if name == "propulsion" else ""
+                    raise VesselError(f"[{name}] {key}: unknown key{of}; known: {', '.join(keys)}")
             for key, (unit, _) in keys.items():
                 if key not in given:
                     if name == "hull":
@@ -418,18 +419,29 @@ class Vessel:
             Shaft speed, rev/s.
         angle : float or ndarray, shape (...)
             Helm angle, rad, above 0 to starboard: that of drives or rudders. A fixed pair of
-            thrusters turns by unequal speeds; at 30 degrees one stops and one doubles.
+            thrusters moves thrust from one to the other; at 30 degrees one stops.
 
         Returns
         -------
         ndarray, shape (..., 4)
             Left and right shaft speed (rev/s), left and right angle (rad).
+
+        Raises
+        ------
+        VesselError
+            For what is no number, or an angle beyond 90 degrees.
         """
         n, angle = np.broadcast_arrays(np.asarray(n, float), np.asarray(angle, float))
+        if not (np.all(np.isfinite(n)) and np.all(np.abs(angle) <= 0.5 * math.pi)):
+            raise VesselError(
+                f"helm(n={n}, angle={angle}): must be finite, and the angle in rad, within 90 "
+                "degrees (math.radians turns degrees into rad)"
+            )
         if self.kind == "thruster_pair":
             share = angle / FULL_HELM
+            left, right = (np.copysign(np.sqrt(np.abs(x)), x) for x in (1.0 + share, 1.0 - share))
             still = np.zeros_like(n)
-            return np.stack([n * (1.0 + share), n * (1.0 - share), still, still], axis=-1)
+            return np.stack([n * left, n * right, still, still], axis=-1)
         return np.stack([n, n, angle, angle], axis=-1)
 
     def straight_speed(self, n: float) -> float:

@@ -76,8 +76,9 @@ def test_a_fixed_pair_of_thrusters_steers_by_unequal_speeds() -> None:
     otter = Vessel.load("otter")
     cmd = commands("turn", T, otter, np.random.default_rng(0), n=N)
     share = given("turn")[:, 2] / math.radians(30.0)
-    np.testing.assert_allclose(cmd[:, 0], N * (1.0 + share), rtol=1e-12)
-    np.testing.assert_allclose(cmd[:, 1], N * (1.0 - share), rtol=1e-12)
+    # thrust goes with the square of the speed: the sum stays
+    np.testing.assert_allclose(cmd[:, 0] ** 2, N**2 * (1.0 + share), rtol=1e-12)
+    np.testing.assert_allclose(cmd[:, 1] ** 2, N**2 * (1.0 - share), rtol=1e-12)
     assert np.all(cmd[:, 2:] == 0.0)
 
 

@@ -8,6 +8,7 @@ import math
 import os
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -291,6 +292,30 @@ def test_a_measured_spectrum_is_read_in_either_unit(tmp_path: Path) -> None:
     assert state.hs == pytest.approx(4.0 * math.sqrt(np.trapezoid(DENSITY, FREQUENCY)), rel=1e-9)
 
 
+def test_files_of_spreadsheets_and_analysers_are_read(tmp_path: Path) -> None:
+    """A byte-order mark, remarks, and a row at 0 Hz, which is no wave."""
+    path = tmp_path / "buoy.csv"
+    rows = [f"{f},{s}" for f, s in zip(FREQUENCY, DENSITY, strict=True)]
+    text = "\n".join(["# buoy 7", "frequency_hz,density_m2_per_hz", "0.0,0.0", *rows])
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    np.testing.assert_allclose(SeaState(spectrum=path).spectrum.omega, MEASURED.omega, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"wind": 5.0, "wind_from": 90.0}, "wind_from = 90.0.*math.radians"),
+        ({"hs": 5.0, "spectrum": "jonswap", "tp": 2.0}, "such waves break; .* at most 0.89 m"),
+        ({"hs": 1.0, "gamma": 2.0}, "gamma = 2.0: only the spectrum jonswap"),
+    ],
+)
+def test_seas_that_contradict_themselves(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(SeaError, match=message):
+        SeaState(**kwargs)
+    with pytest.raises(SeaError, match=r"unknown value.* Hs; known: hs, wind"):
+        SeaState().replace(Hs=2.0)
+
+
 def test_a_height_scales_a_measured_spectrum() -> None:
     own, twice = (SeaState(spectrum=MEASURED, hs=hs) for hs in (0.0, 2.0 * MEASURED.moments.hs))
     assert twice.hs == 2.0 * own.hs
@@ -307,12 +332,12 @@ def test_a_height_scales_a_measured_spectrum() -> None:
         (HERTZ, [(0.1, 1), (0.2, 1)], "2 frequencies and 2 densities: must have"),
         (HERTZ, [], "0 frequencies and 0 densities: must have"),
         (HERTZ, [(0.1, 1), (0.3, 1), (0.2, 1)], "row 3: frequency must be above 0 and above that"),
-        (HERTZ, [(0.0, 1), (0.1, 1), (0.2, 1)], "row 1: frequency must be above 0"),
+        (HERTZ, [(-0.1, 1), (0.1, 1), (0.2, 1)], "row 1: frequency must be above 0"),
         (HERTZ, [(0.1, 1), (0.1, 1), (0.2, 1)], "row 2: frequency must be above 0 and above that"),
         (HERTZ, [(0.1, 1), (0.2, -1), (0.3, 1)], "row 2: density must not be below 0"),
         (HERTZ, [(0.1, 1), (0.2, "nan"), (0.3, 1)], "row 2: density must be a finite number"),
-        (HERTZ, [(0.1, 1), (0.2, ""), (0.3, 1)], "row 2: density must be a finite number"),
-        (HERTZ, [("x", 1), (0.2, 1), (0.3, 1)], "row 1: frequency must be a finite number"),
+        (HERTZ, [(0.1, 1), (0.2, ""), (0.3, 1)], "row 2: '0.2,' must be two numbers"),
+        (HERTZ, [("x", 1), (0.2, 1), (0.3, 1)], "row 1: 'x,1' must be two numbers"),
         (HERTZ, [(0.1, 1), (0.2,), (0.3, 1)], "row 2: '0.2' must be two numbers"),
         (HERTZ, [(0.1, 0), (0.2, 0), (0.3, 0)], "no energy"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -214,3 +214,28 @@ def test_the_imu_reports_the_mean_of_the_whole_control_step() -> None:
         mean = simulation.records[0, MEAN_RATE:]
         change = (simulation.state[0] - before) / simulation.dt
         np.testing.assert_allclose(mean, change, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: Simulation(0, BOAT, SEA), "n = 0: must be a whole number"),
+        (lambda: Simulation(1, BOAT, SEA, faults="gps10"), "parse_faults"),
+        (lambda: Simulation(1, "usv75", "calm").step(np.zeros((1, 4))), "call reset"),
+        (lambda: Simulation(2, BOAT, SEA).reset([2], [np.random.default_rng(0)]), "from 0 to 1"),
+        (lambda: Simulation(1, BOAT, SEA).reset([0], [0]), "default_rng"),
+    ],
+)
+def test_what_a_simulation_cannot_do_is_told(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(SimulationError, match=words):
+        call()
+
+
+@pytest.mark.parametrize("cmd", [np.zeros(4), np.full((1, 4), math.nan), np.zeros((2, 4))])
+def test_a_bad_command_changes_nothing(cmd: np.ndarray) -> None:
+    simulation = Simulation(1, "usv75", "2", suite="best")
+    simulation.reset([0], [np.random.default_rng(0)])
+    before = simulation.records.copy()
+    with pytest.raises(SimulationError, match=r"finite numbers of shape \(1, 4\)"):
+        simulation.step(cmd)
+    np.testing.assert_array_equal(simulation.records, before)

@@ -227,10 +227,16 @@ def test_speed_may_be_given() -> None:
 
 def test_errors() -> None:
     for angle in (31.0, 0.0):
-        with pytest.raises(TrialError, match=f"{angle:g} degrees: usv75 goes to 30 degrees"):
+        with pytest.raises(
+            TrialError, match=f"{angle:g} degrees: usv75 must be given one .* 30 degrees"
+        ):
             trials.turning_circle(BOAT, angle=angle * DEGREE, n=20.4)
-    with pytest.raises(TrialError, match="n = 0 rev/s"):
+    with pytest.raises(TrialError, match=r"n = 0\.0: must be a finite number above 0"):
         trials.zigzag(BOAT, switch=0.1, helm=0.1, n=0.0)
+    with pytest.raises(TrialError, match="dt = 0: must be a finite number above 0"):
+        trials.zigzag(BOAT, switch=0.1, helm=0.1, n=20.0, dt=0)
+    with pytest.raises(TrialError, match="helm angle of 'a'"):
+        trials.turning_circle(BOAT, angle="a", n=20.0)  # type: ignore[arg-type]
     with pytest.raises(TrialError, match="switch = 0 rad must be above 0"):
         trials.zigzag(BOAT, switch=0.0, helm=0.1, n=20.4)
     with pytest.raises(TrialError, match="astern = -2 rev/s"):
