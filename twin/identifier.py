@@ -444,7 +444,7 @@ class ModelPredictor(Predictor):
     def estimate(self) -> Estimate:
         """Return what is believed now."""
         x, P = self.ukf.x.copy(), self.ukf.P
-        state = self.with_gps_bias(P[:N_STATES, :N_STATES])
+        state = self.with_common_error(P[:N_STATES, :N_STATES])
         sd, xi_sd = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:]))
         return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], xi_sd, self.ready)
 
@@ -456,14 +456,14 @@ class ModelPredictor(Predictor):
         """Predict the motion under a plan; see :meth:`twin.predictor.Predictor.predict`."""
         mean, acts = self.ukf.roll(plan, dt)
         after = dt * np.arange(1, len(plan) + 1)
-        start_cov = self.with_gps_bias(self.ukf.P[:N_STATES, :N_STATES])
+        start_cov = self.with_common_error(self.ukf.P[:N_STATES, :N_STATES])
         return Prediction(
             self.t,
             self.s.copy(),
             start_cov,
             self.t + after,
             mean,
-            self.with_gps_bias(self.ukf.bands(acts, dt)),
+            self.with_common_error(self.ukf.bands(acts, dt)),
         )
 
 
@@ -515,6 +515,14 @@ class UKFPredictor(ModelPredictor):
     def ready(self) -> bool:
         """True once the filter has begun."""
         return bool(self.nav[_BEGUN])
+
+    def with_common_error(self, cov: Array) -> Array:
+        """Return covariances with the GPS bias and the error of the navigation added.
+
+        The joint filter takes that error for white, and would average it away; without GPS
+        it lasts and grows.
+        """
+        return super().with_common_error(cov) + self.P_nav[:N_STATES, :N_STATES]
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictor.Predictor.update`."""

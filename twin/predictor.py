@@ -130,7 +130,7 @@ class Predictor(ABC):
         self.particulars = particulars
         self.seed = seed
 
-    def with_gps_bias(self, cov: Array) -> Array:
+    def with_common_error(self, cov: Array) -> Array:
         """Return covariances (..., 6, 6) with the drifting part of the GPS error added.
 
         It is the same at every time of a prediction, and no filter can tell it from the
@@ -300,7 +300,7 @@ class HistoryPredictor(Predictor):
 
     def estimate(self) -> Estimate:
         """Return what is believed now."""
-        sd = np.sqrt(np.diag(self.with_gps_bias(self.navigator.P[:6, :6])))
+        sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[:6, :6])))
         none = np.zeros(0)
         return Estimate(self.t, self.s.copy(), sd, none, none, self.navigator.ready)
 
@@ -320,7 +320,7 @@ class HistoryPredictor(Predictor):
         errors = self._own_errors()
         known = GRID * np.arange(1, len(errors) + 1)
         grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
-        start_cov = self.with_gps_bias(self.navigator.P[:6, :6])
+        start_cov = self.with_common_error(self.navigator.P[:6, :6])
         cov = np.repeat(start_cov[None], len(plan), axis=0)
         cov[:, range(6), range(6)] += grow**2
         return Prediction(self.t, start, start_cov, self.t + after, mean, cov)

@@ -22,9 +22,10 @@ __all__ = ["TRUE_STATE", "measurement_row", "particulars_of", "simulate"]
 
 Array = NDArray[np.float64]
 
-UPRIGHT, TILT = 0.07, 0.5
-"""Accelerations that a twin's model leaves out, m/s2: waves on an upright boat, and gravity in
-the accelerometers of one that rolls and pitches (sea state 2: 0.2 to 1, by the heading)."""
+UPRIGHT, TILT = 0.07, 8.0
+"""Accelerations that a twin's model leaves out, m/s2, as white noise at 20 Hz: waves on an
+upright boat, and gravity in the accelerometers of one that rolls and pitches (0.2 to 1 in sea
+state 2, but lasting for seconds, or as long as a turn: it counts for ten times as much)."""
 SWAY = 0.2
 """Typical turning rate and acceleration of a boat in waves, rad/s and rad/s2."""
 
