@@ -33,6 +33,7 @@ from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.design import DesignError, design
 from usv_gym.inspection import Inspection, inspect
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.physics import KNOT
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULTS_HELP, GRADES, FaultError, SensorSuite, parse_faults
 from usv_gym.simulation import SimulationError
@@ -453,7 +454,7 @@ def vessel_new_command(
             mass=mass,
             kind=kind,
             units=units,
-            speed=None if speed is None else speed * 1852.0 / 3600.0,
+            speed=None if speed is None else speed * KNOT,
             power=None if power is None else power * 1e3,
             length_overall=length_overall,
             water_density=water_density,

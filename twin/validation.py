@@ -21,7 +21,6 @@ from twin.validation_study import (
     DEGREE,
     HEADINGS,
     JENSEN_HULL,
-    KNOT,
     OMEGA,
     ORIGIN,
     RUNS,
@@ -43,7 +42,7 @@ from twin.window import rosenstein
 from usv_gym import indices, rao, trials
 from usv_gym.indices import Track
 from usv_gym.inspection import course_eigenvalues
-from usv_gym.physics import GRAVITY, hull, spectra, waves, wind
+from usv_gym.physics import GRAVITY, KNOT, hull, spectra, waves, wind
 from usv_gym.physics import frames as fr
 from usv_gym.physics import weather as wx
 from usv_gym.sea import DISCRETISATIONS, Sea, SeaState

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.validation import BLENDERMANN_LOADS, SAVITSKY, SEAS
-from twin.validation_study import DEGREE, HEADINGS, KNOT, OMEGA, SPEEDS, Study, an_hour, realise
+from twin.validation_study import DEGREE, HEADINGS, OMEGA, SPEEDS, Study, an_hour, realise
 from usv_gym.indices import Track
-from usv_gym.physics import GRAVITY, wind
+from usv_gym.physics import GRAVITY, KNOT, wind
 from usv_gym.physics.hull import hull_forces
 from usv_gym.vessel import Vessel, vessel_names
 

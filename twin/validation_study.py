@@ -16,8 +16,8 @@ from scipy.signal import welch
 
 from usv_gym import rao, trials
 from usv_gym.indices import Track
+from usv_gym.physics import KNOT, ship, spectra, waves
 from usv_gym.physics import frames as fr
-from usv_gym.physics import ship, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.sea import Sea, SeaState, Spectrum
 from usv_gym.trials import StandardTrials
@@ -37,7 +37,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-KNOT = 1852.0 / 3600.0
 DEGREE = math.pi / 180.0
 KINDS = ("relative", "absolute", "factor", "below", "reported")
 """Of tolerances; ``below``: a size that must stay below it; ``reported``: not judged."""
@@ -292,8 +291,7 @@ class Sailor:
 
     def __init__(self, vessel: Vessel, sea: Sea | None = None, dof: int = 3) -> None:
         self.p, self.dof = vessel.packed.copy(), dof
-        calm = Sea(np.zeros((waves.WAVE_ROWS, 0)), np.zeros((3, 0)), wx.constant())
-        self.sea = calm if sea is None else sea
+        self.sea = Sea.calm() if sea is None else sea
         self.factors = np.zeros((waves.FACTOR_ROWS, self.sea.waves.shape[1]))
         self.work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 from usv_gym import regressions as reg
 from usv_gym.inspection import course_eigenvalues
-from usv_gym.physics import GRAVITY
+from usv_gym.physics import GRAVITY, KNOT
 from usv_gym.vessel import KIND_SCHEMA, SCHEMA, Vessel
 
 __all__ = ["DesignError", "Draft", "design"]
 
-KNOT = 1852.0 / 3600.0
 FROUDE = {"propeller_rudder": 0.2, "steerable_drive": 0.5, "thruster_pair": 0.3}
 """Froude number of the service speed where none is given."""
 EFFICIENCY = 0.5

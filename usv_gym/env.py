@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium import spaces
 
 from usv_gym import sensors
+from usv_gym.physics import GRAVITY
 from usv_gym.sea import SeaState
 from usv_gym.sensors import Disturbance, FaultError, SensorSuite
 from usv_gym.simulation import BIAS, CMD, Simulation, Z, advance
@@ -94,7 +95,7 @@ def _observe(
     speed = rules[SPEED]
     c, s = math.cos(held[4]), math.sin(held[4])
     o[0], o[1], o[2] = c, s, held[5]
-    o[3], o[4] = held[6] / 9.80665, held[7] / 9.80665
+    o[3], o[4] = held[6] / GRAVITY, held[7] / GRAVITY
     o[5] = (held[2] * c + held[3] * s) / speed
     o[6] = (held[3] * c - held[2] * s) / speed
     for j in range(3):
@@ -349,7 +350,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self._seen,
             self._actions,
         )
-        self._mixing = mixing
+        self._unmixing = np.linalg.pinv(mixing)
         self._started = False
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
@@ -377,7 +378,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         for_world, for_task = self.np_random.spawn(2)
         self.simulation.reset([0], [for_world])
         self.task.reset(0, for_task)
-        self._actions[:] = np.linalg.pinv(self._mixing) @ (self.simulation.cmd[0] / self._scale)
+        self._actions[:] = self._unmixing @ (self.simulation.cmd[0] / self._scale)
         self._seen[:] = 0.0
         self._started = True
         if self.history is not None:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from usv_gym import regressions as reg
-from usv_gym.physics import GRAVITY, ship
+from usv_gym.physics import GRAVITY, KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.physics.waves import FACTOR_ROWS, WAVE_ROWS
-from usv_gym.physics.weather import constant
+from usv_gym.physics.waves import FACTOR_ROWS
+from usv_gym.sea import Sea
 from usv_gym.vessel import Vessel, VesselError
 
 __all__ = ["Finding", "Inspection", "course_eigenvalues", "form_of", "inspect"]
@@ -31,9 +31,7 @@ NO_TURN = 100.0
 """A turning radius of so many lengths is none."""
 TWO_HULLS = 0.5
 """Below this water-plane coefficient the box is taken to hold two hulls."""
-# nothing of waves, gusts and weather
-_CALM = (np.zeros((WAVE_ROWS, 0)), np.zeros((FACTOR_ROWS, 0)), constant())
-_GUSTS = np.zeros((3, 0))
+_CALM, _FACTORS = Sea.calm(), np.zeros((FACTOR_ROWS, 0))
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ def _state(vessel: Vessel, n: float, speed: float) -> np.ndarray:
 
 def _jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) -> np.ndarray:
     """Return the derivatives of the rates of some states by these states, commands held."""
-    waves, factors, weather = _CALM
+    p = vessel.packed.copy()
     cmd, out, h = state[fr.N_LEFT :].copy(), np.zeros(fr.STATE_SIZE), 1e-6
     jacobian = np.empty((len(rows), len(rows)))
     for j, row in enumerate(rows):
@@ -131,7 +129,8 @@ def _jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) 
             trial = state.copy()
             trial[row] += sign * h
             ship.derivative(
-                trial, cmd, vessel.packed, waves, factors, weather, 0.0, 0.0, 1.0, 0.0, dof, out
+                *(trial, cmd, p, _CALM.waves, _FACTORS, _CALM.weather),
+                *(0.0, 0.0, 1.0, 0.0, dof, out),
             )
             jacobian[:, j] = out[rows] if sign > 0.0 else (jacobian[:, j] - out[rows]) / (2.0 * h)
     return jacobian
@@ -188,14 +187,13 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
         *(0.05 * period for period in periods),
     )
     state, cmd = _state(vessel, n, speed), vessel.helm(n, vessel.helm_max)
-    waves, factors, weather = _CALM
-    work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+    p, work = vessel.packed.copy(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
     heel = 0.0
     for k in range(int(120.0 * L / speed / dt)):
         ship.step(
-            *(state, cmd, vessel.packed, waves, _GUSTS, weather),
-            *(k * dt, dt, 6, factors, work),
+            *(state, cmd, p, _CALM.waves, _CALM.gusts, _CALM.weather),
+            *(k * dt, dt, 6, _FACTORS, work),
         )
         heading, heel = abs(state[fr.PSI]), max(heel, abs(state[fr.PHI]))
         if not heel < CAPSIZED or heading > 4.0 * math.pi:
@@ -224,7 +222,9 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
 
 def _pull(vessel: Vessel, n: float, speed: float = 0.0) -> float:
     """Return the force of all units, N."""
-    return float(propulsion_forces(speed, 0.0, 0.0, _state(vessel, n, speed), vessel.packed)[0])
+    return float(
+        propulsion_forces(speed, 0.0, 0.0, _state(vessel, n, speed), vessel.packed.copy())[0]
+    )
 
 
 def _speeds(vessel: Vessel) -> list[dict[str, float]]:
@@ -239,7 +239,7 @@ def _speeds(vessel: Vessel) -> list[dict[str, float]]:
             {
                 "shaft_speed_rps": n,
                 "speed_mps": speed,
-                "speed_kn": speed * 3600.0 / 1852.0,
+                "speed_kn": speed / KNOT,
                 "froude": speed / math.sqrt(GRAVITY * v["length_waterline"]),
                 "thrust_N": _pull(vessel, n, speed),
             }
@@ -467,7 +467,7 @@ def _speed_rules(vessel: Vessel, found: Inspection) -> Findings:
         error=top["froude"] > 5.0,
     )
     weight = v["mass"] * GRAVITY
-    resistance = -hull_forces(top["speed_mps"], 0.0, 0.0, vessel.packed)[0]
+    resistance = -hull_forces(top["speed_mps"], 0.0, 0.0, vessel.packed.copy())[0]
     yield from _outside(
         "Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6
     )

@@ -541,6 +541,12 @@ class Sea:
     weather: Array
 
     @classmethod
+    def calm(cls) -> Sea:
+        """Return still water without wind."""
+        empty = np.zeros((waves.WAVE_ROWS, 0))
+        return cls(waves=empty, gusts=np.zeros((3, 0)), weather=wx.constant())
+
+    @classmethod
     def regular(
         cls, vessel: Vessel, omega: float, amplitude: float, to: float = 0.0, phase: float = 0.0
     ) -> Sea:
@@ -558,7 +564,7 @@ class Sea:
             Phase at the origin at time 0, rad.
         """
         rows, _ = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
-        return cls(waves=rows, gusts=np.zeros((3, 0)), weather=wx.constant())
+        return dataclasses.replace(cls.calm(), waves=rows)
 
     def elevation(self, x: ArrayLike, y: ArrayLike, t: ArrayLike) -> Array:
         """Return the height of the sea surface above rest in m, as the boat feels it.

@@ -292,10 +292,8 @@ class Simulation:
             self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
             self.cmd[i] = n_start, n_start, 0.0, 0.0
             if self.dof == 6:
-                ship.float_on(
-                    *(self.state[i], self.waves[i], self.weather[i], self.vessel.packed.copy()),
-                    self.arguments[2][i],
-                )
+                p, factors = self.constants[: par.PACKED_SIZE], self.arguments[2][i]
+                ship.float_on(self.state[i], self.waves[i], self.weather[i], p, factors)
             self.records[i, TIME] = self.records[i, COUNT] = 0.0
             self.records[i, WORK:] = 0.0
             self._rings[i] = 0.0

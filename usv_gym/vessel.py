@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from usv_gym.physics import KNOT
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import hull_forces
@@ -34,7 +35,7 @@ UNITS: dict[str, dict[str, float]] = {
     "kg": {"kg": 1.0, "t": 1e3},
     "kg m2": {"kg m2": 1.0},
     "kg/m3": {"kg/m3": 1.0},
-    "m/s": {"m/s": 1.0, "kn": 1852.0 / 3600.0},
+    "m/s": {"m/s": 1.0, "kn": KNOT},
     "N": {"N": 1.0, "kN": 1e3},
     "s": {"s": 1.0},
     "rev/s": {"rev/s": 1.0, "rpm": 1.0 / 60.0},
@@ -456,7 +457,7 @@ class Vessel:
             return 0.0
         state = np.zeros(fr.STATE_SIZE)
         state[fr.N_LEFT] = state[fr.N_RIGHT] = n
-        p = self.packed
+        p = self.packed.copy()  # kernels are compiled for arrays that can be written to
 
         def surplus(u: float) -> float:
             return propulsion_forces(u, 0.0, 0.0, state, p)[0] + hull_forces(u, 0.0, 0.0, p)[0]

@@ -35,5 +35,7 @@ it sails in.
 
 GRAVITY = 9.80665
 """Standard gravity, m/s2."""
+KNOT = 1852.0 / 3600.0
+"""One knot in m/s."""
 AIR_DENSITY = 1.224
 """kg/m3, at 15 degrees and sea level."""
