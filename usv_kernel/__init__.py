@@ -10,9 +10,11 @@ Outputs are written in place.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +25,15 @@ import platformdirs
 
 __version__ = "0.1.0"
 
-__all__ = ["actuate", "cache_directory", "cached", "kernel", "sources_digest", "wrap"]
+__all__ = [
+    "actuate",
+    "cache_directory",
+    "cached",
+    "kernel",
+    "module_digest",
+    "sources_digest",
+    "wrap",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,10 +42,7 @@ _PACKAGES = ("usv_kernel", "usv_gym", "twin")
 
 
 def sources_digest(root: Path = _ROOT) -> str:
-    """Return one digest over every file that may hold a kernel.
-
-    numba's disk cache looks at the file of the outermost function only, so that an edit of
-    a function that it calls in another file would go on running the old machine code.
+    """Return one digest over the whole program.
 
     Parameters
     ----------
@@ -54,31 +61,107 @@ def sources_digest(root: Path = _ROOT) -> str:
     return digest.hexdigest()[:20]
 
 
-def cache_directory() -> Path | None:
-    """Return the folder for today's compiled kernels, or None where none can be written.
+def module_digest(module: str, root: Path = _ROOT) -> str:
+    """Return one digest over a module and all that it imports from the three packages.
 
-    It is named by :func:`sources_digest`; folders of earlier sources are removed once they
-    are older than the newest three. ``NUMBA_CACHE_DIR`` moves it.
+    numba's disk cache looks at the file of the outermost function only, so that an edit of
+    a function that it calls in another file would go on running the old machine code.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name.
+    root : Path
+        Folder that holds the packages.
+
+    Returns
+    -------
+    str
+        Twenty hexadecimal digits; another value after any edit of any of those files.
+    """
+    found: set[Path] = set()
+    todo = _files_of(module, root)
+    while todo:
+        path = todo.pop()
+        if path not in found:
+            found.add(path)
+            todo += [file for name in _source(path)[1] for file in _files_of(name, root)]
+    digest = hashlib.sha256()
+    for path in sorted(found):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + _source(path)[0])
+    return digest.hexdigest()[:20]
+
+
+def _files_of(module: str, root: Path) -> list[Path]:
+    """Return the file of a module of ours; none for others, and for names inside a module."""
+    if module.partition(".")[0] not in _PACKAGES:
+        return []
+    path = root.joinpath(*module.split("."))
+    return [file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()]
+
+
+_IMPORT = re.compile(
+    rb"^[ \t]*(?:from[ ]+([\w.]+)[ ]+)?import[ ]+(\([^)]*\)|[^\n#]*)", re.MULTILINE
+)
+
+
+@functools.cache
+def _source(path: Path) -> tuple[bytes, frozenset[str]]:
+    """Return a file's content and the dotted names that it imports, those of a ``from`` both ways.
+
+    By pattern and not by parsing: every import of the packages waits for it.
+    """
+    content = path.read_bytes()
+    names = set()
+    for origin, listed in _IMPORT.findall(content):
+        start = origin.decode()
+        items = [item.split()[0] for item in listed.decode().strip("()").split(",") if item.strip()]
+        names |= {start, *(f"{start}.{item}" for item in items)} if start else set(items)
+    return content, frozenset(names)
+
+
+@functools.cache
+def cache_directory(module: str) -> Path | None:
+    """Return the folder for a module's compiled kernels, or None where none can be written.
+
+    It is named by :func:`module_digest`; of earlier ones the newest three are kept.
+    ``NUMBA_CACHE_DIR`` moves it.
     """
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("usv-twin"))
-    folder = base / f"kernels-{sources_digest()}"
+    ours = bool(_files_of(module, _ROOT))
+    folder = base / f"{module}-{module_digest(module) if ours else sources_digest()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
-        kept = sorted(base.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
-        for stale in kept[:-4]:
+        for stale in _of_module(folder)[:-4]:
             shutil.rmtree(stale, ignore_errors=True)
     except OSError:
         return None
     return folder if os.access(folder, os.W_OK) else None
 
 
-_CACHE = cache_directory()
+def _of_module(folder: Path) -> list[Path]:
+    """Return the folders of all versions of a module, oldest first."""
+    name = folder.name.rpartition("-")[0]
+    return sorted(folder.parent.glob(f"{name}-*"), key=lambda path: path.stat().st_mtime)
 
 
 def cached() -> bool:
-    """Return whether kernels of today's sources have been compiled before."""
-    return _CACHE is not None and next(_CACHE.rglob("*.nbi"), None) is not None
+    """Return whether the kernels of today's sources have been compiled before.
+
+    A module that was compiled in an earlier version only is going to be compiled again.
+    """
+    fresh = False
+    for folder in filter(None, map(cache_directory, _MODULES)):
+        compiled = {path for path in _of_module(folder) if next(path.rglob("*.nbi"), None)}
+        if compiled and folder not in compiled:
+            return False
+        fresh = fresh or folder in compiled
+    return fresh
+
+
+_MODULES: set[str] = set()
+"""Those that hold kernels, as far as they were imported."""
 
 
 def kernel(function: F) -> F:
@@ -97,11 +180,13 @@ def kernel(function: F) -> F:
     callable
         The compiled function; it releases the interpreter lock while it runs.
     """
+    _MODULES.add(function.__module__)
+    folder = cache_directory(function.__module__)
     # The folder is chosen when the function is decorated, so the setting can go back at once.
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    numba.config.CACHE_DIR = str(_CACHE) if _CACHE else before  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(folder) if folder else before  # type: ignore[attr-defined]
     try:
-        compiled = numba.njit(cache=_CACHE is not None, nogil=True, error_model="numpy")(function)
+        compiled = numba.njit(cache=folder is not None, nogil=True, error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
     return compiled  # type: ignore[no-any-return]

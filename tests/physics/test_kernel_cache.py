@@ -113,7 +113,7 @@ def test_stale_machine_code_cannot_run(
     cache = tmp_path / "cache"
     cache.mkdir()
     before = run(tree, cache, call)
-    compiled = list(cache.glob("kernels-*/**/*.nbi"))
+    compiled = list(cache.rglob("*.nbi"))
     assert compiled, "nothing was kept on disk: this test would prove nothing"
     assert run(tree, cache, call) == before
     edit(tree / source, old, new)
@@ -123,20 +123,76 @@ def test_stale_machine_code_cannot_run(
     assert after == pytest.approx(expected, rel=1e-12)
 
 
+def test_a_module_sees_what_it_imports_and_nothing_else(tree: Path) -> None:
+    def digest() -> str:
+        usv_kernel._source.cache_clear()
+        return usv_kernel.module_digest("usv_gym.physics.ship", tree)
+
+    before = digest()
+    assert usv_kernel.module_digest("usv_gym.physics.ship") == before
+    for source in (
+        "usv_gym/physics/frames.py",
+        "usv_gym/physics/__init__.py",
+        "usv_kernel/__init__.py",
+    ):
+        path = tree / source
+        path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
+        after = digest()
+        assert after != before, f"an edit of {source} was not seen"
+        before = after
+    for source in ("twin/ukf.py", "usv_gym/env.py"):
+        path = tree / source
+        path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
+    assert digest() == before
+
+
+def test_imports_are_found_in_every_form(tmp_path: Path) -> None:
+    path = tmp_path / "some.py"
+    path.write_text(
+        "import usv_gym.rao, math\nfrom twin import (\n    ukf as u,\n    model,\n)\n"
+        "def f():\n    from usv_gym.physics import hull  # late\n",
+        encoding="utf-8",
+    )
+    assert usv_kernel._source(path)[1] == {
+        *("usv_gym.rao", "math", "twin", "twin.ukf", "twin.model"),
+        *("usv_gym.physics", "usv_gym.physics.hull"),
+    }
+
+
 def test_only_the_newest_folders_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    usv_kernel.cache_directory.cache_clear()
     for age in range(1, 7):
-        folder = tmp_path / f"kernels-{age}"
+        folder = tmp_path / f"twin.ukf-{age}"
         folder.mkdir()
         os.utime(folder, (1e9 - age, 1e9 - age))
-    mine = usv_kernel.cache_directory()
-    assert mine == tmp_path / f"kernels-{usv_kernel.sources_digest()}"
+    mine = usv_kernel.cache_directory("twin.ukf")
+    usv_kernel.cache_directory.cache_clear()
+    assert mine == tmp_path / f"twin.ukf-{usv_kernel.module_digest('twin.ukf')}"
     assert {path.name for path in tmp_path.iterdir()} == {
         mine.name,
-        "kernels-1",
-        "kernels-2",
-        "kernels-3",
+        "twin.ukf-1",
+        "twin.ukf-2",
+        "twin.ukf-3",
     }
+
+
+def test_an_edited_module_counts_as_not_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(usv_kernel, "_MODULES", {"twin.ukf", "twin.dsw"})
+    usv_kernel.cache_directory.cache_clear()
+    assert not usv_kernel.cached()
+    folder = usv_kernel.cache_directory("twin.ukf")
+    assert folder is not None
+    (folder / "f.nbi").write_bytes(b"")
+    assert usv_kernel.cached()  # twin.dsw was never needed
+    old = tmp_path / "twin.dsw-0"
+    old.mkdir()
+    (old / "f.nbi").write_bytes(b"")
+    assert not usv_kernel.cached()
+    usv_kernel.cache_directory.cache_clear()
 
 
 def test_without_a_writable_folder_kernels_are_still_compiled(
@@ -145,14 +201,16 @@ def test_without_a_writable_folder_kernels_are_still_compiled(
     blocked = tmp_path / "file"
     blocked.write_text("", encoding="utf-8")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocked))
-    assert usv_kernel.cache_directory() is None
-    monkeypatch.setattr(usv_kernel, "_CACHE", None)
+    monkeypatch.setattr(usv_kernel, "_MODULES", set())
+    usv_kernel.cache_directory.cache_clear()
+    assert usv_kernel.cache_directory("twin.ukf") is None
     assert not usv_kernel.cached()
 
     def double(x: float) -> float:
         return 2.0 * x
 
     assert usv_kernel.kernel(double)(3.0) == 6.0
+    usv_kernel.cache_directory.cache_clear()
 
 
 SAIL = """
