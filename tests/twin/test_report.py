@@ -207,7 +207,7 @@ def test_matplotlib_comes_late_and_without_pyplot(tmp_path):
     code = (
         "import sys, numpy as np, twin.report as r; from pathlib import Path\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "log = r.Log(np.arange(3.), np.zeros((3, 9)), np.zeros((3, 4)))\n"
+        "log = r.Log(np.arange(3.), np.zeros((3, len(r.MEASUREMENTS))), np.zeros((3, 4)))\n"
         f"r.picture_of_log(log, Path({str(tmp_path / 'p.png')!r}))\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
