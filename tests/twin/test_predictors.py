@@ -109,15 +109,14 @@ def test_reset_forgets(name, zigzag, boat):
 def test_survives_losses(name, zigzag, boat):
     """All sensors gone for minutes, then gaps and wild numbers: finite, and back again."""
     twin = twin_for(name, boat)
-    rng = np.random.default_rng(0)
+    rng, size = np.random.default_rng(1), len(MEASUREMENTS)
     feed(twin, zigzag, 600)
     t = twin.t
     for k in range(600):
         t += 0.5 if k % 50 else 30.0
-        z = np.full(len(MEASUREMENTS), math.nan)
+        z = np.full(size, math.nan)
         if k > 500:
-            z = rng.normal(size=len(MEASUREMENTS)) * 1e4
-            z[rng.random(len(MEASUREMENTS)) < 0.5] = math.nan
+            z = np.where(rng.random(size) < 0.5, math.nan, rng.normal(size=size) * 1e4)
         twin.step(t, z, rng.normal(size=4) * [30.0, 30.0, 1.0, 1.0])
         if k % 60 == 0:
             prediction = twin.predict()
