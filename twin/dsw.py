@@ -306,6 +306,7 @@ class DSWPredictor(ModelPredictor):
         self._innovation = np.zeros((2, N_STATES))
         self._count = 0
         self._wind = math.nan
+        self.t = 0.0
         self.q, self.r = self.ukf.settings.q.copy(), self.ukf.settings.r.copy()
 
     @property
