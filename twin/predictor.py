@@ -125,6 +125,10 @@ class Predictor(ABC):
 
     trains = False
     """Whether the class takes ``train_at``: seconds of data after which it trains itself."""
+    parameter_names: tuple[str, ...] = ()
+    """Names of the parameters in ``Estimate.xi`` ..."""
+    parameter_units: tuple[str, ...] = ()
+    """... and their units."""
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
