@@ -359,7 +359,8 @@ class JointUKF:
                 [settings.n_unit],
             ]
         )
-        self.x, self.P, self.act, self.wind, *_ = parts(self.memory, self.constants, self.kit)
+        views = parts(self.memory, self.constants, self.kit)
+        self.x, self.P, self.act, self.wind, self.q, _, self.r, *_ = views
         self.scratch = np.zeros(2 * N_STATES**2 + N_TERMS + 10 + ROOM + n - N_STATES)
         self.work = workspace(N_STATES, n - N_STATES)
         self.arguments = (self.memory, self.constants, self.scratch, self.work, self.kit)
@@ -438,6 +439,7 @@ class ModelPredictor(Predictor):
         self.ukf = JointUKF(particulars, settings)
         self.parameter_names = settings.structure.parameters
         self.parameter_units = settings.structure.units
+        self.parameter_blocks = settings.structure.blocks
         self.t = 0.0
 
     @property

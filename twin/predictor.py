@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -128,7 +130,9 @@ class Predictor(ABC):
     parameter_names: tuple[str, ...] = ()
     """Names of the parameters in ``Estimate.xi`` ..."""
     parameter_units: tuple[str, ...] = ()
-    """... and their units."""
+    """... their units ..."""
+    parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
+    """... and first and last + 1 of those in the equation of each motion."""
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars

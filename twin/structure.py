@@ -297,13 +297,10 @@ class Structure:
         return len(self.parameters)
 
     @property
-    def blocks(self) -> dict[str, slice]:
-        """Columns of the parameters in the equations of surge, sway and yaw."""
-        limits = self.kit[1] - N_STATES
-        return {
-            name: slice(int(limits[3 + i, 0]), int(limits[3 + i, 1]))
-            for i, name in enumerate(("surge", "sway", "yaw"))
-        }
+    def blocks(self) -> dict[str, tuple[int, int]]:
+        """First and last + 1 of the parameters in the equations of surge, sway and yaw."""
+        first = (self.kit[1][3:] - N_STATES).tolist()
+        return {name: (a, b) for name, (a, b) in zip(("surge", "sway", "yaw"), first, strict=True)}
 
 
 # name, unit, equation, term, powers of (L, U, n) in the natural unit, dimensionless mean and sd.
