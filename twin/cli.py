@@ -725,7 +725,9 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
     for name in ("", "unit", "prior", "sd", "identified", "sd", "ratio"):
         table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
-    for i, (name, symbol) in enumerate(zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)):
+    for i, (name, symbol) in enumerate(
+        zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)
+    ):
         ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
         table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}")
