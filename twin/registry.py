@@ -16,6 +16,7 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
     "ukf": "twin.identifier:UKFPredictor",
     "dsw-ukf": "twin.dsw:DSWPredictor",
     "lstm": "twin.neural:LSTMPredictor",
+    "oracle": "twin.oracle:Oracle",
 }
 """Name to class, or to ``module:Class``, which is imported when it is first asked for."""
 
