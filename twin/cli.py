@@ -296,16 +296,28 @@ def benchmark_command(
     faults: Annotated[
         str, typer.Option(help=f"Comma-separated, each {FAULTS_HELP}.")
     ] = "none,gps10",
-    seeds: Annotated[str, typer.Option(help="A:B for A to B - 1, or a list as 0,4,7.")] = "0:6",
+    seeds: Annotated[
+        str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7.")
+    ] = "0-5",
     predictors: Annotated[
         str, typer.Option(help=f"Comma-separated, of: {', '.join(PREDICTORS)}.")
     ] = ",".join(PREDICTORS),
     plans: Annotated[
         str, typer.Option(help=f"Comma-separated, of: {', '.join(PLANS)} (commands of the future).")
-    ] = "known",
+    ] = "known,hold",
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Reference of the paired comparison; {bench.AGAINST}, if it takes part."
+        ),
+    ] = None,
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
     ] = "usv75",
+    spread: Annotated[
+        float,
+        typer.Option(help="Every seed sails another boat, by this share; 0: the vessel as it is."),
+    ] = bench.SPREAD,
     dof: DofOption = 3,
     hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
     wind: Annotated[float, typer.Option(help="Mean wind speed at 10 m, m/s.")] = 4.5,
@@ -350,6 +362,7 @@ def benchmark_command(
         predictors=names,
         plans=_listed(plans, "--plans"),
         vessel=vessel,
+        spread=spread,
         dof=dof,
         hs=hs,
         wind=wind,
@@ -357,7 +370,13 @@ def benchmark_command(
         logs=recorded or bench.default_logs(),
         ship=ship if recorded else None,
     )
+    if against is not None and against not in names:
+        raise PredictorError(
+            f"--against {against}: takes no part; it must be one of --predictors: "
+            f"{', '.join(names)}"
+        )
     Vessel.load(vessel)
+    notes += bench.left_out(settings)
     notes += tuple(
         bench.NO_PARTICULARS.format(path)
         for path in recorded
@@ -368,7 +387,7 @@ def benchmark_command(
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _work(settings, out, jobs)
     command = shlex.join(["usv-twin", *sys.argv[1:]])
-    results = bench.collect(settings, done, command, notes)
+    results = bench.collect(settings, done, command, notes, against or bench.AGAINST)
     _write_json(out / "results.json", results)
     _print_benchmark(results, [name for name in asked if name not in names])
     for name, error in failed.items():
@@ -663,11 +682,14 @@ def _seeds(text: str) -> tuple[int, ...]:
         if ":" in text:
             first, last = text.split(":")
             seeds = tuple(range(int(first or 0), int(last)))
+        elif "-" in text:
+            first, last = text.split("-")
+            seeds = tuple(range(int(first), int(last) + 1))
         else:
             seeds = tuple(dict.fromkeys(int(item) for item in text.split(",")))
     except ValueError:
         raise bench.BenchmarkError(
-            f"--seeds {text}: write A:B for A to B - 1, or a list as 0,4,7"
+            f"--seeds {text}: write A-B, A:B for A to B - 1, or a list as 0,4,7"
         ) from None
     if not seeds or min(seeds) < 0:
         raise bench.BenchmarkError(f"--seeds {text}: holds no seed of 0 or more")

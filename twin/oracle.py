@@ -26,7 +26,7 @@ from usv_gym.sea import SeaState
 from usv_gym.vessel import Vessel, vessel_names
 from usv_kernel import kernel
 
-__all__ = ["Oracle", "check_world", "known_vessel"]
+__all__ = ["Oracle", "check_world", "known_vessel", "world_options"]
 
 Array = NDArray[Any]
 
@@ -120,6 +120,21 @@ def check_world(predictor: str, log: Log, particulars: Particulars) -> None:
             "choose another predictor"
         )
     known_vessel(particulars)
+
+
+def world_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
+    """Return what a predictor is to be told of the true world; nothing, unless it asks for it.
+
+    Parameters
+    ----------
+    predictor : str
+        A name in ``twin.PREDICTORS``.
+    vessel, sea, dof : Vessel, SeaState, int
+        The simulation's.
+    """
+    if not predictor_class(predictor).world:
+        return {}
+    return {"vessel": vessel, "sea": sea, "dof": dof}
 
 
 class Oracle(HistoryPredictor):
