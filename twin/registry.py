@@ -17,6 +17,7 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
     "dsw-ukf": "twin.dsw:DSWPredictor",
     "dsw-ukf-plus": "twin.plus:PlusPredictor",
     "lstm": "twin.neural:LSTMPredictor",
+    "oracle": "twin.oracle:Oracle",
 }
 """Name to class, or to ``module:Class``, which is imported when it is first asked for."""
 
