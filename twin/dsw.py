@@ -32,9 +32,11 @@ from twin.identifier import (
     ModelPredictor,
     advance,
     hold_inside,
+    parts,
+    rooms,
 )
 from twin.log import MEASUREMENTS
-from twin.model import N_STATES, N_XI
+from twin.model import N_STATES, model_of
 from twin.particulars import Particulars
 from twin.ukf import measurement_update
 from twin.window import NOISE_FORMS, DynamicWindow, NoiseLimits, WaveProxy, adapt_noise
@@ -53,6 +55,7 @@ RATED_SHAFT_SPEED = 380.0 / 60.0
 
 def paper_settings(
     particulars: Particulars,
+    model: str = "paper",
     *,
     x0: ArrayLike = 0.1,
     p0: ArrayLike = 1.0,
@@ -70,9 +73,12 @@ def paper_settings(
     ----------
     particulars : Particulars
         The boat.
-    x0 : float or array_like, shape (25,)
+    model : str
+        Structure of the accelerations, see :func:`twin.model.model_of`: the paper's has p = 25
+        parameters (Eq 20).
+    x0 : float or array_like, shape (p,)
         Parameters at the start, Eq 47.
-    p0 : float or array_like, shape (31,)
+    p0 : float or array_like, shape (6 + p,)
         Variances at the start, of the six states (x, y, psi, u, v, r) and the parameters.
     q : float or array_like, shape (6,)
         Variances that the states gain in each step of 0.05 s, Eq 50; the parameters gain none.
@@ -89,14 +95,17 @@ def paper_settings(
     unit = RATED_SHAFT_SPEED / particulars.shaft_speed if n_unit is None else n_unit
     if not (math.isfinite(unit) and unit > 0.0):
         raise ValueError(f"n_unit = {n_unit} must be a finite number above 0")
-    variances = _filled("p0", p0, N_STATES + N_XI, positive=True)
+    structure = model_of(particulars, model)
+    p = len(structure)
+    variances = _filled("p0", p0, N_STATES + p, positive=True)
     return FilterSettings(
+        structure=structure,
         q=_filled("q", q, N_STATES, positive=True) / STUDY_STEP,
         r=_filled("r", r, N_STATES, positive=True),
         p0=variances[:N_STATES],
-        q_xi=np.zeros(N_XI),
-        xi0=_filled("x0", x0, N_XI, positive=False),
-        xi0_var=variances[N_STATES:],
+        q_xi=np.zeros(p),
+        xi0=_filled("x0", x0, p, positive=False),
+        xi0_cov=np.diag(variances[N_STATES:]),
         n_unit=unit,
     )
 
@@ -118,55 +127,20 @@ _WIND, _ACCEL_Y = MEASUREMENTS.index("wind_mps"), MEASUREMENTS.index("accel_y_mp
 
 
 @kernel
-def _rerun(
-    x,
-    P,
-    act,
-    states,
-    cmds,
-    dts,
-    first,
-    count,
-    lags,
-    n_unit,
-    differential,
-    q,
-    q_xi,
-    r,
-    mask,
-    weights,
-    Q,
-    qx,
-    R,
-    work,
-    innovation,
-):
+def _rerun(states, cmds, dts, first, count, innovation, memory, constants, scratch, work, kit):
     """Run the filter over ``count`` rows of the ring buffers from row ``first`` on.
 
     The innovation of the last row and its expected variances end in ``innovation``, (2, 6).
     """
+    x, P, _, _, _, _, r, _, _, _, _, _ = parts(memory, constants, kit)
+    _, R, _, _, mask, _, _ = rooms(scratch, kit)
     size = states.shape[0]
     for i in range(N_STATES):
         R[i, i] = r[i]
         mask[i] = 1.0
     for j in range(count):
         row = (first + j) % size
-        advance(
-            x,
-            P,
-            act,
-            cmds[row],
-            dts[row],
-            lags,
-            n_unit,
-            differential,
-            q,
-            q_xi,
-            weights,
-            Q,
-            qx,
-            work,
-        )
+        advance(dts[row], cmds[row], memory, constants, scratch, work, kit)
         for i in range(N_STATES):
             innovation[0, i] = states[row, i] - x[i]
             innovation[1, i] = P[i, i] + r[i]
@@ -226,7 +200,7 @@ class DSWPredictor(ModelPredictor):
         What Eq 52 moves, one of :data:`ADAPTED`. Q alone is ours: R never helped.
     adapt_gain : float
         Its alpha and beta, 0 or more.
-    x0, p0, q, r, n_unit
+    model, x0, p0, q, r, n_unit
         See :func:`paper_settings`.
     seed : int
         Nothing is drawn at random here.
@@ -236,6 +210,7 @@ class DSWPredictor(ModelPredictor):
         self,
         particulars: Particulars,
         *,
+        model: str = "paper",
         feedback: bool = True,
         window: str = "dynamic",
         stride: int = 7,
@@ -258,7 +233,7 @@ class DSWPredictor(ModelPredictor):
         n_unit: float | None = None,
         seed: int = 0,
     ) -> None:
-        settings = paper_settings(particulars, x0=x0, p0=p0, q=q, r=r, n_unit=n_unit)
+        settings = paper_settings(particulars, model, x0=x0, p0=p0, q=q, r=r, n_unit=n_unit)
         super().__init__(particulars, settings, seed=seed)
         for name, value, known in (
             ("window", window, WINDOWS),
@@ -302,12 +277,12 @@ class DSWPredictor(ModelPredictor):
         self._acts = np.zeros((self._size, 4))
         self._cmds = np.zeros((self._size, 4))
         self._dts = np.zeros(self._size)
-        self._mask = np.ones(N_STATES)
         self._innovation = np.zeros((2, N_STATES))
         self._count = 0
         self._wind = math.nan
         self.t = 0.0
-        self.q, self.r = self.ukf.settings.q.copy(), self.ukf.settings.r.copy()
+        self.q, self.r = self.ukf.q, self.ukf.r
+        self.q[:], self.r[:] = self.ukf.settings.q, self.ukf.settings.r
 
     @property
     def ready(self) -> bool:
@@ -373,29 +348,9 @@ class DSWPredictor(ModelPredictor):
         ukf.act[:] = now
 
     def _run(self, first: int, count: int) -> None:
-        ukf = self.ukf
         _rerun(
-            ukf.x,
-            ukf.P,
-            ukf.act,
-            self._states,
-            self._cmds,
-            self._dts,
-            first,
-            count,
-            ukf.lags,
-            ukf.settings.n_unit,
-            ukf.differential,
-            self.q,
-            ukf.settings.q_xi,
-            self.r,
-            self._mask,
-            ukf.weights,
-            ukf.Q,
-            ukf.qx,
-            ukf.R,
-            ukf.work,
-            self._innovation,
+            *(self._states, self._cmds, self._dts, first, count, self._innovation),
+            *self.ukf.arguments,
         )
 
     def _adapt(self, error: Array, expected: Array, cmd: Array) -> None:
@@ -419,6 +374,6 @@ class DSWPredictor(ModelPredictor):
             form=self.adapt,
         )
         if "Q" in self.adapts:
-            self.q = Q / STUDY_STEP
+            self.q[:] = Q / STUDY_STEP
         if "R" in self.adapts:
-            self.r = R
+            self.r[:] = R

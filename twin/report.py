@@ -13,7 +13,7 @@ import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.log import MEASUREMENTS, Log
-from twin.model import N_XI, PARAMETER_NAMES, PARAMETER_UNITS, X_END, Y_END
-from twin.predictor import Prediction
+from twin.predictor import Z90, Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +35,6 @@ Windows = Sequence[tuple[float, float]]
 BANDED = ("dsw-ukf-plus", "ukf")
 """The first of these that took part is shown with its band."""
 
-Z90 = 1.6448536269514722
 DPI = 130
 WIDTH = 7.0
 """Width of a picture, inch: with 10 pt letters it can be read at 390 pixels too."""
@@ -50,6 +48,7 @@ COLOURS = {
     "dsw-ukf": "#009E73",
     "lstm": "#CC79A7",
     "dsw-ukf-plus": "#D55E00",
+    "oracle": "#808080",
 }
 SPARE = ("#D55E00", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#0072B2")
 STYLES: tuple[Any, ...] = ((0, (4, 1.5)), (0, (1.5, 1)), (0, (5, 1, 1, 1)))
@@ -64,20 +63,18 @@ PANELS = (
 )
 """Column of a state and title, in the order of the paper's Figures 12 and 16."""
 
-BLOCKS = (
-    ("X", "surge", range(X_END)),
-    ("Y", "sway", range(X_END, Y_END)),
-    ("N", "yaw", range(Y_END, N_XI)),
-)
-
 METRICS = {
     "mae": ("MAE", "mean absolute error over all channels and horizons, units mixed"),
     "mae_median": ("median MAE", "median of the MAE over seeds"),
     "mse": ("MSE", "mean squared error, pooled in the same way"),
     "normalised": ("normalised error", "MAE over the size of the true change, mean of channels"),
     "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),
-    "J": ("J", "normalised error of the study"),
-    "E": ("E", "excess over the oracle"),
+    "J": (
+        "J",
+        "MAE over that of the oracle on the same run, mean of u, v, r, heading and displacement, "
+        "each the mean of every half second up to 10 s",
+    ),
+    "E": ("E", "J - 1, the excess over the oracle"),
     "start_error": (
         "start error (m)",
         "distance of the believed from the reference position when the prediction was made",
@@ -97,14 +94,21 @@ class PredictorFigure:
         At most three, made at the same origins by all predictors.
     t : ndarray, shape (M,)
         Times of the parameter history, s.
-    xi, xi_sd : ndarray, shape (M, 25) or (M, 0)
+    xi, xi_sd : ndarray, shape (M, p)
         Model parameters and their standard deviations; no columns where there is no model.
+    names, units : tuple of str
+        Of the p parameters.
+    blocks : dict of str to tuple of int
+        First and last + 1 parameter of the equation of each motion.
     """
 
     examples: list[Prediction]
     t: Array
     xi: Array
     xi_sd: Array
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -749,7 +753,7 @@ def _prediction_figure(
                 curve,
                 looks[name],
                 limits,
-                unit * _spread(examples[name], column) if name == banded else None,
+                _band(examples[name], column, unit) if name == banded else None,
             )
         _shade(ax, lost, origin)
         ax.set_xlim(0.0, end - origin)
@@ -775,10 +779,13 @@ def _limits(truth: Array, curves: Sequence[Array], least: float) -> tuple[float,
     return _span([np.array([low, high]), *inside], 0.0, 0.03)
 
 
-def _spread(prediction: Prediction, column: int) -> Array:
-    """Return the standard deviations (K + 1,) of one column, the start first."""
-    cov = np.concatenate([prediction.start_cov[None], prediction.cov])[:, column, column]
-    return np.sqrt(np.maximum(cov, 0.0))
+def _band(prediction: Prediction, column: int, unit: float) -> tuple[Array, Array]:
+    """Return how far the 90 % band of one column reaches down and up, each (K + 1,)."""
+    start = Z90 * math.sqrt(max(float(prediction.start_cov[column, column]), 0.0))
+    mean = prediction.mean[:, column]
+    with np.errstate(invalid="ignore"):
+        down, up = mean - prediction.low[:, column], prediction.high[:, column] - mean
+    return unit * np.concatenate([[start], down]), unit * np.concatenate([[start], up])
 
 
 def _draw_curve(
@@ -787,7 +794,7 @@ def _draw_curve(
     curve: Array,
     look: tuple[str, Any],
     limits: tuple[float, float],
-    sd: Array | None,
+    band: tuple[Array, Array] | None,
 ) -> None:
     """Draw one predicted curve; an arrow head shows where it leaves the picture."""
     low, high = limits
@@ -795,9 +802,9 @@ def _draw_curve(
     after = np.concatenate([[0.0], prediction.t - prediction.t0])
     curve = np.clip(np.nan_to_num(curve, nan=high + far), low - far, high + far)
     colour, style = look
-    if sd is not None:
-        band = np.clip(Z90 * np.nan_to_num(sd, nan=far), 0.0, 2.0 * far)
-        ax.fill_between(after, curve - band, curve + band, color=colour, alpha=0.18, lw=0, zorder=1)
+    if band is not None:
+        down, up = (np.clip(np.nan_to_num(part, nan=far), 0.0, 2.0 * far) for part in band)
+        ax.fill_between(after, curve - down, curve + up, color=colour, alpha=0.18, lw=0, zorder=1)
     ax.plot(after, curve, color=colour, ls=style, lw=1.6, zorder=4)
     outside = (curve < low) | (curve > high)
     if outside.any():
@@ -814,13 +821,13 @@ def _draw_curve(
 def _parameter_figure(
     run: RunFigure,
     name: str,
-    block: tuple[str, str, range],
+    motion: str,
     looks: Mapping[str, tuple[str, Any]],
     identified: float | None,
 ) -> Figure:
     """Draw the history of the parameters of one equation, one small panel each."""
-    _, motion, columns = block
     figure = run.predictors[name]
+    columns = range(*figure.blocks[motion])
     t = np.asarray(figure.t, dtype=np.float64)
     colour = looks[name][0]
     labels: list[tuple[Any, str]] = [
@@ -855,7 +862,7 @@ def _parameter_figure(
         sheet.panel(
             (0.62 + side * (wide + 0.62), 0.5 + (rows - 1 - row) * (high + gap), wide, high),
             limits,
-            _parameter_title(column, power),
+            _parameter_title(figure, column, power),
             labelled=place + across >= len(columns),
         )
         sheet.shade(lost)
@@ -1002,10 +1009,10 @@ def _power(values: Array) -> int:
     return 3 * math.floor(math.log10(size) / 3.0)
 
 
-def _parameter_title(column: int, power: int) -> str:
-    unit = re.sub(r"([a-z])2", "\\1\u00b2", PARAMETER_UNITS[column])
+def _parameter_title(figure: PredictorFigure, column: int, power: int) -> str:
+    unit = re.sub(r"([a-z])2", "\\1\u00b2", figure.units[column])
     factor = f"1e{power} " if power else ""
-    return f"{PARAMETER_NAMES[column]} ({factor}{unit})"
+    return f"{figure.names[column]} ({factor}{unit})"
 
 
 def _error_figure(
@@ -1204,6 +1211,7 @@ def _tables(
         if summary:
             body.append(_table(summary))
             shown.update(_text(row, "metric") for row in summary)
+        body += _paired_table(here("paired")) + _coverage_table(here("coverage"))
         seeds = len({_number(row, "seed") for row in rows})
         fig = _error_figure(f"Error against horizon: {_case(scenario, fault)}", rows, looks)
         if fig is not None:
@@ -1226,7 +1234,9 @@ def _tables(
         body.insert(
             1,
             '<p class="note">Best value of each column in bold; in brackets the 95 % interval '
-            "over seeds, where there are enough of them. " + "; ".join(meanings) + ".</p>",
+            "over seeds, where there are enough of them, and the median. "
+            + "; ".join(meanings)
+            + ".</p>",
         )
     return body
 
@@ -1254,12 +1264,61 @@ def _table(summary: Sequence[Mapping[str, Any]]) -> str:
             low, high = _number(entry, "low"), _number(entry, "high")
             if not (math.isnan(low) or math.isnan(high)):
                 text += f"<br><small>[{_value(low)}, {_value(high)}]</small>"
+                if "mae" not in metric:
+                    text += f"<br><small>median {_value(_number(entry, 'median'))}</small>"
             line += f"<td>{text}</td>"
         lines.append(f"<tr>{line}</tr>")
+    return _html_table(head, lines)
+
+
+def _html_table(head: str, lines: Sequence[str]) -> str:
     return (
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(lines)}</tbody></table></div>"
     )
+
+
+def _paired_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the comparison of each predictor with the reference; nothing without one."""
+    if not rows:
+        return []
+    head = "<th>predictor</th><th>plan</th><th>change of MAE</th><th>median</th><th>better</th>"
+    lines = []
+    for row in rows:
+        low, high = _number(row, "low"), _number(row, "high")
+        between = "" if math.isnan(low) else f"<br><small>[{low:+.1f}, {high:+.1f}]</small>"
+        lines.append(
+            f"<tr><th>{_escape(_text(row, 'predictor'))}</th><td>{_escape(_text(row, 'plan'))}</td>"
+            f"<td>{_number(row, 'change_percent'):+.1f} %{between}</td>"
+            f"<td>{_number(row, 'median_percent'):+.1f} %</td>"
+            f"<td>{row.get('wins')} of {row.get('seeds')}</td></tr>"
+        )
+    against = _escape(_text(rows[0], "against"))
+    note = f'<p class="note">Against {against}, the same seeds; below 0 is better:</p>'
+    return [note, _html_table(head, lines)]
+
+
+def _coverage_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the coverage of the 90 % bands by channel and horizon; folded away."""
+    if not rows:
+        return []
+    channels = list(dict.fromkeys(_text(row, "channel") for row in rows))
+    cells: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for row in rows:
+        cell = cells.setdefault((_text(row, "predictor"), _text(row, "plan")), {})
+        share = _number(row, "coverage90")
+        cell.setdefault(_text(row, "channel"), []).append(f"{100.0 * share:.0f}")
+    head = "<th>predictor</th><th>plan</th>" + "".join(f"<th>{_escape(c)}</th>" for c in channels)
+    lines = []
+    for (predictor, plan), cell in cells.items():
+        values = "".join(f"<td>{'/'.join(cell.get(c, ['-']))}</td>" for c in channels)
+        lines.append(f"<tr><th>{_escape(predictor)}</th><td>{_escape(plan)}</td>{values}</tr>")
+    horizons = "/".join(f"{h:g}" for h in dict.fromkeys(_number(row, "horizon_s") for row in rows))
+    return [
+        f"<details><summary>Coverage of the 90 % bands, % at {horizons} s</summary>"
+        + _html_table(head, lines)
+        + "</details>"
+    ]
 
 
 def _best(
@@ -1313,19 +1372,19 @@ def _run_section(
         # recorded runs are shorter or longer than simulated ones: their first origin tells
         identified = origins[0]
     for name, figure in run.predictors.items():
-        if figure.xi.ndim != 2 or figure.xi.shape[1] != N_XI or not len(figure.xi):
+        if not figure.blocks or not len(figure.xi):
             continue
         body.append(f"<h3>Parameters of {_escape(name)}</h3>")
         body.append('<div class="pictures">')
-        for block in BLOCKS:
+        for motion in figure.blocks:
             fig = _parameter_figure(
-                run, name, block, looks, identified if math.isfinite(identified) else None
+                run, name, motion, looks, identified if math.isfinite(identified) else None
             )
             text = (
-                f"Identification of the {block[1]} parameters by {name} (as Figures 9 to 11 and "
+                f"Identification of the {motion} parameters by {name} (as Figures 9 to 11 and "
                 "13 to 15 of the paper). Early transients may leave the picture."
             )
-            body.append(pictures.add(fig, f"{stem}_{name}_{block[0]}", text))
+            body.append(pictures.add(fig, f"{stem}_{name}_{motion}", text))
         body.append("</div>")
     return body
 
