@@ -16,6 +16,7 @@ from scipy.stats import chi2
 
 from twin import model, ukf
 from twin.particulars import Particulars
+from twin.structure import N_TERMS
 
 RUNS = 50
 BOAT = Particulars(
@@ -65,24 +66,29 @@ def twin_run(rng: np.random.Generator, told: float) -> tuple[float, float, float
     told
         Factor on the variance of the sensors as the filter is told it.
     """
-    xi0, sd0 = model.hand_prior(BOAT)
+    structure = model.model_of(BOAT, "paper")
+    xi0, sd0, kit = structure.mean, structure.sd, structure.kit
     # A third of the prior's spread: the filter is exact for what is linear, and a boat that
     # doubles its speed within the run is not.
     sd = np.concatenate([START_SD, sd0 / 3.0])
     x = np.concatenate([[0.0, 0.0, 0.5, 5.0, 0.0, 0.0], xi0])
     P = np.diag(sd**2)
     truth = x + sd * rng.normal(size=31)
-    s, xi, after, phi = truth[:6].copy(), truth[6:], np.empty(6), np.empty(25)
+    s, xi, after, terms = truth[:6].copy(), truth[6:], np.empty(6), np.empty(N_TERMS)
+    calm, unit = np.zeros(2), structure.n_unit * BOAT.shaft_speed
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     Q, R = np.diag(STEP_SD**2), told * np.diag(SENSOR_SD**2)
     total = 0.0
     for k in range(STEPS):
         angle = 0.2 * math.copysign(1.0, math.sin(0.05 * k))
-        act = np.array([6.33, 6.33, angle, angle])
-        model.step(s, xi, act, 0.0, H, phi, after)
+        act = np.array([unit, unit, angle, angle])
+        model.step(s, xi, act, calm, kit, H, terms, after)
         s = after + STEP_SD * rng.normal(size=6)
         z = s + SENSOR_SD * rng.normal(size=6)
-        assert model.joint_predict(x, P, act, 0.0, H, Q, np.zeros(25), weights, work) == 0
+        repairs = model.joint_predict(
+            x, P, act, calm, kit, H, Q, np.zeros(25), weights, terms, work
+        )
+        assert repairs == 0
         total += ukf.measurement_update(x, P, z, np.ones(6), R, 2, math.inf, work)
     return nees(np.concatenate([s, xi]) - x, P), nees(s - x[:6], P[:6, :6]), total
 

@@ -44,7 +44,8 @@ def test_as_published(boat: Particulars, usual: DSWPredictor) -> None:
     np.testing.assert_array_equal(settings.xi0, 0.1)  # Eq 47
     np.testing.assert_allclose(0.05 * settings.q, 1e-4, rtol=1e-15)  # Eq 50
     np.testing.assert_array_equal(settings.r, 1.0)  # Eq 51
-    np.testing.assert_array_equal(np.concatenate([settings.p0, settings.xi0_var]), 1.0)
+    np.testing.assert_array_equal(settings.p0, 1.0)
+    np.testing.assert_array_equal(settings.xi0_cov, np.eye(25))
     assert settings.n_unit * boat.shaft_speed == pytest.approx(380.0 / 60.0)
     assert (settings.alpha, settings.beta, settings.kappa) == (1.0, 2.0, 0.0)
     window = usual.window
@@ -73,6 +74,7 @@ PIECES: list[tuple[dict[str, Any], set[str]]] = [
     ({"adapt": "literal", "adapts": "QR"}, {"q", "r"}),
     ({"adapt": "signed"}, {"q"}),
     ({"adapt": "signed", "adapts": "QR", "adapt_gain": 1e-2}, {"q", "r"}),
+    ({"model": "mmg"}, set()),
     ({"x0": 0.05}, set()),
     ({"p0": 0.5}, set()),
     ({"q": 1e-3}, {"q"}),
@@ -92,7 +94,7 @@ def test_each_piece_changes_what_it_should(
         "r": np.array_equal(other.r, usual.r),
     }
     assert {name for name, equal in same.items() if not equal} == parts - {"window"}
-    assert not np.array_equal(other.ukf.x, usual.ukf.x)
+    assert not np.array_equal(other.s, usual.s)
     if not parts:
         window = other.window
         assert (window.V, window.S) == (usual.window.V, usual.window.S)
@@ -225,5 +227,5 @@ def test_wrong_values(boat: Particulars, options: dict[str, Any], message: str) 
 def test_settings_by_channel(boat: Particulars) -> None:
     settings = paper_settings(boat, x0=np.arange(25.0), p0=np.arange(1.0, 32.0), r=np.full(6, 2.0))
     np.testing.assert_array_equal(settings.xi0, np.arange(25.0))
-    np.testing.assert_array_equal(settings.xi0_var, np.arange(7.0, 32.0))
+    np.testing.assert_array_equal(settings.xi0_cov, np.diag(np.arange(7.0, 32.0)))
     np.testing.assert_array_equal(settings.p0, np.arange(1.0, 7.0))
