@@ -11,6 +11,7 @@ Source: twin.md, sections 10 B2 and 13.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from scipy.optimize import least_squares
 
 from twin.model import ROOM, model_of, roll_out
 from twin.particulars import Particulars
-from twin.prior import FLOOR, KINDS, Prior, PriorError
+from twin.prior import KINDS, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
 from twin.structure import (
     COS,
@@ -41,7 +42,16 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics.waves import FACTOR_ROWS, WAVE_ROWS
 from usv_gym.vessel import Vessel, state_at
 
-__all__ = ["CalmRun", "boat_like", "make_prior", "project", "random_boat", "rolled", "sail_calm"]
+__all__ = [
+    "CalmRun",
+    "boat_like",
+    "make_prior",
+    "member",
+    "project",
+    "random_boat",
+    "rolled",
+    "sail_calm",
+]
 
 Array = NDArray[np.float64]
 
@@ -52,7 +62,7 @@ SPAN, ROW = 150.0, 0.25
 """Length of a run, and of one of its rows, s."""
 STEPS = 6
 """Integration steps of the boat in a row."""
-HORIZON, STRIDE = 20, 10
+HORIZON, STRIDE = 20, 20
 """Rows that the fit looks ahead, and rows between its starts."""
 ERROR_SD = np.array([0.35 / 6.336, 0.35 / 6.336, 0.04, 0.2 / 5.4, 0.2 / 5.4, 0.025 * LENGTH_TIME])
 """Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
@@ -60,6 +70,8 @@ LARGEST_ERROR = np.array([1.0 / 5.4, 1.0 / 5.4, 0.3 * LENGTH_TIME])
 """Root mean square errors of u, v, r above which a boat is no boat for the model."""
 FINE = 1e-3
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
+SEED, DRAWN = 0, 120
+"""Of the populations that ship."""
 SPREAD, BUILT = 0.30, 0.05
 """Standard deviation of the boats' coefficients, and of their geometry and inertia."""
 LARGEST_HELM = math.radians(25.0)
@@ -294,8 +306,27 @@ def boat_like(
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 
 
-def _member(model: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return dimensionless parameters, fit errors and names of one boat."""
+def member(model: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return one boat of a population.
+
+    Parameters
+    ----------
+    model : str
+        Model structure.
+    draw : callable
+        From a generator to a boat and its usual shaft speed.
+    seed, i : int
+        Seed of the population, and number of the boat.
+
+    Returns
+    -------
+    xi : ndarray, shape (p,)
+        Parameters that calm water shows, dimensionless.
+    error : ndarray, shape (3,)
+        See :func:`project`.
+    names : tuple of str
+        Of the parameters.
+    """
     rng = np.random.default_rng((seed, i))
     vessel, n = draw(rng)
     run = sail_calm(vessel, rng, n)
@@ -311,8 +342,8 @@ def make_prior(
     kind: str,
     draw: Draw | None = None,
     *,
-    drawn: int = 150,
-    seed: int = 0,
+    drawn: int = DRAWN,
+    seed: int = SEED,
     workers: int = 1,
 ) -> Prior:
     """Draw a population, fit the model to each boat, and return what they have in common.
@@ -334,32 +365,19 @@ def make_prior(
     Raises
     ------
     PriorError
-        If too few boats are left.
+        If the model does not fit half of them.
     """
-
-    def of_kind(rng: np.random.Generator) -> tuple[Vessel, float]:
-        return random_boat(kind, rng)
-
-    members = Parallel(n_jobs=workers)(
-        delayed(_member)(model, draw or of_kind, seed, i) for i in range(drawn)
-    )
-    kept = np.array([xi for xi, error, _ in members if np.all(error <= LARGEST_ERROR)])
-    names = members[0][2]
-    if len(kept) <= 2 * len(names):
+    draw = draw or functools.partial(random_boat, kind)
+    members = Parallel(n_jobs=workers)(delayed(member)(model, draw, seed, i) for i in range(drawn))
+    fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
+    if len(fitted) < max(2, drawn // 2):
         raise PriorError(
-            f"{len(kept)} of {drawn} boats are fitted by the model {model!r}; draw more than "
-            f"{2 * len(names)}"
+            f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "
+            "other boats"
         )
-    sd = np.maximum(kept.std(axis=0, ddof=1), 1e-6)
-    correlation = np.cov(((kept - kept.mean(axis=0)) / sd).T)
     return Prior(
-        model=model,
-        kind=kind,
-        parameters=names,
-        median=np.median(kept, axis=0),
-        sd=sd,
-        correlation=(1.0 - FLOOR) * correlation + FLOOR * np.eye(len(names)),
-        seed=seed,
-        boats=len(kept),
-        drawn=drawn,
+        about=f"model {model}, kind {kind}, seed {seed}, {drawn} boats drawn; twin.population",
+        parameters=members[0][2],
+        boats=np.array(fitted),
+        members=np.array([members[i][0] for i in fitted]),
     )
