@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from twin.model import ROOM, model_of, roll_out
 from twin.particulars import Particulars
+from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
 from twin.prior import KINDS, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
 from twin.structure import (
@@ -58,17 +58,17 @@ Array = NDArray[np.float64]
 LENGTH_TIME = 6.336 / 5.4
 """Time in which the study boat of twin.md sails its length, s. Runs are told as a film shown at
 such a speed that every boat takes as long, so that the times below hold for all."""
-SPAN, ROW = 150.0, 0.25
+SPAN, ROW = 150.0, GRID
 """Length of a run, and of one of its rows, s."""
 STEPS = 6
-"""Integration steps of the boat in a row."""
-HORIZON, STRIDE = 20, 20
+"""Integration steps of the boat in a row; even."""
+HORIZON, STRIDE = 20, 8
 """Rows that the fit looks ahead, and rows between its starts."""
 ERROR_SD = np.array([0.35 / 6.336, 0.35 / 6.336, 0.04, 0.2 / 5.4, 0.2 / 5.4, 0.025 * LENGTH_TIME])
 """Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
 LARGEST_ERROR = np.array([1.0 / 5.4, 1.0 / 5.4, 0.3 * LENGTH_TIME])
 """Root mean square errors of u, v, r above which a boat is no boat for the model."""
-FINE = 1e-3
+FINE = 1e-6
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
 SEED, DRAWN = 0, 120
 """Of the populations that ship."""
@@ -89,6 +89,8 @@ class CalmRun:
         x, y (m), psi (rad), u, v (m/s), r (rad/s).
     actuators : ndarray, shape (N + 1, 4)
         Shaft speeds (rev/s) and angles (rad).
+    between : ndarray, shape (N, 4)
+        Actuators half a row after row k.
     commands : ndarray, shape (N, 4)
         Row k is in force from row k to row k + 1 of the states.
     """
@@ -96,6 +98,7 @@ class CalmRun:
     particulars: Particulars
     states: Array
     actuators: Array
+    between: Array
     commands: Array
 
 
@@ -151,6 +154,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
         ),
         states=shown[:, TRUE_STATE] * clock,
         actuators=shown[:, fr.N_LEFT :] * shafts,
+        between=states[STEPS // 2 :: STEPS, fr.N_LEFT :] * shafts,
         commands=commands * shafts,
     )
 
@@ -202,10 +206,20 @@ def _shown(structure: Structure) -> Any:
     return ~np.isin(structure.kit[0], hidden).any(axis=0)
 
 
+def _window(structure: Structure, run: CalmRun) -> Array:
+    """Return a run as rows of ``twin.pem``."""
+    shafts = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
+    rows = np.zeros((len(run.states), COLUMNS))
+    rows[:, STATE:LOW], rows[:, LOW:WIND], rows[:, GOOD] = run.states, run.states[:, 3:], 1.0
+    rows[:, ACT:MIDDLE] = run.actuators * shafts
+    rows[:-1, MIDDLE:] = run.between * shafts
+    return rows
+
+
 def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array]:
     """Return the parameters with which the model predicts the runs of a boat best.
 
-    Least squares of the errors over :data:`HORIZON` rows; the structure's own mean and
+    The refit of :mod:`twin.pem` without its excuses for waves; the structure's own mean and
     standard deviation decide where the runs say little.
 
     Parameters
@@ -222,15 +236,34 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     error : ndarray, shape (3,)
         Root mean square errors of u, v (usual speeds) and r (usual speeds over length).
     """
-    shown, xi = _shown(structure), structure.mean.copy()
-    mean, sd = structure.mean[shown], structure.sd[shown]
-
-    def errors(z: Array) -> Array:
-        xi[shown] = mean + sd * z
-        parts = [rolled(structure, xi, run)[:, 1::2] / ERROR_SD for run in runs]
-        return np.concatenate([*(part.ravel() for part in parts), z])
-
-    xi[shown] = mean + sd * least_squares(errors, np.zeros(mean.size), ftol=FINE).x
+    # what calm water does not show stays where it is
+    sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
+    about = runs[0].particulars
+    turn = about.speed / about.length
+    units = np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
+    settings = RefitSettings(
+        span=SPAN,
+        spacing=ROW * STRIDE,
+        horizon=ROW * HORIZON,
+        every=2,
+        sd=ERROR_SD * units,
+        # there are no waves that the model must be excused from
+        offset_sd=1e-6 * units[3:],
+        scale=1.0,
+        knee=1e9,
+    )
+    windows = [_window(structure, run) for run in runs]
+    rows = np.concatenate(windows)
+    starts = [
+        sum(map(len, windows[:i])) + k
+        for i, window in enumerate(windows)
+        for k in range(0, len(window) - HORIZON, STRIDE)
+    ]
+    segments = Segments(structure.kit, structure.mean, np.diag(sd**2), settings, len(starts))
+    for start in starts:
+        segments.add(start, rows, structure.mean)
+    segments.fit(rows, tolerance=FINE)
+    xi = segments.xi
     final = np.concatenate([rolled(structure, xi, run) for run in runs])
     return xi, np.sqrt(np.mean(final[:, :, 3:] ** 2, axis=(0, 1)))
 
