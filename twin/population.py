@@ -62,13 +62,15 @@ SPAN, ROW = 150.0, GRID
 """Length of a run, and of one of its rows, s."""
 STEPS = 6
 """Integration steps of the boat in a row; even."""
-HORIZON, STRIDE = 20, 8
+HORIZON, STRIDE = 20, 20
 """Rows that the fit looks ahead, and rows between its starts."""
+NEAR = 4
+"""Rows that a first fit looks ahead."""
 ERROR_SD = np.array([0.35 / 6.336, 0.35 / 6.336, 0.04, 0.2 / 5.4, 0.2 / 5.4, 0.025 * LENGTH_TIME])
 """Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
 LARGEST_ERROR = np.array([1.0 / 5.4, 1.0 / 5.4, 0.3 * LENGTH_TIME])
 """Root mean square errors of u, v, r above which a boat is no boat for the model."""
-FINE = 1e-6
+FINE = 1e-4
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
 SEED, DRAWN = 0, 120
 """Of the populations that ship."""
@@ -259,11 +261,16 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
         for i, window in enumerate(windows)
         for k in range(0, len(window) - HORIZON, STRIDE)
     ]
-    segments = Segments(structure.kit, structure.mean, np.diag(sd**2), settings, len(starts))
-    for start in starts:
-        segments.add(start, rows, structure.mean)
-    segments.fit(rows, tolerance=FINE)
-    xi = segments.xi
+    xi = structure.mean
+    # a second ahead the errors are nearly linear in the parameters: from there the way is safe
+    for horizon in (NEAR, HORIZON):
+        ahead = dataclasses.replace(settings, horizon=ROW * horizon)
+        segments = Segments(structure.kit, structure.mean, np.diag(sd**2), ahead, len(starts))
+        segments.xi = xi.copy()
+        for start in starts:
+            segments.add(start, rows, xi)
+        segments.fit(rows, tolerance=FINE)
+        xi = segments.xi
     final = np.concatenate([rolled(structure, xi, run) for run in runs])
     return xi, np.sqrt(np.mean(final[:, :, 3:] ** 2, axis=(0, 1)))
 
