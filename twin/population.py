@@ -11,6 +11,7 @@ Source: twin.md, sections 10 B2 and 13.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,11 +20,11 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from twin.model import ROOM, model_of, roll_out
 from twin.particulars import Particulars
-from twin.prior import FLOOR, KINDS, Prior, PriorError
+from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
+from twin.prior import KINDS, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
 from twin.structure import (
     COS,
@@ -41,25 +42,38 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics.waves import FACTOR_ROWS, WAVE_ROWS
 from usv_gym.vessel import Vessel, state_at
 
-__all__ = ["CalmRun", "boat_like", "make_prior", "project", "random_boat", "rolled", "sail_calm"]
+__all__ = [
+    "CalmRun",
+    "boat_like",
+    "make_prior",
+    "member",
+    "project",
+    "random_boat",
+    "rolled",
+    "sail_calm",
+]
 
 Array = NDArray[np.float64]
 
 LENGTH_TIME = 6.336 / 5.4
 """Time in which the study boat of twin.md sails its length, s. Runs are told as a film shown at
 such a speed that every boat takes as long, so that the times below hold for all."""
-SPAN, ROW = 150.0, 0.25
+SPAN, ROW = 150.0, GRID
 """Length of a run, and of one of its rows, s."""
 STEPS = 6
-"""Integration steps of the boat in a row."""
-HORIZON, STRIDE = 20, 10
+"""Integration steps of the boat in a row; even."""
+HORIZON, STRIDE = 20, 20
 """Rows that the fit looks ahead, and rows between its starts."""
+NEAR = 4
+"""Rows that a first fit looks ahead."""
 ERROR_SD = np.array([0.35 / 6.336, 0.35 / 6.336, 0.04, 0.2 / 5.4, 0.2 / 5.4, 0.025 * LENGTH_TIME])
 """Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
 LARGEST_ERROR = np.array([1.0 / 5.4, 1.0 / 5.4, 0.3 * LENGTH_TIME])
 """Root mean square errors of u, v, r above which a boat is no boat for the model."""
-FINE = 1e-3
+FINE = 1e-4
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
+SEED, DRAWN = 0, 120
+"""Of the populations that ship."""
 SPREAD, BUILT = 0.30, 0.05
 """Standard deviation of the boats' coefficients, and of their geometry and inertia."""
 LARGEST_HELM = math.radians(25.0)
@@ -77,6 +91,8 @@ class CalmRun:
         x, y (m), psi (rad), u, v (m/s), r (rad/s).
     actuators : ndarray, shape (N + 1, 4)
         Shaft speeds (rev/s) and angles (rad).
+    between : ndarray, shape (N, 4)
+        Actuators half a row after row k.
     commands : ndarray, shape (N, 4)
         Row k is in force from row k to row k + 1 of the states.
     """
@@ -84,6 +100,7 @@ class CalmRun:
     particulars: Particulars
     states: Array
     actuators: Array
+    between: Array
     commands: Array
 
 
@@ -139,6 +156,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
         ),
         states=shown[:, TRUE_STATE] * clock,
         actuators=shown[:, fr.N_LEFT :] * shafts,
+        between=states[STEPS // 2 :: STEPS, fr.N_LEFT :] * shafts,
         commands=commands * shafts,
     )
 
@@ -190,10 +208,20 @@ def _shown(structure: Structure) -> Any:
     return ~np.isin(structure.kit[0], hidden).any(axis=0)
 
 
+def _window(structure: Structure, run: CalmRun) -> Array:
+    """Return a run as rows of ``twin.pem``."""
+    shafts = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
+    rows = np.zeros((len(run.states), COLUMNS))
+    rows[:, STATE:LOW], rows[:, LOW:WIND], rows[:, GOOD] = run.states, run.states[:, 3:], 1.0
+    rows[:, ACT:MIDDLE] = run.actuators * shafts
+    rows[:-1, MIDDLE:] = run.between * shafts
+    return rows
+
+
 def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array]:
     """Return the parameters with which the model predicts the runs of a boat best.
 
-    Least squares of the errors over :data:`HORIZON` rows; the structure's own mean and
+    The refit of :mod:`twin.pem` without its excuses for waves; the structure's own mean and
     standard deviation decide where the runs say little.
 
     Parameters
@@ -210,15 +238,39 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     error : ndarray, shape (3,)
         Root mean square errors of u, v (usual speeds) and r (usual speeds over length).
     """
-    shown, xi = _shown(structure), structure.mean.copy()
-    mean, sd = structure.mean[shown], structure.sd[shown]
-
-    def errors(z: Array) -> Array:
-        xi[shown] = mean + sd * z
-        parts = [rolled(structure, xi, run)[:, 1::2] / ERROR_SD for run in runs]
-        return np.concatenate([*(part.ravel() for part in parts), z])
-
-    xi[shown] = mean + sd * least_squares(errors, np.zeros(mean.size), ftol=FINE).x
+    # what calm water does not show stays where it is
+    sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
+    about = runs[0].particulars
+    turn = about.speed / about.length
+    units = np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
+    settings = RefitSettings(
+        span=SPAN,
+        spacing=ROW * STRIDE,
+        horizon=ROW * HORIZON,
+        every=2,
+        sd=ERROR_SD * units,
+        # there are no waves that the model must be excused from
+        offset_sd=1e-6 * units[3:],
+        scale=1.0,
+        knee=1e9,
+    )
+    windows = [_window(structure, run) for run in runs]
+    rows = np.concatenate(windows)
+    starts = [
+        sum(map(len, windows[:i])) + k
+        for i, window in enumerate(windows)
+        for k in range(0, len(window) - HORIZON, STRIDE)
+    ]
+    xi = structure.mean
+    # a second ahead the errors are nearly linear in the parameters: from there the way is safe
+    for horizon in (NEAR, HORIZON):
+        ahead = dataclasses.replace(settings, horizon=ROW * horizon)
+        segments = Segments(structure.kit, structure.mean, np.diag(sd**2), ahead, len(starts))
+        segments.xi = xi.copy()
+        for start in starts:
+            segments.add(start, rows, xi)
+        segments.fit(rows, tolerance=FINE)
+        xi = segments.xi
     final = np.concatenate([rolled(structure, xi, run) for run in runs])
     return xi, np.sqrt(np.mean(final[:, :, 3:] ** 2, axis=(0, 1)))
 
@@ -294,8 +346,27 @@ def boat_like(
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 
 
-def _member(model: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return dimensionless parameters, fit errors and names of one boat."""
+def member(model: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return one boat of a population.
+
+    Parameters
+    ----------
+    model : str
+        Model structure.
+    draw : callable
+        From a generator to a boat and its usual shaft speed.
+    seed, i : int
+        Seed of the population, and number of the boat.
+
+    Returns
+    -------
+    xi : ndarray, shape (p,)
+        Parameters that calm water shows, dimensionless.
+    error : ndarray, shape (3,)
+        See :func:`project`.
+    names : tuple of str
+        Of the parameters.
+    """
     rng = np.random.default_rng((seed, i))
     vessel, n = draw(rng)
     run = sail_calm(vessel, rng, n)
@@ -311,8 +382,8 @@ def make_prior(
     kind: str,
     draw: Draw | None = None,
     *,
-    drawn: int = 150,
-    seed: int = 0,
+    drawn: int = DRAWN,
+    seed: int = SEED,
     workers: int = 1,
 ) -> Prior:
     """Draw a population, fit the model to each boat, and return what they have in common.
@@ -334,32 +405,19 @@ def make_prior(
     Raises
     ------
     PriorError
-        If too few boats are left.
+        If the model does not fit half of them.
     """
-
-    def of_kind(rng: np.random.Generator) -> tuple[Vessel, float]:
-        return random_boat(kind, rng)
-
-    members = Parallel(n_jobs=workers)(
-        delayed(_member)(model, draw or of_kind, seed, i) for i in range(drawn)
-    )
-    kept = np.array([xi for xi, error, _ in members if np.all(error <= LARGEST_ERROR)])
-    names = members[0][2]
-    if len(kept) <= 2 * len(names):
+    draw = draw or functools.partial(random_boat, kind)
+    members = Parallel(n_jobs=workers)(delayed(member)(model, draw, seed, i) for i in range(drawn))
+    fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
+    if len(fitted) < max(2, drawn // 2):
         raise PriorError(
-            f"{len(kept)} of {drawn} boats are fitted by the model {model!r}; draw more than "
-            f"{2 * len(names)}"
+            f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "
+            "other boats"
         )
-    sd = np.maximum(kept.std(axis=0, ddof=1), 1e-6)
-    correlation = np.cov(((kept - kept.mean(axis=0)) / sd).T)
     return Prior(
-        model=model,
-        kind=kind,
-        parameters=names,
-        median=np.median(kept, axis=0),
-        sd=sd,
-        correlation=(1.0 - FLOOR) * correlation + FLOOR * np.eye(len(names)),
-        seed=seed,
-        boats=len(kept),
-        drawn=drawn,
+        about=f"model {model}, kind {kind}, seed {seed}, {drawn} boats drawn; twin.population",
+        parameters=members[0][2],
+        boats=np.array(fitted),
+        members=np.array([members[i][0] for i in fitted]),
     )

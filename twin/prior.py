@@ -1,20 +1,19 @@
 """What is believed of a boat's parameters before any data, from a population of like boats.
 
-The files in ``twin/priors`` hold, for each model structure and kind of boat, median, standard
-deviation and correlation of the dimensionless parameters that random boats were found to have
-(:mod:`twin.population`). One file serves boats of every size.
+The files in ``twin/priors`` hold, for each model structure and kind of boat, the dimensionless
+parameters that random boats were found to have (:mod:`twin.population`), one boat a row. One
+file serves boats of every size.
 
 Source: twin.md, sections 10 B2 and 13.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,40 +34,33 @@ FLOOR = 1e-3
 
 
 class PriorError(ValueError):
-    """A prior that cannot be used; the message names the file and the remedy."""
+    """A prior that cannot be used; the message names the file or value and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Dimensionless parameters of a population.
+    """Dimensionless parameters of a population of boats.
 
     Parameters
     ----------
-    model, kind : str
-        Model structure, and kind of boats.
+    about : str
+        One line that says how it was made.
     parameters : tuple of str
         Names of the p parameters.
-    median, sd : ndarray, shape (p,)
-        In the natural units of the structure.
-    correlation : ndarray, shape (p, p)
-        Of the parameters.
-    seed, boats, drawn : int
-        Seed of the population, boats that it is made of, and boats that were drawn.
+    boats : ndarray, shape (b,)
+        Number of each boat in its population; those that the model did not fit are missing.
+    members : ndarray, shape (b, p)
+        Their parameters in the natural units of the structure.
     """
 
-    model: str
-    kind: str
+    about: str
     parameters: tuple[str, ...]
-    median: Array
-    sd: Array
-    correlation: Array
-    seed: int
-    boats: int
-    drawn: int
+    boats: NDArray[np.int64]
+    members: Array
 
     @classmethod
     def load(cls, path: Path) -> Prior:
-        """Read a file that :meth:`to_json` wrote.
+        """Read a file that :meth:`to_csv` wrote.
 
         Parameters
         ----------
@@ -81,42 +73,26 @@ class Prior:
             Names the file and the remedy.
         """
         try:
-            table = json.loads(path.read_text(encoding="utf-8"))
-            prior = cls(
-                **{
-                    **{key: table[key] for key in ("model", "kind", "seed", "boats", "drawn")},
-                    "parameters": tuple(table["parameters"]),
-                    "median": np.array([row[0] for row in table["parameters"].values()], float),
-                    "sd": np.array([row[1] for row in table["parameters"].values()], float),
-                    "correlation": np.array(table["correlation"], float),
-                }
-            )
-            p = len(prior.parameters)
-            if prior.correlation.shape != (p, p) or not np.all(prior.sd > 0.0):
-                raise ValueError(f"{p} parameters need {p} sd above 0, and as many correlations")
-            np.linalg.cholesky(prior.correlation)
-        except (OSError, KeyError, TypeError, ValueError, IndexError) as error:
+            about, names, *rows = path.read_text(encoding="utf-8").splitlines()
+            parameters = tuple(names.split(",")[1:])
+            table = np.array([row.split(",") for row in rows], dtype=float)
+            if table.shape != (len(rows), 1 + len(parameters)) or not np.isfinite(table).all():
+                raise ValueError(f"{len(parameters)} parameters, table of shape {table.shape}")
+        except (OSError, ValueError) as error:
             raise PriorError(
-                f"{path}: is no prior ({error}); make it anew with twin.population"
+                f"{path}: is no prior ({error}); make it anew with twin.population.make_prior"
             ) from None
-        return prior
+        return cls(about.removeprefix("# "), parameters, table[:, 0].astype(np.int64), table[:, 1:])
 
-    def to_json(self) -> str:
+    def to_csv(self) -> str:
         """Return the text of a file, with six digits."""
-        rows = [[round(float(value), 6) for value in row] for row in self.correlation]
-        table: dict[str, Any] = {
-            "about": "dimensionless parameters of a population: median and sd; see twin.population",
-            **{key: getattr(self, key) for key in ("model", "kind", "seed", "boats", "drawn")},
-            "parameters": {
-                name: [float(f"{value:.6g}") for value in pair]
-                for name, *pair in zip(self.parameters, self.median, self.sd, strict=True)
-            },
-        }
-        head = json.dumps(table, indent=1).removesuffix("\n}")
-        return f'{head},\n "correlation": [\n  ' + ",\n  ".join(map(json.dumps, rows)) + "\n ]\n}\n"
+        lines = [f"# {self.about}", ",".join(("boat", *self.parameters))]
+        for boat, row in zip(self.boats, self.members, strict=True):
+            lines.append(",".join([str(boat), *(f"{value:.6g}" for value in row)]))
+        return "\n".join(lines) + "\n"
 
     def of(self, structure: Structure) -> tuple[Array, Array]:
-        """Return mean and covariance of a boat's parameters in SI units.
+        """Return median and covariance of a boat's parameters in SI units.
 
         Parameters
         ----------
@@ -127,15 +103,27 @@ class Prior:
         Returns
         -------
         mean : ndarray, shape (p,)
+            Medians of the population.
         covariance : ndarray, shape (p, p)
             Positive definite.
+
+        Raises
+        ------
+        PriorError
+            If the population is one of another structure.
         """
+        if not set(self.parameters) <= set(structure.parameters):
+            raise PriorError(
+                f"the model {structure.name!r} has not all of {', '.join(self.parameters)}; take "
+                "a prior of the same model"
+            )
         mean, covariance = structure.mean.copy(), np.diag(structure.sd**2)
         at = np.array([structure.parameters.index(name) for name in self.parameters])
         scales = structure.scales[at]
-        mean[at] = self.median * scales
-        sd = self.sd * scales
-        covariance[np.ix_(at, at)] = self.correlation * np.outer(sd, sd)
+        mean[at] = np.median(self.members, axis=0) * scales
+        spread = np.cov(self.members.T)
+        spread = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
+        covariance[np.ix_(at, at)] = spread * np.outer(scales, scales)
         return mean, covariance
 
 
@@ -153,6 +141,7 @@ def kind_of(particulars: Particulars) -> str:
     return "drives" if froude > FAST else "rudder"
 
 
+@cache
 def shipped_prior(model: str, kind: str) -> Prior:
     """Return a prior that comes with the package.
 
@@ -161,7 +150,7 @@ def shipped_prior(model: str, kind: str) -> Prior:
     model, kind : str
         Model structure, and one of :data:`KINDS`.
     """
-    return Prior.load(Path(str(resources.files("twin") / "priors" / f"{model}_{kind}.json")))
+    return Prior.load(Path(str(resources.files("twin") / "priors" / f"{model}_{kind}.csv")))
 
 
 def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
