@@ -182,6 +182,7 @@ class DSWPredictor(ModelPredictor):
         self._cmds = np.zeros((self._size, 4))
         self._dts = np.zeros(self._size)
         self._mask = np.ones(N_STATES)
+        self.t = 0.0
         self._count = 0
         self._wind = math.nan
         self.q, self.r = self.ukf.settings.q.copy(), self.ukf.settings.r.copy()
