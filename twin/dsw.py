@@ -227,6 +227,7 @@ class DSWPredictor(ModelPredictor):
         if self.stride and self._count % self.stride == 0 and self._count > W:
             self._restart(W)
         hold_inside(ukf.x, ukf.envelope)
+        ukf.see(dt)
 
     def _restart(self, W: int) -> None:
         """Use the last W rows once more, starting from the measured state."""

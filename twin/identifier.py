@@ -15,11 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.identifiability import Identifiability, accumulate, judge
 from twin.model import (
     N_STATES,
     N_XI,
+    PARAMETER_NAMES,
     STUDY_LENGTH,
     STUDY_SPEED,
+    X_END,
+    Y_END,
     accelerations,
     follow,
     hand_prior,
@@ -70,6 +74,14 @@ AID_SD = 0.25 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in usual speeds."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
+SEE_EVERY, SEE_MAX = 0.25, 1.0
+"""Regressors are counted each SEE_EVERY s, and stand for no more than SEE_MAX s of a gap."""
+SUBMODELS = (
+    ("surge", np.arange(X_END)),
+    ("sway", np.arange(X_END, Y_END)),
+    ("yaw", np.arange(Y_END, N_XI)),
+)
+"""Parameters of each acceleration."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +206,9 @@ def hold_inside(x, envelope):
 _X = 0
 _P = _X + N
 _ACT = _P + N * N
-MEMORY_SIZE = _ACT + 4
+_GRAM = _ACT + 4
+_SEEN = _GRAM + N_XI * N_XI
+MEMORY_SIZE = _SEEN + 2
 # its constants
 _Q, _Q_XI = 0, N_STATES
 _R = _Q_XI + N_XI
@@ -220,11 +234,28 @@ NAV_SIZE = _BEGUN + 1
 
 
 @kernel
+def _see(dt, memory, differential, phi):
+    """Count the regressors of the moment in their Gram matrices, at SEE_EVERY."""
+    seen = memory[_SEEN:]
+    seen[0] += dt
+    if seen[0] < SEE_EVERY - 1e-9:
+        return
+    seconds = min(seen[0], SEE_MAX)
+    seen[0] = 0.0
+    seen[1] += seconds
+    regressors(memory[3], memory[4], memory[5], memory[_ACT:_GRAM], differential, phi)
+    gram = memory[_GRAM:_SEEN].reshape((N_XI, N_XI))
+    accumulate(gram[:X_END, :X_END], phi[:X_END], seconds)
+    accumulate(gram[X_END:Y_END, X_END:Y_END], phi[X_END:Y_END], seconds)
+    accumulate(gram[Y_END:, Y_END:], phi[Y_END:], seconds)
+
+
+@kernel
 def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work):
     """One row of the plain predictor: navigate, predict, correct; all memory in place."""
     n, P_nav = nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
     status = nav[_STATUS:_SINCE_AID]
-    x, P, act = memory[_X:_P], memory[_P:_ACT].reshape((N, N)), memory[_ACT:]
+    x, P, act = memory[_X:_P], memory[_P:_ACT].reshape((N, N)), memory[_ACT:_GRAM]
     q, q_xi, r = constants[_Q:_Q_XI], constants[_Q_XI:_R], constants[_R:_P0]
     lags, envelope = constants[_LAGS:_ENVELOPE], constants[_ENVELOPE:_WEIGHTS]
     weights = constants[_WEIGHTS:_UNIT]
@@ -260,6 +291,7 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
         mask[i] = 1.0
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
+    _see(dt, memory, differential, phi)
     nav[_SINCE_AID] += dt
     if status[GPS_AGE] > AID_AFTER and nav[_SINCE_AID] >= AID_EVERY:
         nav[_SINCE_AID] = 0.0
@@ -301,7 +333,7 @@ def _roll(plan, dt, memory, constants, scratch, scaled, out, acts):
     roll_out(
         memory[_X : _X + N_STATES],
         memory[_X + N_STATES : _P],
-        memory[_ACT:],
+        memory[_ACT:_GRAM],
         scaled,
         dt,
         constants[_LAGS],
@@ -343,7 +375,7 @@ class JointUKF:
         self.weights = scaled_weights(N, settings.alpha, settings.beta, settings.kappa)
         # few flat arrays: each one that a kernel takes costs a call
         self.memory = np.zeros(MEMORY_SIZE)
-        self.x, self.act = self.memory[_X:_P], self.memory[_ACT:]
+        self.x, self.act = self.memory[_X:_P], self.memory[_ACT:_GRAM]
         self.P = self.memory[_P:_ACT].reshape(N, N)
         self.constants = np.concatenate(
             [
@@ -371,6 +403,23 @@ class JointUKF:
     def xi(self) -> Array:
         """Parameters, a view of shape (25,)."""
         return self.x[N_STATES:]
+
+    def see(self, dt: float) -> None:
+        """Count the regressors of the moment, dt (s) after the call before."""
+        _see(dt, self.memory, self.differential, self.scratch[_PHI:_MODEL])
+
+    def identifiability(self) -> Identifiability:
+        """Return what the data seen say of the parameters."""
+        gram = self.memory[_GRAM:_SEEN].reshape(N_XI, N_XI)
+        return judge(
+            PARAMETER_NAMES,
+            SUBMODELS,
+            [gram[np.ix_(block, block)] for _, block in SUBMODELS],
+            self.constants[_Q + 3 : _Q_XI],
+            np.diag(self.settings.xi0_var),
+            self.P[N_STATES:, N_STATES:],
+            float(self.memory[_SEEN + 1]),
+        )
 
     def roll(self, plan: Array, dt: float) -> tuple[Array, Array]:
         """Return states (K, 6) and actuators (K, 4) under a plan; nothing is changed.
@@ -447,6 +496,10 @@ class ModelPredictor(Predictor):
         state = self.with_common_error(P[:N_STATES, :N_STATES])
         sd, xi_sd = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:]))
         return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], xi_sd, self.ready)
+
+    def identifiability(self) -> Identifiability:
+        """Return what the data seen say of the parameters."""
+        return self.ukf.identifiability()
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states alone; see :meth:`twin.predictor.Predictor.mean`."""

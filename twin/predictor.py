@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.identifiability import Identifiability
 from twin.navigation import Navigator
 from twin.particulars import Particulars
 
@@ -168,6 +169,10 @@ class Predictor(ABC):
     @abstractmethod
     def estimate(self) -> Estimate:
         """Return what is believed now."""
+
+    def identifiability(self) -> Identifiability | None:
+        """Return what the data seen say of the parameters; None where there is no model."""
+        return None
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) alone, where that is cheaper.
