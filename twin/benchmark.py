@@ -446,6 +446,9 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
             "t": [t for t, _, _ in history],
             "xi": [xi.tolist() for _, xi, _ in history],
             "xi_sd": [sd.tolist() for _, _, sd in history],
+            "names": twin.predictor.parameter_names,
+            "units": twin.predictor.parameter_units,
+            "blocks": twin.predictor.parameter_blocks,
         }
     path = result_file(folder, unit)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -765,5 +768,8 @@ def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFig
             t=np.array(history["t"]),
             xi=np.array(history["xi"]),
             xi_sd=np.array(history["xi_sd"]),
+            names=tuple(history["names"]),
+            units=tuple(history["units"]),
+            blocks={motion: (first, last) for motion, (first, last) in history["blocks"].items()},
         )
     return list(shown.values())

@@ -24,7 +24,6 @@ from rich.table import Table
 
 from twin import benchmark as bench
 from twin.log import Log, LogError, beside
-from twin.model import PARAMETER_NAMES, PARAMETER_UNITS
 from twin.particulars import ParticularsError
 from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
@@ -198,7 +197,7 @@ def identify_command(
     run, twin = _begin(log, predictor, ship, until)
     prior = twin.estimate()
     header = ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)]
-    names = PARAMETER_NAMES if len(prior.xi) else ()
+    names = twin.predictor.parameter_names
     header += [*names, *(f"sd_{n}" for n in names)]
     rows = []
     with _compiling(), _bar("identifying", len(run)) as advance:
@@ -212,7 +211,7 @@ def identify_command(
     if out is not None:
         _write_csv(out, header, rows)
     if json_file is not None:
-        _write_json(json_file, _estimate_json(last, predictor))
+        _write_json(json_file, _estimate_json(last, twin, predictor))
     if not last.ready:
         raise LogError(f"{log}: no fix and heading came together, so there is nothing to say")
     _print_state(last, predictor, run)
@@ -694,8 +693,8 @@ def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
     return rows[np.maximum(np.searchsorted(rows[:, 0], middle, side="right") - 1, 0), 1:]
 
 
-def _estimate_json(estimate: Estimate, predictor: str) -> dict[str, Any]:
-    names = PARAMETER_NAMES if len(estimate.xi) else ()
+def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, Any]:
+    names = twin.predictor.parameter_names
     return {
         "predictor": predictor,
         "t_s": estimate.t,
@@ -726,7 +725,7 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
     for name in ("", "unit", "prior", "sd", "identified", "sd", "ratio"):
         table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
-    for i, (name, symbol) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)):
+    for i, (name, symbol) in enumerate(zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)):
         ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
         table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}")

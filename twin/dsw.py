@@ -25,8 +25,11 @@ from twin.identifier import (
     ModelPredictor,
     advance,
     hold_inside,
+    parts,
+    rooms,
+    see,
 )
-from twin.model import N_STATES, N_XI
+from twin.model import N_STATES, model_of
 from twin.particulars import Particulars
 from twin.ukf import measurement_update
 from twin.window import NOISE_FORMS, DynamicWindow, NoiseLimits, WaveProxy, adapt_noise
@@ -40,7 +43,7 @@ RATED_SHAFT_SPEED = 380.0 / 60.0
 """Rated shaft speed of the paper, rev/s: the unit in which its thrust parameters are sized."""
 
 
-def paper_settings(particulars: Particulars) -> FilterSettings:
+def paper_settings(particulars: Particulars, model: str = "paper") -> FilterSettings:
     """Return the settings that the paper prints: x0 = 0.1, Q = 1e-4 I, R = I.
 
     What it does not print is ours: P0 = I (the only one of several that learns), alpha = 1
@@ -53,63 +56,32 @@ def paper_settings(particulars: Particulars) -> FilterSettings:
     Source: Eq (47), (50), (51).
     """
     ones = np.ones(N_STATES)
+    structure = model_of(particulars, model)
+    p = len(structure)
     return FilterSettings(
+        structure=structure,
         q=1e-4 * ones / STUDY_STEP,
         r=ones,
         p0=ones,
-        q_xi=np.zeros(N_XI),
-        xi0=np.full(N_XI, 0.1),
-        xi0_var=np.ones(N_XI),
+        q_xi=np.zeros(p),
+        xi0=np.full(p, 0.1),
+        xi0_cov=np.eye(p),
         n_unit=RATED_SHAFT_SPEED / particulars.shaft_speed,
     )
 
 
 @kernel
-def _rerun(
-    x,
-    P,
-    act,
-    states,
-    cmds,
-    dts,
-    first,
-    count,
-    lags,
-    n_unit,
-    differential,
-    q,
-    q_xi,
-    r,
-    mask,
-    weights,
-    Q,
-    qx,
-    R,
-    work,
-):
+def _rerun(states, cmds, dts, first, count, memory, constants, scratch, work, kit):
     """Run the filter over ``count`` rows of the ring buffers from row ``first`` on."""
+    x, P, _, _, _, _, r, _, _, _, _, _ = parts(memory, constants, kit)
+    _, R, _, _, mask, _, _ = rooms(scratch, kit)
     size = states.shape[0]
     for i in range(N_STATES):
         R[i, i] = r[i]
         mask[i] = 1.0
     for j in range(count):
         row = (first + j) % size
-        advance(
-            x,
-            P,
-            act,
-            cmds[row],
-            dts[row],
-            lags,
-            n_unit,
-            differential,
-            q,
-            q_xi,
-            weights,
-            Q,
-            qx,
-            work,
-        )
+        advance(dts[row], cmds[row], memory, constants, scratch, work, kit)
         measurement_update(x, P, states[row], mask, R, PSI, math.inf, work)
 
 
@@ -181,11 +153,11 @@ class DSWPredictor(ModelPredictor):
         self._acts = np.zeros((self._size, 4))
         self._cmds = np.zeros((self._size, 4))
         self._dts = np.zeros(self._size)
-        self._mask = np.ones(N_STATES)
         self.t = 0.0
         self._count = 0
         self._wind = math.nan
-        self.q, self.r = self.ukf.settings.q.copy(), self.ukf.settings.r.copy()
+        self.q, self.r = self.ukf.q, self.ukf.r
+        self.q[:], self.r[:] = self.ukf.settings.q, self.ukf.settings.r
 
     @property
     def ready(self) -> bool:
@@ -227,7 +199,7 @@ class DSWPredictor(ModelPredictor):
         if self.stride and self._count % self.stride == 0 and self._count > W:
             self._restart(W)
         hold_inside(ukf.x, ukf.envelope)
-        ukf.see(dt)
+        see(dt, *ukf.arguments)
 
     def _restart(self, W: int) -> None:
         """Use the last W rows once more, starting from the measured state."""
@@ -243,29 +215,7 @@ class DSWPredictor(ModelPredictor):
         ukf.act[:] = now
 
     def _run(self, first: int, count: int) -> None:
-        ukf = self.ukf
-        _rerun(
-            ukf.x,
-            ukf.P,
-            ukf.act,
-            self._states,
-            self._cmds,
-            self._dts,
-            first,
-            count,
-            ukf.lags,
-            ukf.settings.n_unit,
-            ukf.differential,
-            self.q,
-            ukf.settings.q_xi,
-            self.r,
-            self._mask,
-            ukf.weights,
-            ukf.Q,
-            ukf.qx,
-            ukf.R,
-            ukf.work,
-        )
+        _rerun(self._states, self._cmds, self._dts, first, count, *self.ukf.arguments)
 
     def _adapt(self, error: Array) -> None:
         """Move Q and R by Eq (52)."""
@@ -273,7 +223,7 @@ class DSWPredictor(ModelPredictor):
         expected = np.diag(ukf.P)[:N_STATES] + self.r
         signed = error**2 - expected
         size = np.abs(error) if self.adapt == "literal" else signed
-        Q, self.r = adapt_noise(
+        Q, R = adapt_noise(
             self.q * STUDY_STEP,
             self.r,
             size,
@@ -283,4 +233,4 @@ class DSWPredictor(ModelPredictor):
             limits=self._limits,
             form=self.adapt,
         )
-        self.q = Q / STUDY_STEP
+        self.q[:], self.r[:] = Q / STUDY_STEP, R

@@ -33,6 +33,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
+from twin.log import MEASUREMENTS
 from twin.particulars import Instruments
 from usv_kernel import wrap
 
@@ -226,7 +227,7 @@ class LateFusion:
         ----------
         dt : float
             Time since the row before, s; 0 or more. Unused in the first row.
-        z : array_like, shape (9,)
+        z : array_like, shape (10,)
             GPS x, y, m; GPS velocity north and east, m/s; compass, rad; gyro, rad/s;
             accelerometer x and y, m/s2; wind speed, m/s (unused). What is not finite counts
             as missing.
@@ -243,8 +244,8 @@ class LateFusion:
             If dt is negative or not finite, or z has another shape.
         """
         z = np.asarray(z, dtype=np.float64)
-        if z.shape != (9,):
-            raise ValueError(f"z has shape {z.shape}; expected (9,)")
+        if z.shape != (len(MEASUREMENTS),):
+            raise ValueError(f"z has shape {z.shape}; expected ({len(MEASUREMENTS)},)")
         if not (math.isfinite(dt) and dt >= 0.0):
             raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
         given = np.isfinite(z)

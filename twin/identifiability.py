@@ -37,22 +37,24 @@ _SAME = 0.005
 
 
 @kernel
-def accumulate(gram, phi, seconds):
+def accumulate(gram, terms, which, seconds):
     """Add regressors to the Gram matrix of what was seen.
 
     Parameters
     ----------
     gram : (k, k) array
         Integral of phi phi' over time; its lower triangle is added to.
-    phi : (k,) array
-        Regressors of the moment.
+    terms : (m,) array
+        Terms of the moment ...
+    which : (k,) array of int
+        ... and those of them that are the regressors phi.
     seconds : float
         Time that they stand for, s.
     """
-    for i in range(phi.shape[0]):
-        weight = seconds * phi[i]
+    for i in range(which.shape[0]):
+        weight = seconds * terms[which[i]]
         for k in range(i + 1):
-            gram[i, k] += weight * phi[k]
+            gram[i, k] += weight * terms[which[k]]
 
 
 @dataclass(frozen=True)

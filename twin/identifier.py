@@ -17,19 +17,13 @@ from numpy.typing import NDArray
 
 from twin.identifiability import Identifiability, accumulate, judge
 from twin.model import (
+    N_ACT,
     N_STATES,
-    N_XI,
-    PARAMETER_NAMES,
-    STUDY_LENGTH,
-    STUDY_SPEED,
-    X_END,
-    Y_END,
-    accelerations,
+    ROOM,
+    _all_terms,
     follow,
-    hand_prior,
-    is_differential,
     joint_predict,
-    regressors,
+    model_of,
     roll_out,
 )
 from twin.navigation import (
@@ -45,6 +39,7 @@ from twin.navigation import (
 )
 from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction, Predictor
+from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
 from usv_kernel import kernel
 
@@ -56,16 +51,20 @@ __all__ = [
     "advance",
     "hold_inside",
     "plain_settings",
+    "see",
 ]
 
 Array = NDArray[Any]
 
-N = N_STATES + N_XI
 PSI = 2
+STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
+"""Waterline (m) and speed (m/s) of the boat that the filter was tuned for."""
 STUDY_STEP = 0.05
 """Step at which the noises below are quoted, s."""
 STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
+WIND_LIMIT = 100.0
+"""No wind is faster, m/s."""
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 BAND_STEP = 0.25
@@ -76,12 +75,6 @@ AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 SEE_EVERY, SEE_MAX = 0.25, 1.0
 """Regressors are counted each SEE_EVERY s, and stand for no more than SEE_MAX s of a gap."""
-SUBMODELS = (
-    ("surge", np.arange(X_END)),
-    ("sway", np.arange(X_END, Y_END)),
-    ("yaw", np.arange(Y_END, N_XI)),
-)
-"""Parameters of each acceleration."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +83,8 @@ class FilterSettings:
 
     Parameters
     ----------
+    structure : Structure
+        What the accelerations are made of; p parameters.
     q : ndarray, shape (6,)
         Variance that each state gains per second.
     r : ndarray, shape (6,)
@@ -97,9 +92,9 @@ class FilterSettings:
         rows further apart count for more, as their waves are less alike.
     p0 : ndarray, shape (6,)
         Variance of each state at the start.
-    q_xi : ndarray, shape (25,)
+    q_xi : ndarray, shape (p,)
         Variance that each parameter gains per second.
-    xi0, xi0_var : ndarray, shape (25,)
+    xi0, xi0_cov : ndarray, shapes (p,), (p, p)
         Prior of the parameters.
     n_unit : float
         Shaft speeds are multiplied by this before they enter the model.
@@ -107,19 +102,20 @@ class FilterSettings:
         Spread of the sigma points.
     """
 
+    structure: Structure
     q: Array
     r: Array
     p0: Array
     q_xi: Array
     xi0: Array
-    xi0_var: Array
-    n_unit: float = 1.0
+    xi0_cov: Array
+    n_unit: float
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
 
 
-def plain_settings(particulars: Particulars) -> FilterSettings:
+def plain_settings(particulars: Particulars, model: str = "paper") -> FilterSettings:
     """Return the settings of the plain joint UKF.
 
     Those that worked for a boat of 6.336 m (waterline) at 5.4 m/s and 20 Hz, scaled to any
@@ -134,14 +130,16 @@ def plain_settings(particulars: Particulars) -> FilterSettings:
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
     r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
-    xi0, sd0 = hand_prior(particulars)
+    structure = model_of(particulars, model)
     return FilterSettings(
+        structure=structure,
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,
         p0=p0**2,
-        q_xi=np.zeros(N_XI),
-        xi0=xi0,
-        xi0_var=sd0**2,
+        q_xi=np.zeros(len(structure)),
+        xi0=structure.mean,
+        xi0_cov=np.diag(structure.sd**2),
+        n_unit=structure.n_unit,
     )
 
 
@@ -154,37 +152,97 @@ def _follow_commands(act, cmd, lags, n_unit, h):
 
 
 @kernel
-def advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work):
-    """Predict state, parameters and covariance over dt, actuators included.
+def parts(memory, constants, kit):
+    """Return x, P, act, wind, q, q_xi, r, p0, lags, envelope, weights and n_unit as views.
+
+    The joint filter has few flat arrays, because each one that a kernel takes costs a call.
+    """
+    p = kit[0].shape[1]
+    n = N_STATES + p
+    end = n + n * n
+    x, act, wind = memory[:n], memory[end : end + N_ACT], memory[end + N_ACT : end + N_ACT + 2]
+    P = memory[n:end].reshape((n, n))
+    q, q_xi = constants[:N_STATES], constants[N_STATES:n]
+    r, p0 = constants[n : n + N_STATES], constants[n + N_STATES : n + 2 * N_STATES]
+    rest = constants[n + 2 * N_STATES :]
+    return x, P, act, wind, q, q_xi, r, p0, rest[:3], rest[3:6], rest[6:10], rest[10]
+
+
+@kernel
+def rooms(scratch, kit):
+    """Return room for Q, q_xi, R, terms, four numbers, six numbers and a roll-out as views."""
+    square = N_STATES * N_STATES
+    Q, R = scratch[:square], scratch[square : 2 * square]
+    rest = scratch[2 * square :]
+    return (
+        Q.reshape((N_STATES, N_STATES)),
+        R.reshape((N_STATES, N_STATES)),
+        rest[:N_TERMS],
+        rest[N_TERMS : N_TERMS + 4],
+        rest[N_TERMS + 4 : N_TERMS + 10],
+        rest[N_TERMS + 10 : N_TERMS + 10 + ROOM],
+        rest[N_TERMS + 10 + ROOM :],
+    )
+
+
+@kernel
+def advance(dt, cmd, memory, constants, scratch, work, kit):
+    """Predict state, parameters and covariance of the joint filter over dt, actuators included.
 
     Parameters
     ----------
-    x, P : ndarray, shapes (31,), (31, 31)
-        Mean and covariance, advanced in place.
-    act, cmd : ndarray, shape (4,)
-        Actuators, advanced in place, and their commands.
     dt : float
         Time, s.
-    lags : ndarray, shape (3,)
-        Shaft lag (s), steering lag (s), steering rate (rad/s).
-    n_unit, differential : float
-        See :class:`FilterSettings` and :func:`twin.model.is_differential`.
-    q, q_xi : ndarray, shapes (6,), (25,)
-        Variances gained per second.
-    weights, Q, qx, work : ndarray
-        Weights and scratch of :mod:`twin.ukf`.
+    cmd : ndarray, shape (4,)
+        Commands of the actuators.
+    memory, constants, scratch, work, kit
+        Of a :class:`JointUKF`; the memory is advanced in place.
     """
+    x, P, act, wind, q, q_xi, _, _, lags, _, weights, n_unit = parts(memory, constants, kit)
+    Q, _, terms, _, _, _, qx = rooms(scratch, kit)
     dt = min(dt, GAP_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
     for i in range(N_STATES):
         Q[i, i] = q[i] * h
-    for k in range(N_XI):
+    for k in range(q_xi.shape[0]):
         qx[k] = q_xi[k] * h
     for _ in range(steps):
         _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
-        joint_predict(x, P, act, differential, h, Q, qx, weights, work)
+        joint_predict(x, P, act, wind, kit, h, Q, qx, weights, terms, work)
         _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
+
+
+@kernel
+def see(dt, memory, constants, scratch, work, kit):
+    """Add the terms of the moment to what was seen, at SEE_EVERY.
+
+    Parameters
+    ----------
+    dt : float
+        Time since the call before, s.
+    memory, constants, scratch, work, kit
+        Of a :class:`JointUKF`. Its memory ends with the time since terms were added, the time
+        seen (s), and a Gram matrix for each of surge, sway and yaw.
+    """
+    n = N_STATES + kit[0].shape[1]
+    seen = memory[n + n * n + N_ACT + 2 :]
+    seen[0] += dt
+    if seen[0] < SEE_EVERY - 1e-9:
+        return
+    seconds = min(seen[0], SEE_MAX)
+    seen[0] = 0.0
+    seen[1] += seconds
+    x, _, act, wind, _, _, _, _, _, _, _, _ = parts(memory, constants, kit)
+    terms = rooms(scratch, kit)[2]
+    _all_terms(x, act, wind, kit, terms)
+    first = 2
+    for i in range(3):
+        low, high = kit[1][3 + i, 0] - N_STATES, kit[1][3 + i, 1] - N_STATES
+        size = (high - low) ** 2
+        gram = seen[first : first + size].reshape((high - low, high - low))
+        accumulate(gram, terms, kit[0][i, low:high], seconds)
+        first += size
 
 
 @kernel
@@ -202,30 +260,6 @@ def hold_inside(x, envelope):
         x[3 + i] = min(max(x[3 + i], -envelope[i]), envelope[i])
 
 
-# flat memory of the joint filter: where each part begins
-_X = 0
-_P = _X + N
-_ACT = _P + N * N
-_GRAM = _ACT + 4
-_SEEN = _GRAM + N_XI * N_XI
-MEMORY_SIZE = _SEEN + 2
-# its constants
-_Q, _Q_XI = 0, N_STATES
-_R = _Q_XI + N_XI
-_P0 = _R + N_STATES
-_LAGS = _P0 + N_STATES
-_ENVELOPE = _LAGS + 3
-_WEIGHTS = _ENVELOPE + 3
-_UNIT = _WEIGHTS + 4
-_DIFFERENTIAL = _UNIT + 1
-# its scratch
-_QS, _QX = 0, N_STATES * N_STATES
-_RS = _QX + N_XI
-_PHI = _RS + N_STATES * N_STATES
-_MODEL = _PHI + N_XI
-_MASK = _MODEL + 4
-_TURNED = _MASK + N_STATES
-SCRATCH_SIZE = _TURNED + 4
 # flat memory of the navigation filter
 _NAV_P = N_NAV
 _STATUS = _NAV_P + N_NAV * N_NAV
@@ -234,41 +268,19 @@ NAV_SIZE = _BEGUN + 1
 
 
 @kernel
-def _see(dt, memory, differential, phi):
-    """Count the regressors of the moment in their Gram matrices, at SEE_EVERY."""
-    seen = memory[_SEEN:]
-    seen[0] += dt
-    if seen[0] < SEE_EVERY - 1e-9:
-        return
-    seconds = min(seen[0], SEE_MAX)
-    seen[0] = 0.0
-    seen[1] += seconds
-    regressors(memory[3], memory[4], memory[5], memory[_ACT:_GRAM], differential, phi)
-    gram = memory[_GRAM:_SEEN].reshape((N_XI, N_XI))
-    accumulate(gram[:X_END, :X_END], phi[:X_END], seconds)
-    accumulate(gram[X_END:Y_END, X_END:Y_END], phi[X_END:Y_END], seconds)
-    accumulate(gram[Y_END:, Y_END:], phi[Y_END:], seconds)
-
-
-@kernel
-def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work):
+def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work, kit):
     """One row of the plain predictor: navigate, predict, correct; all memory in place."""
     n, P_nav = nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
     status = nav[_STATUS:_SINCE_AID]
-    x, P, act = memory[_X:_P], memory[_P:_ACT].reshape((N, N)), memory[_ACT:_GRAM]
-    q, q_xi, r = constants[_Q:_Q_XI], constants[_Q_XI:_R], constants[_R:_P0]
-    lags, envelope = constants[_LAGS:_ENVELOPE], constants[_ENVELOPE:_WEIGHTS]
-    weights = constants[_WEIGHTS:_UNIT]
-    n_unit, differential = constants[_UNIT], constants[_DIFFERENTIAL]
-    Q = scratch[_QS:_QX].reshape((N_STATES, N_STATES))
-    qx, R = scratch[_QX:_RS], scratch[_RS:_PHI].reshape((N_STATES, N_STATES))
-    phi, model, mask = scratch[_PHI:_MODEL], scratch[_MODEL:_MASK], scratch[_MASK:_TURNED]
+    x, P, act, wind, _, _, r, p0, _, envelope, _, n_unit = parts(memory, constants, kit)
+    _, R, terms, model, mask, _, _ = rooms(scratch, kit)
 
+    feel_wind(z, wind)
     for k in range(4):
         model[k] = 0.0
     if nav[_BEGUN] > 0.0:
-        regressors(x[3], x[4], x[5], act, differential, phi)
-        du, dv, dr = accelerations(phi, x, N_STATES)
+        _all_terms(x, act, wind, kit, terms)
+        du, dv, dr = accelerations(terms, kit, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
         model[0] = min(max(du, -speed * turn), speed * turn)
         model[1] = min(max(dv, -speed * turn), speed * turn)
@@ -281,17 +293,17 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
         if status[READY_FIX] * status[READY_HEADING] > 0.0:
             for i in range(N_STATES):
                 x[i] = n[i]
-                P[i, i] = constants[_P0 + i]
+                P[i, i] = p0[i]
             nav[_BEGUN] = 1.0
         return
-    advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work)
+    advance(dt, cmd, memory, constants, scratch, work, kit)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
         R[i, i] = STUDY_STEP * r[i] / row + P_nav[i, i]
         mask[i] = 1.0
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
-    _see(dt, memory, differential, phi)
+    see(dt, memory, constants, scratch, work, kit)
     nav[_SINCE_AID] += dt
     if status[GPS_AGE] > AID_AFTER and nav[_SINCE_AID] >= AID_EVERY:
         nav[_SINCE_AID] = 0.0
@@ -300,23 +312,34 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
 
 
 @kernel
-def _bands(acts, dt, every, memory, constants, scratch, work, x, P, out):
+def feel_wind(z, wind):
+    """Take the velocity of the true wind from a row of measurements, if both parts are there.
+
+    Parameters
+    ----------
+    z : ndarray, shape (10,)
+        Measurement row.
+    wind : ndarray, shape (2,)
+        To north and east, m/s; kept where nothing new is said.
+    """
+    if 0.0 <= z[8] < WIND_LIMIT and math.isfinite(z[9]):
+        wind[0], wind[1] = -z[8] * math.cos(z[9]), -z[8] * math.sin(z[9])
+
+
+@kernel
+def _bands(acts, dt, every, memory, constants, scratch, work, kit, copy, out):
     """Write the covariance of the state after each ``every`` rows of a prediction."""
     h = dt * every
-    Q = scratch[_QS:_QX].reshape((N_STATES, N_STATES))
-    qx, weights = scratch[_QX:_RS], constants[_WEIGHTS:_UNIT]
-    envelope = constants[_ENVELOPE:_WEIGHTS]
-    for i in range(N):
-        x[i] = memory[_X + i]
-        for k in range(N):
-            P[i, k] = memory[_P + N * i + k]
+    copy[:] = memory
+    x, P, _, wind, q, q_xi, _, _, _, envelope, weights, _ = parts(copy, constants, kit)
+    Q, _, terms, _, _, _, qx = rooms(scratch, kit)
     for i in range(N_STATES):
-        Q[i, i] = constants[_Q + i] * h
-    for k in range(N_XI):
-        qx[k] = constants[_Q_XI + k] * h
+        Q[i, i] = q[i] * h
+    for k in range(q_xi.shape[0]):
+        qx[k] = q_xi[k] * h
     for j in range(out.shape[0]):
         last = min((j + 1) * every, acts.shape[0]) - 1
-        joint_predict(x, P, acts[last], constants[_DIFFERENTIAL], h, Q, qx, weights, work)
+        joint_predict(x, P, acts[last], wind, kit, h, Q, qx, weights, terms, work)
         hold_inside(x, envelope)
         for i in range(N_STATES):
             for k in range(N_STATES):
@@ -324,32 +347,23 @@ def _bands(acts, dt, every, memory, constants, scratch, work, x, P, out):
 
 
 @kernel
-def _roll(plan, dt, memory, constants, scratch, scaled, out, acts):
+def _roll(plan, dt, memory, constants, scratch, kit, ripple, scaled, out, acts):
     """Roll the model under a plan whose shaft speeds are in the unit of the particulars."""
+    x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory, constants, kit)
+    room = rooms(scratch, kit)[5]
     for row in range(plan.shape[0]):
         for k in range(2):
-            scaled[row, k] = constants[_UNIT] * plan[row, k]
+            scaled[row, k] = n_unit * plan[row, k]
             scaled[row, 2 + k] = plan[row, 2 + k]
-    roll_out(
-        memory[_X : _X + N_STATES],
-        memory[_X + N_STATES : _P],
-        memory[_ACT:_GRAM],
-        scaled,
-        dt,
-        constants[_LAGS],
-        constants[_LAGS + 1],
-        constants[_LAGS + 2],
-        constants[_ENVELOPE],
-        constants[_ENVELOPE + 2],
-        constants[_DIFFERENTIAL],
-        out,
-        acts,
-        scratch[_TURNED:],
-    )
+    s, xi = x[:N_STATES], x[N_STATES:]
+    roll_out(s, xi, act, scaled, dt, lags, envelope, wind, kit, ripple, out, acts, room)
+
+
+_NO_RIPPLE = np.empty((0, 3))
 
 
 class JointUKF:
-    """State and 25 parameters of the twin's model in the structured UKF.
+    """State and parameters of the twin's model in the structured UKF.
 
     Parameters
     ----------
@@ -360,66 +374,60 @@ class JointUKF:
 
     Attributes
     ----------
-    x, P : ndarray, shapes (31,), (31, 31)
+    x, P : ndarray, shapes (6 + p,), (6 + p, 6 + p)
         Mean and covariance: six states, then the parameters.
     act : ndarray, shape (4,)
-        Where the actuators are believed to be.
+        Where the actuators are believed to be, in the unit of the structure.
+    seen, grams : ndarray, list of three ndarrays
+        Time seen (first entry, s), and the Gram matrices of surge, sway and yaw: see
+        :func:`twin.identifiability.accumulate`.
+    wind : ndarray, shape (2,)
+        True wind to north and east, m/s; zeros until it is measured.
     """
 
     def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:
         self.settings = settings
-        self.differential = is_differential(particulars)
+        self.kit = settings.structure.kit
+        n = N_STATES + len(settings.structure)
         self.lags = np.array([particulars.shaft_lag, particulars.steer_lag, particulars.steer_rate])
         U, L = particulars.speed, particulars.length
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
-        self.weights = scaled_weights(N, settings.alpha, settings.beta, settings.kappa)
-        # few flat arrays: each one that a kernel takes costs a call
-        self.memory = np.zeros(MEMORY_SIZE)
-        self.x, self.act = self.memory[_X:_P], self.memory[_ACT:_GRAM]
-        self.P = self.memory[_P:_ACT].reshape(N, N)
+        self.weights = scaled_weights(n, settings.alpha, settings.beta, settings.kappa)
+        sizes = [b - a for a, b in settings.structure.blocks.values()]
+        self.memory = np.zeros(n + n * n + N_ACT + 4 + sum(k * k for k in sizes))
+        self.seen = self.memory[n + n * n + N_ACT + 3 :]
+        ends = np.cumsum([1, *(k * k for k in sizes)])
+        self.grams = [
+            self.seen[end - k * k : end].reshape(k, k)
+            for k, end in zip(sizes, ends[1:], strict=True)
+        ]
         self.constants = np.concatenate(
             [
                 *(settings.q, settings.q_xi, settings.r, settings.p0),
                 *(self.lags, self.envelope, self.weights),
-                [settings.n_unit, self.differential],
+                [settings.n_unit],
             ]
         )
-        self.scratch = np.zeros(SCRATCH_SIZE)
-        self.Q = self.scratch[_QS:_QX].reshape(N_STATES, N_STATES)
-        self.qx = self.scratch[_QX:_RS]
-        self.R = self.scratch[_RS:_PHI].reshape(N_STATES, N_STATES)
-        self.work = workspace(N_STATES, N_XI)
+        views = parts(self.memory, self.constants, self.kit)
+        self.x, self.P, self.act, self.wind, self.q, _, self.r, *_ = views
+        self.scratch = np.zeros(2 * N_STATES**2 + N_TERMS + 10 + ROOM + n - N_STATES)
+        self.work = workspace(N_STATES, n - N_STATES)
+        self.arguments = (self.memory, self.constants, self.scratch, self.work, self.kit)
         self._scaled = np.empty((0, 4))
-        self._x, self._P = np.empty(N), np.empty((N, N))
+        self._copy = np.empty_like(self.memory)
         self.reset()
 
     def reset(self) -> None:
         """Go back to the prior."""
         self.memory[:] = 0.0
         self.x[N_STATES:] = self.settings.xi0
-        np.fill_diagonal(self.P, np.concatenate([self.settings.p0, self.settings.xi0_var]))
+        self.P[range(N_STATES), range(N_STATES)] = self.settings.p0
+        self.P[N_STATES:, N_STATES:] = self.settings.xi0_cov
 
     @property
     def xi(self) -> Array:
-        """Parameters, a view of shape (25,)."""
+        """Parameters, a view of shape (p,)."""
         return self.x[N_STATES:]
-
-    def see(self, dt: float) -> None:
-        """Count the regressors of the moment, dt (s) after the call before."""
-        _see(dt, self.memory, self.differential, self.scratch[_PHI:_MODEL])
-
-    def identifiability(self) -> Identifiability:
-        """Return what the data seen say of the parameters."""
-        gram = self.memory[_GRAM:_SEEN].reshape(N_XI, N_XI)
-        return judge(
-            PARAMETER_NAMES,
-            SUBMODELS,
-            [gram[np.ix_(block, block)] for _, block in SUBMODELS],
-            self.constants[_Q + 3 : _Q_XI],
-            np.diag(self.settings.xi0_var),
-            self.P[N_STATES:, N_STATES:],
-            float(self.memory[_SEEN + 1]),
-        )
 
     def roll(self, plan: Array, dt: float) -> tuple[Array, Array]:
         """Return states (K, 6) and actuators (K, 4) under a plan; nothing is changed.
@@ -435,17 +443,17 @@ class JointUKF:
         out, acts = np.empty((K, N_STATES)), np.empty((K, 4))
         if len(self._scaled) != K:
             self._scaled = np.empty((K, 4))
-        _roll(plan, dt, self.memory, self.constants, self.scratch, self._scaled, out, acts)
+        _roll(
+            *(plan, dt, self.memory, self.constants, self.scratch, self.kit),
+            *(_NO_RIPPLE, self._scaled, out, acts),
+        )
         return out, acts
 
     def bands(self, acts: Array, dt: float) -> Array:
         """Return covariances (K, 6, 6) of the states that :meth:`roll` gave with ``acts``."""
         every = max(1, min(round(BAND_STEP / dt), len(acts)))
         coarse = np.zeros((math.ceil(len(acts) / every), N_STATES, N_STATES))
-        _bands(
-            *(acts, dt, every, self.memory, self.constants, self.scratch, self.work),
-            *(self._x, self._P, coarse),
-        )
+        _bands(acts, dt, every, *self.arguments, self._copy, coarse)
         if every == 1:
             return coarse
         place = np.arange(1, len(acts) + 1) / every
@@ -478,6 +486,9 @@ class ModelPredictor(Predictor):
     ) -> None:
         super().__init__(particulars, seed=seed)
         self.ukf = JointUKF(particulars, settings)
+        self.parameter_names = settings.structure.parameters
+        self.parameter_units = settings.structure.units
+        self.parameter_blocks = settings.structure.blocks
         self.t = 0.0
 
     @property
@@ -499,7 +510,16 @@ class ModelPredictor(Predictor):
 
     def identifiability(self) -> Identifiability:
         """Return what the data seen say of the parameters."""
-        return self.ukf.identifiability()
+        ukf, settings = self.ukf, self.ukf.settings
+        return judge(
+            self.parameter_names,
+            [(name, np.arange(*ends)) for name, ends in self.parameter_blocks.items()],
+            ukf.grams,
+            settings.q[3:],
+            settings.xi0_cov,
+            ukf.P[N_STATES:, N_STATES:],
+            float(ukf.seen[0]),
+        )
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states alone; see :meth:`twin.predictor.Predictor.mean`."""
@@ -531,8 +551,10 @@ class UKFPredictor(ModelPredictor):
     ----------
     particulars : Particulars
         The boat.
+    model : str
+        One of ``twin.structure.MODELS``.
     settings : FilterSettings, optional
-        :func:`plain_settings` if left out.
+        :func:`plain_settings` if left out; it brings its own structure.
     seed : int
         Nothing is drawn at random here.
     """
@@ -541,19 +563,19 @@ class UKFPredictor(ModelPredictor):
         self,
         particulars: Particulars,
         *,
+        model: str = "paper",
         settings: FilterSettings | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__(particulars, settings or plain_settings(particulars), seed=seed)
+        super().__init__(particulars, settings or plain_settings(particulars, model), seed=seed)
         self.nav = np.zeros(NAV_SIZE)
         self.n = self.nav[:_NAV_P]
         self.P_nav = self.nav[_NAV_P:_STATUS].reshape(N_NAV, N_NAV)
         self.status = self.nav[_STATUS:_SINCE_AID]
         self._nav_settings = navigation_settings(particulars)
-        ukf = self.ukf
         self._arguments = (
             *(self.nav, self._nav_settings, np.zeros((2 + N_NAV, N_NAV))),
-            *(ukf.memory, ukf.constants, ukf.scratch, ukf.work),
+            *self.ukf.arguments,
         )
         self.reset()
 
@@ -580,4 +602,4 @@ class UKFPredictor(ModelPredictor):
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictor.Predictor.update`."""
         self.t = t
-        _tight_step(dt, z, cmd, *self._arguments)
+        tight_step(dt, z, cmd, *self._arguments)

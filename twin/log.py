@@ -45,9 +45,11 @@ MEASUREMENTS = (
     "accel_x_mps2",
     "accel_y_mps2",
     "wind_mps",
+    "wind_from_rad",
 )
 """Columns of ``Log.z``: position and velocity over ground north (x) and east (y), heading
-clockwise from north, yaw rate, specific force forward and to starboard, wind speed."""
+clockwise from north, yaw rate, specific force forward and to starboard, speed of the true wind
+and the direction that it comes from, clockwise from north."""
 
 TRUTH = ("true_x_m", "true_y_m", "true_psi_rad", "true_u_mps", "true_v_mps", "true_r_radps")
 """Columns of ``Log.truth``: the simulated state, for scoring only."""
@@ -62,6 +64,7 @@ _OTHER_UNITS: dict[str, tuple[str, float]] = {
     "delta_right_deg": ("delta_right_rad", _DEGREE),
     "compass_deg": ("compass_rad", _DEGREE),
     "gyro_degps": ("gyro_radps", _DEGREE),
+    "wind_from_deg": ("wind_from_rad", _DEGREE),
     "true_psi_deg": ("true_psi_rad", _DEGREE),
     "true_r_degps": ("true_r_radps", _DEGREE),
 }
@@ -81,6 +84,16 @@ _ALIASES = {
     "psi_deg": "compass_deg",
     "heading_deg": "compass_deg",
     "r_radps": "gyro_radps",
+    "wind_speed": "wind_mps",
+    "wind_speed_mps": "wind_mps",
+    "tws_mps": "wind_mps",
+    "wind_direction": "wind_from_rad",
+    "wind_direction_rad": "wind_from_rad",
+    "wind_dir_rad": "wind_from_rad",
+    "twd_rad": "wind_from_rad",
+    "wind_direction_deg": "wind_from_deg",
+    "wind_dir_deg": "wind_from_deg",
+    "twd_deg": "wind_from_deg",
 }
 _SINGLE = {
     "n_rps": "n_left_rps and n_right_rps",
@@ -104,10 +117,10 @@ class Log:
     ----------
     t : ndarray, shape (N,)
         Time, s, strictly increasing.
-    z : ndarray, shape (N, 9)
+    z : ndarray, shape (N, 10)
         Measurements in the order of :data:`MEASUREMENTS`; NaN where a sensor gave no new
-        sample. The heading may be wrapped or run on beyond a turn: whoever compares it
-        with another angle wraps the difference.
+        sample. Heading and wind direction may be wrapped or run on beyond a turn: whoever
+        compares one with another angle wraps the difference.
     cmd : ndarray, shape (N, 4)
         Commands in the order of :data:`COMMANDS`, each in force during the interval that
         ends at the row's time.
@@ -229,9 +242,9 @@ class Log:
             :data:`COMMANDS`, ``gps_x_m``, ``gps_y_m`` and ``compass_rad``. The other
             :data:`MEASUREMENTS` may be absent (never measured), and so may the
             :data:`TRUTH`. Degrees and rpm are converted: ``delta_left_deg``,
-            ``delta_right_deg``, ``compass_deg``, ``gyro_degps``, ``true_psi_deg``,
-            ``true_r_degps``, ``n_left_rpm``, ``n_right_rpm`` instead of the SI column.
-            Any other column is left out, with a note.
+            ``delta_right_deg``, ``compass_deg``, ``gyro_degps``, ``wind_from_deg``,
+            ``true_psi_deg``, ``true_r_degps``, ``n_left_rpm``, ``n_right_rpm`` instead of
+            the SI column. Any other column is left out, with a note.
 
         Returns
         -------
@@ -456,10 +469,11 @@ def _check_measurement(t: Array, values: Array, given: str, table: _Table) -> No
         table.notes.append(
             f"{given}: {rows - count} of {rows} cells empty ({_longest_gap(t, valid)})"
         )
-    if given == "compass_rad" and count > 1 and np.abs(np.diff(samples)).max() > 2.0 * math.pi:
+    angle = given in ("compass_rad", "wind_from_rad")
+    if angle and count > 1 and np.abs(np.diff(samples)).max() > 2.0 * math.pi:
         table.notes.append(
-            "compass_rad: jumps by more than a turn; if these are degrees, name the column "
-            "compass_deg"
+            f"{given}: jumps by more than a turn; if these are degrees, name the column "
+            f"{given.removesuffix('_rad')}_deg"
         )
 
 

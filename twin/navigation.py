@@ -277,7 +277,7 @@ def navigate(n, P, dt, z, model, settings, status, work):
         State and covariance, advanced in place.
     dt : float
         Time since the row before, s; 0 or more.
-    z : ndarray, shape (9,)
+    z : ndarray, shape (10,)
         Measurement row in the order of ``twin.log.MEASUREMENTS``; NaN is missing.
     model : ndarray, shape (4,)
         Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use:
@@ -428,7 +428,7 @@ class Navigator:
         ----------
         dt : float
             Time since the row before, s.
-        z : array_like, shape (9,)
+        z : array_like, shape (10,)
             Measurement row.
 
         Returns

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -126,6 +128,12 @@ class Predictor(ABC):
 
     trains = False
     """Whether the class takes ``train_at``: seconds of data after which it trains itself."""
+    parameter_names: tuple[str, ...] = ()
+    """Names of the parameters in ``Estimate.xi`` ..."""
+    parameter_units: tuple[str, ...] = ()
+    """... their units ..."""
+    parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
+    """... and first and last + 1 of those in the equation of each motion."""
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
@@ -154,7 +162,7 @@ class Predictor(ABC):
         ----------
         t, dt : float
             Time of the row and time since the row before, s; dt is 0 in the first row.
-        z : ndarray, shape (9,)
+        z : ndarray, shape (10,)
             Measurements in the order of ``twin.log.MEASUREMENTS``; NaN is missing.
         cmd : ndarray, shape (4,)
             Command that was in force since the row before, in the order of

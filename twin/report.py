@@ -13,7 +13,7 @@ import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.log import MEASUREMENTS, Log
-from twin.model import N_XI, PARAMETER_NAMES, PARAMETER_UNITS, X_END, Y_END
 from twin.predictor import Prediction
 
 if TYPE_CHECKING:
@@ -64,12 +63,6 @@ PANELS = (
 )
 """Column of a state and title, in the order of the paper's Figures 12 and 16."""
 
-BLOCKS = (
-    ("X", "surge", range(X_END)),
-    ("Y", "sway", range(X_END, Y_END)),
-    ("N", "yaw", range(Y_END, N_XI)),
-)
-
 METRICS = {
     "mae": ("MAE", "mean absolute error over all channels and horizons, units mixed"),
     "mae_median": ("median MAE", "median of the MAE over seeds"),
@@ -97,14 +90,21 @@ class PredictorFigure:
         At most three, made at the same origins by all predictors.
     t : ndarray, shape (M,)
         Times of the parameter history, s.
-    xi, xi_sd : ndarray, shape (M, 25) or (M, 0)
+    xi, xi_sd : ndarray, shape (M, p)
         Model parameters and their standard deviations; no columns where there is no model.
+    names, units : tuple of str
+        Of the p parameters.
+    blocks : dict of str to tuple of int
+        First and last + 1 parameter of the equation of each motion.
     """
 
     examples: list[Prediction]
     t: Array
     xi: Array
     xi_sd: Array
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -814,13 +814,13 @@ def _draw_curve(
 def _parameter_figure(
     run: RunFigure,
     name: str,
-    block: tuple[str, str, range],
+    motion: str,
     looks: Mapping[str, tuple[str, Any]],
     identified: float | None,
 ) -> Figure:
     """Draw the history of the parameters of one equation, one small panel each."""
-    _, motion, columns = block
     figure = run.predictors[name]
+    columns = range(*figure.blocks[motion])
     t = np.asarray(figure.t, dtype=np.float64)
     colour = looks[name][0]
     labels: list[tuple[Any, str]] = [
@@ -855,7 +855,7 @@ def _parameter_figure(
         sheet.panel(
             (0.62 + side * (wide + 0.62), 0.5 + (rows - 1 - row) * (high + gap), wide, high),
             limits,
-            _parameter_title(column, power),
+            _parameter_title(figure, column, power),
             labelled=place + across >= len(columns),
         )
         sheet.shade(lost)
@@ -1002,10 +1002,10 @@ def _power(values: Array) -> int:
     return 3 * math.floor(math.log10(size) / 3.0)
 
 
-def _parameter_title(column: int, power: int) -> str:
-    unit = re.sub(r"([a-z])2", "\\1\u00b2", PARAMETER_UNITS[column])
+def _parameter_title(figure: PredictorFigure, column: int, power: int) -> str:
+    unit = re.sub(r"([a-z])2", "\\1\u00b2", figure.units[column])
     factor = f"1e{power} " if power else ""
-    return f"{PARAMETER_NAMES[column]} ({factor}{unit})"
+    return f"{figure.names[column]} ({factor}{unit})"
 
 
 def _error_figure(
@@ -1313,19 +1313,19 @@ def _run_section(
         # recorded runs are shorter or longer than simulated ones: their first origin tells
         identified = origins[0]
     for name, figure in run.predictors.items():
-        if figure.xi.ndim != 2 or figure.xi.shape[1] != N_XI or not len(figure.xi):
+        if not figure.blocks or not len(figure.xi):
             continue
         body.append(f"<h3>Parameters of {_escape(name)}</h3>")
         body.append('<div class="pictures">')
-        for block in BLOCKS:
+        for motion in figure.blocks:
             fig = _parameter_figure(
-                run, name, block, looks, identified if math.isfinite(identified) else None
+                run, name, motion, looks, identified if math.isfinite(identified) else None
             )
             text = (
-                f"Identification of the {block[1]} parameters by {name} (as Figures 9 to 11 and "
+                f"Identification of the {motion} parameters by {name} (as Figures 9 to 11 and "
                 "13 to 15 of the paper). Early transients may leave the picture."
             )
-            body.append(pictures.add(fig, f"{stem}_{name}_{block[0]}", text))
+            body.append(pictures.add(fig, f"{stem}_{name}_{motion}", text))
         body.append("</div>")
     return body
 

@@ -14,6 +14,7 @@ restored into, their constructors do not run, and functions stay those of that o
 
 from __future__ import annotations
 
+import ctypes
 import io
 import json
 import os
@@ -66,18 +67,13 @@ def write(path: str | Path, parts: dict[str, Any]) -> None:
     """
     path = Path(path)
     walk = _Walk()
+    values = {name: walk.value(part, name) for name, part in parts.items()}
+    memory, blocks, places = walk.memory()
     header = {
-        "format": FORMAT,
-        "version": VERSION,
-        "software": __version__,
-        "parts": {name: walk.value(part, name) for name, part in parts.items()},
-        "nodes": walk.nodes,
-        "blocks": walk.places,
+        **{"format": FORMAT, "version": VERSION, "software": __version__},
+        **{"parts": values, "nodes": walk.nodes, "blocks": blocks, "arrays": places},
     }
     text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    memory = np.zeros(walk.size, dtype=np.uint8)
-    for (first, size), block in zip(walk.places, walk.blocks, strict=True):
-        memory[first : first + size] = block
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with partial.open("wb") as file:
@@ -132,11 +128,8 @@ class _Walk:
 
     def __init__(self) -> None:
         self.nodes: list[Any] = []
-        self.blocks: list[NDArray[np.uint8]] = []
-        self.places: list[tuple[int, int]] = []
-        self.size = 0
+        self.arrays: list[NDArray[Any]] = []
         self._seen: dict[int, int] = {}
-        self._roots: dict[int, int] = {}
         # an id is that of one object only as long as the object lives
         self._alive: list[Any] = []
 
@@ -203,24 +196,36 @@ class _Walk:
             raise StateError(
                 f"{where} is an array of {array.dtype}, which cannot be saved; use numbers"
             )
-        root = _root(array)
-        if not (root.flags.c_contiguous or root.flags.f_contiguous):
-            array = root = np.ascontiguousarray(array)
-        if id(root) not in self._roots:
-            block = root.ravel(order="K").view(np.uint8)
-            self._roots[id(root)] = len(self.blocks)
-            self._alive.append(root)
-            self.blocks.append(block)
-            self.places.append((self.size, block.size))
-            self.size += -(-block.size // _ALIGNED) * _ALIGNED
+        self.arrays.append(array)
         return [
-            self._roots[id(root)],
-            array.__array_interface__["data"][0] - root.__array_interface__["data"][0],
+            len(self.arrays) - 1,
             array.dtype.str,
             array.shape,
             array.strides,
             bool(array.flags.writeable),
         ]
+
+    def memory(self) -> tuple[NDArray[np.uint8], list[list[int]], list[list[int]]]:
+        """Return the memory of all arrays, its blocks, and block and offset of each array.
+
+        A block (first byte, size) is what arrays that overlap cover together.
+        """
+        spans = [_span(array) for array in self.arrays]
+        blocks: list[list[int]] = []
+        places = [[0, 0] for _ in spans]
+        content, end = bytearray(), -1
+        for i in sorted(range(len(spans)), key=spans.__getitem__):
+            first, last = spans[i]
+            if first >= end:
+                blocks.append([first, 0])
+            places[i] = [len(blocks) - 1, _address(self.arrays[i]) - blocks[-1][0]]
+            end = max(end, last) if first < end else last
+            blocks[-1][1] = end - blocks[-1][0]
+        for block in blocks:
+            # the arrays are alive, and so is all that lies between their ends
+            address, block[0] = block[0], len(content)
+            content += ctypes.string_at(address, block[1]) + bytes(-block[1] % _ALIGNED)
+        return np.frombuffer(content, dtype=np.uint8), blocks, places
 
 
 class Reader:
@@ -278,13 +283,13 @@ class Reader:
         self,
         index: int,
         fresh: Any,
-        block: int,
-        offset: int,
+        which: int,
         dtype: str,
         shape: list[int],
         strides: list[int],
         writeable: bool,
     ) -> NDArray[Any]:
+        block, offset = self._header["arrays"][which]
         first, size = self._header["blocks"][block]
         if block not in self._blocks:
             self._blocks[block] = self._memory[first : first + size].copy()
@@ -292,11 +297,10 @@ class Reader:
             tuple(shape), np.dtype(dtype), self._blocks[block], offset, tuple(strides)
         )
         array.flags.writeable = writeable
-        if isinstance(fresh, np.ndarray) and array.nbytes < size:
-            # a view of a larger memory, in the file and in the fresh object
-            larger = _root(fresh).nbytes
-            if fresh.nbytes < larger != size:
-                self._refuse(f"a memory of {size} bytes where {larger} are needed")
+        shared = isinstance(fresh, np.ndarray) and fresh.base is not None and array.nbytes < size
+        # what others look into, in the file and in the fresh object, cannot change its shape
+        if shared and fresh.shape != array.shape:
+            self._refuse(f"an array of shape {array.shape} where {fresh.shape} is needed")
         return array
 
     def _read_objects(
@@ -406,11 +410,18 @@ class Reader:
         )
 
 
-def _root(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array whose memory an array looks into; itself if it owns it."""
-    while isinstance(array.base, np.ndarray):
-        array = array.base
-    return array
+def _address(array: NDArray[Any]) -> int:
+    return int(array.__array_interface__["data"][0])
+
+
+def _span(array: NDArray[Any]) -> tuple[int, int]:
+    """Return the addresses of an array's first byte and of the one after its last."""
+    first = _address(array)
+    if array.size == 0:
+        return first, first
+    steps = [step * (n - 1) for step, n in zip(array.strides, array.shape, strict=True)]
+    low = first + sum(step for step in steps if step < 0)
+    return low, first + sum(step for step in steps if step > 0) + array.itemsize
 
 
 def _name_of(kind: Any) -> str:

@@ -173,7 +173,7 @@ class Twin:
         ----------
         t : float
             Time, s; later than that of the row before.
-        z : array_like, shape (9,)
+        z : array_like, shape (10,)
             Measurements in the order of ``twin.log.MEASUREMENTS``; NaN is missing.
         cmd : array_like, shape (4,)
             Command that was in force since the row before, in the order of

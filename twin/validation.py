@@ -16,6 +16,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from twin import model
+from twin.structure import N_TERMS, structure_of
 from twin.ukf import scaled_weights
 from twin.validation_study import (
     DEGREE,
@@ -870,6 +871,7 @@ def numerics(study: Study) -> Section:
 # ---------------------------------------------------------------- the twin
 
 RATED = 380.0 / 60.0
+PAPER = structure_of("paper", 1.0, 1.0, 1.0)
 PAPER_MAE = {
     "turn": ((0.1592, 0.2292), (0.1721, 0.2331), (0.1944, 0.2542)),
     "zigzag": ((0.1733, 0.1837), (0.1855, 0.1894), (0.2792, 0.2952)),
@@ -911,10 +913,11 @@ def paper_run(xi: Array, angle: float, seconds: float) -> tuple[float, Array]:
     float and ndarray, shape (6,)
         End time (s) and state.
     """
-    act, out, work = np.array([RATED, RATED, angle, angle]), np.empty(6), np.empty(25)
+    act, out, terms = np.array([RATED, RATED, angle, angle]), np.empty(6), np.empty(N_TERMS)
+    kit, calm = PAPER.kit, np.zeros(2)
 
     def move(_: float, s: Array) -> Array:
-        model.derivative(np.ascontiguousarray(s), xi, act, 0.0, work, out)
+        model.derivative(np.ascontiguousarray(s), xi, act, calm, kit, terms, out)
         return out.copy()
 
     def fast(_: float, s: Array) -> float:
@@ -962,7 +965,7 @@ def twin_numbers(study: Study) -> Section:
     for table, (name, speed) in zip(
         (model.PAPER_TABLE_2, model.PAPER_TABLE_3), (("2", 5.58), ("3", 7.76)), strict=True
     ):
-        ahead = np.where(np.arange(len(table)) < model.X_END, table, 0.0)
+        ahead = np.where(np.arange(len(table)) < PAPER.blocks["surge"][1], table, 0.0)
         _, state = paper_run(ahead, 0.0, 200.0)
         rows.append(Row(f"Table {name} model: straight speed, m/s", state[3], speed, 1e-3, golden))
     end, _ = paper_run(model.PAPER_TABLE_2, 20.0 * DEGREE, 30.0)

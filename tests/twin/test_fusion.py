@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.fusion import LateFusion, fuse
+from twin.log import MEASUREMENTS
 from twin.particulars import Instruments
 
 DT = 0.05
@@ -52,7 +53,7 @@ def measured(
     s, velocity, accel = turn(n, dt)
     lag = round(instruments.gps_latency / dt)
     old = np.maximum(np.arange(n) - lag, 0)
-    z = np.full((n, 9), np.nan)
+    z = np.full((n, len(MEASUREMENTS)), np.nan)
     z[:, :2] = s[old, :2] + rng.normal(0.0, instruments.gps_sd, (n, 2))
     z[:, 2:4] = velocity[old] + rng.normal(0.0, instruments.doppler_sd, (n, 2))
     heading = s[:, 2] + rng.normal(0.0, instruments.compass_sd, n)
@@ -118,7 +119,7 @@ def test_first_update_of_the_gps_filter_by_hand() -> None:
     # one of them carried on with a known velocity.
     sensors = Instruments(gps_sd=2.0, gps_bias_sd=0.0, doppler_sd=1e-6)
     fusion = LateFusion(sensors, LENGTH, jerk=1e-6)
-    z = np.full(9, math.nan)
+    z = np.full(len(MEASUREMENTS), math.nan)
     z[:5] = 0.0, 0.0, 3.0, 0.0, 0.0
     fusion.update(0.0, z)
     z[:2] = 4.0, 0.0
@@ -201,7 +202,7 @@ def test_before_the_first_fix() -> None:
 
 def test_a_fix_without_compass_is_not_ready() -> None:
     fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
-    z = np.full(9, math.nan)
+    z = np.full(len(MEASUREMENTS), math.nan)
     z[:4] = 5.0, 6.0, 1.0, 2.0
     np.testing.assert_allclose(fusion.update(DT, z), [5.0, 6.0, 0.0, 1.0, 2.0, 0.0])
     assert not fusion.ready
@@ -254,7 +255,7 @@ def test_loss_of_all_sensors_for_five_minutes() -> None:
     fusion = LateFusion(instruments, LENGTH)
     run(fusion, z[:lost])
     start = fusion.s
-    end = run(fusion, np.full((600, 9), math.nan), 10 * DT)[-1]
+    end = run(fusion, np.full((600, len(MEASUREMENTS)), math.nan), 10 * DT)[-1]
     # neither acceleration nor yaw rate of the last second is carried on for minutes
     assert np.hypot(*(end - start)[:2]) < 3000.0
     assert abs(end[5]) < 1e-3
@@ -332,8 +333,8 @@ def test_two_hours_of_loss_leave_sound_covariances(length: float) -> None:
     _, z = measured(np.random.default_rng(0), 40, instruments)
     fusion = LateFusion(instruments, length)
     run(fusion, z)
-    rest = np.array([3.0, 4.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, math.nan])
-    for lost in (GPS, slice(0, 9)):
+    rest = np.array([3.0, 4.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, math.nan, math.nan])
+    for lost in (GPS, slice(0, len(MEASUREMENTS))):
         row = rest.copy()
         row[lost] = math.nan
         for _ in range(360):
@@ -350,7 +351,7 @@ def test_rare_fixes_do_not_make_the_filter_run_away(dt: float, feedback: bool) -
     rng = np.random.default_rng(0)
     fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH, feedback=feedback)
     for doppler in (0.0, math.nan):
-        row = np.array([0.0, 0.0, doppler, doppler, 1.0, 0.0, 0.0, 0.0, math.nan])
+        row = np.array([0.0, 0.0, doppler, doppler, 1.0, 0.0, 0.0, 0.0, math.nan, math.nan])
         for i in range(100):
             row[:2] = rng.normal(0.0, 1.0, 2)
             s = fusion.update(dt, row)
@@ -378,7 +379,7 @@ def test_covariance_is_that_of_the_body_velocities() -> None:
 
 def test_refuses_what_it_cannot_use() -> None:
     fusion = LateFusion(Instruments(gps_sd=1.0, gps_bias_sd=0.0), LENGTH)
-    z = np.zeros(9)
+    z = np.zeros(len(MEASUREMENTS))
     for dt in (-0.1, math.nan, math.inf):
         with pytest.raises(ValueError, match="dt"):
             fusion.update(dt, z)
@@ -401,7 +402,7 @@ def test_refuses_what_it_cannot_use() -> None:
 @given(
     patterns=st.lists(
         st.tuples(
-            st.integers(0, 511),
+            st.integers(0, 2 ** len(MEASUREMENTS) - 1),
             st.integers(1, 12),
             st.sampled_from([0.0, 1e-6, DT, 0.2, 1.0, 60.0]),
         ),
@@ -421,7 +422,7 @@ def test_any_pattern_of_missing_samples(
     for mask, repeat, dt in patterns:
         for _ in range(repeat):
             row = z[i].copy()
-            row[(mask >> np.arange(9)) & 1 == 1] = (math.nan, math.inf)[i % 2]
+            row[(mask >> np.arange(len(MEASUREMENTS))) & 1 == 1] = (math.nan, math.inf)[i % 2]
             i += 1
             s = fusion.update(dt, row)
             assert s.shape == (6,)

@@ -40,7 +40,7 @@ def sound(rows: int = ROWS, truth: bool = False) -> Log:
     rng = np.random.default_rng(3)
     return Log(
         0.05 * np.arange(rows) + 0.01 * rng.random(rows),
-        rng.standard_normal((rows, 9)),
+        rng.standard_normal((rows, len(MEASUREMENTS))),
         rng.uniform(-1.0, 1.0, (rows, 4)),
         rng.standard_normal((rows, 6)) if truth else None,
     )
@@ -159,12 +159,12 @@ def test_without_truth_keeps_the_rest() -> None:
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 9\)"),
+        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 10\)"),
         ({"cmd": np.zeros((ROWS - 1, 4))}, "cmd has the shape"),
         ({"t": np.zeros((ROWS, 1))}, r"t has the shape \(40, 1\), expected \(N,\)"),
         ({"truth": np.zeros((ROWS, 3))}, "truth has the shape"),
         ({"cmd": np.full((ROWS, 4), np.nan)}, "cmd must be finite"),
-        ({"z": np.full((ROWS, 9), np.inf)}, "z must be finite, or NaN"),
+        ({"z": np.full((ROWS, len(MEASUREMENTS)), np.inf)}, "z must be finite, or NaN"),
         ({"t": np.zeros(ROWS)}, r"t\[1\] <= t\[0\]"),
     ],
 )
@@ -188,8 +188,9 @@ def test_order_of_columns_does_not_matter(tmp_path: Path) -> None:
 def test_degrees_and_rpm_are_converted(tmp_path: Path) -> None:
     table = columns()
     table |= {name: ["30.0"] * ROWS for name in ("delta_left_deg", "n_right_rpm")}
-    table |= {name: table["compass_rad"] for name in ("compass_deg", "gyro_degps", "true_psi_deg")}
-    for name in ("delta_left_rad", "n_right_rps", "gyro_radps", "compass_rad"):
+    degrees = ("compass_deg", "gyro_degps", "wind_from_deg", "true_psi_deg")
+    table |= {name: table["compass_rad"] for name in degrees}
+    for name in ("delta_left_rad", "n_right_rps", "gyro_radps", "compass_rad", "wind_from_rad"):
         del table[name]
     log = Log.read(save(tmp_path / "a.csv", table))
     assert log.cmd[5, 1] == pytest.approx(0.5, abs=1e-15)
@@ -197,6 +198,7 @@ def test_degrees_and_rpm_are_converted(tmp_path: Path) -> None:
     wave = np.radians(np.sin(0.1 * np.arange(ROWS) + 4.0))
     np.testing.assert_allclose(log.z[:, 4], wave, rtol=1e-14)
     np.testing.assert_allclose(log.z[:, 5], wave, rtol=1e-14)
+    np.testing.assert_allclose(log.z[:, 9], wave, rtol=1e-14)
     assert log.truth is not None
     np.testing.assert_allclose(log.truth[:, 2], wave, rtol=1e-14)
     assert np.isnan(log.truth[:, [0, 1, 3, 4, 5]]).all()
@@ -215,6 +217,23 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
         "wind: unknown column, left out; if it is wind_mps, rename it",
         "wind_mps: not in the file, taken as never measured",
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("wind_mps", "wind_speed"),
+        ("wind_mps", "TWS_mps"),
+        ("wind_from_rad", "wind_direction_rad"),
+        ("wind_from_deg", "wind_dir_deg"),
+        ("wind_from_deg", "TWD_deg"),
+    ],
+)
+def test_other_names_of_the_wind(tmp_path: Path, name: str, given: str) -> None:
+    table = columns()
+    table[given] = table.pop(name.replace("_deg", "_rad"))
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert f"{given}: unknown column, left out; if it is {name}, rename it" in log.notes
 
 
 @pytest.mark.parametrize("name", REQUIRED)
@@ -422,6 +441,10 @@ def test_degrees_under_a_name_of_radians_are_suspected(tmp_path: Path) -> None:
     log = Log.read(save(tmp_path / "a.csv", table))
     assert any("name the column delta_left_deg" in note for note in log.notes)
     assert any("name the column compass_deg" in note for note in log.notes)
+    table["wind_from_rad"] = table["compass_rad"]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    assert any("name the column wind_from_deg" in note for note in log.notes)
+    del table["wind_from_rad"]
     table["compass_rad"] = [repr((6.0 + 0.1 * k) % (2.0 * math.pi)) for k in range(ROWS)]
     log = Log.read(save(tmp_path / "a.csv", table))
     assert not any("compass" in note for note in log.notes)
@@ -497,8 +520,8 @@ def test_shipped_run() -> None:
     assert (len(log), log.name, log.truth) == (2354, "boat1_usv_circle", None)
     assert log.dt == pytest.approx(0.110, abs=1e-9)
     assert log.notes == (
-        "gyro_radps, accel_x_mps2, accel_y_mps2, wind_mps: not in the file, taken as never "
-        "measured",
+        "gyro_radps, accel_x_mps2, accel_y_mps2, wind_mps, wind_from_rad: not in the file, taken "
+        "as never measured",
         "gps_x_m, gps_y_m: 1064 of 2354 fixes repeat the last one, taken as no new sample "
         "(longest gap 0.2 s at t = 81.3 s)",
         "gps_vx_mps, gps_vy_mps: 1064 of 2354 velocities of repeated fixes repeat the last one, "
@@ -542,4 +565,4 @@ def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
 
 def test_names_of_the_columns_do_not_clash() -> None:
     names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH)
-    assert len(set(names)) == len(names) == 1 + 4 + 9 + 6
+    assert len(set(names)) == len(names) == 1 + 4 + 10 + 6

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.log import Log
+from twin.log import MEASUREMENTS, Log
 from twin.navigation import Navigator
 from twin.particulars import Particulars
 from twin.simulated import particulars_of
@@ -76,7 +76,7 @@ def test_all_sensors_lost_for_minutes(zigzag, boat):
     for k in range(600):
         navigator.update(0.05, zigzag.z[k])
     for _ in range(20 * 300):
-        navigator.update(0.05, np.full(9, math.nan))
+        navigator.update(0.05, np.full(len(MEASUREMENTS), math.nan))
         assert np.isfinite(navigator.n).all()
     assert np.linalg.eigvalsh(navigator.P)[0] > 0.0
     for k in range(600, 1000):
@@ -125,8 +125,8 @@ def test_never_nan(seed, loss, size):
     rng = np.random.default_rng(seed)
     navigator = Navigator(BOAT)
     for _ in range(300):
-        z = rng.normal(size=9) * size ** rng.random(9)
-        z[rng.random(9) < loss] = math.nan
+        z = rng.normal(size=len(MEASUREMENTS)) * size ** rng.random(len(MEASUREMENTS))
+        z[rng.random(len(MEASUREMENTS)) < loss] = math.nan
         navigator.update(rng.choice([0.0, 0.05, 0.3, 20.0]), z)
         assert np.isfinite(navigator.n).all()
         assert np.isfinite(navigator.P).all()

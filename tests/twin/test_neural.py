@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from twin.log import MEASUREMENTS
 from twin.neural import LSTMPredictor, MissingTorch
 from twin.particulars import Particulars
 from twin.predictor import GRID, Persistence, hold_velocity
@@ -54,7 +55,7 @@ def feed(predictor: LSTMPredictor, rows: np.ndarray) -> None:
     """Hand the rows to the predictor as GPS, compass and gyro would see them."""
     for k, row in enumerate(rows):
         c, s = math.cos(row[2]), math.sin(row[2])
-        z = np.full(9, np.nan)
+        z = np.full(len(MEASUREMENTS), np.nan)
         z[:2] = row[:2]
         z[2:4] = row[3] * c - row[4] * s, row[3] * s + row[4] * c
         z[4], z[5] = row[2], row[5]

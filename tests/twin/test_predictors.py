@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
+from twin.log import MEASUREMENTS
 from twin.model import PARAMETER_NAMES
 from twin.predictor import Predictor, hold_velocity
 from twin.registry import EXTRAS, PredictorError
@@ -108,14 +109,14 @@ def test_reset_forgets(name, zigzag, boat):
 def test_survives_losses(name, zigzag, boat):
     """All sensors gone for minutes, then gaps and wild numbers: finite, and back again."""
     twin = twin_for(name, boat)
-    rng = np.random.default_rng(0)
+    rng, size = np.random.default_rng(1), len(MEASUREMENTS)
     feed(twin, zigzag, 600)
     t = twin.t
     for k in range(600):
         t += 0.5 if k % 50 else 30.0
-        z = np.full(9, math.nan)
+        z = np.full(size, math.nan)
         if k > 500:
-            z = np.where(rng.random(9) < 0.5, math.nan, rng.normal(size=9) * 1e4)
+            z = np.where(rng.random(size) < 0.5, math.nan, rng.normal(size=size) * 1e4)
         twin.step(t, z, rng.normal(size=4) * [30.0, 30.0, 1.0, 1.0])
         if k % 60 == 0:
             prediction = twin.predict()
@@ -136,7 +137,7 @@ def test_survives_losses(name, zigzag, boat):
 def test_no_signal_at_all(name, boat):
     twin = twin_for(name, boat)
     for k in range(100):
-        twin.step(0.05 * k, np.full(9, math.nan), np.array([20.0, 20.0, 0.1, 0.1]))
+        twin.step(0.05 * k, np.full(len(MEASUREMENTS), math.nan), np.array([20.0, 20.0, 0.1, 0.1]))
     assert not twin.estimate().ready
     assert np.isfinite(twin.predict().mean).all()
 
@@ -226,11 +227,11 @@ def test_registry_speaks(boat):
 @pytest.mark.parametrize(
     ("t", "z", "cmd", "message"),
     [
-        (math.nan, np.zeros(9), np.zeros(4), "must be finite and later"),
-        (-1.0, np.zeros(9), np.zeros(4), "later than the row before"),
+        (math.nan, np.zeros(len(MEASUREMENTS)), np.zeros(4), "must be finite and later"),
+        (-1.0, np.zeros(len(MEASUREMENTS)), np.zeros(4), "later than the row before"),
         (1.0, np.zeros(8), np.zeros(4), r"z has shape \(8,\)"),
-        (1.0, np.zeros(9), np.zeros(3), r"cmd \(3,\)"),
-        (1.0, np.zeros(9), [0.0, math.nan, 0.0, 0.0], "hand in the last command"),
+        (1.0, np.zeros(len(MEASUREMENTS)), np.zeros(3), r"cmd \(3,\)"),
+        (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "hand in the last command"),
     ],
 )
 def test_bad_rows(boat, zigzag, t, z, cmd, message):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twin import report
-from twin.log import Log
+from twin.log import MEASUREMENTS, Log
 from twin.predictor import Prediction
 from twin.report import PredictorFigure, RunFigure, picture_of_log, write_report
 
@@ -22,7 +22,7 @@ def sail(name="run", truth=True, rows=400):
     true = np.stack(
         [20 * np.sin(psi), 20 * (1 - np.cos(psi)), psi, 4 + 0 * t, 0 * t, 0.2 + 0 * t], 1
     )
-    z = np.full((rows, 9), math.nan)
+    z = np.full((rows, len(MEASUREMENTS)), math.nan)
     z[::4, :2] = true[::4, :2]
     z[::4, 2], z[::4, 3] = 4 * np.cos(psi[::4]), 4 * np.sin(psi[::4])
     z[:, 4] = (psi + math.pi) % (2 * math.pi) - math.pi
@@ -207,7 +207,7 @@ def test_matplotlib_comes_late_and_without_pyplot(tmp_path):
     code = (
         "import sys, numpy as np, twin.report as r; from pathlib import Path\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "log = r.Log(np.arange(3.), np.zeros((3, 9)), np.zeros((3, 4)))\n"
+        "log = r.Log(np.arange(3.), np.zeros((3, len(r.MEASUREMENTS))), np.zeros((3, 4)))\n"
         f"r.picture_of_log(log, Path({str(tmp_path / 'p.png')!r}))\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
