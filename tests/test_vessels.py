@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 
 import usv_gym
 from usv_gym import SeaState, SensorSuite, Vessel, vessel_names
+from usv_gym import vessel as vessel_module
 from usv_gym.design import DesignError, design
 from usv_gym.inspection import course_eigenvalues, inspect
 from usv_gym.manoeuvres import commands
@@ -198,6 +199,63 @@ def test_every_number_has_its_source(boat: Vessel) -> None:
     sources = re.findall(r'source = "([^"]*)"', text)
     assert len(sources) == len(boat.values) + (2 if boat.resistance_speed else 0)
     assert all(len(source.strip()) > 3 for source in sources)
+
+
+# ------------------------------------------------- other boats of the kind
+
+
+def growth(boat: Vessel) -> float:
+    """Return the largest growth of a drift over the three shaft speeds, per length sailed."""
+    return max(
+        course_eigenvalues(boat, n)[0].real
+        * boat.values["length_waterline"]
+        / boat.straight_speed(n)
+        for n in (boat.values[f"shaft_speed_{at}"] for at in ("manoeuvring", "service", "max"))
+    )
+
+
+def test_another_boat_is_of_the_same_kind(boat: Vessel) -> None:
+    n = boat.values["shaft_speed_manoeuvring"]
+    for seed in range(10):
+        other = boat.varied(np.random.default_rng(seed))
+        again = boat.varied(np.random.default_rng(seed))
+        assert dict(other.values) == dict(again.values)
+        assert other.resistance_force == again.resistance_force
+        assert (other.name, other.kind) == (boat.name, boat.kind)
+        for key, value in boat.values.items():
+            assert math.copysign(1.0, other.values[key]) == math.copysign(1.0, value)
+            kept = key.startswith(("shaft_", "steer_")) or key in ("units", "water_density")
+            assert (other.values[key] == value) == (kept or value == 0.0), key
+        # a ship that is unstable herself has sisters that are not worse
+        assert growth(other) <= max(growth(boat), 0.0)
+        assert 0.75 <= other.straight_speed(n) / boat.straight_speed(n) <= 4.0 / 3.0
+        assert other.length_waterline <= other.length_overall
+
+
+def test_other_boats_differ_by_as_much_as_asked() -> None:
+    boat, rng = Vessel.load("usv75"), np.random.default_rng(1)
+    assert dict(boat.varied(rng, 0.0).values) == dict(boat.values)
+    ratios = np.array(
+        [
+            [other.values[key] / boat.values[key] for key in ("astern", "CD_t", "I_xx", "GM_T")]
+            for other in (boat.varied(rng) for _ in range(400))
+        ]
+    )
+    # nothing is drawn again for these keys' sake; 400 draws tell a spread to 3.5 %
+    np.testing.assert_allclose(np.std(ratios, axis=0), [0.15, 0.15, 0.05, 0.05], rtol=0.12)
+    np.testing.assert_allclose(np.mean(ratios, axis=0), 1.0, atol=0.03)
+
+
+def test_other_boats_that_cannot_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    boat, rng = Vessel.load("usv75"), np.random.default_rng(0)
+    for bad in (-0.1, math.nan, math.inf):
+        with pytest.raises(VesselError, match=r"spread=.*0 or more"):
+            boat.varied(rng, bad)
+    # a drift that dies out nowhere
+    monkeypatch.setattr(vessel_module, "_drift_growth", lambda other: float(other is not boat))
+    monkeypatch.setattr(vessel_module, "TRIES", 20)
+    with pytest.raises(VesselError, match=r"usv75: none of 20 boats.*smaller spreads"):
+        boat.varied(rng)
 
 
 # ------------------------------------------------- pinned, quoted

@@ -17,14 +17,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.log import Log, beside, recorded_runs
+from twin.oracle import check_world, world_options
 from twin.particulars import Particulars
-from twin.predictor import Prediction
+from twin.predictor import Z90, Prediction
 from twin.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
 from twin.report import PredictorFigure, RunFigure
 from twin.simulated import particulars_of, simulate
@@ -43,13 +44,18 @@ from usv_gym.vessel import Vessel
 from usv_kernel import __version__, sources_digest
 
 __all__ = [
+    "AGAINST",
     "CHANNELS",
     "HORIZONS",
     "METRICS",
+    "STUDY_CHANNELS",
+    "STUDY_HORIZONS",
     "BenchmarkError",
     "Settings",
     "Unit",
     "collect",
+    "compare",
+    "left_out",
     "particulars_beside",
     "run_unit",
     "runs",
@@ -62,9 +68,26 @@ Array = NDArray[np.float64]
 
 CHANNELS = ("u", "v", "r", "along", "across", "psi")
 HORIZONS = (1.0, 2.0, 5.0, 10.0)
-METRICS = ("mae", "mae_median", "mse", "normalised", "skill", "start_error", "coverage90")
+STUDY_CHANNELS = ("u", "v", "r", "psi", "displacement")
+"""What ``J`` is the mean of; displacement is the distance between where the boat is and where
+it was predicted, both counted from where the prediction started."""
+STUDY_HORIZONS = tuple(0.5 * k for k in range(1, 21))
+COVERED = (*CHANNELS, "displacement")
+"""Channels of coverage: of the displacement, the share inside the 90 % ellipse."""
+METRICS = (
+    *("mae", "mae_median", "mse", "normalised", "skill", "J", "E"),
+    *("start_error", "coverage90"),
+)
 BASELINE = "persistence"
-_Z90 = 1.6448536269514722
+FLOOR = "oracle"
+AGAINST = "ukf"
+"""The reference of the paired comparison, where none is named."""
+SPREAD = 0.15
+"""How different the boats are, as a share (twin.md section 1)."""
+_BOATS = 1029
+"""Keeps the draws of a seed's boat apart from those of its sea."""
+_OUTSIDE_ELLIPSE = -2.0 * math.log(0.1)
+_AT = [STUDY_HORIZONS.index(h) for h in HORIZONS]
 
 
 class BenchmarkError(ValueError):
@@ -80,11 +103,13 @@ class Settings:
     scenarios, faults, predictors : tuple of str
         Manoeuvres, losses of sensors such as ``gps10``, and names in ``twin.PREDICTORS``.
     seeds : tuple of int
-        Each is a sea, a set of sensor errors and (random manoeuvre) a helmsman.
+        Each is a boat, a sea, a set of sensor errors and (random manoeuvre) a helmsman.
     plans : tuple of str
         ``known``: the future commands are given (Eq 27); ``hold``: the last one is held.
     vessel : str
         Name or TOML file.
+    spread : float
+        Every seed sails another boat: ``Vessel.varied`` by this share; 0: the vessel as it is.
     dof : int
         Degrees of freedom of the simulated ship, 3 or 6.
     hs, wind, wind_from_deg : float
@@ -105,8 +130,9 @@ class Settings:
     faults: tuple[str, ...] = ("none", "gps10")
     seeds: tuple[int, ...] = tuple(range(6))
     predictors: tuple[str, ...] = tuple(PREDICTORS)
-    plans: tuple[str, ...] = ("known",)
+    plans: tuple[str, ...] = ("known", "hold")
     vessel: str = "usv75"
+    spread: float = SPREAD
     dof: int = 3
     hs: float = 0.5
     wind: float = 4.5
@@ -144,11 +170,20 @@ class Settings:
             )
         if self.dof not in (3, 6):
             raise BenchmarkError(f"dof = {self.dof}: must be 3 or 6")
+        if not 0.0 <= self.spread <= 0.5:
+            raise BenchmarkError(f"spread = {self.spread}: must lie between 0 and 0.5")
         self.sea()
 
     def sea(self) -> SeaState:
         """Return the sea state of the simulated runs."""
         return SeaState(hs=self.hs, wind=self.wind, wind_from=math.radians(self.wind_from_deg))
+
+    def boat(self, seed: int) -> Vessel:
+        """Return the boat that a seed sails."""
+        vessel = Vessel.load(self.vessel)
+        if self.spread == 0.0:
+            return vessel
+        return vessel.varied(np.random.default_rng([seed, _BOATS]), self.spread)
 
 
 @dataclass(frozen=True, order=True)
@@ -203,8 +238,31 @@ def units(settings: Settings) -> list[Unit]:
             Unit(name, fault, 0, predictor, path)
             for fault in settings.faults
             for predictor in settings.predictors
+            if _knows(predictor, path, settings.ship)
         ]
     return work
+
+
+@functools.cache
+def _knows(predictor: str, path: str, ship: str | None) -> bool:
+    """Return whether a predictor knows all that it needs to run on a log."""
+    if not predictor_class(predictor).world:
+        return True
+    try:
+        check_world(predictor, Log.read(path), particulars_beside(path, ship)[0])
+    except (ValueError, OSError):
+        return False
+    return True
+
+
+def left_out(settings: Settings) -> tuple[str, ...]:
+    """Return a line on each predictor and recorded run that do not go together."""
+    return tuple(
+        f"{predictor} is left out of {beside(path, '').name}: the true boat is not known"
+        for path in settings.logs
+        for predictor in settings.predictors
+        if not _knows(predictor, path, settings.ship)
+    )
 
 
 NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FILE names a boat"
@@ -264,7 +322,7 @@ def _recorded_identify(log: Log) -> float:
 def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, float]:
     """Return the log to be seen, the log to be scored against, the boat and the first origin."""
     if not unit.log:
-        vessel = Vessel.load(settings.vessel)
+        vessel = settings.boat(unit.seed)
         start = fault_start(settings, settings.identify_s)
         log = simulate(
             unit.scenario,
@@ -311,14 +369,38 @@ class _Reference:
         )
 
 
-def _errors(prediction: Prediction, truth: Array) -> tuple[Array, Array, Array]:
-    """Return errors, true changes and standard deviations (h, channels) of one prediction.
+class Score(NamedTuple):
+    """One prediction against the truth, at h horizons.
+
+    ``error`` and ``change`` (h, c) are errors and true changes of the channels (the last c of
+    :data:`CHANNELS`), ``away`` (h,) the error of the displacement, and ``inside`` (h, c + 1)
+    says whether channels and displacement lie in the 90 % bands.
+    """
+
+    error: Array
+    change: Array
+    away: Array
+    inside: NDArray[np.bool_]
+
+
+def score(prediction: Prediction, truth: Array, horizons: Sequence[float]) -> Score:
+    """Compare one prediction with the truth.
 
     Positions count from where the prediction started, so that the error of the start, which
     is the receiver's and common to all predictors, is not counted again at each horizon; it
-    is reported on its own (``start_error``). ``truth`` holds the start in its first row.
+    is reported on its own (``start_error``).
+
+    Parameters
+    ----------
+    prediction : Prediction
+        What was said.
+    truth : ndarray, shape (1 + h, 6) or (1 + h, 3)
+        True states, or positions and headings alone: at the start, then at the horizons.
+    horizons : sequence of float
+        Seconds after the start.
     """
-    mean, cov = prediction.at(np.array(HORIZONS))
+    mean, cov = prediction.at(np.array(horizons))
+    low, high = prediction.band(np.array(horizons))
     start, later = truth[0], truth[1:]
     psi = later[:, 2]
     c, s = np.cos(psi), np.sin(psi)
@@ -326,26 +408,27 @@ def _errors(prediction: Prediction, truth: Array) -> tuple[Array, Array, Array]:
     ex, ey = (mean[:, :2] - prediction.start[:2] - moved).T
     spread = cov - prediction.start_cov
     xx, xy, yy = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
-    along = [
-        ex * c + ey * s,
-        moved[:, 0] * c + moved[:, 1] * s,
-        np.sqrt(np.maximum(c * c * xx + 2 * c * s * xy + s * s * yy, 0.0)),
-    ]
-    across = [
-        ey * c - ex * s,
-        moved[:, 1] * c - moved[:, 0] * s,
-        np.sqrt(np.maximum(s * s * xx - 2 * c * s * xy + c * c * yy, 0.0)),
-    ]
-    turn = (mean[:, 2] - psi + math.pi) % (2.0 * math.pi) - math.pi
-    heading = [turn, psi - start[2], np.sqrt(cov[:, 2, 2])]
-    parts = [along, across, heading]
+    error, change, inside = [], [], []
     if truth.shape[1] == 6:
-        parts = [
-            [mean[:, i] - later[:, i], later[:, i] - start[i], np.sqrt(cov[:, i, i])]
-            for i in (3, 4, 5)
-        ] + parts
-    table = np.array(parts).transpose(1, 2, 0)
-    return table[0], table[1], table[2]
+        for i in (3, 4, 5):
+            error.append(mean[:, i] - later[:, i])
+            change.append(later[:, i] - start[i])
+            inside.append((low[:, i] <= later[:, i]) & (later[:, i] <= high[:, i]))
+    # along the true heading, then across it to starboard
+    for a, b in ((c, s), (-s, c)):
+        error.append(a * ex + b * ey)
+        change.append(a * moved[:, 0] + b * moved[:, 1])
+        sd = np.sqrt(np.maximum(a * a * xx + 2.0 * a * b * xy + b * b * yy, 0.0))
+        inside.append(np.abs(error[-1]) <= Z90 * sd)
+    turn = (mean[:, 2] - psi + math.pi) % (2.0 * math.pi) - math.pi
+    error.append(turn)
+    change.append(psi - start[2])
+    inside.append((low[:, 2] - mean[:, 2] <= -turn) & (-turn <= high[:, 2] - mean[:, 2]))
+    size = np.maximum(xx * yy - xy * xy, 0.0)
+    inside.append(yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey <= _OUTSIDE_ELLIPSE * size)
+    return Score(
+        np.stack(error, axis=1), np.stack(change, axis=1), np.hypot(ex, ey), np.stack(inside, 1)
+    )
 
 
 def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) -> dict[str, Any]:
@@ -369,7 +452,10 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
     if not unit.log:
         _write_log(reference_log, particulars, folder / "logs" / f"{unit.run}.csv")
     reference = _Reference(reference_log)
-    options = {}
+    options: dict[str, Any] = {}
+    if not unit.log:
+        boat, sea = settings.boat(unit.seed), settings.sea()
+        options = world_options(unit.predictor, boat, sea, settings.dof)
     if predictor_class(unit.predictor).trains:
         # in time for the first prediction: its history begins with the first late fix
         options["train_at"] = identify - float(seen.t[0]) - 0.5
@@ -377,7 +463,7 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
     dt = min(max(seen.dt, 0.02), 0.25)
     end = float(seen.t[-1]) - HORIZONS[-1]
     next_origin, next_second = identify, float(seen.t[0])
-    scores: dict[str, list[Any]] = {plan: [] for plan in settings.plans}
+    scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
     starts: list[float] = []
     examples: list[Prediction] = []
     history: list[tuple[float, Array, Array]] = []
@@ -392,12 +478,12 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
             continue
         while next_origin <= t + 1e-9:
             next_origin += 1.0
-        truth = reference.at(t + np.array([0.0, *HORIZONS]))
+        truth = reference.at(t + np.array([0.0, *STUDY_HORIZONS]))
         for plan in settings.plans:
             known = known_plan(seen, row, HORIZONS[-1], dt)
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
             prediction = twin.predict(commands, dt=dt)
-            scores[plan].append(_errors(prediction, truth))
+            scores[plan].append(score(prediction, truth, STUDY_HORIZONS))
             if plan == settings.plans[0]:
                 starts.append(float(np.hypot(*(prediction.start[:2] - truth[0, :2]))))
                 due = len(examples) < len(example_at) and t >= example_at[len(examples)] - 1e-9
@@ -417,14 +503,16 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
         "start_error": float(np.mean(starts)),
     }
     for plan, parts in scores.items():
-        error, change, sd = (np.array([part[i] for part in parts]) for i in range(3))
-        channels = CHANNELS if error.shape[2] == 6 else CHANNELS[3:]
+        error, change, away, inside = (np.array(item) for item in zip(*parts, strict=True))
+        channels = CHANNELS[-error.shape[2] :]
+        size = {c: np.abs(error[:, :, i]) for i, c in enumerate(channels)} | {"displacement": away}
         result["plans"][plan] = {
-            "scale": np.sqrt(np.mean(change**2, axis=0)).T.tolist(),
-            "coverage90": np.mean(np.abs(error) <= _Z90 * sd, axis=0).T.tolist(),
+            "scale": np.sqrt(np.mean(change[:, _AT] ** 2, axis=0)).T.tolist(),
+            "coverage90": np.mean(inside[:, _AT], axis=0).T.tolist(),
+            "mae": {c: size[c].mean(axis=0).tolist() for c in STUDY_CHANNELS if c in size},
         }
         for i, channel in enumerate(channels):
-            for j, horizon in enumerate(HORIZONS):
+            for j, horizon in zip(_AT, HORIZONS, strict=True):
                 e = error[:, j, i]
                 result["rows"].append(
                     {
@@ -473,6 +561,8 @@ def _thin(prediction: Prediction) -> dict[str, Any]:
         "t": prediction.t[rows].tolist(),
         "mean": prediction.mean[rows].tolist(),
         "cov": prediction.cov[rows].tolist(),
+        "low": prediction.low[rows].tolist(),
+        "high": prediction.high[rows].tolist(),
     }
 
 
@@ -583,84 +673,189 @@ def _attempt(
         return unit, error
 
 
-def _interval(values: Array, rng: np.random.Generator) -> tuple[float | None, float | None]:
-    """Return the 95 % bootstrap interval of a mean over seeds; none for fewer than three."""
-    if len(values) < 3:
+def _resampled(values: Array) -> Array:
+    """Return 2000 bootstrap means over seeds, from the same draws for every row."""
+    n = len(values)
+    return values[np.random.default_rng(0).integers(0, n, (2000, n))].mean(axis=1)
+
+
+def _interval(means: Array, seeds: int) -> tuple[float | None, float | None]:
+    """Return the middle 95 % of bootstrap values; none for fewer than three seeds."""
+    if seeds < 3:
         return None, None
-    draws = values[rng.integers(0, len(values), (2000, len(values)))].mean(axis=1)
-    low, high = np.percentile(draws, [2.5, 97.5])
+    low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 
 
-def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the summary rows over seeds.
+KEY = ("scenario", "fault", "seed", "predictor", "plan")
+"""What tells the rows of ``results["runs"]`` apart."""
 
-    Per run, ``mae`` and ``mse`` are pooled over channels and horizons (as in the paper's
-    Table 4, units mixed); ``normalised`` is the mean over channels and horizons of the MAE
-    over the root mean square of the true change; ``skill`` is 1 minus the mean of the ratios
-    to raw persistence; ``start_error`` is the distance of the believed from the true position
-    at the origins, m; ``coverage90`` the share of errors inside the 90 % bands. Values are
-    means over seeds with 95 % bootstrap intervals; ``mae_median`` is the median over seeds.
+
+def run_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one row of metrics for each run, predictor and plan.
+
+    ``mae`` and ``mse`` are pooled over :data:`CHANNELS` and :data:`HORIZONS` (as in the
+    paper's Table 4, units mixed); ``normalised`` is the mean over channels and horizons of
+    the MAE over the root mean square of the true change; ``skill`` is 1 minus the mean of the
+    ratios to raw persistence; ``J`` is the mean over :data:`STUDY_CHANNELS` of the MAE (mean
+    over :data:`STUDY_HORIZONS`) over that of the oracle on the same run, and ``E`` is J - 1;
+    ``start_error`` is the distance of the believed from the true position at the origins, m;
+    ``coverage90`` the share of errors inside the 90 % bands, mean of channels and horizons.
 
     Parameters
     ----------
     results : sequence of dict
         From :func:`run_unit`.
     """
-    pooled: dict[tuple[str, str, int, str, str], dict[str, float]] = {}
-    tables: dict[tuple[str, str, int, str, str], Array] = {}
+    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
+    tables: dict[tuple[Any, ...], Array] = {}
     for result in results:
         unit = result["unit"]
         for plan, extra in result["plans"].items():
-            rows = [row for row in result["rows"] if row["plan"] == plan]
-            key = (unit["scenario"], unit["fault"], unit["seed"], unit["predictor"], plan)
-            mae = np.array([row["mae"] for row in rows])
+            here = [row for row in result["rows"] if row["plan"] == plan]
+            key = (*(unit[name] for name in KEY[:-1]), plan)
+            tables[key] = mae = np.array([row["mae"] for row in here])
             scale = np.array(extra["scale"]).ravel()
             moves = scale > 1e-6  # in a calm straight run nothing changes, and nothing is scored
-            tables[key] = mae
-            pooled[key] = {
+            rows[key] = {
+                **dict(zip(KEY, key, strict=True)),
                 "mae": float(mae.mean()),
-                "mse": float(np.mean([row["mse"] for row in rows])),
+                "mse": float(np.mean([row["mse"] for row in here])),
                 "start_error": result["start_error"],
-                "coverage90": float(np.mean(extra["coverage90"])),
+                "coverage90": float(np.mean(extra["coverage90"][:-1])),
+                "curves": extra["mae"],
             }
             if moves.any():
-                pooled[key]["normalised"] = float(np.mean(mae[moves] / scale[moves]))
-    for key, values in pooled.items():
-        base = tables.get((*key[:3], BASELINE, key[4]))
-        if base is not None:
-            values["skill"] = 1.0 - float(np.mean(tables[key] / np.maximum(base, 1e-12)))
-    groups: dict[tuple[str, str, str, str], list[tuple[int, dict[str, float]]]] = {}
-    for (scenario, fault, seed, predictor, plan), values in pooled.items():
-        groups.setdefault((scenario, fault, predictor, plan), []).append((seed, values))
+                rows[key]["normalised"] = float(np.mean(mae[moves] / scale[moves]))
+    for key, row in rows.items():
+        base, floor = ((*key[:3], name, key[4]) for name in (BASELINE, FLOOR))
+        if base in rows:
+            row["skill"] = 1.0 - float(np.mean(tables[key] / np.maximum(tables[base], 1e-12)))
+        if floor in rows:
+            lowest = rows[floor]["curves"]
+            shares = [np.mean(v) / max(np.mean(lowest[c]), 1e-12) for c, v in row["curves"].items()]
+            row["J"] = float(np.mean(shares))
+            row["E"] = row["J"] - 1.0
+    return list(rows.values())
+
+
+def _groups(
+    runs: Sequence[dict[str, Any]], *keys: str
+) -> dict[tuple[Any, ...], list[dict[str, Any]]]:
+    """Return rows with the same values of some keys together, ordered by seed."""
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in sorted(runs, key=lambda row: row["seed"]):
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
+_CELL = ("scenario", "fault", "predictor", "plan")
+
+
+def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the summary over seeds: means with 95 % bootstrap intervals, and medians.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        From :func:`run_rows`; ``mae_median`` is the median MAE as a metric of its own.
+    """
+    order = {tuple(row[key] for key in _CELL): None for row in runs}
+    groups = _groups(runs, *_CELL)
     summary = []
-    for (scenario, fault, predictor, plan), members in groups.items():
-        ordered = [values for _, values in sorted(members, key=lambda item: item[0])]
+    for cell in order:
+        members = groups[cell]
         for metric in METRICS:
             source = "mae" if metric == "mae_median" else metric
-            if any(source not in values for values in ordered):
+            if any(source not in row for row in members):
                 continue
-            numbers = np.array([values[source] for values in ordered])
-            low, high = None, None
-            if metric == "mae_median":
-                value = float(np.median(numbers))
-            else:
-                value = float(numbers.mean())
-                # the same draws for every row: rows of one run stay comparable
-                low, high = _interval(numbers, np.random.default_rng(0))
+            values = np.array([row[source] for row in members])
+            value, low, high = float(np.median(values)), None, None
+            if metric == source:
+                value = float(values.mean())
+                low, high = _interval(_resampled(values), len(values))
             summary.append(
                 {
-                    "scenario": scenario,
-                    "fault": fault,
-                    "predictor": predictor,
-                    "plan": plan,
+                    **dict(zip(_CELL, cell, strict=True)),
                     "metric": metric,
                     "value": value,
                     "low": low,
                     "high": high,
+                    "median": float(np.median(values)),
                 }
             )
     return summary
+
+
+def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]]:
+    """Return the paired comparison of each predictor with a reference, on the same seeds.
+
+    ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval
+    over seeds; ``median_percent`` the median of the changes of single seeds; ``wins`` of
+    ``seeds`` had the smaller MAE.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        From :func:`run_rows`.
+    against : str
+        Predictor to compare with; where it did not run there is nothing to compare.
+    """
+    table = {tuple(row[key] for key in KEY): row["mae"] for row in runs}
+    rows = []
+    for cell, members in _groups(runs, *_CELL).items():
+        pairs = [
+            (row["mae"], table[(*(row[key] for key in KEY[:3]), against, row["plan"])])
+            for row in members
+            if (*(row[key] for key in KEY[:3]), against, row["plan"]) in table
+        ]
+        if cell[2] == against or not pairs:
+            continue
+        own, other = np.array(pairs).T
+        ratio = _resampled(own) / _resampled(other)
+        low, high = _interval(100.0 * (ratio - 1.0), len(own))
+        rows.append(
+            {
+                **dict(zip(_CELL, cell, strict=True)),
+                "against": against,
+                "change_percent": 100.0 * float(own.mean() / other.mean() - 1.0),
+                "low": low,
+                "high": high,
+                "median_percent": 100.0 * float(np.median(own / other) - 1.0),
+                "wins": int((own < other).sum()),
+                "seeds": len(own),
+            }
+        )
+    return rows
+
+
+def coverage(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the share of errors inside the 90 % bands, by channel and horizon.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        From :func:`run_unit`; seeds are pooled.
+    """
+    tables: dict[tuple[str, ...], list[Array]] = {}
+    for result in results:
+        for plan, extra in result["plans"].items():
+            key = (*(result["unit"][name] for name in _CELL[:3]), plan)
+            tables.setdefault(key, []).append(np.array(extra["coverage90"]))
+    rows = []
+    for key, parts in tables.items():
+        share = np.mean(parts, axis=0)
+        for i, channel in enumerate(COVERED[-len(share) :]):
+            for j, horizon in enumerate(HORIZONS):
+                rows.append(
+                    {
+                        **dict(zip(_CELL, key, strict=True)),
+                        "channel": channel,
+                        "horizon_s": horizon,
+                        "coverage90": float(share[i, j]),
+                    }
+                )
+    return rows
 
 
 def collect(
@@ -668,6 +863,7 @@ def collect(
     done: dict[Unit, dict[str, Any]],
     command: str,
     notes: Sequence[str] = (),
+    against: str = AGAINST,
 ) -> dict[str, Any]:
     """Return the content of ``results.json``.
 
@@ -681,8 +877,11 @@ def collect(
         The command that made them.
     notes : sequence of str
         What a reader must know of them.
+    against : str
+        Reference of the paired comparison.
     """
     ordered = [done[unit] for unit in units(settings) if unit in done]
+    runs = run_rows(ordered)
     return {
         "version": __version__,
         "command": command,
@@ -692,7 +891,11 @@ def collect(
             "logs": [Path(path).name for path in settings.logs],
         },
         "rows": [row for result in ordered for row in result["rows"]],
-        "summary": summarise(ordered),
+        "summary": summarise(runs),
+        "paired": compare(runs, against),
+        "coverage": coverage(ordered),
+        "horizons_s": list(STUDY_HORIZONS),
+        "runs": runs,
     }
 
 
@@ -719,10 +922,10 @@ def default_logs() -> tuple[str, ...]:
 
 def warm_up(settings: Settings) -> None:
     """Compile what the workers will need, before there are several to compile it at once."""
-    vessel = Vessel.load(settings.vessel)
-    log = simulate("turn", vessel=vessel, sea=settings.sea(), duration=1.0, seed=0)
+    vessel, sea = settings.boat(0), settings.sea()
+    log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
     for name in settings.predictors:
-        twin = Twin(particulars_of(vessel), name)
+        twin = Twin(particulars_of(vessel), name, **world_options(name, vessel, sea, settings.dof))
         twin.run(log)
         twin.predict("hold")
 
@@ -760,7 +963,7 @@ def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFig
                     t0=example["t0"],
                     **{
                         name: np.array(example[name])
-                        for name in ("start", "start_cov", "t", "mean", "cov")
+                        for name in ("start", "start_cov", "t", "mean", "cov", "low", "high")
                     },
                 )
                 for example in result["examples"]

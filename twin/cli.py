@@ -24,6 +24,7 @@ from rich.table import Table
 
 from twin import benchmark as bench
 from twin.log import Log, LogError, beside
+from twin.oracle import check_world
 from twin.particulars import ParticularsError
 from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
@@ -245,7 +246,8 @@ def predict_command(
         ),
     ] = "hold",
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="CSV of the prediction with sd.")
+        Path | None,
+        typer.Option("--out", "-o", help="CSV of the prediction, sd and 90 % band."),
     ] = None,
 ) -> None:
     """Run the twin over a log up to a time, and predict where the boat will be after it."""
@@ -278,11 +280,10 @@ def predict_command(
         prediction = twin.predict(_read_plan(Path(plan), horizon, dt), dt=dt)
     _print_prediction(prediction, predictor, plan, run)
     if out is not None:
-        rows = [
-            [t, *m, *s]
-            for t, m, s in zip(prediction.t, prediction.mean, prediction.sd, strict=True)
-        ]
-        _write_csv(out, ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)], rows)
+        parts = (prediction.mean, prediction.sd, prediction.low, prediction.high)
+        table = np.column_stack([prediction.t, *parts])
+        header = [f"{kind}{c}" for kind in ("", "sd_", "low_", "high_") for c in CHANNELS]
+        _write_csv(out, ["t_s", *header], table.tolist())
         console.print(f"every 0.1 s: {out}")
 
 
@@ -295,16 +296,28 @@ def benchmark_command(
     faults: Annotated[
         str, typer.Option(help=f"Comma-separated, each {FAULTS_HELP}.")
     ] = "none,gps10",
-    seeds: Annotated[str, typer.Option(help="A:B for A to B - 1, or a list as 0,4,7.")] = "0:6",
+    seeds: Annotated[
+        str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7.")
+    ] = "0-5",
     predictors: Annotated[
         str, typer.Option(help=f"Comma-separated, of: {', '.join(PREDICTORS)}.")
     ] = ",".join(PREDICTORS),
     plans: Annotated[
         str, typer.Option(help=f"Comma-separated, of: {', '.join(PLANS)} (commands of the future).")
-    ] = "known",
+    ] = "known,hold",
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Reference of the paired comparison; {bench.AGAINST}, if it takes part."
+        ),
+    ] = None,
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
     ] = "usv75",
+    spread: Annotated[
+        float,
+        typer.Option(help="Every seed sails another boat, by this share; 0: the vessel as it is."),
+    ] = bench.SPREAD,
     dof: DofOption = 3,
     hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
     wind: Annotated[float, typer.Option(help="Mean wind speed at 10 m, m/s.")] = 4.5,
@@ -349,6 +362,7 @@ def benchmark_command(
         predictors=names,
         plans=_listed(plans, "--plans"),
         vessel=vessel,
+        spread=spread,
         dof=dof,
         hs=hs,
         wind=wind,
@@ -356,7 +370,13 @@ def benchmark_command(
         logs=recorded or bench.default_logs(),
         ship=ship if recorded else None,
     )
+    if against is not None and against not in names:
+        raise PredictorError(
+            f"--against {against}: takes no part; it must be one of --predictors: "
+            f"{', '.join(names)}"
+        )
     Vessel.load(vessel)
+    notes += bench.left_out(settings)
     notes += tuple(
         bench.NO_PARTICULARS.format(path)
         for path in recorded
@@ -367,7 +387,7 @@ def benchmark_command(
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _work(settings, out, jobs)
     command = shlex.join(["usv-twin", *sys.argv[1:]])
-    results = bench.collect(settings, done, command, notes)
+    results = bench.collect(settings, done, command, notes, against or bench.AGAINST)
     _write_json(out / "results.json", results)
     _print_benchmark(results, [name for name in asked if name not in names])
     for name, error in failed.items():
@@ -590,16 +610,18 @@ def _note(text: str) -> None:
 
 def _begin(path: Path, predictor: str, ship: str | None, until: float | None) -> tuple[Log, Twin]:
     """Read a log, say what is missing in it, and make a twin for it."""
-    log = Log.read(path).without_truth()
+    log = Log.read(path)
     for note in log.notes:
         _note(note)
+    particulars, found = bench.particulars_beside(path, ship)
+    check_world(predictor, log, particulars)
+    log = log.without_truth()
     if until is not None:
         if not math.isfinite(until):
             raise TwinError(f"--until {until}: must be a finite time in s")
         log = log.slice(-math.inf, math.nextafter(until, math.inf))
         if len(log) == 0:
             raise TwinError(f"--until {until:g}: the log has no row before it")
-    particulars, found = bench.particulars_beside(path, ship)
     if not found:
         _note(bench.NO_PARTICULARS.format(path))
     console.print(f"boat: {particulars.name}, {particulars.length:g} m", highlight=False)
@@ -659,14 +681,15 @@ def _listed(text: str, option: str) -> tuple[str, ...]:
 
 def _seeds(text: str) -> tuple[int, ...]:
     try:
-        if ":" in text:
-            first, last = text.split(":")
-            seeds = tuple(range(int(first or 0), int(last)))
-        else:
-            seeds = tuple(dict.fromkeys(int(item) for item in text.split(",")))
+        found: list[int] = []
+        for item in text.split(","):
+            first, mark, last = item.partition(":" if ":" in item else "-")
+            begin = int(first) if first or mark != ":" else 0
+            found += range(begin, int(last) + (mark == "-") if mark else begin + 1)
+        seeds = tuple(dict.fromkeys(found))
     except ValueError:
         raise bench.BenchmarkError(
-            f"--seeds {text}: write A:B for A to B - 1, or a list as 0,4,7"
+            f"--seeds {text}: write A-B, A:B for A to B - 1, or a list as 0,4,7"
         ) from None
     if not seeds or min(seeds) < 0:
         raise bench.BenchmarkError(f"--seeds {text}: holds no seed of 0 or more")
@@ -725,7 +748,9 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
     for name in ("", "unit", "prior", "sd", "identified", "sd", "ratio"):
         table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
-    for i, (name, symbol) in enumerate(zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)):
+    for i, (name, symbol) in enumerate(
+        zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)
+    ):
         ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
         table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}")
@@ -780,22 +805,23 @@ def _print_inspection(found: Inspection) -> None:
 def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Log) -> None:
     span = float(prediction.t[-1] - prediction.t0)
     horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
-    mean, cov = prediction.at(np.array(horizons))
-    sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    mean = prediction.at(np.array(horizons))[0]
+    low, high = prediction.band(np.array(horizons))
     table = Table(
         box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
         title=f"{log.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, "
-        f"plan {plan} (value +- 1.64 sd: 90 % band)",
+        f"plan {plan} (below each value how far its 90 % band reaches up and down)",
     )
     heads = ("after s", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
     for name in heads:
         table.add_column(name, justify="right")
     scale = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
-    for h, m, s in zip(horizons, mean, sd, strict=True):
+    for h, m, up, down in zip(horizons, mean, high - mean, mean - low, strict=True):
         m = m.copy()
         m[2] %= 2.0 * math.pi
-        cells = (f"{a:.2f}\n+-{1.645 * b:.2f}" for a, b in zip(m * scale, s * scale, strict=True))
-        table.add_row(f"{h:g}", *cells)
+        cells = zip(m * scale, up * scale, down * scale, strict=True)
+        table.add_row(f"{h:g}", *(f"{a:.2f}\n+{b:.2f} -{c:.2f}" for a, b, c in cells))
     console.print(table)
 
 
@@ -807,12 +833,17 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         block.setdefault(item["predictor"], {})[item["metric"]] = item
     heads = {
         "mae": "MAE",
+        "mae_median": "median",
         "mse": "MSE",
         "normalised": "norm.",
         "skill": "skill",
+        "J": "J",
+        "E": "E",
         "start_error": "start",
         "coverage90": "band",
     }
+    shown = {item["metric"] for item in results["summary"]}
+    heads = {metric: head for metric, head in heads.items() if metric in shown}
     for (scenario, fault, plan), block in cells.items():
         loss = "no loss" if fault == "none" else f"loss {fault}"
         table = Table(
@@ -824,14 +855,12 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         for predictor, metrics in block.items():
             table.add_row(
                 predictor,
-                *(
-                    _cell(metrics.get(metric), interval=metric not in ("start_error", "coverage90"))
-                    for metric in heads
-                ),
+                *(_cell(metrics.get(metric), interval=metric in ("mae", "J")) for metric in heads),
             )
         for predictor in left_out:
             table.add_row(predictor, "left out", *("-" for _ in range(len(heads) - 1)))
         console.print(table)
+    _print_paired(results.get("paired", []))
     for note in results["notes"]:
         _note(note)
     console.print(
@@ -839,10 +868,33 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         "2, 5 and 10 s, units mixed. norm. (error over the true change) and skill (1 - error / "
         "error of raw persistence) are means over channels and horizons. start (m): distance of "
         "the believed from the true position when a prediction is made. band: share of errors "
-        "inside the 90 % bands. Below a value: its 95 % interval over seeds.",
+        "inside the 90 % bands. J: MAE over that of the oracle on the same run, mean of u, v, r, "
+        "heading and displacement over every half second up to 10 s; E is J - 1. Below a value: "
+        "its 95 % interval over seeds. results.json and the report have coverage by channel.",
         style="dim",
         soft_wrap=True,
     )
+
+
+def _print_paired(rows: list[dict[str, Any]]) -> None:
+    """Print how each predictor compares with the reference on the same seeds."""
+    if not rows:
+        return
+    table = Table(
+        title=f"MAE against {rows[0]['against']}, %, the same seeds",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for head in ("run", "fault", "plan", "predictor"):
+        table.add_column(head, no_wrap=head != "run")
+    for head in ("change", "interval", "better"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for row in rows:
+        between = "-" if row["low"] is None else f"{row['low']:+.1f}..{row['high']:+.1f}"
+        names = (row[key] for key in ("scenario", "fault", "plan", "predictor"))
+        wins = f"{row['wins']} of {row['seeds']}"
+        table.add_row(*names, f"{row['change_percent']:+.1f}", between, wins)
+    console.print(table)
 
 
 def _cell(item: dict[str, Any] | None, *, interval: bool) -> str:

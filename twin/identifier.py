@@ -263,14 +263,20 @@ def hold_inside(x, envelope):
 # flat memory of the navigation filter
 _NAV_P = N_NAV
 _STATUS = _NAV_P + N_NAV * N_NAV
-_SINCE_AID, _BEGUN = _STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE + 1
-NAV_SIZE = _BEGUN + 1
+_SINCE_AID, BEGUN = _STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE + 1
+NAV_SIZE = BEGUN + 1
+
+
+@kernel
+def nav_parts(nav):
+    """Return state and covariance of the navigation filter as views."""
+    return nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
 
 
 @kernel
 def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work, kit):
     """One row of the plain predictor: navigate, predict, correct; all memory in place."""
-    n, P_nav = nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
+    n, P_nav = nav_parts(nav)
     status = nav[_STATUS:_SINCE_AID]
     x, P, act, wind, _, _, r, p0, _, envelope, _, n_unit = parts(memory, constants, kit)
     _, R, terms, model, mask, _, _ = rooms(scratch, kit)
@@ -278,7 +284,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
     feel_wind(z, wind)
     for k in range(4):
         model[k] = 0.0
-    if nav[_BEGUN] > 0.0:
+    if nav[BEGUN] > 0.0:
         _all_terms(x, act, wind, kit, terms)
         du, dv, dr = accelerations(terms, kit, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
@@ -287,14 +293,14 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         model[2] = min(max(dr, -turn * turn), turn * turn)
         model[3] = 1.0
     navigate(n, P_nav, min(dt, GAP_MAX), z, model, nav_settings, status, nav_work)
-    if nav[_BEGUN] == 0.0:
+    if nav[BEGUN] == 0.0:
         for k in range(2):
             act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
         if status[READY_FIX] * status[READY_HEADING] > 0.0:
             for i in range(N_STATES):
                 x[i] = n[i]
                 P[i, i] = p0[i]
-            nav[_BEGUN] = 1.0
+            nav[BEGUN] = 1.0
         return
     advance(dt, cmd, memory, constants, scratch, work, kit)
     row = max(dt, 1e-3)
@@ -589,7 +595,7 @@ class UKFPredictor(ModelPredictor):
     @property
     def ready(self) -> bool:
         """True once the filter has begun."""
-        return bool(self.nav[_BEGUN])
+        return bool(self.nav[BEGUN])
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias and the error of the navigation added.

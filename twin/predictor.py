@@ -37,6 +37,9 @@ Array = NDArray[Any]
 CHANNELS = ("x_m", "y_m", "psi_rad", "u_mps", "v_mps", "r_radps")
 """Columns of a state: north, east, heading, speed forward, to starboard, yaw rate."""
 
+Z90 = 1.6448536269514722
+"""Half the width of the middle 90 % of a normal distribution, standard deviations."""
+
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
 
@@ -81,6 +84,8 @@ class Prediction:
         Predicted states; heading not wrapped.
     cov : ndarray, shape (K, 6, 6)
         Covariances of their errors.
+    low, high : ndarray, shape (K, 6)
+        5 % and 95 % points; left out, those of normal errors.
     """
 
     t0: float
@@ -89,6 +94,13 @@ class Prediction:
     t: Array
     mean: Array
     cov: Array
+    low: Array = None  # type: ignore[assignment]
+    high: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name, side in (("low", -Z90), ("high", Z90)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, self.mean + side * self.sd)
 
     @property
     def sd(self) -> Array:
@@ -103,16 +115,33 @@ class Prediction:
         horizons : array_like, shape (h,)
             Seconds after t0, within the prediction.
         """
+        return (
+            self._between(self.start, self.mean, horizons),
+            self._between(self.start_cov, self.cov, horizons),
+        )
+
+    def band(self, horizons: Array) -> tuple[Array, Array]:
+        """Return the 5 % and 95 % points, each (h, 6), at times after t0, interpolated.
+
+        Parameters
+        ----------
+        horizons : array_like, shape (h,)
+            Seconds after t0, within the prediction.
+        """
+        half = Z90 * np.sqrt(np.maximum(np.diagonal(self.start_cov), 0.0))
+        return (
+            self._between(self.start - half, self.low, horizons),
+            self._between(self.start + half, self.high, horizons),
+        )
+
+    def _between(self, first: Array, later: Array, horizons: Array) -> Array:
+        """Return values at times after t0, linearly between those of the start and the rows."""
         after = np.concatenate([[0.0], self.t - self.t0])
-        mean = np.concatenate([self.start[None], self.mean])
-        cov = np.concatenate([self.start_cov[None], self.cov])
+        values = np.concatenate([first[None], later])
         place = np.interp(horizons, after, np.arange(len(after)))
         low = np.minimum(place.astype(int), len(after) - 2)
-        share = place - low
-        return (
-            mean[low] + share[:, None] * (mean[low + 1] - mean[low]),
-            cov[low] + share[:, None, None] * (cov[low + 1] - cov[low]),
-        )
+        share = (place - low).reshape(-1, *[1] * (values.ndim - 1))
+        return values[low] + share * (values[low + 1] - values[low])
 
 
 class Predictor(ABC):
@@ -134,6 +163,8 @@ class Predictor(ABC):
     """... their units ..."""
     parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
     """... and first and last + 1 of those in the equation of each motion."""
+    world = False
+    """Whether the class takes ``vessel``, ``sea`` and ``dof``: the true ones, for a floor."""
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
@@ -261,6 +292,7 @@ class HistoryPredictor(Predictor):
         self.navigator.reset()
         self.t = 0.0
         self._cmd = np.zeros(4)
+        self._beside = np.zeros(0)
         self._last = np.zeros(10)
         self._rows: list[Array] = []
         self._next = math.inf
@@ -273,9 +305,9 @@ class HistoryPredictor(Predictor):
 
         Parameters
         ----------
-        rows : ndarray, shape (M, 10)
+        rows : ndarray, shape (M, 10 + n)
             History every :data:`GRID` seconds: six states, then the four commands that were
-            in force before the row.
+            in force before the row, then what :meth:`beside` gave.
         origins : ndarray of int, shape (B,)
             Rows to start from; only rows up to and with each may be used for it.
         plans : ndarray, shape (B, K, 4)
@@ -287,21 +319,40 @@ class HistoryPredictor(Predictor):
             States at the ends of the steps.
         """
 
+    def beside(self, dt: float) -> Array:
+        """Return what a subclass keeps beside the row that just came, shape (n,)."""
+        return self._beside
+
+    def path(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states (K, 6) under a plan; see :meth:`Predictor.predict`."""
+        after = dt * np.arange(1, len(plan) + 1)
+        K = math.ceil(after[-1] / GRID - 1e-9)
+        # the plan on the grid: the command in force in the middle of each grid step
+        middle = (np.arange(K) + 0.5) * GRID
+        grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
+        start = self.navigator.n[:6]
+        rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._beside])])
+        path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
+        path = np.concatenate([start[None], np.nan_to_num(path)])
+        times = GRID * np.arange(K + 1)
+        return np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
+
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""
         self.t = t
         s = self.navigator.update(dt, z)
         self._cmd = np.array(cmd, dtype=np.float64)
+        self._beside = self.beside(dt)
         if not self.navigator.ready:
             return
-        now = np.concatenate([s, self._cmd])
+        now = np.concatenate([s, self._cmd, self._beside])
         if not math.isfinite(self._next):
             self._next = t
             self._last = now
         while self._next <= t + 1e-9:
             share = 1.0 if dt <= 0.0 else min(max(1.0 - (t - self._next) / dt, 0.0), 1.0)
             row = self._last + share * (now - self._last)
-            row[6:] = self._cmd
+            row[6:10] = self._cmd
             self._rows.append(row)
             self._next += GRID
         self._last = now
@@ -320,22 +371,14 @@ class HistoryPredictor(Predictor):
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`Predictor.predict`."""
         after = dt * np.arange(1, len(plan) + 1)
-        start = self.navigator.n[:6].copy()
-        K = math.ceil(after[-1] / GRID - 1e-9)
-        # the plan on the grid: the command in force in the middle of each grid step
-        middle = (np.arange(K) + 0.5) * GRID
-        grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
-        rows = np.array([*self._rows, np.concatenate([start, self._cmd])])
-        path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
-        times = GRID * np.arange(K + 1)
-        path = np.concatenate([start[None], np.nan_to_num(path)])
-        mean = np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
+        mean = self.path(plan, dt)
         errors = self._own_errors()
         known = GRID * np.arange(1, len(errors) + 1)
         grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
         start_cov = self.with_common_error(self.navigator.P[:6, :6])
         cov = np.repeat(start_cov[None], len(plan), axis=0)
         cov[:, range(6), range(6)] += grow**2
+        start = self.navigator.n[:6].copy()
         return Prediction(self.t, start, start_cov, self.t + after, mean, cov)
 
     def _own_errors(self, horizon: float = 10.0) -> Array:
@@ -344,14 +387,14 @@ class HistoryPredictor(Predictor):
             return self._errors
         K = round(horizon / GRID)
         begin = max(len(self._rows) - round(self.memory / GRID), 0)
-        rows = np.array(self._rows[begin:]).reshape(-1, 10)
+        rows = np.array(self._rows[begin:]).reshape(-1, len(self._last))
         origins = np.arange(round(5.0 / GRID), len(rows) - K, round(1.0 / GRID))
         if len(origins) < 5:
             U, L = self.particulars.speed, self.particulars.length
             rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
             return np.outer(np.sqrt(GRID * np.arange(1, K + 1)), rate)
         ahead = origins[:, None] + np.arange(1, K + 1)
-        error = self.forecast(rows, origins, rows[ahead, 6:]) - rows[ahead, :6]
+        error = self.forecast(rows, origins, rows[ahead, 6:10]) - rows[ahead, :6]
         self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
         self._errors_at = self.t
         return self._errors

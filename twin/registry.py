@@ -15,7 +15,9 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
     "persistence-8s": "twin.predictor:SmoothedPersistence",
     "ukf": "twin.identifier:UKFPredictor",
     "dsw-ukf": "twin.dsw:DSWPredictor",
+    "dsw-ukf-plus": "twin.plus:PlusPredictor",
     "lstm": "twin.neural:LSTMPredictor",
+    "oracle": "twin.oracle:Oracle",
 }
 """Name to class, or to ``module:Class``, which is imported when it is first asked for."""
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.log import MEASUREMENTS, Log
-from twin.predictor import Prediction
+from twin.predictor import Z90, Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,6 @@ Windows = Sequence[tuple[float, float]]
 BANDED = ("dsw-ukf-plus", "ukf")
 """The first of these that took part is shown with its band."""
 
-Z90 = 1.6448536269514722
 DPI = 130
 WIDTH = 7.0
 """Width of a picture, inch: with 10 pt letters it can be read at 390 pixels too."""
@@ -49,6 +48,7 @@ COLOURS = {
     "dsw-ukf": "#009E73",
     "lstm": "#CC79A7",
     "dsw-ukf-plus": "#D55E00",
+    "oracle": "#808080",
 }
 SPARE = ("#D55E00", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#0072B2")
 STYLES: tuple[Any, ...] = ((0, (4, 1.5)), (0, (1.5, 1)), (0, (5, 1, 1, 1)))
@@ -69,8 +69,12 @@ METRICS = {
     "mse": ("MSE", "mean squared error, pooled in the same way"),
     "normalised": ("normalised error", "MAE over the size of the true change, mean of channels"),
     "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),
-    "J": ("J", "normalised error of the study"),
-    "E": ("E", "excess over the oracle"),
+    "J": (
+        "J",
+        "MAE over that of the oracle on the same run, mean of u, v, r, heading and displacement, "
+        "each the mean of every half second up to 10 s",
+    ),
+    "E": ("E", "J - 1, the excess over the oracle"),
     "start_error": (
         "start error (m)",
         "distance of the believed from the reference position when the prediction was made",
@@ -749,7 +753,7 @@ def _prediction_figure(
                 curve,
                 looks[name],
                 limits,
-                unit * _spread(examples[name], column) if name == banded else None,
+                _band(examples[name], column, unit) if name == banded else None,
             )
         _shade(ax, lost, origin)
         ax.set_xlim(0.0, end - origin)
@@ -775,10 +779,13 @@ def _limits(truth: Array, curves: Sequence[Array], least: float) -> tuple[float,
     return _span([np.array([low, high]), *inside], 0.0, 0.03)
 
 
-def _spread(prediction: Prediction, column: int) -> Array:
-    """Return the standard deviations (K + 1,) of one column, the start first."""
-    cov = np.concatenate([prediction.start_cov[None], prediction.cov])[:, column, column]
-    return np.sqrt(np.maximum(cov, 0.0))
+def _band(prediction: Prediction, column: int, unit: float) -> tuple[Array, Array]:
+    """Return how far the 90 % band of one column reaches down and up, each (K + 1,)."""
+    start = Z90 * math.sqrt(max(float(prediction.start_cov[column, column]), 0.0))
+    mean = prediction.mean[:, column]
+    with np.errstate(invalid="ignore"):
+        down, up = mean - prediction.low[:, column], prediction.high[:, column] - mean
+    return unit * np.concatenate([[start], down]), unit * np.concatenate([[start], up])
 
 
 def _draw_curve(
@@ -787,7 +794,7 @@ def _draw_curve(
     curve: Array,
     look: tuple[str, Any],
     limits: tuple[float, float],
-    sd: Array | None,
+    band: tuple[Array, Array] | None,
 ) -> None:
     """Draw one predicted curve; an arrow head shows where it leaves the picture."""
     low, high = limits
@@ -795,9 +802,9 @@ def _draw_curve(
     after = np.concatenate([[0.0], prediction.t - prediction.t0])
     curve = np.clip(np.nan_to_num(curve, nan=high + far), low - far, high + far)
     colour, style = look
-    if sd is not None:
-        band = np.clip(Z90 * np.nan_to_num(sd, nan=far), 0.0, 2.0 * far)
-        ax.fill_between(after, curve - band, curve + band, color=colour, alpha=0.18, lw=0, zorder=1)
+    if band is not None:
+        down, up = (np.clip(np.nan_to_num(part, nan=far), 0.0, 2.0 * far) for part in band)
+        ax.fill_between(after, curve - down, curve + up, color=colour, alpha=0.18, lw=0, zorder=1)
     ax.plot(after, curve, color=colour, ls=style, lw=1.6, zorder=4)
     outside = (curve < low) | (curve > high)
     if outside.any():
@@ -1204,6 +1211,7 @@ def _tables(
         if summary:
             body.append(_table(summary))
             shown.update(_text(row, "metric") for row in summary)
+        body += _paired_table(here("paired")) + _coverage_table(here("coverage"))
         seeds = len({_number(row, "seed") for row in rows})
         fig = _error_figure(f"Error against horizon: {_case(scenario, fault)}", rows, looks)
         if fig is not None:
@@ -1226,7 +1234,9 @@ def _tables(
         body.insert(
             1,
             '<p class="note">Best value of each column in bold; in brackets the 95 % interval '
-            "over seeds, where there are enough of them. " + "; ".join(meanings) + ".</p>",
+            "over seeds, where there are enough of them, and the median. "
+            + "; ".join(meanings)
+            + ".</p>",
         )
     return body
 
@@ -1254,12 +1264,61 @@ def _table(summary: Sequence[Mapping[str, Any]]) -> str:
             low, high = _number(entry, "low"), _number(entry, "high")
             if not (math.isnan(low) or math.isnan(high)):
                 text += f"<br><small>[{_value(low)}, {_value(high)}]</small>"
+                if "mae" not in metric:
+                    text += f"<br><small>median {_value(_number(entry, 'median'))}</small>"
             line += f"<td>{text}</td>"
         lines.append(f"<tr>{line}</tr>")
+    return _html_table(head, lines)
+
+
+def _html_table(head: str, lines: Sequence[str]) -> str:
     return (
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(lines)}</tbody></table></div>"
     )
+
+
+def _paired_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the comparison of each predictor with the reference; nothing without one."""
+    if not rows:
+        return []
+    head = "<th>predictor</th><th>plan</th><th>change of MAE</th><th>median</th><th>better</th>"
+    lines = []
+    for row in rows:
+        low, high = _number(row, "low"), _number(row, "high")
+        between = "" if math.isnan(low) else f"<br><small>[{low:+.1f}, {high:+.1f}]</small>"
+        lines.append(
+            f"<tr><th>{_escape(_text(row, 'predictor'))}</th><td>{_escape(_text(row, 'plan'))}</td>"
+            f"<td>{_number(row, 'change_percent'):+.1f} %{between}</td>"
+            f"<td>{_number(row, 'median_percent'):+.1f} %</td>"
+            f"<td>{row.get('wins')} of {row.get('seeds')}</td></tr>"
+        )
+    against = _escape(_text(rows[0], "against"))
+    note = f'<p class="note">Against {against}, the same seeds; below 0 is better:</p>'
+    return [note, _html_table(head, lines)]
+
+
+def _coverage_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the coverage of the 90 % bands by channel and horizon; folded away."""
+    if not rows:
+        return []
+    channels = list(dict.fromkeys(_text(row, "channel") for row in rows))
+    cells: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for row in rows:
+        cell = cells.setdefault((_text(row, "predictor"), _text(row, "plan")), {})
+        share = _number(row, "coverage90")
+        cell.setdefault(_text(row, "channel"), []).append(f"{100.0 * share:.0f}")
+    head = "<th>predictor</th><th>plan</th>" + "".join(f"<th>{_escape(c)}</th>" for c in channels)
+    lines = []
+    for (predictor, plan), cell in cells.items():
+        values = "".join(f"<td>{'/'.join(cell.get(c, ['-']))}</td>" for c in channels)
+        lines.append(f"<tr><th>{_escape(predictor)}</th><td>{_escape(plan)}</td>{values}</tr>")
+    horizons = "/".join(f"{h:g}" for h in dict.fromkeys(_number(row, "horizon_s") for row in rows))
+    return [
+        f"<details><summary>Coverage of the 90 % bands, % at {horizons} s</summary>"
+        + _html_table(head, lines)
+        + "</details>"
+    ]
 
 
 def _best(

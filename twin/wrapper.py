@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from twin.log import MEASUREMENTS, Log, beside
+from twin.oracle import world_options
 from twin.particulars import Particulars
 from twin.predictor import Predictor
 from twin.registry import DEFAULT
@@ -124,11 +125,11 @@ class TwinObserver:
         if not (math.isfinite(band_period) and band_period >= 0.0):
             raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
         self._base = base
-        self.twin = Twin(
-            particulars or particulars_of(base.vessel, base.simulation.suite, base.simulation.dof),
-            twin,
-            seed=seed,
-        )
+        sim, options = base.simulation, {}
+        if not isinstance(twin, Predictor):
+            options = world_options(twin, base.vessel, base.sea, sim.dof)
+        particulars = particulars or particulars_of(base.vessel, sim.suite, sim.dof)
+        self.twin = Twin(particulars, twin, seed=seed, **options)
         self._first = len(OBSERVATION)
         size = self._first + len(TWIN_OBSERVATION)
         self.space = spaces.Box(-BOUND, BOUND, (size,), np.float32)

@@ -17,7 +17,7 @@ from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.physics.waves import FACTOR_ROWS
 from usv_gym.sea import Sea
-from usv_gym.vessel import Vessel, VesselError
+from usv_gym.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
 
 __all__ = ["Finding", "Inspection", "course_eigenvalues", "form_of", "inspect"]
 
@@ -112,57 +112,12 @@ def form_of(vessel: Vessel) -> reg.Form:
     )
 
 
-def _state(vessel: Vessel, n: float, speed: float) -> np.ndarray:
-    state = np.zeros(fr.STATE_SIZE)
-    state[fr.U] = speed
-    state[fr.N_LEFT :] = vessel.helm(n, 0.0)
-    return state
-
-
-def _jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) -> np.ndarray:
-    """Return the derivatives of the rates of some states by these states, commands held."""
-    p = vessel.packed.copy()
-    cmd, out, h = state[fr.N_LEFT :].copy(), np.zeros(fr.STATE_SIZE), 1e-6
-    jacobian = np.empty((len(rows), len(rows)))
-    for j, row in enumerate(rows):
-        for sign in (1.0, -1.0):
-            trial = state.copy()
-            trial[row] += sign * h
-            ship.derivative(
-                *(trial, cmd, p, _CALM.waves, _FACTORS, _CALM.weather),
-                *(0.0, 0.0, 1.0, 0.0, dof, out),
-            )
-            jacobian[:, j] = out[rows] if sign > 0.0 else (jacobian[:, j] - out[rows]) / (2.0 * h)
-    return jacobian
-
-
-def course_eigenvalues(vessel: Vessel, n: float) -> tuple[complex, complex]:
-    """Return the two eigenvalues of drift and turning on a straight course, 1/s.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        The ship.
-    n : float
-        Shaft speed, rev/s.
-
-    Returns
-    -------
-    tuple of complex
-        The less stable one first; the ship holds its course where its real part is below 0.
-    """
-    state = _state(vessel, n, vessel.straight_speed(n))
-    values = np.linalg.eigvals(_jacobian(vessel, state, [fr.V, fr.R], dof=3))
-    first, second = sorted((complex(value) for value in values), key=lambda z: -z.real)
-    return first, second
-
-
 def _periods(vessel: Vessel) -> dict[str, float]:
     """Return the periods of the modes of the free ship at rest that heave, roll and pitch most."""
     v = vessel.values
     places = [fr.Z, fr.PHI, fr.THETA]
     rows = [*places, fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R]
-    values, vectors = np.linalg.eig(_jacobian(vessel, _state(vessel, 0.0, 0.0), rows))
+    values, vectors = np.linalg.eig(jacobian(vessel, state_at(vessel, 0.0, 0.0), rows))
     weight = v["mass"] * GRAVITY
     stiffness = (v["water_density"] * GRAVITY * v["A_wp"], weight * v["GM_T"], weight * v["GM_L"])
     energy = np.abs(vectors[:3]) ** 2 * np.array(stiffness)[:, None]
@@ -186,7 +141,7 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
         v.get("steer_lag", math.inf),
         *(0.05 * period for period in periods),
     )
-    state, cmd = _state(vessel, n, speed), vessel.helm(n, vessel.helm_max)
+    state, cmd = state_at(vessel, n, speed), vessel.helm(n, vessel.helm_max)
     p, work = vessel.packed.copy(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
     heel = 0.0
@@ -223,7 +178,7 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
 def _pull(vessel: Vessel, n: float, speed: float = 0.0) -> float:
     """Return the force of all units, N."""
     return float(
-        propulsion_forces(speed, 0.0, 0.0, _state(vessel, n, speed), vessel.packed.copy())[0]
+        propulsion_forces(speed, 0.0, 0.0, state_at(vessel, n, speed), vessel.packed.copy())[0]
     )
 
 
@@ -426,8 +381,8 @@ def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
     rows = [*range(fr.Z, fr.THETA + 1), *range(fr.U, fr.R + 1), *range(fr.N_LEFT, fr.STATE_SIZE)]
     fastest = 0.0
     for row in [{"shaft_speed_rps": 0.0, "speed_mps": 0.0}, *found.speeds[-1:]]:
-        state = _state(vessel, row["shaft_speed_rps"], row["speed_mps"])
-        values = np.linalg.eigvals(_jacobian(vessel, state, rows))
+        state = state_at(vessel, row["shaft_speed_rps"], row["speed_mps"])
+        values = np.linalg.eigvals(jacobian(vessel, state, rows))
         lags = [1.0 / v["shaft_lag"], 1.0 / v.get("steer_lag", 1.0)]
         fastest = max(fastest, float(np.max(np.abs(values))), *lags)
     if fastest * DT > RK4_LIMIT:

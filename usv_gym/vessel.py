@@ -16,18 +16,19 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from usv_gym.physics import KNOT
+from usv_gym.physics import KNOT, ship, weather
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.physics.waves import FACTOR_ROWS, WAVE_ROWS
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-__all__ = ["Vessel", "VesselError", "vessel_names"]
+__all__ = ["Vessel", "VesselError", "course_eigenvalues", "jacobian", "state_at", "vessel_names"]
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": 1e-3},
@@ -168,6 +169,28 @@ _ABSENT = {
 }
 FULL_HELM = math.radians(30.0)
 """Helm angle at which a fixed pair of thrusters has moved all thrust to one of them, rad."""
+
+_BUILT = frozenset(
+    (
+        *("length_waterline", "beam", "draft", "block_coefficient", "mass", "x_G", "KG"),
+        *("I_xx", "I_yy", "I_zz", "x_F", "GM_T", "GM_L", "propeller_diameter", "x_P", "y_P"),
+        *("z_P", "A_R", "rudder_height", "x_P_prime", "x_R_prime", "A_F", "A_L", "s_L", "s_H"),
+    )
+)
+"""Geometry and inertia: what a yard builds about alike; see :meth:`Vessel.varied`."""
+_KEPT = frozenset(
+    (
+        *("water_density", "units", "shaft_lag", "shaft_rate", "shaft_speed_max"),
+        *("shaft_speed_service", "shaft_speed_manoeuvring"),
+        *("steer_lag", "steer_rate", "steer_max"),
+    )
+)
+"""The water, and the engines and steering gear that are bought: no boat differs in them."""
+TRIES = 1000
+"""Boats that :meth:`Vessel.varied` draws at most."""
+SAME_WAY = 4.0 / 3.0
+"""Boats of a kind differ in speed by this factor at most."""
+SHAFT_SPEEDS = ("shaft_speed_manoeuvring", "shaft_speed_service", "shaft_speed_max")
 
 
 class VesselError(ValueError):
@@ -471,6 +494,151 @@ class Vessel:
                 "balance the resistance at any speed; K_T must be above 0 at rest and fall with J"
             )
         return float(brentq(surplus, 0.0, top, xtol=1e-9))
+
+    def varied(
+        self, rng: np.random.Generator, spread: float = 0.15, built: float | None = None
+    ) -> Vessel:
+        """Return another boat of the same kind: every coefficient a little different.
+
+        Each coefficient of forces and added masses is multiplied by 1 + ``spread`` times a
+        normal number, and geometry and inertia by 1 + ``built`` times one; no factor leaves
+        0.1 to 1.9, so that all signs are kept. The resistance curve gets one factor for its
+        forces and one (as geometry) for its speeds; the length overall follows the length, the
+        water plane length and beam. Actuators, shaft speeds and the name stay. A boat is drawn
+        again if it breaks a rule of the schema, is less stable on a straight course than
+        neutral (or than this vessel, where that is unstable), or does not keep its way: if
+        at the manoeuvring shaft speed it is faster or slower than this vessel by more than
+        a factor of 4/3, as one that planes where this one ploughs.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Same state, same boat.
+        spread : float
+            Standard deviation of the coefficients, as a share; 0 or more.
+        built : float, optional
+            That of geometry and inertia; a third of ``spread`` by default.
+
+        Returns
+        -------
+        Vessel
+
+        Raises
+        ------
+        VesselError
+            For spreads that are no such numbers, and where no boat could be drawn.
+
+        Source: twin.md, sections 1, 2 and 13.
+        """
+        built = spread / 3.0 if built is None else built
+        if not (math.isfinite(spread + built) and min(spread, built) >= 0.0):
+            raise VesselError(
+                f"varied(spread={spread}, built={built}): must be finite numbers, 0 or more"
+            )
+        sd = np.array([built if key in _BUILT else spread for key in par.SCALARS] + [spread, built])
+        limit, n = max(_drift_growth(self), 0.0), self.values["shaft_speed_manoeuvring"]
+        usual = self.straight_speed(n)
+        for _ in range(TRIES):
+            drawn = np.clip(1.0 + sd * rng.standard_normal(sd.size), 0.1, 1.9).tolist()
+            *factors, force, speed = drawn
+            factor = dict(zip(par.SCALARS, factors, strict=True)) | dict.fromkeys(_KEPT, 1.0)
+            factor["length_overall"] = factor["length_waterline"]
+            factor["A_wp"] = factor["length_waterline"] * factor["beam"]
+            try:
+                boat = dataclasses.replace(
+                    self,
+                    values={key: factor[key] * value for key, value in self.values.items()},
+                    resistance_speed=tuple(speed * v for v in self.resistance_speed),
+                    resistance_force=tuple(force * f for f in self.resistance_force),
+                )
+                ratio = boat.straight_speed(n) / usual
+                if 1.0 / SAME_WAY <= ratio <= SAME_WAY and _drift_growth(boat) <= limit:
+                    return boat
+            except VesselError:
+                continue
+        raise VesselError(
+            f"{self.name}: none of {TRIES} boats drawn with spread = {spread:g}, built = {built:g} "
+            "keeps way on a straight course; use smaller spreads"
+        )
+
+
+def state_at(vessel: Vessel, n: float, speed: float) -> np.ndarray:
+    """Return the state of a vessel going straight ahead, shape (16,).
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The ship.
+    n : float
+        Shaft speed, rev/s.
+    speed : float
+        m/s.
+    """
+    state = np.zeros(fr.STATE_SIZE)
+    state[fr.U] = speed
+    state[fr.N_LEFT :] = vessel.helm(n, 0.0)
+    return state
+
+
+def jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) -> np.ndarray:
+    """Return the derivatives of the rates of some states by these states, commands held.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The ship, in calm water.
+    state : ndarray, shape (16,)
+        Where; layout in :mod:`usv_gym.physics.frames`.
+    rows : list of int
+        Which states.
+    dof : int
+        Degrees of freedom, 3 or 6.
+    """
+    p, calm, factors = vessel.packed.copy(), np.zeros((WAVE_ROWS, 0)), np.zeros((FACTOR_ROWS, 0))
+    cmd, out, h = state[fr.N_LEFT :].copy(), np.zeros(fr.STATE_SIZE), 1e-6
+    slopes = np.empty((len(rows), len(rows)))
+    for j, row in enumerate(rows):
+        for sign in (1.0, -1.0):
+            trial = state.copy()
+            trial[row] += sign * h
+            ship.derivative(
+                *(trial, cmd, p, calm, factors, weather.constant()),
+                *(0.0, 0.0, 1.0, 0.0, dof, out),
+            )
+            slopes[:, j] = out[rows] if sign > 0.0 else (slopes[:, j] - out[rows]) / (2.0 * h)
+    return slopes
+
+
+def course_eigenvalues(vessel: Vessel, n: float) -> tuple[complex, complex]:
+    """Return the two eigenvalues of drift and turning on a straight course, 1/s.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The ship.
+    n : float
+        Shaft speed, rev/s.
+
+    Returns
+    -------
+    tuple of complex
+        The less stable one first; the ship holds its course where its real part is below 0.
+    """
+    state = state_at(vessel, n, vessel.straight_speed(n))
+    values = np.linalg.eigvals(jacobian(vessel, state, [fr.V, fr.R], dof=3))
+    first, second = sorted((complex(value) for value in values), key=lambda z: -z.real)
+    return first, second
+
+
+def _drift_growth(vessel: Vessel) -> float:
+    """Return by which share a drift grows for each length sailed, at its worst shaft speed."""
+    v = vessel.values
+    return max(
+        course_eigenvalues(vessel, v[key])[0].real
+        * v["length_waterline"]
+        / vessel.straight_speed(v[key])
+        for key in SHAFT_SPEEDS
+    )
 
 
 def _kind(kind: Any) -> str:

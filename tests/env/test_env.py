@@ -343,7 +343,7 @@ def test_step_before_reset(twin: str | None) -> None:
         ({"faults": "radar10"}, FaultError, ("radar", "gps", "imu", "compass", "all")),
         ({"faults": "gps"}, FaultError, ("'gps'", "gps10")),
         ({"task": "race"}, TaskError, ("race", "path", "free")),
-        ({"twin": "oracle"}, PredictorError, ("oracle", *PREDICTORS)),
+        ({"twin": "augur"}, PredictorError, ("augur", *PREDICTORS)),
         ({"actions": "rudder"}, ValueError, ("rudder", "common", "units")),
         ({"dof": 4}, SimulationError, ("dof = 4", "3 or 6")),
         ({"suite": "good"}, ValueError, ("good", "perfect", "SensorSuite")),

@@ -13,15 +13,17 @@ from twin import benchmark as bench
 from twin.log import Log, recorded_runs
 from twin.predictor import Prediction
 from twin.registry import PredictorError
+from twin.simulated import particulars_of
 from usv_gym.manoeuvres import ManoeuvreError
 from usv_gym.sea import SeaError
 from usv_gym.sensors import Fault, FaultError
+from usv_gym.vessel import Vessel
 
 SMALL = bench.Settings(
     scenarios=("zigzag",),
     faults=("none", "gps5"),
     seeds=(0, 1),
-    predictors=("persistence", "ukf"),
+    predictors=("persistence", "ukf", "oracle"),
     identify_s=30.0,
     duration_s=50.0,
 )
@@ -44,15 +46,15 @@ def small(tmp_path_factory):
 def test_rows_are_complete(small):
     _, results = small
     rows = results["rows"]
-    # scenarios x faults x seeds x predictors x channels x horizons
-    assert len(rows) == 1 * 2 * 2 * 2 * 6 * 4
+    # scenarios x faults x seeds x predictors x plans x channels x horizons
+    assert len(rows) == 1 * 2 * 2 * 3 * 2 * 6 * 4
     keys = {
         *("scenario", "fault", "seed", "predictor", "plan", "channel", "horizon_s"),
         *("mae", "mse", "n"),
     }
     for row in rows:
         assert set(row) == keys
-        assert row["plan"] == "known"
+        assert row["plan"] in ("known", "hold")
         assert row["n"] == 11  # every second from 30 to 40 s
         assert 0.0 <= row["mae"] ** 2 <= row["mse"] * (1 + 1e-12)
     for item in results["summary"]:
@@ -65,6 +67,7 @@ def test_rows_are_complete(small):
             "value",
             "low",
             "high",
+            "median",
         }
     metrics = {item["metric"] for item in results["summary"]}
     assert metrics == set(bench.METRICS)
@@ -79,7 +82,8 @@ def test_summary_is_made_of_the_rows(small):
                 [
                     row["mae"]
                     for row in results["rows"]
-                    if (row["fault"], row["seed"], row["predictor"]) == ("none", seed, predictor)
+                    if (row["fault"], row["seed"], row["predictor"], row["plan"])
+                    == ("none", seed, predictor, "known")
                 ]
             )
             for seed in SMALL.seeds
@@ -87,10 +91,16 @@ def test_summary_is_made_of_the_rows(small):
         item = next(
             i
             for i in results["summary"]
-            if (i["fault"], i["predictor"], i["metric"]) == ("none", predictor, "mae")
+            if (i["fault"], i["predictor"], i["plan"], i["metric"])
+            == ("none", predictor, "known", "mae")
         )
         assert item["value"] == pytest.approx(np.mean(values))
-    skill = {i["predictor"]: i["value"] for i in results["summary"] if i["metric"] == "skill"}
+        assert item["median"] == pytest.approx(np.median(values))
+    skill = {
+        i["predictor"]: i["value"]
+        for i in results["summary"]
+        if (i["plan"], i["metric"]) == ("known", "skill")
+    }
     assert skill["persistence"] == 0.0
     assert skill["ukf"] > 0.3  # the zigzag is where a model pays
 
@@ -153,7 +163,7 @@ def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
     assert path.read_bytes() != before
     boat, found = bench.particulars_beside(path)
     assert found
-    assert boat.length == 6.336
+    assert boat == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
     assert not bench.particulars_beside(other)[1]
@@ -166,7 +176,7 @@ def test_two_runs_of_one_name_are_refused():
 
 def test_a_calm_straight_run_has_no_absurd_normalised_error(tmp_path):
     calm = dataclasses.replace(
-        SMALL, scenarios=("straight",), faults=("none",), seeds=(0,), hs=0.0, wind=0.0
+        SMALL, scenarios=("straight",), faults=("none",), seeds=(0,), hs=0.0, wind=0.0, spread=0.0
     )
     results = run_all(calm, tmp_path)
     values = [i["value"] for i in results["summary"] if i["metric"] == "normalised"]
@@ -179,23 +189,33 @@ def test_recorded_run_is_scored_against_its_record(tmp_path):
     results = run_all(settings, tmp_path)
     assert {row["channel"] for row in results["rows"]} == {"along", "across", "psi"}
     assert {row["scenario"] for row in results["rows"]} == {"boat1_usv_circle"}
-    value = {(i["predictor"], i["fault"], i["metric"]): i["value"] for i in results["summary"]}
+    assert {row["predictor"] for row in results["rows"]} == {"persistence", "ukf"}
+    assert bench.left_out(settings) == (
+        "oracle is left out of boat1_usv_circle: the true boat is not known",
+    )
+    value = {
+        (i["predictor"], i["fault"], i["metric"]): i["value"]
+        for i in results["summary"]
+        if i["plan"] == "known"
+    }
     assert value["ukf", "none", "mae"] < 0.6 * value["persistence", "none", "mae"]
     assert value["ukf", "gps5", "start_error"] > value["ukf", "none", "start_error"]
 
 
-def test_errors_of_a_perfect_prediction_are_zero():
+def test_a_perfect_prediction_has_no_error():
     rng = np.random.default_rng(0)
     start = rng.normal(size=6)
     t = np.arange(1, 201) * 0.05
     mean = start + rng.normal(size=(1, 6)) * t[:, None]
-    cov = np.tile(np.eye(6), (200, 1, 1))
+    cov = np.tile(np.eye(6), (200, 1, 1)) * (1.0 + t[:, None, None])
     prediction = Prediction(0.0, start, np.eye(6), t, mean, cov)
     truth = np.stack([start, *(mean[round(h / 0.05) - 1] for h in bench.HORIZONS)])
     shifted = truth + np.array([5.0, -3.0, 2 * math.pi, 0.0, 0.0, 0.0])  # receiver's bias
-    error, change, sd = bench._errors(prediction, shifted)
-    np.testing.assert_allclose(error, 0.0, atol=1e-9)
-    assert change.shape == sd.shape == (4, 6)
+    found = bench.score(prediction, shifted, bench.HORIZONS)
+    np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.away, 0.0, atol=1e-9)
+    assert found.change.shape == (4, 6)
+    assert found.inside.shape == (4, 7) and found.inside.all()
 
 
 def test_along_and_across_are_seen_from_the_boat():
@@ -208,9 +228,113 @@ def test_along_and_across_are_seen_from_the_boat():
     truth[:, 2] = math.pi / 2
     truth[1:, 1] = np.array(bench.HORIZONS) * 1.5
     truth[1:, 0] = -1.0
-    error, _, _ = bench._errors(prediction, truth)
-    np.testing.assert_allclose(error[:, 3], 0.5 * np.array(bench.HORIZONS))  # along: ahead
-    np.testing.assert_allclose(error[:, 4], -1.0)  # across: to port of the truth
+    found = bench.score(prediction, truth, bench.HORIZONS)
+    ahead = 0.5 * np.array(bench.HORIZONS)
+    np.testing.assert_allclose(found.error[:, 3], ahead)  # along: ahead
+    np.testing.assert_allclose(found.error[:, 4], -1.0)  # across: to port of the truth
+    np.testing.assert_allclose(found.away, np.hypot(ahead, 1.0))
+
+
+def test_bands_of_known_errors_cover_nine_in_ten():
+    """Normal errors with the stated covariance: 0.9 within 4 sd of 2000 draws (0.027).
+
+    ``low`` and ``high`` decide on u, v, r and heading where they are given.
+    """
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(6, 6))
+    root[2] *= 0.3 / np.linalg.norm(root[2])  # a heading error that does not wrap
+    cov = root @ root.T
+    t, zero = np.array([5.0, 10.0]), np.zeros((6, 6))
+    mean = np.zeros((2, 6))
+    inside, given = [], []
+    for error in rng.normal(size=(2000, 6)) @ root.T:
+        truth = np.stack([np.zeros(6), error])
+        prediction = Prediction(0.0, np.zeros(6), zero, t, mean, np.tile(cov, (2, 1, 1)))
+        inside.append(bench.score(prediction, truth, (10.0,)).inside[0])
+        wide = dataclasses.replace(prediction, low=mean - 100.0, high=mean + 100.0)
+        given.append(bench.score(wide, truth, (10.0,)).inside[0])
+    share = np.mean(inside, axis=0)
+    np.testing.assert_allclose(share, 0.9, atol=0.027)
+    assert np.all(np.mean(given, axis=0)[[0, 1, 2, 5]] == 1.0)
+    np.testing.assert_array_equal(np.mean(given, axis=0)[[3, 4, 6]], share[[3, 4, 6]])
+
+
+def test_j_of_the_oracle_is_one_and_e_of_the_others_is_there(small):
+    _, results = small
+    value = {
+        (i["predictor"], i["fault"], i["plan"], i["metric"]): i["value"] for i in results["summary"]
+    }
+    for fault in SMALL.faults:
+        for plan in SMALL.plans:
+            assert value["oracle", fault, plan, "J"] == 1.0
+            assert value["oracle", fault, plan, "E"] == 0.0
+        for name in ("persistence", "ukf"):
+            j = value[name, fault, "known", "J"]
+            assert value[name, fault, "known", "E"] == pytest.approx(j - 1.0)
+            assert j > 1.0
+
+
+def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
+    _, results = small
+    table = {tuple(row[key] for key in bench.KEY): row for row in results["runs"]}
+    row = table["zigzag", "gps5", 1, "ukf", "hold"]
+    floor = table["zigzag", "gps5", 1, "oracle", "hold"]
+    assert tuple(row["curves"]) == bench.STUDY_CHANNELS
+    assert all(len(curve) == 20 for curve in row["curves"].values())
+    ratios = [np.mean(row["curves"][c]) / np.mean(floor["curves"][c]) for c in row["curves"]]
+    assert row["J"] == pytest.approx(np.mean(ratios))
+
+
+def test_without_the_oracle_there_is_no_j(small):
+    _, results = small
+    alone = dataclasses.replace(SMALL, predictors=("persistence", "ukf"))
+    done = [r for r in results["runs"] if r["predictor"] in alone.predictors]
+    for row in done:
+        assert set(bench.METRICS) - {"mae_median"} <= set(row)
+    stripped = [{k: v for k, v in row.items() if k not in ("J", "E")} for row in done]
+    metrics = {item["metric"] for item in bench.summarise(stripped)}
+    assert metrics == set(bench.METRICS) - {"J", "E"}
+
+
+def test_paired_comparison():
+    """Six seeds on which one is a tenth better, and three fold worse on a seventh."""
+    base = {"scenario": "turn", "fault": "none", "plan": "known"}
+    rows = [
+        {**base, "seed": seed, "predictor": name, "mae": mae}
+        for seed in range(7)
+        for name, mae in (("ukf", 1.0 + seed), ("new", (1.0 + seed) * (3.0 if seed == 6 else 0.9)))
+    ]
+    (found,) = bench.compare(rows, "ukf")
+    assert (found["predictor"], found["against"]) == ("new", "ukf")
+    assert (found["wins"], found["seeds"]) == (6, 7)
+    assert found["median_percent"] == pytest.approx(-10.0)
+    assert found["change_percent"] == pytest.approx(100.0 * ((21 * 0.9 + 21.0) / 28.0 - 1.0))
+    assert found["low"] == pytest.approx(-10.0) and found["high"] > 60.0
+    assert bench.compare(rows, "lstm") == []
+    few = bench.compare([row for row in rows if row["seed"] < 2], "ukf")[0]
+    assert few["low"] is None and few["change_percent"] == pytest.approx(-10.0)
+
+
+def test_coverage_by_channel_and_horizon(small):
+    _, results = small
+    rows = results["coverage"]
+    # faults x predictors x plans x channels x horizons
+    assert len(rows) == 2 * 3 * 2 * 7 * 4
+    here = [r for r in rows if (r["fault"], r["predictor"], r["plan"]) == ("none", "ukf", "known")]
+    pooled = [
+        r["coverage90"]
+        for r in results["runs"]
+        if (r["fault"], r["predictor"], r["plan"]) == ("none", "ukf", "known")
+    ]
+    single = [r["coverage90"] for r in here if r["channel"] != "displacement"]
+    assert np.mean(single) == pytest.approx(np.mean(pooled))
+
+
+def test_every_seed_sails_another_boat():
+    lengths = [SMALL.boat(seed).values["length_waterline"] for seed in (0, 1, 0)]
+    assert lengths[0] == lengths[2] != lengths[1]
+    same = dataclasses.replace(SMALL, spread=0.0)
+    assert same.boat(0).values == same.boat(1).values == Vessel.load("usv75").values
 
 
 def test_lost_signals_of_a_recorded_log():
@@ -230,6 +354,7 @@ def test_lost_signals_of_a_recorded_log():
         ({"faults": ("gps",)}, FaultError, "gps10"),
         ({"faults": ("sonar10",)}, FaultError, "sonar"),
         ({"plans": ("guess",)}, PredictorError, "hold, known"),
+        ({"spread": 0.8}, bench.BenchmarkError, "spread = 0.8"),
         ({"hs": -1.0}, SeaError, "hs = -1.0"),
         ({"duration_s": 35.0}, bench.BenchmarkError, "duration_s"),
     ],

@@ -103,10 +103,13 @@ def test_predict_prints_bands_and_writes_them(folder):
         *("predict", str(folder / "run.csv"), "--plan", "known", "--at", "25"),
         *("--out", str(folder / "prediction.csv")),
     )
-    assert "+-" in out.stdout
+    assert "90 % band" in out.stdout
     with (folder / "prediction.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["t_s"]) == pytest.approx(35.0)
+    for name in CHANNELS:
+        assert float(rows[-1][f"low_{name}"]) < float(rows[-1][name])
+        assert float(rows[-1][f"high_{name}"]) > float(rows[-1][name])
     log = Log.read(folder / "run.csv")
     k = int(np.searchsorted(log.t, 35.0 - 1e-9))
     miss = np.hypot(
@@ -199,6 +202,8 @@ def test_broken_vessels(tmp_path, change, words):
         (["identify", "none.csv"], ["none.csv"]),
         (["benchmark", "--predictors", "magic"], ["magic", "dsw-ukf"]),
         (["benchmark", "--seeds", "5:5"], ["--seeds"]),
+        (["benchmark", "--predictors", "ukf", "--against", "lstm"], ["--against lstm", "ukf"]),
+        (["benchmark", "--spread", "2"], ["spread = 2"]),
         (["benchmark", "--log", "none.csv"], ["none.csv", "no such file"]),
     ],
 )
@@ -274,10 +279,21 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
     assert json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
 
 
+def test_oracle_on_a_simulated_and_on_a_recorded_run(folder):
+    run("predict", str(folder / "run.csv"), "--predictor", "oracle", "--at", "30")
+    real = str(recorded_runs()["boat1_usv_circle"])
+    for more in ((), ("--ship", "usv75")):
+        refused = run("predict", real, "--predictor", "oracle", *more, check=2)
+        assert refused.stderr.count("\n") == 1
+        assert "the true boat of 'boat1_usv_circle' is not known" in refused.stderr
+
+
 def test_seeds():
     assert _seeds("2:5") == (2, 3, 4)
     assert _seeds(":2") == (0, 1)
     assert _seeds("7,3,7") == (7, 3)
+    assert _seeds("200-202") == (200, 201, 202)
+    assert _seeds("0-1,5,8:10") == (0, 1, 5, 8, 9)
 
 
 def test_several_files_after_one_option():

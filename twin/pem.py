@@ -1,0 +1,400 @@
+"""Multi-step prediction-error refit: the parameters with which the model would have foretold best.
+
+A window of navigation states on an even grid is cut into *segments*: every ``spacing`` seconds
+one begins, and from there the model is rolled out over ``horizon`` seconds under the actuators
+as they were. The parameters are those that make the errors of all segments small,
+
+    sum over segments of  n_i rho(q_i)  +  (xi - xi_0)' P_0^-1 (xi - xi_0),
+    q_i = scale / n_i * min over d of [ sum of (errors / sd)^2 + (d / sd_d)^2 ]
+
+with n_i errors in segment i, a free offset d of the initial u, v, r (it carries a wave, and no
+parameter should pay for it) and rho(q) = q up to ``knee``, and knee (1 + log(q / knee)) beyond: a
+segment that a gust or a wave group has spoilt counts less, as if its weight were
+min(1, knee / q). ``scale`` makes up for errors that are alike from sample to sample.
+
+Each segment is kept as a quadratic in xi about the parameters at which it was linearised, with
+the offset removed by its Schur complement, so that a refit costs a sum of small matrices.
+Segments are linearised anew a few at a time, those first whose parameters have moved most.
+
+Source: twin.md sections 6 and 10 B3; Levenberg 1944, Marquardt 1963.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.structure import (
+    N_STATES,
+    N_TERMS,
+    accelerations,
+    state_terms,
+    term_slopes,
+    thrust_terms,
+)
+from usv_kernel import kernel
+
+__all__ = ["GRID", "RefitSettings", "Segments", "linearise", "room"]
+
+Array = NDArray[Any]
+
+GRID = 0.25
+"""Step of the window's rows and of the integration, s."""
+N_OFFSETS = 3
+# columns of a window's rows
+STATE, LOW, WIND, GOOD, ACT, MIDDLE = 0, 6, 9, 11, 12, 16
+COLUMNS = 20
+"""Navigation state (6), low-frequency velocities (3), true wind (2), whether the row may be
+fitted, actuators then (4) and half a step later (4)."""
+
+
+@dataclass(frozen=True)
+class RefitSettings:
+    """How the window is cut up and weighed; defaults for 6.3 m at 5.4 m/s, scaled by Froude.
+
+    Parameters
+    ----------
+    span, spacing, horizon : float
+        Length of the window, time between starts, length of a segment, s.
+    every : int
+        Grid steps between the samples that are compared.
+    sd : ndarray, shape (6,)
+        Standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
+        waves make of a perfect forecast.
+    offset_sd : ndarray, shape (3,)
+        Standard deviations of the initial u, v (m/s) and r (rad/s).
+    scale, knee : float
+        See the head of this file.
+    """
+
+    span: float
+    spacing: float
+    horizon: float
+    every: int
+    sd: Array
+    offset_sd: Array
+    scale: float
+    knee: float
+
+
+def room(p: int) -> Array:
+    """Return the scratch of :func:`linearise` for p parameters."""
+    m = p + N_OFFSETS
+    return np.zeros(5 * N_STATES * m + 5 * N_TERMS + 6 * N_STATES + m * m + m)
+
+
+@kernel
+def _stage(s, S, act, wind, xi, kit, terms, slopes, k, K):
+    """Write the derivative of the state and of its sensitivities S (6, m)."""
+    which, limits, hull = kit
+    m = S.shape[1]
+    c, n = math.cos(s[2]), math.sin(s[2])
+    u, v, r = s[3], s[4], s[5]
+    thrust_terms(
+        *(act[0], act[1], math.cos(act[2]), math.sin(act[2]), math.cos(act[3]), math.sin(act[3])),
+        terms,
+    )
+    state_terms(u, v, r, c, n, wind, hull, terms)
+    term_slopes(u, v, r, c, n, wind, hull, terms, slopes)
+    k[0], k[1], k[2] = u * c - v * n, u * n + v * c, r
+    k[3], k[4], k[5] = accelerations(terms, kit, xi, 0)
+    for j in range(m):
+        K[0, j] = c * S[3, j] - n * S[4, j] - k[1] * S[2, j]
+        K[1, j] = n * S[3, j] + c * S[4, j] + k[0] * S[2, j]
+        K[2, j] = S[5, j]
+    for i in range(3):
+        first, last = limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES
+        by_u, by_v, by_r, by_psi = 0.0, 0.0, 0.0, 0.0
+        for q in range(first, last):
+            t = which[i, q]
+            by_u += xi[q] * slopes[0, t]
+            by_v += xi[q] * slopes[1, t]
+            by_r += xi[q] * slopes[2, t]
+            by_psi += xi[q] * slopes[3, t]
+        for j in range(m):
+            turned = by_r * S[5, j] + by_psi * S[2, j]
+            K[3 + i, j] = by_u * S[3, j] + by_v * S[4, j] + turned
+        for q in range(first, last):
+            K[3 + i, q] += terms[which[i, q]]
+
+
+@kernel
+def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room, H, b):
+    """Roll the model out from one row of a window, and write the quadratic that its errors make.
+
+    After it, sum of squared weighted errors, minimised over the initial offset, is about
+    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi.
+
+    Parameters
+    ----------
+    first : int
+        Row to start from; rows wrap around at the end of the array.
+    steps, every : int
+        Grid steps of the segment, and between samples.
+    rows : (M, 20) array
+        The window.
+    xi : (p,) array
+        Parameters.
+    kit : tuple
+        Of the structure.
+    weights, offset_weights : (6,), (3,) arrays
+        1 / variance of errors and of the initial offset.
+    room : array
+        From :func:`room`.
+    H, b : (p, p), (p,) arrays
+        Written.
+
+    Returns
+    -------
+    float
+        c; infinite where the motion leaves all bounds, and nothing is written then.
+
+    Source: sensitivities by differentiating the Runge-Kutta scheme itself, so that they are
+    those of the motion as computed.
+    """
+    size, p = rows.shape[0], xi.shape[0]
+    m = p + N_OFFSETS
+    wide = N_STATES * m
+    S, moved, K, total = (
+        room[:wide].reshape((N_STATES, m)),
+        room[wide : 2 * wide].reshape((N_STATES, m)),
+        room[2 * wide : 3 * wide].reshape((N_STATES, m)),
+        room[3 * wide : 4 * wide].reshape((N_STATES, m)),
+    )
+    J = room[4 * wide : 5 * wide].reshape((N_STATES, m))
+    rest = room[5 * wide :]
+    terms, slopes = rest[:N_TERMS], rest[N_TERMS : 5 * N_TERMS].reshape((4, N_TERMS))
+    rest = rest[5 * N_TERMS :]
+    s, place, k, sums = rest[:6], rest[6:12], rest[12:18], rest[18:24]
+    full = rest[36 : 36 + m * m].reshape((m, m))
+    g = rest[36 + m * m : 36 + m * m + m]
+
+    start = rows[first % size]
+    wind = start[WIND:GOOD]
+    for i in range(N_STATES):
+        s[i] = start[i]
+        for j in range(m):
+            S[i, j] = 0.0
+    for i in range(N_OFFSETS):
+        S[3 + i, p + i] = 1.0
+    for i in range(m):
+        g[i] = 0.0
+        for j in range(m):
+            full[i, j] = 0.0
+    for i in range(N_OFFSETS):
+        full[p + i, p + i] = offset_weights[i]
+    cost = 0.0
+    for step in range(steps):
+        row = rows[(first + step) % size]
+        after = rows[(first + step + 1) % size]
+        for stage in range(4):
+            act = row[ACT:MIDDLE] if stage == 0 else row[MIDDLE:]
+            if stage == 3:
+                act = after[ACT:MIDDLE]
+            if stage == 0:
+                _stage(s, S, act, wind, xi, kit, terms, slopes, k, K)
+            else:
+                _stage(place, moved, act, wind, xi, kit, terms, slopes, k, K)
+            share = 2.0 if stage == 1 or stage == 2 else 1.0
+            h = GRID if stage == 2 else 0.5 * GRID
+            for i in range(N_STATES):
+                sums[i] = share * k[i] + (sums[i] if stage > 0 else 0.0)
+                place[i] = s[i] + h * k[i]
+                if stage == 0:
+                    for j in range(m):
+                        total[i, j] = K[i, j]
+                else:
+                    for j in range(m):
+                        total[i, j] += share * K[i, j]
+                for j in range(m):
+                    moved[i, j] = S[i, j] + h * K[i, j]
+        for i in range(N_STATES):
+            s[i] += GRID / 6.0 * sums[i]
+            for j in range(m):
+                S[i, j] += GRID / 6.0 * total[i, j]
+        if not (abs(s[3]) < 1e3 and abs(s[4]) < 1e3 and abs(s[5]) < 1e2):
+            return math.inf
+        if (step + 1) % every != 0:
+            continue
+        for i in range(N_STATES):
+            error = after[i] - s[i]
+            cost += weights[i] * error * error
+            for j in range(m):
+                J[i, j] = weights[i] * S[i, j]
+                g[j] += J[i, j] * error
+        for a in range(m):
+            for i in range(N_STATES):
+                weight = J[i, a]
+                for j in range(a, m):
+                    full[a, j] += weight * S[i, j]
+    # remove the offset: its block is small and positive definite
+    for q in range(m - 1, p - 1, -1):
+        pivot = full[q, q]
+        cost -= g[q] * g[q] / pivot
+        for a in range(q):
+            factor = full[a, q] / pivot
+            g[a] -= factor * g[q]
+            for j in range(a, q):
+                full[a, j] -= factor * full[j, q]
+    for a in range(p):
+        b[a] = g[a]
+        for j in range(a, p):
+            H[a, j] = full[a, j]
+            H[j, a] = full[a, j]
+    return max(cost, 0.0)
+
+
+class Segments:
+    """The segments of a window as quadratics, and the parameters that suit them best.
+
+    Parameters
+    ----------
+    kit : tuple
+        Of the structure.
+    mean, cov : ndarray, shapes (p,), (p, p)
+        Prior of the parameters.
+    settings : RefitSettings
+        How errors are weighed.
+    capacity : int
+        Largest number of segments; the oldest makes room.
+
+    Attributes
+    ----------
+    xi, cov : ndarray, shapes (p,), (p, p)
+        Parameters and their covariance (Laplace); the prior's at first.
+    """
+
+    def __init__(
+        self, kit: Any, mean: Array, cov: Array, settings: RefitSettings, capacity: int
+    ) -> None:
+        p = len(mean)
+        self.kit, self.settings = kit, settings
+        self.prior, self.prior_cov = np.array(mean), np.array(cov)
+        self.information = np.linalg.inv(cov)
+        self.weights, self.offset_weights = settings.sd**-2.0, settings.offset_sd**-2.0
+        self.steps = round(settings.horizon / GRID)
+        self.samples = N_STATES * (self.steps // settings.every)
+        self.H = np.zeros((capacity, p, p))
+        self.b, self.at = np.zeros((capacity, p)), np.zeros((capacity, p))
+        self.c = np.zeros(capacity)
+        self.first = np.full(capacity, -1)
+        self._room = room(p)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every segment."""
+        self.first[:] = -1
+        self.xi, self.cov = self.prior.copy(), self.prior_cov.copy()
+        self._H, self._b = np.zeros_like(self.prior_cov), np.zeros_like(self.prior)
+
+    def add(self, first: int, rows: Array, xi: Array) -> None:
+        """Take a new segment from row ``first`` on, in the place of the oldest."""
+        slot = int(np.argmin(self.first))
+        if self._linearise(slot, first, rows, xi):
+            self.first[slot] = first
+
+    def drop(self, before: int) -> None:
+        """Forget segments that begin before a row."""
+        self.first[self.first < before] = -1
+
+    def _linearise(self, slot: int, first: int, rows: Array, xi: Array) -> bool:
+        c = linearise(
+            *(first, self.steps, self.settings.every, rows, xi, self.kit),
+            *(self.weights, self.offset_weights, self._room, self._H, self._b),
+        )
+        if not math.isfinite(c):
+            return False
+        self.H[slot], self.b[slot], self.c[slot], self.at[slot] = self._H, self._b, c, xi
+        return True
+
+    def renew(self, rows: Array, budget: int) -> None:
+        """Linearise anew at the present parameters, those that moved most first."""
+        used = np.flatnonzero(self.first >= 0)
+        step = (self.xi - self.at[used]) / np.sqrt(np.diag(self.prior_cov))
+        moved = np.einsum("ij,ij->i", step, step)
+        for slot in used[np.argsort(-moved, kind="stable")[:budget]]:
+            self._linearise(slot, int(self.first[slot]), rows, self.xi)
+
+    def costs(self, xi: Array) -> tuple[Array, Array]:
+        """Return the quadratics q_i of the segments at parameters, and their weights."""
+        used = self.first >= 0
+        step = xi - self.at[used]
+        curved = np.einsum("ij,ijk,ik->i", step, self.H[used], step)
+        c = self.c[used] - 2.0 * np.einsum("ij,ij->i", self.b[used], step) + curved
+        q = np.maximum(c, 0.0) * self.settings.scale / self.samples
+        return q, np.minimum(1.0, self.settings.knee / np.maximum(q, 1e-12))
+
+    def objective(self, xi: Array) -> float:
+        """Return what :meth:`solve` makes small, by the quadratics."""
+        q, _ = self.costs(xi)
+        knee, away = self.settings.knee, xi - self.prior
+        rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
+        return float(self.samples * rho.sum() + away @ self.information @ away)
+
+    def solve(self, iterations: int = 4, damping: float = 0.0) -> None:
+        """Move the parameters to the least of the sum of the quadratics and the prior.
+
+        Parameters
+        ----------
+        iterations : int
+            Of the robust weights.
+        damping : float
+            Of Levenberg and Marquardt, in units of the prior's information.
+        """
+        used = np.flatnonzero(self.first >= 0)
+        H, b, at = self.H[used], self.b[used], self.at[used]
+        start = self.xi
+        for _ in range(iterations):
+            weight = self.costs(self.xi)[1] * self.settings.scale
+            A = self.information + np.tensordot(weight, H, 1)
+            pull = b + np.einsum("ijk,ik->ij", H, at)
+            target = self.information @ self.prior + weight @ pull
+            if damping > 0.0:
+                A = A + damping * self.information
+                target = target + damping * self.information @ start
+            self.xi = np.linalg.solve(A, target)
+        self.cov = np.linalg.inv(A)
+        self.cov = 0.5 * (self.cov + self.cov.T)
+
+    def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
+        """Iterate to the least of the true objective: Levenberg-Marquardt over all segments.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (M, 20)
+            The window.
+        iterations : int
+            At most.
+        tolerance : float
+            It has converged where the objective falls by less than this part of itself.
+
+        Returns
+        -------
+        bool
+            Whether it converged.
+        """
+        many, damping = len(self.first), 0.0
+        self.renew(rows, many)
+        best = self.objective(self.xi)
+        for _ in range(iterations):
+            kept = self.xi, self.H.copy(), self.b.copy(), self.c.copy(), self.at.copy()
+            self.solve(1, damping)
+            self.renew(rows, many)
+            reached = bool((self.at[self.first >= 0] == self.xi).all())
+            now = self.objective(self.xi) if reached else math.inf
+            if now <= best:
+                done = best - now <= tolerance * best
+                best, damping = now, 0.25 * damping if damping > 1e-6 else 0.0
+                if done:
+                    self.solve(1)
+                    return True
+            else:
+                self.xi, self.H, self.b, self.c, self.at = kept
+                damping = max(4.0 * damping, 1e-2)
+                if damping > 1e8:
+                    return True
+        return False

@@ -1,0 +1,430 @@
+"""DSW-UKF+: the twin that refits its model to the last minutes, and says how sure it is.
+
+Four things work together:
+
+1. the tight navigation filter and the joint UKF of :class:`twin.identifier.UKFPredictor`, which
+   carry state and parameters from row to row, through losses of sensors as well;
+2. the refit of :mod:`twin.pem`: every second the parameters (and their covariance) become those
+   that would have foretold the last minutes best, starting from a prior with full covariance; the
+   joint filter goes on from there;
+3. a low-frequency observer, the model held to the navigation's velocities by a gain of 0.5 /s:
+   predictions start from it, because waves are no part of the model, and what it leaves of the
+   measured velocities is taken for waves (:mod:`twin.residual`);
+4. bands from draws: of the parameters, of the start, and of the waves to come.
+
+Where the predicted motion leaves what the boat was ever seen to do, the parameters are drawn back
+to the prior until it does not (:data:`SHRINK`).
+
+Source: twin.md section 10 B.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.identifier import (
+    BEGUN,
+    STUDY_LENGTH,
+    STUDY_SPEED,
+    FilterSettings,
+    UKFPredictor,
+    nav_parts,
+    parts,
+    plain_settings,
+    rooms,
+    tight_step,
+)
+from twin.model import N_ACT, N_STATES, ROOM, model_of, roll_out
+from twin.particulars import Particulars
+from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
+from twin.predictor import Prediction
+from twin.residual import ORDER, fit_autoregression, simulate_waves
+from twin.structure import accelerations, state_terms, thrust_terms
+from usv_kernel import kernel
+
+__all__ = ["PlusPredictor", "refit_settings"]
+
+Array = NDArray[Any]
+
+OBSERVER_GAIN = 0.5
+"""Of the low-frequency observer, 1/s."""
+SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.1, 0.1, 1.0
+"""A row may be fitted if the navigation is as sure as this of velocity (usual speeds) and
+heading (rad), and if the row before it is not older (s)."""
+JUMP = 300.0
+"""After a gap longer than this, s, nothing of the window is kept."""
+SHRINK = (1.0, 0.5, 0.25, 0.0)
+"""Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
+START_WAVE = 0.3
+"""Error of the observer's velocity, in standard deviations of the waves."""
+WAVE_SPAN = 60.0
+"""The waves of this many seconds are described."""
+
+# the track between rows: time of the grid's origin, half steps since then, last state,
+# last actuators, low-frequency velocities
+_ORIGIN, _HALVES, _LAST, _LAST_ACT = 0, 1, 2, 2 + N_STATES
+_SLOW = _LAST_ACT + N_ACT
+TRACK_SIZE = _SLOW + 3
+
+
+def refit_settings(particulars: Particulars) -> RefitSettings:
+    """Return the settings of the refit, tuned for 6.336 m at 5.4 m/s, scaled by Froude.
+
+    Source: twin.md section 10 B3.
+    """
+    L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
+    return RefitSettings(
+        span=110.0,
+        spacing=2.0,
+        horizon=5.0,
+        every=2,
+        sd=np.array([0.35 * L, 0.35 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
+        offset_sd=np.array([0.15 * U, 0.15 * U, 0.02 * U / L]),
+        scale=0.1,
+        knee=0.01,
+    )
+
+
+@kernel
+def _slow_step(dt, n, track, memory, constants, scratch, kit):
+    """Advance the low-frequency observer."""
+    x, _, act, wind, _, _, _, _, _, envelope, _, _ = parts(memory, constants, kit)
+    terms = rooms(scratch, kit)[2]
+    slow = track[_SLOW:]
+    steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
+    h = min(dt, 10.0) / steps
+    c, s = math.cos(n[2]), math.sin(n[2])
+    thrust_terms(
+        *(act[0], act[1], math.cos(act[2]), math.sin(act[2]), math.cos(act[3]), math.sin(act[3])),
+        terms,
+    )
+    for _ in range(steps):
+        state_terms(slow[0], slow[1], slow[2], c, s, wind, kit[2], terms)
+        rates = accelerations(terms, kit, x, N_STATES)
+        for i in range(3):
+            slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
+            slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
+
+
+@kernel
+def _record(t, dt, n, good, track, act, wind, rows):
+    """Write the window's rows up to time t, interpolated on its grid."""
+    if dt > JUMP:
+        for k in range(rows.shape[0]):
+            rows[k, GOOD] = 0.0
+        track[_HALVES] = math.ceil((t - track[_ORIGIN]) / (0.5 * GRID))
+    while track[_ORIGIN] + 0.5 * GRID * track[_HALVES] <= t:
+        half = int(track[_HALVES])
+        share = 1.0
+        if dt > 0.0:
+            share = 1.0 - min(max((t - track[_ORIGIN] - 0.5 * GRID * half) / dt, 0.0), 1.0)
+        row = rows[(half // 2) % rows.shape[0]]
+        if half % 2 == 1:
+            for k in range(N_ACT):
+                before = track[_LAST_ACT + k]
+                row[MIDDLE + k] = before + share * (act[k] - before)
+        else:
+            for k in range(N_STATES):
+                row[STATE + k] = track[_LAST + k] + share * (n[k] - track[_LAST + k])
+            for k in range(3):
+                row[LOW + k] = track[_SLOW + k]
+            for k in range(2):
+                row[WIND + k] = wind[k]
+            row[GOOD] = good
+            for k in range(N_ACT):
+                before = track[_LAST_ACT + k]
+                row[ACT + k] = before + share * (act[k] - before)
+        track[_HALVES] += 1.0
+    for k in range(N_STATES):
+        track[_LAST + k] = n[k]
+    for k in range(N_ACT):
+        track[_LAST_ACT + k] = act[k]
+
+
+@kernel
+def plus_step(
+    t, dt, z, cmd, nav, settings, nav_work, memory, constants, scratch, work, kit, rows, track
+):
+    """One row of the predictor between refits; all memory in place."""
+    begun = nav[BEGUN] > 0.0
+    tight_step(dt, z, cmd, nav, settings, nav_work, memory, constants, scratch, work, kit)
+    if nav[BEGUN] == 0.0:
+        return
+    n, P_nav = nav_parts(nav)
+    _, _, act, wind, _, _, _, _, _, envelope, _, _ = parts(memory, constants, kit)
+    if not begun:
+        track[_ORIGIN], track[_HALVES] = t, 0.0
+        for k in range(N_STATES):
+            track[_LAST + k] = n[k]
+        for k in range(3):
+            track[_SLOW + k] = n[3 + k]
+        for k in range(N_ACT):
+            track[_LAST_ACT + k] = act[k]
+    else:
+        _slow_step(dt, n, track, memory, constants, scratch, kit)
+    fast = (SPEED_GOOD * 0.25 * envelope[0]) ** 2
+    sure = P_nav[3, 3] < fast and P_nav[4, 4] < fast and P_nav[2, 2] < HEADING_GOOD**2
+    good = 1.0 if sure and dt < GAP_GOOD else 0.0
+    _record(t, dt, n, good, track, act, wind, rows)
+
+
+@kernel
+def _ensemble(thetas, starts, act, plan, dt, lags, envelope, wind, kit, ripples, out, acts, room):
+    """Roll the model out for every draw."""
+    for d in range(thetas.shape[0]):
+        roll_out(
+            *(starts[d], thetas[d], act, plan, dt, lags, envelope, wind, kit),
+            *(ripples[d], out[d], acts, room),
+        )
+
+
+class PlusPredictor(UKFPredictor):
+    """DSW-UKF+; see the head of this file.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat.
+    model : str
+        One of ``twin.structure.MODELS``.
+    prior : tuple of ndarray, optional
+        Mean (p,) and covariance (p, p) of the parameters.
+    settings : RefitSettings, optional
+        :func:`refit_settings` if left out.
+    period : float
+        Time between refits, s.
+    renewed : int
+        Segments that a refit linearises anew, besides the new one.
+    draws : int
+        Paths that the bands are made of.
+    seed : int
+        Of the draws.
+    """
+
+    def __init__(
+        self,
+        particulars: Particulars,
+        *,
+        model: str = "paper",
+        prior: tuple[Array, Array] | None = None,
+        settings: RefitSettings | None = None,
+        period: float = 1.0,
+        renewed: int = 8,
+        draws: int = 100,
+        seed: int = 0,
+    ) -> None:
+        structure = model_of(particulars, model, biased=True)
+        mean, cov = prior or (structure.mean, np.diag(structure.sd**2))
+        plain = plain_settings(particulars, model)
+        filters = FilterSettings(
+            structure=structure,
+            q=plain.q,
+            r=plain.r,
+            p0=plain.p0,
+            q_xi=np.zeros(len(structure)),
+            xi0=mean,
+            xi0_cov=cov,
+            n_unit=structure.n_unit,
+        )
+        self.refit = settings or refit_settings(particulars)
+        self.period, self.renewed = period, renewed
+        spacing = round(self.refit.spacing / GRID)
+        self.spacing = spacing
+        capacity = math.ceil(self.refit.span / self.refit.spacing)
+        self.segments = Segments(structure.kit, mean, cov, self.refit, capacity)
+        steps = self.segments.steps
+        self.rows = np.zeros((round(self.refit.span / GRID) + steps + 2 * spacing, COLUMNS))
+        self.track = np.zeros(TRACK_SIZE)
+        rng = np.random.default_rng(seed)
+        self._theta_shocks = rng.standard_normal((draws, len(structure)))
+        self._start_shocks = rng.standard_normal((draws, N_STATES))
+        # the first path is the mean
+        self._wave_shocks = rng.standard_normal((draws + 1, round(10.0 / GRID), 3))
+        self._wave_shocks[0] = 0.0
+        self._calm = self._wave_shocks[:1]
+        self._room = np.empty(ROOM)
+        super().__init__(particulars, settings=filters, seed=seed)
+        self._plus_arguments = (*self._arguments, self.rows, self.track)
+
+    def reset(self) -> None:
+        """Forget everything."""
+        super().reset()
+        self.rows[:] = 0.0
+        self.track[:] = 0.0
+        self.segments.reset()
+        self._next_start = 0
+        self._refit_at = -math.inf
+        self._coefficients = np.zeros((ORDER, 3))
+        self._noise = np.zeros(3)
+        self._wave_sd = np.zeros(3)
+        self._seen = np.zeros(3)
+
+    @property
+    def last_row(self) -> int:
+        """Number of the newest complete row of the window; -1 if there is none."""
+        return (int(self.track[_HALVES]) - 1) // 2 - (int(self.track[_HALVES]) % 2)
+
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row; see :meth:`twin.predictor.Predictor.update`."""
+        self.t = t
+        plus_step(t, dt, z, cmd, *self._plus_arguments)
+        if t >= self._refit_at and self.nav[BEGUN] > 0.0:
+            self._refit_at = t + self.period - 1e-9
+            self._refit()
+
+    def _window(self, first: int, last: int) -> Array:
+        """Return rows first to last, the last included, as an array of their own."""
+        return self.rows[np.arange(first, last + 1) % len(self.rows)]
+
+    def _refit(self) -> None:
+        newest, segments = self.last_row, self.segments
+        while self._next_start + segments.steps < newest:
+            first = self._next_start
+            self._next_start += self.spacing
+            if newest - first >= len(self.rows):
+                continue
+            if self._window(first, first + segments.steps)[:, GOOD].all():
+                segments.add(first, self.rows, segments.xi)
+        segments.drop(newest - round(self.refit.span / GRID))
+        recent = self._window(max(newest - round(WAVE_SPAN / GRID), 0), newest)
+        recent = recent[recent[:, GOOD] > 0.0]
+        if len(recent) > 5 * ORDER:
+            w = recent[:, 3:6] - recent[:, LOW:WIND]
+            self._coefficients, self._noise = fit_autoregression(w)
+            self._wave_sd = w.std(axis=0)
+            self._seen = np.maximum(self._seen, np.abs(recent[:, LOW:WIND]).max(axis=0))
+        if (segments.first >= 0).sum() < 3:
+            return
+        segments.renew(self.rows, self.renewed)
+        segments.solve()
+        self.ukf.x[N_STATES:] = segments.xi
+        self.ukf.P[N_STATES:, :N_STATES] = 0.0
+        self.ukf.P[:N_STATES, N_STATES:] = 0.0
+        self.ukf.P[N_STATES:, N_STATES:] = segments.cov
+
+    def _start(self) -> Array:
+        start = self.n[:N_STATES].copy()
+        start[3:] = self.track[_SLOW:]
+        return start
+
+    def _past(self) -> Array:
+        newest = self.last_row
+        w = np.zeros((ORDER, 3))
+        w[0] = self.n[3:6] - self.track[_SLOW:]
+        if newest >= ORDER:
+            rows = self._window(newest - ORDER + 2, newest)[::-1]
+            w[1:] = rows[:, 3:6] - rows[:, LOW:WIND]
+        return w
+
+    def _guarded(self, plan: Array, dt: float, ripple: Array) -> tuple[Array, Array]:
+        """Return parameters that keep the motion within bounds, and the motion."""
+        ukf, U = self.ukf, self.particulars.speed
+        bound = np.maximum(1.5 * self._seen, [1.5 * U, 0.8 * U, 1.2 * U / self.particulars.length])
+        start, prior = self._start(), self.segments.prior
+        plan = plan * [ukf.settings.n_unit, ukf.settings.n_unit, 1.0, 1.0]
+        out, acts = np.empty((len(plan), N_STATES)), np.empty((len(plan), N_ACT))
+        for part in SHRINK:
+            theta = prior + part * (ukf.xi - prior)
+            roll_out(
+                *(start, theta, ukf.act, plan, dt, ukf.lags, ukf.envelope, ukf.wind, ukf.kit),
+                *(ripple, out, acts, self._room),
+            )
+            if (np.abs(out[:, 3:]) <= bound).all():
+                break
+        return theta, out
+
+    def _wave_paths(self, shocks: Array, after: Array) -> tuple[Array, Array]:
+        """Return wave velocities at times, and on average between them.
+
+        Parameters
+        ----------
+        shocks : ndarray, shape (D, 40, 3)
+            Standard normal numbers, used again where they do not reach.
+        after : ndarray, shape (K,)
+            Times after now, s, from the first step on.
+        """
+        K = math.ceil(after[-1] / GRID - 1e-9)
+        D = len(shocks)
+        many = np.concatenate([shocks] * math.ceil(K / shocks.shape[1]), axis=1)[:, :K]
+        path, past = np.empty((D, K + 1, 3)), self._past()
+        path[:, 0] = past[0]
+        simulate_waves(past, self._coefficients, self._noise, many, path[:, 1:])
+        carried = np.zeros((D, K + 1, 3))
+        np.cumsum(0.5 * GRID * (path[:, 1:] + path[:, :-1]), axis=1, out=carried[:, 1:])
+        place = np.concatenate([[0.0], after / GRID])
+        low = np.minimum(place.astype(int), K - 1)
+        share = (place - low)[:, None]
+        ends, moved = (
+            (1.0 - share) * part[:, low] + share * part[:, low + 1] for part in (path, carried)
+        )
+        step = np.diff(place)[:, None] * GRID
+        return ends[:, 1:], np.diff(moved, axis=1) / step
+
+    def _central(self, plan: Array, dt: float) -> tuple[Array, Array]:
+        """Return the parameters in use and the states (K, 6) most to be expected."""
+        after = dt * np.arange(1, len(plan) + 1)
+        ends, ripple = self._wave_paths(self._calm, after)
+        theta, out = self._guarded(plan, dt, ripple[0])
+        out[:, 3:] += ends[0]
+        return theta, out
+
+    def mean(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states alone; see :meth:`twin.predictor.Predictor.mean`."""
+        return self._central(plan, dt)[1]
+
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; see :meth:`twin.predictor.Predictor.predict`."""
+        theta, mean = self._central(plan, dt)
+        # the draws are rolled at coarse steps: only how far they part is used
+        every = max(1, min(round(GRID / dt), len(plan)))
+        K = math.ceil(len(plan) / every)
+        h = dt * every
+        after = h * np.arange(1, K + 1)
+        coarse = plan[np.minimum(np.arange(K) * every + every // 2, len(plan) - 1)]
+        unit = self.ukf.settings.n_unit
+        coarse = coarse * [unit, unit, 1.0, 1.0]
+        D = len(self._theta_shocks)
+        thetas, starts = np.empty((D + 1, len(theta))), np.empty((D + 1, N_STATES))
+        thetas[0], starts[0] = theta, self._start()
+        cov = self.ukf.P[N_STATES:, N_STATES:]
+        thetas[1:] = theta + self._theta_shocks @ _root(cov).T
+        P = self.P_nav[:N_STATES, :N_STATES].copy()
+        P[range(3, 6), range(3, 6)] += (START_WAVE * self._wave_sd) ** 2
+        shocks = self._start_shocks @ _root(P).T
+        starts[1:] = starts[0] + shocks
+        starts[1:, :2] = starts[0, :2]
+        ends, ripples = self._wave_paths(self._wave_shocks, after)
+        out, acts = np.empty((D + 1, K, N_STATES)), np.empty((K, N_ACT))
+        ukf = self.ukf
+        _ensemble(
+            *(thetas, starts, ukf.act, coarse, h, ukf.lags, ukf.envelope, ukf.wind, ukf.kit),
+            *(ripples, out, acts, self._room),
+        )
+        out[..., 3:] += ends
+        away = np.concatenate([np.zeros((D, 1, N_STATES)), out[1:] - out[0]], axis=1)
+        away[:, 0, 2:] = shocks[:, 2:]
+        start_cov = self.with_common_error(np.zeros((N_STATES, N_STATES)))
+        covs = np.einsum("dki,dkj->kij", away, away) / D
+        covs[:, :2, :2] += start_cov[:2, :2]
+        place = np.arange(1, len(plan) + 1) / every
+        low = np.minimum(place.astype(int), K - 1)
+        share = (place - low)[:, None, None]
+        cov = (1.0 - share) * covs[low] + share * covs[low + 1]
+        return Prediction(
+            self.t,
+            starts[0].copy(),
+            start_cov,
+            self.t + dt * np.arange(1, len(plan) + 1),
+            mean,
+            cov,
+        )
+
+
+def _root(cov: Array) -> Array:
+    """Return a square root of a covariance, also of one that is only semi-definite."""
+    values, vectors = np.linalg.eigh(cov)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,0 +1,89 @@
+"""What the model leaves over: the waves, as an autoregressive process.
+
+The measured velocities move with the waves and the model's do not. Their difference, sampled at
+the window's step, is described by an autoregression for each of u, v and r:
+
+    w_k = a_1 w_(k-1) + ... + a_6 w_(k-6) + noise
+
+It foretells the next second or so, and its simulated paths say how far waves carry the boat from
+the model's motion later on.
+
+Source: twin.md sections 6 and 10 B4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usv_kernel import kernel
+
+__all__ = ["ORDER", "fit_autoregression", "simulate_waves"]
+
+Array = NDArray[np.float64]
+
+ORDER = 6
+RIDGE = 1e-3
+"""Part of the variance that is taken for white noise of the estimate."""
+ROOT_MAX = 0.98
+"""Largest root of the characteristic polynomial: waves die out, and never grow."""
+
+
+def fit_autoregression(w: Array) -> tuple[Array, Array]:
+    """Return coefficients and noise of the autoregression of each column.
+
+    Parameters
+    ----------
+    w : ndarray, shape (N, c)
+        Evenly sampled residuals, about zero; more than twice :data:`ORDER` rows.
+
+    Returns
+    -------
+    coefficients : ndarray, shape (6, c)
+        Of the last value first; stable.
+    noise : ndarray, shape (c,)
+        Standard deviation of what cannot be foretold.
+    """
+    N, c = w.shape
+    past = np.stack([w[ORDER - 1 - k : N - 1 - k] for k in range(ORDER)], axis=1)
+    now = w[ORDER:]
+    coefficients, noise = np.zeros((ORDER, c)), np.zeros(c)
+    for j in range(c):
+        X = past[:, :, j]
+        G = X.T @ X
+        G[range(ORDER), range(ORDER)] += RIDGE * np.trace(G) / ORDER + 1e-12
+        a = np.linalg.solve(G, X.T @ now[:, j])
+        companion = np.eye(ORDER, k=-1)
+        companion[0] = a
+        largest = float(np.abs(np.linalg.eigvals(companion)).max())
+        if largest > ROOT_MAX:
+            a *= (ROOT_MAX / largest) ** np.arange(1, ORDER + 1)
+        coefficients[:, j] = a
+        noise[j] = np.sqrt(np.mean((now[:, j] - X @ a) ** 2))
+    return coefficients, noise
+
+
+@kernel
+def simulate_waves(past, coefficients, noise, shocks, out):
+    """Write paths of the autoregression after a past.
+
+    Parameters
+    ----------
+    past : (6, c) array
+        Last values, newest first.
+    coefficients, noise : (6, c), (c,) arrays
+        From :func:`fit_autoregression`.
+    shocks : (D, K, c) array
+        Standard normal numbers; zeros give the mean path.
+    out : (D, K, c) array
+        Paths.
+    """
+    for d in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            for j in range(out.shape[2]):
+                value = noise[j] * shocks[d, k, j]
+                for i in range(past.shape[0]):
+                    value += coefficients[i, j] * (
+                        out[d, k - 1 - i, j] if i < k else past[i - k, j]
+                    )
+                out[d, k, j] = value
