@@ -29,8 +29,9 @@ from twin.identifier import (
     rooms,
     see,
 )
-from twin.model import N_STATES, model_of
+from twin.model import N_STATES, _all_terms, model_of
 from twin.particulars import Particulars
+from twin.structure import N_TERMS
 from twin.ukf import measurement_update
 from twin.window import NOISE_FORMS, DynamicWindow, NoiseLimits, WaveProxy, adapt_noise
 from usv_kernel import kernel
@@ -199,7 +200,9 @@ class DSWPredictor(ModelPredictor):
         if self.stride and self._count % self.stride == 0 and self._count > W:
             self._restart(W)
         hold_inside(ukf.x, ukf.envelope)
-        see(dt, *ukf.arguments)
+        terms = ukf.scratch[2 * N_STATES**2 :][:N_TERMS]
+        _all_terms(ukf.x, ukf.act, ukf.wind, ukf.kit, terms)
+        see(dt, terms, ukf.memory, ukf.kit)
 
     def _restart(self, W: int) -> None:
         """Use the last W rows once more, starting from the measured state."""

@@ -214,14 +214,16 @@ def advance(dt, cmd, memory, constants, scratch, work, kit):
 
 
 @kernel
-def see(dt, memory, constants, scratch, work, kit):
+def see(dt, terms, memory, kit):
     """Add the terms of the moment to what was seen, at SEE_EVERY.
 
     Parameters
     ----------
     dt : float
         Time since the call before, s.
-    memory, constants, scratch, work, kit
+    terms : ndarray
+        All terms of the moment.
+    memory, kit
         Of a :class:`JointUKF`. Its memory ends with the time since terms were added, the time
         seen (s), and a Gram matrix for each of surge, sway and yaw.
     """
@@ -233,9 +235,6 @@ def see(dt, memory, constants, scratch, work, kit):
     seconds = min(seen[0], SEE_MAX)
     seen[0] = 0.0
     seen[1] += seconds
-    x, _, act, wind, _, _, _, _, _, _, _, _ = parts(memory, constants, kit)
-    terms = rooms(scratch, kit)[2]
-    _all_terms(x, act, wind, kit, terms)
     first = 2
     for i in range(3):
         low, high = kit[1][3 + i, 0] - N_STATES, kit[1][3 + i, 1] - N_STATES
@@ -286,6 +285,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         model[k] = 0.0
     if nav[BEGUN] > 0.0:
         _all_terms(x, act, wind, kit, terms)
+        see(dt, terms, memory, kit)
         du, dv, dr = accelerations(terms, kit, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
         model[0] = min(max(du, -speed * turn), speed * turn)
@@ -309,7 +309,6 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         mask[i] = 1.0
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
-    see(dt, memory, constants, scratch, work, kit)
     nav[_SINCE_AID] += dt
     if status[GPS_AGE] > AID_AFTER and nav[_SINCE_AID] >= AID_EVERY:
         nav[_SINCE_AID] = 0.0

@@ -185,7 +185,8 @@ class Twin:
             Names what is wrong; the twin is then as it was before.
         """
         z = np.asarray(z, dtype=np.float64)
-        cmd = np.asarray(cmd, dtype=np.float64)
+        # what the caller does to its array later is no command
+        cmd = np.array(cmd, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
                 f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
