@@ -806,8 +806,8 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
     table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
-    for name in ("", "unit", "prior", "sd", "now", "sd", "ratio", "told by"):
-        left = name in ("", "unit", "told by")
+    for name in ("", "unit", "prior", "sd", "now", "sd", "ratio", "told"):
+        left = name in ("", "unit", "told")
         table.add_column(name, justify="left" if left else "right", no_wrap=True)
     seen = twin.predictor.identifiability()
     found = {} if seen is None else {item.name: item for item in seen.parameters}
@@ -818,11 +818,11 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
         told = ""
         if name in found:
-            told = "a sum" if found[name].merged_into else _told(found[name])
+            told = "sum" if found[name].merged_into else _told(found[name])
         table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", told)
     console.print(table)
     console.print(
-        "ratio: sd over that of the prior; told by data: it fell to 0.71 or below, and the "
+        "ratio: sd over that of the prior; told by the data: it fell to 0.71 or below, and the "
         "parameter's own regressor was seen. Only the sums below are told of their members, "
         "whose regressors were alike (cosine above 0.999).",
         style="dim",
