@@ -805,7 +805,9 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
-    table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
+    table = Table(
+        title="parameters (mean and standard deviation)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
     for name in ("", "unit", "prior", "sd", "now", "sd", "ratio", "told"):
         left = name in ("", "unit", "told")
         table.add_column(name, justify="left" if left else "right", no_wrap=True)
