@@ -342,11 +342,13 @@ def benchmark_command(
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
 
-    A 10 s prediction every second after 80 s of identification, scored against the truth.
-    Without arguments: a 20 degree turn and a 20/-20 zigzag of the 7.5 m boat in sea state 2,
-    six seeds each, and one recorded run of a real boat. Writes results.json, report.html,
-    the pictures, and every run as a log that identify and predict read. Ctrl-C keeps what is
-    finished; the same command goes on from there.
+    A 10 s prediction every second after 80 s of identification, scored against the truth;
+    every seed is another boat of the same kind in another sea. J and E measure each predictor
+    against the oracle: the true boat in the mean wind. Without arguments: a 20 degree turn and
+    a 20/-20 zigzag of 7.5 m boats in sea state 2, six seeds each, future commands known and
+    held, and one recorded run of a real boat. Writes results.json, report.html, the pictures,
+    and every run as a log that identify and predict read. Ctrl-C keeps what is finished; the
+    same command goes on from there.
     """
     asked = _listed(predictors, "--predictors")
     names, notes = bench.available(asked)
