@@ -58,7 +58,7 @@ def test_shipped_boats_are_what_the_function_makes(model: str, kind: str) -> Non
         xi, error, names = pop.member(model, draw, pop.SEED, int(boat))
         assert names == prior.parameters
         assert np.all(error <= pop.LARGEST_ERROR)
-        # the fit ends at a relative change of 1e-3; other processors may end a step apart
+        # fits end at a relative change of 1e-4; other processors may end a step apart
         assert np.all(np.abs(xi - prior.members[row]) < 0.02 * sd)
 
 
@@ -177,7 +177,7 @@ def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
     states[1:] += own * units
     twin = dataclasses.replace(run, states=states)
     xi, error = pop.project(structure, [twin])
-    # the structure's own mean still pulls a little, and the fit ends at 1e-3
+    # the mean of the structure still pulls a little
     assert np.all(error < 0.1 * pop.project(structure, [run])[1] + 1e-3)
     assert np.max(np.abs(pop.rolled(structure, xi, twin))) < 0.03
 
