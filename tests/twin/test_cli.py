@@ -18,7 +18,6 @@ import pytest
 import usv_gym
 from twin import Log, Twin, recorded_runs
 from twin.cli import _expand, _seeds
-from twin.model import PARAMETER_NAMES
 from twin.predictor import CHANNELS
 from twin.simulated import particulars_of
 from twin.wrapper import log_of
@@ -74,7 +73,7 @@ def test_identify_equals_the_twin_in_python(folder):
     assert "\u2026" not in out.stdout
     last = json.loads((folder / "last.json").read_text())
     assert list(last["state"].values()) == estimate.s.tolist()
-    assert [last["parameters"][name] for name in PARAMETER_NAMES] == estimate.xi.tolist()
+    assert [last["parameters"][name] for name in twin.predictor.parameter_names] == estimate.xi.tolist()
     with (folder / "all.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(log)

@@ -12,7 +12,6 @@ import pytest
 
 from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
 from twin.log import MEASUREMENTS
-from twin.model import PARAMETER_NAMES
 from twin.predictor import Predictor, hold_velocity
 from twin.registry import EXTRAS, PredictorError
 from twin.twin import known_plan
@@ -167,7 +166,7 @@ def test_ukf_identifies_the_boat(zigzag, boat):
     prior = twin.estimate()
     feed(twin, zigzag, len(zigzag))
     last = twin.estimate()
-    named = dict(zip(PARAMETER_NAMES, last.xi, strict=True))
+    named = dict(zip(twin.predictor.parameter_names, last.xi, strict=True))
     assert named["X_uu"] < 0
     assert named["T_uL"] > 0
     assert named["Y_v"] < 0
