@@ -350,14 +350,14 @@ class Segments:
         start = self.xi
         for _ in range(iterations):
             weight = self.costs(self.xi)[1] * self.settings.scale
-            A = self.information + np.tensordot(weight, H, 1)
+            A = curvature = self.information + np.tensordot(weight, H, 1)
             pull = b + np.einsum("ijk,ik->ij", H, at)
             target = self.information @ self.prior + weight @ pull
             if damping > 0.0:
                 A = A + damping * self.information
                 target = target + damping * self.information @ start
             self.xi = np.linalg.solve(A, target)
-        self.cov = np.linalg.inv(A)
+        self.cov = np.linalg.inv(curvature)
         self.cov = 0.5 * (self.cov + self.cov.T)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
