@@ -302,7 +302,8 @@ def _solve(
         if cholesky(A, L) > 0:
             return  # The prior alone is definite: this is rounding, and the next window's matter.
         solve_factored(L, pull, xi)
-    invert(L, cov)
+    if damping == 0.0:  # else it would be that of the step, not of the least
+        invert(L, cov)
 
 
 class Segments:

@@ -15,8 +15,10 @@ import pytest
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin
 from twin.identifier import JointUKF, plain_settings
+from twin.log import MEASUREMENTS
 from twin.model import derivative, joint_predict
 from twin.simulated import particulars_of, simulate
+from twin.structure import MODELS, N_TERMS
 from twin.ukf import measurement_update
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
@@ -96,39 +98,45 @@ def test_python_vehicle_simulator_otter(benchmark):
     benchmark(run)
 
 
-@pytest.mark.benchmark(group="UKF with 6 states and 25 parameters: one predict and update")
-def test_structured_ukf(benchmark):
-    ukf = JointUKF(BOAT, plain_settings(BOAT))
+UKF_GROUP = "UKF with 6 states and the model's parameters: one predict and update"
+
+
+@pytest.mark.benchmark(group=UKF_GROUP)
+@pytest.mark.parametrize("model", MODELS)
+def test_structured_ukf(benchmark, model):
+    settings = plain_settings(BOAT, model)
+    ukf = JointUKF(BOAT, settings)
     ukf.x[3] = 5.0
-    ukf.act[:] = 20.0, 20.0, 0.1, 0.1
+    n = 20.0 * settings.n_unit
+    ukf.act[:] = n, n, 0.1, 0.1
     z, mask = ukf.x[:6].copy(), np.ones(6, dtype=bool)
-    np.fill_diagonal(ukf.R, 0.1)
-    np.fill_diagonal(ukf.Q, 1e-4)
+    Q, R = 1e-4 * np.eye(6), 0.1 * np.eye(6)
+    step = (0.05, Q, settings.q_xi, ukf.weights, np.empty(N_TERMS), ukf.work)
 
     def run():
-        joint_predict(*(ukf.x, ukf.P, ukf.act, 0.0, 0.05, ukf.Q, ukf.qx, ukf.weights, ukf.work))
-        measurement_update(ukf.x, ukf.P, z, mask, ukf.R, 2, math.inf, ukf.work)
+        joint_predict(ukf.x, ukf.P, ukf.act, ukf.wind, ukf.kit, *step)
+        measurement_update(ukf.x, ukf.P, z, mask, R, 2, math.inf, ukf.work)
 
     run()
     benchmark(run)
 
 
-@pytest.mark.benchmark(group="UKF with 6 states and 25 parameters: one predict and update")
+@pytest.mark.benchmark(group=UKF_GROUP)
 def test_filterpy_ukf(benchmark):
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
     settings = plain_settings(BOAT)
-    phi, rate = np.zeros(25), np.zeros(6)
-    act = np.array([20.0, 20.0, 0.1, 0.1])
+    terms, rate = np.zeros(N_TERMS), np.zeros(6)
+    act, wind = np.array([20.0, 20.0, 0.1, 0.1]), np.zeros(2)
 
     def move(x, dt):
-        derivative(x[:6], x[6:], act, 0.0, phi, rate)
+        derivative(x[:6], x[6:], act, wind, settings.structure.kit, terms, rate)
         return np.concatenate([x[:6] + dt * rate, x[6:]])
 
     points = MerweScaledSigmaPoints(31, 1.0, 2.0, 0.0)
     ukf = UnscentedKalmanFilter(31, 6, 0.05, lambda x: x[:6], move, points)
     ukf.x = np.concatenate([[0, 0, 0, 5.0, 0, 0], settings.xi0])
-    ukf.P = np.diag(np.concatenate([settings.p0, settings.xi0_var]))
+    ukf.P = np.diag(np.concatenate([settings.p0, np.diag(settings.xi0_cov)]))
     ukf.Q = np.diag(np.concatenate([np.full(6, 1e-4), np.zeros(25)]))
     ukf.R = 0.1 * np.eye(6)
     z = ukf.x[:6].copy()
@@ -141,7 +149,7 @@ def test_filterpy_ukf(benchmark):
 
 
 @pytest.mark.benchmark(group="twin: one row, and one 10 s prediction")
-@pytest.mark.parametrize("name", ["persistence", "ukf", "dsw-ukf"])
+@pytest.mark.parametrize("name", ["persistence", "ukf", "dsw-ukf", "dsw-ukf-plus"])
 def test_row(benchmark, name):
     log = simulate(
         "zigzag",
@@ -161,7 +169,10 @@ def test_row(benchmark, name):
 
 
 @pytest.mark.benchmark(group="twin: one row, and one 10 s prediction")
-def test_prediction_with_bands(benchmark):
-    twin = Twin(BOAT, "ukf")
-    twin.step(0.0, np.array([0, 0, 5, 0, 0, 0, 0, 0, np.nan]), np.array([20.0, 20.0, 0.1, 0.1]))
+@pytest.mark.parametrize("name", ["ukf", "dsw-ukf-plus"])
+def test_prediction_with_bands(benchmark, name):
+    twin = Twin(BOAT, name)
+    z = np.full(len(MEASUREMENTS), np.nan)
+    z[:8] = 0, 0, 5, 0, 0, 0, 0, 0
+    twin.step(0.0, z, np.array([20.0, 20.0, 0.1, 0.1]))
     benchmark(twin.predict)

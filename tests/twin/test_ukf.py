@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from twin import model, ukf
 from twin.particulars import Particulars
+from twin.structure import MODELS, N_TERMS, Structure
 
 H = 0.05
 BOAT = Particulars(
@@ -28,43 +30,60 @@ STEP_SD = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125])
 START_SD = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05])
 
 
-def start() -> tuple[np.ndarray, np.ndarray]:
+PAPER = model.model_of(BOAT, "paper")
+SHAFT = 6.33
+CALM, WINDY = np.zeros(2), np.array([-6.0, 8.0])
+
+
+def start(structure: Structure = PAPER) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and covariance at the start; the covariance is full."""
-    xi, sd = model.hand_prior(BOAT)
-    x = np.concatenate([[0.0, 0.0, 6.2, 5.0, 0.0, 0.0], xi])
-    sd = np.concatenate([START_SD, sd])
-    mix = np.eye(31) + 0.1 * np.random.default_rng(1).normal(size=(31, 31))
+    n = 6 + len(structure)
+    x = np.concatenate([[0.0, 0.0, 6.2, 5.0, 0.0, 0.0], structure.mean])
+    sd = np.concatenate([START_SD, structure.sd])
+    mix = np.eye(n) + 0.1 * np.random.default_rng(1).normal(size=(n, n))
     P = mix @ mix.T * np.outer(sd, sd)
     return x, (P + P.T) / 2.0
 
 
-def run_of_boat(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def run_of_boat(
+    steps: int, seed: int, structure: Structure = PAPER, wind: np.ndarray = CALM
+) -> tuple[np.ndarray, np.ndarray]:
     """Return actuators (steps, 4) and noisy states (steps, 6) of a boat in random turns."""
     rng = np.random.default_rng(seed)
-    xi = model.hand_prior(BOAT)[0]
     angles = np.repeat(rng.uniform(-0.2, 0.35, steps // 50 + 1), 50)[:steps]
-    acts = np.column_stack([np.full((steps, 2), 6.33), angles, angles])
-    s, after, phi = np.array([0.0, 0.0, 6.2, 5.0, 0.0, 0.0]), np.empty(6), np.empty(25)
+    # fixed propellers turn the boat by their difference, drives by their angles
+    n = SHAFT * structure.n_unit
+    acts = np.column_stack([n * (1.0 + 0.5 * angles), n * (1.0 - 0.5 * angles), angles, angles])
+    s, after, terms = np.array([0.0, 0.0, 6.2, 5.0, 0.0, 0.0]), np.empty(6), np.empty(N_TERMS)
     states = np.empty((steps, 6))
     for k in range(steps):
-        model.step(s, xi, acts[k], 0.0, H, phi, after)
+        model.step(s, structure.mean, acts[k], wind, structure.kit, H, terms, after)
         s = after + 0.3 * STEP_SD * rng.normal(size=6)
         states[k] = s + SENSOR_SD * rng.normal(size=6)
     return acts, states
 
 
 class FullFilter:
-    """filterpy's filter with all 63 points on the same model."""
+    """filterpy's filter with all points (63 for 25 parameters) on the same model."""
 
-    def __init__(self, x: np.ndarray, P: np.ndarray, alpha: float, beta: float, kappa: float):
-        points = MerweScaledSigmaPoints(31, alpha, beta, kappa)
-        self.f = UnscentedKalmanFilter(31, 6, H, None, self.move, points)
+    def __init__(
+        self,
+        x: np.ndarray,
+        P: np.ndarray,
+        scaling: tuple[float, float, float],
+        structure: Structure,
+        wind: np.ndarray,
+    ) -> None:
+        self.kit, self.wind, self.terms = structure.kit, wind, np.empty(N_TERMS)
+        points = MerweScaledSigmaPoints(len(x), *scaling)
+        self.f = UnscentedKalmanFilter(len(x), 6, H, None, self.move, points)
         self.f.x, self.f.P = x.copy(), P.copy()
 
-    @staticmethod
-    def move(x: np.ndarray, dt: float, act: np.ndarray) -> np.ndarray:
+    def move(self, x: np.ndarray, dt: float, act: np.ndarray) -> np.ndarray:
         after = x.copy()
-        model.step(x[:6].copy(), x[6:].copy(), act, 0.0, dt, np.empty(25), after[:6])
+        model.step(
+            *(x[:6].copy(), x[6:].copy(), act, self.wind, self.kit, dt, self.terms, after[:6])
+        )
         return after
 
     def step(
@@ -89,28 +108,42 @@ def spread_of(rng: np.random.Generator, sd: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("scaling", "losses", "changing"),
+    ("structure", "scaling", "losses", "changing"),
     [
-        pytest.param((1.0, 2.0, 0.0), False, False, id="plain"),
-        pytest.param((1.0, 2.0, 0.0), True, False, id="missing measurements"),
-        pytest.param((1.0, 2.0, 0.0), False, True, id="Q and R change"),
-        pytest.param((0.9, 1.5, 10.0), True, True, id="all, and another scaling"),
+        pytest.param(PAPER, (1.0, 2.0, 0.0), False, False, id="plain"),
+        pytest.param(PAPER, (1.0, 2.0, 0.0), True, False, id="missing measurements"),
+        pytest.param(PAPER, (1.0, 2.0, 0.0), False, True, id="Q and R change"),
+        pytest.param(PAPER, (0.9, 1.5, 10.0), True, True, id="all, and another scaling"),
+        *(
+            # the heading moves the regressors by way of biases and wind
+            pytest.param(
+                model.model_of(dataclasses.replace(BOAT, steering=steering), name, biased=True),
+                *(scaling, True, True),
+                id=f"all, {name}, biased, {steering}",
+            )
+            for name in MODELS
+            for steering, scaling in (
+                ("drives", (1.0, 2.0, 0.0)),
+                ("differential", (0.9, 1.5, 10.0)),
+            )
+        ),
     ],
 )
 def test_equals_the_full_filter(
-    scaling: tuple[float, float, float], losses: bool, changing: bool
+    structure: Structure, scaling: tuple[float, float, float], losses: bool, changing: bool
 ) -> None:
-    steps = 1000
+    p = len(structure)
+    steps, wind = (1000, CALM) if structure is PAPER else (400, WINDY)
     rng = np.random.default_rng(7)
-    acts, zs = run_of_boat(steps, 3)
+    acts, zs = run_of_boat(steps, 3, structure, wind)
     assert np.min(zs[:, 2]) < 2.0 * math.pi < np.max(zs[:, 2])
     zs[:, 2] = np.mod(zs[:, 2], 2.0 * math.pi)  # As a compass has it: must be wrapped.
-    x, P = start()
-    full = FullFilter(x, P, *scaling)
-    weights, work = ukf.scaled_weights(31, *scaling), ukf.workspace(6, 25)
+    x, P = start(structure)
+    full = FullFilter(x, P, scaling, structure, wind)
+    weights, work = ukf.scaled_weights(6 + p, *scaling), ukf.workspace(6, p)
+    terms = np.empty(N_TERMS)
     Q_s, R = np.diag(STEP_SD**2), np.diag(SENSOR_SD**2)
-    sd_0 = model.hand_prior(BOAT)[1]
-    q_xi = (1e-3 * sd_0) ** 2
+    q_xi = (1e-3 * structure.sd) ** 2
     mask = np.ones(6, dtype=bool)
     worst = 0.0
     for k in range(steps):
@@ -118,12 +151,14 @@ def test_equals_the_full_filter(
             mask = rng.random(6) > 0.4 if k % 7 else np.zeros(6, dtype=bool)
         if changing:
             Q_s, R = spread_of(rng, STEP_SD), spread_of(rng, SENSOR_SD)
-            q_xi = (2e-3 * rng.random(25) * sd_0) ** 2
-        Q = np.zeros((31, 31))
+            q_xi = (2e-3 * rng.random(p) * structure.sd) ** 2
+        Q = np.zeros((6 + p, 6 + p))
         Q[:6, :6], Q[6:, 6:] = Q_s, np.diag(q_xi)
         full.step(acts[k], zs[k], mask, Q, R)
         z = np.where(mask, zs[k], math.nan)
-        assert model.joint_predict(x, P, acts[k], 0.0, H, Q_s, q_xi, weights, work) == 0
+        kit = structure.kit
+        repairs = model.joint_predict(x, P, acts[k], wind, kit, H, Q_s, q_xi, weights, terms, work)
+        assert repairs == 0
         ukf.measurement_update(x, P, z, mask, R, 2, math.inf, work)
         sd = np.sqrt(np.diag(full.f.P))
         worst = max(
@@ -250,7 +285,8 @@ def test_a_prediction_that_overflows_is_dropped() -> None:
     Q_s, q_xi = np.diag(STEP_SD**2), np.full(25, 1e-6)
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     act = np.array([6.33, 6.33, 0.0, 0.0])
-    assert model.joint_predict(x, P, act, 0.0, H, Q_s, q_xi, weights, work) == 1
+    how = (act, CALM, PAPER.kit, H, Q_s, q_xi, weights, np.empty(N_TERMS), work)
+    assert model.joint_predict(x, P, *how) == 1
     assert np.array_equal(x, before_x)
     np.testing.assert_array_equal(np.diag(P - before_P)[:6] > 0.0, True)
 
@@ -269,12 +305,13 @@ def test_survives_losses_and_outliers(seed: int, loss: float, outliers: float, g
     x, P = start()
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     Q_s, R = np.diag(STEP_SD**2), np.diag(SENSOR_SD**2)
-    q_xi = (1e-3 * model.hand_prior(BOAT)[1]) ** 2
+    q_xi, terms = (1e-3 * PAPER.sd) ** 2, np.empty(N_TERMS)
     masks = rng.random((steps, 6)) >= loss
     wild = rng.random((steps, 6)) < outliers
     zs = zs + np.where(wild, 1e6 * SENSOR_SD * rng.normal(size=(steps, 6)), 0.0)
     for k in range(steps):
-        repairs = model.joint_predict(x, P, acts[k], 0.0, H, Q_s, q_xi, weights, work)
+        how = (acts[k], CALM, PAPER.kit, H, Q_s, q_xi, weights, terms, work)
+        repairs = model.joint_predict(x, P, *how)
         ukf.measurement_update(x, P, zs[k], masks[k], R, 2, gate, work)
         assert np.isfinite(x).all() and np.isfinite(P).all()
         assert np.array_equal(P, P.T)
