@@ -30,10 +30,12 @@ from twin.model import (
 )
 from twin.navigation import (
     GPS_AGE,
+    IMU_AGE,
     N_NAV,
     READY_FIX,
     READY_HEADING,
     STATUS_SIZE,
+    aid,
     aid_velocity,
     initial_navigation,
     navigate,
@@ -68,6 +70,9 @@ BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
 AID_SD = 0.25 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in usual speeds."""
+AID_TURN = 0.04
+"""Standard deviation of the model's yaw rate as an aid, in usual speeds over length."""
+ECHO = 400.0
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
@@ -258,13 +263,32 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
     for i in range(N_STATES):
         R[i, i] = STUDY_STEP * r[i] / row + P_nav[i, i]
         mask[i] = 1.0
+    no_gps, no_imu = status[GPS_AGE] > AID_AFTER, status[IMU_AGE] > AID_AFTER
+    if no_gps:
+        # what the navigation then says of them is in part the model's own
+        mask[0] = mask[1] = 0.0
+        R[3, 3] *= ECHO
+        R[4, 4] *= ECHO
+    if no_imu:
+        mask[5] = 0.0
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
     nav[_SINCE_AID] += dt
-    if status[GPS_AGE] > AID_AFTER and nav[_SINCE_AID] >= AID_EVERY:
+    if (no_gps or no_imu) and nav[_SINCE_AID] >= AID_EVERY:
         nav[_SINCE_AID] = 0.0
-        aid_var = (AID_SD * 0.25 * envelope[0]) ** 2
-        aid_velocity(n, P_nav, x[3], x[4], aid_var, status, nav_work[0], nav_work[1])
+        speed, turn = 0.25 * envelope[0], 0.25 * envelope[2]
+        aid_velocity(
+            *(n, P_nav, x[3], x[4], (AID_SD * speed) ** 2, status),
+            *(nav_work[0], nav_work[1]),
+        )
+        if no_imu:
+            aid(n, P_nav, 5, x[5], (AID_TURN * turn) ** 2, status, nav_work[0], nav_work[1])
+    if no_gps:
+        for i in range(2):
+            spread = P[i, i]
+            for k in range(N):
+                P[i, k] = P[k, i] = 0.0
+            x[i], P[i, i] = n[i], spread
 
 
 @kernel
