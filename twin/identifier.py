@@ -68,7 +68,7 @@ GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
-AID_SD = 0.25 / STUDY_SPEED
+AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in usual speeds."""
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in usual speeds over length."""

@@ -64,7 +64,7 @@ STEP_MAX = 0.1
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 
-AIDED, AIDED_TURN = 0.1, 0.2
+AIDED, AIDED_TURN = 0.05, 0.05
 """How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
 
 _VARIANCE_MIN = 1e-12

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 UPRIGHT = 0.07
 """Room for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
-TILT_SD, TILT_TIME = 0.05, 1.0
+TILT_SD, TILT_TIME = 0.08, 1.0
 """Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
 
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
