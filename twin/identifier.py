@@ -73,6 +73,10 @@ AID_SD = 0.5 / STUDY_SPEED
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in usual speeds over length."""
 ECHO = 400.0
+"""Without GPS the error of the navigation's velocity lasts: so many rows count as one."""
+RESTART_AFTER = 4.0
+"""After so long without GPS (in lengths over usual speed) the state starts anew with the next
+fix; the parameters stay."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
@@ -248,7 +252,8 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
         model[1] = min(max(dv, -speed * turn), speed * turn)
         model[2] = min(max(dr, -turn * turn), turn * turn)
         model[3] = 1.0
-    navigate(n, P_nav, min(dt, GAP_MAX), z, model, nav_settings, status, nav_work)
+    age = status[GPS_AGE] + dt
+    navigate(n, P_nav, dt, z, model, nav_settings, status, nav_work)
     if nav[_BEGUN] == 0.0:
         for k in range(2):
             act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
@@ -257,6 +262,14 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
                 x[i] = n[i]
                 P[i, i] = constants[_P0 + i]
             nav[_BEGUN] = 1.0
+        return
+    if age > RESTART_AFTER * 4.0 / envelope[2] and status[GPS_AGE] == 0.0:
+        # so long a roll-out is far from linear in the parameters: its error would ruin them
+        for i in range(N_STATES):
+            for k in range(N):
+                P[i, k] = P[k, i] = 0.0
+            x[i], P[i, i] = n[i], constants[_P0 + i] + P_nav[i, i]
+        _follow_commands(act, cmd, lags, n_unit, dt)
         return
     advance(x, P, act, cmd, dt, lags, n_unit, differential, q, q_xi, weights, Q, qx, work)
     row = max(dt, 1e-3)

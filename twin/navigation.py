@@ -574,18 +574,20 @@ def navigate(n, P, dt, z, model, settings, status, work):
             status[_LAST + 6], status[_LAST + 7] = last_x, last_y
         else:
             status[REFUSED + 6] = 0.0
+    # what a model gives for this moment does not last through a gap
+    modelled = model[3] > 0.0 and dt * dt * settings[_R_VAR_0] <= 1.0
     r_rate, r_mean, r_var = 0.0, n[5], settings[_R_DENSITY]
     if gyro:
         change = z[5] - n[6] - n[5]
         S = P[5, 5] + 2.0 * P[5, 6] + P[6, 6] + settings[_GYRO_VAR] + r_var * dt
         if change * change < GATE * GATE * S:
             r_mean += 0.5 * change
-    elif model[3] > 0.0:
+    elif modelled:
         r_rate, r_var = model[2], settings[_R_AIDED_DENSITY]
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
     ax, ay, held = 0.0, 0.0, settings[_HELD_DENSITY] * h
-    if model[3] > 0.0:
+    if modelled:
         ax, ay, held = model[0], model[1], settings[_AIDED_DENSITY] * h
     path = status[_PATH:_COUNT]
     for j in range(steps):
