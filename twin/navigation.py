@@ -54,9 +54,9 @@ REFUSED_MAX = 20.0
 """... unless this many in a row were refused, one that comes after a pause of 1 s counting
 for :data:`REFUSED_RATE`."""
 REFUSED_RATE = 5.0
-SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH = 20.0, 10.0, 50.0, 1e7
-"""No boat does more: speed in usual speeds, yaw rate in rad/s, specific force in m/s2, and
-position in m. Numbers beyond are no samples."""
+SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
+"""No boat does more: speed in usual speeds, yaw rate in rad/s, specific force in m/s2,
+position in m, and heading in rad (not wrapped). Numbers beyond are no samples."""
 FROZEN_TIME = 2.0
 """Seconds after which numbers that do not change may mean a boat that does not move."""
 STEP_MAX = 0.1
@@ -370,7 +370,7 @@ def _start(n, P, z, settings, status):
     """Take heading and fix as they come, until both are there."""
     speed = settings[_VELOCITY_VAR_0]
     fastest = SPEED_LIMIT * math.sqrt(speed)
-    if math.isfinite(z[4]):
+    if abs(z[4]) < ROUNDS:
         n[2] = z[4]
         status[READY_HEADING] = 1.0
     if abs(z[0]) < REACH and abs(z[1]) < REACH:
@@ -623,7 +623,7 @@ def navigate(n, P, dt, z, model, settings, status, work):
         if _correct(n, P, H, innovation, settings[_GYRO_VAR], age, status, 5, gain, A):
             status[IMU_AGE] = 0.0
         H[5] = H[6] = 0.0
-    if math.isfinite(z[4]):
+    if abs(z[4]) < ROUNDS:
         innovation = wrap(z[4] - n[2] - n[9])
         var, age = settings[_COMPASS_VAR], status[COMPASS_AGE]
         if not compass_repeats or (
