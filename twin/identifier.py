@@ -35,6 +35,7 @@ from twin.navigation import (
     READY_FIX,
     READY_HEADING,
     STATUS_SIZE,
+    WORK_ROWS,
     aid,
     aid_velocity,
     initial_navigation,
@@ -44,7 +45,7 @@ from twin.navigation import (
 from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction, Predictor
 from twin.ukf import measurement_update, scaled_weights, workspace
-from usv_kernel import kernel
+from usv_kernel import kernel, wrap
 
 __all__ = [
     "FilterSettings",
@@ -76,7 +77,9 @@ ECHO = 400.0
 """Without GPS the error of the navigation's velocity lasts: so many rows count as one."""
 RESTART_AFTER = 4.0
 """After so long without GPS (in lengths over usual speed) the state starts anew with the next
-fix; the parameters stay."""
+fix; the parameters stay ..."""
+ASTRAY = 10.0
+"""... as where it is so many standard deviations from what the navigation says."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
@@ -263,8 +266,14 @@ def _tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scra
                 P[i, i] = constants[_P0 + i]
             nav[_BEGUN] = 1.0
         return
-    if age > RESTART_AFTER * 4.0 / envelope[2] and status[GPS_AGE] == 0.0:
-        # so long a roll-out is far from linear in the parameters: its error would ruin them
+    # so long a roll-out is far from linear in the parameters: its error would ruin them
+    astray = age > RESTART_AFTER * 4.0 / envelope[2] and status[GPS_AGE] == 0.0
+    for i in range(N_STATES):
+        off = n[i] - x[i]
+        if i == PSI:
+            off = wrap(off)
+        astray = astray or off * off > ASTRAY**2 * (P[i, i] + P_nav[i, i] + r[i])
+    if astray:
         for i in range(N_STATES):
             for k in range(N):
                 P[i, k] = P[k, i] = 0.0
@@ -536,7 +545,7 @@ class UKFPredictor(ModelPredictor):
         self._nav_settings = navigation_settings(particulars)
         ukf = self.ukf
         self._arguments = (
-            *(self.nav, self._nav_settings, np.zeros((2 + N_NAV, N_NAV))),
+            *(self.nav, self._nav_settings, np.zeros((WORK_ROWS, N_NAV))),
             *(ukf.memory, ukf.constants, ukf.scratch, ukf.work),
         )
         self.reset()

@@ -48,6 +48,7 @@ __all__ = ["GPS_AGE", "N_NAV", "Navigator", "aid_velocity", "navigate", "navigat
 Array = NDArray[np.float64]
 
 N_NAV = 12
+WORK_ROWS = N_NAV + 4
 GATE = 6.0
 """Standard deviations beyond which a number is refused ..."""
 REFUSED_MAX = 20.0
@@ -191,7 +192,7 @@ def _mend(P, root):
                 rest -= root[i, k] * root[j, k]
             if j < i:
                 root[i, j] = rest / root[j, j]
-            elif rest > 1e-13 * P[i, i]:
+            elif rest > 1e-11 * P[i, i]:
                 root[i, i] = math.sqrt(rest)
             else:
                 for a in range(N_NAV):
@@ -482,9 +483,12 @@ def _back_then(n, status, settings, past):
 
 
 @kernel
-def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A):
+def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A, past, before):
     """Correct by position and velocity of the antenna when the fix was taken."""
-    past = A[N_NAV - 1]
+    _back_then(n, status, settings, past)
+    for i in range(N_NAV):
+        before[i] = n[i]
+    c, s = math.cos(past[4]), math.sin(past[4])
     late, age = settings[_LATENCY], status[GPS_AGE]
     # what velocity gains on its way from then to now, that nobody knows of
     drift = settings[_ACCEL_VAR] * min(dt, STEP_MAX) * late
@@ -496,15 +500,13 @@ def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A):
     for j in range(4):
         if not abs(z[j]) < (REACH if j < 2 else fastest):
             continue
-        _back_then(n, status, settings, past)
-        c, s = math.cos(past[4]), math.sin(past[4])
-        for i in range(N_NAV):
+        for i in range(6):
             H[i] = 0.0
         if j == 0:
-            expected = n[0] - past[0] + c * forward - s * side
+            expected = before[0] - past[0] + c * forward - s * side
             H[0], H[2], H[3], H[4] = 1.0, past[1] - s * forward - c * side, -past[2], past[3]
         elif j == 1:
-            expected = n[1] - past[1] + s * forward + c * side
+            expected = before[1] - past[1] + s * forward + c * side
             H[1], H[2], H[3], H[4] = 1.0, c * forward - s * side - past[0], -past[3], -past[2]
         else:
             u, v = past[5] - past[7] * side, past[6] + past[7] * forward
@@ -516,10 +518,12 @@ def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A):
                 expected = east
                 H[2], H[3], H[4], H[5] = north, s, c, c * forward - s * side
         innovation = z[j] - expected
+        for i in range(6):
+            innovation -= H[i] * (n[i] - before[i])
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        if _correct(n, P, H, innovation, variance, age, status, j, gain, A[: N_NAV - 1]):
+        if _correct(n, P, H, innovation, variance, age, status, j, gain, A):
             status[GPS_AGE] = 0.0
 
 
@@ -543,10 +547,10 @@ def navigate(n, P, dt, z, model, settings, status, work):
     status : ndarray, shape (STATUS_SIZE,)
         Two flags (fix and heading there), ages of the last GPS, compass and IMU sample (s),
         runs of refused numbers, and what the filter remembers; advanced in place.
-    work : ndarray, shape (14, 12)
+    work : ndarray, shape (WORK_ROWS, 12)
         Scratch.
     """
-    H, gain, A = work[0], work[1], work[2:]
+    H, gain, A = work[0], work[1], work[2 : 2 + N_NAV]
     dt = min(max(dt, 0.0), GAP_MAX)
     status[_CLOCK] += dt
     status[GPS_AGE] += dt
@@ -634,7 +638,10 @@ def navigate(n, P, dt, z, model, settings, status, work):
                 status[COMPASS_AGE] = 0.0
             H[2] = H[9] = 0.0
     if not gps_repeats or status[_STAYED] >= FROZEN_TIME:
-        _take_fix(n, P, z, dt, gps_repeats, settings, status, H, gain, A)
+        _take_fix(
+            *(n, P, z, dt, gps_repeats, settings, status),
+            *(H, gain, A, work[2 + N_NAV], work[3 + N_NAV]),
+        )
     _remember(n, status, settings)
 
 
@@ -677,7 +684,7 @@ class Navigator:
 
     def __init__(self, particulars: Particulars) -> None:
         self._settings = navigation_settings(particulars)
-        self._work = np.zeros((2 + N_NAV, N_NAV))
+        self._work = np.zeros((WORK_ROWS, N_NAV))
         self._model = np.zeros(4)
         self.reset()
 
