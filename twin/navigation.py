@@ -470,7 +470,9 @@ def _back_then(n, status, settings, past):
             share = min((newer[0] - then) / span, 1e3)
         for i in range(_COLUMNS):
             # ``newer`` may be ``past`` itself
-            past[i] = newer[i] + share * (older[i] - newer[i]) if i < 5 or share <= 1.0 else older[i]
+            past[i] = (
+                newer[i] + share * (older[i] - newer[i]) if i < 5 or share <= 1.0 else older[i]
+            )
     turned, du, dv = status[_CORRECTED], status[_CORRECTED + 1], status[_CORRECTED + 2]
     c, s = math.cos(turned), math.sin(turned)
     C, S = status[_PATH + 2] - past[3], status[_PATH + 3] - past[4]
@@ -612,9 +614,7 @@ def navigate(n, P, dt, z, model, settings, status, work):
         else:
             if not gyro:
                 r_mean = n[5] + 0.5 * h * r_rate
-            _predict(
-                n, P, h, ax, ay, held, False, r_mean, r_rate, r_var * h, settings, path, A
-            )
+            _predict(n, P, h, ax, ay, held, False, r_mean, r_rate, r_var * h, settings, path, A)
     if steps > 1:
         _mend(P, A)
 
