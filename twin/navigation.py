@@ -316,7 +316,7 @@ def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
         for k in range(N_NAV):
             P[i, k] -= gain[i] * gain[k] * inverse
         P[i, i] = max(P[i, i], _VARIANCE_MIN)
-    if S > _SHARP * variance:
+    if S / variance > _SHARP:
         _mend(P, A)
     return True
 
@@ -495,6 +495,9 @@ def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A, past, before):
     # what velocity gains on its way from then to now, that nobody knows of
     drift = settings[_ACCEL_VAR] * min(dt, STEP_MAX) * late
     drift += settings[_TILT_VAR] * late * min(late, 2.0 * settings[_TILT_TIME])
+    drift += max(P[7, 7], P[8, 8]) * late * late
+    # ... shared by all fixes of that time
+    drift *= max(late / max(age, dt, 1e-3), 1.0)
     gps_var = settings[_GPS_VAR] + drift * late * late / 3.0
     doppler_var = settings[_DOPPLER_VAR] + drift
     fastest = SPEED_LIMIT * math.sqrt(settings[_VELOCITY_VAR_0])

@@ -101,7 +101,7 @@ def test_arms_that_no_instrument_has(name: str, value: Any) -> None:
 
 
 def test_a_fix_that_is_too_old() -> None:
-    with pytest.raises(ParticularsError, match="^gps_latency = 11.0 must be 10 s or less"):
+    with pytest.raises(ParticularsError, match=r"^gps_latency = 11\.0 must be 10 s or less"):
         Instruments(gps_latency=11.0)
 
 
