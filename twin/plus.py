@@ -43,6 +43,7 @@ from twin.model import N_ACT, N_STATES, ROOM, model_of, roll_out
 from twin.particulars import Particulars
 from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
 from twin.predictor import Prediction
+from twin.prior import population_prior
 from twin.residual import ORDER, fit_autoregression, simulate_waves
 from twin.structure import accelerations, state_terms, thrust_terms
 from usv_kernel import kernel
@@ -193,7 +194,7 @@ class PlusPredictor(UKFPredictor):
     model : str
         One of ``twin.structure.MODELS``.
     prior : tuple of ndarray, optional
-        Mean (p,) and covariance (p, p) of the parameters.
+        Mean (p,) and covariance (p, p) of the parameters; those of like boats if left out.
     settings : RefitSettings, optional
         :func:`refit_settings` if left out.
     period : float
@@ -219,7 +220,7 @@ class PlusPredictor(UKFPredictor):
         seed: int = 0,
     ) -> None:
         structure = model_of(particulars, model, biased=True)
-        mean, cov = prior or (structure.mean, np.diag(structure.sd**2))
+        mean, cov = prior or population_prior(structure, particulars)
         plain = plain_settings(particulars, model)
         filters = FilterSettings(
             structure=structure,

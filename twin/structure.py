@@ -15,8 +15,8 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     astern; N_v|v| and N_v|r| as in the paper's tables; N_r|r| with r|r|. Boats with fixed
     propellers steer by unequal thrust: their yaw rows are +T_rL nL|nL| and -T_rR nR|nR|.
 ``mmg``
-    about thirty, dimensionless but for the length: damping that grows with speed, thrust that
-    falls with advance, a rudder or drive in the inflow of hull and propeller, apparent wind,
+    about thirty, dimensionless but for the length: a resistance with a hump (cubic in u),
+    damping that grows with speed, thrust that falls with advance, a rudder or drive in the inflow of hull and propeller, apparent wind,
     and slow biases. Left and right propeller enter as their mean and difference, because
     nothing tells them apart when they turn alike.
 
@@ -59,15 +59,15 @@ N_STATES = 6
 """States that stand before the parameters in a joint vector: x, y, psi, u, v, r."""
 
 (
-    U_U, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, UV, AU_V, AU_R, AV_R, ONE,
+    U_U, UUU, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, UV, AU_V, AU_R, AV_R, ONE,
     COS, SIN, MINUS_SIN, WIND_X, WIND_Y, WIND_N,
     ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT,
     LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
     MEAN_COS, MEAN_SIN, DIFFERENCE,
     _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
     _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
-) = range(45)  # fmt: skip
-N_TERMS = 45
+) = range(46)  # fmt: skip
+N_TERMS = 46
 """Terms by index; those before LEFT_COS follow the state, the rest the actuators alone."""
 
 FULL, BIASED, LENGTH, SOFT = range(4)
@@ -89,7 +89,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
         Shaft speeds in the unit of the structure.
     cos_left, sin_left, cos_right, sin_right : float
         Of the drive angles.
-    terms : (45,) array
+    terms : (46,) array
         Those from LEFT_COS on are written.
     """
     left, right = n_left * abs(n_left), n_right * abs(n_right)
@@ -130,7 +130,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         Velocity of the true wind to north and east, m/s; zeros where it is not known.
     hull : (4,) array
         Constants of the structure.
-    terms : (45,) array
+    terms : (46,) array
         Those before LEFT_COS are written.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
@@ -140,6 +140,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     terms[COS], terms[SIN], terms[MINUS_SIN] = cos_psi, sin_psi, -sin_psi
     if hull[FULL] == 0.0:
         return
+    terms[UUU] = u * u * u
     terms[UV], terms[AU_V], terms[AU_R], terms[AV_R] = u * v, abs(u) * v, abs(u) * r, abs(v) * r
     terms[ONE] = 1.0
     terms[WIND_X] = terms[WIND_Y] = terms[WIND_N] = 0.0
@@ -168,9 +169,9 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     ----------
     u, v, r, cos_psi, sin_psi, wind, hull
         See :func:`state_terms`.
-    terms : (45,) array
+    terms : (46,) array
         As :func:`state_terms` left it.
-    slopes : (4, 45) array
+    slopes : (4, 46) array
         Written where a derivative is not always 0; hand in zeros.
     """
     slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
@@ -184,6 +185,7 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     slopes[3, COS], slopes[3, SIN], slopes[3, MINUS_SIN] = -sin_psi, cos_psi, -cos_psi
     if hull[FULL] == 0.0:
         return
+    slopes[0, UUU] = 3.0 * u * u
     slopes[0, UV], slopes[1, UV] = v, u
     slopes[0, AU_V], slopes[1, AU_V] = math.copysign(v, u * v), abs(u)
     slopes[0, AU_R], slopes[2, AU_R] = math.copysign(r, u * r), abs(u)
@@ -228,7 +230,7 @@ def accelerations(terms, kit, xi, first):
 
     Parameters
     ----------
-    terms : (45,) array
+    terms : (46,) array
         All terms.
     kit : tuple
         Of the structure.
@@ -338,7 +340,9 @@ _BIASES = (
     ("E_east", "m/s2", "E", SIN, (-1, 2, 0), 0.0, 0.0087),
 )
 _MMG = (
-    ("X_u|u|", "1/m", "X", U_U, (-1, 0, 0), -0.19, 0.06),
+    ("X_u", "1/s", "X", U, (-1, 1, 0), 0.0, 0.1),
+    ("X_u|u|", "1/m", "X", U_U, (-1, 0, 0), -0.19, 0.15),
+    ("X_uuu", "s/m2", "X", UUU, (-1, -1, 0), 0.0, 0.1),
     ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.15, 0.3),
     ("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
     ("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03),
