@@ -7,7 +7,8 @@ from twin.log import Log, LogError, recorded_runs
 from twin.particulars import Instruments, Particulars
 from twin.predictor import Estimate, Prediction, Predictor
 from twin.registry import PREDICTORS, make_predictor
-from twin.twin import Twin, TwinError
+from twin.state import StateError
+from twin.twin import Twin, TwinError, known_plan
 
 __all__ = [
     "PREDICTORS",
@@ -18,8 +19,10 @@ __all__ = [
     "Particulars",
     "Prediction",
     "Predictor",
+    "StateError",
     "Twin",
     "TwinError",
+    "known_plan",
     "make_predictor",
     "recorded_runs",
 ]

@@ -23,12 +23,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twin import benchmark as bench
+from twin.identifiability import Finding, Identifiability
 from twin.log import Log, LogError, beside
 from twin.oracle import check_world
 from twin.particulars import ParticularsError
 from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
+from twin.state import StateError
 from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.design import DesignError, design
 from usv_gym.inspection import Inspection, inspect
@@ -70,6 +72,7 @@ EXPECTED = (
     PredictorError,
     SeaError,
     SimulationError,
+    StateError,
     TwinError,
     VesselError,
 )
@@ -178,9 +181,25 @@ def simulate_command(
 @_speaking
 def identify_command(
     log: Annotated[Path, typer.Argument(help="Log of a run, CSV or CSV.gz.")],
-    predictor: PredictorOption = DEFAULT,
+    predictor: Annotated[
+        str | None,
+        typer.Option(
+            "--predictor",
+            "-p",
+            help=f"One of: {', '.join(PREDICTORS)}. Left out: {DEFAULT}, or the resumed one.",
+        ),
+    ] = None,
     ship: ShipOption = None,
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="File for all that the twin knows at the end.")
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            help="File that --save wrote: go on from it, with the rows of the log after its time."
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="CSV of state and parameters with sd at every row."),
@@ -194,9 +213,16 @@ def identify_command(
     The log needs the columns t_s, n_left_rps, n_right_rps, delta_left_rad, delta_right_rad,
     gps_x_m, gps_y_m and compass_rad; gps_vx_mps, gps_vy_mps, gyro_radps, accel_x_mps2 and
     accel_y_mps2 help. Empty cells are missing data.
+
+    With --save the twin can go on later, here with --resume or in Python with Twin.load, as if
+    it had never stopped: the same bits. It knows its predictor, boat and instruments; those
+    options are then left out.
     """
-    run, twin = _begin(log, predictor, ship, until)
-    prior = twin.estimate()
+    run, twin = _begin(log, predictor, ship, until, resume)
+    predictor = str(twin.name)
+    unfed = Twin.load(resume) if resume is not None else twin
+    unfed.reset()
+    prior = unfed.estimate()
     header = ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)]
     names = twin.predictor.parameter_names
     header += [*names, *(f"sd_{n}" for n in names)]
@@ -209,6 +235,8 @@ def identify_command(
                 rows.append([t, *now.s, *now.sd, *now.xi, *now.xi_sd])
             advance()
     last = twin.estimate()
+    if save is not None:
+        twin.save(save)
     if out is not None:
         _write_csv(out, header, rows)
     if json_file is not None:
@@ -222,6 +250,8 @@ def identify_command(
         console.print(f"{predictor} has no model, and so identifies no parameters.")
     if out is not None:
         console.print(f"every row: {out}")
+    if save is not None:
+        console.print(f"the twin at t = {twin.t:.2f} s: {save}")
 
 
 @app.command("predict")
@@ -608,13 +638,23 @@ def _note(text: str) -> None:
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
 
 
-def _begin(path: Path, predictor: str, ship: str | None, until: float | None) -> tuple[Log, Twin]:
-    """Read a log, say what is missing in it, and make a twin for it."""
+def _begin(
+    path: Path,
+    predictor: str | None,
+    ship: str | None,
+    until: float | None,
+    resume: Path | None = None,
+) -> tuple[Log, Twin]:
+    """Read a log, say what is missing in it, and make a twin for it, or load one."""
     log = Log.read(path)
     for note in log.notes:
         _note(note)
-    particulars, found = bench.particulars_beside(path, ship)
-    check_world(predictor, log, particulars)
+    if resume is not None:
+        found, twin = True, _resumed(resume, predictor, ship)
+    else:
+        particulars, found = bench.particulars_beside(path, ship)
+        check_world(predictor or DEFAULT, log, particulars)
+        twin = Twin(particulars, predictor or DEFAULT)
     log = log.without_truth()
     if until is not None:
         if not math.isfinite(until):
@@ -624,8 +664,26 @@ def _begin(path: Path, predictor: str, ship: str | None, until: float | None) ->
             raise TwinError(f"--until {until:g}: the log has no row before it")
     if not found:
         _note(bench.NO_PARTICULARS.format(path))
-    console.print(f"boat: {particulars.name}, {particulars.length:g} m", highlight=False)
-    return log, Twin(particulars, predictor)
+    console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
+    if resume is not None:
+        later = log.slice(math.nextafter(twin.t, math.inf), math.inf) if twin.t == twin.t else log
+        if len(later) == 0:
+            raise TwinError(
+                f"{path}: has no row after t = {twin.t:g} s, where {resume} was saved; "
+                "hand in the log that goes on from there"
+            )
+        log = later
+    return log, twin
+
+
+def _resumed(path: Path, predictor: str | None, ship: str | None) -> Twin:
+    """Load a saved twin; what it knows itself cannot be asked for otherwise."""
+    twin = Twin.load(path)
+    if predictor is not None and predictor != twin.name:
+        raise TwinError(f"--predictor {predictor}: {path} goes on with {twin.name}; leave it out")
+    if ship is not None:
+        raise TwinError(f"--ship {ship}: {path} knows its boat; leave it out")
+    return twin
 
 
 class _compiling:
@@ -718,6 +776,7 @@ def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
 
 def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, Any]:
     names = twin.predictor.parameter_names
+    seen = twin.predictor.identifiability()
     return {
         "predictor": predictor,
         "t_s": estimate.t,
@@ -726,6 +785,7 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "state_sd": dict(zip(CHANNELS, estimate.sd.tolist(), strict=True)),
         "parameters": dict(zip(names, estimate.xi.tolist(), strict=True)),
         "parameters_sd": dict(zip(names, estimate.xi_sd.tolist(), strict=True)),
+        "identifiability": None if seen is None else seen.to_json(),
     }
 
 
@@ -745,27 +805,67 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
-    table = Table(title="parameters (mean and standard deviation)", box=SIMPLE_HEAD)
-    for name in ("", "unit", "prior", "sd", "identified", "sd", "ratio"):
-        table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
+    table = Table(
+        title="parameters (mean and standard deviation)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    for name in ("", "unit", "prior", "sd", "now", "sd", "ratio", "told"):
+        left = name in ("", "unit", "told")
+        table.add_column(name, justify="left" if left else "right", no_wrap=True)
+    seen = twin.predictor.identifiability()
+    found = {} if seen is None else {item.name: item for item in seen.parameters}
     for i, (name, symbol) in enumerate(
         zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)
     ):
         ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
-        table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}")
+        told = ""
+        if name in found:
+            told = "sum" if found[name].merged_into else _told(found[name])
+        table.add_row(name, symbol, *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", told)
     console.print(table)
     console.print(
-        "ratio: sd over that of the prior. Near 1 it says that the data told nothing of that "
-        "parameter; left and right thrust cannot be told apart at equal shaft speed and angle.",
+        "ratio: sd over that of the prior; told by the data: it fell to 0.71 or below, and the "
+        "parameter's own regressor was seen. Only the sums below are told of their members, "
+        "whose regressors were alike (cosine above 0.999).",
         style="dim",
         soft_wrap=True,
     )
+    if seen is not None:
+        _print_identifiability(seen)
     if unit is not None and unit.n_unit != 1.0:
         console.print(
             f"Shaft speeds enter the thrust terms times {unit.n_unit:.4g} (see FilterSettings).",
             style="dim",
         )
+
+
+def _told(finding: Finding) -> str:
+    return "data" if finding.informed else "prior"
+
+
+def _print_identifiability(seen: Identifiability) -> None:
+    """Print the sums in place of collinear parameters, and what the data say of sub-models."""
+    if seen.sums:
+        table = Table(title="sums of collinear parameters", box=SIMPLE_HEAD)
+        for name in ("", "prior sd", "sd", "ratio", "told by"):
+            table.add_column(name, justify="left" if name in ("", "told by") else "right")
+        for item in seen.sums:
+            numbers = (f"{item.prior_sd:.3g}", f"{item.sd:.3g}", f"{item.ratio:.2f}")
+            table.add_row(item.name, *numbers, _told(item))
+        console.print(table)
+    table = Table(title=f"identifiability on {seen.seconds:.0f} s of data", box=SIMPLE_HEAD)
+    for name in ("sub-model", "parameters", "effective rank", "condition number"):
+        table.add_column(name, justify="left" if name == "sub-model" else "right")
+    for model in seen.submodels:
+        rank, condition = f"{model.effective_rank:.1f}", f"{model.condition_number:.1e}"
+        table.add_row(model.name, str(len(model.parameters)), rank, condition)
+    console.print(table)
+    console.print(
+        "effective rank: directions told by the data and not the prior; condition number of "
+        "the regressors in prior standard deviations (4.5e15: singular).",
+        style="dim",
+        soft_wrap=True,
+    )
 
 
 def _print_inspection(found: Inspection) -> None:

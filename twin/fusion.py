@@ -1,10 +1,11 @@
 """The paper's late fusion: a GPS filter and an IMU filter, joined by inverse covariance.
 
 Two plain Kalman filters of filterpy run side by side. The GPS filter moves each axis with
-constant acceleration (the matrix printed as Eq 49 is its transition matrix) and measures
-position and Doppler velocity. The IMU filter takes the accelerometer, turned to the earth
-frame, as a known input and measures compass and gyro. Position and velocity of both are
-joined by Eq 41 and 42; heading and yaw rate come from the IMU filter alone.
+constant acceleration (the matrix printed as Eq 49, an observation matrix, is its transition
+matrix; the one of Eq 48 fits no filter here) and measures position and Doppler velocity. The
+IMU filter takes the accelerometer, turned to the earth frame, as a known input and measures
+compass and gyro. Position and velocity of both are joined by Eq 41 and 42; heading and yaw
+rate come from the IMU filter alone. Equations carry the numbers that the paper prints.
 
 Decisions that the paper leaves open, all of them ours:
 

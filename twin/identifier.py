@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.identifiability import Identifiability, accumulate, judge
 from twin.model import (
+    N_ACT,
     N_STATES,
     ROOM,
     _all_terms,
@@ -49,6 +51,7 @@ __all__ = [
     "advance",
     "hold_inside",
     "plain_settings",
+    "see",
 ]
 
 Array = NDArray[Any]
@@ -70,6 +73,8 @@ AID_SD = 0.25 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in usual speeds."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
+SEE_EVERY, SEE_MAX = 0.25, 1.0
+"""Regressors are counted each SEE_EVERY s, and stand for no more than SEE_MAX s of a gap."""
 
 
 @dataclass(frozen=True)
@@ -154,8 +159,9 @@ def parts(memory, constants, kit):
     """
     p = kit[0].shape[1]
     n = N_STATES + p
-    x, act, wind = memory[:n], memory[n + n * n : -2], memory[-2:]
-    P = memory[n : n + n * n].reshape((n, n))
+    end = n + n * n
+    x, act, wind = memory[:n], memory[end : end + N_ACT], memory[end + N_ACT : end + N_ACT + 2]
+    P = memory[n:end].reshape((n, n))
     q, q_xi = constants[:N_STATES], constants[N_STATES:n]
     r, p0 = constants[n : n + N_STATES], constants[n + N_STATES : n + 2 * N_STATES]
     rest = constants[n + 2 * N_STATES :]
@@ -208,6 +214,37 @@ def advance(dt, cmd, memory, constants, scratch, work, kit):
 
 
 @kernel
+def see(dt, terms, memory, kit):
+    """Add the terms of the moment to what was seen, at SEE_EVERY.
+
+    Parameters
+    ----------
+    dt : float
+        Time since the call before, s.
+    terms : ndarray
+        All terms of the moment.
+    memory, kit
+        Of a :class:`JointUKF`. Its memory ends with the time since terms were added, the time
+        seen (s), and a Gram matrix for each of surge, sway and yaw.
+    """
+    n = N_STATES + kit[0].shape[1]
+    seen = memory[n + n * n + N_ACT + 2 :]
+    seen[0] += dt
+    if seen[0] < SEE_EVERY - 1e-9:
+        return
+    seconds = min(seen[0], SEE_MAX)
+    seen[0] = 0.0
+    seen[1] += seconds
+    first = 2
+    for i in range(3):
+        low, high = kit[1][3 + i, 0] - N_STATES, kit[1][3 + i, 1] - N_STATES
+        size = (high - low) ** 2
+        gram = seen[first : first + size].reshape((high - low, high - low))
+        accumulate(gram, terms, kit[0][i, low:high], seconds)
+        first += size
+
+
+@kernel
 def hold_inside(x, envelope):
     """Keep the velocities inside what the boat can do: bad parameters must not run away.
 
@@ -248,6 +285,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         model[k] = 0.0
     if nav[BEGUN] > 0.0:
         _all_terms(x, act, wind, kit, terms)
+        see(dt, terms, memory, kit)
         du, dv, dr = accelerations(terms, kit, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
         model[0] = min(max(du, -speed * turn), speed * turn)
@@ -345,6 +383,9 @@ class JointUKF:
         Mean and covariance: six states, then the parameters.
     act : ndarray, shape (4,)
         Where the actuators are believed to be, in the unit of the structure.
+    seen, grams : ndarray, list of three ndarrays
+        Time seen (first entry, s), and the Gram matrices of surge, sway and yaw: see
+        :func:`twin.identifiability.accumulate`.
     wind : ndarray, shape (2,)
         True wind to north and east, m/s; zeros until it is measured.
     """
@@ -357,7 +398,14 @@ class JointUKF:
         U, L = particulars.speed, particulars.length
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
         self.weights = scaled_weights(n, settings.alpha, settings.beta, settings.kappa)
-        self.memory = np.zeros(n + n * n + 6)
+        sizes = [b - a for a, b in settings.structure.blocks.values()]
+        self.memory = np.zeros(n + n * n + N_ACT + 4 + sum(k * k for k in sizes))
+        self.seen = self.memory[n + n * n + N_ACT + 3 :]
+        ends = np.cumsum([1, *(k * k for k in sizes)])
+        self.grams = [
+            self.seen[end - k * k : end].reshape(k, k)
+            for k, end in zip(sizes, ends[1:], strict=True)
+        ]
         self.constants = np.concatenate(
             [
                 *(settings.q, settings.q_xi, settings.r, settings.p0),
@@ -464,6 +512,19 @@ class ModelPredictor(Predictor):
         state = self.with_common_error(P[:N_STATES, :N_STATES])
         sd, xi_sd = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:]))
         return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], xi_sd, self.ready)
+
+    def identifiability(self) -> Identifiability:
+        """Return what the data seen say of the parameters."""
+        ukf, settings = self.ukf, self.ukf.settings
+        return judge(
+            self.parameter_names,
+            [(name, np.arange(*ends)) for name, ends in self.parameter_blocks.items()],
+            ukf.grams,
+            settings.q[3:],
+            settings.xi0_cov,
+            ukf.P[N_STATES:, N_STATES:],
+            float(ukf.seen[0]),
+        )
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states alone; see :meth:`twin.predictor.Predictor.mean`."""

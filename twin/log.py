@@ -340,7 +340,7 @@ def _assemble(table: _Table) -> Log:
         if name in names:
             z[:, j] = column(name)
             _check_measurement(t, z[:, j], names[name], table)
-    _drop_repeats(t, z, notes)
+    drop_repeats(t, z, notes)
 
     truth = None
     if any(name in names for name in TRUTH):
@@ -487,7 +487,7 @@ def _repeated(values: Array) -> npt.NDArray[np.bool_]:
     return repeated
 
 
-def _drop_repeats(t: Array, z: Array, notes: list[str]) -> None:
+def drop_repeats(t: Array, z: Array, notes: list[str]) -> None:
     """Set samples that only repeat the last one to NaN, in place."""
     fix, velocity = slice(0, 2), slice(2, 4)
     compass = slice(4, 5)

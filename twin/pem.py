@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.dense import cholesky, invert, solve_factored
 from twin.structure import (
     N_STATES,
     N_TERMS,
@@ -248,6 +249,63 @@ def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room,
     return max(cost, 0.0)
 
 
+@kernel
+def _cost(xi, H, b, c, at, step):
+    """Return one segment's quadratic at parameters; ``step`` becomes xi - at."""
+    p = xi.shape[0]
+    for k in range(p):
+        step[k] = xi[k] - at[k]
+    total = c
+    for k in range(p):
+        row = 0.0
+        for j in range(p):
+            row += H[k, j] * step[j]
+        total += step[k] * (row - 2.0 * b[k])
+    return max(total, 0.0)
+
+
+@kernel
+def _costs(xi, first, H, b, c, at, factor, step, q):
+    """Write factor times the quadratic of each segment that there is."""
+    for i in range(first.shape[0]):
+        if first[i] >= 0:
+            q[i] = factor * _cost(xi, H[i], b[i], c[i], at[i], step)
+
+
+@kernel
+def _solve(
+    xi, cov, first, H, b, c, at, prior, information, scale, knee, samples, iterations, damping, work
+):
+    """Write the parameters and the covariance that the weighed quadratics and the prior make."""
+    p = xi.shape[0]
+    A, L = work[:p], work[p : 2 * p]
+    pull, step, start = work[2 * p], work[2 * p + 1], work[2 * p + 2]
+    for k in range(p):
+        start[k] = xi[k]
+    for _ in range(iterations):
+        for k in range(p):
+            pull[k] = 0.0
+            for j in range(p):
+                A[k, j] = (1.0 + damping) * information[k, j]
+                pull[k] += information[k, j] * (prior[j] + damping * start[j])
+        for i in range(first.shape[0]):
+            if first[i] < 0:
+                continue
+            q = scale / samples * _cost(xi, H[i], b[i], c[i], at[i], step)
+            weight = scale * (1.0 if q <= knee else knee / q)
+            for k in range(p):
+                share = b[i, k]
+                for j in range(p):
+                    A[k, j] += weight * H[i, k, j]
+                    share += H[i, k, j] * at[i, j]
+                pull[k] += weight * share
+        if cholesky(A, L) > 0:
+            return  # The prior alone is definite: this is rounding, and the next window's matter.
+        solve_factored(L, pull, xi)
+    if damping == 0.0:  # else it would be that of the step, not of the least
+        invert(L, cov)
+
+
 class Segments:
     """The segments of a window as quadratics, and the parameters that suit them best.
 
@@ -282,8 +340,13 @@ class Segments:
         self.b, self.at = np.zeros((capacity, p)), np.zeros((capacity, p))
         self.c = np.zeros(capacity)
         self.first = np.full(capacity, -1)
-        self._room = room(p)
+        self._room, self._work = room(p), np.zeros((2 * p + 3, p))
+        self._step = np.zeros(p)
         self.reset()
+
+    @property
+    def _quadratics(self) -> tuple[Array, ...]:
+        return self.first, self.H, self.b, self.c, self.at
 
     def reset(self) -> None:
         """Forget every segment."""
@@ -319,18 +382,15 @@ class Segments:
         for slot in used[np.argsort(-moved, kind="stable")[:budget]]:
             self._linearise(slot, int(self.first[slot]), rows, self.xi)
 
-    def costs(self, xi: Array) -> tuple[Array, Array]:
-        """Return the quadratics q_i of the segments at parameters, and their weights."""
-        used = self.first >= 0
-        step = xi - self.at[used]
-        curved = np.einsum("ij,ijk,ik->i", step, self.H[used], step)
-        c = self.c[used] - 2.0 * np.einsum("ij,ij->i", self.b[used], step) + curved
-        q = np.maximum(c, 0.0) * self.settings.scale / self.samples
-        return q, np.minimum(1.0, self.settings.knee / np.maximum(q, 1e-12))
+    def costs(self, xi: Array) -> Array:
+        """Return q_i at parameters, by the quadratics; 0 where there is no segment."""
+        q = np.zeros(len(self.first))
+        _costs(xi, *self._quadratics, self.settings.scale / self.samples, self._step, q)
+        return q
 
     def objective(self, xi: Array) -> float:
         """Return what :meth:`solve` makes small, by the quadratics."""
-        q, _ = self.costs(xi)
+        q = self.costs(xi)
         knee, away = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
         return float(self.samples * rho.sum() + away @ self.information @ away)
@@ -345,20 +405,11 @@ class Segments:
         damping : float
             Of Levenberg and Marquardt, in units of the prior's information.
         """
-        used = np.flatnonzero(self.first >= 0)
-        H, b, at = self.H[used], self.b[used], self.at[used]
-        start = self.xi
-        for _ in range(iterations):
-            weight = self.costs(self.xi)[1] * self.settings.scale
-            A = curvature = self.information + np.tensordot(weight, H, 1)
-            pull = b + np.einsum("ijk,ik->ij", H, at)
-            target = self.information @ self.prior + weight @ pull
-            if damping > 0.0:
-                A = A + damping * self.information
-                target = target + damping * self.information @ start
-            self.xi = np.linalg.solve(A, target)
-        self.cov = np.linalg.inv(curvature)
-        self.cov = 0.5 * (self.cov + self.cov.T)
+        settings = self.settings
+        _solve(
+            *(self.xi, self.cov, *self._quadratics, self.prior, self.information),
+            *(settings.scale, settings.knee, self.samples, iterations, damping, self._work),
+        )
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
         """Iterate to the least of the true objective: Levenberg-Marquardt over all segments.

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.dense import cholesky
 from twin.identifier import (
     BEGUN,
     STUDY_LENGTH,
@@ -426,5 +427,6 @@ class PlusPredictor(UKFPredictor):
 
 def _root(cov: Array) -> Array:
     """Return a square root of a covariance, also of one that is only semi-definite."""
-    values, vectors = np.linalg.eigh(cov)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    root = np.zeros_like(cov)
+    cholesky(cov, root)
+    return root

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.identifiability import Identifiability
 from twin.navigation import Navigator
 from twin.particulars import Particulars
 
@@ -208,6 +209,10 @@ class Predictor(ABC):
     def estimate(self) -> Estimate:
         """Return what is believed now."""
 
+    def identifiability(self) -> Identifiability | None:
+        """Return what the data seen say of the parameters; None where there is no model."""
+        return None
+
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) alone, where that is cheaper.
 
@@ -378,12 +383,14 @@ class HistoryPredictor(Predictor):
 
     def _own_errors(self, horizon: float = 10.0) -> Array:
         """Return the root mean square errors (K, 6) of this predictor's past forecasts."""
-        if self.t - self._errors_at < 1.0:
+        K, second = round(horizon / GRID), round(1.0 / GRID)
+        # of whole seconds of history: what was asked before must not matter
+        count = len(self._rows) // second * second
+        if count == self._errors_at:
             return self._errors
-        K = round(horizon / GRID)
-        begin = max(len(self._rows) - round(self.memory / GRID), 0)
-        rows = np.array(self._rows[begin:]).reshape(-1, len(self._last))
-        origins = np.arange(round(5.0 / GRID), len(rows) - K, round(1.0 / GRID))
+        begin = max(count - round(self.memory / GRID), 0)
+        rows = np.array(self._rows[begin:count]).reshape(-1, len(self._last))
+        origins = np.arange(round(5.0 / GRID), len(rows) - K, second)
         if len(origins) < 5:
             U, L = self.particulars.speed, self.particulars.length
             rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
@@ -391,7 +398,7 @@ class HistoryPredictor(Predictor):
         ahead = origins[:, None] + np.arange(1, K + 1)
         error = self.forecast(rows, origins, rows[ahead, 6:10]) - rows[ahead, :6]
         self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
-        self._errors_at = self.t
+        self._errors_at = count
         return self._errors
 
 

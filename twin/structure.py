@@ -146,7 +146,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     if wind[0] != 0.0 or wind[1] != 0.0:
         ahead = wind[0] * cos_psi + wind[1] * sin_psi - u
         aside = wind[1] * cos_psi - wind[0] * sin_psi - v
-        speed = math.hypot(ahead, aside)
+        speed = math.sqrt(ahead * ahead + aside * aside)
         terms[WIND_X], terms[WIND_Y], terms[WIND_N] = speed * ahead, speed * aside, ahead * aside
     terms[ADVANCE_COS], terms[ADVANCE_SIN] = u * terms[_SHAFT_COS], u * terms[_SHAFT_SIN]
     aside = STRAIGHTENING * (LEVER * hull[LENGTH] * r - v)
@@ -154,7 +154,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     for k in range(2):
         along = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])[0]
         c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
-        normal = math.hypot(along, aside) * (s * along - c * aside)
+        normal = math.sqrt(along * along + aside * aside) * (s * along - c * aside)
         drag += 0.5 * s * normal
         lift += 0.5 * c * normal
     terms[FIN_DRAG], terms[FIN_LIFT] = drag, lift
@@ -194,7 +194,7 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
         forth = wind[0] * cos_psi + wind[1] * sin_psi
         across = wind[1] * cos_psi - wind[0] * sin_psi
         ahead, aside = forth - u, across - v
-        speed = max(math.hypot(ahead, aside), 1e-9)
+        speed = max(math.sqrt(ahead * ahead + aside * aside), 1e-9)
         xx, xy = speed + ahead * ahead / speed, ahead * aside / speed
         yy = speed + aside * aside / speed
         slopes[0, WIND_X], slopes[1, WIND_X] = -xx, -xy
@@ -212,7 +212,7 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     for k in range(2):
         along, steep = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])
         c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
-        speed = max(math.hypot(along, aside), 1e-9)
+        speed = max(math.sqrt(along * along + aside * aside), 1e-9)
         attack = s * along - c * aside
         by_along = along / speed * attack + speed * s
         by_aside = aside / speed * attack - speed * c

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from twin.log import COMMANDS, MEASUREMENTS, Log
 from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction, Predictor
-from twin.registry import DEFAULT, make_predictor
+from twin.registry import DEFAULT, PREDICTORS, make_predictor
+from twin.state import StateError, read, write
 
 __all__ = ["PLANS", "Twin", "TwinError", "known_plan"]
 
@@ -39,6 +41,17 @@ class Twin:
     **options
         Handed to the predictor's class.
 
+    Attributes
+    ----------
+    predictor : Predictor
+        What believes and predicts.
+    name : str or None
+        Its name in ``twin.PREDICTORS``; None for one of your own.
+    t : float
+        Time of the last row, s; NaN before the first.
+    cmd : ndarray, shape (4,)
+        Its command.
+
     Examples
     --------
     >>> from twin import Log, Particulars, Twin, recorded_runs
@@ -59,6 +72,8 @@ class Twin:
         **options: Any,
     ) -> None:
         self.particulars = particulars
+        self.name = None if isinstance(predictor, Predictor) else predictor
+        self.seed, self.options = seed, options
         if isinstance(predictor, Predictor):
             self.predictor = predictor
         else:
@@ -71,6 +86,85 @@ class Twin:
         self.predictor.reset()
         self.t = math.nan
         self.cmd = np.zeros(len(COMMANDS))
+
+    def save(self, path: str | Path) -> None:
+        """Write all that the twin knows to a file, to go on from later with :meth:`load`.
+
+        Parameters
+        ----------
+        path : str or Path
+            File, for instance ``boat.twin``. One that is there is replaced once the new one
+            is whole on the disk, so that a power cut costs no more than the time since.
+
+        Raises
+        ------
+        StateError
+            A predictor of your own keeps what is no plain data.
+        """
+        write(
+            path,
+            {
+                **{"name": self.name, "seed": self.seed, "options": self.options},
+                **{"particulars": self.particulars, "predictor": self.predictor},
+                **{"t": self.t, "cmd": self.cmd},
+            },
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, predictor: Predictor | None = None) -> Twin:
+        """Return the twin that :meth:`save` wrote: it goes on as if it had never stopped.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        predictor : Predictor, optional
+            Where the saved one was handed in as an object: a newly made one of the same class
+            for the same boat, which is given what the saved one remembers.
+
+        Returns
+        -------
+        Twin
+            Continuing it gives the same bits, by the same versions of the packages.
+
+        Raises
+        ------
+        StateError
+            The file is no saved twin, is damaged, of another format, or not made for this
+            predictor or boat; the message says which.
+        """
+        saved = read(path)
+        particulars: Particulars = saved.restore("particulars")
+        name, seed = saved.restore("name"), saved.restore("seed")
+        options = saved.restore("options")
+        if predictor is not None:
+            if predictor.particulars != particulars:
+                raise StateError(
+                    f"{path}: was made for the boat {particulars.name!r} with other particulars "
+                    f"or instruments than {predictor.particulars.name!r}; use the same ones"
+                )
+            twin = cls(particulars, predictor)
+        elif name is None:
+            raise StateError(
+                f"{path}: was saved with a predictor of its owner's; hand a new one of that "
+                "class in: Twin.load(path, predictor=...)"
+            )
+        elif name not in PREDICTORS:
+            raise StateError(
+                f"{path}: was saved with the predictor {name!r}, which is not known here; known: "
+                f"{', '.join(PREDICTORS)}"
+            )
+        else:
+            twin = cls(particulars, name, seed=seed, **options)
+        twin.name, twin.seed, twin.options = name, seed, options
+        kept = saved.restore("predictor", twin.predictor)
+        if kept is not twin.predictor:
+            raise StateError(
+                f"{path}: holds a {type(kept).__name__}, not a "
+                f"{type(twin.predictor).__name__}; hand in a predictor of that class"
+            )
+        twin.t, twin.cmd = saved.restore("t"), saved.restore("cmd")
+        return twin
 
     def step(self, t: float, z: ArrayLike, cmd: ArrayLike) -> None:
         """Take one row.
@@ -91,7 +185,8 @@ class Twin:
             Names what is wrong; the twin is then as it was before.
         """
         z = np.asarray(z, dtype=np.float64)
-        cmd = np.asarray(cmd, dtype=np.float64)
+        # what the caller does to its array later is no command
+        cmd = np.array(cmd, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
                 f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
@@ -126,7 +221,8 @@ class Twin:
         ----------
         plan : "hold" or array_like, shape (K, 4)
             Commands of the future: row k is in force from k to k + 1 times dt from now.
-            ``"hold"`` keeps the last command.
+            ``"hold"`` keeps the last command. The commands that a log went on with
+            (``"known"`` in the benchmark) come as an array from :func:`known_plan`.
         horizon : float
             How far, s, with ``"hold"``; an array is as long as it is.
         dt : float
@@ -135,12 +231,22 @@ class Twin:
         Returns
         -------
         Prediction
+
+        Raises
+        ------
+        TwinError
+            Names what is wrong with the plan, and the remedy.
         """
         if not (math.isfinite(dt) and dt > 0.0 and math.isfinite(horizon) and horizon > 0.0):
             raise TwinError(f"horizon = {horizon} and dt = {dt} must be finite and above 0")
         if isinstance(plan, str):
+            if plan == "known":
+                raise TwinError(
+                    "plan = 'known': a twin does not know the commands to come; take them from "
+                    "a log, as plan=known_plan(log, row, horizon, dt), with the same dt"
+                )
             if plan != "hold":
-                raise TwinError(f"plan = {plan!r}; use 'hold' or an array of commands")
+                raise TwinError(f"plan = {plan!r}; use 'hold' or an array of commands (K, 4)")
             rows = np.tile(self.cmd, (max(round(horizon / dt), 1), 1))
         else:
             rows = np.ascontiguousarray(plan, dtype=np.float64)

@@ -1,10 +1,14 @@
 """The paper's dynamic sliding window: how many samples the identifier looks back on.
 
-The window has W = w + w_r samples (Eq 34). Its variable part w_r follows from a fluctuation
+The window has W = w + w_r samples (Eq 35). Its variable part w_r follows from a fluctuation
 index of wind and waves (Eq 37) and from a nonlinearity index (Eq 39) that rests on the
 largest Lyapunov exponent of the motion; a lateral acceleration above 0.3 g doubles the
 window. It is adjusted when a period has elapsed that shrinks with the innovation covariance
-(Eq 35). The adaptation of Q and R (Eq 52) stands here as well.
+(Eq 36). The adaptation of Q and R (Eq 52) stands here as well.
+
+Equations are numbered as the paper prints them beside its formulas: (34) is the augmented
+state, (35) W, (36) the period, (37) the fluctuation index, (38) the exponent, (39) the
+nonlinearity index, (40) w_r, (52) the adaptation, which the text around it calls 49.
 
 Eq 38 is an estimate from one pair of points. The text names the small-data method of
 Rosenstein, Collins and De Luca (1993, Physica D 65:117-134), and that is what is computed.
@@ -44,12 +48,12 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 """Acceleration of gravity, m/s2."""
 
-ENVIRONMENT_FORMS = ("third", "half", "product")
+ENVIRONMENT_FORMS = ("third", "half", "product", "off")
 """``third``: Eq 37 as printed, with 1/3 over two terms. ``half``: their mean.
-``product``: line 3 of Algorithm 1, Hs times Vw."""
+``product``: line 3 of Algorithm 1, Hs times Vw. ``off``: 0, as in steady weather."""
 
 PERIOD_FORMS = ("continuous", "binary", "none")
-"""``continuous``: Eq 35. ``binary``: lines 5-8 of Algorithm 1. ``none``: adjust in every call."""
+"""``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1. ``none``: adjust in every call."""
 
 NOISE_FORMS = ("literal", "signed")
 """``literal``: Eq 52 as printed, which only grows. ``signed``: the error may be negative."""
@@ -209,6 +213,8 @@ def environment_index(hs: ArrayLike, vw: ArrayLike, *, form: str = "third") -> f
     """
     if form not in ENVIRONMENT_FORMS:
         raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(ENVIRONMENT_FORMS)}")
+    if form == "off":
+        return 0.0
     samples = [values[np.isfinite(values)] for values in map(_floats, (hs, vw))]
     if form == "product":
         if any(values.size == 0 for values in samples):
@@ -274,7 +280,7 @@ def adjustment_period(
 
     Notes
     -----
-    Source: Qu et al. 2025, Eq 35, and Algorithm 1, lines 5-8. The two agree only at
+    Source: Qu et al. 2025, Eq 36, and Algorithm 1, lines 5-8. The two agree only at
     ``trace_P == limit``.
     """
     if form not in PERIOD_FORMS:
@@ -284,7 +290,7 @@ def adjustment_period(
     trace = 0.0 if math.isnan(trace_P) else max(trace_P, 0.0)
     if form == "binary":
         return 0.5 * base if trace > limit else base
-    return base / (1.0 + trace / limit)  # Eq 35
+    return base / (1.0 + trace / limit)  # Eq 36
 
 
 class WaveProxy:
@@ -372,10 +378,12 @@ class DynamicWindow:
         Weights of Eq 40.
     environment : str
         Form of Eq 37, one of :data:`ENVIRONMENT_FORMS`.
+    lyapunov : bool
+        Follow the exponent; False takes it for 0, so that S = 1.
     period : str
-        Form of Eq 35, one of :data:`PERIOD_FORMS`.
+        Form of Eq 36, one of :data:`PERIOD_FORMS`.
     base_period, trace_limit : float
-        T0, s, and P_max of Eq 35.
+        T0, s, and P_max of Eq 36.
     calm_rule : bool
         Set w_r = 0 if V < calm_env and S < calm_nonlin.
     calm_env, calm_nonlin : float
@@ -399,7 +407,7 @@ class DynamicWindow:
 
     Notes
     -----
-    Source: Qu et al. 2025, Eq 34-40, and Algorithm 1.
+    Source: Qu et al. 2025, Eq 35-40, and Algorithm 1.
     """
 
     def __init__(
@@ -410,6 +418,7 @@ class DynamicWindow:
         gamma_env: float = 0.6,
         gamma_nonlin: float = 0.4,
         environment: str = "third",
+        lyapunov: bool = True,
         period: str = "continuous",
         base_period: float = 10.0,
         trace_limit: float = 1.5**2,
@@ -434,15 +443,15 @@ class DynamicWindow:
             raise ValueError(
                 f"period = {period!r} is unknown; use one of {', '.join(PERIOD_FORMS)}"
             )
-        if not (base_period > 0.0 and trace_limit > 0.0):
-            raise ValueError(
-                f"base_period = {base_period} and trace_limit = {trace_limit} must be above 0"
-            )
+        for name, value in (("base_period", base_period), ("trace_limit", trace_limit)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} = {value} must be a finite number above 0")
         self.base = base
         self.cap = base if cap is None else cap
         self.gamma_env = gamma_env
         self.gamma_nonlin = gamma_nonlin
         self.environment = environment
+        self.lyapunov = lyapunov
         self.period = period
         self.base_period = base_period
         self.trace_limit = trace_limit
@@ -474,7 +483,7 @@ class DynamicWindow:
     @property
     def W(self) -> int:
         """Present length of the window, samples."""
-        return self.base + self.w_r  # Eq 34
+        return self.base + self.w_r  # Eq 35
 
     def update(
         self,
@@ -541,7 +550,7 @@ class DynamicWindow:
         self.V = environment_index(rows[:, 1], rows[:, 2], form=self.environment)
         moving = rows[np.isfinite(rows[:, 3])]
         span = float(moving[-1, 0] - moving[0, 0]) if len(moving) else 0.0
-        if len(moving) >= self._need and span > 0.0:
+        if self.lyapunov and len(moving) >= self._need and span > 0.0:
             dt = span / (len(moving) - 1)
             self.lambda_max = rosenstein(moving[:, 3], dt=dt, **self._embedding)
             self.S = nonlinearity_index(self.lambda_max, self.W, dt)

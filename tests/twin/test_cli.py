@@ -73,7 +73,8 @@ def test_identify_equals_the_twin_in_python(folder):
     assert "\u2026" not in out.stdout
     last = json.loads((folder / "last.json").read_text())
     assert list(last["state"].values()) == estimate.s.tolist()
-    assert [last["parameters"][name] for name in twin.predictor.parameter_names] == estimate.xi.tolist()
+    assert tuple(last["parameters"]) == twin.predictor.parameter_names
+    assert list(last["parameters"].values()) == estimate.xi.tolist()
     with (folder / "all.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(log)
@@ -352,3 +353,36 @@ def test_vessel_new_refuses_what_is_no_ship(tmp_path):
     assert refused.stderr.startswith("error: mass = 30000 kg")
     assert refused.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_save_and_resume_are_one_run(folder, tmp_path):
+    log, kept = str(folder / "run.csv"), tmp_path / "boat.twin"
+    whole = run("identify", log, "-p", "ukf", "--json", str(tmp_path / "whole.json"))
+    first = run("identify", log, "-p", "ukf", "--until", "22", "--save", str(kept))
+    assert f"the twin at t = 22.00 s: {kept}" in first.stdout.replace("\n", "")
+    run(
+        *("identify", log, "--resume", str(kept), "--json", str(tmp_path / "later.json")),
+        *("--save", str(kept)),
+    )
+    whole, later = (json.loads((tmp_path / f"{n}.json").read_text()) for n in ("whole", "later"))
+    assert whole == later
+    seen = whole["identifiability"]
+    assert seen["submodels"]["surge"]["effective_rank"] > 0.5
+    assert seen["parameters"]["T_uL"]["merged_into"] == "T_uL + T_uR"
+    assert not {"T_uL", "T_uR"} & set(seen["informed"])
+    for arguments, message in (
+        (("--resume", str(kept)), "has no row after t = 40 s"),
+        (("--resume", str(kept), "-p", "persistence"), "goes on with ukf; leave it out"),
+        (("--resume", str(kept), "--ship", "usv75"), "knows its boat; leave it out"),
+        (("--resume", log), "is no saved state of a twin"),
+        (("--resume", str(tmp_path / "none")), "No such file"),
+    ):
+        refused = run("identify", log, *arguments, check=2)
+        assert message in refused.stderr.replace("\n", " ")
+
+
+def test_identify_prints_what_the_data_say(folder):
+    out = run("identify", str(folder / "run.csv"), "-p", "ukf").stdout
+    assert "sums of collinear parameters" in out and "T_uL + T_uR" in out
+    assert "condition number" in out and "effective rank" in out
+    assert "\u2026" not in out

@@ -1,0 +1,197 @@
+"""Populations of boats, and the priors that come with the package."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin import population as pop
+from twin.model import model_of
+from twin.prior import KINDS, Prior, PriorError, kind_of, population_prior, shipped_prior
+from twin.simulated import particulars_of
+from twin.structure import MODELS, Structure
+from usv_gym import Vessel
+from usv_gym.inspection import course_eigenvalues
+
+EACH = pytest.mark.parametrize(("model", "kind"), [(m, k) for m in MODELS for k in KINDS])
+CALM_BLIND = {"E_north", "E_east", "X_w", "Y_w", "N_w", "N_0"}
+
+
+@functools.cache
+def run_of(name: str, seed: int = 0) -> pop.CalmRun:
+    return pop.sail_calm(Vessel.load(name), np.random.default_rng(seed))
+
+
+def structure_of_kind(model: str, kind: str) -> Structure:
+    name = {"drives": "usv75", "rudder": "kvlcc2_l7", "differential": "otter"}[kind]
+    return model_of(particulars_of(Vessel.load(name)), model)
+
+
+# ------------------------------------------------- what ships
+
+
+@EACH
+def test_a_prior_ships_for_each_model_and_kind(model: str, kind: str) -> None:
+    prior, structure = shipped_prior(model, kind), structure_of_kind(model, kind)
+    assert len(prior.members) >= 100
+    assert set(structure.parameters) - set(prior.parameters) <= CALM_BLIND
+    mean, covariance = prior.of(structure)
+    sd = np.sqrt(np.diag(covariance))
+    np.linalg.cholesky(covariance)
+    # far from singular even where left and right propeller always turn alike
+    assert np.linalg.eigvalsh(covariance / np.outer(sd, sd))[0] > 1e-4
+    # what the structure thinks by hand is no other world: within twelve of the wider spreads
+    assert np.all(np.abs(mean - structure.mean) < 12.0 * np.maximum(sd, structure.sd))
+
+
+@EACH
+def test_shipped_boats_are_what_the_function_makes(model: str, kind: str) -> None:
+    prior = shipped_prior(model, kind)
+    sd = prior.members.std(axis=0)
+    draw = functools.partial(pop.random_boat, kind)
+    for row, boat in enumerate(prior.boats[:2]):
+        xi, error, names = pop.member(model, draw, pop.SEED, int(boat))
+        assert names == prior.parameters
+        assert np.all(error <= pop.LARGEST_ERROR)
+        # the fit ends at a relative change of 1e-3; other processors may end a step apart
+        assert np.all(np.abs(xi - prior.members[row]) < 0.02 * sd)
+
+
+@pytest.mark.slow
+@EACH
+def test_the_whole_file_is_what_the_function_makes(model: str, kind: str) -> None:
+    prior, again = shipped_prior(model, kind), pop.make_prior(model, kind)
+    assert again.boats.tolist() == prior.boats.tolist()
+    assert again.about == prior.about
+    sd = prior.members.std(axis=0)
+    assert np.all(np.abs(again.members - prior.members) < 0.02 * sd)
+
+
+def test_one_file_serves_boats_of_every_size() -> None:
+    about = particulars_of(Vessel.load("usv75"))
+    # twice as long by Froude: speeds and times sqrt(2), shaft speeds 1 / sqrt(2)
+    larger = dataclasses.replace(
+        about,
+        length=2.0 * about.length,
+        speed=math.sqrt(2.0) * about.speed,
+        shaft_speed=about.shaft_speed / math.sqrt(2.0),
+    )
+    assert kind_of(about) == kind_of(larger) == "drives"
+    scaled = []
+    for boat in (about, larger):
+        structure = model_of(boat, "paper")
+        mean, covariance = population_prior(structure, boat)
+        scaled.append((mean / structure.scales, np.sqrt(np.diag(covariance)) / structure.scales))
+    np.testing.assert_allclose(scaled[0], scaled[1], rtol=1e-12)
+
+
+def test_kinds_of_the_shipped_boats() -> None:
+    kinds = {name: kind_of(particulars_of(Vessel.load(name))) for name in ("kvlcc2", "otter")}
+    assert kinds == {"kvlcc2": "rudder", "otter": "differential"}
+
+
+def test_what_calm_water_does_not_show_stays_as_the_structure_has_it() -> None:
+    structure = structure_of_kind("mmg", "drives")
+    mean, covariance = shipped_prior("mmg", "drives").of(structure)
+    for name in CALM_BLIND:
+        k = structure.parameters.index(name)
+        assert mean[k] == structure.mean[k]
+        expected = np.zeros(len(structure))
+        expected[k] = structure.sd[k] ** 2
+        assert covariance[k].tolist() == expected.tolist()
+
+
+def test_a_prior_of_another_model_is_refused() -> None:
+    with pytest.raises(PriorError, match="'paper' has not all of X_u"):
+        shipped_prior("mmg", "drives").of(structure_of_kind("paper", "drives"))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "# a\nboat,X\n0,nan\n", "# a\nboat,X\n0,1,2\n", "# a\nboat\n"]
+)
+def test_a_bad_file_is_told(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(PriorError, match=r"bad\.csv: is no prior .*make_prior"):
+        Prior.load(path)
+
+
+# ------------------------------------------------- how it is made
+
+
+def test_the_same_population_with_any_number_of_workers(tmp_path: Path) -> None:
+    draw = functools.partial(pop.boat_like, particulars_of(Vessel.load("usv75")), "drives")
+    one = pop.make_prior("paper", "drives", draw, drawn=4, seed=5)
+    two = pop.make_prior("paper", "drives", draw, drawn=4, seed=5, workers=2)
+    assert one.to_csv() == two.to_csv()
+    assert not np.allclose(one.members[0], one.members[1])
+    path = tmp_path / "prior.csv"
+    path.write_text(one.to_csv(), encoding="utf-8")
+    again = Prior.load(path)
+    assert (again.about, again.parameters) == (one.about, one.parameters)
+    # six digits
+    np.testing.assert_allclose(again.members, one.members, rtol=5e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_boats_hold_their_course(kind: str) -> None:
+    for seed in range(5):
+        vessel, n = pop.random_boat(kind, np.random.default_rng(seed))
+        assert course_eigenvalues(vessel, n)[0].real <= 0.0
+    with pytest.raises(PriorError, match="kind = 'oars': must be one of drives"):
+        pop.random_boat("oars", np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("name", ["usv75", "kvlcc2_l7", "otter"])
+def test_runs_tell_one_story(name: str) -> None:
+    run = run_of(name)
+    x, _, psi, u, v, r = run.states.T
+    # trapezes over rows of a quarter second: curvature leaves some 2 %
+    north = u * np.cos(psi) - v * np.sin(psi)
+    for rate, way in ((north, x), (r, psi)):
+        total = pop.ROW * np.sum(0.5 * (rate[1:] + rate[:-1]))
+        assert total == pytest.approx(way[-1] - way[0], rel=0.02, abs=0.02 * np.ptp(way))
+    about = run.particulars
+    assert about.length / about.speed == pytest.approx(pop.LENGTH_TIME)
+    assert u[0] == pytest.approx(about.speed)
+    assert run.actuators[0, 0] == pytest.approx(about.shaft_speed)
+    assert np.ptp(psi) > 0.3
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
+    run = run_of("usv75")
+    structure = model_of(run.particulars, model)
+    truth = pop.project(structure, [run])[0]
+    # errors from one start over the whole run: the model's own motion
+    own = pop.rolled(structure, truth, run, len(run.commands), len(run.commands))[0]
+    about = run.particulars
+    turn = about.speed / about.length
+    units = np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
+    states = run.states.copy()
+    states[1:] += own * units
+    twin = dataclasses.replace(run, states=states)
+    xi, error = pop.project(structure, [twin])
+    # the structure's own mean still pulls a little, and the fit ends at 1e-3
+    assert np.all(error < 0.1 * pop.project(structure, [run])[1] + 1e-3)
+    assert np.max(np.abs(pop.rolled(structure, xi, twin))) < 0.03
+
+
+def test_a_projection_predicts_runs_that_it_has_not_seen() -> None:
+    structure = model_of(run_of("usv75").particulars, "mmg")
+    xi, _ = pop.project(structure, [run_of("usv75")])
+    by_hand = pop.rolled(structure, structure.mean, run_of("usv75", 1))
+    fitted = pop.rolled(structure, xi, run_of("usv75", 1))
+    # measured: 0.06; the bound leaves room for other steps of the helm
+    assert np.sqrt(np.mean(fitted**2)) < 0.2 * np.sqrt(np.mean(by_hand**2))
+
+
+def test_boats_that_the_model_does_not_fit_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pop, "LARGEST_ERROR", np.full(3, 1e-9))
+    with pytest.raises(PriorError, match="'paper' fits 0 of 2 boats"):
+        pop.make_prior("paper", "drives", drawn=2)

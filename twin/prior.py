@@ -1,0 +1,171 @@
+"""What is believed of a boat's parameters before any data, from a population of like boats.
+
+The files in ``twin/priors`` hold, for each model structure and kind of boat, the dimensionless
+parameters that random boats were found to have (:mod:`twin.population`), one boat a row. One
+file serves boats of every size.
+
+Source: twin.md, sections 10 B2 and 13.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import Particulars
+from twin.structure import Structure
+
+__all__ = ["KINDS", "Prior", "PriorError", "kind_of", "population_prior", "shipped_prior"]
+
+Array = NDArray[np.float64]
+
+KINDS = ("drives", "rudder", "differential")
+"""Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
+FAST = 0.35
+"""Froude number of the usual speed above which a boat is taken to have drives, not rudders."""
+FLOOR = 1e-3
+"""Share of each variance that no other parameter explains, at the least."""
+
+
+class PriorError(ValueError):
+    """A prior that cannot be used; the message names the file or value and the remedy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Dimensionless parameters of a population of boats.
+
+    Parameters
+    ----------
+    about : str
+        One line that says how it was made.
+    parameters : tuple of str
+        Names of the p parameters.
+    boats : ndarray, shape (b,)
+        Number of each boat in its population; those that the model did not fit are missing.
+    members : ndarray, shape (b, p)
+        Their parameters in the natural units of the structure.
+    """
+
+    about: str
+    parameters: tuple[str, ...]
+    boats: NDArray[np.int64]
+    members: Array
+
+    @classmethod
+    def load(cls, path: Path) -> Prior:
+        """Read a file that :meth:`to_csv` wrote.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+
+        Raises
+        ------
+        PriorError
+            Names the file and the remedy.
+        """
+        try:
+            about, names, *rows = path.read_text(encoding="utf-8").splitlines()
+            parameters = tuple(names.split(",")[1:])
+            table = np.array([row.split(",") for row in rows], dtype=float)
+            if table.shape != (len(rows), 1 + len(parameters)) or not np.isfinite(table).all():
+                raise ValueError(f"{len(parameters)} parameters, table of shape {table.shape}")
+        except (OSError, ValueError) as error:
+            raise PriorError(
+                f"{path}: is no prior ({error}); make it anew with twin.population.make_prior"
+            ) from None
+        return cls(about.removeprefix("# "), parameters, table[:, 0].astype(np.int64), table[:, 1:])
+
+    def to_csv(self) -> str:
+        """Return the text of a file, with six digits."""
+        lines = [f"# {self.about}", ",".join(("boat", *self.parameters))]
+        for boat, row in zip(self.boats, self.members, strict=True):
+            lines.append(",".join([str(boat), *(f"{value:.6g}" for value in row)]))
+        return "\n".join(lines) + "\n"
+
+    def of(self, structure: Structure) -> tuple[Array, Array]:
+        """Return median and covariance of a boat's parameters in SI units.
+
+        Parameters
+        ----------
+        structure : Structure
+            The model of the boat. Its parameters that calm water does not show (wind, biases)
+            keep the mean and the standard deviation that stand there.
+
+        Returns
+        -------
+        mean : ndarray, shape (p,)
+            Medians of the population.
+        covariance : ndarray, shape (p, p)
+            Positive definite.
+
+        Raises
+        ------
+        PriorError
+            If the population is one of another structure.
+        """
+        if not set(self.parameters) <= set(structure.parameters):
+            raise PriorError(
+                f"the model {structure.name!r} has not all of {', '.join(self.parameters)}; take "
+                "a prior of the same model"
+            )
+        mean, covariance = structure.mean.copy(), np.diag(structure.sd**2)
+        at = np.array([structure.parameters.index(name) for name in self.parameters])
+        scales = structure.scales[at]
+        mean[at] = np.median(self.members, axis=0) * scales
+        spread = np.cov(self.members.T)
+        spread = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
+        covariance[np.ix_(at, at)] = spread * np.outer(scales, scales)
+        return mean, covariance
+
+
+def kind_of(particulars: Particulars) -> str:
+    """Return which of :data:`KINDS` a boat belongs to.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Length, speed and steering are used.
+    """
+    if particulars.steering == "differential":
+        return "differential"
+    froude = particulars.speed / math.sqrt(9.81 * particulars.length)
+    return "drives" if froude > FAST else "rudder"
+
+
+@cache
+def shipped_prior(model: str, kind: str) -> Prior:
+    """Return a prior that comes with the package.
+
+    Parameters
+    ----------
+    model, kind : str
+        Model structure, and one of :data:`KINDS`.
+    """
+    return Prior.load(Path(str(resources.files("twin") / "priors" / f"{model}_{kind}.csv")))
+
+
+def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
+    """Return mean and covariance of a boat's parameters before any data, in SI units.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model of the boat.
+    particulars : Particulars
+        The boat.
+
+    Returns
+    -------
+    mean : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+    """
+    return shipped_prior(structure.name, kind_of(particulars)).of(structure)
