@@ -32,6 +32,9 @@ FAST = 0.35
 FLOOR = 1e-3
 """Share of each variance that no other parameter explains, at the least."""
 
+TOLD = 1e-3
+"""A spread of so small a part of the structure's own says that the boats told nothing."""
+
 
 class PriorError(ValueError):
     """A prior that cannot be used; the message names the file or value and the remedy."""
@@ -97,8 +100,9 @@ class Prior:
         Parameters
         ----------
         structure : Structure
-            The model of the boat. Its parameters that calm water does not show (wind, biases)
-            keep the mean and the standard deviation that stand there.
+            The model of the boat. Its parameters that calm water does not show (wind, biases,
+            the side force of drives that do not turn) keep the mean and the standard deviation
+            that stand there.
 
         Returns
         -------
@@ -119,11 +123,12 @@ class Prior:
             )
         mean, covariance = structure.mean.copy(), np.diag(structure.sd**2)
         at = np.array([structure.parameters.index(name) for name in self.parameters])
-        scales = structure.scales[at]
-        mean[at] = np.median(self.members, axis=0) * scales
-        spread = np.cov(self.members.T)
-        spread = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
-        covariance[np.ix_(at, at)] = spread * np.outer(scales, scales)
+        members = self.members * structure.scales[at]
+        told = members.std(axis=0) > TOLD * structure.sd[at]
+        at, members = at[told], members[:, told]
+        mean[at] = np.median(members, axis=0)
+        spread = np.cov(members.T)
+        covariance[np.ix_(at, at)] = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
         return mean, covariance
 
 

@@ -257,6 +257,25 @@ def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):
     assert "no [torch]" in out
 
 
+def test_the_table_fits_into_80_columns(capsys, monkeypatch):
+    from twin import cli
+
+    monkeypatch.setattr(cli.console, "_width", 80)
+    cell = {"scenario": "turn-zigzag", "fault": "gps10", "plan": "known"}
+    cell["predictor"] = "persistence-8s"
+    worst = {"mae": 13.15, "mse": 88.45, "skill": -1.516, "J": 27.84, "E": 26.84}
+    summary = [
+        {**cell, "metric": metric, "value": worst.get(metric, 1.212), "low": 10.4, "high": 153.5}
+        for metric in cli.bench.METRICS
+    ]
+    pair = {**cell, "against": "dsw-ukf-plus", "change_percent": 1801.2, "median_percent": 1.0}
+    pair |= {"low": 1364.3, "high": 2403.3, "wins": 0, "seeds": 24}
+    cli._print_benchmark({"summary": summary, "paired": [pair], "notes": []}, [])
+    out = capsys.readouterr().out
+    assert "\u2026" not in out
+    assert "+1801.2" in out and "0 of 24" in out and "10.4..154" in out and "persistence-8s" in out
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals are POSIX")
 def test_ctrl_c_keeps_what_is_finished(tmp_path):
     arguments = [

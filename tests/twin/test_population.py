@@ -49,17 +49,23 @@ def test_a_prior_ships_for_each_model_and_kind(model: str, kind: str) -> None:
     assert np.all(np.abs(mean - structure.mean) < 12.0 * np.maximum(sd, structure.sd))
 
 
+def apart(prior: Prior) -> np.ndarray:
+    """Return what members may differ by: other processors may end a fit a step apart.
+
+    Fits end at a relative change of 1e-4, files hold six digits.
+    """
+    return 0.02 * prior.members.std(axis=0) + 1e-5 * (1.0 + np.abs(prior.members).max(axis=0))
+
+
 @EACH
 def test_shipped_boats_are_what_the_function_makes(model: str, kind: str) -> None:
     prior = shipped_prior(model, kind)
-    sd = prior.members.std(axis=0)
     draw = functools.partial(pop.random_boat, kind)
     for row, boat in enumerate(prior.boats[:2]):
         xi, error, names = pop.member(model, draw, pop.SEED, int(boat))
         assert names == prior.parameters
         assert np.all(error <= pop.LARGEST_ERROR)
-        # the fit ends at a relative change of 1e-3; other processors may end a step apart
-        assert np.all(np.abs(xi - prior.members[row]) < 0.02 * sd)
+        assert np.all(np.abs(xi - prior.members[row]) < apart(prior))
 
 
 @pytest.mark.slow
@@ -68,8 +74,7 @@ def test_the_whole_file_is_what_the_function_makes(model: str, kind: str) -> Non
     prior, again = shipped_prior(model, kind), pop.make_prior(model, kind)
     assert again.boats.tolist() == prior.boats.tolist()
     assert again.about == prior.about
-    sd = prior.members.std(axis=0)
-    assert np.all(np.abs(again.members - prior.members) < 0.02 * sd)
+    assert np.all(np.abs(again.members - prior.members) < apart(prior))
 
 
 def test_one_file_serves_boats_of_every_size() -> None:
@@ -177,8 +182,8 @@ def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
     states[1:] += own * units
     twin = dataclasses.replace(run, states=states)
     xi, error = pop.project(structure, [twin])
-    # the structure's own mean still pulls a little, and the fit ends at 1e-3
-    assert np.all(error < 0.1 * pop.project(structure, [run])[1] + 1e-3)
+    # the mean of the structure still pulls a little
+    assert np.all(error < 0.3 * pop.project(structure, [run])[1] + 1e-3)
     assert np.max(np.abs(pop.rolled(structure, xi, twin))) < 0.03
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
 from twin.log import MEASUREMENTS
-from twin.predictor import Predictor, hold_velocity
+from twin.predictor import Prediction, Predictor, hold_velocity
 from twin.registry import EXTRAS, PredictorError
 from twin.twin import known_plan
 
@@ -139,6 +139,22 @@ def test_no_signal_at_all(name, boat):
         twin.step(0.05 * k, np.full(len(MEASUREMENTS), math.nan), np.array([20.0, 20.0, 0.1, 0.1]))
     assert not twin.estimate().ready
     assert np.isfinite(twin.predict().mean).all()
+
+
+def test_bands_are_those_given_or_normal():
+    t = np.array([1.0, 2.0])
+    mean = np.arange(12.0).reshape(2, 6)
+    plain = Prediction(0.0, np.zeros(6), np.eye(6), t, mean, np.tile(4.0 * np.eye(6), (2, 1, 1)))
+    np.testing.assert_allclose(plain.high - mean, 2.0 * 1.6448536, rtol=1e-7)
+    np.testing.assert_allclose(mean - plain.low, 2.0 * 1.6448536, rtol=1e-7)
+    skew = dataclasses.replace(plain, low=mean - 1.0, high=mean + 5.0)
+    low, high = skew.band(np.array([1.5, 2.0]))
+    middle = skew.at(np.array([1.5, 2.0]))[0]
+    np.testing.assert_allclose(middle - low, 1.0)
+    np.testing.assert_allclose(high - middle, 5.0)
+    # halfway to the first row: between the spread of the start and that of the row
+    low, high = skew.band(np.array([0.5]))
+    np.testing.assert_allclose(high, 0.5 * (1.6448536 + mean[:1] + 5.0), rtol=1e-7)
 
 
 def test_ukf_beats_persistence_in_the_zigzag(zigzag, boat):

@@ -1,5 +1,6 @@
 """The report: complete, self-contained, and unmoved by absurd or missing numbers."""
 
+import dataclasses
 import math
 import re
 import subprocess
@@ -128,6 +129,35 @@ def test_interval_needs_both_ends(tmp_path):
     found = results()
     found["summary"][0].update(low=1.25, high=3.75)
     assert "[1.25, 3.75]" in page(write_report(tmp_path, found, []))
+
+
+def test_pairs_and_coverage_are_shown(tmp_path):
+    here = {"scenario": "turn", "fault": "gps10", "predictor": "ukf", "plan": "hold"}
+    pair = {"against": "persistence", "change_percent": -12.34, "median_percent": -9.0}
+    pair |= {"low": -20.0, "high": -3.0, "wins": 5, "seeds": 6}
+    cover = [
+        {"channel": c, "horizon_s": h, "coverage90": 0.9 - 0.01 * h}
+        for c in ("u", "displacement")
+        for h in (1.0, 10.0)
+    ]
+    found = results(paired=[here | pair], coverage=[here | row for row in cover])
+    found["summary"][0].update(low=1.25, high=3.75, median=2.125)
+    text = page(write_report(tmp_path, found, []))
+    assert "Against persistence" in text
+    assert "-12.3 %<br><small>[-20.0, -3.0]" in text and "5 of 6" in text
+    assert "Coverage of the 90 % bands, % at 1/10 s" in text
+    assert text.count("<td>89/80</td>") == 2
+
+
+def test_a_band_may_be_wider_on_one_side():
+    log = sail()
+    prediction = predicted(log, 5.0)
+    skew = dataclasses.replace(
+        prediction, low=prediction.mean - 1.0, high=prediction.mean + 3.0, start_cov=np.eye(6)
+    )
+    down, up = report._band(skew, 3, 2.0)
+    np.testing.assert_allclose(down, [2.0 * report.Z90, *[2.0] * 40])
+    np.testing.assert_allclose(up, [2.0 * report.Z90, *[6.0] * 40])
 
 
 def test_missing_values_are_dashes(tmp_path):
