@@ -87,9 +87,8 @@ def test_report_is_complete_and_self_contained(tmp_path):
     assert files[0] == tmp_path / "report.html"
     stems = {path.stem for path in files[1:]}
     base = "turn_gps10_seed0_"
-    assert stems == {"turn_gps10_error"} | {
-        base + end for end in ("track", "prediction1", "prediction2", "ukf_X", "ukf_Y", "ukf_N")
-    }
+    ends = ("track", "prediction1", "prediction2", "ukf_surge", "ukf_sway", "ukf_yaw")
+    assert stems == {"turn_gps10_error"} | {base + end for end in ends}
     assert all(path.parent == tmp_path / "pictures" for path in files[1:])
     assert all(path.read_bytes().startswith(PNG) for path in files[1:])
     text = page(files)
