@@ -28,10 +28,13 @@ from twin.model import (
 )
 from twin.navigation import (
     GPS_AGE,
+    IMU_AGE,
     N_NAV,
     READY_FIX,
     READY_HEADING,
     STATUS_SIZE,
+    WORK_ROWS,
+    aid,
     aid_velocity,
     initial_navigation,
     navigate,
@@ -41,7 +44,7 @@ from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction, Predictor
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
-from usv_kernel import kernel
+from usv_kernel import kernel, wrap
 
 __all__ = [
     "FilterSettings",
@@ -69,8 +72,17 @@ GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
-AID_SD = 0.25 / STUDY_SPEED
+AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in usual speeds."""
+AID_TURN = 0.04
+"""Standard deviation of the model's yaw rate as an aid, in usual speeds over length."""
+ECHO = 400.0
+"""Without GPS the error of the navigation's velocity lasts: so many rows count as one."""
+RESTART_AFTER = 4.0
+"""After so long without GPS (in lengths over usual speed) the state starts anew with the next
+fix; the parameters stay ..."""
+ASTRAY = 10.0
+"""... as where it is so many standard deviations from what the navigation says."""
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 SEE_EVERY, SEE_MAX = 0.25, 1.0
@@ -277,7 +289,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
     """One row of the plain predictor: navigate, predict, correct; all memory in place."""
     n, P_nav = nav_parts(nav)
     status = nav[_STATUS:_SINCE_AID]
-    x, P, act, wind, _, _, r, p0, _, envelope, _, n_unit = parts(memory, constants, kit)
+    x, P, act, wind, _, _, r, p0, lags, envelope, _, n_unit = parts(memory, constants, kit)
     _, R, terms, model, mask, _, _ = rooms(scratch, kit)
 
     feel_wind(z, wind)
@@ -292,7 +304,8 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         model[1] = min(max(dv, -speed * turn), speed * turn)
         model[2] = min(max(dr, -turn * turn), turn * turn)
         model[3] = 1.0
-    navigate(n, P_nav, min(dt, GAP_MAX), z, model, nav_settings, status, nav_work)
+    age = status[GPS_AGE] + dt
+    navigate(n, P_nav, dt, z, model, nav_settings, status, nav_work)
     if nav[BEGUN] == 0.0:
         for k in range(2):
             act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
@@ -302,18 +315,51 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
                 P[i, i] = p0[i]
             nav[BEGUN] = 1.0
         return
+    # so long a roll-out is far from linear in the parameters: its error would ruin them
+    astray = age > RESTART_AFTER * 4.0 / envelope[2] and status[GPS_AGE] == 0.0
+    for i in range(N_STATES):
+        off = n[i] - x[i]
+        if i == PSI:
+            off = wrap(off)
+        astray = astray or off * off > ASTRAY**2 * (P[i, i] + P_nav[i, i] + r[i])
+    if astray:
+        for i in range(N_STATES):
+            for k in range(x.shape[0]):
+                P[i, k] = P[k, i] = 0.0
+            x[i], P[i, i] = n[i], p0[i] + P_nav[i, i]
+        _follow_commands(act, cmd, lags, n_unit, dt)
+        return
     advance(dt, cmd, memory, constants, scratch, work, kit)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
         R[i, i] = STUDY_STEP * r[i] / row + P_nav[i, i]
         mask[i] = 1.0
+    no_gps, no_imu = status[GPS_AGE] > AID_AFTER, status[IMU_AGE] > AID_AFTER
+    if no_gps:
+        # what the navigation then says of them is in part the model's own
+        mask[0] = mask[1] = 0.0
+        R[3, 3] *= ECHO
+        R[4, 4] *= ECHO
+    if no_imu:
+        mask[5] = 0.0
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
     nav[_SINCE_AID] += dt
-    if status[GPS_AGE] > AID_AFTER and nav[_SINCE_AID] >= AID_EVERY:
+    if (no_gps or no_imu) and nav[_SINCE_AID] >= AID_EVERY:
         nav[_SINCE_AID] = 0.0
-        aid_var = (AID_SD * 0.25 * envelope[0]) ** 2
-        aid_velocity(n, P_nav, x[3], x[4], aid_var, status, nav_work[0], nav_work[1])
+        speed, turn = 0.25 * envelope[0], 0.25 * envelope[2]
+        aid_velocity(
+            *(n, P_nav, x[3], x[4], (AID_SD * speed) ** 2, status),
+            *(nav_work[0], nav_work[1]),
+        )
+        if no_imu:
+            aid(n, P_nav, 5, x[5], (AID_TURN * turn) ** 2, status, nav_work[0], nav_work[1])
+    if no_gps:
+        for i in range(2):
+            spread = P[i, i]
+            for k in range(x.shape[0]):
+                P[i, k] = P[k, i] = 0.0
+            x[i], P[i, i] = n[i], spread
 
 
 @kernel
@@ -579,7 +625,7 @@ class UKFPredictor(ModelPredictor):
         self.status = self.nav[_STATUS:_SINCE_AID]
         self._nav_settings = navigation_settings(particulars)
         self._arguments = (
-            *(self.nav, self._nav_settings, np.zeros((2 + N_NAV, N_NAV))),
+            *(self.nav, self._nav_settings, np.zeros((WORK_ROWS, N_NAV))),
             *self.ukf.arguments,
         )
         self.reset()

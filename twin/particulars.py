@@ -19,7 +19,13 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["STEERING", "Instruments", "Particulars"]
+__all__ = ["GRAVITY", "STEERING", "Instruments", "Particulars"]
+
+GRAVITY = 9.81
+"""Gravity, m/s2."""
+
+LATENCY_MAX = 10.0
+"""Largest age of a fix, s."""
 
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
@@ -33,6 +39,9 @@ class ParticularsError(ValueError):
 def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)
+        if item.name.endswith("_arm"):
+            _check_arm(item.name, value)
+            continue
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             continue
         if not math.isfinite(value):
@@ -40,6 +49,17 @@ def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
         if value < 0.0 or (value == 0.0 and item.name in positive):
             bound = "above 0" if item.name in positive else "0 or more"
             raise ParticularsError(f"{item.name} = {value} must be {bound}")
+
+
+def _check_arm(name: str, value: Any) -> None:
+    numbers = isinstance(value, (tuple, list)) and len(value) == 2
+    if not numbers or not all(
+        isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
+    ):
+        raise ParticularsError(
+            f"{name} = {value!r} must be two finite numbers: m forward and m to starboard of the "
+            "origin, such as [1.5, -0.2]"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,30 +74,58 @@ class Instruments:
     doppler_sd : float
         Velocity over ground, m/s.
     compass_sd : float
-        Heading, rad.
+        Heading, rad: what changes from sample to sample ...
+    compass_bias_sd : float
+        ... and what drifts over minutes, rad.
     gyro_sd, gyro_bias_sd : float
         Yaw rate: white noise per sample and bias, rad/s.
     accel_sd, accel_bias_sd : float
-        Specific force: white noise per sample and bias, m/s2. Give the white noise room
-        for what the model leaves out (waves, tilt).
+        Specific force: white noise per sample and bias, m/s2.
     gps_latency : float
-        Age of a fix when it arrives, s.
+        Age of a fix when it arrives, s; up to 10.
+    gps_arm, imu_arm : tuple of float
+        Where antenna and IMU sit: m forward and m to starboard of the origin, which is the
+        point whose position and velocity are wanted.
+    tilt_sd, tilt_time : float
+        Typical roll and pitch (rad) of a boat whose accelerometers feel them, 0 for one that
+        stays upright or whose IMU takes gravity out; and how long a tilt lasts (s).
     """
 
     gps_sd: float = 0.4
     gps_bias_sd: float = 1.0
     doppler_sd: float = 0.08
     compass_sd: float = 0.012
+    compass_bias_sd: float = 0.0175
     gyro_sd: float = 0.002
     gyro_bias_sd: float = 0.001
     accel_sd: float = 0.12
     accel_bias_sd: float = 0.05
     gps_latency: float = 0.1
+    gps_arm: tuple[float, float] = (0.0, 0.0)
+    imu_arm: tuple[float, float] = (0.0, 0.0)
+    tilt_sd: float = 0.0
+    tilt_time: float = 2.0
 
     def __post_init__(self) -> None:
         _check_fields(
-            self, ("gps_sd", "doppler_sd", "compass_sd", "gyro_sd", "accel_sd", "accel_bias_sd")
+            self,
+            (
+                "gps_sd",
+                "doppler_sd",
+                "compass_sd",
+                "gyro_sd",
+                "accel_sd",
+                "accel_bias_sd",
+                "tilt_time",
+            ),
         )
+        if self.gps_latency > LATENCY_MAX:
+            raise ParticularsError(
+                f"gps_latency = {self.gps_latency} must be {LATENCY_MAX:g} s or less"
+            )
+        for name in ("gps_arm", "imu_arm"):
+            forward, side = getattr(self, name)
+            object.__setattr__(self, name, (float(forward), float(side)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +239,9 @@ class Particulars:
                 lines.append(f"{item.name} = {text}")
         lines += ["", "[instruments]"]
         for item in dataclasses.fields(self.instruments):
-            lines.append(f"{item.name} = {float(getattr(self.instruments, item.name))!r}")
+            value = getattr(self.instruments, item.name)
+            text = repr(list(value) if isinstance(value, tuple) else float(value))
+            lines.append(f"{item.name} = {text}")
         return "\n".join(lines) + "\n"
 
 
@@ -203,6 +253,8 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
     for key, value in table.items():
         if key not in fields:
             raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
+        if key.endswith("_arm"):
+            continue  # told by the class itself
         text = key in ("name", "steering")
         wanted = str if text else (int, float)
         if not isinstance(value, wanted) or isinstance(value, bool):

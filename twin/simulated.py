@@ -22,12 +22,10 @@ __all__ = ["TRUE_STATE", "measurement_row", "particulars_of", "simulate"]
 
 Array = NDArray[np.float64]
 
-UPRIGHT, TILT = 0.07, 8.0
-"""Accelerations that a twin's model leaves out, m/s2, as white noise at 20 Hz: waves on an
-upright boat, and gravity in the accelerometers of one that rolls and pitches (0.2 to 1 in sea
-state 2, but lasting for seconds, or as long as a turn: it counts for ten times as much)."""
-SWAY = 0.2
-"""Typical turning rate and acceleration of a boat in waves, rad/s and rad/s2."""
+UPRIGHT = 0.07
+"""Room for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
+TILT_SD, TILT_TIME = 0.08, 1.0
+"""Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
 
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
@@ -70,20 +68,20 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
         steer_rate=v.get("steer_rate", 1.0),
         instruments=Instruments(
             gps_sd=max(suite.gps_white, 0.02),
-            # a twin knows no lever arms: an antenna off the origin is a position off
-            gps_bias_sd=math.hypot(suite.gps_bias, *suite.gps_arm[:2]),
-            # room for what the latency makes of a wavy motion, and the arm of a swaying one
-            doppler_sd=math.hypot(suite.doppler_white, 0.06, SWAY * math.hypot(*suite.gps_arm)),
+            gps_bias_sd=suite.gps_bias,
+            # room for what the latency makes of a wavy motion
+            doppler_sd=math.hypot(suite.doppler_white, 0.06),
             compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
+            compass_bias_sd=suite.compass_bias,
             gyro_sd=max(suite.gyro_white, 1e-4),
             gyro_bias_sd=max(suite.gyro_bias, 1e-5),
-            accel_sd=math.hypot(
-                suite.accel_white,
-                TILT if dof == 6 else UPRIGHT,
-                SWAY * math.hypot(*suite.imu_arm),
-            ),
+            accel_sd=math.hypot(suite.accel_white, UPRIGHT),
             accel_bias_sd=max(suite.accel_bias, 1e-3),
             gps_latency=suite.gps_latency,
+            gps_arm=suite.gps_arm[:2],
+            imu_arm=suite.imu_arm[:2],
+            tilt_sd=TILT_SD if dof == 6 else 0.0,
+            tilt_time=TILT_TIME,
         ),
     )
 

@@ -47,6 +47,9 @@ def test_load_fills_in_what_is_left_out(tmp_path: Path) -> None:
     assert Particulars.load(path) == dataclasses.replace(BOAT, instruments=Instruments(gps_sd=2.0))
 
 
+MAY_BE_ZERO = ("gps_bias_sd", "compass_bias_sd", "gyro_bias_sd", "gps_latency", "tilt_sd")
+ARMS = ("gps_arm", "imu_arm")
+place = st.floats(allow_nan=False, allow_infinity=False)
 above_zero = st.floats(min_value=1e-300, allow_infinity=False)
 zero_or_more = st.floats(min_value=0.0, allow_infinity=False)
 
@@ -57,7 +60,13 @@ def test_round_trip(tmp_path: Path, data: st.DataObject) -> None:
     instruments = Instruments(
         **{
             item.name: data.draw(
-                zero_or_more if item.name in ("gyro_bias_sd", "gps_latency") else above_zero
+                st.tuples(place, place)
+                if item.name.endswith("_arm")
+                else st.floats(0.0, 10.0)
+                if item.name == "gps_latency"
+                else zero_or_more
+                if item.name in MAY_BE_ZERO
+                else above_zero
             )
             for item in dataclasses.fields(Instruments)
         }
@@ -82,13 +91,29 @@ def test_values_that_no_boat_has(name: str, value: float) -> None:
         dataclasses.replace(BOAT, **change)
 
 
-@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Instruments)])
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize(
+    "value", [(1.0,), (1.0, 2.0, 3.0), 1.0, (1.0, math.nan), (True, 0.0), "ab"]
+)
+def test_arms_that_no_instrument_has(name: str, value: Any) -> None:
+    with pytest.raises(ParticularsError, match=f"^{name} = .* must be two finite numbers"):
+        Instruments(**{name: value})
+
+
+def test_a_fix_that_is_too_old() -> None:
+    with pytest.raises(ParticularsError, match=r"^gps_latency = 11\.0 must be 10 s or less"):
+        Instruments(gps_latency=11.0)
+
+
+@pytest.mark.parametrize(
+    "name", [item.name for item in dataclasses.fields(Instruments) if item.name not in ARMS]
+)
 def test_values_that_no_instrument_has(name: str) -> None:
     with pytest.raises(ParticularsError, match=f"^{name} = -1.0 must be"):
         Instruments(**{name: -1.0})
     with pytest.raises(ParticularsError, match=f"^{name} = nan is not a finite number"):
         Instruments(**{name: math.nan})
-    if name in ("gps_bias_sd", "gyro_bias_sd", "gps_latency"):
+    if name in MAY_BE_ZERO:
         assert getattr(Instruments(**{name: 0.0}), name) == 0.0
     else:
         with pytest.raises(ParticularsError, match=f"^{name} = 0.0 must be above 0"):
@@ -113,6 +138,11 @@ def test_values_that_no_instrument_has(name: str) -> None:
         ("mass = 2300", "mass = ", "is not valid TOML"),
         ("mass = 2300", "mass = 2300\n[instruments]\nradar = 1", "unknown key 'radar'; known keys"),
         ("shaft_speed = 17.0", "shaft_speed = 17.0\n[instruments]\ngps_sd = 0", "gps_sd = 0 must"),
+        (
+            "shaft_speed = 17.0",
+            "shaft_speed = 17.0\n[instruments]\ngps_arm = [1]",
+            "gps_arm = [1] must be two finite numbers",
+        ),
     ],
 )
 def test_mistakes_in_a_file(tmp_path: Path, old: str, new: str, words: str) -> None:
