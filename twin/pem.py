@@ -345,7 +345,7 @@ class Segments:
         self.reset()
 
     @property
-    def _quadratics(self) -> tuple[Array, ...]:
+    def _quadratics(self) -> tuple[Array, Array, Array, Array, Array]:
         return self.first, self.H, self.b, self.c, self.at
 
     def reset(self) -> None:
