@@ -536,7 +536,7 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
             "xi_sd": [sd.tolist() for _, _, sd in history],
             "names": twin.predictor.parameter_names,
             "units": twin.predictor.parameter_units,
-            "blocks": twin.predictor.parameter_blocks,
+            "blocks": dict(twin.predictor.parameter_blocks),
         }
     path = result_file(folder, unit)
     path.parent.mkdir(parents=True, exist_ok=True)

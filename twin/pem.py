@@ -345,7 +345,7 @@ class Segments:
         self.reset()
 
     @property
-    def _quadratics(self) -> tuple[Array, ...]:
+    def _quadratics(self) -> tuple[Array, Array, Array, Array, Array]:
         return self.first, self.H, self.b, self.c, self.at
 
     def reset(self) -> None:
@@ -432,7 +432,7 @@ class Segments:
         self.renew(rows, many)
         best = self.objective(self.xi)
         for _ in range(iterations):
-            kept = self.xi, self.H.copy(), self.b.copy(), self.c.copy(), self.at.copy()
+            kept = self.xi.copy(), self.H.copy(), self.b.copy(), self.c.copy(), self.at.copy()
             self.solve(1, damping)
             self.renew(rows, many)
             reached = bool((self.at[self.first >= 0] == self.xi).all())

@@ -13,8 +13,10 @@ from twin import report
 from twin.log import MEASUREMENTS, Log
 from twin.predictor import Prediction
 from twin.report import PredictorFigure, RunFigure, picture_of_log, write_report
+from twin.structure import structure_of
 
 PNG = b"\x89PNG\r\n\x1a\n"
+MODEL = structure_of("paper", 6.3, 5.4, 20.0)
 
 
 def sail(name="run", truth=True, rows=400):
@@ -44,9 +46,12 @@ def predicted(log, t0, factor=1.0):
 
 
 def figure(log, factor=1.0, model=True, origins=(5.0, 8.0)):
-    t = np.arange(20.0)
-    xi = np.outer(t, np.linspace(1e-6, 1.0, 25)) * factor if model else np.zeros((20, 0))
-    return PredictorFigure([predicted(log, o, factor) for o in origins], t, xi, 0.1 * np.abs(xi))
+    t, examples = np.arange(20.0), [predicted(log, o, factor) for o in origins]
+    if not model:
+        return PredictorFigure(examples, t, np.zeros((20, 0)), np.zeros((20, 0)))
+    xi = np.outer(t, np.linspace(1e-6, 1.0, len(MODEL))) * factor
+    named = MODEL.parameters, MODEL.units, MODEL.blocks
+    return PredictorFigure(examples, t, xi, 0.1 * np.abs(xi), *named)
 
 
 def results(predictors=("persistence", "ukf"), **more):
@@ -82,9 +87,8 @@ def test_report_is_complete_and_self_contained(tmp_path):
     assert files[0] == tmp_path / "report.html"
     stems = {path.stem for path in files[1:]}
     base = "turn_gps10_seed0_"
-    assert stems == {"turn_gps10_error"} | {
-        base + end for end in ("track", "prediction1", "prediction2", "ukf_X", "ukf_Y", "ukf_N")
-    }
+    ends = ("track", "prediction1", "prediction2", "ukf_surge", "ukf_sway", "ukf_yaw")
+    assert stems == {"turn_gps10_error"} | {base + end for end in ends}
     assert all(path.parent == tmp_path / "pictures" for path in files[1:])
     assert all(path.read_bytes().startswith(PNG) for path in files[1:])
     text = page(files)

@@ -53,7 +53,7 @@ def run_of_boat(
     angles = np.repeat(rng.uniform(-0.2, 0.35, steps // 50 + 1), 50)[:steps]
     # fixed propellers turn the boat by their difference, drives by their angles
     n = SHAFT * structure.n_unit
-    acts = np.column_stack([n * (1.0 + 0.5 * angles), n * (1.0 - 0.5 * angles), angles, angles])
+    acts = np.column_stack([n * (1.0 + 1.5 * angles), n * (1.0 - 1.5 * angles), angles, angles])
     s, after, terms = np.array([0.0, 0.0, 6.2, 5.0, 0.0, 0.0]), np.empty(6), np.empty(N_TERMS)
     states = np.empty((steps, 6))
     for k in range(steps):

@@ -1,0 +1,359 @@
+"""DSW-UKF+: its window, its clock, and that it predicts something finite whatever comes."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from twin.identifier import BEGUN
+from twin.log import MEASUREMENTS, Log
+from twin.model import N_STATES
+from twin.particulars import Particulars
+from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND
+from twin.plus import PlusPredictor
+from twin.simulated import particulars_of, simulate
+from twin.structure import MODELS
+from usv_gym import SeaState, Vessel
+
+NOTHING = np.full(len(MEASUREMENTS), math.nan)
+PLAN = np.tile([20.0, 20.0, 0.2, 0.2], (40, 1))
+
+
+def thinned(log: Log, times: np.ndarray) -> Log:
+    """Return the log's rows next to some times, which become theirs."""
+    near = np.clip(np.searchsorted(log.t, times), 0, len(log) - 1)
+    return dataclasses.replace(
+        log, t=times, z=log.z[near], cmd=log.cmd[near], truth=log.truth[near]
+    )
+
+
+def feed(predictor: PlusPredictor, log: Log, each: Callable[[float], None] | None = None) -> None:
+    last = math.nan
+    for t, z, cmd in log:
+        predictor.update(t, t - last if math.isfinite(last) else 0.0, z, cmd)
+        last = t
+        if each is not None:
+            each(t)
+
+
+def check(predictor: PlusPredictor, plan: np.ndarray = PLAN) -> None:
+    """Predictions of every kind are finite, with covariances; the mean is the mean."""
+    for dt, rows in (
+        (0.25, plan),
+        (0.05, np.repeat(plan, 5, axis=0)),
+        (1.0, plan[:7]),
+        (3.0, plan[:1]),
+    ):
+        found = predictor.predict(rows, dt)
+        for values in (found.start, found.mean, found.low, found.high, found.sd):
+            assert np.isfinite(values).all()
+        for cov in (found.start_cov[None], found.cov):
+            assert np.isfinite(cov).all()
+            np.testing.assert_array_equal(cov, np.swapaxes(cov, 1, 2))
+            values = np.linalg.eigvalsh(cov)
+            # rounding beside the largest variance
+            assert (values[:, 0] >= -1e-12 * values[:, -1]).all()
+        np.testing.assert_array_equal(predictor.mean(rows, dt), found.mean)
+        # a clock that counts from 1970 has steps of 2e-7 s
+        np.testing.assert_allclose(found.t - found.t0, dt * np.arange(1, len(rows) + 1), atol=1e-6)
+    assert np.isfinite(predictor.ukf.x).all() and np.isfinite(predictor.ukf.P).all()
+    assert np.isfinite(predictor.segments.cov).all()
+
+
+def memory(predictor: PlusPredictor) -> dict[str, object]:
+    """Return copies of all that counts of what a predictor remembers."""
+    segments = predictor.segments
+    used = segments.first >= 0
+    return copy.deepcopy(
+        {
+            **{name: getattr(predictor, name) for name in ("t", "nav", "rows", "track")},
+            **{name: getattr(segments, name)[used] for name in ("first", "H", "b", "c", "at")},
+            **{"xi": segments.xi, "cov": segments.cov, "ukf": predictor.ukf.memory},
+            "waves": (predictor._coefficients, predictor._noise, predictor._wave_sd),
+            "rest": (predictor._seen, predictor._next_start, predictor._refit_at),
+        }
+    )
+
+
+# The window
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.07, 0.25, 0.4])
+def test_window_is_the_navigation_on_the_grid(boat: Particulars, zigzag: Log, dt: float) -> None:
+    log = thinned(zigzag, np.arange(0.0, 50.0, dt))
+    log.z[:, 8:] = [5.0, 0.7]
+    predictor = PlusPredictor(boat)
+    predictor._refit = lambda: None  # type: ignore[method-assign]
+    t, n, acts, slow = [], [], [], []
+
+    def keep(now: float) -> None:
+        if predictor.nav[BEGUN] > 0.0:
+            t.append(now)
+            n.append(predictor.n[:N_STATES].copy())
+            acts.append(predictor.ukf.act.copy())
+            slow.append(predictor._start()[3:])
+
+    feed(predictor, log, keep)
+    last = predictor.last_row
+    assert 150 < last < len(predictor.rows)
+    rows = predictor.rows[: last + 1]
+    at = t[0] + GRID * np.arange(last + 1)
+
+    def on_grid(values: list[np.ndarray], when: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(when, t, column) for column in np.array(values).T], axis=1)
+
+    # rounding of times: 1e-14 s at 50 s, and speeds of metres and radians a second
+    np.testing.assert_allclose(rows[:, STATE : STATE + 6], on_grid(n, at), atol=1e-9)
+    np.testing.assert_allclose(rows[:, ACT : ACT + 4], on_grid(acts, at), atol=1e-9)
+    half = on_grid(acts, at + 0.5 * GRID)
+    np.testing.assert_allclose(rows[:, MIDDLE : MIDDLE + 4], half, atol=1e-9)
+    # the observer and the wind are those of the row that reached the grid
+    reached = np.searchsorted(np.array(t) + 1e-9, at)
+    np.testing.assert_allclose(rows[:, LOW : LOW + 3], np.array(slow)[reached], atol=1e-9)
+    wind = [-5.0 * math.cos(0.7), -5.0 * math.sin(0.7)]
+    np.testing.assert_allclose(rows[:, WIND : WIND + 2], np.tile(wind, (last + 1, 1)))
+    assert (rows[-20:, GOOD] == 1.0).all()
+
+
+def test_last_row_is_the_newest_whole_one_at_every_phase(boat: Particulars, zigzag: Log) -> None:
+    rng = np.random.default_rng(4)
+    # times in powers of 2 are exact
+    times = np.cumsum(rng.integers(1, 40, 300)) / 64.0
+    predictor = PlusPredictor(boat)
+    assert predictor.last_row == -1
+    begun: list[float] = []
+
+    def whole(now: float) -> None:
+        if predictor.nav[BEGUN] == 0.0:
+            assert predictor.last_row == -1
+            return
+        begun.append(now)
+        # a row is whole once the actuators half a step later are there
+        assert predictor.last_row == math.floor((now - begun[0]) / GRID - 0.5)
+
+    feed(predictor, thinned(zigzag, times), whole)
+    assert len(begun) > 250 and predictor.last_row > 200
+
+
+def test_refits_keep_to_their_period(boat: Particulars, zigzag: Log) -> None:
+    for period, dt in ((1.0, 0.05), (2.5, 0.05), (1.0, 0.3), (0.5, 1.0)):
+        predictor, when = PlusPredictor(boat, period=period), []
+        refit = predictor._refit
+        predictor._refit = lambda refit=refit, p=predictor, w=when: (w.append(p.t), refit())[1]  # type: ignore[method-assign]
+        feed(predictor, thinned(zigzag, np.arange(0.0, 40.0, dt)))
+        steps = np.diff(when)
+        assert (steps >= period - 1e-6).all() and (steps < period + dt + 1e-6).all()
+        assert when[0] < 1.0 + dt and when[-1] > 40.0 - period - 2.0 * dt
+
+
+def test_a_refit_changes_the_parameters_of_the_filter(boat: Particulars, zigzag: Log) -> None:
+    for name in MODELS:
+        predictor = PlusPredictor(boat, model=name)
+        prior_sd = predictor.estimate().xi_sd
+        feed(predictor, zigzag.slice(0.0, 40.0))
+        used = predictor.segments.first[predictor.segments.first >= 0]
+        # one segment a spacing, none that is not over yet
+        assert len(used) >= 10 and (np.diff(np.sort(used)) == predictor.spacing).all()
+        assert used.max() + predictor.segments.steps < predictor.last_row + 1
+        sd = predictor.estimate().xi_sd
+        assert (sd <= prior_sd * (1.0 + 1e-6)).all() and (sd < 0.8 * prior_sd).sum() >= 3
+        check(predictor)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("vessel", ["usv75", "otter", "wamv16", "kvlcc2_l7"])
+def test_vessels_of_any_kind_are_refitted(name: str, vessel: str) -> None:
+    ship = Vessel.load(vessel)
+    log = simulate("zigzag", vessel=ship, sea=SeaState(hs=0.2, wind=4.5), duration=40.0, seed=2)
+    predictor = PlusPredictor(particulars_of(ship), model=name)
+    feed(predictor, log)
+    used = predictor.segments.first >= 0
+    assert used.sum() >= 10
+    moved = (
+        np.abs(predictor.ukf.xi - predictor.segments.prior)
+        > 0.05 * predictor.ukf.settings.structure.sd
+    )
+    assert moved.any()
+    check(predictor)
+
+
+# Whatever comes
+
+
+def gap(log: Log, at: float, length: float) -> Log:
+    return dataclasses.replace(log, t=np.where(log.t >= at, log.t + length, log.t))
+
+
+def without(log: Log, columns: slice, start: float = -1.0, end: float = 1e9) -> Log:
+    z = log.z.copy()
+    z[(log.t >= start) & (log.t < end), columns] = math.nan
+    return dataclasses.replace(log, z=z)
+
+
+def absurd_commands(log: Log) -> Log:
+    cmd = log.cmd.copy()
+    rng = np.random.default_rng(0)
+    cmd[300:600] = rng.normal(size=(300, 4)) * [1e6, 1e6, 1e3, 1e3]
+    return dataclasses.replace(log, cmd=cmd)
+
+
+def absurd_measurements(log: Log) -> Log:
+    z, rng = log.z.copy(), np.random.default_rng(0)
+    wild = rng.random(z.shape) < 0.2
+    z[wild] = (rng.normal(size=z.shape) * 10.0 ** rng.uniform(-3, 300, z.shape))[wild]
+    return dataclasses.replace(log, z=z)
+
+
+def every_other_row_missing(log: Log) -> Log:
+    z = log.z.copy()
+    z[np.random.default_rng(0).random(len(z)) < 0.7] = math.nan
+    return dataclasses.replace(log, z=z)
+
+
+STORIES: dict[str, Callable[[Log], Log]] = {
+    "no fix": lambda log: without(log, slice(0, 4)),
+    "no heading": lambda log: without(log, slice(4, 5)),
+    "nothing": lambda log: without(log, slice(None)),
+    "no IMU": lambda log: without(log, slice(5, 8)),
+    "1 Hz": lambda log: thinned(log, np.arange(0.0, 60.0)),
+    "1 Hz, no IMU": lambda log: without(thinned(log, np.arange(0.0, 60.0)), slice(5, 8)),
+    "one row in 10 s": lambda log: thinned(log, np.arange(0.0, 60.0, 10.0)),
+    "gap of 2 s": lambda log: gap(log, 30.0, 2.0),
+    "gap of 1 min": lambda log: gap(log, 30.0, 60.0),
+    "gap of 1 h": lambda log: gap(log, 30.0, 3600.0),
+    "gap of a week at the end": lambda log: gap(log, 59.9, 6e5),
+    "GPS lost": lambda log: without(log, slice(0, 4), 30.0),
+    "GPS and IMU lost": lambda log: without(log, slice(None), 30.0),
+    "GPS back": lambda log: without(log, slice(0, 4), 20.0, 50.0),
+    "NaN rows": every_other_row_missing,
+    "absurd commands": absurd_commands,
+    "absurd measurements": absurd_measurements,
+    "late clock": lambda log: dataclasses.replace(log, t=log.t + 1.7e9),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("story", STORIES)
+def test_predictions_stay_finite(boat: Particulars, zigzag: Log, name: str, story: str) -> None:
+    predictor, rows = PlusPredictor(boat, model=name), 0
+
+    def now_and_then(_: float) -> None:
+        nonlocal rows
+        rows += 1
+        if rows in (1, 20, 500, 700):
+            check(predictor)
+
+    feed(predictor, STORIES[story](zigzag), now_and_then)
+    check(predictor)
+    for plan in (1e9 * PLAN, -PLAN, 0.0 * PLAN):
+        check(predictor, plan)
+    estimate = predictor.estimate()
+    assert np.isfinite(estimate.s).all() and np.isfinite(estimate.sd).all()
+    assert estimate.ready == (story not in ("no fix", "no heading", "nothing"))
+
+
+def test_it_comes_back_after_an_hour(boat: Particulars, zigzag: Log) -> None:
+    predictor = PlusPredictor(boat)
+    feed(predictor, gap(zigzag, 30.0, 3600.0))
+    error = predictor.estimate().s - zigzag.truth[-1]
+    # a receiver's bias and noise, and waves
+    assert np.hypot(*error[:2]) < 6.0 and np.abs(error[3:5]).max() < 0.8
+    used = predictor.segments.first[predictor.segments.first >= 0]
+    # nothing from before the gap, but segments of the half minute since
+    assert len(used) >= 5
+    good = [predictor._window(k, k + predictor.segments.steps)[:, GOOD].all() for k in used]
+    assert all(good)
+    assert used.min() * GRID > 3500.0
+
+
+@pytest.mark.parametrize("start", [1.0, 2.0, 60.0])
+def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: float) -> None:
+    """``start`` seconds of silence: rows within it are no measurements of anything."""
+    predictor = PlusPredictor(boat)
+    feed(predictor, gap(zigzag, 30.0, start + 0.5))
+    began = predictor.track[0]
+    for first in predictor.segments.first[predictor.segments.first >= 0]:
+        begin = began + GRID * first
+        end = begin + GRID * predictor.segments.steps
+        assert end < 30.0 + 1e-9 or begin > 30.0 + start - GRID
+
+
+# Bits
+
+
+def test_same_seed_same_bits_and_another_draws_others(boat: Particulars, zigzag: Log) -> None:
+    runs = []
+    for seed in (3, 3, 4):
+        predictor = PlusPredictor(boat, seed=seed)
+        feed(predictor, zigzag.slice(0.0, 30.0))
+        runs.append(predictor.predict(PLAN, 0.25))
+    one, two, other = runs
+    np.testing.assert_array_equal(one.mean, two.mean)
+    np.testing.assert_array_equal(one.cov, two.cov)
+    np.testing.assert_array_equal(one.mean, other.mean)
+    assert not np.array_equal(one.cov, other.cov)
+    # a hundred draws: the spread is known to some 7 %, and its square to 14 %
+    np.testing.assert_allclose(one.sd[-1], other.sd[-1], rtol=0.4)
+
+
+def test_predicting_changes_nothing(boat: Particulars, zigzag: Log) -> None:
+    silent, busy = PlusPredictor(boat), PlusPredictor(boat)
+    feed(silent, zigzag.slice(0.0, 40.0))
+
+    def ask(t: float) -> None:
+        if round(t / 0.05) % 37 == 0:
+            before = memory(busy)
+            busy.predict(PLAN, 0.25)
+            busy.mean(PLAN, 0.1)
+            np.testing.assert_equal(memory(busy), before)
+
+    feed(busy, zigzag.slice(0.0, 40.0), ask)
+    np.testing.assert_equal(memory(busy), memory(silent))
+    one, two = silent.predict(PLAN, 0.25), busy.predict(PLAN, 0.25)
+    np.testing.assert_array_equal(one.mean, two.mean)
+    np.testing.assert_array_equal(one.cov, two.cov)
+
+
+def test_reset_forgets(boat: Particulars, zigzag: Log) -> None:
+    used, fresh = PlusPredictor(boat), PlusPredictor(boat)
+    feed(used, zigzag)
+    used.reset()
+    np.testing.assert_equal(memory(used), memory(fresh))
+    for predictor in (used, fresh):
+        feed(predictor, zigzag.slice(5.0, 30.0))
+    np.testing.assert_equal(memory(used), memory(fresh))
+
+
+# The guard
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_guard_keeps_the_motion_inside_bounds(boat: Particulars, zigzag: Log, name: str) -> None:
+    predictor = PlusPredictor(boat, model=name)
+    feed(predictor, zigzag.slice(0.0, 40.0))
+    calm = np.zeros((len(PLAN), 3))
+    theta, _ = predictor._guarded(PLAN, 0.25, calm)
+    # a sane set is left alone, but for the rounding of prior + (xi - prior)
+    np.testing.assert_allclose(theta, predictor.ukf.xi, rtol=1e-12, atol=1e-15)
+    U, L = boat.speed, boat.length
+    # what the boat was seen to do, half as much again, or what any boat can
+    bound = np.maximum(1.5 * predictor._seen, [1.5 * U, 0.8 * U, 1.2 * U / L])
+    names, rng = predictor.parameter_names, np.random.default_rng(0)
+    for _ in range(20):
+        k = rng.integers(len(names))
+        kept = predictor.ukf.x.copy()
+        predictor.ukf.x[N_STATES + k] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-2, 6)
+        theta, out = predictor._guarded(PLAN, 0.25, calm)
+        assert (np.abs(out[:, 3:]) <= bound).all(), names[k]
+        # drawn back along the way to the prior, never beyond
+        prior, xi = predictor.segments.prior, predictor.ukf.xi
+        part = np.dot(theta - prior, xi - prior) / np.dot(xi - prior, xi - prior)
+        np.testing.assert_allclose(theta, prior + part * (xi - prior), atol=1e-9 * np.abs(xi).max())
+        assert -1e-9 <= part <= 1.0 + 1e-9
+        check(predictor)
+        predictor.ukf.x[:] = kept
