@@ -61,6 +61,8 @@ JUMP = 300.0
 """After a gap longer than this, s, nothing of the window is kept."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
+WIDER = 1.15
+"""What the draws leave out (gusts, the model's own shortcomings): bands are wider by this."""
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
 WAVE_SPAN = 60.0
@@ -82,12 +84,12 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
     return RefitSettings(
         span=110.0,
         spacing=2.0,
-        horizon=5.0,
+        horizon=7.0,
         every=2,
         sd=np.array([0.35 * L, 0.35 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.15 * U, 0.15 * U, 0.02 * U / L]),
-        scale=0.1,
-        knee=0.01,
+        scale=0.15,
+        knee=0.015,
     )
 
 
@@ -211,7 +213,7 @@ class PlusPredictor(UKFPredictor):
         self,
         particulars: Particulars,
         *,
-        model: str = "paper",
+        model: str = "mmg",
         prior: tuple[Array, Array] | None = None,
         settings: RefitSettings | None = None,
         period: float = 1.0,
@@ -409,6 +411,7 @@ class PlusPredictor(UKFPredictor):
         out[..., 3:] += ends
         away = np.concatenate([np.zeros((D, 1, N_STATES)), out[1:] - out[0]], axis=1)
         away[:, 0, 2:] = shocks[:, 2:]
+        away *= WIDER
         start_cov = self.with_common_error(np.zeros((N_STATES, N_STATES)))
         covs = np.einsum("dki,dkj->kij", away, away) / D
         covs[:, :2, :2] += start_cov[:2, :2]

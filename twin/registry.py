@@ -24,7 +24,7 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
 EXTRAS = {"lstm": ("torch", "lstm")}
 """Predictors that need more than the base: the module, and the extra that installs it."""
 
-DEFAULT = "ukf"
+DEFAULT = "dsw-ukf-plus"
 """The predictor that is used where none is named."""
 
 

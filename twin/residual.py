@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 ORDER = 6
 RIDGE = 1e-3
 """Part of the variance that is taken for white noise of the estimate."""
+ANSWER = 200
+"""Steps over which a shock is followed; by then a wave has died out."""
 ROOT_MAX = 0.98
 """Largest root of the characteristic polynomial: waves die out, and never grow."""
 
@@ -59,7 +61,13 @@ def fit_autoregression(w: Array) -> tuple[Array, Array]:
         if largest > ROOT_MAX:
             a *= (ROOT_MAX / largest) ** np.arange(1, ORDER + 1)
         coefficients[:, j] = a
-        noise[j] = np.sqrt(np.mean((now[:, j] - X @ a) ** 2))
+        # so much that simulated waves are as high as those seen
+        answer = np.zeros(ANSWER)
+        answer[0] = 1.0
+        for k in range(1, ANSWER):
+            last = answer[max(k - ORDER, 0) : k][::-1]
+            answer[k] = a[: len(last)] @ last
+        noise[j] = np.sqrt(np.mean(w[:, j] ** 2) / np.sum(answer**2))
     return coefficients, noise
 
 
