@@ -29,6 +29,7 @@ from twin.predictor import Z90, Prediction
 from twin.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
 from twin.report import PredictorFigure, RunFigure
 from twin.simulated import particulars_of, simulate
+from twin.structure import MODELS, StructureError
 from twin.twin import PLANS, Twin, known_plan
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SeaState
@@ -112,6 +113,8 @@ class Settings:
         Every seed sails another boat: ``Vessel.varied`` by this share; 0: the vessel as it is.
     dof : int
         Degrees of freedom of the simulated ship, 3 or 6.
+    model : str or None
+        Structure of all predictors that have one; None for each one's own choice.
     hs, wind, wind_from_deg : float
         Sea state: wave height (m), wind speed (m/s) and direction (degrees).
     logs : tuple of str
@@ -134,6 +137,7 @@ class Settings:
     vessel: str = "usv75"
     spread: float = SPREAD
     dof: int = 3
+    model: str | None = None
     hs: float = 0.5
     wind: float = 4.5
     wind_from_deg: float = 135.0
@@ -154,6 +158,10 @@ class Settings:
                 raise PredictorError(
                     f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
                 )
+        if self.model is not None and self.model not in MODELS:
+            raise StructureError(
+                f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"
+            )
         for name in self.plans:
             if name not in PLANS:
                 raise PredictorError(f"no plan is called {name!r}; known: {', '.join(PLANS)}")
@@ -456,6 +464,8 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
     if not unit.log:
         boat, sea = settings.boat(unit.seed), settings.sea()
         options = world_options(unit.predictor, boat, sea, settings.dof)
+    if settings.model is not None and predictor_class(unit.predictor).models:
+        options["model"] = settings.model
     if predictor_class(unit.predictor).trains:
         # in time for the first prediction: its history begins with the first late fix
         options["train_at"] = identify - float(seen.t[0]) - 0.5

@@ -31,6 +31,7 @@ from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.state import StateError
+from twin.structure import MODELS
 from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.design import DesignError, design
 from usv_gym.inspection import Inspection, inspect
@@ -101,6 +102,13 @@ def _speaking(command: Command) -> Command:
 
 PredictorOption = Annotated[
     str, typer.Option("--predictor", "-p", help=f"One of: {', '.join(PREDICTORS)}.")
+]
+ModelOption = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help=f"Model structure, one of {', '.join(MODELS)}; left out: the predictor's own choice.",
+    ),
 ]
 ShipOption = Annotated[
     str | None,
@@ -189,6 +197,7 @@ def identify_command(
             help=f"One of: {', '.join(PREDICTORS)}. Left out: {DEFAULT}, or the resumed one.",
         ),
     ] = None,
+    model: ModelOption = None,
     ship: ShipOption = None,
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
     save: Annotated[
@@ -218,7 +227,7 @@ def identify_command(
     it had never stopped: the same bits. It knows its predictor, boat and instruments; those
     options are then left out.
     """
-    run, twin = _begin(log, predictor, ship, until, resume)
+    run, twin = _begin(log, predictor, ship, until, resume, model)
     predictor = str(twin.name)
     unfed = Twin.load(resume) if resume is not None else twin
     unfed.reset()
@@ -259,6 +268,7 @@ def identify_command(
 def predict_command(
     log: Annotated[Path, typer.Argument(help="Log of a run, CSV or CSV.gz.")],
     predictor: PredictorOption = DEFAULT,
+    model: ModelOption = None,
     ship: ShipOption = None,
     at: Annotated[
         float | None,
@@ -281,7 +291,7 @@ def predict_command(
     ] = None,
 ) -> None:
     """Run the twin over a log up to a time, and predict where the boat will be after it."""
-    run, twin = _begin(log, predictor, ship, None)
+    run, twin = _begin(log, predictor, ship, None, model=model)
     last = float(run.t[-1])
     if at is None:
         at = last - horizon if plan == "known" else last
@@ -349,6 +359,7 @@ def benchmark_command(
         typer.Option(help="Every seed sails another boat, by this share; 0: the vessel as it is."),
     ] = bench.SPREAD,
     dof: DofOption = 3,
+    model: ModelOption = None,
     hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
     wind: Annotated[float, typer.Option(help="Mean wind speed at 10 m, m/s.")] = 4.5,
     wind_from: Annotated[
@@ -396,6 +407,7 @@ def benchmark_command(
         vessel=vessel,
         spread=spread,
         dof=dof,
+        model=model,
         hs=hs,
         wind=wind,
         wind_from_deg=wind_from,
@@ -646,17 +658,19 @@ def _begin(
     ship: str | None,
     until: float | None,
     resume: Path | None = None,
+    model: str | None = None,
 ) -> tuple[Log, Twin]:
     """Read a log, say what is missing in it, and make a twin for it, or load one."""
     log = Log.read(path)
     for note in log.notes:
         _note(note)
     if resume is not None:
-        found, twin = True, _resumed(resume, predictor, ship)
+        found, twin = True, _resumed(resume, predictor, ship, model)
     else:
         particulars, found = bench.particulars_beside(path, ship)
         check_world(predictor or DEFAULT, log, particulars)
-        twin = Twin(particulars, predictor or DEFAULT)
+        options = {} if model is None else {"model": model}
+        twin = Twin(particulars, predictor or DEFAULT, **options)
     log = log.without_truth()
     if until is not None:
         if not math.isfinite(until):
@@ -678,11 +692,13 @@ def _begin(
     return log, twin
 
 
-def _resumed(path: Path, predictor: str | None, ship: str | None) -> Twin:
+def _resumed(path: Path, predictor: str | None, ship: str | None, model: str | None) -> Twin:
     """Load a saved twin; what it knows itself cannot be asked for otherwise."""
     twin = Twin.load(path)
     if predictor is not None and predictor != twin.name:
         raise TwinError(f"--predictor {predictor}: {path} goes on with {twin.name}; leave it out")
+    if model is not None:
+        raise TwinError(f"--model {model}: {path} keeps its own; leave it out")
     if ship is not None:
         raise TwinError(f"--ship {ship}: {path} knows its boat; leave it out")
     return twin

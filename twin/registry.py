@@ -62,11 +62,14 @@ def make_predictor(
     seed : int
         For those that draw random numbers.
     **options
-        Handed to the class.
+        Handed to the class; those with a model structure take ``model``.
 
     Raises
     ------
     PredictorError
-        Lists the names that there are.
+        Lists the names that there are, or says that there is no structure to choose.
     """
-    return predictor_class(name)(particulars, seed=seed, **options)
+    kind = predictor_class(name)
+    if "model" in options and not kind.models:
+        raise PredictorError(f"predictor {name!r} has no model structure; leave out 'model'")
+    return kind(particulars, seed=seed, **options)
