@@ -16,9 +16,9 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     propellers steer by unequal thrust: their yaw rows are +T_rL nL|nL| and -T_rR nR|nR|.
 ``mmg``
     about thirty, dimensionless but for the length: a resistance with a hump (cubic in u),
-    damping that grows with speed, thrust that falls with advance, a rudder or drive in the inflow of hull and propeller, apparent wind,
-    and slow biases. Left and right propeller enter as their mean and difference, because
-    nothing tells them apart when they turn alike.
+    damping that grows with speed, thrust that falls with advance, a rudder or drive in the inflow
+    of hull and propeller, apparent wind, and slow biases. Left and right propeller enter as their
+    mean and difference, because nothing tells them apart when they turn alike.
 
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
 current do and the model does not know; they enter surge and sway together.
