@@ -394,10 +394,7 @@ def benchmark_command(
     names, notes = bench.available(asked)
     if not names:
         raise PredictorError("; ".join(notes))
-    recorded = tuple(str(path) for path in log) if log else ()
-    for path in recorded:
-        if not Path(path).is_file():
-            raise LogError(f"{path}: no such file")
+    recorded = tuple(path for given in log or () for path in _matching(given))
     settings = bench.Settings(
         scenarios=() if recorded else _listed(scenarios, "--scenarios"),
         faults=_listed(faults, "--faults"),
@@ -669,7 +666,7 @@ def _begin(
     else:
         particulars, found = bench.particulars_beside(path, ship)
         check_world(predictor or DEFAULT, log, particulars)
-        options = {} if model is None else {"model": model}
+        options: dict[str, Any] = {} if model is None else {"model": model}
         twin = Twin(particulars, predictor or DEFAULT, **options)
     log = log.without_truth()
     if until is not None:
@@ -1053,6 +1050,17 @@ def _write_text(path: Path, text: str) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _matching(given: Path) -> list[str]:
+    """Return the files that a name, or a pattern that the shell has left as it is, stands for."""
+    found = [given]
+    if set("*?[") & set(str(given)) and not given.exists():
+        found = sorted(Path(given.anchor).glob(str(given.relative_to(given.anchor))))
+    files = [str(path) for path in found if path.is_file()]
+    if not files:
+        raise LogError(f"{given}: no such file; name logs, or a pattern such as 'runs/*.csv'")
+    return files
 
 
 def _expand(arguments: list[str], option: str = "--log") -> list[str]:

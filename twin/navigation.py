@@ -302,8 +302,10 @@ def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
                 return False
             # the filter is lost: take the number as if nothing had been known
             for i in range(6):
-                if H[i] * H[i] > 0.25:
-                    P[i, i] += innovation * innovation
+                size = H[i] * H[i]
+                # a jump of the position says nothing of the heading
+                if size > 0.25 and (channel > 1 or i == channel):
+                    P[i, i] += innovation * innovation / max(size, 1.0)
             S = _gain(P, H, variance, gain)
         status[REFUSED + channel] = 0.0
     step = innovation / S
@@ -361,8 +363,9 @@ def aid(n, P, entry, value, variance, status, H, gain):
     for i in range(N_NAV):
         H[i] = 0.0
     H[entry] = 1.0
-    # a model is never so much surer than the filter that the covariance needs mending
-    variance = max(variance, P[entry, entry] / _SHARP)
+    # a model is never so much surer than the filter that the covariance needs mending, for
+    # which there is no scratch here
+    variance = max(variance, 2.0 * P[entry, entry] / _SHARP)
     _correct(n, P, H, value - n[entry], variance, 0.0, status, -1, gain, P)
 
 

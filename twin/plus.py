@@ -270,7 +270,7 @@ class PlusPredictor(UKFPredictor):
     @property
     def last_row(self) -> int:
         """Number of the newest complete row of the window; -1 if there is none."""
-        return (int(self.track[_HALVES]) - 1) // 2 - (int(self.track[_HALVES]) % 2)
+        return int(self.track[_HALVES]) // 2 - 1
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictor.Predictor.update`."""
@@ -286,11 +286,11 @@ class PlusPredictor(UKFPredictor):
 
     def _refit(self) -> None:
         newest, segments = self.last_row, self.segments
+        # older rows have been written over: after a long gap, nearly all of it
+        self._next_start = max(self._next_start, newest - len(self.rows) + 1)
         while self._next_start + segments.steps < newest:
             first = self._next_start
             self._next_start += self.spacing
-            if newest - first >= len(self.rows):
-                continue
             if self._window(first, first + segments.steps)[:, GOOD].all():
                 segments.add(first, self.rows, segments.xi)
         segments.drop(newest - round(self.refit.span / GRID))
@@ -318,9 +318,10 @@ class PlusPredictor(UKFPredictor):
     def _past(self) -> Array:
         newest = self.last_row
         w = np.zeros((ORDER, 3))
-        w[0] = self.n[3:6] - self.track[_SLOW:]
-        if newest >= ORDER:
-            rows = self._window(newest - ORDER + 2, newest)[::-1]
+        rows = self._window(newest - ORDER + 2, newest)[::-1]
+        # what a gap was bridged with is no wave
+        if newest >= ORDER and rows[:, GOOD].all():
+            w[0] = self.n[3:6] - self.track[_SLOW:]
             w[1:] = rows[:, 3:6] - rows[:, LOW:WIND]
         return w
 

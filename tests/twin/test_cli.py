@@ -17,7 +17,7 @@ import pytest
 
 import usv_gym
 from twin import Log, Twin, recorded_runs
-from twin.cli import _expand, _seeds
+from twin.cli import _expand, _matching, _seeds
 from twin.predictor import CHANNELS
 from twin.simulated import particulars_of
 from twin.wrapper import log_of
@@ -205,6 +205,8 @@ def test_broken_vessels(tmp_path, change, words):
         (["benchmark", "--predictors", "ukf", "--against", "lstm"], ["--against lstm", "ukf"]),
         (["benchmark", "--spread", "2"], ["spread = 2"]),
         (["benchmark", "--log", "none.csv"], ["none.csv", "no such file"]),
+        (["benchmark", "--log", "/nowhere/*.csv"], ["/nowhere/*.csv", "no such file"]),
+        (["benchmark", "--log", "."], [".: no such file", "pattern"]),
     ],
 )
 def test_wrong_words(tmp_path, arguments, words):
@@ -320,6 +322,19 @@ def test_several_files_after_one_option():
     assert _expand(words) == [
         *("benchmark", "--log", "a", "--log", "b", "--jobs", "2", "--log", "c")
     ]
+
+
+def test_patterns_that_the_shell_has_left(tmp_path, monkeypatch):
+    (tmp_path / "runs" / "dir.csv").mkdir(parents=True)
+    for name in ("b.csv", "a.csv", "a.toml", "[1].csv"):
+        (tmp_path / "runs" / name).touch()
+    monkeypatch.chdir(tmp_path)
+    for start in (Path(), tmp_path):
+        folder = start / "runs"
+        assert _matching(folder / "[ab].csv") == [str(folder / "a.csv"), str(folder / "b.csv")]
+        assert _matching(start / "*" / "b.*") == [str(folder / "b.csv")]
+        # a file of that very name comes first
+        assert _matching(folder / "[1].csv") == [str(folder / "[1].csv")]
 
 
 @pytest.mark.parametrize("command", ["simulate", "identify", "predict", "benchmark", "validate"])

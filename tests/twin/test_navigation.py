@@ -14,6 +14,7 @@ from twin.identifier import UKFPredictor
 from twin.log import MEASUREMENTS, Log
 from twin.navigation import Navigator
 from twin.particulars import Particulars
+from twin.plus import PlusPredictor
 from twin.simulated import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.sensors import SensorSuite
@@ -264,60 +265,101 @@ def test_losses_of_thirty_seconds(manoeuvre, dof):
     assert np.median(ratio) < 1.5
 
 
-def marathon(rows: int, seed: int) -> None:
-    """Everything goes wrong by turns; finite and positive definite throughout, then well."""
+def lap(log: Log, place: np.ndarray, turn: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return measurements and truth of the log's run, begun at another place and heading."""
+    z, truth = log.z.copy(), log.truth.copy()
+    c, s = math.cos(turn), math.sin(turn)
+    rotation = np.array([[c, s], [-s, c]])
+    truth[:, :2] = place + (truth[:, :2] - log.truth[0, :2]) @ rotation
+    z[:, :2] = place + (z[:, :2] - log.truth[0, :2]) @ rotation
+    z[:, 2:4] = z[:, 2:4] @ rotation
+    z[:, 4] = (z[:, 4] + turn + math.pi) % (2.0 * math.pi) - math.pi
+    truth[:, 2] += turn
+    return z, truth
+
+
+# what goes wrong by turns
+NOTHING_AT_ALL, NO_GPS, NO_IMU, SPIKES, FROZEN, TIME_JUMPS, SATURATED, WILD = range(1, 9)
+
+
+def marathon(
+    kind_of_predictor: type[UKFPredictor], rows: int, seed: int, worst: int = WILD
+) -> tuple[np.ndarray, np.ndarray]:
+    """Everything goes wrong by turns; finite and positive definite throughout, then well.
+
+    Returns the errors (N, 6) 30 s after each fault's end, and those (K, 6) without any fault.
+    """
     rng = np.random.default_rng(seed)
-    log = simulate("zigzag", vessel=BOAT_FILE, sea=PAPER_SEA, duration=100.0, seed=3)
-    predictor = UKFPredictor(BOAT)
+    log = simulate("zigzag", vessel=BOAT_FILE, sea=PAPER_SEA, duration=400.0, seed=3)
+    clean, usual = kind_of_predictor(BOAT), []
+    for (t, z, cmd), true in zip(log, log.truth, strict=True):
+        clean.update(t, 0.05 if t > 0.0 else 0.0, z, cmd)
+        usual.append(off(clean.s.copy(), true))
+    predictor, recovered = kind_of_predictor(BOAT), []
     sigma = np.array([0.4, 0.4, 0.08, 0.08, 0.012, 0.002, 0.12, 0.12])
-    kind, left, well, recovered = 0, 400, 0, 0
+    z_lap, truth = lap(log, np.zeros(2), 0.0)
+    kind, left, well, t = 0, 0, 0.0, 0.0
     for row in range(rows):
         k = row % len(log)
-        z, cmd, dt = log.z[k].copy(), log.cmd[k].copy(), 0.05
+        if k == 0 and row:  # on from where it ended
+            z_lap, truth = lap(log, truth[-1, :2], truth[-1, 2] - log.truth[0, 2])
+        z, cmd, dt = z_lap[k].copy(), log.cmd[k].copy(), 0.05
         if k == 0 or left == 0:
-            kind = int(rng.integers(1, 9)) if kind == 0 and k else 0
+            kind = int(rng.integers(1, worst + 1)) if kind == 0 and k else 0
             left = int(rng.integers(1, 200)) if kind else int(rng.integers(100, 800))
-            frozen, which, well = z.copy(), rng.random(len(z)) < 0.5, 0
-        if k == 0:  # the log jumps back to its start
-            predictor.reset()
+            frozen, which = z.copy(), rng.random(len(z)) < 0.5
+            # two laps do not join: velocities and the receiver's bias leap
+            well = 0.0 if k else -math.inf
         left -= 1
         well += kind == 0
-        if kind == 1:
+        if kind == NOTHING_AT_ALL:
             z[:] = math.nan
-        elif kind in (2, 3):
-            z[slice(0, 4) if kind == 2 else slice(4, 8)] = math.nan
-        elif kind == 4:
+        elif kind in (NO_GPS, NO_IMU):
+            z[slice(0, 4) if kind == NO_GPS else slice(4, 8)] = math.nan
+        elif kind == SPIKES:
             hit = np.flatnonzero(rng.random(8) < 0.2)
             z[hit] += 1000.0 * sigma[hit] * rng.choice([-1.0, 1.0], len(hit))
-        elif kind == 5:
+        elif kind == FROZEN:
             z[which] = frozen[which]
-        elif kind == 6 and rng.random() < 0.02:
+        elif kind == TIME_JUMPS and rng.random() < 0.02:
             dt = rng.choice([0.0, 1e-9, 30.0, 1e4])
-        elif kind == 7:
+        elif kind == SATURATED:
             cmd = np.array([1e3, -1e3, 9.0, -9.0]) * rng.random(4)
-        elif kind == 8:
+        elif kind == WILD:
             z[:8] = rng.choice([1e9, -1e9, 49.0, 9.9, math.inf, 1e300, 6e6], 8)
-        predictor.update(0.05 * row, dt, z, cmd)
+        t += dt
+        predictor.update(t, dt, z, cmd)
         if row % 20 == 0 and predictor.ready:
             assert np.isfinite(predictor.s).all(), (row, kind)
             assert positive_definite(predictor.P_nav), (row, kind)
             assert positive_definite(predictor.ukf.P), (row, kind)
+        if row % 500 == 0:
+            ahead = predictor.predict(np.tile(cmd, (40, 1)), 0.25)
+            assert np.isfinite(ahead.mean).all() and np.isfinite(ahead.cov).all(), (row, kind)
         if well == 600:
-            e = off(predictor.s, log.truth[k])
-            assert (np.abs(e) < [5.0, 5.0, 0.1, 0.6, 0.6, 0.1]).all(), (row, e)
-            recovered += 1
-    assert recovered > rows // 10000
+            recovered.append(off(predictor.s.copy(), truth[k]))
+            assert (np.abs(recovered[-1]) < [5.0, 5.0, 0.1, 0.6, 0.6, 0.1]).all(), (row, recovered)
+    assert len(recovered) > rows // 5000
+    return np.array(recovered), np.array(usual[600:])
 
 
-def test_marathon():
-    marathon(20_000, 0)
+@pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 30_000), (PlusPredictor, 10_000)])
+def test_marathon(kind, rows):
+    marathon(kind, rows, 0)
+
+
+def test_thirty_seconds_after_a_fault_it_is_as_if_there_had_been_none():
+    recovered, usual = (
+        np.sqrt(np.mean(np.square(e), axis=0))
+        for e in marathon(UKFPredictor, 40_000, 5, worst=SATURATED)
+    )
+    # north and east as one: the receiver's bias; some 25 recoveries know their rms to 15 %, and
+    # over 90 the heading had 1.6 and the sway 1.3 of the usual error
+    assert np.hypot(*recovered[:2]) < 1.5 * np.hypot(*usual[:2])
+    assert (recovered[2:] < 2.0 * usual[2:]).all(), recovered / usual
 
 
 @pytest.mark.slow
-def test_marathon_of_five_thousand_seconds():
-    marathon(100_000, 0)
-
-
-@pytest.mark.slow
-def test_long_marathon():
-    marathon(1_000_000, 1)
+@pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 1_000_000), (PlusPredictor, 200_000)])
+def test_long_marathon(kind, rows):
+    marathon(kind, rows, 1)

@@ -84,19 +84,33 @@ def test_the_first_answer_after_a_load(name, make_twin, losses, tmp_path):
     same(fresh, once)
 
 
-@pytest.mark.parametrize("adapt", ["literal", "signed"])
-def test_options_are_kept(boat, losses, tmp_path, adapt):
-    settings = dataclasses.replace(plain_settings(boat), alpha=0.5)
-    twin = Twin(boat, "dsw-ukf", adapt=adapt, settings=settings)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("dsw-ukf", {"adapt": "literal", "window": "fixed"}),
+        ("dsw-ukf", {"adapt": "signed", "p0": np.full(31, 0.5)}),
+        ("dsw-ukf-plus", {"model": "mmg", "period": 2.0}),
+        ("ukf", {"model": "mmg"}),
+    ],
+)
+def test_options_are_kept(boat, losses, tmp_path, name, options):
+    twin = Twin(boat, name, **options)
     feed(twin, losses, 0, 300)
     twin.save(tmp_path / "a")
     again = Twin.load(tmp_path / "a")
-    assert again.options["adapt"] == adapt
-    assert again.options["settings"].alpha == 0.5
-    assert again.predictor.ukf.settings is again.options["settings"]
+    np.testing.assert_equal(again.options, options)
     for one in (twin, again):
         feed(one, losses, 300, 500)
     same(twin, again)
+
+
+def test_settings_are_kept(boat, losses, tmp_path):
+    twin = Twin(boat, "ukf", settings=dataclasses.replace(plain_settings(boat), alpha=0.5))
+    feed(twin, losses, 0, 100)
+    twin.save(tmp_path / "a")
+    again = Twin.load(tmp_path / "a")
+    assert again.options["settings"].alpha == 0.5
+    assert again.predictor.ukf.settings is again.options["settings"]
 
 
 class Own(Persistence):
