@@ -44,7 +44,7 @@ from twin.particulars import Particulars
 from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
 from twin.predictor import Prediction
 from twin.prior import population_prior
-from twin.residual import ORDER, fit_autoregression, simulate_waves
+from twin.residual import ORDER, between, fit_autoregression, simulate_waves
 from twin.structure import accelerations, state_terms, thrust_terms
 from usv_kernel import kernel
 
@@ -354,20 +354,14 @@ class PlusPredictor(UKFPredictor):
         """
         K = math.ceil(after[-1] / GRID - 1e-9)
         D = len(shocks)
-        many = np.concatenate([shocks] * math.ceil(K / shocks.shape[1]), axis=1)[:, :K]
+        times = math.ceil(K / shocks.shape[1])
+        many = shocks[:, :K] if times == 1 else np.concatenate([shocks] * times, axis=1)[:, :K]
         path, past = np.empty((D, K + 1, 3)), self._past()
         path[:, 0] = past[0]
         simulate_waves(past, self._coefficients, self._noise, many, path[:, 1:])
-        carried = np.zeros((D, K + 1, 3))
-        np.cumsum(0.5 * GRID * (path[:, 1:] + path[:, :-1]), axis=1, out=carried[:, 1:])
-        place = np.concatenate([[0.0], after / GRID])
-        low = np.minimum(place.astype(int), K - 1)
-        share = (place - low)[:, None]
-        ends, moved = (
-            (1.0 - share) * part[:, low] + share * part[:, low + 1] for part in (path, carried)
-        )
-        step = np.diff(place)[:, None] * GRID
-        return ends[:, 1:], np.diff(moved, axis=1) / step
+        ends, means = np.empty((2, D, len(after), 3))
+        between(path, GRID, after, ends, means)
+        return ends, means
 
     def _central(self, plan: Array, dt: float) -> tuple[Array, Array]:
         """Return the parameters in use and the states (K, 6) most to be expected."""
@@ -416,10 +410,14 @@ class PlusPredictor(UKFPredictor):
         start_cov = self.with_common_error(np.zeros((N_STATES, N_STATES)))
         covs = np.einsum("dki,dkj->kij", away, away) / D
         covs[:, :2, :2] += start_cov[:2, :2]
+        # where the position is now is as unsure as where it goes, and of another cause
+        away[:, :, :2] += (self._start_shocks[:, :2] @ _root(start_cov[:2, :2]).T)[:, None]
+        edges = _edges(away)
         place = np.arange(1, len(plan) + 1) / every
         low = np.minimum(place.astype(int), K - 1)
-        share = (place - low)[:, None, None]
-        cov = (1.0 - share) * covs[low] + share * covs[low + 1]
+        share = (place - low)[:, None]
+        cov = (1.0 - share[..., None]) * covs[low] + share[..., None] * covs[low + 1]
+        low_edge, high_edge = (1.0 - share) * edges[:, low] + share * edges[:, low + 1]
         return Prediction(
             self.t,
             starts[0].copy(),
@@ -427,7 +425,20 @@ class PlusPredictor(UKFPredictor):
             self.t + dt * np.arange(1, len(plan) + 1),
             mean,
             cov,
+            low=mean + low_edge,
+            high=mean + high_edge,
         )
+
+
+def _edges(away: Array) -> Array:
+    """Return the 5 and 95 % points (2, K, 6) of deviations (D, K, 6), made to hold the mean."""
+    ordered = np.sort(away, axis=0)
+    place = np.array([0.05, 0.95]) * (len(away) - 1)
+    low = place.astype(int)
+    share = (place - low)[:, None, None]
+    edges: Array = (1.0 - share) * ordered[low] + share * ordered[low + 1]
+    edges[0], edges[1] = np.minimum(edges[0], 0.0), np.maximum(edges[1], 0.0)
+    return edges
 
 
 def _root(cov: Array) -> Array:

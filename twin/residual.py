@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from usv_kernel import kernel
 
-__all__ = ["ORDER", "fit_autoregression", "simulate_waves"]
+__all__ = ["ORDER", "between", "fit_autoregression", "simulate_waves"]
 
 Array = NDArray[np.float64]
 
@@ -95,3 +95,35 @@ def simulate_waves(past, coefficients, noise, shocks, out):
                         out[d, k - 1 - i, j] if i < k else past[i - k, j]
                     )
                 out[d, k, j] = value
+
+
+@kernel
+def between(path, grid, after, ends, means):
+    """Write values of paths at times, and their means from each time to the next.
+
+    Parameters
+    ----------
+    path : (D, K + 1, c) array
+        Values from now on, ``grid`` s apart; straight lines between them.
+    grid : float
+        Step of the path, s.
+    after : (M,) array
+        Rising times after now, s, within the path.
+    ends, means : (D, M, c) arrays
+        Values at the times; means since the time before (now, for the first).
+    """
+    last = path.shape[1] - 2
+    for d in range(path.shape[0]):
+        for j in range(path.shape[2]):
+            carried, done, before, t = 0.0, 0, 0.0, 0.0
+            for m in range(after.shape[0]):
+                low = min(int(after[m] / grid), last)
+                while done < low:
+                    carried += 0.5 * grid * (path[d, done, j] + path[d, done + 1, j])
+                    done += 1
+                share = after[m] / grid - low
+                first, rise = path[d, low, j], path[d, low + 1, j] - path[d, low, j]
+                ends[d, m, j] = first + share * rise
+                total = carried + grid * share * (first + 0.5 * share * rise)
+                means[d, m, j] = (total - before) / (after[m] - t)
+                before, t = total, after[m]
