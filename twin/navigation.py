@@ -101,7 +101,8 @@ _SHARP = 1e4
 ) = range(23)
 
 # entries of the status: flags, ages (s), runs of refused numbers, samples of the row before,
-# how long they have stayed (s), clock (s), path by dead reckoning, sums of corrections, ring
+# how long they have stayed (s), clock (s), path by dead reckoning, sums of corrections, ring,
+# whether a number was taken by force
 READY_FIX, READY_HEADING, GPS_AGE, COMPASS_AGE, IMU_AGE, REFUSED = 0, 1, 2, 3, 4, 5
 _LAST = REFUSED + 8
 _STAYED = _LAST + 8
@@ -113,7 +114,8 @@ _CORRECTED = _PATH + 4
 _COUNT = _CORRECTED + 3
 _RING = _COUNT + 1
 _ROWS, _COLUMNS = 64, 9
-STATUS_SIZE = _RING + _ROWS * _COLUMNS
+_LOST = _RING + _ROWS * _COLUMNS
+STATUS_SIZE = _LOST + 1
 
 
 def navigation_settings(particulars: Particulars) -> Array:
@@ -301,6 +303,7 @@ def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
             if status[REFUSED + channel] <= REFUSED_MAX:
                 return False
             # the filter is lost: take the number as if nothing had been known
+            status[_LOST] = 1.0
             for i in range(6):
                 size = H[i] * H[i]
                 # a jump of the position says nothing of the heading
@@ -321,6 +324,20 @@ def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
     if S / variance > _SHARP:
         _mend(P, A)
     return True
+
+
+@kernel
+def _forget_biases(n, P, settings):
+    """Begin anew with what was learned from numbers that have turned out to be false."""
+    for i in range(6, N_NAV):
+        for k in range(N_NAV):
+            P[i, k] = 0.0
+            P[k, i] = 0.0
+        n[i] = 0.0
+    P[6, 6] = settings[_GYRO_BIAS_VAR]
+    P[7, 7] = P[8, 8] = settings[_ACCEL_BIAS_VAR]
+    P[9, 9] = settings[_COMPASS_BIAS_VAR]
+    P[10, 10] = P[11, 11] = settings[_TILT_VAR]
 
 
 @kernel
@@ -648,6 +665,9 @@ def navigate(n, P, dt, z, model, settings, status, work):
             *(n, P, z, dt, gps_repeats, settings, status),
             *(H, gain, A, work[2 + N_NAV], work[3 + N_NAV]),
         )
+    if status[_LOST] > 0.0:
+        status[_LOST] = 0.0
+        _forget_biases(n, P, settings)
     _remember(n, status, settings)
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from twin.identifier import UKFPredictor
 from twin.log import MEASUREMENTS, Log
-from twin.navigation import Navigator
+from twin.navigation import Navigator, aid
 from twin.particulars import Particulars
 from twin.plus import PlusPredictor
 from twin.simulated import particulars_of, simulate
@@ -263,6 +263,26 @@ def test_losses_of_thirty_seconds(manoeuvre, dof):
     assert np.mean(position) < 4.5, position
     assert math.degrees(np.mean(heading)) < 4.5, heading
     assert np.median(ratio) < 1.5
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 1.5])
+def test_an_aid_much_surer_than_the_filter_leaves_a_covariance(zigzag, boat, ratio):
+    _, navigator = run(zigzag.slice(0.0, 10.0), boat)
+    n, P, row = navigator.n, navigator.P, np.zeros(len(navigator.n))
+    sure, before = 1e-3, np.diag(P).copy()
+    P[3, :] = P[:, 3] = 0.0
+    P[3, 3] = ratio * 1e4 * sure
+    aid(n, P, 3, 4.0, sure, navigator.status, row, row.copy())
+    assert positive_definite(P) and P[3, 3] < 4.0 * sure
+    np.testing.assert_array_equal(np.delete(np.diag(P), 3), np.delete(before, 3))
+
+
+def test_what_false_numbers_have_taught_is_forgotten(zigzag, boat):
+    z = zigzag.z.copy()
+    z[300:500, :2], z[300:500, 4:6], z[300:500, 2:4] = 49.0, 9.9, 3.0
+    out, _ = run(zigzag, boat, z)
+    # 30 s later; the compass alone is good for .02
+    assert np.abs(errors(out, zigzag)[1100:, 2]).max() < 0.03
 
 
 def lap(log: Log, place: np.ndarray, turn: float) -> tuple[np.ndarray, np.ndarray]:

@@ -283,6 +283,33 @@ def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: flo
         assert end < 30.0 + 1e-9 or begin > 30.0 + start - GRID
 
 
+def test_a_clock_that_jumps_a_year_costs_no_walk_through_it(boat: Particulars, zigzag: Log) -> None:
+    predictor, looks = PlusPredictor(boat), 0
+    feed(predictor, zigzag.slice(0.0, 20.0))
+    window = predictor._window
+
+    def count(first: int, last: int) -> np.ndarray:
+        nonlocal looks
+        looks += 1
+        return window(first, last)
+
+    predictor._window = count  # type: ignore[method-assign]
+    predictor.update(3e7, 3e7 - predictor.t, zigzag.z[400], zigzag.cmd[400])
+    # the starts of one window, and the rows that show the waves
+    assert looks <= len(predictor.rows) / predictor.spacing + 1
+
+
+def test_what_bridges_a_gap_is_no_wave(boat: Particulars, zigzag: Log) -> None:
+    predictor, log = PlusPredictor(boat), gap(zigzag, 30.0, 5.0)
+    feed(predictor, log.slice(0.0, 30.0))
+    assert (np.abs(predictor._past()) > 0.0).all()
+    for k in np.flatnonzero((log.t >= 35.0) & (log.t < 38.0)):
+        predictor.update(log.t[k], log.t[k] - log.t[k - 1], log.z[k], log.cmd[k])
+        if log.t[k] < 36.0:
+            assert not predictor._past().any()
+    assert (np.abs(predictor._past()) > 0.0).all()
+
+
 # Bits
 
 

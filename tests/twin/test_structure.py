@@ -72,7 +72,8 @@ def printed(
     left, right = n_l * abs(n_l), n_r * abs(n_r)
     cos_l, cos_r, sin_l, sin_r = math.cos(d_l), math.cos(d_r), math.sin(d_l), math.sin(d_r)
     surge = {
-        **{"X_uu": u * abs(u), "X_u|u|": u * abs(u), "X_vv": v**2, "X_vr": v * r, "X_rr": r**2},
+        **{"X_u": u, "X_uu": u * abs(u), "X_u|u|": u * abs(u), "X_uuu": u**3},
+        **{"X_vv": v**2, "X_vr": v * r, "X_rr": r**2},
         **{"T_uL": left * cos_l, "T_uR": right * cos_r},
         "X_nn": (left * cos_l + right * cos_r) / 2,
         "X_nu": u * (abs(n_l) * cos_l + abs(n_r) * cos_r) / 2,
