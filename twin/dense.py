@@ -6,7 +6,7 @@ import math
 
 from usv_kernel import kernel
 
-__all__ = ["cholesky", "invert", "solve_factored"]
+__all__ = ["add_product", "add_rows", "cholesky", "invert", "solve_factored"]
 
 _PIVOT_MIN = 1e-13
 
@@ -91,3 +91,88 @@ def invert(L, out):
     for j in range(n):
         for i in range(j):
             out[i, j] = out[j, i] = 0.5 * (out[i, j] + out[j, i])
+
+
+@kernel
+def add_rows(target, i, start, stop, factors, row, rows, first, last):
+    """Add factors[row, j] * rows[j] for j = first ... last - 1 to target[i], start to stop.
+
+    Several rows at a time save loads and stores; the order of the sum is that of j. Loops over
+    all of a slice become vector instructions, those from a start that is not known do not.
+
+    Parameters
+    ----------
+    target : (a, b) array
+        Row ``i`` is changed, in columns ``start`` to ``stop``.
+    factors : (c, d) array
+        Of row ``row`` the columns ``first`` to ``last`` count.
+    rows : (d, b) array
+        What is added; may be the target, of which row ``i`` is not among those then.
+    """
+    to = target[i, start:stop]
+    j = first
+    while j + 6 <= last:
+        a, b, c = factors[row, j], factors[row, j + 1], factors[row, j + 2]
+        d, e, f = factors[row, j + 3], factors[row, j + 4], factors[row, j + 5]
+        A, B, C = rows[j, start:stop], rows[j + 1, start:stop], rows[j + 2, start:stop]
+        D, E, F = rows[j + 3, start:stop], rows[j + 4, start:stop], rows[j + 5, start:stop]
+        for k in range(to.shape[0]):
+            three = to[k] + a * A[k] + b * B[k] + c * C[k]
+            to[k] = three + d * D[k] + e * E[k] + f * F[k]
+        j += 6
+    while j + 2 <= last:
+        a, b = factors[row, j], factors[row, j + 1]
+        A, B = rows[j, start:stop], rows[j + 1, start:stop]
+        for k in range(to.shape[0]):
+            to[k] = to[k] + a * A[k] + b * B[k]
+        j += 2
+    while j < last:
+        a, A = factors[row, j], rows[j, start:stop]
+        for k in range(to.shape[0]):
+            to[k] += a * A[k]
+        j += 1
+
+
+@kernel
+def add_product(target, left, right, size, start, stop, first, last, sign):
+    """Add sign * left' right, summed over their rows first to last, to the target.
+
+    With left = right and sign = 1 or -1, what is added is symmetric to the last bit.
+
+    Parameters
+    ----------
+    target : (a, b) array
+        Its rows are the first ``size`` columns of left, its columns ``start`` to ``stop`` of
+        right.
+    left, right : (c, a), (c, b) arrays
+        Factors.
+    sign : float
+        Factor of the product.
+    """
+    j = first
+    while j + 6 <= last:
+        A, B, C = right[j, start:stop], right[j + 1, start:stop], right[j + 2, start:stop]
+        D, E, F = right[j + 3, start:stop], right[j + 4, start:stop], right[j + 5, start:stop]
+        for i in range(size):
+            a, b, c = sign * left[j, i], sign * left[j + 1, i], sign * left[j + 2, i]
+            d, e, f = sign * left[j + 3, i], sign * left[j + 4, i], sign * left[j + 5, i]
+            to = target[i, start:stop]
+            for k in range(to.shape[0]):
+                three = to[k] + a * A[k] + b * B[k] + c * C[k]
+                to[k] = three + d * D[k] + e * E[k] + f * F[k]
+        j += 6
+    while j + 2 <= last:
+        A, B = right[j, start:stop], right[j + 1, start:stop]
+        for i in range(size):
+            a, b = sign * left[j, i], sign * left[j + 1, i]
+            to = target[i, start:stop]
+            for k in range(to.shape[0]):
+                to[k] = to[k] + a * A[k] + b * B[k]
+        j += 2
+    while j < last:
+        A = right[j, start:stop]
+        for i in range(size):
+            a, to = sign * left[j, i], target[i, start:stop]
+            for k in range(to.shape[0]):
+                to[k] += a * A[k]
+        j += 1

@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.dense import cholesky, invert, solve_factored
+from twin.dense import add_product, add_rows, cholesky, invert, solve_factored
 from twin.structure import (
+    LEFT_COS,
     N_STATES,
     N_TERMS,
     accelerations,
@@ -84,43 +85,76 @@ class RefitSettings:
 
 def room(p: int) -> Array:
     """Return the scratch of :func:`linearise` for p parameters."""
-    m = p + N_OFFSETS
-    return np.zeros(5 * N_STATES * m + 5 * N_TERMS + 6 * N_STATES + m * m + m)
+    m = p + 1 + N_OFFSETS
+    small = 8 * N_TERMS + 4 * N_STATES + 6 * _SQUARE + _ROWS * N_STATES
+    return np.zeros(small + (_ROWS + m + N_STATES) * m)
+
+
+_SQUARE = N_STATES * N_STATES
+_ROWS = N_STATES + 12
+"""What sensitivities after a step are sums of: those before it, and the terms of surge, sway and
+yaw at each of its four stages."""
 
 
 @kernel
-def _stage(s, S, act, wind, xi, kit, terms, slopes, k, K):
-    """Write the derivative of the state and of its sensitivities S (6, m)."""
-    which, limits, hull = kit
-    m = S.shape[1]
-    c, n = math.cos(s[2]), math.sin(s[2])
-    u, v, r = s[3], s[4], s[5]
+def _drive(act, terms):
+    """Write the terms of the actuators."""
     thrust_terms(
         *(act[0], act[1], math.cos(act[2]), math.sin(act[2]), math.cos(act[3]), math.sin(act[3])),
         terms,
     )
+
+
+@kernel
+def _stage(s, wind, xi, kit, terms, slopes, k, A):
+    """Write the derivative k of the state, and A, the derivative of k by the state."""
+    which, limits, hull = kit
+    c, n = math.cos(s[2]), math.sin(s[2])
+    u, v, r = s[3], s[4], s[5]
     state_terms(u, v, r, c, n, wind, hull, terms)
     term_slopes(u, v, r, c, n, wind, hull, terms, slopes)
     k[0], k[1], k[2] = u * c - v * n, u * n + v * c, r
     k[3], k[4], k[5] = accelerations(terms, kit, xi, 0)
-    for j in range(m):
-        K[0, j] = c * S[3, j] - n * S[4, j] - k[1] * S[2, j]
-        K[1, j] = n * S[3, j] + c * S[4, j] + k[0] * S[2, j]
-        K[2, j] = S[5, j]
+    A[0, 2], A[0, 3], A[0, 4] = -k[1], c, -n
+    A[1, 2], A[1, 3], A[1, 4] = k[0], n, c
+    A[2, 5] = 1.0
     for i in range(3):
-        first, last = limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES
         by_u, by_v, by_r, by_psi = 0.0, 0.0, 0.0, 0.0
-        for q in range(first, last):
+        for q in range(limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES):
             t = which[i, q]
             by_u += xi[q] * slopes[0, t]
             by_v += xi[q] * slopes[1, t]
             by_r += xi[q] * slopes[2, t]
             by_psi += xi[q] * slopes[3, t]
-        for j in range(m):
-            turned = by_r * S[5, j] + by_psi * S[2, j]
-            K[3 + i, j] = by_u * S[3, j] + by_v * S[4, j] + turned
-        for q in range(first, last):
-            K[3 + i, q] += terms[which[i, q]]
+        A[3 + i, 2], A[3 + i, 3], A[3 + i, 4], A[3 + i, 5] = by_psi, by_u, by_v, by_r
+
+
+@kernel
+def _carry(A, W, D, T):
+    """Write what the state after a step owes to the state before it and to the terms.
+
+    Source: the Runge-Kutta scheme differentiated backwards; W is what the state after the step
+    gains by a stage's derivative.
+    """
+    T[:] = 0.0
+    W[:] = 0.0
+    for i in range(N_STATES):
+        W[i, i] = GRID / 6.0
+    for stage in range(3, -1, -1):
+        reach = GRID if stage == 3 else 0.5 * GRID
+        for i in range(N_STATES):
+            for j in range(2, N_STATES):  # nothing depends on the place
+                D[i, j] = 0.0
+                for q in range(N_STATES):
+                    D[i, j] += W[i, q] * A[stage, q, j]
+                T[i, j] += D[i, j]
+            for e in range(3):
+                T[i, N_STATES + 4 * e + stage] = W[i, 3 + e]
+        for i in range(N_STATES):
+            for j in range(2, N_STATES):
+                W[i, j] = reach * D[i, j]
+            share = 1.0 if stage == 1 else 2.0
+            W[i, i] = share * GRID / 6.0 + reach * D[i, i]
 
 
 @kernel
@@ -157,96 +191,85 @@ def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room,
     Source: sensitivities by differentiating the Runge-Kutta scheme itself, so that they are
     those of the motion as computed.
     """
+    which, limits, _ = kit
     size, p = rows.shape[0], xi.shape[0]
-    m = p + N_OFFSETS
-    wide = N_STATES * m
-    S, moved, K, total = (
-        room[:wide].reshape((N_STATES, m)),
-        room[wide : 2 * wide].reshape((N_STATES, m)),
-        room[2 * wide : 3 * wide].reshape((N_STATES, m)),
-        room[3 * wide : 4 * wide].reshape((N_STATES, m)),
-    )
-    J = room[4 * wide : 5 * wide].reshape((N_STATES, m))
-    rest = room[5 * wide :]
-    terms, slopes = rest[:N_TERMS], rest[N_TERMS : 5 * N_TERMS].reshape((4, N_TERMS))
-    rest = rest[5 * N_TERMS :]
+    # columns: parameters, then the error of a sample, then the offset
+    m = p + 1 + N_OFFSETS
+    terms = room[: 4 * N_TERMS].reshape((4, N_TERMS))
+    slopes = room[4 * N_TERMS : 8 * N_TERMS].reshape((4, N_TERMS))
+    rest = room[8 * N_TERMS :]
     s, place, k, sums = rest[:6], rest[6:12], rest[12:18], rest[18:24]
-    full = rest[36 : 36 + m * m].reshape((m, m))
-    g = rest[36 + m * m : 36 + m * m + m]
+    rest = rest[24:]
+    A = rest[: 4 * _SQUARE].reshape((4, N_STATES, N_STATES))
+    W = rest[4 * _SQUARE : 5 * _SQUARE].reshape((N_STATES, N_STATES))
+    D = rest[5 * _SQUARE : 6 * _SQUARE].reshape((N_STATES, N_STATES))
+    rest = rest[6 * _SQUARE :]
+    T = rest[: _ROWS * N_STATES].reshape((N_STATES, _ROWS))
+    rest = rest[_ROWS * N_STATES :]
+    S = rest[: _ROWS * m].reshape((_ROWS, m))  # sensitivities, then terms
+    full = rest[_ROWS * m : (_ROWS + m) * m].reshape((m, m))
+    J = rest[(_ROWS + m) * m :].reshape((N_STATES, m))
 
     start = rows[first % size]
     wind = start[WIND:GOOD]
+    S[:] = 0.0
+    full[:] = 0.0
     for i in range(N_STATES):
         s[i] = start[i]
-        for j in range(m):
-            S[i, j] = 0.0
     for i in range(N_OFFSETS):
-        S[3 + i, p + i] = 1.0
-    for i in range(m):
-        g[i] = 0.0
-        for j in range(m):
-            full[i, j] = 0.0
-    for i in range(N_OFFSETS):
-        full[p + i, p + i] = offset_weights[i]
-    cost = 0.0
+        S[3 + i, p + 1 + i] = 1.0
+        full[p + 1 + i, p + 1 + i] = offset_weights[i]
+    _drive(start[ACT:MIDDLE], terms[3])
     for step in range(steps):
-        row = rows[(first + step) % size]
         after = rows[(first + step + 1) % size]
+        for j in range(LEFT_COS, N_TERMS):
+            terms[0, j] = terms[3, j]
+        _drive(rows[(first + step) % size, MIDDLE:], terms[1])
+        for j in range(LEFT_COS, N_TERMS):
+            terms[2, j] = terms[1, j]
+        _drive(after[ACT:MIDDLE], terms[3])
+        for i in range(N_STATES):
+            place[i], sums[i] = s[i], 0.0
         for stage in range(4):
-            act = row[ACT:MIDDLE] if stage == 0 else row[MIDDLE:]
-            if stage == 3:
-                act = after[ACT:MIDDLE]
-            if stage == 0:
-                _stage(s, S, act, wind, xi, kit, terms, slopes, k, K)
-            else:
-                _stage(place, moved, act, wind, xi, kit, terms, slopes, k, K)
+            _stage(place, wind, xi, kit, terms[stage], slopes, k, A[stage])
             share = 2.0 if stage == 1 or stage == 2 else 1.0
             h = GRID if stage == 2 else 0.5 * GRID
             for i in range(N_STATES):
-                sums[i] = share * k[i] + (sums[i] if stage > 0 else 0.0)
+                sums[i] += share * k[i]
                 place[i] = s[i] + h * k[i]
-                if stage == 0:
-                    for j in range(m):
-                        total[i, j] = K[i, j]
-                else:
-                    for j in range(m):
-                        total[i, j] += share * K[i, j]
-                for j in range(m):
-                    moved[i, j] = S[i, j] + h * K[i, j]
+            for e in range(3):
+                for q in range(limits[3 + e, 0] - N_STATES, limits[3 + e, 1] - N_STATES):
+                    S[N_STATES + 4 * e + stage, q] = terms[stage, which[e, q]]
+        _carry(A, W, D, T)
         for i in range(N_STATES):
             s[i] += GRID / 6.0 * sums[i]
             for j in range(m):
-                S[i, j] += GRID / 6.0 * total[i, j]
+                J[i, j] = S[i, j]
+            add_rows(J, i, 0, m, T, i, S, 2, _ROWS)
+        for i in range(N_STATES):
+            for j in range(m):
+                S[i, j] = J[i, j]
         if not (abs(s[3]) < 1e3 and abs(s[4]) < 1e3 and abs(s[5]) < 1e2):
             return math.inf
-        if (step + 1) % every != 0:
-            continue
-        for i in range(N_STATES):
-            error = after[i] - s[i]
-            cost += weights[i] * error * error
-            for j in range(m):
-                J[i, j] = weights[i] * S[i, j]
-                g[j] += J[i, j] * error
-        for a in range(m):
+        if (step + 1) % every == 0:
             for i in range(N_STATES):
-                weight = J[i, a]
-                for j in range(a, m):
-                    full[a, j] += weight * S[i, j]
+                root = math.sqrt(weights[i])
+                J[i, p] = after[i] - s[i]
+                for j in range(m):
+                    J[i, j] *= root
+            add_product(full, J, J, m, 0, m, 0, N_STATES, 1.0)
     # remove the offset: its block is small and positive definite
-    for q in range(m - 1, p - 1, -1):
-        pivot = full[q, q]
-        cost -= g[q] * g[q] / pivot
+    for q in range(m - 1, p, -1):
         for a in range(q):
-            factor = full[a, q] / pivot
-            g[a] -= factor * g[q]
+            factor = full[a, q] / full[q, q]
             for j in range(a, q):
                 full[a, j] -= factor * full[j, q]
     for a in range(p):
-        b[a] = g[a]
+        b[a] = full[a, p]
         for j in range(a, p):
             H[a, j] = full[a, j]
             H[j, a] = full[a, j]
-    return max(cost, 0.0)
+    return max(full[p, p], 0.0)
 
 
 @kernel

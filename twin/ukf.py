@@ -49,6 +49,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.dense import add_product, add_rows
 from usv_kernel import kernel, wrap
 
 __all__ = [
@@ -125,63 +126,6 @@ def workspace(n_s: int, n_xi: int) -> Array:
 
 
 @kernel
-def _add_rows(target, i, start, stop, factors, row, rows, first, last):
-    """Add factors[row, j] * rows[j] for j = first ... last - 1 to target[i], start to stop.
-
-    Several rows at a time save loads and stores; the order of the sum is that of j.
-    """
-    j = first
-    while j + 6 <= last:
-        a, b, c = factors[row, j], factors[row, j + 1], factors[row, j + 2]
-        d, e, f = factors[row, j + 3], factors[row, j + 4], factors[row, j + 5]
-        for k in range(start, stop):
-            three = target[i, k] + a * rows[j, k] + b * rows[j + 1, k] + c * rows[j + 2, k]
-            target[i, k] = three + d * rows[j + 3, k] + e * rows[j + 4, k] + f * rows[j + 5, k]
-        j += 6
-    while j + 3 <= last:
-        a, b, c = factors[row, j], factors[row, j + 1], factors[row, j + 2]
-        for k in range(start, stop):
-            target[i, k] = target[i, k] + a * rows[j, k] + b * rows[j + 1, k] + c * rows[j + 2, k]
-        j += 3
-    while j < last:
-        a = factors[row, j]
-        for k in range(start, stop):
-            target[i, k] += a * rows[j, k]
-        j += 1
-
-
-@kernel
-def _add_product(target, left, right, size, start, stop, first, last, sign):
-    """Add sign * left' right, summed over their rows first to last, to the target.
-
-    Its rows are the first ``size`` columns of left, its columns are start to stop of right.
-    With left = right and sign = 1 or -1, what is added is symmetric to the last bit.
-    """
-    j = first
-    while j + 6 <= last:
-        for i in range(size):
-            a, b, c = sign * left[j, i], sign * left[j + 1, i], sign * left[j + 2, i]
-            d, e, f = sign * left[j + 3, i], sign * left[j + 4, i], sign * left[j + 5, i]
-            for k in range(start, stop):
-                three = target[i, k] + a * right[j, k] + b * right[j + 1, k] + c * right[j + 2, k]
-                three = three + d * right[j + 3, k] + e * right[j + 4, k] + f * right[j + 5, k]
-                target[i, k] = three
-        j += 6
-    while j + 2 <= last:
-        for i in range(size):
-            a, b = sign * left[j, i], sign * left[j + 1, i]
-            for k in range(start, stop):
-                target[i, k] = target[i, k] + a * right[j, k] + b * right[j + 1, k]
-        j += 2
-    while j < last:
-        for i in range(size):
-            a = sign * left[j, i]
-            for k in range(start, stop):
-                target[i, k] += a * right[j, k]
-        j += 1
-
-
-@kernel
 def _factorise(P, root, factors, n_s):
     """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist.
 
@@ -200,7 +144,7 @@ def _factorise(P, root, factors, n_s):
             factors[0, i] = -scale * root[i, j]
         for k in range(j, n):
             root[j, k] = scale * P[j, k]
-        _add_rows(root, j, j, n, factors, 0, root, 0, j)
+        add_rows(root, j, j, n, factors, 0, root, 0, j)
     for k in range(n_s, n):
         factors[0, k] = P[k, k]
     for j in range(n_s):
@@ -352,7 +296,7 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
     for i in range(n_s):
         for k in range(n_s, n):
             rows[i, k] = 0.0
-        _add_rows(rows, i, n_s, n, slope, i, P, limits[i, 0], limits[i, 1])
+        add_rows(rows, i, n_s, n, slope, i, P, limits[i, 0], limits[i, 1])
         # P'_ss takes the slope's s columns until all of it is known to be finite.
         for q in range(i + 1):
             product = Q_s[i, q] + centre * rows[error, i] * rows[error, q]
@@ -360,9 +304,9 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
                 product += rows[i, k] * slope[q, k]
             slope[i, q] = product
             slope[q, i] = product
-    _add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
-    _add_product(slope, points, points, n_s, 0, n_s, 1, 1 + 2 * n_s, 1.0)
-    _add_product(slope, rows, rows, n_s, 0, n_s, common, common + n_s, -1.0)
+    add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
+    add_product(slope, points, points, n_s, 0, n_s, 1, 1 + 2 * n_s, 1.0)
+    add_product(slope, rows, rows, n_s, 0, n_s, common, common + n_s, -1.0)
 
     for i in range(n_s):
         tame = tame and slope[i, i] < _OVERFLOW**2
@@ -442,7 +386,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
         for k in range(n_s):
             rows[m, S + k] = scale * (P[i, k] + R[i, k])
         rows[m, y] = scale * innovation
-        _add_rows(rows, m, 0, y + 1, factors, 0, rows, 0, m)
+        add_rows(rows, m, 0, y + 1, factors, 0, rows, 0, m)
         nis += rows[m, y] * rows[m, y]
         m += 1
     if not (nis <= gate and nis < math.inf):
@@ -454,7 +398,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     least = work[ROOT, 0]
     for i in range(n):
         least[i] = _PIVOT_MIN * P[i, i]
-    _add_product(P, rows, rows, n, 0, n, 0, m, -1.0)
+    add_product(P, rows, rows, n, 0, n, 0, m, -1.0)
     for i in range(n):
         P[i, i] = max(P[i, i], least[i])
     return nis
