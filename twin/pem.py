@@ -273,26 +273,24 @@ def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room,
 
 
 @kernel
-def _cost(xi, H, b, c, at, step):
-    """Return one segment's quadratic at parameters; ``step`` becomes xi - at."""
+def _cost(xi, H, b, c, at, pair):
+    """Return one segment's quadratic at parameters; ``pair`` becomes xi - at and H (xi - at)."""
     p = xi.shape[0]
     for k in range(p):
-        step[k] = xi[k] - at[k]
+        pair[0, k], pair[1, k] = xi[k] - at[k], 0.0
+    add_rows(pair, 1, 0, p, pair, 0, H, 0, p)
     total = c
     for k in range(p):
-        row = 0.0
-        for j in range(p):
-            row += H[k, j] * step[j]
-        total += step[k] * (row - 2.0 * b[k])
+        total += pair[0, k] * (pair[1, k] - 2.0 * b[k])
     return max(total, 0.0)
 
 
 @kernel
-def _costs(xi, first, H, b, c, at, factor, step, q):
+def _costs(xi, first, H, b, c, at, factor, pair, q):
     """Write factor times the quadratic of each segment that there is."""
     for i in range(first.shape[0]):
         if first[i] >= 0:
-            q[i] = factor * _cost(xi, H[i], b[i], c[i], at[i], step)
+            q[i] = factor * _cost(xi, H[i], b[i], c[i], at[i], pair)
 
 
 @kernel
@@ -302,29 +300,31 @@ def _solve(
     """Write the parameters and the covariance that the weighed quadratics and the prior make."""
     p = xi.shape[0]
     A, L = work[:p], work[p : 2 * p]
-    pull, step, start = work[2 * p], work[2 * p + 1], work[2 * p + 2]
+    pull, start, pair = work[2 * p], work[2 * p + 1], work[2 * p + 2 :]
     for k in range(p):
         start[k] = xi[k]
     for _ in range(iterations):
         for k in range(p):
             pull[k] = 0.0
             for j in range(p):
+                away = prior[j] - xi[j] + damping * (start[j] - xi[j])
                 A[k, j] = (1.0 + damping) * information[k, j]
-                pull[k] += information[k, j] * (prior[j] + damping * start[j])
+                pull[k] += information[k, j] * away
         for i in range(first.shape[0]):
             if first[i] < 0:
                 continue
-            q = scale / samples * _cost(xi, H[i], b[i], c[i], at[i], step)
+            q = scale / samples * _cost(xi, H[i], b[i], c[i], at[i], pair)
             weight = scale * (1.0 if q <= knee else knee / q)
             for k in range(p):
-                share = b[i, k]
-                for j in range(p):
-                    A[k, j] += weight * H[i, k, j]
-                    share += H[i, k, j] * at[i, j]
-                pull[k] += weight * share
+                pull[k] += weight * (b[i, k] - pair[1, k])
+                total, own = A[k], H[i, k]
+                for j in range(total.shape[0]):
+                    total[j] += weight * own[j]
         if cholesky(A, L) > 0:
             return  # The prior alone is definite: this is rounding, and the next window's matter.
-        solve_factored(L, pull, xi)
+        solve_factored(L, pull, pull)
+        for k in range(p):
+            xi[k] += pull[k]
     if damping == 0.0:  # else it would be that of the step, not of the least
         invert(L, cov)
 
@@ -363,8 +363,8 @@ class Segments:
         self.b, self.at = np.zeros((capacity, p)), np.zeros((capacity, p))
         self.c = np.zeros(capacity)
         self.first = np.full(capacity, -1)
-        self._room, self._work = room(p), np.zeros((2 * p + 3, p))
-        self._step = np.zeros(p)
+        self._room, self._work = room(p), np.zeros((2 * p + 4, p))
+        self._pair = np.zeros((2, p))
         self.reset()
 
     @property
@@ -408,7 +408,7 @@ class Segments:
     def costs(self, xi: Array) -> Array:
         """Return q_i at parameters, by the quadratics; 0 where there is no segment."""
         q = np.zeros(len(self.first))
-        _costs(xi, *self._quadratics, self.settings.scale / self.samples, self._step, q)
+        _costs(xi, *self._quadratics, self.settings.scale / self.samples, self._pair, q)
         return q
 
     def objective(self, xi: Array) -> float:

@@ -15,7 +15,6 @@ import pytest
 import usv_gym  # noqa: F401 - registers the environment
 from twin import Twin
 from twin.identifier import JointUKF, plain_settings
-from twin.log import MEASUREMENTS
 from twin.model import derivative, joint_predict
 from twin.simulated import particulars_of, simulate
 from twin.structure import MODELS, N_TERMS
@@ -45,7 +44,7 @@ AHEAD = np.array([0.8, 0.1], np.float32)
 
 
 @pytest.mark.benchmark(group="200 environment steps through gym.make (100 wave components)")
-@pytest.mark.parametrize("twin", [None, "ukf"])
+@pytest.mark.parametrize("twin", [None, "ukf", "dsw-ukf-plus"])
 def test_environment(benchmark, twin):
     env = gym.make("USVTwin-v0", twin=twin, task="free")
     benchmark(stepping(env, AHEAD))
@@ -148,31 +147,39 @@ def test_filterpy_ukf(benchmark):
     benchmark(run)
 
 
-@pytest.mark.benchmark(group="twin: one row, and one 10 s prediction")
-@pytest.mark.parametrize("name", ["persistence", "ukf", "dsw-ukf", "dsw-ukf-plus"])
-def test_row(benchmark, name):
-    log = simulate(
-        "zigzag",
-        vessel=Vessel.load("usv75"),
-        sea=SeaState(hs=0.5, wind=4.5),
-        duration=60.0,
-        seed=0,
-    )
+ROWS = 20
+"""Rows in a second, of which one refits."""
+
+
+def twin_of(name):
+    """Return a twin that has lived for a minute, and a function that gives it one more second."""
+    sea = SeaState(hs=0.5, wind=4.5)
+    log = simulate("zigzag", vessel=Vessel.load("usv75"), sea=sea, duration=60.0, seed=0)
     twin = Twin(BOAT, name)
     twin.run(log)
-    z, cmd = log.z[-1], log.cmd[-1]
+    rows = list(zip(log.z[-ROWS:], log.cmd[-ROWS:], strict=True))
 
-    def run():
-        twin.step(twin.t + 0.05, z, cmd)
+    def second():
+        t = twin.predictor.t
+        for k, (z, cmd) in enumerate(rows):
+            twin.predictor.update(t + 0.05 * (k + 1), 0.05, z, cmd)
 
-    benchmark(run)
+    return twin, second
 
 
-@pytest.mark.benchmark(group="twin: one row, and one 10 s prediction")
-@pytest.mark.parametrize("name", ["ukf", "dsw-ukf-plus"])
+@pytest.mark.benchmark(group="predictor: 20 rows of 0.05 s, with one refit where there is one")
+@pytest.mark.parametrize("name", ["persistence", "ukf", "dsw-ukf", "dsw-ukf-plus"])
+def test_rows(benchmark, name):
+    benchmark(twin_of(name)[1])
+    benchmark.extra_info["us_per_row"] = 1e6 * benchmark.stats["median"] / ROWS
+
+
+@pytest.mark.benchmark(group="refit of dsw-ukf-plus")
+def test_refit(benchmark):
+    benchmark(twin_of("dsw-ukf-plus")[0].predictor._refit)
+
+
+@pytest.mark.benchmark(group="twin: 10 s prediction with bands")
+@pytest.mark.parametrize("name", ["ukf", "dsw-ukf", "dsw-ukf-plus"])
 def test_prediction_with_bands(benchmark, name):
-    twin = Twin(BOAT, name)
-    z = np.full(len(MEASUREMENTS), np.nan)
-    z[:8] = 0, 0, 5, 0, 0, 0, 0, 0
-    twin.step(0.0, z, np.array([20.0, 20.0, 0.1, 0.1]))
-    benchmark(twin.predict)
+    benchmark(twin_of(name)[0].predict)
