@@ -274,8 +274,8 @@ def hold_inside(x, envelope):
 # flat memory of the navigation filter
 _NAV_P = N_NAV
 _STATUS = _NAV_P + N_NAV * N_NAV
-_SINCE_AID, BEGUN = _STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE + 1
-NAV_SIZE = BEGUN + 1
+_SINCE_AID, BEGUN, _HAS_IMU = range(_STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE + 3)
+NAV_SIZE = _HAS_IMU + 1
 
 
 @kernel
@@ -334,7 +334,11 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
     for i in range(N_STATES):
         R[i, i] = STUDY_STEP * r[i] / row + P_nav[i, i]
         mask[i] = 1.0
-    no_gps, no_imu = status[GPS_AGE] > AID_AFTER, status[IMU_AGE] > AID_AFTER
+    if status[IMU_AGE] == 0.0:
+        nav[_HAS_IMU] = 1.0
+    # a boat without IMU has not lost it: what its navigation says of the motion is measured
+    no_gps = status[GPS_AGE] > AID_AFTER
+    no_imu = nav[_HAS_IMU] > 0.0 and status[IMU_AGE] > AID_AFTER
     if no_gps:
         # what the navigation then says of them is in part the model's own
         mask[0] = mask[1] = 0.0

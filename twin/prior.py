@@ -161,6 +161,9 @@ def shipped_prior(model: str, kind: str) -> Prior:
 def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
     """Return mean and covariance of a boat's parameters before any data, in SI units.
 
+    Boats with a fixed pair of thrusters get the structure's own prior: the population of drafted
+    hulls does not hold catamarans, and was the worse guess for Otter and for a recorded boat.
+
     Parameters
     ----------
     structure : Structure
@@ -173,4 +176,7 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
     mean : ndarray, shape (p,)
     covariance : ndarray, shape (p, p)
     """
-    return shipped_prior(structure.name, kind_of(particulars)).of(structure)
+    kind = kind_of(particulars)
+    if kind == "differential":
+        return structure.mean.copy(), np.diag(structure.sd**2)
+    return shipped_prior(structure.name, kind).of(structure)
