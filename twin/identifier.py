@@ -303,7 +303,8 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         model[0] = min(max(du, -speed * turn), speed * turn)
         model[1] = min(max(dv, -speed * turn), speed * turn)
         model[2] = min(max(dr, -turn * turn), turn * turn)
-        model[3] = 1.0
+        # a model that has never been held to a measured motion may spin the navigation
+        model[3] = nav[_HAS_IMU]
     age = status[GPS_AGE] + dt
     navigate(n, P_nav, dt, z, model, nav_settings, status, nav_work)
     if nav[BEGUN] == 0.0:
@@ -336,7 +337,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         mask[i] = 1.0
     if status[IMU_AGE] == 0.0:
         nav[_HAS_IMU] = 1.0
-    # a boat without IMU has not lost it: what its navigation says of the motion is measured
+    # a boat without IMU has not lost it: its navigation goes by fixes and compass alone
     no_gps = status[GPS_AGE] > AID_AFTER
     no_imu = nav[_HAS_IMU] > 0.0 and status[IMU_AGE] > AID_AFTER
     if no_gps:
