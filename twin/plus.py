@@ -61,7 +61,7 @@ JUMP = 300.0
 """After a gap longer than this, s, nothing of the window is kept."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
-WIDER = 1.2
+WIDER = 1.25
 """What the draws leave out (gusts, the model's own shortcomings): bands are wider by this."""
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
