@@ -9,7 +9,7 @@ from usv_gym.env import OBSERVATION
 
 names = (*OBSERVATION, *TWIN_OBSERVATION)
 faults = [usv_gym.Fault("gps", start=20.0, duration=10.0)]
-env = gym.make("USVTwin-v0", twin="ukf", sea="2", faults=faults)
+env = gym.make("USVTwin-v0", sea="2", faults=faults)
 obs, info = env.reset(seed=1)
 for step in range(800):
     # steer back to the leg by what the twin believes of it

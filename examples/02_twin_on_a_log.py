@@ -7,7 +7,7 @@ from twin import Log, Particulars, Twin, recorded_runs
 path = recorded_runs()["boat1_usv_circle"]
 log = Log.read(path)
 print(*log.notes, sep="\n")
-twin = Twin(Particulars.load(path.with_name("boat1_usv_circle.toml")), predictor="ukf")
+twin = Twin(Particulars.load(path.with_name("boat1_usv_circle.toml")))
 twin.run(log.slice(0.0, 120.0))
 prediction = twin.predict("hold", horizon=10.0)
 mean, cov = prediction.at(np.array([1.0, 2.0, 5.0, 10.0]))

@@ -159,7 +159,8 @@ class DSWPredictor(ModelPredictor):
     proxy for the wave height from the lateral acceleration (:class:`twin.window.WaveProxy`),
     and the wind only if the log has it. So each row is used about W/stride times more. This
     is one reading of a text that does not say what is done with the window; on our boat and
-    on others it does not beat the plain filter.
+    on others it does not beat the plain filter. After false numbers (spikes, frozen fixes) it is
+    metres off for half a minute and more.
 
     Two rules never act as they are printed: with R = I over six states the trace is above
     P_max = 2.25 in every row, so that the binary period is always T0/2; and V < 0.1 in any

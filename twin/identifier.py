@@ -385,7 +385,8 @@ def feel_wind(z, wind):
 @kernel
 def _bands(acts, dt, every, memory, constants, scratch, work, kit, copy, out):
     """Write the covariance of the state after each ``every`` rows of a prediction."""
-    h = dt * every
+    steps = max(1, math.ceil(dt * every / BAND_STEP - 1e-9))
+    h = dt * every / steps
     copy[:] = memory
     x, P, _, wind, q, q_xi, _, _, _, envelope, weights, _ = parts(copy, constants, kit)
     Q, _, terms, _, _, _, qx = rooms(scratch, kit)
@@ -395,8 +396,9 @@ def _bands(acts, dt, every, memory, constants, scratch, work, kit, copy, out):
         qx[k] = q_xi[k] * h
     for j in range(out.shape[0]):
         last = min((j + 1) * every, acts.shape[0]) - 1
-        joint_predict(x, P, acts[last], wind, kit, h, Q, qx, weights, terms, work)
-        hold_inside(x, envelope)
+        for _ in range(steps):
+            joint_predict(x, P, acts[last], wind, kit, h, Q, qx, weights, terms, work)
+            hold_inside(x, envelope)
         for i in range(N_STATES):
             for k in range(N_STATES):
                 out[j, i, k] = P[i, k]

@@ -54,7 +54,7 @@ Array = NDArray[Any]
 
 OBSERVER_GAIN = 0.5
 """Of the low-frequency observer, 1/s."""
-SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.1, 0.1, 1.0
+SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """A row may be fitted if the navigation is as sure as this of velocity (usual speeds) and
 heading (rad), and if the row before it is not older (s)."""
 JUMP = 300.0
@@ -65,6 +65,8 @@ WIDER = 1.25
 """What the draws leave out (gusts, the model's own shortcomings): bands are wider by this."""
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
+DRAWS_MIN = 20
+"""Fewer draws give no 5 % point."""
 WAVE_SPAN = 60.0
 """The waves of this many seconds are described."""
 
@@ -172,7 +174,7 @@ def plus_step(
         _slow_step(dt, n, track, memory, constants, scratch, kit)
     fast = (SPEED_GOOD * 0.25 * envelope[0]) ** 2
     sure = P_nav[3, 3] < fast and P_nav[4, 4] < fast and P_nav[2, 2] < HEADING_GOOD**2
-    good = 1.0 if sure and dt < GAP_GOOD else 0.0
+    good = 1.0 if sure and dt <= GAP_GOOD else 0.0
     _record(t, dt, n, good, track, act, wind, rows)
 
 
@@ -221,8 +223,19 @@ class PlusPredictor(UKFPredictor):
         draws: int = 100,
         seed: int = 0,
     ) -> None:
+        if not (math.isfinite(period) and period > 0.0 and renewed >= 0 and draws >= DRAWS_MIN):
+            raise ValueError(
+                f"period = {period}, renewed = {renewed}, draws = {draws}: must be above 0 s, 0 or "
+                f"more, and at least {DRAWS_MIN}"
+            )
         structure = model_of(particulars, model, biased=True)
         mean, cov = prior or population_prior(structure, particulars)
+        p = len(structure)
+        if np.shape(mean) != (p,) or np.shape(cov) != (p, p):
+            raise ValueError(
+                f"prior has shapes {np.shape(mean)} and {np.shape(cov)}; the structure {model!r} "
+                f"has {p} parameters: ({p},) and ({p}, {p})"
+            )
         plain = plain_settings(particulars, model)
         filters = FilterSettings(
             structure=structure,
@@ -262,9 +275,10 @@ class PlusPredictor(UKFPredictor):
         self.segments.reset()
         self._next_start = 0
         self._refit_at = -math.inf
+        # until the waves have been seen: as high as a refit takes them to be, and without memory
         self._coefficients = np.zeros((ORDER, 3))
-        self._noise = np.zeros(3)
-        self._wave_sd = np.zeros(3)
+        self._wave_sd = self.refit.sd[3:].copy()
+        self._noise = self._wave_sd.copy()
         self._seen = np.zeros(3)
 
     @property

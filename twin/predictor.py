@@ -40,6 +40,8 @@ CHANNELS = ("x_m", "y_m", "psi_rad", "u_mps", "v_mps", "r_radps")
 Z90 = 1.6448536269514722
 """Half the width of the middle 90 % of a normal distribution, standard deviations."""
 
+GAP_MAX = 300.0
+"""After a longer gap, s, a history begins anew."""
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
 
@@ -348,6 +350,9 @@ class HistoryPredictor(Predictor):
         if not self.navigator.ready:
             return
         now = np.concatenate([s, self._cmd, self._beside])
+        if dt > GAP_MAX:  # nothing on the far side of it bears on what comes
+            self._rows.clear()
+            self._errors_at = self._next = -math.inf
         if not math.isfinite(self._next):
             self._next = t
             self._last = now
@@ -377,6 +382,8 @@ class HistoryPredictor(Predictor):
         errors = self._own_errors()
         known = GRID * np.arange(1, len(errors) + 1)
         grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
+        # further than was ever looked back, place and heading part at the same pace
+        grow[:, :3] *= np.maximum(after / known[-1], 1.0)[:, None]
         start_cov = self.with_common_error(self.navigator.P[:6, :6])
         cov = np.repeat(start_cov[None], len(plan), axis=0)
         cov[:, range(6), range(6)] += grow**2

@@ -1,0 +1,62 @@
+"""Print the tables of STUDY.md from the confirmation's results, which lie beside this file.
+
+They were made by::
+
+    usv-twin benchmark --scenarios turn,zigzag,turn-zigzag,random --faults none \
+        --seeds 200-223 --plans known --out confirmation \
+        --predictors persistence,persistence-8s,ukf,dsw-ukf,dsw-ukf-plus,oracle
+
+of whose ``results.json`` only what the tables need is kept.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+HERE = Path(__file__).parent
+SCENARIOS = ("turn", "zigzag", "turn-zigzag", "random")
+CHANNELS = ("u", "v", "r", "psi", "along", "across", "displacement")
+
+
+def row(first: str, cells: list[str]) -> str:
+    """Return a line of a Markdown table."""
+    return f"| {first} | {' | '.join(cells)} |"
+
+
+def lines() -> list[str]:
+    """Return every line of the tables but their heads."""
+    results = json.loads((HERE / "results.json").read_text(encoding="utf-8"))
+    value = {(i["scenario"], i["predictor"], i["metric"]): i for i in results["summary"]}
+    out = []
+    for predictor in results["predictors"]:
+        cells = []
+        for scenario in SCENARIOS:
+            mae, excess = (value[scenario, predictor, metric] for metric in ("mae", "E"))
+            cells.append(
+                f"{mae['value']:.3f} / {mae['median']:.3f} / "
+                f"{excess['value']:+.2f} / {excess['median']:+.2f}"
+            )
+        out.append(row(predictor, cells))
+    paired = {(i["scenario"], i["predictor"]): i for i in results["paired"]}
+    for predictor in results["predictors"]:
+        if predictor != "ukf":
+            cells = [
+                f"{i['change_percent']:+.0f} [{i['low']:+.0f}, {i['high']:+.0f}], {i['wins']}"
+                for i in (paired[scenario, predictor] for scenario in SCENARIOS)
+            ]
+            out.append(row(f"{predictor} against ukf", cells))
+    inside = {(i["scenario"], i["channel"], i["horizon_s"]): i for i in results["coverage"]}
+    for channel in CHANNELS:
+        cells = [
+            " ".join(
+                f"{100 * inside[scenario, channel, h]['coverage90']:.0f}" for h in (1, 2, 5, 10)
+            )
+            for scenario in SCENARIOS
+        ]
+        out.append(row(channel, cells))
+    return out
+
+
+if __name__ == "__main__":
+    print("\n".join(lines()))
