@@ -83,7 +83,12 @@ PIECES: list[tuple[dict[str, Any], set[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("options", "parts"), PIECES, ids=lambda value: str(value)[:40])
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    PIECES,
+    # the order of a set differs from worker to worker, and names of tests must not
+    ids=lambda value: "+".join(sorted(value)) if isinstance(value, set) else str(value),
+)
 def test_each_piece_changes_what_it_should(
     boat: Particulars, run: Log, usual: DSWPredictor, options: dict[str, Any], parts: set[str]
 ) -> None:
