@@ -37,9 +37,8 @@ from twin.identifier import (
     see,
 )
 from twin.log import MEASUREMENTS
-from twin.model import N_STATES, _all_terms, model_of
+from twin.model import N_STATES, all_terms, model_of
 from twin.particulars import Particulars
-from twin.structure import N_TERMS
 from twin.ukf import measurement_update
 from twin.window import NOISE_FORMS, DynamicWindow, NoiseLimits, WaveProxy, adapt_noise
 from usv_kernel import kernel, wrap
@@ -319,8 +318,8 @@ class DSWPredictor(ModelPredictor):
             if self._count % self.stride == 0 and self._count > W:
                 self._restart(W)
         hold_inside(ukf.x, ukf.envelope)
-        terms = ukf.scratch[2 * N_STATES**2 :][:N_TERMS]
-        _all_terms(ukf.x, ukf.act, ukf.wind, ukf.kit, terms)
+        terms = rooms(ukf.scratch, ukf.kit)[2]
+        all_terms(ukf.x, ukf.act, ukf.wind, ukf.kit, terms)
         see(dt, terms, ukf.memory, ukf.kit)
 
     def with_common_error(self, cov: Array) -> Array:

@@ -20,7 +20,7 @@ from twin.model import (
     N_ACT,
     N_STATES,
     ROOM,
-    _all_terms,
+    all_terms,
     follow,
     joint_predict,
     model_of,
@@ -296,7 +296,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
     for k in range(4):
         model[k] = 0.0
     if nav[BEGUN] > 0.0:
-        _all_terms(x, act, wind, kit, terms)
+        all_terms(x, act, wind, kit, terms)
         see(dt, terms, memory, kit)
         du, dv, dr = accelerations(terms, kit, x, N_STATES)
         turn, speed = envelope[2], envelope[0]

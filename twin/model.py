@@ -39,6 +39,7 @@ __all__ = [
     "PAPER_TABLE_2",
     "PAPER_TABLE_3",
     "ROOM",
+    "all_terms",
     "derivative",
     "follow",
     "joint_predict",
@@ -151,8 +152,8 @@ def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> St
 
 
 @kernel
-def _all_terms(s, act, wind, kit, terms):
-    """Write every term of a state and of its actuators."""
+def all_terms(s, act, wind, kit, terms):
+    """Write every term of a state and of its actuators; arguments as for :func:`derivative`."""
     thrust_terms(
         act[0],
         act[1],
@@ -188,7 +189,7 @@ def derivative(s, xi, act, wind, kit, terms, out):
 
     Source: Eq (20), (26).
     """
-    _all_terms(s, act, wind, kit, terms)
+    all_terms(s, act, wind, kit, terms)
     cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
     out[0] = s[3] * cos_psi - s[4] * sin_psi
     out[1] = s[3] * sin_psi + s[4] * cos_psi
@@ -234,7 +235,7 @@ def propagate_points(act, wind, kit, h, terms, work):
     points = work[POINTS]
     slope = work[SLOPE]
     which, limits, hull = kit
-    _all_terms(points[0], act, wind, kit, terms)
+    all_terms(points[0], act, wind, kit, terms)
     for i in range(3):
         for k in range(limits[3 + i, 0], limits[3 + i, 1]):
             slope[3 + i, k] = h * terms[which[i, k - N_STATES]]

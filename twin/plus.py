@@ -20,6 +20,7 @@ Source: twin.md section 10 B.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -31,7 +32,6 @@ from twin.identifier import (
     BEGUN,
     STUDY_LENGTH,
     STUDY_SPEED,
-    FilterSettings,
     UKFPredictor,
     nav_parts,
     parts,
@@ -236,28 +236,23 @@ class PlusPredictor(UKFPredictor):
                 f"prior has shapes {np.shape(mean)} and {np.shape(cov)}; the structure {model!r} "
                 f"has {p} parameters: ({p},) and ({p}, {p})"
             )
-        plain = plain_settings(particulars, model)
-        filters = FilterSettings(
+        filters = dataclasses.replace(
+            plain_settings(particulars, model),
             structure=structure,
-            q=plain.q,
-            r=plain.r,
-            p0=plain.p0,
-            q_xi=np.zeros(len(structure)),
+            q_xi=np.zeros(p),
             xi0=mean,
             xi0_cov=cov,
-            n_unit=structure.n_unit,
         )
         self.refit = settings or refit_settings(particulars)
         self.period, self.renewed = period, renewed
-        spacing = round(self.refit.spacing / GRID)
-        self.spacing = spacing
+        self.spacing = round(self.refit.spacing / GRID)
         capacity = math.ceil(self.refit.span / self.refit.spacing)
         self.segments = Segments(structure.kit, mean, cov, self.refit, capacity)
         steps = self.segments.steps
-        self.rows = np.zeros((round(self.refit.span / GRID) + steps + 2 * spacing, COLUMNS))
+        self.rows = np.zeros((round(self.refit.span / GRID) + steps + 2 * self.spacing, COLUMNS))
         self.track = np.zeros(TRACK_SIZE)
         rng = np.random.default_rng(seed)
-        self._theta_shocks = rng.standard_normal((draws, len(structure)))
+        self._theta_shocks = rng.standard_normal((draws, p))
         self._start_shocks = rng.standard_normal((draws, N_STATES))
         # the first path is the mean
         self._wave_shocks = rng.standard_normal((draws + 1, round(10.0 / GRID), 3))

@@ -49,7 +49,7 @@ def fit_autoregression(w: Array) -> tuple[Array, Array]:
     N, c = w.shape
     past = np.stack([w[ORDER - 1 - k : N - 1 - k] for k in range(ORDER)], axis=1)
     now = w[ORDER:]
-    coefficients, noise = np.zeros((ORDER, c)), np.zeros(c)
+    coefficients = np.zeros((ORDER, c))
     for j in range(c):
         X = past[:, :, j]
         G = X.T @ X
@@ -61,14 +61,11 @@ def fit_autoregression(w: Array) -> tuple[Array, Array]:
         if largest > ROOT_MAX:
             a *= (ROOT_MAX / largest) ** np.arange(1, ORDER + 1)
         coefficients[:, j] = a
-        # so much that simulated waves are as high as those seen
-        answer = np.zeros(ANSWER)
-        answer[0] = 1.0
-        for k in range(1, ANSWER):
-            last = answer[max(k - ORDER, 0) : k][::-1]
-            answer[k] = a[: len(last)] @ last
-        noise[j] = np.sqrt(np.mean(w[:, j] ** 2) / np.sum(answer**2))
-    return coefficients, noise
+    # so much noise that simulated waves are as high as those seen
+    shock, answer = np.zeros((1, ANSWER, c)), np.empty((1, ANSWER, c))
+    shock[0, 0] = 1.0
+    simulate_waves(np.zeros((ORDER, c)), coefficients, np.ones(c), shock, answer)
+    return coefficients, np.sqrt(np.mean(w**2, axis=0) / np.sum(answer[0] ** 2, axis=0))
 
 
 @kernel
