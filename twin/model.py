@@ -182,7 +182,7 @@ def derivative(s, xi, act, wind, kit, terms, out):
         True wind to north and east, m/s; zeros where it is not known.
     kit : tuple
         Of the structure.
-    terms : (46,) array
+    terms : (48,) array
         Room for the terms; they are left there.
     out : (6,) array
         The derivative.

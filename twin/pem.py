@@ -10,7 +10,8 @@ as they were. The parameters are those that make the errors of all segments smal
 with n_i errors in segment i, a free offset d of the initial u, v, r (it carries a wave, and no
 parameter should pay for it) and rho(q) = q up to ``knee``, and knee (1 + log(q / knee)) beyond: a
 segment that a gust or a wave group has spoilt counts less, as if its weight were
-min(1, knee / q). ``scale`` makes up for errors that are alike from sample to sample.
+min(1, knee / q). ``scale`` makes up for errors that are alike from sample to sample. A ``trust``
+other than 1 multiplies what all the segments say, against the prior.
 
 Each segment is kept as a quadratic in xi about the parameters at which it was linearised, with
 the offset removed by its Schur complement, so that a refit costs a sum of small matrices.
@@ -40,7 +41,7 @@ from twin.structure import (
 )
 from usv_kernel import kernel
 
-__all__ = ["GRID", "RefitSettings", "Segments", "linearise", "room"]
+__all__ = ["GRID", "RefitSettings", "Segments", "drive", "linearise", "room"]
 
 Array = NDArray[Any]
 
@@ -97,7 +98,7 @@ yaw at each of its four stages."""
 
 
 @kernel
-def _drive(act, terms):
+def drive(act, terms):
     """Write the terms of the actuators."""
     thrust_terms(
         *(act[0], act[1], math.cos(act[2]), math.sin(act[2]), math.cos(act[3]), math.sin(act[3])),
@@ -219,15 +220,15 @@ def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room,
     for i in range(N_OFFSETS):
         S[3 + i, p + 1 + i] = 1.0
         full[p + 1 + i, p + 1 + i] = offset_weights[i]
-    _drive(start[ACT:MIDDLE], terms[3])
+    drive(start[ACT:MIDDLE], terms[3])
     for step in range(steps):
         after = rows[(first + step + 1) % size]
         for j in range(LEFT_COS, N_TERMS):
             terms[0, j] = terms[3, j]
-        _drive(rows[(first + step) % size, MIDDLE:], terms[1])
+        drive(rows[(first + step) % size, MIDDLE:], terms[1])
         for j in range(LEFT_COS, N_TERMS):
             terms[2, j] = terms[1, j]
-        _drive(after[ACT:MIDDLE], terms[3])
+        drive(after[ACT:MIDDLE], terms[3])
         for i in range(N_STATES):
             place[i], sums[i] = s[i], 0.0
         for stage in range(4):
@@ -295,7 +296,22 @@ def _costs(xi, first, H, b, c, at, factor, pair, q):
 
 @kernel
 def _solve(
-    xi, cov, first, H, b, c, at, prior, information, scale, knee, samples, iterations, damping, work
+    xi,
+    cov,
+    first,
+    H,
+    b,
+    c,
+    at,
+    prior,
+    information,
+    scale,
+    knee,
+    trust,
+    samples,
+    iterations,
+    damping,
+    work,
 ):
     """Write the parameters and the covariance that the weighed quadratics and the prior make."""
     p = xi.shape[0]
@@ -314,7 +330,7 @@ def _solve(
             if first[i] < 0:
                 continue
             q = scale / samples * _cost(xi, H[i], b[i], c[i], at[i], pair)
-            weight = scale * (1.0 if q <= knee else knee / q)
+            weight = trust * scale * (1.0 if q <= knee else knee / q)
             for k in range(p):
                 pull[k] += weight * (b[i, k] - pair[1, k])
                 total, own = A[k], H[i, k]
@@ -347,6 +363,8 @@ class Segments:
     ----------
     xi, cov : ndarray, shapes (p,), (p, p)
         Parameters and their covariance (Laplace); the prior's at first.
+    trust : float
+        How many times more the segments count than ``scale`` and ``knee`` say.
     """
 
     def __init__(
@@ -375,6 +393,7 @@ class Segments:
         """Forget every segment."""
         self.first[:] = -1
         self.xi, self.cov = self.prior.copy(), self.prior_cov.copy()
+        self.trust = 1.0
         self._H, self._b = np.zeros_like(self.prior_cov), np.zeros_like(self.prior)
 
     def add(self, first: int, rows: Array, xi: Array) -> None:
@@ -416,7 +435,7 @@ class Segments:
         q = self.costs(xi)
         knee, away = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
-        return float(self.samples * rho.sum() + away @ self.information @ away)
+        return float(self.trust * self.samples * rho.sum() + away @ self.information @ away)
 
     def solve(self, iterations: int = 4, damping: float = 0.0) -> None:
         """Move the parameters to the least of the sum of the quadratics and the prior.
@@ -431,7 +450,8 @@ class Segments:
         settings = self.settings
         _solve(
             *(self.xi, self.cov, *self._quadratics, self.prior, self.information),
-            *(settings.scale, settings.knee, self.samples, iterations, damping, self._work),
+            *(settings.scale, settings.knee, self.trust, self.samples),
+            *(iterations, damping, self._work),
         )
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:

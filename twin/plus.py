@@ -45,6 +45,7 @@ from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSe
 from twin.predictor import Prediction
 from twin.prior import population_prior
 from twin.residual import ORDER, between, fit_autoregression, simulate_waves
+from twin.rivals import Rivals
 from twin.structure import accelerations, state_terms, thrust_terms
 from usv_kernel import kernel
 
@@ -61,7 +62,7 @@ JUMP = 300.0
 """After a gap longer than this, s, nothing of the window is kept."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
-WIDER = 1.25
+WIDER = 1.3
 """What the draws leave out (gusts, the model's own shortcomings): bands are wider by this."""
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
@@ -88,8 +89,8 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         spacing=2.0,
         horizon=7.0,
         every=2,
-        sd=np.array([0.35 * L, 0.35 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
-        offset_sd=np.array([0.15 * U, 0.15 * U, 0.02 * U / L]),
+        sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
+        offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
         scale=0.15,
         knee=0.015,
     )
@@ -248,6 +249,7 @@ class PlusPredictor(UKFPredictor):
         self.spacing = round(self.refit.spacing / GRID)
         capacity = math.ceil(self.refit.span / self.refit.spacing)
         self.segments = Segments(structure.kit, mean, cov, self.refit, capacity)
+        self.rivals = Rivals(self.segments, self.spacing)
         steps = self.segments.steps
         self.rows = np.zeros((round(self.refit.span / GRID) + steps + 2 * self.spacing, COLUMNS))
         self.track = np.zeros(TRACK_SIZE)
@@ -268,6 +270,7 @@ class PlusPredictor(UKFPredictor):
         self.rows[:] = 0.0
         self.track[:] = 0.0
         self.segments.reset()
+        self.rivals.reset()
         self._next_start = 0
         self._refit_at = -math.inf
         # until the waves have been seen: as high as a refit takes them to be, and without memory
@@ -302,6 +305,7 @@ class PlusPredictor(UKFPredictor):
             self._next_start += self.spacing
             if self._window(first, first + segments.steps)[:, GOOD].all():
                 segments.add(first, self.rows, segments.xi)
+                self.rivals.judge(first, self.rows)
         segments.drop(newest - round(self.refit.span / GRID))
         recent = self._window(max(newest - round(WAVE_SPAN / GRID), 0), newest)
         recent = recent[recent[:, GOOD] > 0.0]
@@ -312,8 +316,9 @@ class PlusPredictor(UKFPredictor):
             self._seen = np.maximum(self._seen, np.abs(recent[:, LOW:WIND]).max(axis=0))
         if (segments.first >= 0).sum() < 3:
             return
+        self.rivals.note(range(self._next_start, newest + 1, self.spacing))
         segments.renew(self.rows, self.renewed)
-        segments.solve()
+        self.rivals.solve()
         self.ukf.x[N_STATES:] = segments.xi
         self.ukf.P[N_STATES:, :N_STATES] = 0.0
         self.ukf.P[:N_STATES, N_STATES:] = 0.0

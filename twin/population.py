@@ -28,9 +28,11 @@ from twin.prior import KINDS, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
 from twin.structure import (
     COS,
+    COS_TWICE,
     MINUS_SIN,
     ONE,
     SIN,
+    SIN_TWICE,
     WIND_N,
     WIND_X,
     WIND_Y,
@@ -204,7 +206,7 @@ def rolled(
 
 def _shown(structure: Structure) -> Any:
     """Return which parameters calm water can show: no wind, no biases."""
-    hidden = (COS, SIN, MINUS_SIN, ONE, WIND_X, WIND_Y, WIND_N)
+    hidden = (COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, ONE, WIND_X, WIND_Y, WIND_N)
     return ~np.isin(structure.kit[0], hidden).any(axis=0)
 
 

@@ -29,7 +29,7 @@ KINDS = ("drives", "rudder", "differential")
 """Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
 FAST = 0.35
 """Froude number of the usual speed above which a boat is taken to have drives, not rudders."""
-FLOOR = 0.1
+FLOOR = 0.3
 """Share of each variance that no other parameter explains, at the least."""
 
 TOLD = 1e-3

@@ -17,7 +17,9 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
 ``mmg``
     about thirty, dimensionless but for the length: a resistance with a hump (cubic in u),
     damping that grows with speed, thrust that falls with advance, a rudder or drive in the
-    inflow of hull and propeller, apparent wind, and slow biases. Left and right propeller enter
+    inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
+    heading, once and twice around: wind and waves turn a boat that lies across them, and what
+    nobody measures must be learned. Left and right propeller enter
     as their mean and difference, because nothing tells them apart when they turn alike.
 
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
@@ -60,14 +62,14 @@ N_STATES = 6
 
 (
     U_U, UUU, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, UV, AU_V, AU_R, AV_R, ONE,
-    COS, SIN, MINUS_SIN, WIND_X, WIND_Y, WIND_N,
+    COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N,
     ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT,
     LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
     MEAN_COS, MEAN_SIN, DIFFERENCE,
     _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
     _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
-) = range(46)  # fmt: skip
-N_TERMS = 46
+) = range(48)  # fmt: skip
+N_TERMS = 48
 """Terms by index; those before LEFT_COS follow the state, the rest the actuators alone."""
 
 FULL, BIASED, LENGTH, SOFT = range(4)
@@ -89,7 +91,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
         Shaft speeds in the unit of the structure.
     cos_left, sin_left, cos_right, sin_right : float
         Of the drive angles.
-    terms : (46,) array
+    terms : (48,) array
         Those from LEFT_COS on are written.
     """
     left, right = n_left * abs(n_left), n_right * abs(n_right)
@@ -130,7 +132,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         Velocity of the true wind to north and east, m/s; zeros where it is not known.
     hull : (4,) array
         Constants of the structure.
-    terms : (46,) array
+    terms : (48,) array
         Those before LEFT_COS are written.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
@@ -143,6 +145,8 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     terms[UUU] = u * u * u
     terms[UV], terms[AU_V], terms[AU_R], terms[AV_R] = u * v, abs(u) * v, abs(u) * r, abs(v) * r
     terms[ONE] = 1.0
+    terms[COS_TWICE] = cos_psi * cos_psi - sin_psi * sin_psi
+    terms[SIN_TWICE] = 2.0 * sin_psi * cos_psi
     terms[WIND_X] = terms[WIND_Y] = terms[WIND_N] = 0.0
     if wind[0] != 0.0 or wind[1] != 0.0:
         ahead = wind[0] * cos_psi + wind[1] * sin_psi - u
@@ -169,9 +173,9 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     ----------
     u, v, r, cos_psi, sin_psi, wind, hull
         See :func:`state_terms`.
-    terms : (46,) array
+    terms : (48,) array
         As :func:`state_terms` left it.
-    slopes : (4, 46) array
+    slopes : (4, 48) array
         Written where a derivative is not always 0; hand in zeros.
     """
     slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
@@ -190,6 +194,7 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     slopes[0, AU_V], slopes[1, AU_V] = math.copysign(v, u * v), abs(u)
     slopes[0, AU_R], slopes[2, AU_R] = math.copysign(r, u * r), abs(u)
     slopes[1, AV_R], slopes[2, AV_R] = math.copysign(r, v * r), abs(v)
+    slopes[3, COS_TWICE], slopes[3, SIN_TWICE] = -2.0 * terms[SIN_TWICE], 2.0 * terms[COS_TWICE]
     for i in range(4):
         slopes[i, WIND_X] = slopes[i, WIND_Y] = slopes[i, WIND_N] = 0.0
     if wind[0] != 0.0 or wind[1] != 0.0:
@@ -230,7 +235,7 @@ def accelerations(terms, kit, xi, first):
 
     Parameters
     ----------
-    terms : (46,) array
+    terms : (48,) array
         All terms.
     kit : tuple
         Of the structure.
@@ -372,7 +377,11 @@ _MMG = (
     ("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
     ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.05, 0.1),
     ("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
-    ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.03),
+    ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01),
+    ("N_cos", "rad/s2", "N", COS, (-2, 2, 0), 0.0, 0.01),
+    ("N_sin", "rad/s2", "N", SIN, (-2, 2, 0), 0.0, 0.01),
+    ("N_cos2", "rad/s2", "N", COS_TWICE, (-2, 2, 0), 0.0, 0.012),
+    ("N_sin2", "rad/s2", "N", SIN_TWICE, (-2, 2, 0), 0.0, 0.012),
 )
 _TABLES = {"paper": _PAPER, "mmg": _MMG}
 MODELS = tuple(_TABLES)

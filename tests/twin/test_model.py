@@ -118,11 +118,12 @@ def test_derivative_turns_velocities_to_the_earth_and_adds_accelerations(
 def test_a_mirrored_boat_makes_the_mirrored_motion(name: str, steering: str) -> None:
     structure = structure_for(name, steering)
     swap, sign = np.arange(len(structure)), np.ones(len(structure))
+    lopsided = ("Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2")
     for k, label in enumerate(structure.parameters):
         if label[0] == "T":
             swap[k] = structure.parameters.index(label[:-1] + {"L": "R", "R": "L"}[label[-1]])
         # these say how a boat is lopsided, or what drives it east
-        sign[k] = -1.0 if label in ("Y_u", "N_u", "N_0", "E_east") else 1.0
+        sign[k] = -1.0 if label in lopsided else 1.0
     xi, plan = lively(structure), steering_plan(100)
     image = plan[:, [1, 0, 3, 2]] * [1.0, 1.0, -1.0, -1.0]
     one, _ = roll_out(xi, plan, structure=structure, wind=WINDY)

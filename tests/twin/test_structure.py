@@ -89,6 +89,8 @@ def printed(
         **{"N_u": u, "N_v": v, "N_r": r, "N_uv": u * v, "N_|u|r": abs(u) * r},
         **{"N_v|v|": v * abs(v), "N_v|r|": v * abs(r), "N_|v|r": abs(v) * r, "N_r|r|": r * abs(r)},
         **{"N_vvr": v**2 * r, "N_vrr": v * r**2, "N_0": 1.0},
+        **{"N_cos": math.cos(psi), "N_sin": math.sin(psi)},
+        **{"N_cos2": math.cos(2 * psi), "N_sin2": math.sin(2 * psi)},
         "T_rL": left if differential else left * sin_l,
         "T_rR": -right if differential else right * sin_r,
         **{"N_nn": sway["Y_nn"], "N_nu": sway["Y_nu"]},
@@ -275,7 +277,7 @@ def test_wind_acts_by_its_speed_past_the_boat() -> None:
 
 
 # Those whose sign a mirror does not turn, though they stand in sway or yaw.
-LOPSIDED = {"Y_u", "N_u", "N_0", "E_east"}
+LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2"}
 
 
 @pytest.mark.parametrize("case", CASES)
