@@ -237,11 +237,7 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
     data = thinned(data[TIME], data, layout)
     notes += said(layout, before, len(data[TIME]))
     notes += [entry.note for entry in layout.entries if entry.note]
-    given = {
-        key: f"{entry.topic}:{entry.sources[0]}" if entry.topic else key
-        for entry in layout.entries
-        for key in entry.names
-    }
+    given = {name: name for name in data}
     t = data[TIME]
     return Table(str(path), name_of(path), data, given, lambda row: f"t = {t[row]:.6g} s", notes)
 

@@ -619,10 +619,11 @@ def _drop_jumps(t: Array, z: Array, table: Table) -> None:
             best = int(np.argmax(chain))
             if chain[best]:
                 kept[j], before[j] = kept[j] + chain[best], best
+    given = [table.given[name] for name in MEASUREMENTS[:2]]
     lost = len(new) - int(kept.max())
     if lost > _LOST * len(new):
         raise LogError(
-            f"{table.source}: columns {table.given['gps_x_m']} and {table.given['gps_y_m']}, "
+            f"{table.source}: column(s) {', '.join(dict.fromkeys(given))}, "
             f"{where} and stays away; read the pieces one by one with start_s and stop_s in [rows] "
             "of a mapping file, or empty the false cells"
         )
