@@ -243,8 +243,7 @@ class Log:
         - Blank lines are left out.
         """
         path = Path(path)
-        if mapping is None and (found := beside(path, ".mapping.toml")).exists():
-            mapping = found
+        mapping = mapping_of(path, mapping)
         layout = None if mapping is None else Layout.load(mapping)
         if is_bag(path):
             table = read_bag(path, layout)
@@ -261,6 +260,22 @@ def beside(path: str | Path, suffix: str) -> Path:
     """Return the file of a log's name with another ending (``.toml``, ``.png``) beside it."""
     path = Path(path)
     return path.parent / (name_of(path) + suffix)
+
+
+def mapping_of(path: Path, mapping: str | Path | None = None) -> Path | None:
+    """Return the mapping file of a log: the one that is given, else the one beside it, if any."""
+    if mapping is not None:
+        return Path(mapping)
+    found = beside(path, ".mapping.toml")
+    return found if found.exists() else None
+
+
+def files_of(path: str | Path, mapping: str | Path | None = None) -> list[Path]:
+    """Return the files that :meth:`Log.read` reads: the log or those of its bag, the mapping."""
+    path = Path(path)
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    found = mapping_of(path, mapping)
+    return [file for file in (*files, *([found] if found else [])) if file.is_file()]
 
 
 def recorded_runs() -> dict[str, Path]:

@@ -13,10 +13,14 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
-from twin import archive, table
+from twin import Twin, archive, table
+from twin.cli import app
 from twin.log import COMMANDS, MEASUREMENTS, TRUTH, Log, LogError, beside
 from twin.mapping import Layout
+from twin.simulated import particulars_of
+from usv_gym import Vessel
 
 SHARED = Path(
     os.environ.get("USV_TWIN_SHARED") or Path(__file__).resolve().parents[2].parent / "shared"
@@ -33,6 +37,8 @@ def run(rows: int = 200, truth: bool = False) -> Log:
     z = 0.1 * rng.standard_normal((rows, len(MEASUREMENTS)))
     z[:, 0] += np.cumsum(0.2 * np.cos(psi))
     z[:, 1] += np.cumsum(0.2 * np.sin(psi))
+    z[:, 2] += 2.0 * np.cos(psi)
+    z[:, 3] += 2.0 * np.sin(psi)
     z[:, 4] = psi
     z[:, 5] = 0.04 + 0.06 * np.cos(0.2 * t)
     cmd = np.column_stack([5.0 + 0.1 * np.floor(t), 6.0 - 0.1 * np.floor(t)])
@@ -611,3 +617,47 @@ def test_a_log_of_too_many_rows(tmp_path: Path, name: str, monkeypatch: pytest.M
     for rows, count in (("start_s = 12.0", 80), ("stop_s = 9.95", 100), ("step_s = 0.5", 40)):
         mapping = written(tmp_path / "m.toml", f"[rows]\n{rows}\n")
         assert len(Log.read(path, mapping)) == count
+
+
+# --- the commands -----------------------------------------------------------------------------
+
+
+def command(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [*arguments])
+    return result.exit_code, " ".join(result.output.split())
+
+
+def test_commands_take_mapped_files_and_bags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log = run(300)
+    foreign(log).write_parquet("sail.parquet")
+    mapping = str(written(tmp_path / "m.toml", FOREIGN))
+    plain = ("--predictor", "persistence")
+    code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
+    assert code == 0 and "no particulars beside it, taken to be the usv75" in said
+    code, said = command("identify", "sail.parquet", *plain)
+    assert code == 2 and "column(s) t_s, n_left_rps" in said and "a mapping file" in said
+    bag = record(tmp_path / "bag", log, "MCAP")
+    written(tmp_path / "bag.mapping.toml", EXAMPLE)
+    code, said = command("identify", "bag", *plain)
+    assert code == 0 and "/steering: time of receipt" in said
+    scored = ("--predictors", "persistence", "--faults", "none", "--jobs", "1", "--out", "out")
+    code, said = command("benchmark", "--log", str(bag), *scored)
+    assert code == 0, said
+    code, said = command("benchmark", "--log", "sail.parquet", "--mapping", mapping, *scored)
+    assert code == 0, said
+    assert (tmp_path / "out" / "runs" / "sail_none_0_persistence.json").exists()
+
+
+def test_a_twin_follows_a_bag_of_many_rates(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    log = run(400)
+    path = record(tmp_path / "bag", log, "MCAP", late=20_000_000)
+    mapping = written(tmp_path / "m.toml", ALL_ROWS)
+    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
+    seen = Log.read(path, mapping)
+    twin.run(seen)
+    # 2 m/s with fixes of 0.1 m twice a second
+    assert np.hypot(*(twin.estimate().s[:2] - log.z[-5, :2])) < 1.5
