@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,12 @@ _LATE = 1.0
 def is_bag(path: Path) -> bool:
     """Return whether a path is that of a bag: a folder, or a file of its kind."""
     kinds = (".mcap", ".db3")
-    return path.suffix in kinds or (
-        path.is_dir() and any(file.suffix in (*kinds, ".yaml") for file in path.iterdir())
-    )
+    if path.suffix in kinds:
+        return True
+    with suppress(OSError):
+        names = [*path.iterdir()] if path.is_dir() else []
+        return any(file.suffix in kinds or file.name == "metadata.yaml" for file in names)
+    return False
 
 
 @dataclass

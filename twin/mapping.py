@@ -34,6 +34,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -145,7 +146,7 @@ def layout_of(name: str, header: Sequence[str]) -> Layout | None:
         Its columns. The first of :data:`LAYOUTS` fits whose columns are all there.
     """
     for pattern, kind in LAYOUTS:
-        if Path(name).match(pattern):
+        if fnmatch(name, pattern):
             layout = Layout.load(Path(__file__).with_name("mappings") / f"{kind}.toml")
             if all(set(entry.sources) <= set(header) for entry in layout.entries):
                 return replace(layout, source=kind)
@@ -224,7 +225,7 @@ class _Parser:
 
     def column(self, name: str, given: Any) -> Entry:
         names = SINGLE.get(name, (name,))
-        if isinstance(given, int | float):
+        if isinstance(given, int | float) and name != TIME:
             value = self.number(name, given)
             return Entry(names, (), lambda _: [np.array(value)] * len(names))
         unit = name.rpartition("_")[2]

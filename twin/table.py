@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -144,7 +144,9 @@ def too_long(source: str) -> LogError:
 
 def date_of(epoch: float) -> str:
     """Return a time since 1970, s, as a date and time."""
-    return datetime.fromtimestamp(epoch, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
+    # datetime knows the years 1 to 9999
+    date = datetime(1970, 1, 1) + timedelta(seconds=min(max(epoch, -6e10), 2.5e11))
+    return f"{date:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layout) -> Table:
@@ -176,6 +178,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         void += int(blank.sum())
         data = {key: values[~blank] for key, values in {**raw, _PLACE: lines}.items()}
         read += len(data[_PLACE])
+        for name in dated - set(timed.sources):
+            raise LogError(f"{file.source}: column {name} holds dates, not numbers; convert it")
         if dated and len(data[_PLACE]):
             epoch = float(data[timed.sources[0]][0]) if epoch != epoch else epoch
             data[timed.sources[0]] = data[timed.sources[0]] - epoch
@@ -209,17 +213,18 @@ def _only(timed: Entry, data: Mapping[str, Array]) -> Array:
     return timed.columns([data[timed.sources[0]]])[TIME]
 
 
-_Block = tuple[Array, dict[str, Array], bool]
-"""Number of each row in the file, the columns, and whether the time is a date."""
+_Block = tuple[Array, dict[str, Array], set[str]]
+"""Number of each row in the file, the columns, and which of them were dates."""
 
 
 def _numbers(
     frame: pl.DataFrame, clock: str, lines: Array, source: str, unit: str
-) -> tuple[dict[str, Array], bool]:
+) -> tuple[dict[str, Array], set[str]]:
     """Return the columns as float64, dates as seconds since 1970; refuse any other text."""
     import polars as pl
 
-    dated, columns = False, {}
+    dated: set[str] = set()
+    columns: dict[str, Array] = {}
     wrong: tuple[int, str] | None = None
     for name, kind in frame.schema.items():
         values = frame[name]
@@ -230,10 +235,10 @@ def _numbers(
             row = bad.arg_max() if bad.any() else None
             if row is not None and (wrong is None or row < wrong[0]):
                 wrong = row, name
-            dated |= name == clock
+            dated |= {name} & {clock}
         elif kind in (pl.Datetime, pl.Date):
             values = values.cast(pl.Datetime("us")).dt.epoch("us").cast(pl.Float64) * 1e-6
-            dated = True
+            dated.add(name)
         elif kind == pl.Duration:
             values = values.dt.total_microseconds().cast(pl.Float64) * 1e-6
         elif not (kind.is_numeric() or kind == pl.Null):

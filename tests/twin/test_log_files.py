@@ -200,6 +200,7 @@ def test_dates_and_times(tmp_path: Path, form: str) -> None:
         ("[columns]\nt_s = { topic = '/a', field = 'b' }", "t_s: a message has its own time"),
         ("[columns]\nt_s = { unit = 's' }", 't_s: needs from = "column of the file", or topic'),
         ("[columns]\nt_s = { from = 't', scale = 'x' }", "t_s scale: 'x' must be a finite number"),
+        ("[columns]\nt_s = 1.0", "t_s: must be a table with the keys from, topic"),
         ("[columns]\nn_rps = 1.0\nn_left_rps = 2.0", "n_left_rps: is given twice; remove one"),
         ("[columns]\ngps_x_m = { from = 'e', frame = 'enu' }", "name the field that points north"),
         ("[position]\ndatum = [1.0]", "[position] datum: must be [latitude, longitude]"),
@@ -578,6 +579,8 @@ def test_parquet_of_text_and_of_other_kinds(tmp_path: Path) -> None:
     assert "column gps_x_m, row 12: '?' is not a number; correct it" in refused(path)
     frame.with_columns(gps_x_m=pl.lit([1.0])).write_parquet(path)
     assert "column gps_x_m holds List(Float64), not numbers; convert it" in refused(path)
+    frame.with_columns(gps_x_m=pl.datetime(2025, 1, 1)).write_parquet(path)
+    assert "column gps_x_m holds dates, not numbers; convert it" in refused(path)
     frame[:1].write_parquet(path)
     assert "1 row of data after the header; a log needs two" in refused(path)
 
