@@ -43,6 +43,7 @@ import numpy as np
 from twin.columns import (
     COMMANDS,
     MEASUREMENTS,
+    REQUIRED,
     SINGLE,
     TIME,
     TRUTH,
@@ -127,9 +128,8 @@ class Layout:
 
 LAYOUTS = (
     ("berthing*", "esso_osaka_berthing"),  # its yaw rate comes late
-    ("*", "esso_osaka"),
     ("*", "kvlcc2_marin"),
-    ("*", "kvlcc2_hsva"),
+    ("*", "single_screw"),
     ("*", "boat1_usv"),
 )
 """Records whose columns are known: pattern of the file's name, and the mapping that ships."""
@@ -143,13 +143,22 @@ def layout_of(name: str, header: Sequence[str]) -> Layout | None:
     name : str
         Of the record.
     header : sequence of str
-        Its columns. The first of :data:`LAYOUTS` fits whose columns are all there.
+        Its columns. The first of :data:`LAYOUTS` fits of whose columns for what each log needs
+        at most one is not there, which is then said.
     """
     for pattern, kind in LAYOUTS:
         if fnmatch(name, pattern):
             layout = Layout.load(Path(__file__).with_name("mappings") / f"{kind}.toml")
-            if all(set(entry.sources) <= set(header) for entry in layout.entries):
-                return replace(layout, source=kind)
+            there = {entry for entry in layout.entries if set(entry.sources) <= set(header)}
+            absent = {
+                source
+                for entry in layout.entries
+                if entry not in there and set(entry.names) & set(REQUIRED)
+                for source in entry.sources
+            }
+            if len(absent) <= 1:
+                kept = tuple(entry for entry in layout.entries if entry in there)
+                return replace(layout, source=f"{kind}.toml", entries=kept)
     return None
 
 

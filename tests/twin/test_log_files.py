@@ -273,6 +273,20 @@ def test_known_records_need_no_mapping(folder: str) -> None:
         np.testing.assert_allclose(back.cmd, log.cmd, atol=1e-13)
 
 
+def test_a_known_record_without_a_column(tmp_path: Path) -> None:
+    log = run()
+    frame = pl.DataFrame({"t_s": log.t, "n_rps": log.cmd[:, 0], "delta_rad": log.cmd[:, 2]})
+    names = {"x_m": 0, "y_m": 1, "psi_rad": 4, "r_radps": 5}
+    frame = frame.with_columns(**{key: pl.Series(log.z[:, j]) for key, j in names.items()})
+    frame.write_csv(tmp_path / "a.csv")
+    back = Log.read(tmp_path / "a.csv")
+    np.testing.assert_array_equal(back.z[:, [0, 1, 4, 5]], log.z[:, [0, 1, 4, 5]])
+    frame.drop("psi_rad").write_csv(tmp_path / "a.csv")
+    assert "column(s) compass_rad missing; add" in refused(tmp_path / "a.csv")
+    frame.drop("psi_rad", "n_rps").write_csv(tmp_path / "a.csv")
+    assert "rename x_m to gps_x_m" in refused(tmp_path / "a.csv")
+
+
 # --- bags -------------------------------------------------------------------------------------
 
 START = 1_753_371_900_000_000_000
