@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.log import Log, beside, recorded_runs
+from twin.log import Log, beside, files_of, recorded_runs
 from twin.oracle import check_world, world_options
 from twin.particulars import Particulars
 from twin.predictor import Z90, Prediction
@@ -121,6 +121,8 @@ class Settings:
         Recorded runs to score.
     ship : str or None
         Particulars of the recorded boat; a TOML file of the log's name beside it if None.
+    mapping : str or None
+        Mapping file of the recorded runs, as for ``Log.read``.
     identify_s : float
         Time before the first prediction, s; recorded runs: 60 s or 40 % of a short one.
     duration_s : float
@@ -143,6 +145,7 @@ class Settings:
     wind_from_deg: float = 135.0
     logs: tuple[str, ...] = ()
     ship: str | None = None
+    mapping: str | None = None
     identify_s: float = 80.0
     duration_s: float = 120.0
     fault_after_s: float = 5.0
@@ -246,18 +249,18 @@ def units(settings: Settings) -> list[Unit]:
             Unit(name, fault, 0, predictor, path)
             for fault in settings.faults
             for predictor in settings.predictors
-            if _knows(predictor, path, settings.ship)
+            if _knows(predictor, path, settings.ship, settings.mapping)
         ]
     return work
 
 
 @functools.cache
-def _knows(predictor: str, path: str, ship: str | None) -> bool:
+def _knows(predictor: str, path: str, ship: str | None, mapping: str | None) -> bool:
     """Return whether a predictor knows all that it needs to run on a log."""
     if not predictor_class(predictor).world:
         return True
     try:
-        check_world(predictor, Log.read(path), particulars_beside(path, ship)[0])
+        check_world(predictor, Log.read(path, mapping), particulars_beside(path, ship)[0])
     except (ValueError, OSError):
         return False
     return True
@@ -269,7 +272,7 @@ def left_out(settings: Settings) -> tuple[str, ...]:
         f"{predictor} is left out of {beside(path, '').name}: the true boat is not known"
         for path in settings.logs
         for predictor in settings.predictors
-        if not _knows(predictor, path, settings.ship)
+        if not _knows(predictor, path, settings.ship, settings.mapping)
     )
 
 
@@ -344,7 +347,7 @@ def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, flo
         )
         particulars = particulars_of(vessel, dof=settings.dof)
         return log.without_truth(), log, particulars, settings.identify_s
-    log = Log.read(unit.log)
+    log = Log.read(unit.log, settings.mapping)
     identify = _recorded_identify(log)
     seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
     return (
@@ -599,9 +602,13 @@ def digest(settings: Settings, unit: Unit) -> str:
         del kept[key]
     text = json.dumps([__version__, _program(), kept, dataclasses.asdict(unit)], sort_keys=True)
     value = hashlib.sha256(text.encode())
-    for path in (unit.log, settings.ship if unit.log else settings.vessel):
-        if path and Path(path).is_file():
-            value.update(Path(path).read_bytes())
+    ship = settings.ship if unit.log else settings.vessel
+    read = files_of(unit.log, settings.mapping) if unit.log else []
+    for path in (*read, Path(ship or "")):
+        if path.is_file():
+            with path.open("rb") as file:
+                while piece := file.read(1 << 20):
+                    value.update(piece)
     return value.hexdigest()
 
 

@@ -23,6 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twin import benchmark as bench
+from twin.bag import is_bag
 from twin.identifiability import Finding, Identifiability
 from twin.log import Log, LogError, beside
 from twin.oracle import check_world
@@ -119,6 +120,13 @@ ShipOption = Annotated[
         "Left out: the .toml of the log's name beside the log, else usv75.",
     ),
 ]
+MappingOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file that says which column or ROS topic is which column of the log. "
+        "Left out: <log>.mapping.toml beside the log, if it is there."
+    ),
+]
 DofOption = Annotated[
     int, typer.Option(help="Degrees of freedom of the ship: 3, or 6 with heave, roll, pitch.")
 ]
@@ -188,7 +196,7 @@ def simulate_command(
 @app.command("identify")
 @_speaking
 def identify_command(
-    log: Annotated[Path, typer.Argument(help="Log of a run, CSV or CSV.gz.")],
+    log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")],
     predictor: Annotated[
         str | None,
         typer.Option(
@@ -199,6 +207,7 @@ def identify_command(
     ] = None,
     model: ModelOption = None,
     ship: ShipOption = None,
+    mapping: MappingOption = None,
     until: Annotated[float | None, typer.Option(help="Stop at this time of the log, s.")] = None,
     save: Annotated[
         Path | None, typer.Option(help="File for all that the twin knows at the end.")
@@ -227,7 +236,7 @@ def identify_command(
     it had never stopped: the same bits. It knows its predictor, boat and instruments; those
     options are then left out.
     """
-    run, twin = _begin(log, predictor, ship, until, resume, model)
+    run, twin = _begin(log, predictor, ship, until, resume, model, mapping)
     predictor = str(twin.name)
     unfed = Twin.load(resume) if resume is not None else twin
     unfed.reset()
@@ -266,10 +275,11 @@ def identify_command(
 @app.command("predict")
 @_speaking
 def predict_command(
-    log: Annotated[Path, typer.Argument(help="Log of a run, CSV or CSV.gz.")],
+    log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")],
     predictor: PredictorOption = DEFAULT,
     model: ModelOption = None,
     ship: ShipOption = None,
+    mapping: MappingOption = None,
     at: Annotated[
         float | None,
         typer.Option(
@@ -291,7 +301,7 @@ def predict_command(
     ] = None,
 ) -> None:
     """Run the twin over a log up to a time, and predict where the boat will be after it."""
-    run, twin = _begin(log, predictor, ship, None, model=model)
+    run, twin = _begin(log, predictor, ship, None, model=model, mapping=mapping)
     last = float(run.t[-1])
     if at is None:
         at = last - horizon if plan == "known" else last
@@ -373,6 +383,7 @@ def benchmark_command(
         str | None,
         typer.Option(help="Particulars for the recorded runs, as for identify."),
     ] = None,
+    mapping: MappingOption = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of results.")] = Path(
         "benchmark"
     ),
@@ -410,6 +421,7 @@ def benchmark_command(
         wind_from_deg=wind_from,
         logs=recorded or bench.default_logs(),
         ship=ship if recorded else None,
+        mapping=str(mapping) if recorded and mapping else None,
     )
     if against is not None and against not in names:
         raise PredictorError(
@@ -656,9 +668,10 @@ def _begin(
     until: float | None,
     resume: Path | None = None,
     model: str | None = None,
+    mapping: Path | None = None,
 ) -> tuple[Log, Twin]:
     """Read a log, say what is missing in it, and make a twin for it, or load one."""
-    log = Log.read(path)
+    log = Log.read(path, mapping)
     for note in log.notes:
         _note(note)
     if resume is not None:
@@ -1057,7 +1070,7 @@ def _matching(given: Path) -> list[str]:
     found = [given]
     if set("*?[") & set(str(given)) and not given.exists():
         found = sorted(Path(given.anchor).glob(str(given.relative_to(given.anchor))))
-    files = [str(path) for path in found if path.is_file()]
+    files = [str(path) for path in found if path.is_file() or is_bag(path)]
     if not files:
         raise LogError(f"{given}: no such file; name logs, or a pattern such as 'runs/*.csv'")
     return files

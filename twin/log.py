@@ -1,4 +1,4 @@
-"""A recorded run: measurements and commands as read from a CSV file, checked and repaired.
+"""A recorded run: measurements and commands as read from a file, checked and repaired.
 
 A log is all that a twin may see. Missing data is normal in it and stays missing (NaN);
 what cannot be used is refused with the place and the remedy; what was repaired on the way
@@ -7,68 +7,36 @@ is counted in :attr:`Log.notes`.
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import difflib
 import gzip
-import io
 import math
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    import polars as pl
+from twin.bag import is_bag, read_bag
+from twin.columns import (
+    COMMANDS,
+    MEASUREMENTS,
+    OTHER_UNITS,
+    REQUIRED,
+    SINGLE,
+    TIME,
+    TRUTH,
+    Array,
+    Entry,
+    LogError,
+)
+from twin.mapping import Layout, layout_of
+from twin.table import CsvFile, ParquetFile, Table, gathered, merged, name_of, shorten
 
 __all__ = ["COMMANDS", "MEASUREMENTS", "TRUTH", "Log", "LogError", "recorded_runs"]
 
-Array = npt.NDArray[np.float64]
-
-TIME = "t_s"
-"""Time of the row, s."""
-
-COMMANDS = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
-"""Columns of ``Log.cmd``: shaft speeds, rev/s, and drive angles, rad (above 0: to starboard)."""
-
-MEASUREMENTS = (
-    "gps_x_m",
-    "gps_y_m",
-    "gps_vx_mps",
-    "gps_vy_mps",
-    "compass_rad",
-    "gyro_radps",
-    "accel_x_mps2",
-    "accel_y_mps2",
-    "wind_mps",
-    "wind_from_rad",
-)
-"""Columns of ``Log.z``: position and velocity over ground north (x) and east (y), heading
-clockwise from north, yaw rate, specific force forward and to starboard, speed of the true wind
-and the direction that it comes from, clockwise from north."""
-
-TRUTH = ("true_x_m", "true_y_m", "true_psi_rad", "true_u_mps", "true_v_mps", "true_r_radps")
-"""Columns of ``Log.truth``: the simulated state, for scoring only."""
-
-REQUIRED = (TIME, *COMMANDS, "gps_x_m", "gps_y_m", "compass_rad")
-
-_DEGREE = math.pi / 180.0
-_OTHER_UNITS: dict[str, tuple[str, float]] = {
-    "n_left_rpm": ("n_left_rps", 1.0 / 60.0),
-    "n_right_rpm": ("n_right_rps", 1.0 / 60.0),
-    "delta_left_deg": ("delta_left_rad", _DEGREE),
-    "delta_right_deg": ("delta_right_rad", _DEGREE),
-    "compass_deg": ("compass_rad", _DEGREE),
-    "gyro_degps": ("gyro_radps", _DEGREE),
-    "wind_from_deg": ("wind_from_rad", _DEGREE),
-    "true_psi_deg": ("true_psi_rad", _DEGREE),
-    "true_r_degps": ("true_r_radps", _DEGREE),
-}
-_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *_OTHER_UNITS)
+_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *SINGLE, *OTHER_UNITS)
 
 # Names that other projects use, and that no spelling distance would find.
 _ALIASES = {
@@ -95,18 +63,14 @@ _ALIASES = {
     "wind_dir_deg": "wind_from_deg",
     "twd_deg": "wind_from_deg",
 }
-_SINGLE = {
-    "n_rps": "n_left_rps and n_right_rps",
-    "delta_rad": "delta_left_rad and delta_right_rad",
-}
-
-_EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
 _CONSTANT_ROWS = 20
 _GAP_STEPS = 5.0
-
-
-class LogError(ValueError):
-    """A log that cannot be used; the message names the file, the place and the remedy."""
+_WHOLE_TURN = 0.35
+_JUMP, _FAST = 50.0, 30.0
+"""Between two fixes no boat goes farther than this, m, and this fast, m/s (58 knots)."""
+_LOST = 0.1
+"""More than this share of the fixes is no slip of a receiver."""
+_PIECES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +166,7 @@ class Log:
         return dataclasses.replace(self, truth=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the log as CSV, compressed if the name ends in ``.gz``.
+        """Write the log as CSV, compressed if the name ends in ``.gz``, or as ``.parquet``.
 
         Parameters
         ----------
@@ -224,7 +188,9 @@ class Log:
             columns.update(zip(TRUTH, self.truth.T, strict=True))
         frame = pl.DataFrame(columns).fill_nan(None)
         path = Path(path)
-        if path.suffix == ".gz":
+        if path.suffix == ".parquet":
+            frame.write_parquet(path)
+        elif path.suffix == ".gz":
             # No time stamp and no name inside: equal logs give equal files.
             with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
                 frame.write_csv(file)  # type: ignore[call-overload]
@@ -232,19 +198,25 @@ class Log:
             frame.write_csv(path)
 
     @classmethod
-    def read(cls, path: str | Path) -> Log:
-        """Read a log from a CSV file, plain or gzipped.
+    def read(cls, path: str | Path, mapping: str | Path | None = None) -> Log:
+        """Read a log from a CSV or Parquet file or a ROS 2 bag.
 
         Parameters
         ----------
         path : str or Path
-            File with a header of column names, in any order. Required: ``t_s``, the
-            :data:`COMMANDS`, ``gps_x_m``, ``gps_y_m`` and ``compass_rad``. The other
-            :data:`MEASUREMENTS` may be absent (never measured), and so may the
-            :data:`TRUTH`. Degrees and rpm are converted: ``delta_left_deg``,
-            ``delta_right_deg``, ``compass_deg``, ``gyro_degps``, ``wind_from_deg``,
-            ``true_psi_deg``, ``true_r_degps``, ``n_left_rpm``, ``n_right_rpm`` instead of
-            the SI column. Any other column is left out, with a note.
+            CSV, plain or gzipped, with a header of column names, in any order; or
+            ``.parquet`` with the same columns; or a bag: a folder with ``metadata.yaml``, or
+            a file ``.mcap`` or ``.db3``. Required: ``t_s``, the :data:`COMMANDS`,
+            ``gps_x_m``, ``gps_y_m`` and ``compass_rad``. The other :data:`MEASUREMENTS` may
+            be absent (never measured), and so may the :data:`TRUTH`. ``n_rps`` and
+            ``delta_rad`` are those of a ship with one propeller, one rudder, and stand for
+            both sides. Degrees and rpm are converted where the name says so:
+            ``delta_left_deg``, ``compass_deg``, ``gyro_degps``, ``n_left_rpm`` and so on
+            instead of the SI column. Any other column is left out, with a note.
+        mapping : str or Path, optional
+            TOML file that says which column or message is which column of the log: see
+            ``twin/mapping.py`` and ``twin/mappings/ros2_example.toml``. Left out:
+            ``<log>.mapping.toml`` beside the log, if there is one. A bag needs one.
 
         Returns
         -------
@@ -264,17 +236,46 @@ class Log:
         - A fix bit-equal to the last one is no new sample but a receiver slower than the
           log, and becomes NaN, its velocity too if that repeats as well; so does a
           repeated compass value.
+        - Fixes that no boat can reach from the others (a jump of 500 m and back) become NaN.
         - A step of time above 5 times the median is a gap: missing data.
+        - Rows of equal time that do not contradict each other become one.
         - An empty command holds the last one.
         - Blank lines are left out.
         """
-        return _assemble(_open_csv(Path(path)))
+        path = Path(path)
+        mapping = mapping_of(path, mapping)
+        layout = None if mapping is None else Layout.load(mapping)
+        if is_bag(path):
+            table = read_bag(path, layout)
+            _require(table.source, table.data, "name them in the mapping")
+            return _assemble(table)
+        file = ParquetFile(path) if path.suffix == ".parquet" else CsvFile(path)
+        entries, left, layout = _chosen(file, layout)
+        table = gathered(file, entries, layout)
+        table.notes += left
+        return _assemble(table)
 
 
 def beside(path: str | Path, suffix: str) -> Path:
     """Return the file of a log's name with another ending (``.toml``, ``.png``) beside it."""
     path = Path(path)
-    return path.with_name(path.name.removesuffix(".gz").removesuffix(".csv") + suffix)
+    return path.parent / (name_of(path) + suffix)
+
+
+def mapping_of(path: Path, mapping: str | Path | None = None) -> Path | None:
+    """Return the mapping file of a log: the one that is given, else the one beside it, if any."""
+    if mapping is not None:
+        return Path(mapping)
+    found = beside(path, ".mapping.toml")
+    return found if found.exists() else None
+
+
+def files_of(path: str | Path, mapping: str | Path | None = None) -> list[Path]:
+    """Return the files that :meth:`Log.read` reads: the log or those of its bag, the mapping."""
+    path = Path(path)
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    found = mapping_of(path, mapping)
+    return [file for file in (*files, *([found] if found else [])) if file.is_file()]
 
 
 def recorded_runs() -> dict[str, Path]:
@@ -290,47 +291,109 @@ def recorded_runs() -> dict[str, Path]:
     return {path.name.removesuffix(".csv.gz"): path for path in sorted(folder.glob("*.csv.gz"))}
 
 
-@dataclass
-class _Table:
-    """Named columns of numbers from some file, before any check of what they mean."""
-
-    source: str
-    name: str
-    header: tuple[str, ...]
-    column: Callable[[str], Array]
-    line: Callable[[int], str]
-    notes: list[str]
+def _require(source: str, names: Collection[str], remedy: str) -> None:
+    """Refuse a table without the columns that each log needs."""
+    missing = [name for name in REQUIRED if name not in names]
+    if missing:
+        raise LogError(f"{source}: column(s) {', '.join(missing)} missing; {remedy}")
 
 
-def _assemble(table: _Table) -> Log:
+def _chosen(
+    file: CsvFile | ParquetFile, layout: Layout | None
+) -> tuple[list[Entry], list[str], Layout]:
+    """Return how to make a log of a file's columns, what is left out, and the mapping."""
+    source, header = file.source, file.header
+    first = "the header" if isinstance(file, ParquetFile) else f"line {file.blank + 1}"
+    if layout is None and not {"gps_x_m", "gps_y_m"} <= set(header):
+        layout = layout_of(name_of(file.path), header)
+    layout = layout or Layout()
+    there = f"({first} has: {shorten(', '.join(header), 200)})"
+    for entry in layout.entries:
+        if entry.topic:
+            raise LogError(
+                f"{layout.source}: {entry.names[0]}: a file of columns needs from =, not topic ="
+            )
+        for name in set(entry.sources) - set(header):
+            near = difflib.get_close_matches(name, header, n=1)
+            raise LogError(
+                f"{source}: has no column {name!r}, which {layout.source} asks for; "
+                + (f"did you mean {near[0]}? " if near else "correct the mapping ")
+                + there
+            )
+    mapped = {name for entry in layout.entries for name in entry.names}
+    used = {name for entry in layout.entries for name in entry.sources}
+    entries, made = list(layout.entries), dict.fromkeys(mapped, layout.source)
+    for given in header:
+        name, factor = OTHER_UNITS.get(given, (given, 1.0))
+        names = SINGLE.get(name, (name,))
+        if given not in _KNOWN or given in used or mapped & set(names):
+            continue
+        for each in names:
+            if each in made:
+                raise LogError(
+                    f"{source}: columns {made[each]} and {given} both give {each}; remove one of "
+                    "them"
+                )
+        entries.append(_own(given, name, names, factor))
+        made.update(dict.fromkeys(names, given))
+        used.add(given)
+    for given in used:
+        if header.count(given) > 1:
+            raise LogError(f"{source}: column {given} stands twice in {first}; remove one")
+    left = [given for given in header if given not in used]
+    absent = [name for name in _KNOWN if OTHER_UNITS.get(name, (name, 1.0))[0] not in made]
+    hints = {given: hint for given in left if (hint := _meant(given, absent))}
+    remedy = [
+        f"rename {given} to {hint}"
+        for given, hint in hints.items()
+        if OTHER_UNITS.get(hint, (hint, 1.0))[0] in REQUIRED
+    ]
+    remedy = remedy or ["add them to the file"]
+    _require(source, made, f"{'; '.join(remedy)}, or name them in a mapping file {there}")
+    if layout.entries:
+        notes = [f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"] if left else []
+        return entries, notes, layout
+    notes = [
+        f"{given or '(no name)'}: unknown column, left out"
+        + (f"; if it is {hints[given]}, rename it" if given in hints else "")
+        for given in left
+    ]
+    return entries, notes, layout
+
+
+def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:
+    """Return the entry of a column under a name of ours."""
+    note = f"{given}: converted to {name}" if given != name else ""
+    if len(names) > 1:
+        note = f"{given}: one for both sides, {' and '.join(names)}"
+    if factor == 1.0:
+        return Entry(names, (given,), note=note)
+    return Entry(names, (given,), lambda values: [values[0] * factor] * len(names), note=note)
+
+
+def _assemble(table: Table) -> Log:
     """Check and repair the columns of a table and make a log of them."""
-    source, notes = table.source, table.notes
-    names = _choose_columns(table)
+    notes = table.notes
+    _merge_equal_times(table)
+    names = table.data
 
     def column(name: str) -> Array:
-        given = names[name]
-        values = table.column(given)
+        values = np.array(table.data[name], dtype=np.float64)
         if np.isinf(values).any():
             row = int(np.argmax(np.isinf(values)))
             raise LogError(
-                f"{source}: column {given}, {table.line(row)}: the value is infinite; "
-                "leave the cell empty where there is no value"
+                f"{table.source}: column {table.given[name]}, {table.line(row)}: the value is "
+                "infinite; leave the cell empty where there is no value"
             )
-        if given == name:
-            return values
-        notes.append(f"{given}: converted to {name}")
-        return values * _OTHER_UNITS[given][1]
+        return values
 
     t = _checked_time(column(TIME), table)
     rows = len(t)
     cmd = np.empty((rows, len(COMMANDS)))
     for j, name in enumerate(COMMANDS):
-        cmd[:, j] = _held_command(column(name), names[name], table)
-        if name.endswith("_rad") and np.abs(cmd[:, j]).max() > math.pi:
-            notes.append(
-                f"{name}: reaches {np.abs(cmd[:, j]).max():.4g} rad; if these are degrees, name "
-                f"the column {name.removesuffix('_rad')}_deg"
-            )
+        cmd[:, j] = _held_command(column(name), table.given[name], table)
+        if name.endswith("_rad"):
+            _check_drive(cmd[:, j], name, table)
 
     z = np.full((rows, len(MEASUREMENTS)), np.nan)
     never = [name for name in MEASUREMENTS if name not in names]
@@ -339,8 +402,11 @@ def _assemble(table: _Table) -> Log:
     for j, name in enumerate(MEASUREMENTS):
         if name in names:
             z[:, j] = column(name)
-            _check_measurement(t, z[:, j], names[name], table)
+            _check_measurement(t, z[:, j], name, table)
     drop_repeats(t, z, notes)
+    with np.errstate(over="ignore", invalid="ignore"):  # of any numbers: no jump, no turning
+        _drop_jumps(t, z, table)
+        _check_turning(t, z, table)
 
     truth = None
     if any(name in names for name in TRUTH):
@@ -354,40 +420,23 @@ def _assemble(table: _Table) -> Log:
     return Log(t, z, cmd, truth, table.name, tuple(notes))
 
 
-def _choose_columns(table: _Table) -> dict[str, str]:
-    """Return the column of the file for each known name it has, or raise."""
-    source, header = table.source, table.header
-    names: dict[str, str] = {}
-    for given in header:
-        if given not in _KNOWN:
-            continue
-        name = _OTHER_UNITS.get(given, (given, 1.0))[0]
-        if name in names:
-            raise LogError(
-                f"{source}: columns {names[name]} and {given} both give {name}; remove one of them"
-            )
-        names[name] = given
-
-    absent = [name for name in _KNOWN if _OTHER_UNITS.get(name, (name, 1.0))[0] not in names]
-    unknown = [given for given in header if given not in _KNOWN]
-    hints = {given: hint for given in unknown if (hint := _meant(given, absent))}
-    missing = [name for name in REQUIRED if name not in names]
-    if missing:
-        remedy = [
-            f"rename {given} to {hint}"
-            for given, hint in hints.items()
-            if _OTHER_UNITS.get(hint, (hint, 1.0))[0] in missing
-        ]
-        remedy += [f"copy {given} to {both}" for given, both in _SINGLE.items() if given in unknown]
-        raise LogError(
-            f"{source}: column(s) {', '.join(missing)} missing; "
-            + ("; ".join(remedy) if remedy else "add them to the file")
-            + f" (line 1 has: {_shorten(', '.join(header), 200)})"
-        )
-    for given in unknown:
-        hint = f"; if it is {hints[given]}, rename it" if given in hints else ""
-        table.notes.append(f"{given or '(no name)'}: unknown column, left out{hint}")
-    return names
+def _merge_equal_times(table: Table) -> None:
+    """Make one row of those of equal time, unless they say different things."""
+    t = table.data[TIME]
+    step = np.diff(t, prepend=-np.inf)
+    if not (step == 0.0).any() or not (step >= 0.0).all():
+        return
+    group = np.cumsum(step > 0.0) - 1
+    one = merged(group, table.data)
+    for name, values in table.data.items():
+        if not ((one[name][group] == values) | np.isnan(values)).all():
+            return
+    rows, line = np.append(np.flatnonzero(step > 0.0), len(t)), table.line
+    table.notes.append(
+        f"t_s: {len(t) - len(rows) + 1} of {len(t)} rows have the time of the row before and do "
+        "not contradict it, merged with it"
+    )
+    table.data, table.line = one, lambda row: line(int(rows[row]))
 
 
 def _meant(given: str, absent: Sequence[str]) -> str | None:
@@ -400,7 +449,7 @@ def _meant(given: str, absent: Sequence[str]) -> str | None:
     return near[0] if near else None
 
 
-def _checked_time(t: Array, table: _Table) -> Array:
+def _checked_time(t: Array, table: Table) -> Array:
     """Return the time if it is complete and increasing; note its gaps."""
     given = table.source + ": column t_s"
     if len(t) < 2:
@@ -432,7 +481,7 @@ def _checked_time(t: Array, table: _Table) -> Array:
     return t
 
 
-def _held_command(values: Array, given: str, table: _Table) -> Array:
+def _held_command(values: Array, given: str, table: Table) -> Array:
     """Return a command with empty cells filled by the last one."""
     empty = np.isnan(values)
     if not empty.any():
@@ -449,9 +498,9 @@ def _held_command(values: Array, given: str, table: _Table) -> Array:
     return values[np.maximum.accumulate(np.where(empty, 0, rows))]
 
 
-def _check_measurement(t: Array, values: Array, given: str, table: _Table) -> None:
+def _check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
     """Refuse a dead sensor and note what is missing."""
-    rows = len(values)
+    rows, given = len(values), table.given[name]
     valid = ~np.isnan(values)
     count = int(valid.sum())
     if count == 0:
@@ -469,12 +518,140 @@ def _check_measurement(t: Array, values: Array, given: str, table: _Table) -> No
         table.notes.append(
             f"{given}: {rows - count} of {rows} cells empty ({_longest_gap(t, valid)})"
         )
-    angle = given in ("compass_rad", "wind_from_rad")
-    if angle and count > 1 and np.abs(np.diff(samples)).max() > 2.0 * math.pi:
-        table.notes.append(
-            f"{given}: jumps by more than a turn; if these are degrees, name the column "
-            f"{given.removesuffix('_rad')}_deg"
+    if name in ("compass_rad", "wind_from_rad"):
+        _check_angle(values, name, table)
+
+
+def _in_degrees(name: str) -> str:
+    """Return the remedy for degrees under a name of radians."""
+    other = name.replace("_rad", "_deg")
+    return f'name the column {other} (in a mapping: unit = "{other.rpartition("_")[2]}")'
+
+
+def _check_drive(values: Array, name: str, table: Table) -> None:
+    """Refuse drive angles beyond half a turn."""
+    if (most := np.abs(values).max()) > math.pi:
+        row = int(np.argmax(np.abs(values)))
+        raise LogError(
+            f"{table.source}: column {table.given[name]}, {table.line(row)}: {name} is "
+            f"{most:.4g} rad, more than half a turn; if these are degrees, {_in_degrees(name)}, "
+            "else wrap the angle to within +-pi"
         )
+
+
+def _check_angle(values: Array, name: str, table: Table) -> None:
+    """Refuse an angle that steps as degrees do: unwrapped or not, radians step by less."""
+    rows = np.flatnonzero(~np.isnan(values))
+    with np.errstate(over="ignore"):
+        step = np.diff(values[rows])
+    # unwrapping that began anew steps by whole turns
+    off = np.abs(np.remainder(step + math.pi, 2.0 * math.pi) - math.pi)
+    wild = (np.abs(step) > 2.1 * math.pi) & (off > _WHOLE_TURN)
+    if not wild.any():
+        return
+    given = table.given[name]
+    worst = int(np.argmax(np.where(wild, np.abs(step), 0.0)))
+    if (np.abs(np.abs(step[wild]) - 360.0) < 30.0).any() or wild.sum() > 0.01 * len(step):
+        raise LogError(
+            f"{table.source}: column {given}, {table.line(int(rows[worst + 1]))}: {name} steps by "
+            f"{step[worst]:.4g} rad, as degrees do; {_in_degrees(name)}"
+        )
+    table.notes.append(
+        f"{given}: {wild.sum()} step(s) of more than a turn; if these are degrees, "
+        f"{_in_degrees(name)}"
+    )
+
+
+def _check_turning(t: Array, z: Array, table: Table) -> None:
+    """Refuse a heading or a yaw rate in degrees, where the motion tells."""
+    seen = np.isfinite(z[:, [0, 4, 5]])
+    fix, compass, gyro = (np.flatnonzero(column) for column in seen.T)
+    if len(compass) < _CONSTANT_ROWS:
+        return
+    heading = z[compass, 4]
+    if np.abs(heading).max() > 2.1 * math.pi and len(fix) >= _CONSTANT_ROWS:
+        grid = _grid(t[fix])
+        way = np.diff([np.interp(grid, t[fix], z[fix, j]) for j in (0, 1)])
+        psi = heading[np.searchsorted(t[compass], grid[1:]).clip(max=len(compass) - 1)]
+        length, course = np.hypot(*way), np.arctan2(way[1], way[0])
+        ahead = [
+            length @ np.cos(scale * psi - course) / max(length.sum(), 1e-9)
+            for scale in (1.0, math.pi / 180.0)
+        ]
+        if ahead[0] < 0.5 and ahead[1] > 0.9:
+            raise LogError(
+                f"{table.source}: column {table.given['compass_rad']}: taken as degrees the boat "
+                f"goes where it points, as radians not; {_in_degrees('compass_rad')}"
+            )
+    if len(gyro) >= _CONSTANT_ROWS:
+        grid = _grid(t[compass])
+        turned = np.diff(np.interp(grid, t[compass], np.unwrap(heading)))
+        rate, step = z[gyro, 5], np.diff(t[gyro])
+        angle = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step))
+        told = np.diff(np.interp(grid, t[gyro], angle))
+        both, square = turned @ told, turned @ turned
+        alike = both > 0.9 * math.sqrt(square * (told @ told))
+        if alike and 40.0 < both / max(square, 1e-9) < 80.0:
+            raise LogError(
+                f"{table.source}: column {table.given['gyro_radps']}: {both / square:.3g} times "
+                f"the rate at which the heading turns; {_in_degrees('gyro_radps')}"
+            )
+
+
+def _grid(t: Array) -> Array:
+    """Return times 2 s apart, or ten steps if those are longer."""
+    step = max(2.0, 10.0 * float(np.median(np.diff(t))), (t[-1] - t[0]) / 1e5)
+    return np.arange(t[0], t[-1], step)
+
+
+def _drop_jumps(t: Array, z: Array, table: Table) -> None:
+    """Set fixes that no boat can reach from the others to NaN, in place; refuse many of them."""
+    new = np.flatnonzero(np.isfinite(z[:, :2]).all(axis=1))
+    if len(new) < 2:
+        return
+    place, at = z[new, :2], t[new]
+
+    def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
+        way = np.hypot(*(place[then] - place[first]).T)
+        return np.asarray(way <= _JUMP + _FAST * (at[then] - at[first]), dtype=np.bool_)
+
+    length = np.hypot(*np.diff(place, axis=0).T)
+    broken = np.flatnonzero(length > _JUMP + _FAST * np.diff(at))
+    if not len(broken):
+        return
+    row = int(broken[0])
+    where = (
+        f"{table.line(int(new[row + 1]))}: the position jumps by {length[row]:.4g} m in "
+        f"{at[row + 1] - at[row]:.3g} s"
+    )
+    # The longest chain of pieces, each of which can be reached from the one before.
+    start, end = np.append(0, broken + 1), np.append(broken, len(new) - 1)
+    kept = (end - start + 1).astype(np.int64)
+    before = np.full(len(start), -1)
+    if len(start) <= _PIECES:
+        for j in range(1, len(start)):
+            chain = np.where(reached(end[:j], int(start[j])), kept[:j], 0)
+            best = int(np.argmax(chain))
+            if chain[best]:
+                kept[j], before[j] = kept[j] + chain[best], best
+    given = [table.given[name] for name in MEASUREMENTS[:2]]
+    lost = len(new) - int(kept.max())
+    if lost > _LOST * len(new):
+        raise LogError(
+            f"{table.source}: column(s) {', '.join(dict.fromkeys(given))}, "
+            f"{where} and stays away; read the pieces one by one with start_s and stop_s in [rows] "
+            "of a mapping file, or empty the false cells"
+        )
+    good = np.zeros(len(new), dtype=np.bool_)
+    piece = int(np.argmax(kept))
+    while piece >= 0:
+        good[start[piece] : end[piece] + 1] = True
+        piece = int(before[piece])
+    z[new[~good], :2] = np.nan
+    table.notes.append(
+        f"gps_x_m, gps_y_m: {lost} of {len(new)} fixes cannot be reached from the others, left "
+        f"out ({where})"
+    )
 
 
 def _repeated(values: Array) -> npt.NDArray[np.bool_]:
@@ -518,168 +695,3 @@ def _longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> str:
     return (
         f"longest gap {until[longest] - t[first[longest]]:.1f} s at t = {t[first[longest]]:.1f} s"
     )
-
-
-def _shorten(text: str, length: int = 40) -> str:
-    return text if len(text) <= length else text[: length - 3] + "..."
-
-
-def _open_csv(path: Path) -> _Table:
-    """Return the table in a CSV file, plain or gzipped; its numbers are parsed at once."""
-    try:
-        with path.open("rb") as file:
-            packed = file.read(2) == b"\x1f\x8b"
-        if path.suffix == ".gz" and not packed and path.stat().st_size:
-            raise LogError(
-                f"{path}: is not a gzip file although its name ends in .gz; compress it with "
-                "gzip or drop the .gz"
-            )
-        data = gzip.decompress(path.read_bytes()) if packed else None
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise LogError(
-            f"{path}: the gzip file is damaged or cut off ({error}); copy it again, or rescue its "
-            f"start with: zcat {path.name} > rescued.csv"
-        ) from None
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise LogError(f"{path}: cannot be read ({reason}); check the name and the file") from None
-    blank, header = _read_header(path, data)
-    frame, bad = _read_numbers(path, data, blank, header)
-
-    first_line = blank + 2
-    rows: npt.NDArray[np.intp] | None = None
-    notes: list[str] = []
-    # Blank lines (often the last) arrive as rows without any value.
-    void = _rows_without_value(frame)
-    if void.any():
-        rows = np.flatnonzero(~void)
-        notes.append(f"{int(void.sum())} row(s) without a single value left out")
-
-    def line(row: int) -> str:
-        return f"line {first_line + (int(rows[row]) if rows is not None else row)}"
-
-    def column(name: str) -> Array:
-        values = frame[name].to_numpy().astype(np.float64, copy=False)
-        return values if rows is None else values[rows]
-
-    if bad is not None:
-        given, row, text = bad
-        raise LogError(
-            f"{path}: column {given}, line {first_line + row}: {_shorten(text)!r} is not a "
-            "number; correct it, or leave the cell empty where there is no value"
-        )
-    name = path.name.removesuffix(".gz").removesuffix(".csv")
-    return _Table(str(path), name, header, column, line, notes)
-
-
-def _rows_without_value(frame: pl.DataFrame) -> npt.NDArray[np.bool_]:
-    import polars as pl
-
-    if not frame.width:
-        return np.zeros(0, dtype=np.bool_)
-    void = frame.select(pl.all_horizontal(pl.all().is_null()).alias("void"))["void"]
-    return np.asarray(void.to_numpy(), dtype=np.bool_)
-
-
-def _read_header(path: Path, data: bytes | None) -> tuple[int, tuple[str, ...]]:
-    """Return the number of blank lines before the header, and its names."""
-    blank = 0
-    with path.open("rb") if data is None else io.BytesIO(data) as file:
-        if b"\0" in file.read(4096):
-            raise LogError(
-                f"{path}: is a binary file or UTF-16 text, not CSV; save it as CSV in UTF-8"
-            )
-        file.seek(0)
-        while (raw := file.readline(1 << 20)) and not raw.strip(b"\r\n\t \xef\xbb\xbf"):
-            blank += 1
-    if not raw:
-        raise LogError(f"{path}: the file is empty; write a header of column names and the rows")
-    try:
-        text = raw.decode("utf-8-sig").rstrip("\r\n")
-    except UnicodeDecodeError:
-        raise LogError(
-            f"{path}: line {blank + 1} is not UTF-8 text; save the file as CSV in UTF-8"
-        ) from None
-    if "\r" in text:
-        raise LogError(f"{path}: the lines end in CR only; save the file with LF or CR LF ends")
-    header = tuple(name.strip() for name in next(csv.reader([text])))
-    if len(header) < len(REQUIRED):
-        for mark, called in ((";", "semicolons"), ("\t", "tabs")):
-            if mark in text:
-                raise LogError(
-                    f"{path}: line {blank + 1}: cells are separated by {called}; separate them by "
-                    "commas, with a point as the decimal mark"
-                )
-    if all(_is_number(name) for name in header):
-        raise LogError(
-            f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
-            f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"
-        )
-    for name in header:
-        if name in _KNOWN and header.count(name) > 1:
-            raise LogError(f"{path}: column {name} stands twice in line {blank + 1}; remove one")
-    return blank, header
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _read_numbers(
-    path: Path, data: bytes | None, blank: int, header: tuple[str, ...]
-) -> tuple[pl.DataFrame, tuple[str, int, str] | None]:
-    """Return the known columns as float64, and the first cell that is no number."""
-    import polars as pl
-
-    wanted = [j for j, name in enumerate(header) if name in _KNOWN]
-    names = [header[j] for j in wanted]
-
-    def read(numbers: bool) -> pl.DataFrame:
-        frame = pl.read_csv(
-            path if data is None else data,
-            columns=wanted,
-            skip_lines=blank,
-            infer_schema=False,
-            null_values=list(_EMPTY),
-            encoding="utf8" if numbers else "utf8-lossy",
-            schema_overrides=[pl.Float64 if j in wanted else pl.String for j in range(len(header))]
-            if numbers
-            else None,
-        )
-        return frame.rename(dict(zip(frame.columns, names, strict=True)))
-
-    if not wanted:
-        return pl.DataFrame(), None
-    try:
-        return read(numbers=True), None
-    except pl.exceptions.PolarsError:
-        pass  # spaces around numbers, or a cell that is no number: look at the text
-    try:
-        text = read(numbers=False).select(pl.all().str.strip_chars())
-    except pl.exceptions.PolarsError as error:
-        raise LogError(_ragged(path, data, len(header)) or f"{path}: {error}") from None
-    frame = text.select(pl.all().cast(pl.Float64, strict=False))
-    first: tuple[str, int, str] | None = None
-    for name in names:
-        wrong = frame[name].is_null() & text[name].is_not_null() & (text[name] != "")
-        row = wrong.arg_max() if wrong.any() else None
-        if row is not None and (first is None or row < first[1]):
-            first = (name, row, text[name][row])
-    return frame, first
-
-
-def _ragged(path: Path, data: bytes | None, width: int) -> str | None:
-    """Return the complaint about the first line with more cells than the header has."""
-    with path.open("rb") if data is None else io.BytesIO(data) as file:
-        reader = csv.reader(io.TextIOWrapper(file, "utf-8", errors="replace", newline=""))
-        for cells in reader:
-            if len(cells) > width:
-                return (
-                    f"{path}: line {reader.line_num} has {len(cells)} cells but the header "
-                    f"{width}; remove the surplus cells, or name their columns in the header"
-                )
-    return None

@@ -71,7 +71,7 @@ def refused(path: Path) -> str:
 # --- writing and reading back -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
 @pytest.mark.parametrize("truth", [False, True])
 def test_round_trip(tmp_path: Path, name: str, truth: bool) -> None:
     log = sound(truth=truth)
@@ -88,24 +88,30 @@ def test_round_trip(tmp_path: Path, name: str, truth: bool) -> None:
 numbers = st.floats(-1e300, 1e300)
 
 
-def distinct(rows: int) -> st.SearchStrategy[list[float]]:
+def distinct(rows: int, most: float = 1e300) -> st.SearchStrategy[list[float]]:
     """Return columns in which nothing looks like a repeat or a dead sensor."""
-    return st.lists(numbers, min_size=rows, max_size=rows, unique_by=lambda x: x + 0.0)
+    within = st.floats(-most, most)
+    return st.lists(within, min_size=rows, max_size=rows, unique_by=lambda x: x + 0.0)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), rows=st.integers(2, 30))
 def test_round_trip_of_any_numbers(tmp_path: Path, data: st.DataObject, rows: int) -> None:
-    z = np.column_stack([data.draw(distinct(rows)) for _ in MEASUREMENTS])
+    # neither degrees nor a jump
+    most = {"gps_x_m": 15.0, "gps_y_m": 15.0, "compass_rad": 3.0, "wind_from_rad": 3.0}
+    z = np.column_stack([data.draw(distinct(rows, most.get(k, 1e300))) for k in MEASUREMENTS])
+    cmd = data.draw(hnp.arrays(np.float64, (rows, 4), elements=numbers))
+    cmd[:, 2:] = data.draw(hnp.arrays(np.float64, (rows, 2), elements=st.floats(-3.0, 3.0)))
     z[data.draw(hnp.arrays(np.bool_, z.shape))] = np.nan
     log = Log(
-        np.sort(data.draw(distinct(rows))),
+        np.sort(data.draw(distinct(rows, 1e9))),
         z,
-        data.draw(hnp.arrays(np.float64, (rows, 4), elements=numbers)),
+        cmd,
         data.draw(hnp.arrays(np.float64, (rows, 6), elements=numbers) | st.none()),
     )
-    log.write(tmp_path / "any.csv")
-    assert same_bits(log, Log.read(tmp_path / "any.csv"))
+    for name in ("any.csv", "any.parquet"):
+        log.write(tmp_path / name)
+        assert same_bits(log, Log.read(tmp_path / name))
 
 
 def test_what_was_read_and_repaired_reads_back_unchanged(tmp_path: Path) -> None:
@@ -261,12 +267,20 @@ def test_near_miss_names_its_remedy(tmp_path: Path, name: str, given: str) -> No
     assert f"rename {given} to {name}" in refused(save(tmp_path / "a.csv", table))
 
 
-def test_single_screw_columns_name_their_remedy(tmp_path: Path) -> None:
+def test_one_propeller_and_one_rudder_are_put_on_both_sides(tmp_path: Path) -> None:
     table = columns()
-    table["n_rps"] = table.pop("n_left_rps")
-    del table["n_right_rps"]
+    table["n_rpm"] = [repr(60.0 + k) for k in range(ROWS)]
+    table["delta_rad"] = table.pop("delta_left_rad")
+    for name in ("n_left_rps", "n_right_rps", "delta_right_rad"):
+        del table[name]
+    log = Log.read(save(tmp_path / "a.csv", table))
+    np.testing.assert_allclose(log.cmd[:, 0], 1.0 + np.arange(ROWS) / 60.0, rtol=1e-15)
+    np.testing.assert_array_equal(log.cmd[:, 0], log.cmd[:, 1])
+    np.testing.assert_array_equal(log.cmd[:, 2:], 0.5)
+    assert "delta_rad: one for both sides, delta_left_rad and delta_right_rad" in log.notes
+    table["n_left_rps"] = table["n_rpm"]
     message = refused(save(tmp_path / "a.csv", table))
-    assert "copy n_rps to n_left_rps and n_right_rps" in message
+    assert "columns n_rpm and n_left_rps both give n_left_rps; remove one" in message
 
 
 def test_same_quantity_twice(tmp_path: Path) -> None:
@@ -434,20 +448,113 @@ def test_repeated_fixes_and_headings_are_no_new_sample(tmp_path: Path) -> None:
     )
 
 
-def test_degrees_under_a_name_of_radians_are_suspected(tmp_path: Path) -> None:
-    table = columns()
-    table["delta_left_rad"] = ["20.0"] * ROWS
-    table["compass_rad"] = [repr((340.5 + k) % 360.0) for k in range(ROWS)]
-    log = Log.read(save(tmp_path / "a.csv", table))
-    assert any("name the column delta_left_deg" in note for note in log.notes)
-    assert any("name the column compass_deg" in note for note in log.notes)
-    table["wind_from_rad"] = table["compass_rad"]
-    log = Log.read(save(tmp_path / "a.csv", table))
-    assert any("name the column wind_from_deg" in note for note in log.notes)
-    del table["wind_from_rad"]
-    table["compass_rad"] = [repr((6.0 + 0.1 * k) % (2.0 * math.pi)) for k in range(ROWS)]
-    log = Log.read(save(tmp_path / "a.csv", table))
-    assert not any("compass" in note for note in log.notes)
+def sailing(rows: int = 600, turn: float = 0.04) -> dict[str, np.ndarray]:
+    """Return the columns of a boat that goes where it points, at 10 Hz."""
+    t = 0.1 * np.arange(rows)
+    psi = 1.2 + turn * t + 0.3 * np.sin(0.2 * t)
+    vx, vy = 2.0 * np.cos(psi), 2.0 * np.sin(psi)
+    rng = np.random.default_rng(5)
+    return {
+        "t_s": t,
+        "n_left_rps": np.full(rows, 5.0),
+        "n_right_rps": np.full(rows, 5.0),
+        "delta_left_rad": 0.1 * np.sin(0.2 * t),
+        "delta_right_rad": 0.1 * np.sin(0.2 * t),
+        "gps_x_m": np.cumsum(0.1 * vx) + 0.05 * rng.standard_normal(rows),
+        "gps_y_m": np.cumsum(0.1 * vy) + 0.05 * rng.standard_normal(rows),
+        "compass_rad": psi + 0.005 * rng.standard_normal(rows),
+        "gyro_radps": turn + 0.06 * np.cos(0.2 * t) + 0.002 * rng.standard_normal(rows),
+        "wind_from_rad": 4.0 + 0.5 * rng.standard_normal(rows),
+    }
+
+
+def as_text(table: dict[str, np.ndarray]) -> Columns:
+    return {k: ["" if x != x else repr(float(x)) for x in v] for k, v in table.items()}
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("delta_left_rad", "more than half a turn; if these are degrees, name the column delta_l"),
+        ("compass_rad", "name the column compass_deg (in a mapping: unit = "),
+        ("wind_from_rad", "as degrees do; name the column wind_from_deg"),
+        ("gyro_radps", "times the rate at which the heading turns; name the column gyro_degps"),
+    ],
+)
+def test_degrees_under_a_name_of_radians_are_refused(
+    tmp_path: Path, name: str, words: str, wrap: bool
+) -> None:
+    table = sailing()
+    Log.read(save(tmp_path / "a.csv", as_text(table)))
+    table[name] = np.degrees(table[name])
+    if wrap and name != "gyro_radps":
+        table[name] = np.mod(table[name] + 180.0, 360.0) - 180.0
+    message = refused(save(tmp_path / "a.csv", as_text(table)))
+    assert f"column {name}" in message and words in message
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.04, -0.3])
+@pytest.mark.parametrize("wrap", [0.0, math.pi, math.inf])
+def test_radians_wrapped_or_run_on_are_taken(tmp_path: Path, turn: float, wrap: float) -> None:
+    table = sailing(1200, turn)
+    if wrap < math.inf:
+        table["compass_rad"] = np.mod(table["compass_rad"] + wrap, 2.0 * math.pi) - wrap
+    assert Log.read(save(tmp_path / "a.csv", as_text(table))).notes[1:] == ()
+
+
+# --- jumps, equal times -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 1), (100, 1), (300, 40), (597, 3)])
+def test_a_jump_and_back_is_left_out(tmp_path: Path, first: int, count: int) -> None:
+    table = sailing()
+    table["gps_x_m"][first : first + count] += 500.0
+    log = Log.read(save(tmp_path / "a.csv", as_text(table)))
+    assert np.flatnonzero(np.isnan(log.z[:, 0])).tolist() == [*range(first, first + count)]
+    line = first + 2 if first else 3
+    note = f"{count} of 600 fixes cannot be reached from the others, left out (line {line}: "
+    assert note in log.notes[-1]
+
+
+@pytest.mark.parametrize("gap", [0, 50])
+def test_a_jump_that_stays_is_refused(tmp_path: Path, gap: int) -> None:
+    table = sailing()
+    table["gps_y_m"][300:] -= 500.0
+    table["gps_x_m"][300 : 300 + gap] = np.nan
+    message = refused(save(tmp_path / "a.csv", as_text(table)))
+    assert f"line {302 + gap}: the position jumps by " in message
+    assert "and stays away; read the pieces one by one with start_s and stop_s" in message
+
+
+def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:
+    table = sailing(3000)
+    table["gps_x_m"] += 500.0 * np.random.default_rng(0).standard_normal(3000)
+    assert "the position jumps by" in refused(save(tmp_path / "a.csv", as_text(table)))
+
+
+def test_rows_of_equal_time_are_merged_unless_they_contradict(tmp_path: Path) -> None:
+    table = sailing()
+    twice = {name: np.repeat(values, 2) for name, values in table.items()}
+    log = Log.read(save(tmp_path / "a.csv", as_text(twice)))
+    assert same_bits(log, Log.read(save(tmp_path / "b.csv", as_text(table))))
+    assert log.notes[0].startswith("t_s: 600 of 1200 rows have the time of the row before and do")
+    # each sensor in a row of its own
+    twice["gps_x_m"][::2], twice["compass_rad"][1::2] = np.nan, np.nan
+    assert same_bits(log, Log.read(save(tmp_path / "a.csv", as_text(twice))))
+    twice["gps_x_m"][400] = 7.0
+    message = refused(save(tmp_path / "a.csv", as_text(twice)))
+    assert "column t_s, line 3: time does not increase (0 s after 0 s)" in message
+
+
+def test_shuffled_rows_and_a_clock_set_back_are_refused(tmp_path: Path) -> None:
+    order = np.random.default_rng(1).permutation(600)
+    shuffled = {name: values[order] for name, values in sailing().items()}
+    assert "time does not increase" in refused(save(tmp_path / "a.csv", as_text(shuffled)))
+    table = sailing()
+    table["t_s"][300:] -= 20.0
+    message = refused(save(tmp_path / "a.csv", as_text(table)))
+    assert "line 302: time does not increase (10 s after 29.9 s)" in message
 
 
 # --- files ------------------------------------------------------------------------------------
