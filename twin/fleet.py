@@ -107,7 +107,7 @@ class FleetSettings:
 
     kind: str = "lstm"
     seed: int = 0
-    boats: int = 360
+    boats: int = 320
     runs: int = 3
     width: int = 96
     layers: int = 3
@@ -328,8 +328,9 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
     Its weights have the names that ``twin.pretrained.run_lstm`` and ``run_transformer`` know.
     """
     nn, width = torch.nn, settings.width
+    Module: Any = nn.Module
 
-    class LSTM(nn.Module):  # type: ignore[misc]
+    class LSTM(Module):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__()
             self.body = nn.LSTM(TOKEN, width, batch_first=True)
@@ -338,7 +339,7 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
         def forward(self, x: Any) -> Any:
             return self.read(self.body(x)[0][:, PAST:])
 
-    class Layer(nn.Module):  # type: ignore[misc]
+    class Layer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__()
             self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
@@ -352,7 +353,7 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             x = x + self.mix(seen.transpose(1, 2).reshape(B, T, width))
             return x + self.down(nn.functional.relu(self.up(self.norm2(x))))
 
-    class Transformer(nn.Module):  # type: ignore[misc]
+    class Transformer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__()
             self.embed = nn.Linear(TOKEN, width)
@@ -367,7 +368,7 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
                 h = layer(h)
             return self.read(self.norm(h[:, PAST:]))
 
-    net = {"lstm": LSTM, "transformer": Transformer}[settings.kind]()
+    net: Any = {"lstm": LSTM, "transformer": Transformer}[settings.kind]()
     # it starts from persistence
     nn.init.zeros_(net.read.weight)
     nn.init.zeros_(net.read.bias)
@@ -461,6 +462,7 @@ def train(settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int
         Torch is not installed.
     """
     torch = import_torch("the training of nets")
+    folder.mkdir(parents=True, exist_ok=True)
     about = json.dumps([dataclasses.asdict(settings), len(fleet), TOKEN])
     state = folder / f"{settings.kind}_{hashlib.sha256(about.encode()).hexdigest()[:12]}.pt"
     with undisturbed(torch):

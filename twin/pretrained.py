@@ -43,7 +43,7 @@ FORMAT = 1
 """Version of the weights' files and of what the nets are told; another one is refused."""
 PATCH = 4
 """Grid steps in a token."""
-PAST, AHEAD = 60, 10
+PAST, AHEAD = 40, 10
 """Tokens of the past and of the plan, s."""
 FADE = 2.0
 """Time in which the mask of a sensor fades after its last sample, s."""
@@ -95,7 +95,7 @@ class Weights:
         path = Path(path)
         partial = path.with_name(f".{path.name}")
         with partial.open("wb") as file:
-            rounded = {key: value.astype(np.float16) for key, value in self.arrays.items()}
+            rounded: Any = {key: value.astype(np.float16) for key, value in self.arrays.items()}
             np.savez_compressed(file, about=np.array(json.dumps(about)), **rounded)
         partial.replace(path)
 
@@ -117,7 +117,7 @@ class Weights:
         """
         remedy = f"make it anew: python -m twin.fleet {kind}"
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 about = json.loads(str(file["about"]))
                 arrays = {key: file[key].astype(np.float32) for key in file.files if key != "about"}
             version, found = about["format"], about["kind"]
@@ -246,7 +246,7 @@ class FleetPredictor(ActuatedPredictor):
     """A net that was trained once on simulated boats, asked about this one.
 
     Subclasses say which net. Its weights ship with the package; ``python -m twin.fleet`` makes
-    them anew. Nothing is learned from the run but what the net makes of its last minute.
+    them anew. Nothing is learned from the run but what the net makes of its last 40 s.
 
     Parameters
     ----------

@@ -137,8 +137,10 @@ def simulate(
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
     simulation.reset([0], [world])
     N = max(round(duration / dt), 1)
-    own = not isinstance(manoeuvre, str)
-    given = manoeuvre if own else commands(manoeuvre, np.arange(N) * dt, vessel, helmsman)
+    if isinstance(manoeuvre, str):
+        given, called = commands(manoeuvre, np.arange(N) * dt, vessel, helmsman), manoeuvre
+    else:
+        given, called = manoeuvre, "own"
     t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     for k in range(N + 1):
@@ -147,4 +149,4 @@ def simulate(
         t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
         z[k, : len(sensors.CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
-    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{'own' if own else manoeuvre}_{seed}")
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{called}_{seed}")

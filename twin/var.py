@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from twin.predictor import GRID
 
 __all__ = ["VARPredictor"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 LENGTH_TIME = 6.336 / 5.4
 """Time in which the study boat sails its length, s: it has steps of one :data:`GRID`."""
@@ -107,8 +108,9 @@ class VARPredictor(ActuatedPredictor):
         """Return coefficients and constant, or None where there are too few sound rows."""
         m, p = self.stride, self.order
         at = np.arange(m * (p - 1), len(rows) - m)
-        sound = np.isfinite(rows).all(axis=1) & (np.abs(rows[:, 3:6]) <= self.bound).all(axis=1)
-        at = at[sound[at[:, None] + np.arange(-m * (p - 1), m + 1)].all(axis=1)]
+        wild = ~np.isfinite(rows)
+        wild[:, 3:6] |= ~(np.abs(rows[:, 3:6]) <= self.bound)
+        at = at[~wild[at[:, None] + np.arange(-m * (p - 1), m + 1)].any(axis=(1, 2))]
         if len(at) < ROWS_MIN:
             return None
         ahead = rows[at[:, None] + np.arange(1, m + 1), 10:14]
