@@ -109,11 +109,11 @@ class FleetSettings:
     seed: int = 0
     boats: int = 320
     runs: int = 3
-    width: int = 96
-    layers: int = 3
-    steps: int = 1500
-    batch: int = 256
-    rate: float = 4e-3
+    width: int = 64
+    layers: int = 2
+    steps: int = 3000
+    batch: int = 128
+    rate: float = 1e-2
     decay: float = 1e-2
 
     def __post_init__(self) -> None:
@@ -122,6 +122,13 @@ class FleetSettings:
         for name in ("boats", "runs", "width", "layers", "steps", "batch"):
             if getattr(self, name) < 1:
                 raise FleetError(f"{name} = {getattr(self, name)}: must be 1 or more")
+
+
+SHIPPED = {
+    "lstm": FleetSettings(),
+    "transformer": FleetSettings(kind="transformer", steps=2000, rate=2e-3),
+}
+"""Settings of the weights that ship."""
 
 
 @dataclass(frozen=True)
@@ -334,10 +341,10 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
         def __init__(self) -> None:
             super().__init__()
             self.body = nn.LSTM(TOKEN, width, batch_first=True)
-            self.read = nn.Linear(width, 3 * PATCH)
+            self.read = nn.Linear(width + TOKEN, 3 * PATCH)
 
         def forward(self, x: Any) -> Any:
-            return self.read(self.body(x)[0][:, PAST:])
+            return self.read(torch.cat([self.body(x)[0][:, PAST:], x[:, PAST:]], dim=2))
 
     class Layer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -360,13 +367,13 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             self.place = nn.Parameter(0.02 * torch.randn(PAST + AHEAD, width))
             self.register_buffer("heads", torch.zeros(HEADS))
             self.layers = nn.ModuleList(Layer() for _ in range(settings.layers))
-            self.norm, self.read = nn.LayerNorm(width), nn.Linear(width, 3 * PATCH)
+            self.norm, self.read = nn.LayerNorm(width), nn.Linear(width + TOKEN, 3 * PATCH)
 
         def forward(self, x: Any) -> Any:
             h = self.embed(x) + self.place
             for layer in self.layers:
                 h = layer(h)
-            return self.read(self.norm(h[:, PAST:]))
+            return self.read(torch.cat([self.norm(h[:, PAST:]), x[:, PAST:]], dim=2))
 
     net: Any = {"lstm": LSTM, "transformer": Transformer}[settings.kind]()
     # it starts from persistence
@@ -520,19 +527,23 @@ def main(
     out: Annotated[Path | None, typer.Option(help="File; by default the one that ships.")] = None,
     work: Annotated[Path, typer.Option(help="Folder of what is not finished.")] = Path("fleet"),
     seed: Annotated[int, typer.Option(help="Of boats, weights and batches.")] = 0,
-    boats: Annotated[int, typer.Option(help="Boats of the fleet.")] = FleetSettings.boats,
-    steps: Annotated[int, typer.Option(help="Steps of the optimiser.")] = FleetSettings.steps,
+    boats: Annotated[int | None, typer.Option(help="Boats, if other than what shipped.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Steps of the optimiser, likewise.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes that sail.")] = 1,
 ) -> None:
     """Sail a fleet of simulated boats and train a net on it; Ctrl-C, and go on later."""
     try:
-        settings = FleetSettings(kind=kind, seed=seed, boats=boats, steps=steps)
+        given = {"boats": boats, "steps": steps}
+        own: Any = {key: value for key, value in given.items() if value is not None}
+        own |= {"kind": kind, "seed": seed}
+        settings = dataclasses.replace(SHIPPED.get(kind, SHIPPED["lstm"]), **own)
         weights = train(settings, sail_fleet(settings, work, jobs), work)
     except (FleetError, ImportError) as error:
         raise SystemExit(f"twin.fleet: {error}") from None
     except KeyboardInterrupt:
         raise SystemExit(f"twin.fleet: stopped; the same command goes on from {work}") from None
     path = out or NETS[kind].file
+    path.parent.mkdir(parents=True, exist_ok=True)
     weights.write(path)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 

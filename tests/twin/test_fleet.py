@@ -120,11 +120,20 @@ def test_tokens_have_no_size(sailed: tuple[list[Run], Path]) -> None:
     clock = TOKEN - pretrained.ABOUT
     np.testing.assert_allclose(np.delete(x, clock, 2), np.delete(y, clock, 2), atol=1e-5)
     np.testing.assert_allclose(x[..., clock] - y[..., clock], np.log(2.0), rtol=1e-5)
-    # before the history began nothing is told, and of the plan only the actuators
+    # before the history began nothing is told; of the plan the actuators, and past means
     before = x[0, : PAST - 26, : PATCH * pretrained.PER_ROW]
     assert (before.reshape(-1, PATCH, pretrained.PER_ROW)[..., :9] == 0.0).all()
     plan = x[:, PAST:, : PATCH * pretrained.PER_ROW].reshape(2, AHEAD, PATCH, -1)
-    assert (plan[..., :9] == 0.0).all() and (plan[..., 9:] != 0.0).any()
+    assert (plan[..., 3:9] == 0.0).all() and (plan[..., 9:] != 0.0).any()
+    last = x[:, PAST - 1, : PATCH * pretrained.PER_ROW].reshape(2, PATCH, -1)
+    np.testing.assert_array_equal(plan[:, 3, 0, :3], last[:, -1, :3])
+    np.testing.assert_allclose(
+        plan[:, 3, 2, :3],
+        x[:, PAST - 8 : PAST, : PATCH * pretrained.PER_ROW]
+        .reshape(2, 8 * PATCH, -1)[..., :3]
+        .mean(axis=1),
+        atol=1e-5,
+    )
 
 
 def test_the_mirror_is_a_boat(sailed: tuple[list[Run], Path]) -> None:
