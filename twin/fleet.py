@@ -126,7 +126,7 @@ class FleetSettings:
 
 SHIPPED = {
     "lstm": FleetSettings(),
-    "transformer": FleetSettings(kind="transformer", steps=2000, rate=2e-3),
+    "transformer": FleetSettings(kind="transformer", steps=1300, rate=2e-3),
 }
 """Settings of the weights that ship."""
 
