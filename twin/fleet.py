@@ -66,7 +66,7 @@ SLOWEST = 15.0
 LENGTH_TIME = 6.336 / 5.4
 """Time in which the study boat does, s: its manoeuvres are those of the benchmark."""
 SEAS = ((0.0, 0.0), (0.05, 2.0), (0.3, 3.5), (0.88, 6.0), (1.88, 8.7))
-"""Wave height (m) and wind (m/s) of sea states 0 to 4, middle of the WMO's ranges, PM wind."""
+"""Wave height (m, the middle of the WMO's range) and about the wind (m/s) of sea states 0 to 4."""
 HEADS = 4
 """Heads of a transformer's attention."""
 EACH = 8
