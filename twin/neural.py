@@ -16,35 +16,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.actuators import fill_forward, thrust_features
 from twin.particulars import Particulars
 from twin.predictor import GRID, HistoryPredictor, hold_velocity
 
-__all__ = ["LSTMPredictor", "MissingTorch"]
+__all__ = ["LSTMPredictor", "MissingTorch", "import_torch", "undisturbed"]
 
 Array = NDArray[np.float64]
 
 INPUT_MAX = 6.0
 """Bound of a scaled input: the net is not asked to extrapolate further beyond its data."""
 
-REMEDY = (
-    "the LSTM predictor needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
-)
+REMEDY = "{} needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
 
 
 class MissingTorch(ImportError):
     """Torch is not installed; the message says how to get it."""
 
 
-def _import_torch() -> Any:
-    """Return the module torch."""
+def import_torch(what: str = "the LSTM predictor") -> Any:
+    """Return the module torch, or say what needs it and how to get it."""
     try:
         return importlib.import_module("torch")
     except ImportError as error:
-        raise MissingTorch(REMEDY) from error
+        raise MissingTorch(REMEDY.format(what)) from error
 
 
 @contextmanager
-def _undisturbed(torch: Any) -> Iterator[None]:
+def undisturbed(torch: Any) -> Iterator[None]:
     """Train in here: one thread, gradients on, and torch's state as before afterwards."""
     threads = torch.get_num_threads()
     # runs are trained side by side, one core each
@@ -55,46 +54,6 @@ def _undisturbed(torch: Any) -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(threads)
-
-
-def _features(cmd: Array) -> Array:
-    """Return what the net is told of commands: thrust, sideways and forward part, per side.
-
-    Parameters
-    ----------
-    cmd : ndarray, shape (..., 4)
-        Commands in the order of ``twin.log.COMMANDS``, rev/s and rad.
-
-    Returns
-    -------
-    ndarray, shape (..., 6)
-        n|n| and n|n| sin(delta) and n|n| cos(delta), left and right, (rev/s)^2.
-    """
-    # the bound only keeps squares of nonsense finite
-    n, delta = np.clip(cmd[..., :2], -1e6, 1e6), cmd[..., 2:]
-    thrust = n * np.abs(n)
-    return np.concatenate([thrust, thrust * np.sin(delta), thrust * np.cos(delta)], axis=-1)
-
-
-def _fill_forward(rows: Array) -> Array:
-    """Return rows in which what is not finite repeats the last finite value of its column.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (M, d)
-        Anything over time.
-
-    Returns
-    -------
-    ndarray, shape (M, d)
-        0 where nothing finite came before.
-    """
-    good = np.isfinite(rows)
-    if good.all():
-        return rows
-    place = np.maximum.accumulate(np.where(good, np.arange(len(rows))[:, None], 0), axis=0)
-    filled = np.take_along_axis(rows, place, axis=0)
-    return np.where(np.isfinite(filled), filled, 0.0)
 
 
 def _sigmoid(a: Array) -> Array:
@@ -139,7 +98,7 @@ class _Net:
 
     def scaled(self, nu: Array, cmd: Array) -> Array:
         """Return inputs (..., 9) from velocities (..., 3) and the commands (..., 4) after."""
-        x = np.concatenate([nu, _features(cmd)], axis=-1)
+        x = np.concatenate([nu, thrust_features(cmd)], axis=-1)
         return np.clip((x - self.centre) * self.scale, -INPUT_MAX, INPUT_MAX)
 
 
@@ -202,7 +161,7 @@ class LSTMPredictor(HistoryPredictor):
     """Share of the hidden state that the read-out misses in training, fixed per roll-out."""
 
     def __init__(self, particulars: Particulars, *, seed: int = 0, train_at: float = 60.0) -> None:
-        _import_torch()
+        import_torch()
         self.train_at = train_at
         super().__init__(particulars, seed=seed)
 
@@ -230,7 +189,7 @@ class LSTMPredictor(HistoryPredictor):
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
-        rows = _fill_forward(rows)
+        rows = fill_forward(rows)
         plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:])
         bound = self._bound
         start = rows[origins, :6]
@@ -278,7 +237,7 @@ class LSTMPredictor(HistoryPredictor):
         if len(index) < self.windows_min:
             return None
         used = rows[np.unique(index)]
-        inputs = np.concatenate([used[:, 3:6], _features(used[:, 6:])], axis=1)
+        inputs = np.concatenate([used[:, 3:6], thrust_features(used[:, 6:])], axis=1)
         sd = inputs.std(axis=0)
         if (sd[:3] < 1e-3 * self._usual).all():
             return None
@@ -325,7 +284,7 @@ class LSTMPredictor(HistoryPredictor):
         rng : numpy.random.Generator
             Of noise and dropout.
         """
-        torch = _import_torch()
+        torch = import_torch()
         W, H, B = self.warm, self.hidden, len(inputs)
 
         def tensor(a: Array) -> Any:
@@ -334,7 +293,7 @@ class LSTMPredictor(HistoryPredictor):
         def array(a: Any) -> Array:
             return np.asarray(a.detach().numpy(), dtype=np.float64)
 
-        with _undisturbed(torch):
+        with undisturbed(torch):
             past = np.swapaxes(inputs[:, :W], 0, 1)
             first = tensor(inputs[:, W, :3])
             plan = tensor(np.swapaxes(inputs[:, W:, 3:], 0, 1))

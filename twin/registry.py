@@ -16,7 +16,10 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
     "ukf": "twin.identifier:UKFPredictor",
     "dsw-ukf": "twin.dsw:DSWPredictor",
     "dsw-ukf-plus": "twin.plus:PlusPredictor",
+    "var": "twin.var:VARPredictor",
     "lstm": "twin.neural:LSTMPredictor",
+    "fleet-lstm": "twin.pretrained:FleetLSTM",
+    "transformer": "twin.pretrained:FleetTransformer",
     "oracle": "twin.oracle:Oracle",
 }
 """Name to class, or to ``module:Class``, which is imported when it is first asked for."""

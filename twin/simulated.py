@@ -94,7 +94,7 @@ def measurement_row(channels: Array) -> Array:
 
 
 def simulate(
-    manoeuvre: str,
+    manoeuvre: str | Array,
     *,
     vessel: Vessel,
     sea: SeaState,
@@ -110,8 +110,8 @@ def simulate(
 
     Parameters
     ----------
-    manoeuvre : str
-        One of ``usv_gym.manoeuvres.MANOEUVRES``.
+    manoeuvre : str or ndarray, shape (N, 4)
+        One of ``usv_gym.manoeuvres.MANOEUVRES``, or the commands of the N control steps.
     vessel, sea
         Boat and sea state.
     duration : float
@@ -127,7 +127,7 @@ def simulate(
     dt : float
         Control step, s.
     name : str, optional
-        Name of the log; manoeuvre and seed if left out.
+        Name of the log; left out, manoeuvre and seed.
 
     Returns
     -------
@@ -137,7 +137,10 @@ def simulate(
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
     simulation.reset([0], [world])
     N = max(round(duration / dt), 1)
-    given = commands(manoeuvre, np.arange(N) * dt, vessel, helmsman)
+    if isinstance(manoeuvre, str):
+        given, called = commands(manoeuvre, np.arange(N) * dt, vessel, helmsman), manoeuvre
+    else:
+        given, called = manoeuvre, "own"
     t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     for k in range(N + 1):
@@ -146,4 +149,4 @@ def simulate(
         t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
         z[k, : len(sensors.CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
-    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{manoeuvre}_{seed}")
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{called}_{seed}")
