@@ -14,16 +14,19 @@ Source: the README of each folder; what follows it says so where it is done.
 
 from __future__ import annotations
 
+import dataclasses
+import gzip
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.log import COMMANDS, MEASUREMENTS, Log, drop_repeats, recorded_runs
+from twin.log import COMMANDS, MEASUREMENTS, Log, LogError, drop_repeats, recorded_runs
 from twin.particulars import Instruments, Particulars
 
-__all__ = ["ArchiveError", "export", "load", "runs"]
+__all__ = ["ArchiveError", "export", "known", "load", "load_file", "runs"]
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -125,7 +128,7 @@ def _towed(name: str, c: Columns) -> tuple[dict[str, Array], dict[str, Array], P
     by 1 % of the speed, which no forecast of 10 s feels. The integral of the yaw rate drifts
     by its bias, hence the printed heading.
     """
-    lab = name.split("_", 1)[0]
+    lab = "marin" if "x_int_m" in c else "hsva"
     x, y = ("x_int_m", "y_int_m") if lab == "marin" else ("x_m", "y_m")
     z = {
         "gps_x_m": c[x],
@@ -163,6 +166,13 @@ def _one_shaft(c: Columns) -> dict[str, Array]:
         zip(COMMANDS, (c["n_rps"], c["n_rps"], c["delta_rad"], c["delta_rad"]), strict=True)
     )
 
+
+_HEADERS = {
+    "esso_osaka_frt": {"x_m", "y_m", "psi_rad", "n_rps", "delta_rad", "wind_true_from_rad"},
+    "kvlcc2_simman2008": {"x_m", "y_m", "psi_rad", "n_rps", "delta_rad", "xdot_mps", "ydot_mps"},
+    "boat1_usv": {"x_m", "y_m", "psi_rad", "sog_mps", "cog_rad", "pwm_l_us", "pwm_r_us"},
+}
+"""Columns by which a file of each folder is known, wherever it lies and whatever its name."""
 
 _Reader = Callable[[str, Columns], tuple[dict[str, Array], dict[str, Array], Particulars]]
 _FOLDERS: dict[str, tuple[str, _Reader]] = {
@@ -226,22 +236,77 @@ def load(folder: str | Path, name: str) -> tuple[Log, Particulars]:
     ArchiveError
         If there is no such run.
     """
+    folder = Path(folder)
+    there = runs(folder)
+    if name not in there:
+        raise ArchiveError(f"{folder}: no run is called {name!r}; known: {', '.join(there)}")
+    return _load(folder.name, folder / f"{name}.csv.gz")
+
+
+def known(path: str | Path) -> bool:
+    """Return whether a file is a run of one of the archives, by its header.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any file; one that cannot be read is none.
+    """
+    return _folder_of(Path(path)) is not None
+
+
+def load_file(path: str | Path) -> tuple[Log, Particulars]:
+    """Return a run as :func:`load` does, by its file, which may lie anywhere.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file that :func:`known` knows.
+
+    Raises
+    ------
+    ArchiveError
+        If it is none, or cannot be read to its end.
+    """
+    folder = _folder_of(Path(path))
+    if folder is None:
+        raise ArchiveError(f"{path}: its header is that of no archive: {', '.join(_HEADERS)}")
+    return _load(folder, Path(path))
+
+
+def _folder_of(path: Path) -> str | None:
+    """Return the folder that a file is from; none if it has the header of a usual log."""
+    try:
+        with gzip.open(path, "rt", encoding="utf-8") as file:
+            header = set(file.readline(10_000).strip().split(","))
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error):
+        return None
+    return next((name for name, columns in _HEADERS.items() if columns <= header), None)
+
+
+def _load(folder: str, path: Path) -> tuple[Log, Particulars]:
     import polars as pl
 
-    folder = Path(folder)
-    known = runs(folder)
-    if name not in known:
-        raise ArchiveError(f"{folder}: no run is called {name!r}; known: {', '.join(known)}")
-    frame = pl.read_csv(folder / f"{name}.csv.gz")
-    columns = {key: frame[key].cast(pl.Float64).to_numpy() for key in frame.columns}
-    measured, commands, particulars = _FOLDERS[folder.name][1](name, columns)
-    rows = len(frame)
-    never = np.full(rows, np.nan)
+    try:
+        frame = pl.read_csv(gzip.decompress(path.read_bytes()), infer_schema=False)
+        columns = {
+            key: frame[key].str.strip_chars().replace("", None).cast(pl.Float64).to_numpy()
+            for key in frame.columns
+        }
+    except (OSError, EOFError, zlib.error, pl.exceptions.PolarsError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ArchiveError(f"{path}: cannot be read ({reason}); download it again") from None
+    name = path.name.removesuffix(".csv.gz")
+    measured, commands, particulars = _FOLDERS[folder][1](name, columns)
+    t, never = columns["t_s"], np.full(len(frame), np.nan)
     z = np.column_stack([measured.get(key, never) for key in MEASUREMENTS])
     notes: list[str] = []
-    drop_repeats(columns["t_s"], z, notes)
     cmd = np.column_stack([commands[key] for key in COMMANDS])
-    return Log(columns["t_s"], z, cmd, None, name, tuple(notes)), particulars
+    try:
+        log = Log(t, z, cmd, None, name)
+    except LogError as error:
+        raise ArchiveError(f"{path}: {error}; download it again") from None
+    drop_repeats(t, z, notes)
+    return dataclasses.replace(log, z=z, notes=tuple(notes)), particulars
 
 
 def export(folder: str | Path, out: str | Path) -> list[Path]:

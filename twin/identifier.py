@@ -42,6 +42,7 @@ from twin.navigation import (
 )
 from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction, Predictor
+from twin.state import copied, pack
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
 from usv_kernel import kernel, wrap
@@ -553,6 +554,10 @@ class ModelPredictor(Predictor):
 
     @property
     @abstractmethod
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let copies (``copy.deepcopy``, ``pickle``) share memory as the compiled filters need."""
+        return copied, (type(self), pack({"it": self}))
+
     def ready(self) -> bool:
         """True once the filter has begun."""
 
@@ -618,6 +623,8 @@ class UKFPredictor(ModelPredictor):
     seed : int
         Nothing is drawn at random here.
     """
+
+    tuning = "about 60 configurations in the study"
 
     def __init__(
         self,

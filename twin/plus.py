@@ -211,6 +211,8 @@ class PlusPredictor(UKFPredictor):
         Of the draws.
     """
 
+    tuning = "about 45 configurations on 6 to 12 tuning seeds, 20 of the navigation"
+
     def __init__(
         self,
         particulars: Particulars,

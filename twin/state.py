@@ -66,6 +66,20 @@ def write(path: str | Path, parts: dict[str, Any]) -> None:
         Names what in them is no plain data.
     """
     path = Path(path)
+    content = pack(parts)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def pack(parts: dict[str, Any]) -> bytes:
+    """Return what :func:`write` writes; arguments and errors are the same."""
     walk = _Walk()
     values = {name: walk.value(part, name) for name, part in parts.items()}
     memory, blocks, places = walk.memory()
@@ -74,15 +88,24 @@ def write(path: str | Path, parts: dict[str, Any]) -> None:
         **{"parts": values, "nodes": walk.nodes, "blocks": blocks, "arrays": places},
     }
     text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, header=text, memory=memory)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    file = io.BytesIO()
+    np.savez(file, header=text, memory=memory)
+    return file.getvalue()
+
+
+def copied(kind: type[Any], content: bytes) -> Any:
+    """Return the object that :func:`pack` packed as the part ``it``: a deep copy.
+
+    Unlike one by ``copy.deepcopy``, its arrays share memory where the original's do.
+
+    Parameters
+    ----------
+    kind : type
+        Its class.
+    content : bytes
+        What :func:`pack` gave.
+    """
+    return unpack(content, Path("copy")).restore("it", kind.__new__(kind))
 
 
 def read(path: str | Path) -> Reader:
@@ -98,8 +121,11 @@ def read(path: str | Path) -> Reader:
     StateError
         It is no such file, is cut off or damaged, or has another format.
     """
-    path = Path(path)
-    content = path.read_bytes()
+    return unpack(Path(path).read_bytes(), Path(path))
+
+
+def unpack(content: bytes, path: Path) -> Reader:
+    """Return a reader of the content of a file; ``path`` is for messages."""
     header: Any = None
     try:
         if content.startswith(b"PK"):

@@ -296,7 +296,7 @@ def test_grades_are_what_physics_md_says() -> None:
 def test_grades_that_do_not_exist() -> None:
     with pytest.raises(FaultError, match="'superb'; use best, typical, perfect or a SensorSuite"):
         SensorSuite.grade("superb")
-    assert set(GRADES) == {"best", "typical", "perfect"}
+    assert set(GRADES) == {"best", "typical", "consumer", "perfect"}
 
 
 # ------------------------------------------------- six degrees of freedom
