@@ -128,7 +128,9 @@ def _towed(name: str, c: Columns) -> tuple[dict[str, Array], dict[str, Array], P
     by 1 % of the speed, which no forecast of 10 s feels. The integral of the yaw rate drifts
     by its bias, hence the printed heading.
     """
-    lab = "marin" if "x_int_m" in c else "hsva"
+    lab = name.split("_", 1)[0]
+    if lab not in KVLCC2:
+        lab = "marin" if "x_int_m" in c else "hsva"
     x, y = ("x_int_m", "y_int_m") if lab == "marin" else ("x_m", "y_m")
     z = {
         "gps_x_m": c[x],

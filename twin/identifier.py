@@ -552,12 +552,12 @@ class ModelPredictor(Predictor):
         self.parameter_blocks = settings.structure.blocks
         self.t = 0.0
 
-    @property
-    @abstractmethod
     def __reduce__(self) -> tuple[Any, ...]:
         """Let copies (``copy.deepcopy``, ``pickle``) share memory as the compiled filters need."""
         return copied, (type(self), pack({"it": self}))
 
+    @property
+    @abstractmethod
     def ready(self) -> bool:
         """True once the filter has begun."""
 

@@ -1211,7 +1211,7 @@ def _tables(
         if summary:
             body.append(_table(summary))
             shown.update(_text(row, "metric") for row in summary)
-        body += _paired_table(here("paired")) + _coverage_table(here("coverage"))
+        body += _paired_table(here("paired")) + _channel_tables(here("channels"))
         seeds = len({_number(row, "seed") for row in rows})
         fig = _error_figure(f"Error against horizon: {_case(scenario, fault)}", rows, looks)
         if fig is not None:

@@ -518,23 +518,23 @@ def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict
                     rmse = math.sqrt(table["channels"][channel]["mse"][-1])
                     key = (folder, unit["fault"], plan, channel, unit["predictor"])
                     cells.setdefault(key, {})[unit["scenario"]] = rmse
-    rows = []
-    for key, own in cells.items():
-        base = cells.get((*key[:-1], BASELINE), {})
+    rows: list[dict[str, Any]] = []
+    for where, own in cells.items():
+        base = cells.get((*where[:-1], BASELINE), {})
         names = sorted(name for name in own if base.get(name, 0.0) > 0.0)
         if not names:
             continue
         ratio = np.array([own[name] / base[name] for name in names])
         low, high = _interval(_resampled(ratio), len(ratio))
         row = {
-            **dict(zip(("folder", "fault", "plan", "channel", "predictor"), key, strict=True)),
+            **dict(zip(("folder", "fault", "plan", "channel", "predictor"), where, strict=True)),
             **{"runs": len(names), "rmse": float(np.mean([own[name] for name in names]))},
             **{"ratio": float(ratio.mean()), "low": low, "high": high},
             "geometric": float(np.exp(np.log(np.maximum(ratio, 1e-12)).mean())),
         }
-        other = cells.get((*key[:-1], against), {})
+        other = cells.get((*where[:-1], against), {})
         both = [k for k, name in enumerate(names) if name in other]
-        if both and key[-1] != against:
+        if both and where[-1] != against:
             mine = ratio[both]
             theirs = np.array([other[names[k]] / base[names[k]] for k in both])
             change = 100.0 * (_resampled(mine) / _resampled(theirs) - 1.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from twin import benchmark as bench
+from twin import protocol
 from twin.log import Log, recorded_runs
 from twin.predictor import Prediction
 from twin.registry import PredictorError
@@ -49,18 +50,23 @@ def test_rows_are_complete(small):
     # scenarios x faults x seeds x predictors x plans x channels x horizons
     assert len(rows) == 1 * 2 * 2 * 3 * 2 * 6 * 4
     keys = {
-        *("scenario", "fault", "seed", "predictor", "plan", "channel", "horizon_s"),
-        *("mae", "mse", "n"),
+        *("scenario", "case", "fault", "sea", "grade", "seed", "predictor", "plan"),
+        *("channel", "horizon_s", "mae", "mse", "crps", "n"),
     }
     for row in rows:
         assert set(row) == keys
         assert row["plan"] in ("known", "hold")
         assert row["n"] == 11  # every second from 30 to 40 s
         assert 0.0 <= row["mae"] ** 2 <= row["mse"] * (1 + 1e-12)
+        assert 0.0 < row["crps"]
+        assert (row["case"], row["sea"], row["grade"]) == (row["fault"], "2", "typical")
     for item in results["summary"]:
         assert set(item) == {
             "scenario",
+            "case",
             "fault",
+            "sea",
+            "grade",
             "predictor",
             "plan",
             "metric",
@@ -147,11 +153,11 @@ def test_logs_can_be_fed_back(small):
     # 5 s of loss from 35 s on, and the two rows before the first late fix
     assert lost.sum() == 100 + 2
     assert log.t[lost][2] == pytest.approx(35.0)
-    seen, reference, _, first = bench.load_run(SMALL, bench.Unit("zigzag", "gps5", 0, "ukf"))
-    assert first == 30.0
-    assert seen.truth is None
-    np.testing.assert_array_equal(reference.z, log.z)
-    np.testing.assert_array_equal(reference.truth, log.truth)
+    run = bench.load_run(SMALL, bench.Unit("zigzag", "gps5", 0, "ukf"))
+    assert run.identify == 30.0
+    assert run.seen.truth is None
+    np.testing.assert_array_equal(run.reference.z, log.z)
+    np.testing.assert_array_equal(run.reference.truth, log.truth)
 
 
 def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
@@ -276,9 +282,11 @@ def test_j_of_the_oracle_is_one_and_e_of_the_others_is_there(small):
 
 def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
     _, results = small
-    table = {tuple(row[key] for key in bench.KEY): row for row in results["runs"]}
-    row = table["zigzag", "gps5", 1, "ukf", "hold"]
-    floor = table["zigzag", "gps5", 1, "oracle", "hold"]
+    table = {
+        tuple(row[key] for key in ("fault", "seed", "predictor", "plan")): row
+        for row in results["runs"]
+    }
+    row, floor = (table["gps5", 1, name, "hold"] for name in ("ukf", "oracle"))
     assert tuple(row["curves"]) == bench.STUDY_CHANNELS
     assert all(len(curve) == 20 for curve in row["curves"].values())
     ratios = [np.mean(row["curves"][c]) / np.mean(floor["curves"][c]) for c in row["curves"]]
@@ -298,7 +306,8 @@ def test_without_the_oracle_there_is_no_j(small):
 
 def test_paired_comparison():
     """Six seeds on which one is a tenth better, and three fold worse on a seventh."""
-    base = {"scenario": "turn", "fault": "none", "plan": "known"}
+    base = {"scenario": "turn", "case": "none", "fault": "none", "plan": "known"}
+    base |= {"sea": "2", "grade": "typical"}
     rows = [
         {**base, "seed": seed, "predictor": name, "mae": mae}
         for seed in range(7)
@@ -317,7 +326,7 @@ def test_paired_comparison():
 
 def test_coverage_by_channel_and_horizon(small):
     _, results = small
-    rows = results["coverage"]
+    rows = results["channels"]
     # faults x predictors x plans x channels x horizons
     assert len(rows) == 2 * 3 * 2 * 7 * 4
     here = [r for r in rows if (r["fault"], r["predictor"], r["plan"]) == ("none", "ukf", "known")]
@@ -365,7 +374,7 @@ def test_bad_settings_die_early(change, kind, message):
 
 
 def test_missing_torch_is_said(monkeypatch):
-    monkeypatch.setattr(bench, "find_spec", lambda name: None)
+    monkeypatch.setattr(protocol, "find_spec", lambda name: None)
     names, notes = bench.available(("ukf", "lstm"))
     assert names == ("ukf",)
     assert "pip install torch" in notes[0]
