@@ -1104,7 +1104,7 @@ def _print_overview(
         for (scenario, case, which), block in cells.items():
             if which == plan:
                 values = (block.get(name, {}).get(metric) for name in predictors)
-                texts = ("-" if item is None else _short(item["value"], 2) for item in values)
+                texts = ("-" if item is None else _short(item["value"], 3) for item in values)
                 table.add_row(scenario, case, *texts)
         console.print(table)
 
