@@ -480,10 +480,17 @@ def runs(
     tasks = list(todo.values())
     if len(tasks) < jobs:
         tasks = [[unit] for task in tasks for unit in task]
+    # those of clusters give nothing back before all is done: a handful of tasks at a time
+    flows = backend in ("loky", "threading")
+    size = len(tasks) if flows else 4 * jobs
     with _workers(backend, jobs):
-        pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered")
-        for done_task in pool(delayed(_attempt)(settings, task, folder) for task in tasks):
-            yield from done_task
+        pool = Parallel(
+            n_jobs=jobs, backend=backend, return_as="generator_unordered" if flows else "list"
+        )
+        for first in range(0, len(tasks), size):
+            some = tasks[first : first + size]
+            for done_task in pool(delayed(_attempt)(settings, task, folder) for task in some):
+                yield from done_task
 
 
 def _attempt(
