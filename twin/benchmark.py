@@ -466,7 +466,7 @@ def runs(
     Unit, dict or Exception
         A result, or why there is none (a log that cannot be read, say); the rest goes on.
     """
-    from joblib import Parallel, delayed
+    from joblib import Parallel, delayed, parallel_config
 
     todo: dict[str, list[Unit]] = {}
     for unit in units(settings):
@@ -484,9 +484,8 @@ def runs(
     flows = backend in ("loky", "threading")
     size = len(tasks) if flows else 4 * jobs
     with _workers(backend, jobs):
-        pool = Parallel(
-            n_jobs=jobs, backend=backend, return_as="generator_unordered" if flows else "list"
-        )
+        with parallel_config(backend=backend):  # knows dask by name, as Parallel does not
+            pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
         for first in range(0, len(tasks), size):
             some = tasks[first : first + size]
             for done_task in pool(delayed(_attempt)(settings, task, folder) for task in some):

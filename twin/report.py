@@ -1446,7 +1446,9 @@ def _trend_figure(
         values = values[np.isfinite(values) & (values > 0.0)]
         ax.set_yscale("log")
         ax.set_ylim(0.9 * values.min(), 1.1 * values.max())
-        ticks = [m * 10.0**p for p in range(-4, 5) for m in (1, 2, 5)]
+        near = values.max() < 8.0 * values.min()
+        parts = (1, 1.5, 2, 3, 5, 7) if near else (1, 2, 5)
+        ticks = [m * 10.0**p for p in range(-4, 5) for m in parts]
         ax.yaxis.set_major_locator(FixedLocator(ticks))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
         ax.yaxis.set_minor_formatter(NullFormatter())
