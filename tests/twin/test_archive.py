@@ -159,3 +159,45 @@ def test_a_twin_follows_a_recorded_ship(name: str, run: str) -> None:
     last = np.flatnonzero(np.isfinite(log.z[:, 0]) & (log.t < 60.0))[-1]
     # metres; the receivers jitter by millimetres and stand still for up to a second
     assert np.hypot(*(twin.estimate().s[:2] - log.z[last, :2])) < 0.3
+
+
+def test_a_run_is_known_by_its_header_wherever_it_lies(tmp_path: Path) -> None:
+    folder = made(tmp_path / "esso_osaka_frt", "zigzag_1", esso_rows())
+    there = tmp_path / "elsewhere.csv.gz"
+    there.write_bytes((folder / "zigzag_1.csv.gz").read_bytes())
+    log, particulars = archive.load_file(there)
+    own, boat = archive.load(folder, "zigzag_1")
+    np.testing.assert_array_equal(log.z, own.z)
+    assert log.name == "elsewhere" and particulars == boat
+    usual = recorded_runs()["boat1_usv_circle"]
+    assert archive.known(there) and not archive.known(usual)
+    for content in (b"", b"t_s,x_m\n", gzip.compress(b"t_s\n1\n"), b"\x1f\x8b\x08broken"):
+        there.write_bytes(content)
+        assert not archive.known(there)
+    with pytest.raises(ArchiveError, match="its header is that of no archive"):
+        archive.load_file(there)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: rows.__setitem__(4, ["abc"] * 13), "cannot be read"),
+        (lambda rows: rows.insert(9, rows[3]), "t must increase"),
+    ],
+)
+def test_a_damaged_run_is_refused_with_its_name(tmp_path: Path, change, words) -> None:
+    rows = esso_rows()
+    change(rows)
+    folder = made(tmp_path / "esso_osaka_frt", "turn_1", rows)
+    with pytest.raises(ArchiveError, match=f"turn_1.csv.gz: .*{words}"):
+        archive.load_file(folder / "turn_1.csv.gz")
+
+
+def test_the_particulars_that_come_with_the_project_are_the_archives() -> None:
+    file = Path(__file__).resolve().parents[2] / "particulars.toml"
+    for path, boat in {
+        "data/esso_osaka_frt/turn_1.csv.gz": archive.ESSO,
+        "data/kvlcc2_simman2008/marin_zz_10.csv.gz": archive.KVLCC2["marin"],
+        "data/kvlcc2_simman2008/hsva_z_05_01.csv.gz": archive.KVLCC2["hsva"],
+    }.items():
+        assert Particulars.load(file, log=path) == boat
