@@ -172,6 +172,12 @@ class Predictor(ABC):
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Leave the tuning of a subclass unstated: it is not that of its base."""
+        super().__init_subclass__(**options)
+        if "tuning" not in vars(cls):
+            cls.tuning = "not stated"
+
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
         self.seed = seed

@@ -191,6 +191,8 @@ def own(tmp_path, monkeypatch):
 def test_a_class_by_module_and_name(own):
     kind = predictor_class("some_body:Mine")
     assert issubclass(kind, Persistence) and kind.average == 2.0
+    assert kind.tuning == "one configuration, by judgement"
+    assert predictor_class("some_body:NoCovariance").tuning == "not stated"
     for wrong, words in {
         "some_body:Nobody": "Nobody",
         "no_body:Mine": "No module named 'no_body'",
