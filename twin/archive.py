@@ -6,27 +6,21 @@ measured), ``kvlcc2_simman2008`` (a 7 m tanker in the basins of MARIN and HSVA, 
 the first two on: nothing of them is in this project, and what :func:`export` writes from them
 is for the user's own eyes.
 
-The ships have one propeller and one rudder: both shafts of a log turn as the one, and both
-drive angles are the rudder's.
+``Log.read`` knows the columns of these files (``twin/mappings``); here is what boats they are.
 
-Source: the README of each folder; what follows it says so where it is done.
+Source: the README of each folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import gzip
+import zlib
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from twin.log import COMMANDS, MEASUREMENTS, Log, drop_repeats, recorded_runs
+from twin.log import Log, beside, recorded_runs
 from twin.particulars import Instruments, Particulars
 
-__all__ = ["ArchiveError", "export", "load", "runs"]
-
-Array = NDArray[np.float64]
-Columns = Mapping[str, Array]
+__all__ = ["ArchiveError", "export", "known", "load", "runs", "ship"]
 
 
 class ArchiveError(ValueError):
@@ -103,72 +97,17 @@ KVLCC2 = {
 """The tanker of ``kvlcc2_simman2008`` by the first word of a run's name."""
 
 
-def _esso(name: str, c: Columns) -> tuple[dict[str, Array], dict[str, Array], Particulars]:
-    """Position, heading, yaw rate and wind: the recorded u, v are filtered and .6 s late."""
-    z = {
-        "gps_x_m": c["x_m"],
-        "gps_y_m": c["y_m"],
-        "compass_rad": c["psi_rad"],
-        "wind_mps": c["wind_true_mps"],
-        "wind_from_rad": c["wind_true_from_rad"],
-    }
-    if not name.startswith("berthing"):  # there the yaw rate is .7 to 1 s late too
-        z["gyro_radps"] = c["r_radps"]
-    return z, _one_shaft(c), ESSO
+_HEADERS = {
+    "esso_osaka_frt": {"x_m", "y_m", "psi_rad", "n_rps", "delta_rad", "wind_true_from_rad"},
+    "kvlcc2_simman2008": {"x_m", "y_m", "psi_rad", "n_rps", "delta_rad", "xdot_mps", "ydot_mps"},
+    "boat1_usv": {"x_m", "y_m", "psi_rad", "sog_mps", "cog_rad", "pwm_l_us", "pwm_r_us"},
+}
+"""Columns by which a file of each folder is known, wherever it lies and whatever its name."""
 
-
-def _towed(name: str, c: Columns) -> tuple[dict[str, Array], dict[str, Array], Particulars]:
-    """Position, earth-fixed speeds as in the source, heading and yaw rate.
-
-    MARIN printed positions with three digits, so that they stand still for a second and jump
-    by 0.2 m; the integrals of the speeds are taken instead. They drift from the printed ones
-    by 1 % of the speed, which no forecast of 10 s feels. The integral of the yaw rate drifts
-    by its bias, hence the printed heading.
-    """
-    lab = name.split("_", 1)[0]
-    x, y = ("x_int_m", "y_int_m") if lab == "marin" else ("x_m", "y_m")
-    z = {
-        "gps_x_m": c[x],
-        "gps_y_m": c[y],
-        "gps_vx_mps": c["xdot_mps"],
-        "gps_vy_mps": c["ydot_mps"],
-        "compass_rad": c["psi_rad"],
-        "gyro_radps": c["r_radps"],
-    }
-    return z, _one_shaft(c), KVLCC2[lab]
-
-
-def _boat1(name: str, c: Columns) -> tuple[dict[str, Array], dict[str, Array], Particulars]:
-    """Position, speed over ground and heading; pulse widths as shaft speeds.
-
-    The local x, y of the source are 1.11172 times what its latitude and longitude say, and
-    the shaft speeds are in an arbitrary unit: see NOTICE.txt beside the shipped run.
-    """
-    z = {
-        "gps_x_m": c["x_m"] / 1.11172,
-        "gps_y_m": c["y_m"] / 1.11172,
-        "gps_vx_mps": c["sog_mps"] * np.cos(c["cog_rad"]),
-        "gps_vy_mps": c["sog_mps"] * np.sin(c["cog_rad"]),
-        "compass_rad": c["psi_rad"],
-    }
-    left, right = ((c[f"pwm_{side}_us"] - 1500.0) / 50.0 for side in "lr")
-    none = np.zeros_like(left)
-    beside = recorded_runs()["boat1_usv_circle"].with_name("boat1_usv_circle.toml")
-    return z, dict(zip(COMMANDS, (left, right, none, none), strict=True)), Particulars.load(beside)
-
-
-def _one_shaft(c: Columns) -> dict[str, Array]:
-    """Return the commands of a ship with one propeller and one rudder."""
-    return dict(
-        zip(COMMANDS, (c["n_rps"], c["n_rps"], c["delta_rad"], c["delta_rad"]), strict=True)
-    )
-
-
-_Reader = Callable[[str, Columns], tuple[dict[str, Array], dict[str, Array], Particulars]]
-_FOLDERS: dict[str, tuple[str, _Reader]] = {
-    "esso_osaka_frt": ("*.csv.gz", _esso),
-    "kvlcc2_simman2008": ("[hm]*.csv.gz", _towed),
-    "boat1_usv": ("*.csv.gz", _boat1),
+_PATTERNS = {
+    "esso_osaka_frt": "*.csv.gz",
+    "kvlcc2_simman2008": "[hm]*.csv.gz",
+    "boat1_usv": "*.csv.gz",
 }
 
 
@@ -191,11 +130,11 @@ def runs(folder: str | Path) -> list[str]:
     score on the other.
     """
     folder = Path(folder)
-    if folder.name not in _FOLDERS:
+    if folder.name not in _PATTERNS:
         raise ArchiveError(
-            f"{folder}: no archive of recorded runs; known by name: {', '.join(_FOLDERS)}"
+            f"{folder}: no archive of recorded runs; known by name: {', '.join(_PATTERNS)}"
         )
-    found = sorted(folder.glob(_FOLDERS[folder.name][0]))
+    found = sorted(folder.glob(_PATTERNS[folder.name]))
     if not found:
         raise ArchiveError(
             f"{folder}: no recorded run there; the data is not part of the project, put the "
@@ -217,31 +156,70 @@ def load(folder: str | Path, name: str) -> tuple[Log, Particulars]:
     Returns
     -------
     Log, Particulars
-        The log as the boat would have recorded it, without truth. Positions that repeat the
-        last one (a receiver that is slow, or froze) are missing; what was repaired is in its
-        ``notes``.
+        The log as ``Log.read`` reads it, and the boat.
 
     Raises
     ------
     ArchiveError
         If there is no such run.
     """
-    import polars as pl
-
     folder = Path(folder)
-    known = runs(folder)
-    if name not in known:
-        raise ArchiveError(f"{folder}: no run is called {name!r}; known: {', '.join(known)}")
-    frame = pl.read_csv(folder / f"{name}.csv.gz")
-    columns = {key: frame[key].cast(pl.Float64).to_numpy() for key in frame.columns}
-    measured, commands, particulars = _FOLDERS[folder.name][1](name, columns)
-    rows = len(frame)
-    never = np.full(rows, np.nan)
-    z = np.column_stack([measured.get(key, never) for key in MEASUREMENTS])
-    notes: list[str] = []
-    drop_repeats(columns["t_s"], z, notes)
-    cmd = np.column_stack([commands[key] for key in COMMANDS])
-    return Log(columns["t_s"], z, cmd, None, name, tuple(notes)), particulars
+    there = runs(folder)
+    if name not in there:
+        raise ArchiveError(f"{folder}: no run is called {name!r}; known: {', '.join(there)}")
+    path = folder / f"{name}.csv.gz"
+    return Log.read(path), ship(path)
+
+
+def known(path: str | Path) -> bool:
+    """Return whether a file is a run of one of the archives, by its header.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any file; one that cannot be read is none.
+    """
+    return _folder_of(Path(path)) is not None
+
+
+def ship(path: str | Path) -> Particulars:
+    """Return the particulars of the boat of a run, by its file, which may lie anywhere.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file that :func:`known` knows.
+
+    Raises
+    ------
+    ArchiveError
+        If it is none.
+    """
+    folder = _folder_of(Path(path))
+    if folder is None:
+        raise ArchiveError(f"{path}: its header is that of no archive: {', '.join(_HEADERS)}")
+    if folder == "esso_osaka_frt":
+        return ESSO
+    if folder == "boat1_usv":
+        file = recorded_runs()["boat1_usv_circle"]
+        return Particulars.load(beside(file, ".toml"))
+    lab = Path(path).name.split("_", 1)[0]
+    return KVLCC2[lab if lab in KVLCC2 else "marin" if "x_int_m" in _header(Path(path)) else "hsva"]
+
+
+def _folder_of(path: Path) -> str | None:
+    """Return the folder that a file is from; none if it has the header of a usual log."""
+    header = _header(path)
+    return next((name for name, columns in _HEADERS.items() if columns <= header), None)
+
+
+def _header(path: Path) -> set[str]:
+    """Return the columns of a compressed table; none if it cannot be read."""
+    try:
+        with gzip.open(path, "rt", encoding="utf-8") as file:
+            return set(file.readline(10_000).strip().split(","))
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error):
+        return set()
 
 
 def export(folder: str | Path, out: str | Path) -> list[Path]:

@@ -1,21 +1,24 @@
-"""The benchmark: scenarios times predictors times seeds, scored against the truth.
+"""The benchmark: scenarios times cases times predictors times seeds, scored against the truth.
 
-Each piece of work is one run of one predictor. Its result is a file of its own, so that an
-interrupted benchmark goes on where it stopped, and the number of workers changes nothing.
+The result of each predictor on each run is a file of its own, so that an interrupted benchmark
+goes on where it stopped, and neither the number of workers nor their kind changes anything. A
+predictor is fed copies of the rows of a log without truth, and never sees another predictor.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
+import importlib
+import inspect
 import json
 import math
 import os
+import re
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,296 +26,109 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.log import Log, beside, files_of, recorded_runs
-from twin.oracle import check_world, world_options
+from twin.oracle import world_options
 from twin.particulars import Particulars
-from twin.predictor import Z90, Prediction
-from twin.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
+from twin.predictor import Prediction
+from twin.protocol import (
+    FULL,
+    FULL_CASES,
+    HORIZONS,
+    NO_PARTICULARS,
+    SPREAD,
+    BenchmarkError,
+    Case,
+    Settings,
+    Unit,
+    available,
+    left_out,
+    particulars_beside,
+    read_run,
+    units,
+    without_particulars,
+)
+from twin.registry import predictor_class
 from twin.report import PredictorFigure, RunFigure
+from twin.scores import (
+    CHANNELS,
+    KEY,
+    METRICS,
+    STUDY_CHANNELS,
+    STUDY_HORIZONS,
+    Reference,
+    Score,
+    channel_table,
+    compare,
+    recorded_table,
+    rows_of,
+    run_rows,
+    score,
+    summarise,
+    table_of,
+    trends,
+)
 from twin.simulated import particulars_of, simulate
-from twin.structure import MODELS, StructureError
-from twin.twin import PLANS, Twin, known_plan
-from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
-from usv_gym.sea import SeaState
+from twin.twin import Twin, known_plan
 from usv_gym.sensors import (
     FAULT_KINDS,
     GPS_BIT,
     Disturbance,
     Fault,
+    SensorSuite,
     parse_faults,
     spoiled,
 )
-from usv_gym.vessel import Vessel
 from usv_kernel import __version__, sources_digest
 
 __all__ = [
     "AGAINST",
+    "BACKENDS",
     "CHANNELS",
+    "FULL",
+    "FULL_CASES",
     "HORIZONS",
+    "KEY",
     "METRICS",
+    "NO_PARTICULARS",
+    "SPREAD",
     "STUDY_CHANNELS",
     "STUDY_HORIZONS",
     "BenchmarkError",
+    "Case",
+    "Run",
     "Settings",
     "Unit",
+    "available",
+    "check_backend",
     "collect",
     "compare",
     "left_out",
+    "load_run",
     "particulars_beside",
+    "read_run",
+    "recorded_against",
+    "run_rows",
     "run_unit",
     "runs",
+    "score",
     "summarise",
     "units",
     "with_faults",
+    "without_particulars",
 ]
 
 Array = NDArray[np.float64]
 
-CHANNELS = ("u", "v", "r", "along", "across", "psi")
-HORIZONS = (1.0, 2.0, 5.0, 10.0)
-STUDY_CHANNELS = ("u", "v", "r", "psi", "displacement")
-"""What ``J`` is the mean of; displacement is the distance between where the boat is and where
-it was predicted, both counted from where the prediction started."""
-STUDY_HORIZONS = tuple(0.5 * k for k in range(1, 21))
-COVERED = (*CHANNELS, "displacement")
-"""Channels of coverage: of the displacement, the share inside the 90 % ellipse."""
-METRICS = (
-    *("mae", "mae_median", "mse", "normalised", "skill", "J", "E"),
-    *("start_error", "coverage90"),
-)
-BASELINE = "persistence"
-FLOOR = "oracle"
 AGAINST = "ukf"
 """The reference of the paired comparison, where none is named."""
-SPREAD = 0.15
-"""How different the boats are, as a share (twin.md section 1)."""
-_BOATS = 1029
-"""Keeps the draws of a seed's boat apart from those of its sea."""
-_OUTSIDE_ELLIPSE = -2.0 * math.log(0.1)
-_AT = [STUDY_HORIZONS.index(h) for h in HORIZONS]
-
-
-class BenchmarkError(ValueError):
-    """A benchmark that cannot be run; the message says why."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What is to be measured.
-
-    Parameters
-    ----------
-    scenarios, faults, predictors : tuple of str
-        Manoeuvres, losses of sensors such as ``gps10``, and names in ``twin.PREDICTORS``.
-    seeds : tuple of int
-        Each is a boat, a sea, a set of sensor errors and (random manoeuvre) a helmsman.
-    plans : tuple of str
-        ``known``: the future commands are given (Eq 27); ``hold``: the last one is held.
-    vessel : str
-        Name or TOML file.
-    spread : float
-        Every seed sails another boat: ``Vessel.varied`` by this share; 0: the vessel as it is.
-    dof : int
-        Degrees of freedom of the simulated ship, 3 or 6.
-    model : str or None
-        Structure of all predictors that have one; None for each one's own choice.
-    hs, wind, wind_from_deg : float
-        Sea state: wave height (m), wind speed (m/s) and direction (degrees).
-    logs : tuple of str
-        Recorded runs to score.
-    ship : str or None
-        Particulars of the recorded boat; a TOML file of the log's name beside it if None.
-    mapping : str or None
-        Mapping file of the recorded runs, as for ``Log.read``.
-    identify_s : float
-        Time before the first prediction, s; recorded runs: 60 s or 40 % of a short one.
-    duration_s : float
-        Length of a simulated run, s.
-    fault_after_s : float
-        A loss begins this long after the first prediction, s.
-    """
-
-    scenarios: tuple[str, ...] = ("turn", "zigzag")
-    faults: tuple[str, ...] = ("none", "gps10")
-    seeds: tuple[int, ...] = tuple(range(6))
-    predictors: tuple[str, ...] = tuple(PREDICTORS)
-    plans: tuple[str, ...] = ("known", "hold")
-    vessel: str = "usv75"
-    spread: float = SPREAD
-    dof: int = 3
-    model: str | None = None
-    hs: float = 0.5
-    wind: float = 4.5
-    wind_from_deg: float = 135.0
-    logs: tuple[str, ...] = ()
-    ship: str | None = None
-    mapping: str | None = None
-    identify_s: float = 80.0
-    duration_s: float = 120.0
-    fault_after_s: float = 5.0
-
-    def __post_init__(self) -> None:
-        for name in self.scenarios:
-            if name not in MANOEUVRES:
-                raise ManoeuvreError(
-                    f"no scenario is called {name!r}; known: {', '.join(MANOEUVRES)}"
-                )
-        for name in self.predictors:
-            if name not in PREDICTORS:
-                raise PredictorError(
-                    f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
-                )
-        if self.model is not None and self.model not in MODELS:
-            raise StructureError(
-                f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"
-            )
-        for name in self.plans:
-            if name not in PLANS:
-                raise PredictorError(f"no plan is called {name!r}; known: {', '.join(PLANS)}")
-        names = [beside(path, "").name for path in self.logs]
-        for name in names:
-            if names.count(name) > 1 or name in self.scenarios:
-                raise BenchmarkError(f"two runs are called {name!r}; rename a log file")
-        for text in self.faults:
-            parse_faults(text, 0.0)
-        if not (self.identify_s > 0 and self.duration_s > self.identify_s + HORIZONS[-1]):
-            raise BenchmarkError(
-                f"duration_s = {self.duration_s} must exceed identify_s = {self.identify_s} "
-                f"by more than the horizon of {HORIZONS[-1]:g} s"
-            )
-        if self.dof not in (3, 6):
-            raise BenchmarkError(f"dof = {self.dof}: must be 3 or 6")
-        if not 0.0 <= self.spread <= 0.5:
-            raise BenchmarkError(f"spread = {self.spread}: must lie between 0 and 0.5")
-        self.sea()
-
-    def sea(self) -> SeaState:
-        """Return the sea state of the simulated runs."""
-        return SeaState(hs=self.hs, wind=self.wind, wind_from=math.radians(self.wind_from_deg))
-
-    def boat(self, seed: int) -> Vessel:
-        """Return the boat that a seed sails."""
-        vessel = Vessel.load(self.vessel)
-        if self.spread == 0.0:
-            return vessel
-        return vessel.varied(np.random.default_rng([seed, _BOATS]), self.spread)
-
-
-@dataclass(frozen=True, order=True)
-class Unit:
-    """One predictor on one run; ``log`` is the file of a recorded run, else empty."""
-
-    scenario: str
-    fault: str
-    seed: int
-    predictor: str
-    log: str = ""
-
-    @property
-    def run(self) -> str:
-        """Name of the run, for files."""
-        return f"{self.scenario}_{self.fault}_{self.seed}"
-
-
-def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the predictors that can run here, and a line on each that cannot.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names in ``twin.PREDICTORS``.
-    """
-    usable, notes = [], []
-    for name in names:
-        module, extra = EXTRAS.get(name, (None, ""))
-        if module is None or find_spec(module) is not None:
-            usable.append(name)
-        else:
-            notes.append(
-                f"{name} is left out: {module} is not installed; "
-                f"python -m pip install {module} (the extra [{extra}] of usv-twin)"
-            )
-    return tuple(usable), tuple(notes)
-
-
-def units(settings: Settings) -> list[Unit]:
-    """Return all work that the settings ask for, in a fixed order."""
-    work = [
-        Unit(scenario, fault, seed, predictor)
-        for scenario in settings.scenarios
-        for fault in settings.faults
-        for seed in settings.seeds
-        for predictor in settings.predictors
-    ]
-    for path in settings.logs:
-        name = beside(path, "").name
-        work += [
-            Unit(name, fault, 0, predictor, path)
-            for fault in settings.faults
-            for predictor in settings.predictors
-            if _knows(predictor, path, settings.ship, settings.mapping)
-        ]
-    return work
-
-
-@functools.cache
-def _knows(predictor: str, path: str, ship: str | None, mapping: str | None) -> bool:
-    """Return whether a predictor knows all that it needs to run on a log."""
-    if not predictor_class(predictor).world:
-        return True
-    try:
-        check_world(predictor, Log.read(path, mapping), particulars_beside(path, ship)[0])
-    except (ValueError, OSError):
-        return False
-    return True
-
-
-def left_out(settings: Settings) -> tuple[str, ...]:
-    """Return a line on each predictor and recorded run that do not go together."""
-    return tuple(
-        f"{predictor} is left out of {beside(path, '').name}: the true boat is not known"
-        for path in settings.logs
-        for predictor in settings.predictors
-        if not _knows(predictor, path, settings.ship, settings.mapping)
-    )
-
-
-NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FILE names a boat"
-"""Said where :func:`particulars_beside` found none."""
-
-
-def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
-    """Return the particulars for a log, and whether any were given for it.
-
-    They are those of ``ship``, else those in ``<log>.toml`` beside the log, else the usv75's.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log.
-    ship : str, optional
-        A TOML file of particulars, or the name or file of a vessel of ``usv_gym``.
-
-    Raises
-    ------
-    ParticularsError, VesselError
-        Names the file and the remedy.
-    """
-    if ship is None:
-        file = beside(path, ".toml")
-        if file.exists():
-            return Particulars.load(file), True
-        return particulars_of(Vessel.load("usv75")), False
-    text = _text(ship) if Path(ship).suffix == ".toml" else ""
-    if "[particulars]" in text and "[hull]" not in text:
-        return Particulars.load(ship), True
-    return particulars_of(Vessel.load(ship)), True
-
-
-def _text(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
+AGAINST_RECORDED = "var"
+"""The reference on recorded runs, where it takes part."""
+BACKENDS = {
+    "loky": ("joblib", "joblib"),
+    "threading": ("joblib", "joblib"),
+    "dask": ("dask.distributed", "'dask[distributed]'"),
+    "ray": ("ray.util.joblib", "ray"),
+}
+"""Kinds of workers by joblib's names: the module that each needs, and what to install."""
 
 
 def fault_start(settings: Settings, identify: float) -> float:
@@ -330,119 +146,49 @@ def _recorded_identify(log: Log) -> float:
     return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
 
 
-def load_run(settings: Settings, unit: Unit) -> tuple[Log, Log, Particulars, float]:
-    """Return the log to be seen, the log to be scored against, the boat and the first origin."""
-    if not unit.log:
-        vessel = settings.boat(unit.seed)
-        start = fault_start(settings, settings.identify_s)
-        log = simulate(
-            unit.scenario,
-            vessel=vessel,
-            sea=settings.sea(),
-            duration=settings.duration_s,
-            seed=unit.seed,
-            faults=parse_faults(unit.fault, start),
-            dof=settings.dof,
-            name=unit.run,
-        )
-        particulars = particulars_of(vessel, dof=settings.dof)
-        return log.without_truth(), log, particulars, settings.identify_s
-    log = Log.read(unit.log, settings.mapping)
-    identify = _recorded_identify(log)
-    seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
-    return (
-        seen.without_truth(),
-        log,
-        particulars_beside(unit.log, settings.ship)[0],
-        float(log.t[0]) + identify,
-    )
+class Run(NamedTuple):
+    """A run as predictors meet it.
 
-
-class _Reference:
-    """What is scored against: the truth of a log, or its recorded positions and headings."""
-
-    def __init__(self, log: Log) -> None:
-        if log.truth is not None:
-            self.t, self.columns = [log.t] * 6, list(log.truth.T.copy())
-            self.columns[2] = np.unwrap(self.columns[2])
-            return
-        self.t, self.columns = [], []
-        for entry in (0, 1, 4):
-            seen = np.isfinite(log.z[:, entry])
-            values = log.z[seen, entry]
-            self.t.append(log.t[seen])
-            self.columns.append(np.unwrap(values) if entry == 4 else values)
-
-    def at(self, times: Array) -> Array:
-        """Return states (h, 6) or (h, 3) at times, linearly between samples."""
-        return np.stack(
-            [np.interp(times, t, c) for t, c in zip(self.t, self.columns, strict=True)], axis=1
-        )
-
-
-class Score(NamedTuple):
-    """One prediction against the truth, at h horizons.
-
-    ``error`` and ``change`` (h, c) are errors and true changes of the channels (the last c of
-    :data:`CHANNELS`), ``away`` (h,) the error of the displacement, and ``inside`` (h, c + 1)
-    says whether channels and displacement lie in the 90 % bands.
+    ``seen`` is what they are fed, ``reference`` what they are scored against, ``identify`` the
+    time of the first origin, and ``world`` what an oracle is told.
     """
 
-    error: Array
-    change: Array
-    away: Array
-    inside: NDArray[np.bool_]
+    seen: Log
+    reference: Log
+    particulars: Particulars
+    identify: float
+    world: tuple[Any, ...]
 
 
-def score(prediction: Prediction, truth: Array, horizons: Sequence[float]) -> Score:
-    """Compare one prediction with the truth.
-
-    Positions count from where the prediction started, so that the error of the start, which
-    is the receiver's and common to all predictors, is not counted again at each horizon; it
-    is reported on its own (``start_error``).
-
-    Parameters
-    ----------
-    prediction : Prediction
-        What was said.
-    truth : ndarray, shape (1 + h, 6) or (1 + h, 3)
-        True states, or positions and headings alone: at the start, then at the horizons.
-    horizons : sequence of float
-        Seconds after the start.
-    """
-    mean, cov = prediction.at(np.array(horizons))
-    low, high = prediction.band(np.array(horizons))
-    start, later = truth[0], truth[1:]
-    psi = later[:, 2]
-    c, s = np.cos(psi), np.sin(psi)
-    moved = later[:, :2] - start[:2]
-    ex, ey = (mean[:, :2] - prediction.start[:2] - moved).T
-    spread = cov - prediction.start_cov
-    xx, xy, yy = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
-    error, change, inside = [], [], []
-    if truth.shape[1] == 6:
-        for i in (3, 4, 5):
-            error.append(mean[:, i] - later[:, i])
-            change.append(later[:, i] - start[i])
-            inside.append((low[:, i] <= later[:, i]) & (later[:, i] <= high[:, i]))
-    # along the true heading, then across it to starboard
-    for a, b in ((c, s), (-s, c)):
-        error.append(a * ex + b * ey)
-        change.append(a * moved[:, 0] + b * moved[:, 1])
-        sd = np.sqrt(np.maximum(a * a * xx + 2.0 * a * b * xy + b * b * yy, 0.0))
-        inside.append(np.abs(error[-1]) <= Z90 * sd)
-    turn = (mean[:, 2] - psi + math.pi) % (2.0 * math.pi) - math.pi
-    error.append(turn)
-    change.append(psi - start[2])
-    inside.append((low[:, 2] - mean[:, 2] <= -turn) & (-turn <= high[:, 2] - mean[:, 2]))
-    size = np.maximum(xx * yy - xy * xy, 0.0)
-    inside.append(yy * ex * ex - 2.0 * xy * ex * ey + xx * ey * ey <= _OUTSIDE_ELLIPSE * size)
-    return Score(
-        np.stack(error, axis=1), np.stack(change, axis=1), np.hypot(ex, ey), np.stack(inside, 1)
+def load_run(settings: Settings, unit: Unit) -> Run:
+    """Return the run of a unit; the predictor does not matter."""
+    if unit.log:
+        log, particulars = read_run(unit.log, settings.ship, settings.mapping)
+        identify = _recorded_identify(log)
+        seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
+        return Run(seen.without_truth(), log, particulars, float(log.t[0]) + identify, ())
+    vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
+    suite = SensorSuite.grade(unit.grade) if unit.grade else None
+    start = fault_start(settings, settings.identify_s)
+    log = simulate(
+        unit.scenario,
+        vessel=vessel,
+        sea=sea,
+        duration=settings.duration_s,
+        seed=unit.seed,
+        faults=parse_faults(unit.fault, start),
+        suite=suite,
+        dof=settings.dof,
+        name=unit.run,
     )
+    particulars = particulars_of(vessel, suite, settings.dof)
+    world = (vessel, sea, settings.dof)
+    return Run(log.without_truth(), log, particulars, settings.identify_s, world)
 
 
-def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) -> dict[str, Any]:
+def run_unit(
+    settings: Settings, unit: Unit, folder: Path, *, pictures: bool, run: Run | None = None
+) -> dict[str, Any]:
     """Run one predictor on one run, score it, and keep the result in a file.
 
     Parameters
@@ -453,23 +199,22 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
         Folder of results; the file is replaced as a whole or not at all.
     pictures : bool
         Keep what the pictures need: parameter histories and a few predictions.
+    run : Run, optional
+        From :func:`load_run`, where it is at hand.
 
     Returns
     -------
     dict
-        ``unit``, ``rows`` as in ``results.json``, and what :func:`summarise` needs.
+        ``unit``, ``plans`` with a table of scores each (see :func:`twin.scores.table_of`), and
+        what the pictures need.
     """
-    seen, reference_log, particulars, identify = load_run(settings, unit)
-    if not unit.log:
-        _write_log(reference_log, particulars, folder / "logs" / f"{unit.run}.csv")
-    reference = _Reference(reference_log)
-    options: dict[str, Any] = {}
-    if not unit.log:
-        boat, sea = settings.boat(unit.seed), settings.sea()
-        options = world_options(unit.predictor, boat, sea, settings.dof)
-    if settings.model is not None and predictor_class(unit.predictor).models:
+    seen, reference_log, particulars, identify, world = run or load_run(settings, unit)
+    reference = Reference(reference_log)
+    kind = predictor_class(unit.predictor)
+    options: dict[str, Any] = world_options(unit.predictor, *world) if world else {}
+    if settings.model is not None and kind.models:
         options["model"] = settings.model
-    if predictor_class(unit.predictor).trains:
+    if kind.trains:
         # in time for the first prediction: its history begins with the first late fix
         options["train_at"] = identify - float(seen.t[0]) - 0.5
     twin = Twin(particulars, unit.predictor, seed=unit.seed, **options)
@@ -482,7 +227,8 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
     history: list[tuple[float, Array, Array]] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
-        twin.step(t, z, cmd)
+        # copies: a view would lead to the whole log, and its future
+        twin.step(t, z.copy(), cmd.copy())
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
             estimate = twin.estimate()
@@ -497,6 +243,10 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
             prediction = twin.predict(commands, dt=dt)
             scores[plan].append(score(prediction, truth, STUDY_HORIZONS))
+            if not all(math.isfinite(part.sum()) for part in scores[plan][-1]):
+                raise BenchmarkError(
+                    f"{unit.predictor}: its prediction at t = {t:.2f} s is not finite"
+                )
             if plan == settings.plans[0]:
                 starts.append(float(np.hypot(*(prediction.start[:2] - truth[0, :2]))))
                 due = len(examples) < len(example_at) and t >= example_at[len(examples)] - 1e-9
@@ -511,36 +261,9 @@ def run_unit(settings: Settings, unit: Unit, folder: Path, *, pictures: bool) ->
         "digest": digest(settings, unit),
         "pictures": pictures,
         "unit": dataclasses.asdict(unit),
-        "rows": [],
-        "plans": {},
+        "plans": {plan: table_of(parts) for plan, parts in scores.items()},
         "start_error": float(np.mean(starts)),
     }
-    for plan, parts in scores.items():
-        error, change, away, inside = (np.array(item) for item in zip(*parts, strict=True))
-        channels = CHANNELS[-error.shape[2] :]
-        size = {c: np.abs(error[:, :, i]) for i, c in enumerate(channels)} | {"displacement": away}
-        result["plans"][plan] = {
-            "scale": np.sqrt(np.mean(change[:, _AT] ** 2, axis=0)).T.tolist(),
-            "coverage90": np.mean(inside[:, _AT], axis=0).T.tolist(),
-            "mae": {c: size[c].mean(axis=0).tolist() for c in STUDY_CHANNELS if c in size},
-        }
-        for i, channel in enumerate(channels):
-            for j, horizon in zip(_AT, HORIZONS, strict=True):
-                e = error[:, j, i]
-                result["rows"].append(
-                    {
-                        "scenario": unit.scenario,
-                        "fault": unit.fault,
-                        "seed": unit.seed,
-                        "predictor": unit.predictor,
-                        "plan": plan,
-                        "channel": channel,
-                        "horizon_s": horizon,
-                        "mae": float(np.mean(np.abs(e))),
-                        "mse": float(np.mean(e**2)),
-                        "n": len(e),
-                    }
-                )
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         result["history"] = {
@@ -596,12 +319,13 @@ def _program() -> str:
 
 
 def digest(settings: Settings, unit: Unit) -> str:
-    """Return what a result hangs on besides its unit: program, settings and recorded file."""
+    """Return what a result hangs on besides its unit: programs, settings and recorded file."""
     kept = dataclasses.asdict(settings)
-    for key in ("scenarios", "faults", "seeds", "predictors", "logs"):
+    for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
         del kept[key]
     text = json.dumps([__version__, _program(), kept, dataclasses.asdict(unit)], sort_keys=True)
     value = hashlib.sha256(text.encode())
+    value.update(_foreign(unit.predictor))
     ship = settings.ship if unit.log else settings.vessel
     read = files_of(unit.log, settings.mapping) if unit.log else []
     for path in (*read, Path(ship or "")):
@@ -612,9 +336,22 @@ def digest(settings: Settings, unit: Unit) -> str:
     return value.hexdigest()
 
 
+@functools.cache
+def _foreign(predictor: str) -> bytes:
+    """Return the source of a predictor that is none of this package's."""
+    kind = predictor_class(predictor)
+    if kind.__module__.split(".")[0] == __name__.split(".")[0]:
+        return b""
+    try:
+        return Path(inspect.getfile(kind)).read_bytes()
+    except (OSError, TypeError):
+        return repr(kind).encode()
+
+
 def result_file(folder: Path, unit: Unit) -> Path:
     """Return the file that holds the result of one piece of work."""
-    return folder / "runs" / f"{unit.run}_{unit.predictor}.json"
+    name = re.sub(r"[^\w.+-]", "-", f"{unit.run}_{unit.predictor}")
+    return folder / "runs" / f"{name}.json"
 
 
 def finished(
@@ -639,14 +376,83 @@ def all_finished(settings: Settings, folder: Path) -> bool:
 
 
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
-    """Return whether a run is shown in the report: the first seed, and every recorded run."""
-    return bool(unit.log) or unit.seed == settings.seeds[0]
+    """Return whether a run is shown in the report.
+
+    That is the first seed in the cases that are drawn, and of each folder of recorded runs as
+    many as a reader will look at.
+    """
+    if unit.log:
+        folder = Path(unit.log).absolute().parent
+        peers = [path for path in settings.logs if Path(path).absolute().parent == folder]
+        return unit.log in peers[: DRAWN_LOGS if len(peers) > DRAWN_LOGS else None]
+    drawn = {case.name for case in settings.conditions if case.drawn}
+    return unit.seed == settings.seeds[0] and unit.case in drawn
+
+
+DRAWN_LOGS = 3
+"""Recorded runs of one folder that are shown, where there are more."""
+
+
+def check_backend(backend: str) -> None:
+    """Refuse a kind of workers that is not known, or not installed.
+
+    Parameters
+    ----------
+    backend : str
+        One of :data:`BACKENDS`.
+
+    Raises
+    ------
+    BenchmarkError
+        Names what there is, or what to install.
+    """
+    if backend not in BACKENDS:
+        raise BenchmarkError(f"no backend is called {backend!r}; known: {', '.join(BACKENDS)}")
+    module, package = BACKENDS[backend]
+    try:
+        importlib.import_module(module)
+    except ImportError:
+        raise BenchmarkError(
+            f"backend {backend}: {module} is not installed; python -m pip install {package}"
+        ) from None
+
+
+@contextlib.contextmanager
+def _workers(backend: str, jobs: int) -> Iterator[None]:
+    """Start workers of a kind where joblib does not do so itself.
+
+    ``dask`` uses the cluster that ``DASK_SCHEDULER_ADDRESS`` names, ``ray`` the one of
+    ``RAY_ADDRESS``; else each starts one on this machine. The folder of results must be
+    shared with a cluster.
+    """
+    check_backend(backend)
+    with contextlib.ExitStack() as stack:
+        if backend == "dask":
+            import dask
+            from dask.distributed import Client
+
+            here = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
+            far = dask.config.get("scheduler-address", None)
+            stack.enter_context(Client(far) if far else Client(**here))
+        elif backend == "ray":
+            import ray
+            from ray.util.joblib import register_ray
+
+            if not ray.is_initialized():
+                far = os.environ.get("RAY_ADDRESS")
+                ray.init(**({} if far else {"num_cpus": jobs}), log_to_driver=False)
+                stack.callback(ray.shutdown)
+            register_ray()
+        yield
 
 
 def runs(
     settings: Settings, folder: Path, *, jobs: int = 1, backend: str = "loky"
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result as it comes.
+
+    A worker takes a run, which is simulated or read once, with all its predictors; where there
+    are fewer runs than workers, single predictors.
 
     Parameters
     ----------
@@ -655,224 +461,71 @@ def runs(
     folder : Path
         Folder of results.
     jobs : int
-        Worker processes; the results do not depend on it.
+        Workers; the results do not depend on it.
     backend : str
-        Of joblib.
+        One of :data:`BACKENDS`; the results do not depend on it.
 
     Yields
     ------
     Unit, dict or Exception
         A result, or why there is none (a log that cannot be read, say); the rest goes on.
     """
-    from joblib import Parallel, delayed
+    from joblib import Parallel, delayed, parallel_config
 
-    todo = []
+    todo: dict[str, list[Unit]] = {}
     for unit in units(settings):
         done = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
         if done is None:
-            todo.append(unit)
+            todo.setdefault(unit.run, []).append(unit)
         else:
             yield unit, done
     if not todo:
         return
-    pool = Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered")
-    yield from pool(
-        delayed(_attempt)(settings, unit, folder, wants_pictures(settings, unit)) for unit in todo
-    )
+    tasks = list(todo.values())
+    if len(tasks) < jobs:
+        tasks = [[unit] for task in tasks for unit in task]
+    # those of clusters give nothing back before all is done: a handful of tasks at a time
+    flows = backend in ("loky", "threading")
+    size = len(tasks) if flows else 4 * jobs
+    with _workers(backend, jobs):
+        with parallel_config(backend=backend):  # knows dask by name, as Parallel does not
+            pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
+        for first in range(0, len(tasks), size):
+            some = tasks[first : first + size]
+            for done_task in pool(delayed(_attempt)(settings, task, folder) for task in some):
+                yield from done_task
 
 
 def _attempt(
-    settings: Settings, unit: Unit, folder: Path, pictures: bool
-) -> tuple[Unit, dict[str, Any] | Exception]:
+    settings: Settings, task: Sequence[Unit], folder: Path
+) -> list[tuple[Unit, dict[str, Any] | Exception]]:
+    """Score the predictors of one run; what goes wrong with one is not the others' affair."""
     try:
-        return unit, run_unit(settings, unit, folder, pictures=pictures)
-    except (ValueError, OSError) as error:
-        return unit, error
+        run = load_run(settings, task[0])
+        if not task[0].log:
+            _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
+    except Exception as error:
+        return [(unit, _told(error)) for unit in task]
+    return [(unit, _scored(settings, unit, folder, run)) for unit in task]
 
 
-def _resampled(values: Array) -> Array:
-    """Return 2000 bootstrap means over seeds, from the same draws for every row."""
-    n = len(values)
-    return values[np.random.default_rng(0).integers(0, n, (2000, n))].mean(axis=1)
+def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str, Any] | Exception:
+    pictures = wants_pictures(settings, unit)
+    try:
+        return run_unit(settings, unit, folder, pictures=pictures, run=run)
+    except Exception as error:  # whatever the code of somebody else does
+        return _told(error)
 
 
-def _interval(means: Array, seeds: int) -> tuple[float | None, float | None]:
-    """Return the middle 95 % of bootstrap values; none for fewer than three seeds."""
-    if seeds < 3:
-        return None, None
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(low), float(high)
+def _told(error: Exception) -> BenchmarkError:
+    """Return an error as one that every backend can send; of code that broke, with its kind."""
+    plain = isinstance(error, (ValueError, OSError)) and str(error)
+    return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
 
-KEY = ("scenario", "fault", "seed", "predictor", "plan")
-"""What tells the rows of ``results["runs"]`` apart."""
-
-
-def run_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one row of metrics for each run, predictor and plan.
-
-    ``mae`` and ``mse`` are pooled over :data:`CHANNELS` and :data:`HORIZONS` (as in the
-    paper's Table 4, units mixed); ``normalised`` is the mean over channels and horizons of
-    the MAE over the root mean square of the true change; ``skill`` is 1 minus the mean of the
-    ratios to raw persistence; ``J`` is the mean over :data:`STUDY_CHANNELS` of the MAE (mean
-    over :data:`STUDY_HORIZONS`) over that of the oracle on the same run, and ``E`` is J - 1;
-    ``start_error`` is the distance of the believed from the true position at the origins, m;
-    ``coverage90`` the share of errors inside the 90 % bands, mean of channels and horizons.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        From :func:`run_unit`.
-    """
-    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
-    tables: dict[tuple[Any, ...], Array] = {}
-    for result in results:
-        unit = result["unit"]
-        for plan, extra in result["plans"].items():
-            here = [row for row in result["rows"] if row["plan"] == plan]
-            key = (*(unit[name] for name in KEY[:-1]), plan)
-            tables[key] = mae = np.array([row["mae"] for row in here])
-            scale = np.array(extra["scale"]).ravel()
-            moves = scale > 1e-6  # in a calm straight run nothing changes, and nothing is scored
-            rows[key] = {
-                **dict(zip(KEY, key, strict=True)),
-                "mae": float(mae.mean()),
-                "mse": float(np.mean([row["mse"] for row in here])),
-                "start_error": result["start_error"],
-                "coverage90": float(np.mean(extra["coverage90"][:-1])),
-                "curves": extra["mae"],
-            }
-            if moves.any():
-                rows[key]["normalised"] = float(np.mean(mae[moves] / scale[moves]))
-    for key, row in rows.items():
-        base, floor = ((*key[:3], name, key[4]) for name in (BASELINE, FLOOR))
-        if base in rows:
-            row["skill"] = 1.0 - float(np.mean(tables[key] / np.maximum(tables[base], 1e-12)))
-        if floor in rows:
-            lowest = rows[floor]["curves"]
-            shares = [np.mean(v) / max(np.mean(lowest[c]), 1e-12) for c, v in row["curves"].items()]
-            row["J"] = float(np.mean(shares))
-            row["E"] = row["J"] - 1.0
-    return list(rows.values())
-
-
-def _groups(
-    runs: Sequence[dict[str, Any]], *keys: str
-) -> dict[tuple[Any, ...], list[dict[str, Any]]]:
-    """Return rows with the same values of some keys together, ordered by seed."""
-    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for row in sorted(runs, key=lambda row: row["seed"]):
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return groups
-
-
-_CELL = ("scenario", "fault", "predictor", "plan")
-
-
-def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the summary over seeds: means with 95 % bootstrap intervals, and medians.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        From :func:`run_rows`; ``mae_median`` is the median MAE as a metric of its own.
-    """
-    order = {tuple(row[key] for key in _CELL): None for row in runs}
-    groups = _groups(runs, *_CELL)
-    summary = []
-    for cell in order:
-        members = groups[cell]
-        for metric in METRICS:
-            source = "mae" if metric == "mae_median" else metric
-            if any(source not in row for row in members):
-                continue
-            values = np.array([row[source] for row in members])
-            value, low, high = float(np.median(values)), None, None
-            if metric == source:
-                value = float(values.mean())
-                low, high = _interval(_resampled(values), len(values))
-            summary.append(
-                {
-                    **dict(zip(_CELL, cell, strict=True)),
-                    "metric": metric,
-                    "value": value,
-                    "low": low,
-                    "high": high,
-                    "median": float(np.median(values)),
-                }
-            )
-    return summary
-
-
-def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]]:
-    """Return the paired comparison of each predictor with a reference, on the same seeds.
-
-    ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval
-    over seeds; ``median_percent`` the median of the changes of single seeds; ``wins`` of
-    ``seeds`` had the smaller MAE.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        From :func:`run_rows`.
-    against : str
-        Predictor to compare with; where it did not run there is nothing to compare.
-    """
-    table = {tuple(row[key] for key in KEY): row["mae"] for row in runs}
-    rows = []
-    for cell, members in _groups(runs, *_CELL).items():
-        pairs = [
-            (row["mae"], table[(*(row[key] for key in KEY[:3]), against, row["plan"])])
-            for row in members
-            if (*(row[key] for key in KEY[:3]), against, row["plan"]) in table
-        ]
-        if cell[2] == against or not pairs:
-            continue
-        own, other = np.array(pairs).T
-        ratio = _resampled(own) / _resampled(other)
-        low, high = _interval(100.0 * (ratio - 1.0), len(own))
-        rows.append(
-            {
-                **dict(zip(_CELL, cell, strict=True)),
-                "against": against,
-                "change_percent": 100.0 * float(own.mean() / other.mean() - 1.0),
-                "low": low,
-                "high": high,
-                "median_percent": 100.0 * float(np.median(own / other) - 1.0),
-                "wins": int((own < other).sum()),
-                "seeds": len(own),
-            }
-        )
-    return rows
-
-
-def coverage(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the share of errors inside the 90 % bands, by channel and horizon.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        From :func:`run_unit`; seeds are pooled.
-    """
-    tables: dict[tuple[str, ...], list[Array]] = {}
-    for result in results:
-        for plan, extra in result["plans"].items():
-            key = (*(result["unit"][name] for name in _CELL[:3]), plan)
-            tables.setdefault(key, []).append(np.array(extra["coverage90"]))
-    rows = []
-    for key, parts in tables.items():
-        share = np.mean(parts, axis=0)
-        for i, channel in enumerate(COVERED[-len(share) :]):
-            for j, horizon in enumerate(HORIZONS):
-                rows.append(
-                    {
-                        **dict(zip(_CELL, key, strict=True)),
-                        "channel": channel,
-                        "horizon_s": horizon,
-                        "coverage90": float(share[i, j]),
-                    }
-                )
-    return rows
+def recorded_against(settings: Settings) -> str:
+    """Return the reference of the comparison on recorded runs."""
+    return AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
 
 
 def collect(
@@ -880,7 +533,7 @@ def collect(
     done: dict[Unit, dict[str, Any]],
     command: str,
     notes: Sequence[str] = (),
-    against: str = AGAINST,
+    against: str | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``results.json``.
 
@@ -894,11 +547,13 @@ def collect(
         The command that made them.
     notes : sequence of str
         What a reader must know of them.
-    against : str
-        Reference of the paired comparison.
+    against : str, optional
+        Reference of the paired comparisons; :data:`AGAINST` if left out, on recorded runs
+        :data:`AGAINST_RECORDED` where it takes part.
     """
     ordered = [done[unit] for unit in units(settings) if unit in done]
     runs = run_rows(ordered)
+    simulated = [row for row in runs if row["sea"]]
     return {
         "version": __version__,
         "command": command,
@@ -907,10 +562,15 @@ def collect(
             **dataclasses.asdict(settings),
             "logs": [Path(path).name for path in settings.logs],
         },
-        "rows": [row for result in ordered for row in result["rows"]],
+        "predictors": {
+            name: {"tuning": predictor_class(name).tuning} for name in settings.predictors
+        },
+        "rows": list(rows_of(ordered)),
         "summary": summarise(runs),
-        "paired": compare(runs, against),
-        "coverage": coverage(ordered),
+        "paired": compare(runs, against or AGAINST),
+        "recorded": recorded_table(ordered, against or recorded_against(settings)),
+        "trends": trends(simulated, settings.sea_name),
+        "channels": channel_table(ordered),
         "horizons_s": list(STUDY_HORIZONS),
         "runs": runs,
     }
@@ -964,7 +624,7 @@ def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFig
             continue
         key = (unit.scenario, unit.fault, unit.seed)
         if key not in shown:
-            log = load_run(settings, unit)[1]
+            log = load_run(settings, unit).reference
             shown[key] = RunFigure(
                 scenario=unit.scenario,
                 fault=unit.fault,

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import errno
 import functools
+import gzip
 import json
 import math
 import os
@@ -340,25 +341,57 @@ def predict_command(
 @app.command("benchmark")
 @_speaking
 def benchmark_command(
+    full: Annotated[
+        bool,
+        typer.Option(
+            "--full",
+            help="The full protocol: four scenarios, 24 boats, losses of GPS and IMU, sea states "
+            "and grades of sensors, one at a time; --scenarios, --cases, --seeds, --predictors "
+            "and --plans thin it.",
+        ),
+    ] = False,
+    check: Annotated[
+        str | None,
+        typer.Option(
+            help="Only check that a predictor (a name, or module:Class) keeps the contract of "
+            "all predictors; exit code 1 where it does not."
+        ),
+    ] = None,
     scenarios: Annotated[
-        str, typer.Option(help=f"Comma-separated, of: {', '.join(MANOEUVRES)}.")
-    ] = "turn,zigzag",
+        str | None,
+        typer.Option(help=f"Comma-separated, of: {', '.join(MANOEUVRES)}. [turn,zigzag]"),
+    ] = None,
     faults: Annotated[
-        str, typer.Option(help=f"Comma-separated, each {FAULTS_HELP}.")
-    ] = "none,gps10",
+        str | None, typer.Option(help=f"Comma-separated, each {FAULTS_HELP}. [none,gps10]")
+    ] = None,
+    cases: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Comma-separated, of the full protocol's: {', '.join(bench.FULL_CASES)}. [all]"
+        ),
+    ] = None,
     seeds: Annotated[
-        str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7.")
-    ] = "0-5",
+        str | None,
+        typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7. [0-5; full: 200-223]"),
+    ] = None,
     predictors: Annotated[
-        str, typer.Option(help=f"Comma-separated, of: {', '.join(PREDICTORS)}.")
+        str,
+        typer.Option(
+            help=f"Comma-separated, of: {', '.join(PREDICTORS)}; or module:Class, of your own."
+        ),
     ] = ",".join(PREDICTORS),
     plans: Annotated[
-        str, typer.Option(help=f"Comma-separated, of: {', '.join(PLANS)} (commands of the future).")
-    ] = "known,hold",
+        str | None,
+        typer.Option(
+            help=f"Comma-separated, of: {', '.join(PLANS)} (commands of the future). "
+            "[known,hold; full: known]"
+        ),
+    ] = None,
     against: Annotated[
         str | None,
         typer.Option(
-            help=f"Reference of the paired comparison; {bench.AGAINST}, if it takes part."
+            help=f"Reference of the paired comparison. [{bench.AGAINST}; recorded runs: "
+            f"{bench.AGAINST_RECORDED}]"
         ),
     ] = None,
     vessel: Annotated[
@@ -381,15 +414,21 @@ def benchmark_command(
     ] = None,
     ship: Annotated[
         str | None,
-        typer.Option(help="Particulars for the recorded runs, as for identify."),
+        typer.Option(
+            help="Particulars for the recorded runs, as for identify; a file of [[ship]] tables "
+            "tells several boats apart by their logs."
+        ),
     ] = None,
     mapping: MappingOption = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of results.")] = Path(
         "benchmark"
     ),
-    jobs: Annotated[
-        int, typer.Option(min=1, help="Worker processes; results do not depend on it.")
-    ] = os.cpu_count() or 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Workers; results do not depend on it.")] = (
+        os.cpu_count() or 1
+    ),
+    backend: Annotated[
+        str, typer.Option(help=f"Kind of workers, one of: {', '.join(bench.BACKENDS)}.")
+    ] = "loky",
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
 
@@ -397,21 +436,44 @@ def benchmark_command(
     every seed is another boat of the same kind in another sea. J and E measure each predictor
     against the oracle: the true boat in the mean wind. Without arguments: a 20 degree turn and
     a 20/-20 zigzag of 7.5 m boats in sea state 2, six seeds each, future commands known and
-    held, and one recorded run of a real boat. Writes results.json, report.html, the pictures,
-    and every run as a log that identify and predict read. Ctrl-C keeps what is finished; the
-    same command goes on from there.
+    held, and one recorded run of a real boat. With --full the full protocol. With --log recorded
+    runs, scored against what was measured later, those of the archives twin.archive knows as
+    they were downloaded; a file that cannot be read is named, and the others are scored.
+    Writes results.json, report.html, the pictures, and every run as a log that identify and
+    predict read. Ctrl-C keeps what is finished; the same command goes on from there.
     """
+    if check is not None:
+        _check(check)
+        return
+    bench.check_backend(backend)
     asked = _listed(predictors, "--predictors")
     names, notes = bench.available(asked)
     if not names:
         raise PredictorError("; ".join(notes))
-    recorded = tuple(path for given in log or () for path in _matching(given))
+    recorded, missing = _present(log or [])
+    usual: dict[str, Any] = {"logs": recorded}
+    if full:
+        usual |= {**bench.FULL, "cases": _cases(cases)} if not recorded else bench.FULL
+    elif cases is not None:
+        raise bench.BenchmarkError("--cases are those of the full protocol: add --full")
+    else:
+        usual["logs"] = recorded or bench.default_logs()
+    if recorded:
+        usual |= {"scenarios": (), "ship": ship}
+    elif scenarios is not None:
+        usual["scenarios"] = _listed(scenarios, "--scenarios")
+    if faults is not None:
+        if full:
+            raise bench.BenchmarkError("--faults: the full protocol has --cases in its place")
+        usual["faults"] = _listed(faults, "--faults")
+    elif recorded:
+        usual["faults"] = ("none",)
+    if seeds is not None:
+        usual["seeds"] = _seeds(seeds)
+    if plans is not None:
+        usual["plans"] = _listed(plans, "--plans")
     settings = bench.Settings(
-        scenarios=() if recorded else _listed(scenarios, "--scenarios"),
-        faults=_listed(faults, "--faults"),
-        seeds=_seeds(seeds),
         predictors=names,
-        plans=_listed(plans, "--plans"),
         vessel=vessel,
         spread=spread,
         dof=dof,
@@ -419,9 +481,8 @@ def benchmark_command(
         hs=hs,
         wind=wind,
         wind_from_deg=wind_from,
-        logs=recorded or bench.default_logs(),
-        ship=ship if recorded else None,
         mapping=str(mapping) if recorded and mapping else None,
+        **usual,
     )
     if against is not None and against not in names:
         raise PredictorError(
@@ -433,34 +494,69 @@ def benchmark_command(
     notes += tuple(
         bench.NO_PARTICULARS.format(path)
         for path in recorded
-        if not bench.particulars_beside(path, ship)[1]
+        if ship is None and bench.without_particulars(path)
     )
     for note in notes:
         _note(note)
     out.mkdir(parents=True, exist_ok=True)
-    done, failed = _work(settings, out, jobs)
+    done, failed = _work(settings, out, jobs, backend)
+    not_scored = tuple(
+        f"not scored: {reason if run in reason else f'{run}: {reason}'}"
+        for run, reason in {**missing, **failed}.items()
+    )
     command = shlex.join(["usv-twin", *sys.argv[1:]])
-    results = bench.collect(settings, done, command, notes, against or bench.AGAINST)
-    _write_json(out / "results.json", results)
-    _print_benchmark(results, [name for name in asked if name not in names])
-    for name, error in failed.items():
-        errors.print(f"not scored: {name}: {error}", style="red", highlight=False, soft_wrap=True)
+    results = bench.collect(settings, done, command, notes + not_scored, against)
+    if full:  # hundreds of thousands of rows: a table of their own
+        _write_table(out / "rows.csv.gz", results.pop("rows"))
+        del results["runs"]
+    _write_results(out / "results.json", results)
+    _print_benchmark({**results, "notes": notes}, [name for name in asked if name not in names])
+    for line in not_scored:
+        errors.print(line, style="red", highlight=False, soft_wrap=True)
     total = len(bench.units(settings))
-    if len(done) + len(failed) < total:
+    if len(done) + sum(failed.counts.values()) < total:
         errors.print(
             f"stopped: {len(done)} of {total} results are kept in {out}; "
             "the same command goes on from there",
             style="yellow",
         )
         raise typer.Exit(INTERRUPTED)
-    if done:
-        from twin.report import write_report
+    if not done:
+        raise bench.BenchmarkError("nothing could be scored; the lines above say why")
+    from twin.report import write_report
 
-        with console.status("drawing the report"):
-            written = write_report(out, results, bench.figures(settings, done))
-        console.print(f"{out / 'results.json'}, {written[0]}")
-    if failed:
-        raise typer.Exit(2)
+    with console.status("drawing the report"):
+        written = write_report(out, results, bench.figures(settings, done))
+    console.print(f"{out / 'results.json'}, {written[0]}")
+
+
+def _cases(text: str | None) -> tuple[bench.Case, ...]:
+    """Return cases of the full protocol by name."""
+    names = tuple(bench.FULL_CASES) if text is None else _listed(text, "--cases")
+    for name in names:
+        if name not in bench.FULL_CASES:
+            known = ", ".join(bench.FULL_CASES)
+            raise bench.BenchmarkError(f"no case is called {name!r}; known: {known}")
+    return tuple(bench.FULL_CASES[name] for name in names)
+
+
+def _check(name: str) -> None:
+    """Print whether a predictor keeps the contract; exit code 1 where it does not."""
+    from twin.contract import check
+
+    table = Table(title=f"contract of {name}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for head in ("", "check", "what happened"):
+        table.add_column(head, no_wrap=head != "what happened")
+    with _compiling(), console.status("checking"):
+        found = check(name)
+    marks = {True: "pass", False: "FAIL", None: "skip"}
+    for item in found:
+        table.add_row(marks[item.passed], item.name, item.text)
+    console.print(table)
+    broken = sum(item.passed is False for item in found)
+    console.print(f"{len(found)} checks, {broken} failed")
+    if broken:
+        raise typer.Exit(1)
 
 
 @vessel_app.command("check")
@@ -597,12 +693,27 @@ def validate_command(
         raise typer.Exit(1)
 
 
+class _Failed(dict[str, str]):
+    """Reasons why there is no result, by run or file; ``counts`` says of how many predictors."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counts: dict[str, int] = {}
+
+    def add(self, unit: bench.Unit, error: Exception) -> None:
+        """Keep a reason; the same of several predictors on a run is told once."""
+        where = unit.log or unit.run
+        key = where if self.get(where, str(error)) == str(error) else f"{where} {unit.predictor}"
+        self[key] = str(error)
+        self.counts[key] = self.counts.get(key, 0) + 1
+
+
 def _work(
-    settings: bench.Settings, out: Path, jobs: int
-) -> tuple[dict[bench.Unit, dict[str, Any]], dict[str, Exception]]:
+    settings: bench.Settings, out: Path, jobs: int, backend: str
+) -> tuple[dict[bench.Unit, dict[str, Any]], _Failed]:
     """Do all pieces of work under a progress bar; Ctrl-C ends it early."""
     done: dict[bench.Unit, dict[str, Any]] = {}
-    failed: dict[str, Exception] = {}
+    failed = _Failed()
     total = len(bench.units(settings))
     with contextlib.suppress(KeyboardInterrupt):
         if not bench.all_finished(settings, out):
@@ -614,11 +725,13 @@ def _work(
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             console=console,
+            # of a run with all its predictors at a time: a longer memory than of seconds
+            speed_estimate_period=600.0,
         ) as progress:
             bar = progress.add_task("benchmark", total=total)
-            for unit, result in bench.runs(settings, out, jobs=jobs):
+            for unit, result in bench.runs(settings, out, jobs=jobs, backend=backend):
                 if isinstance(result, Exception):
-                    failed[f"{unit.run} {unit.predictor}"] = result
+                    failed.add(unit, result)
                 else:
                     done[unit] = result
                 progress.advance(bar)
@@ -954,15 +1067,114 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
 
 
 def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
-    """Print the result table, a block for each run and loss, and the notes."""
+    """Print the result table, a block for each run and case, and the notes."""
     cells: dict[tuple[str, str, str], dict[str, dict[str, dict[str, Any]]]] = {}
     for item in results["summary"]:
-        block = cells.setdefault((item["scenario"], item["fault"], item["plan"]), {})
+        case = item.get("case", item["fault"])
+        block = cells.setdefault((item["scenario"], case, item["plan"]), {})
         block.setdefault(item["predictor"], {})[item["metric"]] = item
+    if len(cells) > MOST_BLOCKS:
+        _print_overview(cells)
+    else:
+        _print_blocks(cells, left_out)
+        _print_paired(results.get("paired", []))
+    _print_recorded(results.get("recorded", []))
+    for note in results["notes"]:
+        _note(note)
+    console.print(
+        "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
+        "2, 5 and 10 s, units mixed; CRPS: the same of the whole distribution. norm. (error over "
+        "the true change) and skill (1 - error / error of raw persistence) are means over channels "
+        "and horizons. start (m): distance of the believed from the true position when a "
+        "prediction is made. band: share of errors inside the 90 % bands. J: MAE over that of the "
+        "oracle on the same run, mean of u, v, r, heading and displacement over every half second "
+        "up to 10 s; E is J - 1. Below the MAE: its 95 % interval over seeds; med.: its median. "
+        "results.json and the report have the other intervals and medians, every case, and "
+        "errors, CRPS and coverage by channel and horizon.",
+        style="dim",
+        soft_wrap=True,
+    )
+
+
+MOST_BLOCKS = 8
+"""Runs and cases that are shown in full; of more, a table of one number each."""
+
+
+def _print_overview(
+    cells: dict[tuple[str, str, str], dict[str, dict[str, dict[str, Any]]]],
+) -> None:
+    """Print one number for each run, case and predictor: E where the oracle took part, or MAE."""
+    predictors = list(dict.fromkeys(name for block in cells.values() for name in block))
+    excess = all("E" in metrics for block in cells.values() for metrics in block.values())
+    metric, title = ("E", "E, excess over the oracle") if excess else ("mae", "MAE")
+    plans = list(dict.fromkeys(plan for _, _, plan in cells))
+    for plan in plans:
+        table = Table(title=f"{title}, plan {plan}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table.add_column("run", no_wrap=True)
+        table.add_column("case", no_wrap=True)
+        for name in predictors:
+            table.add_column(name.replace("-", "-\n"), justify="right", no_wrap=True)
+        for (scenario, case, which), block in cells.items():
+            if which == plan:
+                values = (block.get(name, {}).get(metric) for name in predictors)
+                texts = ("-" if item is None else _short(item["value"], 3) for item in values)
+                table.add_row(scenario, case, *texts)
+        console.print(table)
+
+
+def _print_recorded(rows: list[dict[str, Any]]) -> None:
+    """Print the RMSE after 10 s over that of raw persistence, for each folder of runs."""
+    blocks: dict[tuple[str, str, str], dict[str, dict[str, dict[str, Any]]]] = {}
+    for row in rows:
+        block = blocks.setdefault((row["folder"], row["fault"], row["plan"]), {})
+        block.setdefault(row["predictor"], {})[row["channel"]] = row
+    for (folder, fault, plan), block in blocks.items():
+        most = max(row["runs"] for channels in block.values() for row in channels.values())
+        loss = "" if fault == "none" else f", loss {fault}"
+        table = Table(
+            title=f"{folder}, {most} run{'s' * (most > 1)}{loss}, plan {plan}: RMSE after 10 s "
+            "over that of raw persistence",
+            box=SIMPLE_HEAD,
+            padding=(0, 1, 0, 0),
+        )
+        table.add_column("predictor", no_wrap=True)
+        for name in ("displace-\nment", "geom.\nmean", "%", "heading", "geom.\nmean", "%"):
+            table.add_column(name, justify="right", no_wrap=True)
+        for predictor, channels in block.items():
+            texts: list[str] = []
+            for channel in ("displacement", "psi"):
+                row = channels[channel]
+                texts += [_short(row["ratio"], 3), _short(row["geometric"], 3), _change(row)]
+            table.add_row(predictor, *texts)
+        console.print(table)
+    against = next((row["against"] for row in rows if "against" in row), None)
+    if against is not None:
+        console.print(
+            f"%: change of the mean ratio against {against} on the same runs, with its 95 % "
+            "bootstrap interval over runs",
+            style="dim",
+            soft_wrap=True,
+        )
+
+
+def _change(row: dict[str, Any]) -> str:
+    """Return a change against the reference with its interval, in %."""
+    if "change_percent" not in row:
+        return "-"
+    text = f"{row['change_percent']:+.0f}"
+    if row["change_low"] is not None:
+        text += f"\n{row['change_low']:+.0f}..{row['change_high']:+.0f}"
+    return text
+
+
+def _print_blocks(
+    cells: dict[tuple[str, str, str], dict[str, dict[str, dict[str, Any]]]], left_out: list[str]
+) -> None:
     heads = {
         "mae": "MAE",
         "mae_median": "med.",
         "mse": "MSE",
+        "crps": "CRPS",
         "normalised": "norm.",
         "skill": "skill",
         "J": "J",
@@ -970,10 +1182,12 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         "start_error": "start",
         "coverage90": "band",
     }
-    shown = {item["metric"] for item in results["summary"]}
+    shown = {metric for block in cells.values() for metrics in block.values() for metric in metrics}
     heads = {metric: head for metric, head in heads.items() if metric in shown}
-    for (scenario, fault, plan), block in cells.items():
-        loss = "no loss" if fault == "none" else f"loss {fault}"
+    for (scenario, case, plan), block in cells.items():
+        loss = "no loss" if case == "none" else f"loss {case}"
+        if case in bench.FULL_CASES:
+            loss = f"case {case}"
         table = Table(title=f"{scenario}, {loss}, plan {plan}", box=SIMPLE_HEAD, padding=0)
         table.add_column("predictor", no_wrap=True)
         for head in heads.values():
@@ -986,21 +1200,6 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         for predictor in left_out:
             table.add_row(predictor, "left out", *("-" for _ in range(len(heads) - 1)))
         console.print(table)
-    _print_paired(results.get("paired", []))
-    for note in results["notes"]:
-        _note(note)
-    console.print(
-        "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
-        "2, 5 and 10 s, units mixed. norm. (error over the true change) and skill (1 - error / "
-        "error of raw persistence) are means over channels and horizons. start (m): distance of "
-        "the believed from the true position when a prediction is made. band: share of errors "
-        "inside the 90 % bands. J: MAE over that of the oracle on the same run, mean of u, v, r, "
-        "heading and displacement over every half second up to 10 s; E is J - 1. Below the MAE: "
-        "its 95 % interval over seeds; med.: its median. results.json and the report have the "
-        "other intervals and medians, and the coverage by channel and horizon.",
-        style="dim",
-        soft_wrap=True,
-    )
 
 
 def _print_paired(rows: list[dict[str, Any]]) -> None:
@@ -1012,13 +1211,13 @@ def _print_paired(rows: list[dict[str, Any]]) -> None:
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
-    for head in ("run", "fault", "plan", "predictor"):
+    for head in ("run", "case", "plan", "predictor"):
         table.add_column(head, no_wrap=head != "run")
     for head in ("change", "interval", "better"):
         table.add_column(head, justify="right", no_wrap=True)
     for row in rows:
         between = "-" if row["low"] is None else f"{row['low']:+.1f}..{row['high']:+.1f}"
-        names = (row[key] for key in ("scenario", "fault", "plan", "predictor"))
+        names = (row[key] for key in ("scenario", "case", "plan", "predictor"))
         wins = f"{row['wins']} of {row['seeds']}"
         table.add_row(*names, f"{row['change_percent']:+.1f}", between, wins)
     console.print(table)
@@ -1054,6 +1253,25 @@ def _write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> N
     _write_text(path, json.dumps(content, indent=1) + "\n")
 
 
+def _write_results(path: Path, results: dict[str, Any]) -> None:
+    """Write results as JSON with a line for each row of each table."""
+    lines = []
+    for key, value in results.items():
+        text = json.dumps(value, indent=1) if isinstance(value, dict) else json.dumps(value)
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            text = "[\n  " + ",\n  ".join(json.dumps(row) for row in value) + "\n ]"
+        lines.append(f" {json.dumps(key)}: {text}")
+    _write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write rows as a packed CSV; equal rows give equal bytes."""
+    import polars as pl
+
+    text = pl.DataFrame(rows).write_csv()
+    path.write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
 def _write_text(path: Path, text: str) -> None:
     """Write a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -1063,6 +1281,23 @@ def _write_text(path: Path, text: str) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _present(logs: list[Path]) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Return the files that are there, and why others are not; one must be there if any is given.
+
+    What is not there is told of at the end: the others are still scored.
+    """
+    there: list[str] = []
+    missing: dict[str, str] = {}
+    for given in logs:
+        try:
+            there += _matching(given)
+        except LogError as error:  # noqa: PERF203
+            missing[str(given)] = str(error)
+    if missing and not there:
+        raise LogError("; ".join(missing.values()))
+    return tuple(dict.fromkeys(there)), missing
 
 
 def _matching(given: Path) -> list[str]:

@@ -208,6 +208,8 @@ class DSWPredictor(ModelPredictor):
         Nothing is drawn at random here.
     """
 
+    tuning = "about 65 configurations in the study"
+
     def __init__(
         self,
         particulars: Particulars,

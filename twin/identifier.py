@@ -42,6 +42,7 @@ from twin.navigation import (
 )
 from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction, Predictor
+from twin.state import copied, pack
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
 from usv_kernel import kernel, wrap
@@ -551,6 +552,10 @@ class ModelPredictor(Predictor):
         self.parameter_blocks = settings.structure.blocks
         self.t = 0.0
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let copies (``copy.deepcopy``, ``pickle``) share memory as the compiled filters need."""
+        return copied, (type(self), pack({"it": self}))
+
     @property
     @abstractmethod
     def ready(self) -> bool:
@@ -618,6 +623,8 @@ class UKFPredictor(ModelPredictor):
     seed : int
         Nothing is drawn at random here.
     """
+
+    tuning = "about 60 configurations in the study"
 
     def __init__(
         self,

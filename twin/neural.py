@@ -137,6 +137,7 @@ class LSTMPredictor(HistoryPredictor):
         Torch is not installed.
     """
 
+    tuning = "16 configurations in the study"
     trains = True
 
     warm = 12

@@ -161,6 +161,7 @@ class Oracle(HistoryPredictor):
         Nothing is drawn at random here.
     """
 
+    tuning = "none: it knows the boat"
     world = True
 
     def __init__(
@@ -189,6 +190,7 @@ class Oracle(HistoryPredictor):
         self._beside = np.zeros(_SIZE)
         self._last = np.zeros(10 + _SIZE)
         self._begun = False
+        self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
     def beside(self, dt: float) -> Array:
         """Return the time and the state of the ship that sails along, shape (17,)."""
@@ -210,8 +212,22 @@ class Oracle(HistoryPredictor):
         return self._paths(self._beside[None], plan[None], dt)[0]
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
-        """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
-        return self._paths(rows[origins, 10:], plans, GRID)
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`.
+
+        Those from the moments of the last call are taken from there: the ship does not change.
+        """
+        asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
+        told, paths = self._told
+        out = np.empty((*plans.shape[:2], len(TRUE_STATE)))
+        new = np.ones(len(asked), dtype=np.bool_)
+        if told.shape[1] == asked.shape[1]:
+            place = np.minimum(np.searchsorted(told[:, _TIME], asked[:, _TIME]), len(told) - 1)
+            new = (told[place] != asked).any(axis=1)
+            out[~new] = paths[place[~new]]
+        if new.any():
+            out[new] = self._paths(rows[origins[new], 10:], plans[new], GRID)
+        self._told = asked, out
+        return out
 
     def _paths(self, starts: Array, plans: Array, dt: float) -> Array:
         out = np.empty((*plans.shape[:2], fr.STATE_SIZE))

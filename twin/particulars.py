@@ -190,14 +190,19 @@ class Particulars:
             )
 
     @classmethod
-    def load(cls, path: str | Path) -> Particulars:
+    def load(cls, path: str | Path, log: str | Path | None = None) -> Particulars:
         """Read particulars from a TOML file.
 
         Parameters
         ----------
         path : str or Path
             File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys
-            are the fields of :class:`Particulars` and :class:`Instruments`, in SI units.
+            are the fields of :class:`Particulars` and :class:`Instruments`, in SI units. A
+            file of several boats has ``[[ship]]`` for each, with the patterns of its logs
+            (``logs = ["my_folder/*"]``, matched from the end of a path) and the tables
+            ``[ship.particulars]`` and ``[ship.instruments]``.
+        log : str or Path, optional
+            Log whose boat is wanted, in a file of several.
 
         Returns
         -------
@@ -215,13 +220,15 @@ class Particulars:
             raise ParticularsError(f"{path}: cannot be read ({error.strerror})") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ParticularsError(f"{path}: is not valid TOML: {error}") from None
-        unknown = set(table) - {"particulars", "instruments"}
-        if unknown or "particulars" not in table:
-            raise ParticularsError(
-                f"{path}: expected the tables [particulars] and, if wished, [instruments]; "
-                f"found {', '.join(sorted(table)) or 'none'}"
-            )
         try:
+            if "ship" in table:
+                table = _ship_of(table, log)
+            unknown = set(table) - {"particulars", "instruments"}
+            if unknown or "particulars" not in table:
+                raise ParticularsError(
+                    "expected the tables [particulars] and, if wished, [instruments]; "
+                    f"found {', '.join(sorted(table)) or 'none'}"
+                )
             instruments = Instruments(**_known(Instruments, table.get("instruments", {})))
             return cls(**_known(cls, table["particulars"]), instruments=instruments)
         except ParticularsError as error:
@@ -243,6 +250,30 @@ class Particulars:
             text = repr(list(value) if isinstance(value, tuple) else float(value))
             lines.append(f"{item.name} = {text}")
         return "\n".join(lines) + "\n"
+
+
+def _ship_of(table: dict[str, Any], log: str | Path | None) -> dict[str, Any]:
+    """Return the tables of the first ship whose patterns a log matches."""
+    ships = table["ship"]
+    told = isinstance(ships, list) and all(
+        isinstance(ship, dict)
+        and isinstance(ship.get("logs"), list)
+        and all(isinstance(pattern, str) for pattern in ship["logs"])
+        for ship in ships
+    )
+    if len(table) > 1 or not told:
+        raise ParticularsError(
+            'expected only [[ship]], each with logs = ["pattern"], [ship.particulars] and, if '
+            "wished, [ship.instruments]"
+        )
+    if log is None:
+        raise ParticularsError("is of several ships, and no log says which; give a file of one")
+    where = Path(log).absolute()
+    for ship in ships:
+        if any(where.match(pattern) for pattern in ship["logs"]):
+            return {key: value for key, value in ship.items() if key != "logs"}
+    known = ", ".join(pattern for ship in ships for pattern in ship["logs"])
+    raise ParticularsError(f"no ship has the log {log}; logs are: {known}")
 
 
 def _known(kind: type, table: Any) -> dict[str, Any]:

@@ -212,6 +212,8 @@ class PlusPredictor(UKFPredictor):
         Of the draws.
     """
 
+    tuning = "about 95 configurations on 4 to 12 tuning seeds, 20 of the navigation"
+
     def __init__(
         self,
         particulars: Particulars,

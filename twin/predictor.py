@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,6 +169,14 @@ class Predictor(ABC):
     """... and first and last + 1 of those in the equation of each motion."""
     world = False
     """Whether the class takes ``vessel``, ``sea`` and ``dof``: the true ones, for a floor."""
+    tuning: ClassVar[str] = "not stated"
+    """What was searched for its settings, in one line: the benchmark prints it."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Leave the tuning of a subclass unstated: it is not that of its base."""
+        super().__init_subclass__(**options)
+        if "tuning" not in vars(cls):
+            cls.tuning = "not stated"
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
@@ -418,6 +426,7 @@ class Persistence(HistoryPredictor):
     """
 
     average = 0.0
+    tuning = "none: it has no settings"
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
@@ -432,3 +441,4 @@ class SmoothedPersistence(Persistence):
     """The mean of the last 8 s of body velocities and yaw rate, held and integrated."""
 
     average = 8.0
+    tuning = "none: 8 s are the study's"

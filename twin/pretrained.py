@@ -341,6 +341,7 @@ class FleetLSTM(FleetPredictor):
     with known commands. The settings of the training that ships are in its file.
     """
 
+    tuning = "6 short trainings on 6 tuning seeds"
     kind = "lstm"
     file = HERE / "fleet-lstm.npz"
 
@@ -352,5 +353,6 @@ class FleetTransformer(FleetPredictor):
     LSTM's were; what the LSTM's showed of inputs and batches was taken over.
     """
 
+    tuning = "3 short trainings on 6 tuning seeds, after the LSTM's 6"
     kind = "transformer"
     file = HERE / "fleet-transformer.npz"

@@ -1,14 +1,37 @@
-"""The predictors by name: the one place to add one."""
+"""The predictors by name: the one place to add one.
+
+A predictor of somebody else joins by an entry point of its package in the group
+:data:`GROUP`, for example in ``pyproject.toml``::
+
+    [project.entry-points."usv_twin.predictors"]
+    mine = "my_package.predict:Mine"
+
+or is named as ``module:Class``, without being registered at all.
+"""
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 from twin.particulars import Particulars
 from twin.predictor import Predictor
 
-__all__ = ["DEFAULT", "EXTRAS", "PREDICTORS", "PredictorError", "make_predictor", "predictor_class"]
+__all__ = [
+    "DEFAULT",
+    "EXTRAS",
+    "GROUP",
+    "PREDICTORS",
+    "PredictorError",
+    "make_predictor",
+    "predictor_class",
+]
+
+GROUP = "usv_twin.predictors"
+"""Group of the entry points by which other packages bring predictors."""
 
 PREDICTORS: dict[str, str | type[Predictor]] = {
     "persistence": "twin.predictor:Persistence",
@@ -24,6 +47,9 @@ PREDICTORS: dict[str, str | type[Predictor]] = {
 }
 """Name to class, or to ``module:Class``, which is imported when it is first asked for."""
 
+for _entry in entry_points(group=GROUP):  # those of this package keep their names
+    PREDICTORS.setdefault(_entry.name, _entry.value)
+
 EXTRAS = {"lstm": ("torch", "lstm")}
 """Predictors that need more than the base: the module, and the extra that installs it."""
 
@@ -36,19 +62,46 @@ class PredictorError(ValueError):
 
 
 def predictor_class(name: str) -> type[Predictor]:
-    """Return the class of a predictor; errors as for :func:`make_predictor`."""
-    try:
-        entry = PREDICTORS[name]
-    except (KeyError, TypeError):
-        raise PredictorError(
-            f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}"
-        ) from None
+    """Return the class of a predictor; errors as for :func:`make_predictor`.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`PREDICTORS`, or ``module:Class``; the module may lie in the working
+        directory.
+    """
+    entry: Any = name
+    if not (isinstance(name, str) and ":" in name):
+        try:
+            entry = PREDICTORS[name]
+        except (KeyError, TypeError):
+            raise PredictorError(
+                f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}; one of your "
+                "own is named module:Class"
+            ) from None
     if isinstance(entry, str):
-        module, _, attribute = entry.partition(":")
-        entry = getattr(import_module(module), attribute)
+        entry = _imported(name, entry)
     if not (isinstance(entry, type) and issubclass(entry, Predictor)):
         raise PredictorError(f"predictor {name!r}: {entry!r} is not a subclass of Predictor")
     return entry
+
+
+def _imported(name: str, entry: str) -> Any:
+    """Return what ``module:Class`` stands for."""
+    module, _, attribute = entry.partition(":")
+    here = str(Path.cwd())
+    if name == entry and here not in sys.path:
+        sys.path.append(here)  # as for python -m, and in the workers of any backend too
+    try:
+        return getattr(import_module(module), attribute)
+    except Exception as error:  # whatever the code of somebody else does when it is imported
+        if name in EXTRAS and isinstance(error, ImportError):
+            raise  # names the command that installs it
+        raise PredictorError(
+            f"predictor {name!r}: {module!r} cannot be imported with a class {attribute!r} "
+            f"({type(error).__name__}: {error}); name it as module:Class, installed or in the "
+            "working directory"
+        ) from error
 
 
 def make_predictor(
@@ -59,7 +112,7 @@ def make_predictor(
     Parameters
     ----------
     name : str
-        One of :data:`PREDICTORS`.
+        One of :data:`PREDICTORS`, or ``module:Class``.
     particulars : Particulars
         The boat.
     seed : int

@@ -75,10 +75,13 @@ METRICS = {
         "each the mean of every half second up to 10 s",
     ),
     "E": ("E", "J - 1, the excess over the oracle"),
+    "crps": ("CRPS", "score of the whole distribution, pooled as the MAE; of a sure one, its MAE"),
     "start_error": (
         "start error (m)",
         "distance of the believed from the reference position when the prediction was made",
     ),
+    "displacement_10s": ("displacement (m)", "MAE of the displacement after 10 s"),
+    "psi_10s": ("heading (rad)", "MAE of the heading after 10 s"),
     "coverage90": ("90 % coverage", "share of errors inside the 90 % bands; 0.9 is ideal"),
 }
 """Heading and meaning of each metric, in the order of the table's columns."""
@@ -167,7 +170,8 @@ def write_report(out: Path, results: dict[str, Any], runs: list[RunFigure]) -> l
         names.update(dict.fromkeys(run.predictors))
     looks = _looks(names)
 
-    body = [*_introduction(results, runs), *_tables(results, pictures, looks)]
+    body = [*_introduction(results, runs), *_trends(results, pictures, looks)]
+    body += [*_recorded_tables(results), *_tables(results, pictures, looks)]
     for index, run in enumerate(runs):
         body += _run_section(run, index, results, pictures, looks)
     page = _PAGE.format(title="Benchmark of the twin's predictions", body="\n".join(body))
@@ -633,7 +637,7 @@ def _track_figure(run: RunFigure, looks: Mapping[str, tuple[str, Any]]) -> Figur
         close = _box(*_with_room(north[rows], east[rows], _examples(run, origin)), 1.0, 0.1)
         _draw_track(
             ax,
-            _between(seen, origin - 5.0, origin + 10.0),
+            _between_times(seen, origin - 5.0, origin + 10.0),
             _fixes(log.slice(origin - 5.0, origin + 10.0)),
             log,
             run.lost,
@@ -660,7 +664,7 @@ def _with_room(
     return out[0], out[1]
 
 
-def _between(seen: _Reference, t0: float, t1: float) -> _Reference:
+def _between_times(seen: _Reference, t0: float, t1: float) -> _Reference:
     parts = [seen.within(j, t0, t1) for j in range(6)]
     return _Reference(seen.known, [t for t, _ in parts], [v for _, v in parts])
 
@@ -1123,7 +1127,9 @@ class _Pictures:
 def _introduction(results: Mapping[str, Any], runs: Sequence[RunFigure]) -> list[str]:
     """Return title, command, what was measured, and the contents."""
     rows = results.get("rows") or []
-    horizons = sorted({_number(row, "horizon_s") for row in rows} - {math.nan})
+    horizons = sorted(
+        {_number(row, "horizon_s") for row in rows or results.get("channels") or []} - {math.nan}
+    )
     horizons = [h for h in horizons if math.isfinite(h)]
     far = f"{horizons[-1]:g}" if horizons else "10"
     steps = ", ".join(f"{h:g}" for h in horizons[:-1])
@@ -1131,7 +1137,8 @@ def _introduction(results: Mapping[str, Any], runs: Sequence[RunFigure]) -> list
     settings = results.get("settings") or {}
     begin = _number(settings, "identify_s")
     after = f" ({begin:g} s in simulated runs)" if math.isfinite(begin) else ""
-    faults = sorted({_text(row, "fault") for row in rows} | {run.fault for run in runs})
+    told = [*rows, *(results.get("summary") or [])]
+    faults = sorted({_text(row, "fault") for row in told} | {run.fault for run in runs})
     lost = ", ".join(fault for fault in faults if fault not in ("", "none"))
     body = [
         "<h1>Benchmark of the twin's predictions</h1>",
@@ -1165,6 +1172,18 @@ def _introduction(results: Mapping[str, Any], runs: Sequence[RunFigure]) -> list
             f"{_escape(results.get('version', ''))}</summary>"
             f'<div class="scroll"><table class="plain">{items}</table></div></details>'
         )
+    tuned = {
+        name: told["tuning"]
+        for name, told in (results.get("predictors") or {}).items()
+        if isinstance(told, Mapping) and "tuning" in told
+    }
+    if tuned:
+        lines = [
+            f"<tr><th>{_escape(name)}</th><td>{_escape(text)}</td></tr>"
+            for name, text in tuned.items()
+        ]
+        body.append("<h2>How much each predictor was tuned</h2>")
+        body.append(_html_table("<th>predictor</th><th>searched</th>", lines))
     links = [
         f'<li><a href="#result-{k}">Results: {_escape(_case(*case))}</a></li>'
         for k, case in enumerate(_cases(results))
@@ -1181,13 +1200,22 @@ def _introduction(results: Mapping[str, Any], runs: Sequence[RunFigure]) -> list
 
 
 def _cases(results: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return scenario and fault of all results, in order."""
+    """Return scenario and case of all results, in order."""
     rows = [*(results.get("summary") or []), *(results.get("rows") or [])]
-    return list(dict.fromkeys((_text(row, "scenario"), _text(row, "fault")) for row in rows))
+    return list(dict.fromkeys((_text(row, "scenario"), _case_of(row)) for row in rows))
 
 
-def _case(scenario: str, fault: str) -> str:
-    return f"{scenario}, fault {fault}"
+def _case_of(row: Mapping[str, Any]) -> str:
+    """Return the name of a row's case: its fault, where there is no other name."""
+    return _text(row, "case") or _text(row, "fault")
+
+
+def _case(scenario: str, case: str) -> str:
+    return f"{scenario}, {case}" if case != "none" else f"{scenario}, no fault"
+
+
+FOLDED = 8
+"""Of more cases than these, each is folded away."""
 
 
 def _tables(
@@ -1197,23 +1225,33 @@ def _tables(
     cases = _cases(results)
     body = ["<h2>Results</h2>"] if cases else []
     shown: set[str] = set()
-    for index, (scenario, fault) in enumerate(cases):
-        body.append(f'<h3 id="result-{index}">{_escape(_case(scenario, fault))}</h3>')
+    for index, (scenario, case) in enumerate(cases):
 
-        def here(part: str, scenario: str = scenario, fault: str = fault) -> list[dict[str, Any]]:
+        def here(part: str, scenario: str = scenario, case: str = case) -> list[dict[str, Any]]:
             return [
                 row
                 for row in results.get(part) or []
-                if (_text(row, "scenario"), _text(row, "fault")) == (scenario, fault)
+                if (_text(row, "scenario"), _case_of(row)) == (scenario, case)
             ]
 
         summary, rows = here("summary"), here("rows")
+        title = _escape(_case(scenario, case))
+        fold = len(cases) > FOLDED
+        body.append(
+            f'<details id="result-{index}" class="case"><summary>{title}</summary>'
+            if fold
+            else f'<h3 id="result-{index}">{title}</h3>'
+        )
         if summary:
             body.append(_table(summary))
             shown.update(_text(row, "metric") for row in summary)
-        body += _paired_table(here("paired")) + _coverage_table(here("coverage"))
+        body += _paired_table(here("paired")) + _channel_tables(here("channels"))
         seeds = len({_number(row, "seed") for row in rows})
-        fig = _error_figure(f"Error against horizon: {_case(scenario, fault)}", rows, looks)
+        fig = (
+            None
+            if fold
+            else _error_figure(f"Error against horizon: {_case(scenario, case)}", rows, looks)
+        )
         if fig is not None:
             text = (
                 "Mean absolute error of position and heading against the horizon, mean of "
@@ -1222,9 +1260,11 @@ def _tables(
             )
             body.append(
                 '<div class="pictures">'
-                + pictures.add(fig, f"{scenario}_{fault}_error", text)
+                + pictures.add(fig, f"{scenario}_{case}_error", text)
                 + "</div>"
             )
+        if fold:
+            body.append("</details>")
     meanings = [
         f"<b>{_escape(name)}</b>: {_escape(text)}"
         for key, (name, text) in METRICS.items()
@@ -1298,27 +1338,174 @@ def _paired_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [note, _html_table(head, lines)]
 
 
-def _coverage_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the coverage of the 90 % bands by channel and horizon; folded away."""
+def _channel_tables(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return errors, CRPS and coverage by channel and horizon; folded away."""
     if not rows:
         return []
-    channels = list(dict.fromkeys(_text(row, "channel") for row in rows))
-    cells: dict[tuple[str, str], dict[str, list[str]]] = {}
-    for row in rows:
-        cell = cells.setdefault((_text(row, "predictor"), _text(row, "plan")), {})
-        share = _number(row, "coverage90")
-        cell.setdefault(_text(row, "channel"), []).append(f"{100.0 * share:.0f}")
-    head = "<th>predictor</th><th>plan</th>" + "".join(f"<th>{_escape(c)}</th>" for c in channels)
-    lines = []
-    for (predictor, plan), cell in cells.items():
-        values = "".join(f"<td>{'/'.join(cell.get(c, ['-']))}</td>" for c in channels)
-        lines.append(f"<tr><th>{_escape(predictor)}</th><td>{_escape(plan)}</td>{values}</tr>")
     horizons = "/".join(f"{h:g}" for h in dict.fromkeys(_number(row, "horizon_s") for row in rows))
-    return [
-        f"<details><summary>Coverage of the 90 % bands, % at {horizons} s</summary>"
-        + _html_table(head, lines)
-        + "</details>"
+    body = []
+    for metric, title, factor in (
+        ("coverage90", "Coverage of the 90 % bands, %", 100.0),
+        ("mae", "MAE by channel, SI units and rad,", 1.0),
+        ("crps", "CRPS by channel, SI units and rad,", 1.0),
+    ):
+        told = [row for row in rows if math.isfinite(_number(row, metric))]
+        channels = list(dict.fromkeys(_text(row, "channel") for row in told))
+        cells: dict[tuple[str, str], dict[str, list[str]]] = {}
+        for row in told:
+            cell = cells.setdefault((_text(row, "predictor"), _text(row, "plan")), {})
+            value = factor * _number(row, metric)
+            text = f"{value:.0f}" if factor > 1.0 else _value(value)
+            cell.setdefault(_text(row, "channel"), []).append(text)
+        lines = []
+        for (predictor, plan), cell in cells.items():
+            values = "".join(f"<td>{'/'.join(cell.get(c, ['-']))}</td>" for c in channels)
+            lines.append(f"<tr><th>{_escape(predictor)}</th><td>{_escape(plan)}</td>{values}</tr>")
+        head = "".join(f"<th>{_escape(c)}</th>" for c in ("predictor", "plan", *channels))
+        body.append(
+            f"<details><summary>{title} at {horizons} s</summary>"
+            + _html_table(head, lines)
+            + "</details>"
+        )
+    return body
+
+
+TRENDS: dict[str, tuple[str, str, tuple[tuple[str, str, float], ...]]] = {
+    "gps_loss_s": (
+        "Error against the length of a GPS loss",
+        "length of the loss (s)",
+        (
+            ("displacement_10s", "displacement after 10 s (m)", 1.0),
+            ("start_error", "believed position (m)", 1.0),
+        ),
+    ),
+    "sea_state": (
+        "Error against the sea state",
+        "sea state",
+        (
+            ("displacement_10s", "displacement after 10 s (m)", 1.0),
+            ("psi_10s", "heading after 10 s (deg)", 180.0 / math.pi),
+        ),
+    ),
+}
+"""Title, horizontal axis and panels (metric, title, factor) of each trend."""
+
+
+def _trends(
+    results: Mapping[str, Any], pictures: _Pictures, looks: Mapping[str, tuple[str, Any]]
+) -> list[str]:
+    """Return the pictures of the error against what changes from case to case."""
+    rows = results.get("trends") or []
+    plan = _text(rows[0], "plan") if rows else ""
+    body = []
+    for axis in TRENDS:
+        here = [r for r in rows if _text(r, "axis") == axis and _text(r, "plan") == plan]
+        if here:
+            text = (
+                f"{TRENDS[axis][0]}, future commands {plan}: mean over scenarios and boats, with "
+                "95 % bootstrap intervals over boats. The vertical axis is logarithmic."
+            )
+            body.append(pictures.add(_trend_figure(axis, here, looks), f"trend_{axis}", text))
+    return ["<h2>At a glance</h2>", '<div class="pictures">', *body, "</div>"] if body else []
+
+
+def _trend_figure(
+    axis: str, rows: Sequence[Mapping[str, Any]], looks: Mapping[str, tuple[str, Any]]
+) -> Figure:
+    """Draw the panels of one trend, a line with intervals for each predictor."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    title, label, panels = TRENDS[axis]
+    names = list(dict.fromkeys(_text(row, "predictor") for row in rows))
+    at = sorted({_number(row, "at") for row in rows})
+    columns = 4
+    header, high = _header_height(len(names), columns), 2.6
+    fig = _figure(WIDTH, header + high + 0.5)
+    labels = [(_line(looks[name][0], looks[name][1]), name) for name in names]
+    _header(fig, title, labels, columns)
+    wide = (WIDTH - 0.15 - 0.62 * len(panels)) / len(panels)
+    step = 0.012 * (at[-1] - at[0])
+    for place, (metric, name, factor) in enumerate(panels):
+        ax = _axes(fig, 0.62 + place * (wide + 0.62), 0.5, wide, high)
+        _title(ax, name)
+        seen = []
+        for k, predictor in enumerate(names):
+            line = sorted(
+                (_number(row, "at"), *(factor * _number(row, v) for v in ("value", "low", "high")))
+                for row in rows
+                if (_text(row, "predictor"), _text(row, "metric")) == (predictor, metric)
+            )
+            x, y, low, up = np.array(line).T
+            # side by side, so that intervals can be told apart
+            x = x + step * (k - 0.5 * (len(names) - 1))
+            colour, style = looks[predictor]
+            ax.plot(x, y, color=colour, ls=style, lw=1.6, marker="o", ms=3.5, zorder=3)
+            ax.vlines(x, low, up, color=colour, lw=1.2, zorder=2)
+            seen += [y, low, up]
+        values = np.concatenate(seen)
+        values = values[np.isfinite(values) & (values > 0.0)]
+        ax.set_yscale("log")
+        ax.set_ylim(0.9 * values.min(), 1.1 * values.max())
+        near = values.max() < 8.0 * values.min()
+        parts = (1, 1.5, 2, 3, 5, 7) if near else (1, 2, 5)
+        ticks = [m * 10.0**p for p in range(-4, 5) for m in parts]
+        ax.yaxis.set_major_locator(FixedLocator(ticks))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.set_xticks(at, [f"{v:g}" for v in at])
+        _xlabel(ax, label)
+    return fig
+
+
+def _recorded_tables(results: Mapping[str, Any]) -> list[str]:
+    """Return the table of RMSE over that of raw persistence, for each folder of recorded runs."""
+    blocks: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for row in results.get("recorded") or []:
+        key = tuple(_text(row, name) for name in ("folder", "fault", "plan"))
+        blocks.setdefault(key, []).append(row)
+    if not blocks:
+        return []
+    body = [
+        "<h2>Recorded runs</h2>",
+        '<p class="note">Root mean square error after 10 s over that of raw persistence on the '
+        "same run: mean over runs with its 95 % interval, and geometric mean; then the change of "
+        "the mean ratio against a reference on the same runs.</p>",
     ]
+    told = (row["against"] for rows in blocks.values() for row in rows if "against" in row)
+    against = _escape(next(told, "-"))
+    head = "<th>predictor</th>" + "".join(
+        f"<th>{channel}</th><th>geometric</th><th>against {against}</th>"
+        for channel in ("displacement", "heading")
+    )
+    for (folder, fault, plan), rows in blocks.items():
+        lines = []
+        for predictor in dict.fromkeys(_text(row, "predictor") for row in rows):
+            line = f"<th>{_escape(predictor)}</th>"
+            for channel in ("displacement", "psi"):
+                row = next(
+                    r for r in rows if (r["predictor"], r["channel"]) == (predictor, channel)
+                )
+                line += (
+                    f"<td>{_value(_number(row, 'ratio'))}{_between(row, 'low', 'high')}</td>"
+                    f"<td>{_value(_number(row, 'geometric'))}</td>"
+                )
+                change = _number(row, "change_percent")
+                line += (
+                    "<td>-</td>"
+                    if math.isnan(change)
+                    else f"<td>{change:+.0f} %{_between(row, 'change_low', 'change_high')}</td>"
+                )
+            lines.append(f"<tr>{line}</tr>")
+        most = max(int(_number(row, "runs")) for row in rows)
+        body.append(f"<h3>{_escape(folder)}, {most} runs, fault {fault}, plan {plan}</h3>")
+        body.append(_html_table(head, lines))
+    return body
+
+
+def _between(row: Mapping[str, Any], low: str, high: str) -> str:
+    """Return an interval for a cell; nothing where there is none."""
+    a, b = _number(row, low), _number(row, high)
+    return "" if math.isnan(a) else f"<br><small>[{_value(a)}, {_value(b)}]</small>"
 
 
 def _best(
@@ -1422,7 +1609,8 @@ def _value(value: float) -> str:
 
 def _setting(value: Any) -> str:
     if isinstance(value, (list, tuple)):
-        return ", ".join(map(str, value)) or "none"
+        names = (item["name"] if isinstance(item, Mapping) else str(item) for item in value)
+        return ", ".join(names) or "none"
     return "none" if value is None else str(value)
 
 
@@ -1446,6 +1634,8 @@ p, nav, details {{ max-width: 75ch; }}
 pre {{ background: #f3f3f3; padding: 8px 12px; white-space: pre-wrap; border-radius: 4px; }}
 nav ul {{ padding-left: 1.2em; }}
 nav li {{ padding: 2px 0; }}
+details.case {{ max-width: none; margin: .4em 0; }}
+details.case > summary {{ cursor: pointer; padding: 4px 0; }}
 .note, figcaption {{ color: #444; font-size: .88rem; }}
 .scroll {{ overflow-x: auto; max-width: 100%; }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; overflow-wrap: normal; }}

@@ -48,6 +48,8 @@ class VARPredictor(ActuatedPredictor):
         Nothing is drawn at random here.
     """
 
+    tuning = "39 configurations on 12 tuning seeds"
+
     order = 4
     """Steps looked back on."""
     ridge = 3e-3

@@ -241,7 +241,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         from (degrees).
     suite : SensorSuite or str, optional
         Errors and rates of the sensors, or one of :data:`usv_gym.sensors.GRADES`
-        (``"typical"``, ``"best"``, ``"perfect"``).
+        (``"typical"``, ``"best"``, ``"consumer"``, ``"perfect"``).
     faults : str or sequence of Disturbance
         ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
         without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,

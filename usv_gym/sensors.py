@@ -170,6 +170,7 @@ class SensorSuite:
         name : str
             ``typical``: the defaults, 1.1 m of position error (one standard deviation) and
             a magnetometer. ``best``: .73 m, and IMU and heading of an MTi-300 class unit.
+            ``consumer``: 2.7 m and sensors of a phone.
             ``perfect``: see :meth:`perfect`.
 
         Raises
@@ -230,6 +231,19 @@ GRADES = {
         gyro_bias=math.radians(10.0 / 3600.0),
         accel_white=60e-6 * GRAVITY * math.sqrt(20.0),
         accel_bias=15e-6 * GRAVITY,
+    ),
+    # a phone under open sky is within 4.9 m (van Diggelen and Enge 2015); the rest by judgement,
+    # two to three times the typical
+    "consumer": SensorSuite(
+        gps_white=1.0,
+        gps_bias=2.5,
+        doppler_white=0.1,
+        compass_white=math.radians(1.0),
+        compass_bias=math.radians(3.0),
+        gyro_white=math.radians(0.1),
+        gyro_bias=math.radians(0.03),
+        accel_white=0.02 * GRAVITY,
+        accel_bias=0.015 * GRAVITY,
     ),
     "typical": SensorSuite(),
     "perfect": SensorSuite.perfect(),

@@ -38,6 +38,7 @@ __all__ = [
 F = TypeVar("F", bound=Callable[..., Any])
 
 _ROOT = Path(__file__).resolve().parent.parent
+_PROGRAM = {".py", ".csv", ".npz", ".toml"}
 _PACKAGES = ("usv_kernel", "usv_gym", "twin")
 
 
@@ -52,12 +53,16 @@ def sources_digest(root: Path = _ROOT) -> str:
     Returns
     -------
     str
-        Twenty hexadecimal digits; another value after any edit of any source.
+        Twenty hexadecimal digits; another value after any edit of a source, or of the vessels,
+        priors and weights that ship with it.
     """
     digest = hashlib.sha256()
     for package in _PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in _PROGRAM:
+                digest.update(
+                    path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes()
+                )
     return digest.hexdigest()[:20]
 
 

@@ -46,7 +46,7 @@ def lines() -> list[str]:
                 for i in (paired[scenario, predictor] for scenario in SCENARIOS)
             ]
             out.append(row(f"{predictor} against ukf", cells))
-    inside = {(i["scenario"], i["channel"], i["horizon_s"]): i for i in results["coverage"]}
+    inside = {(i["scenario"], i["channel"], i["horizon_s"]): i for i in results["channels"]}
     for channel in CHANNELS:
         cells = [
             " ".join(

@@ -291,12 +291,13 @@ def test_grades_are_what_physics_md_says() -> None:
     for item in dataclasses.fields(SensorSuite):
         if item.name.endswith(("_white", "_bias")):
             assert getattr(best, item.name) <= getattr(typical, item.name)
+            assert getattr(typical, item.name) <= getattr(SensorSuite.grade("consumer"), item.name)
 
 
 def test_grades_that_do_not_exist() -> None:
-    with pytest.raises(FaultError, match="'superb'; use best, typical, perfect or a SensorSuite"):
+    with pytest.raises(FaultError, match="'superb'; use best, consumer, typical, perfect or a"):
         SensorSuite.grade("superb")
-    assert set(GRADES) == {"best", "typical", "perfect"}
+    assert set(GRADES) == {"best", "consumer", "typical", "perfect"}
 
 
 # ------------------------------------------------- six degrees of freedom

@@ -38,7 +38,10 @@ def made(folder: Path, name: str, rows: list[list[float]]) -> Path:
 
 def esso_rows(count: int = 30) -> list[list[float]]:
     return [
-        [0.1 * k, 0.03 * k, 0.01 * k, 0.02 * k, 9.0, 9.0, 0.2, 10, 0.1, 2.0, 5.5, 9.0, 9.0]
+        [
+            *(0.1 * k, 0.03 * k, 0.01 * k, 0.02 * k, 9.0, 9.0, 0.2 + 1e-4 * k, 10, 0.1),
+            *(2.0 + 1e-3 * k, 5.5 + 1e-3 * k, 9.0, 9.0),
+        ]
         for k in range(count)
     ]
 
@@ -84,7 +87,11 @@ def test_basin_rows(tmp_path: Path) -> None:
     row = [0.0, 1.0, 2.0, 3.0, 9.0, 9.0, 6.0, 9.0, 0.3, 10.2, 7.0, 8.0, 11.0, 12.0, 9.0]
     later = [value + 0.5 for value in row]
     folder = made(tmp_path / "kvlcc2_simman2008", "marin_1", [row, later])
-    made(folder, "hsva_1", [row, later])
+    lines = [
+        "t_s,x_m,y_m,psi_rad,u_mps,v_mps,r_radps,phi_rad,delta_rad,n_rps,xdot_mps,ydot_mps",
+        *(",".join(map(repr, values[:12])) for values in (row, later)),
+    ]
+    (folder / "hsva_1.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
     (folder / "propeller_open_water_raw.csv").write_text("J,KT", encoding="ascii")
     assert archive.runs(folder) == ["hsva_1", "marin_1"]
     marin, ship = archive.load(folder, "marin_1")
@@ -159,3 +166,28 @@ def test_a_twin_follows_a_recorded_ship(name: str, run: str) -> None:
     last = np.flatnonzero(np.isfinite(log.z[:, 0]) & (log.t < 60.0))[-1]
     # metres; the receivers jitter by millimetres and stand still for up to a second
     assert np.hypot(*(twin.estimate().s[:2] - log.z[last, :2])) < 0.3
+
+
+def test_a_run_is_known_by_its_header_wherever_it_lies(tmp_path: Path) -> None:
+    folder = made(tmp_path / "esso_osaka_frt", "zigzag_1", esso_rows())
+    there = tmp_path / "elsewhere.csv.gz"
+    there.write_bytes((folder / "zigzag_1.csv.gz").read_bytes())
+    assert archive.ship(there) == archive.ESSO
+    np.testing.assert_array_equal(Log.read(there).z, archive.load(folder, "zigzag_1")[0].z)
+    usual = recorded_runs()["boat1_usv_circle"]
+    assert archive.known(there) and not archive.known(usual)
+    for content in (b"", b"t_s,x_m\n", gzip.compress(b"t_s\n1\n"), b"\x1f\x8b\x08broken"):
+        there.write_bytes(content)
+        assert not archive.known(there)
+    with pytest.raises(ArchiveError, match="its header is that of no archive"):
+        archive.ship(there)
+
+
+def test_the_particulars_that_come_with_the_project_are_the_archives() -> None:
+    file = Path(__file__).resolve().parents[2] / "particulars.toml"
+    for path, boat in {
+        "data/esso_osaka_frt/turn_1.csv.gz": archive.ESSO,
+        "data/kvlcc2_simman2008/marin_zz_10.csv.gz": archive.KVLCC2["marin"],
+        "data/kvlcc2_simman2008/hsva_z_05_01.csv.gz": archive.KVLCC2["hsva"],
+    }.items():
+        assert Particulars.load(file, log=path) == boat

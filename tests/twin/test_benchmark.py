@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from twin import benchmark as bench
+from twin import protocol, scores
 from twin.log import Log, recorded_runs
-from twin.predictor import Prediction
-from twin.registry import PredictorError
+from twin.predictor import Persistence, Prediction
+from twin.registry import PREDICTORS, PredictorError
 from twin.simulated import particulars_of
 from usv_gym.manoeuvres import ManoeuvreError
 from usv_gym.sea import SeaError
@@ -49,18 +51,23 @@ def test_rows_are_complete(small):
     # scenarios x faults x seeds x predictors x plans x channels x horizons
     assert len(rows) == 1 * 2 * 2 * 3 * 2 * 6 * 4
     keys = {
-        *("scenario", "fault", "seed", "predictor", "plan", "channel", "horizon_s"),
-        *("mae", "mse", "n"),
+        *("scenario", "case", "fault", "sea", "grade", "seed", "predictor", "plan"),
+        *("channel", "horizon_s", "mae", "mse", "crps", "n"),
     }
     for row in rows:
         assert set(row) == keys
         assert row["plan"] in ("known", "hold")
         assert row["n"] == 11  # every second from 30 to 40 s
         assert 0.0 <= row["mae"] ** 2 <= row["mse"] * (1 + 1e-12)
+        assert row["crps"] > 0.0
+        assert (row["case"], row["sea"], row["grade"]) == (row["fault"], "2", "typical")
     for item in results["summary"]:
         assert set(item) == {
             "scenario",
+            "case",
             "fault",
+            "sea",
+            "grade",
             "predictor",
             "plan",
             "metric",
@@ -147,11 +154,11 @@ def test_logs_can_be_fed_back(small):
     # 5 s of loss from 35 s on, and the two rows before the first late fix
     assert lost.sum() == 100 + 2
     assert log.t[lost][2] == pytest.approx(35.0)
-    seen, reference, _, first = bench.load_run(SMALL, bench.Unit("zigzag", "gps5", 0, "ukf"))
-    assert first == 30.0
-    assert seen.truth is None
-    np.testing.assert_array_equal(reference.z, log.z)
-    np.testing.assert_array_equal(reference.truth, log.truth)
+    run = bench.load_run(SMALL, bench.Unit("zigzag", "gps5", 0, "ukf"))
+    assert run.identify == 30.0
+    assert run.seen.truth is None
+    np.testing.assert_array_equal(run.reference.z, log.z)
+    np.testing.assert_array_equal(run.reference.truth, log.truth)
 
 
 def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
@@ -276,9 +283,11 @@ def test_j_of_the_oracle_is_one_and_e_of_the_others_is_there(small):
 
 def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
     _, results = small
-    table = {tuple(row[key] for key in bench.KEY): row for row in results["runs"]}
-    row = table["zigzag", "gps5", 1, "ukf", "hold"]
-    floor = table["zigzag", "gps5", 1, "oracle", "hold"]
+    table = {
+        tuple(row[key] for key in ("fault", "seed", "predictor", "plan")): row
+        for row in results["runs"]
+    }
+    row, floor = (table["gps5", 1, name, "hold"] for name in ("ukf", "oracle"))
     assert tuple(row["curves"]) == bench.STUDY_CHANNELS
     assert all(len(curve) == 20 for curve in row["curves"].values())
     ratios = [np.mean(row["curves"][c]) / np.mean(floor["curves"][c]) for c in row["curves"]]
@@ -298,7 +307,8 @@ def test_without_the_oracle_there_is_no_j(small):
 
 def test_paired_comparison():
     """Six seeds on which one is a tenth better, and three fold worse on a seventh."""
-    base = {"scenario": "turn", "fault": "none", "plan": "known"}
+    base = {"scenario": "turn", "case": "none", "fault": "none", "plan": "known"}
+    base |= {"sea": "2", "grade": "typical"}
     rows = [
         {**base, "seed": seed, "predictor": name, "mae": mae}
         for seed in range(7)
@@ -317,7 +327,7 @@ def test_paired_comparison():
 
 def test_coverage_by_channel_and_horizon(small):
     _, results = small
-    rows = results["coverage"]
+    rows = results["channels"]
     # faults x predictors x plans x channels x horizons
     assert len(rows) == 2 * 3 * 2 * 7 * 4
     here = [r for r in rows if (r["fault"], r["predictor"], r["plan"]) == ("none", "ukf", "known")]
@@ -365,7 +375,213 @@ def test_bad_settings_die_early(change, kind, message):
 
 
 def test_missing_torch_is_said(monkeypatch):
-    monkeypatch.setattr(bench, "find_spec", lambda name: None)
+    monkeypatch.setattr(protocol, "find_spec", lambda name: None)
     names, notes = bench.available(("ukf", "lstm"))
     assert names == ("ukf",)
     assert "pip install torch" in notes[0]
+
+
+def test_crps_is_that_of_scoringrules():
+    """Widths that differ, that are equal, and none at all; agreement to rounding."""
+    rules = pytest.importorskip("scoringrules")
+    rng = np.random.default_rng(0)
+    off, (down, up) = 3.0 * rng.normal(size=500), rng.uniform(0.1, 3.0, (2, 500))
+    np.testing.assert_allclose(
+        scores.crps(off, down, up), rules.crps_2pnormal(off, down, up, 0.0), rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        scores.crps(off, up, up), rules.crps_normal(off, 0.0, up), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_crps_is_its_definition():
+    """The integral of (F - step)^2 of a two-piece normal, by sums of 1e-4 wide cells."""
+    down, up = 0.5, 2.0
+    x = np.arange(-10.0, 15.0, 1e-4) + 0.5e-4
+    density = np.exp(-0.5 * (x / np.where(x < 0.0, down, up)) ** 2)
+    below = np.cumsum(density) / density.sum()
+    for off in (-1.5, 0.0, 0.7, 4.0):
+        expected = np.sum((below - (x >= off)) ** 2) * 1e-4
+        found = float(scores.crps(np.array(off), np.array(down), np.array(up)))
+        assert found == pytest.approx(expected, abs=1e-3)  # the cells' width, times F
+    sure = scores.crps(np.array([2.0, -3.0]), np.zeros(2), np.zeros(2))
+    np.testing.assert_allclose(sure, [2.0, 3.0])
+
+
+CASES = dataclasses.replace(
+    SMALL,
+    cases=tuple(
+        bench.FULL_CASES[name] for name in ("base", "gps5", "gps10", "sea3", "sea0", "best")
+    ),
+    plans=("known",),
+    predictors=("persistence", "ukf"),
+    seeds=(0, 1, 2),
+)
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory):
+    return run_all(CASES, tmp_path_factory.mktemp("cases"))
+
+
+def test_the_full_protocol_is_what_was_agreed():
+    """twin.md section 11, and one factor at a time around the base."""
+    assert bench.FULL["scenarios"] == ("turn", "zigzag", "turn-zigzag", "random")
+    assert len(bench.FULL["seeds"]) == 24 and bench.SPREAD == 0.15
+    base = bench.FULL_CASES["base"]
+    for case in bench.FULL_CASES.values():
+        changed = sum(getattr(case, key) != getattr(base, key) for key in ("fault", "sea", "grade"))
+        assert changed == (case is not base)
+    full = bench.Settings(cases=tuple(bench.FULL_CASES.values()), **bench.FULL)
+    assert {unit.sea for unit in bench.units(full)} == {"0", "1", "2", "3", "4"}
+    origins = full.duration_s - full.identify_s - bench.HORIZONS[-1] + 1.0
+    assert origins >= 20
+    # the longest loss ends within the run
+    assert full.identify_s + full.fault_after_s + 30.0 <= full.duration_s
+
+
+def test_cases_are_named_in_the_results(cases):
+    named = {(i["case"], i["fault"], i["sea"], i["grade"]) for i in cases["summary"]}
+    assert named == {
+        *(("base", "none", "2", "typical"), ("gps5", "gps5", "2", "typical")),
+        *(("gps10", "gps10", "2", "typical"), ("sea3", "none", "3", "typical")),
+        *(("sea0", "none", "0", "typical"), ("best", "none", "2", "best")),
+    }
+    mae = {
+        (i["predictor"], i["case"]): i["value"] for i in cases["summary"] if i["metric"] == "mae"
+    }
+    assert mae["ukf", "sea0"] < mae["ukf", "base"] < mae["ukf", "sea3"]
+    value = {
+        (r["axis"], r["at"], r["metric"]): r for r in cases["trends"] if r["predictor"] == "ukf"
+    }
+    assert [at for axis, at, m in value if (axis, m) == ("gps_loss_s", "psi_10s")] == [0, 5, 10]
+    assert [at for axis, at, m in value if (axis, m) == ("sea_state", "psi_10s")] == [0, 2, 3]
+    row = value["sea_state", 3, "displacement_10s"]
+    runs = [
+        r["displacement_10s"]
+        for r in cases["runs"]
+        if (r["case"], r["predictor"]) == ("sea3", "ukf")
+    ]
+    assert row["value"] == pytest.approx(np.mean(runs)) and row["low"] < row["value"] < row["high"]
+
+
+def test_tuning_is_stated(cases):
+    told = {name: item["tuning"] for name, item in cases["predictors"].items()}
+    assert told["persistence"].startswith("none") and "60" in told["ukf"]
+
+
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+def test_clusters_change_nothing(small, tmp_path, backend):
+    pytest.importorskip(bench.BACKENDS[backend][0])
+    assert run_all(SMALL, tmp_path, 2, backend) == small[1]
+
+
+def test_backends_that_cannot_be_had(monkeypatch):
+    with pytest.raises(bench.BenchmarkError, match="no backend is called 'mpi'; known: loky"):
+        bench.check_backend("mpi")
+    monkeypatch.setitem(bench.BACKENDS, "dask", ("no_such_module", "'dask[distributed]'"))
+    with pytest.raises(bench.BenchmarkError, match=r"pip install 'dask\[distributed\]'"):
+        bench.check_backend("dask")
+
+
+def predictions(monkeypatch, folder, unit, run):
+    """Return all that a predictor said in a unit of work."""
+    said = []
+
+    def score(prediction, truth, horizons):
+        said.extend([prediction.mean, prediction.cov, prediction.low])
+        return scores.score(prediction, truth, horizons)
+
+    monkeypatch.setattr(bench, "score", score)
+    bench.run_unit(SMALL, unit, folder, pictures=True, run=run)
+    return said
+
+
+@pytest.mark.parametrize("predictor", SMALL.predictors)
+def test_no_predictor_sees_the_truth_or_what_comes_later(tmp_path, monkeypatch, predictor):
+    """Truth and all rows that no prediction may know are nonsense: the same bits."""
+    unit = bench.Unit("zigzag", "gps5", 0, predictor, "", "", "2", "typical")
+    run = bench.load_run(SMALL, unit)
+    wrong = dataclasses.replace(run.reference, truth=run.reference.truth + 1e5)
+    z = run.seen.z.copy()
+    z[run.seen.t > 40.0 + 1e-9] = 1e6  # the last origin is at 40 s
+    seen = dataclasses.replace(run.seen, z=z)
+    told = predictions(monkeypatch, tmp_path, unit, run)
+    poisoned = predictions(monkeypatch, tmp_path, unit, run._replace(reference=wrong, seen=seen))
+    assert len(told) == len(poisoned) == 2 * 11 * 3
+    for one, other in zip(told, poisoned, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+class Greedy(Persistence):
+    """Takes whatever it can reach, and leaves nonsense for whoever comes next."""
+
+    reached: ClassVar[list] = []
+
+    def update(self, t, dt, z, cmd):
+        self.reached.extend(item for item in (z.base, cmd.base) if item is not None)
+        super().update(t, dt, z, cmd)
+        z[:] = 1e6
+        cmd[:] = 1e6
+
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        plan[:] = 1e6
+        return prediction
+
+
+def test_no_predictor_reaches_another_or_the_log(small, tmp_path, monkeypatch):
+    """One that spoils all it is given runs first, on the same run: the others say the same."""
+    monkeypatch.setitem(PREDICTORS, "greedy", Greedy)
+    mixed = dataclasses.replace(SMALL, predictors=("greedy", *SMALL.predictors))
+    results = run_all(mixed, tmp_path)
+    assert not Greedy.reached
+    kept = [row for row in results["rows"] if row["predictor"] != "greedy"]
+    assert kept == small[1]["rows"]
+
+
+class Stumbles(Persistence):
+    def predict(self, plan, dt):
+        if self.t > 35.0:
+            raise ZeroDivisionError("somebody else's")
+        return super().predict(plan, dt)
+
+
+def test_what_breaks_is_reported_and_the_rest_is_scored(tmp_path, monkeypatch):
+    monkeypatch.setitem(PREDICTORS, "stumbles", Stumbles)
+    broken = tmp_path / "broken.csv"
+    broken.write_text("t_s\n1\n")
+    settings = dataclasses.replace(
+        SMALL,
+        predictors=("stumbles", "persistence"),
+        faults=("none",),
+        seeds=(0,),
+        logs=(str(broken), str(recorded_runs()["boat1_usv_circle"])),
+    )
+    found = dict(bench.runs(settings, tmp_path))
+    text = {
+        (unit.scenario, unit.predictor): str(result)
+        for unit, result in found.items()
+        if isinstance(result, Exception)
+    }
+    assert text["zigzag", "stumbles"] == "ZeroDivisionError: somebody else's"
+    assert "broken.csv" in text["broken", "persistence"]
+    scored = {unit.scenario for unit, result in found.items() if isinstance(result, dict)}
+    assert scored == {"zigzag", "boat1_usv_circle"}
+
+
+def test_recorded_ratios():
+    """Two runs: ratios .5 and .2 of displacement, against a reference at 1 and .4."""
+    rows = []
+    for run, base, own, ref in (("a", 2.0, 1.0, 2.0), ("b", 5.0, 1.0, 2.0)):
+        for name, rmse in (("persistence", base), ("ukf", own), ("var", ref)):
+            table = {c: {"mse": [0.0, rmse**2]} for c in ("displacement", "psi")}
+            unit = {"scenario": run, "fault": "none", "predictor": name, "log": f"/x/ships/{run}"}
+            rows.append({"unit": unit, "plans": {"known": {"channels": table}}})
+    found = {r["predictor"]: r for r in scores.recorded_table(rows, "var") if r["channel"] == "psi"}
+    assert found["persistence"]["ratio"] == 1.0 and found["ukf"]["folder"] == "ships"
+    assert found["ukf"]["ratio"] == pytest.approx(0.35)
+    assert found["ukf"]["geometric"] == pytest.approx(math.sqrt(0.1))
+    assert found["ukf"]["change_percent"] == pytest.approx(-50.0)
+    assert (found["ukf"]["wins"], found["ukf"]["runs"]) == (2, 2)
+    assert "against" not in found["var"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import os
 import signal
@@ -204,6 +205,11 @@ def test_broken_vessels(tmp_path, change, words):
         (["benchmark", "--seeds", "5:5"], ["--seeds"]),
         (["benchmark", "--predictors", "ukf", "--against", "lstm"], ["--against lstm", "ukf"]),
         (["benchmark", "--spread", "2"], ["spread = 2"]),
+        (["benchmark", "--cases", "base"], ["--full"]),
+        (["benchmark", "--full", "--cases", "storm"], ["storm", "gps30", "sea4"]),
+        (["benchmark", "--full", "--faults", "none"], ["--cases"]),
+        (["benchmark", "--backend", "mpi"], ["mpi", "loky", "dask"]),
+        (["benchmark", "--predictors", "no_body:Mine"], ["no_body:Mine", "working directory"]),
         (["benchmark", "--log", "none.csv"], ["none.csv", "no such file"]),
         (["benchmark", "--log", "/nowhere/*.csv"], ["/nowhere/*.csv", "no such file"]),
         (["benchmark", "--log", "."], [".: no such file", "pattern"]),
@@ -238,14 +244,36 @@ def test_benchmark_end_to_end(tmp_path):
     broken = tmp_path / "broken.csv"
     broken.write_text("t_s\n1\n")
     mixed = run(
-        *("benchmark", "--log", str(broken), str(log), "--predictors", "persistence"),
-        *("--faults", "none", "--out", "mixed"),
+        *("benchmark", "--log", str(broken), str(log), "away.csv", "--predictors", "persistence"),
+        *("--out", "mixed"),
         cwd=tmp_path,
-        check=2,
     )
-    assert "broken.csv" in mixed.stderr
-    rows = json.loads((tmp_path / "mixed" / "results.json").read_text())["rows"]
-    assert {row["scenario"] for row in rows} == {"zigzag_gps5_0"}
+    for name in ("broken.csv", "away.csv"):
+        assert name in mixed.stderr
+    results = json.loads((tmp_path / "mixed" / "results.json").read_text())
+    assert {row["scenario"] for row in results["rows"]} == {"zigzag_gps5_0"}
+    assert {row["fault"] for row in results["rows"]} == {"none"}
+    assert any("not scored" in note and "broken.csv" in note for note in results["notes"])
+    none = run("benchmark", "--log", str(broken), "--out", "none", check=2, cwd=tmp_path)
+    assert none.stderr.count("broken.csv") == 1 and "nothing could be scored" in none.stderr
+
+
+def test_the_full_protocol_can_be_thinned(tmp_path):
+    done = run(
+        *("benchmark", "--full", "--seeds", "200", "--scenarios", "turn", "--jobs", "1"),
+        *("--cases", "base,gps5,gps10", "--predictors", "persistence", "--out", "out"),
+        *("--backend", "threading"),
+        cwd=tmp_path,
+    )
+    assert "case gps5" in done.stdout
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert [case["name"] for case in results["settings"]["cases"]] == ["base", "gps5", "gps10"]
+    assert "rows" not in results and "runs" not in results
+    assert {row["plan"] for row in results["summary"]} == {"known"}
+    assert {row["at"] for row in results["trends"]} == {0, 5, 10}
+    table = gzip.decompress((tmp_path / "out" / "rows.csv.gz").read_bytes()).decode().splitlines()
+    assert len(table) == 1 + 3 * 6 * 4 and table[0].startswith("scenario,case,fault,sea,grade,seed")
+    assert (tmp_path / "out" / "pictures" / "trend_gps_loss_s.png").exists()
 
 
 def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):
@@ -264,7 +292,7 @@ def test_the_table_fits_into_80_columns(capsys, monkeypatch):
 
     monkeypatch.setattr(cli.console, "_width", 80)
     cell = {"scenario": "turn-zigzag", "fault": "gps10", "plan": "known"}
-    cell["predictor"] = "persistence-8s"
+    cell |= {"predictor": "persistence-8s", "case": "gps10"}
     worst = {"mae": 13.15, "mse": 88.45, "skill": -1.516, "J": 27.84, "E": 26.84}
     summary = [
         {**cell, "metric": metric, "value": worst.get(metric, 1.212), "low": 10.4, "high": 153.5}

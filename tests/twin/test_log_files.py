@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from twin import Twin, archive, table
+from twin import Twin, table
 from twin.cli import app
 from twin.log import COMMANDS, MEASUREMENTS, TRUTH, Log, LogError, beside
 from twin.mapping import Layout
@@ -258,19 +258,6 @@ def test_rows_of_a_piece_and_thinned_rows(tmp_path: Path) -> None:
     # the last sample in each half second
     np.testing.assert_array_equal(thin.z[:3, 0], log.z[[4, 9, 14], 0])
     np.testing.assert_array_equal(thin.cmd, log.cmd[4::5])
-
-
-@pytest.mark.parametrize("folder", ["esso_osaka_frt", "kvlcc2_simman2008", "boat1_usv"])
-def test_known_records_need_no_mapping(folder: str) -> None:
-    path = SHARED / "data" / folder
-    if not path.is_dir():
-        pytest.skip(f"{path} is not here")
-    names = archive.runs(path)
-    for name in {names[0], names[-1]}:
-        log, _ = archive.load(path, name)
-        back = Log.read(path / f"{name}.csv.gz")
-        np.testing.assert_allclose(back.z, log.z, rtol=1e-14, atol=1e-14)
-        np.testing.assert_allclose(back.cmd, log.cmd, atol=1e-13)
 
 
 def test_a_known_record_without_a_column(tmp_path: Path) -> None:

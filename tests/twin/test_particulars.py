@@ -159,3 +159,28 @@ def test_files_that_hold_no_particulars(tmp_path: Path) -> None:
         Particulars.load(path)
     with pytest.raises(ParticularsError, match="cannot be read"):
         Particulars.load(tmp_path / "absent.toml")
+
+
+def test_a_file_of_several_ships(tmp_path):
+    boats = [
+        dataclasses.replace(BOAT, name=name, length=length)
+        for name, length in (("a", 3.0), ("b", 7.0))
+    ]
+    text = ""
+    for boat, patterns in zip(boats, ('["first/*"]', '["second/x*", "third.csv"]'), strict=True):
+        body = boat.to_toml().replace("[particulars]", "[ship.particulars]")
+        text += (
+            f"[[ship]]\nlogs = {patterns}\n{body.replace('[instruments]', '[ship.instruments]')}\n"
+        )
+    path = tmp_path / "ships.toml"
+    path.write_text(text)
+    for log, boat in (("first/run.csv", 0), ("/data/second/xy.csv.gz", 1), ("third.csv", 1)):
+        assert Particulars.load(path, log=log) == boats[boat]
+    with pytest.raises(ParticularsError, match=r"ships.toml: no ship has the log second/run.csv"):
+        Particulars.load(path, log="second/run.csv")
+    with pytest.raises(ParticularsError, match="several ships, and no log says which"):
+        Particulars.load(path)
+    for wrong in (text.replace("logs", "log", 1), "a = 1\n" + text, "ship = 3\n"):
+        path.write_text(wrong)
+        with pytest.raises(ParticularsError, match=r"expected only \[\[ship\]\]"):
+            Particulars.load(path, log="first/run.csv")

@@ -76,35 +76,6 @@ def test_contract(name, zigzag, boat):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_causality_and_no_truth(name, zigzag, boat):
-    """A prediction hangs on nothing after its time, and on no truth at all."""
-    plan = known_plan(zigzag, 699, 5.0, 0.1)
-    future = zigzag.z.copy()
-    future[700:] = 1e3
-    poisoned = dataclasses.replace(
-        zigzag, z=future, truth=np.full_like(zigzag.truth, 1e6), name="poisoned"
-    )
-    answers = []
-    for log in (zigzag, poisoned):
-        twin = twin_for(name, boat)
-        feed(twin, log, 700)
-        answers.append(twin.predict(plan, dt=0.1))
-    np.testing.assert_array_equal(answers[0].mean, answers[1].mean)
-    np.testing.assert_array_equal(answers[0].cov, answers[1].cov)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_reset_forgets(name, zigzag, boat):
-    fresh, used = twin_for(name, boat), twin_for(name, boat)
-    feed(used, zigzag.slice(10.0, 45.0), 10_000)
-    used.reset()
-    for twin in (fresh, used):
-        feed(twin, zigzag, 400)
-    np.testing.assert_array_equal(fresh.estimate().s, used.estimate().s)
-    np.testing.assert_array_equal(fresh.predict().mean, used.predict().mean)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_survives_losses(name, zigzag, boat):
     """All sensors gone for minutes, then gaps and wild numbers: finite, and back again."""
     twin = twin_for(name, boat)

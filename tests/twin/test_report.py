@@ -144,7 +144,7 @@ def test_pairs_and_coverage_are_shown(tmp_path):
         for c in ("u", "displacement")
         for h in (1.0, 10.0)
     ]
-    found = results(paired=[here | pair], coverage=[here | row for row in cover])
+    found = results(paired=[here | pair], channels=[here | row for row in cover])
     found["summary"][0].update(low=1.25, high=3.75, median=2.125)
     text = page(write_report(tmp_path, found, []))
     assert "Against persistence" in text

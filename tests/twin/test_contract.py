@@ -1,0 +1,241 @@
+"""The contract of predictors: all of the registry keep it, and breaking it is found out."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from twin import registry
+from twin.contract import CHECKS, check
+from twin.predictor import Estimate, Persistence, Prediction, Predictor
+from twin.registry import PREDICTORS, PredictorError, predictor_class
+
+OWN = """
+from twin.predictor import Persistence
+
+class Mine(Persistence):
+    tuning = "one configuration, by judgement"
+    average = 2.0
+
+class NoCovariance(Persistence):
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        prediction.cov[:, 0, 1] = prediction.cov[:, 1, 0] = 1e6
+        return prediction
+
+not_a_class = 3
+"""
+
+
+def test_every_predictor_keeps_the_contract(name):
+    found = check(name)
+    assert [item.name for item in found] == list(CHECKS)
+    assert all(item.passed for item in found), [item for item in found if not item.passed]
+
+
+class Plain(Predictor):
+    """Stands still: keeps the contract with as little as possible."""
+
+    seen = 0
+
+    def __init__(self, particulars, *, seed=0):
+        super().__init__(particulars, seed=seed)
+        self.reset()
+
+    def reset(self):
+        self.t, self.n, self.now = 0.0, 0, np.zeros(6)
+
+    def update(self, t, dt, z, cmd):
+        self.t, self.n = t, self.n + 1
+        self.now[0] = np.nan_to_num(z[0], posinf=0.0)
+
+    @property
+    def s(self):
+        return self.now
+
+    def estimate(self):
+        none = np.zeros(0)
+        return Estimate(self.t, self.now.copy(), np.ones(6), none, none, bool(self.now[0]))
+
+    def predict(self, plan, dt):
+        rows = len(plan)
+        cov = np.tile(np.eye(6), (rows, 1, 1))
+        mean = np.tile(self.now, (rows, 1))
+        after = self.t + dt * np.arange(1, rows + 1)
+        return Prediction(self.t, self.now.copy(), np.eye(6), after, mean, cov)
+
+
+class Writes(Plain):
+    def update(self, t, dt, z, cmd):
+        super().update(t, dt, z, cmd)
+        z[0] = 0.0
+
+
+class Keeps(Plain):
+    def update(self, t, dt, z, cmd):
+        super().update(t, dt, z, cmd)
+        self.row = z
+
+    def predict(self, plan, dt):
+        self.now[1] = np.nan_to_num(self.row[1])
+        return super().predict(plan, dt)
+
+
+class Peeps(Plain):
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        if self.row.base is not None:
+            prediction.mean[:, 1] = self.row.base[-1, 5]
+        return prediction
+
+    def update(self, t, dt, z, cmd):
+        super().update(t, dt, z, cmd)
+        self.row = z
+
+
+class Shares(Plain):
+    def update(self, t, dt, z, cmd):
+        super().update(t, dt, z, cmd)
+        Shares.seen += 1
+        self.now[1] = Shares.seen
+
+
+class Remembers(Plain):
+    def reset(self):
+        old = getattr(self, "n", 0)
+        super().reset()
+        self.n = old
+
+    def predict(self, plan, dt):
+        self.now[2] = self.n
+        return super().predict(plan, dt)
+
+
+class Moves(Plain):
+    def predict(self, plan, dt):
+        self.now[3] += 1.0
+        return super().predict(plan, dt)
+
+
+class Blind(Plain):
+    def update(self, t, dt, z, cmd):
+        super().update(t, dt, z, cmd)
+        self.now[1] = z[1]
+
+
+class Backwards(Plain):
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        prediction.t[:] = prediction.t[::-1].copy()
+        return prediction
+
+
+class Inside(Plain):
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        prediction.low[:] = prediction.mean + 1.0
+        return prediction
+
+
+class Fails(Plain):
+    def predict(self, plan, dt):
+        raise RuntimeError("no")
+
+
+class Bare(Plain):
+    def __init__(self, particulars):
+        super().__init__(particulars)
+
+
+@pytest.mark.parametrize(
+    ("kind", "checks", "words"),
+    [
+        (Plain, [], ""),
+        (Writes, ["arrays handed in"], "writes to the row"),
+        (Keeps, ["arrays handed in"], "used again"),
+        (Peeps, ["no future, no truth"], "later rows are nonsense"),
+        (Shares, ["same seed, same answer"], "same seed"),
+        (Remembers, ["reset"], "after reset"),
+        (Moves, ["asking changes nothing"], "asked"),
+        (Blind, ["before and without data", "losses, gaps, wild numbers"], "not finite"),
+        (Backwards, ["shapes, times, covariances, bands"], "do not increase"),
+        (Inside, ["shapes, times, covariances, bands"], "low <= mean <= high"),
+        (Fails, ["time"], "raises RuntimeError: no"),
+        (Bare, ["class and constructor"], "seed"),
+    ],
+)
+def test_what_breaks_it_is_found(kind, checks, words, monkeypatch):
+    monkeypatch.setitem(PREDICTORS, "broken", kind)
+    found = {item.name: item for item in check("broken")}
+    if not checks:
+        # a class of somebody else is no plain data of this package's: not saved by name alone
+        assert all(item.passed is not False for item in found.values()), found
+    for name in checks:
+        assert found[name].passed is False
+        assert words in found[name].text
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A module of somebody else in the working directory."""
+    (tmp_path / "some_body.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delitem(sys.modules, "some_body", raising=False)
+    return tmp_path
+
+
+def test_a_class_by_module_and_name(own):
+    kind = predictor_class("some_body:Mine")
+    assert issubclass(kind, Persistence) and kind.average == 2.0
+    assert kind.tuning == "one configuration, by judgement"
+    assert predictor_class("some_body:NoCovariance").tuning == "not stated"
+    for wrong, words in {
+        "some_body:Nobody": "Nobody",
+        "no_body:Mine": "No module named 'no_body'",
+        "some_body:not_a_class": "not a subclass",
+    }.items():
+        with pytest.raises(PredictorError, match=words):
+            predictor_class(wrong)
+    (own / "bad_body.py").write_text("1 / 0")
+    with pytest.raises(PredictorError, match="ZeroDivisionError"):
+        predictor_class("bad_body:Mine")
+    assert check("bad_body:Mine")[0].passed is False
+
+
+def test_entry_points_join_the_registry(own):
+    """A package that is installed beside this one: its metadata are all that is needed."""
+    info = own / "some_body-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-body\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        f"[{registry.GROUP}]\nmine = some_body:Mine\nukf = some_body:Mine\n"
+    )
+    code = (
+        "from twin.registry import PREDICTORS, predictor_class;"
+        "print(predictor_class('mine').__module__, predictor_class('ukf').__module__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=own, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["some_body", "twin.identifier"]
+
+
+def test_the_command(own):
+    for name, code, word in (
+        ("some_body:Mine", 0, "12 checks, 0 failed"),
+        ("some_body:NoCovariance", 1, "eigenvalue"),
+        ("some_body:Nobody", 1, "FAIL"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "twin.cli", "benchmark", "--check", name],
+            cwd=own,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == code, done.stdout + done.stderr
+        assert word in " ".join(done.stdout.split())
