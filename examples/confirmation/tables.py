@@ -3,8 +3,7 @@
 They were made by::
 
     usv-twin benchmark --scenarios turn,zigzag,turn-zigzag,random --faults none \
-        --seeds 200-223 --plans known --out confirmation \
-        --predictors persistence,persistence-8s,ukf,dsw-ukf,dsw-ukf-plus,oracle
+        --seeds 200-223 --plans known --out confirmation
 
 of whose ``results.json`` only what the tables need is kept.
 """
@@ -38,14 +37,13 @@ def lines() -> list[str]:
                 f"{excess['value']:+.2f} / {excess['median']:+.2f}"
             )
         out.append(row(predictor, cells))
-    paired = {(i["scenario"], i["predictor"]): i for i in results["paired"]}
-    for predictor in results["predictors"]:
-        if predictor != "ukf":
-            cells = [
-                f"{i['change_percent']:+.0f} [{i['low']:+.0f}, {i['high']:+.0f}], {i['wins']}"
-                for i in (paired[scenario, predictor] for scenario in SCENARIOS)
-            ]
-            out.append(row(f"{predictor} against ukf", cells))
+    paired = {(i["scenario"], i["predictor"], i["against"]): i for i in results["paired"]}
+    for predictor, against in dict.fromkeys(key[1:] for key in paired):
+        cells = [
+            f"{i['change_percent']:+.0f} [{i['low']:+.0f}, {i['high']:+.0f}], {i['wins']}"
+            for i in (paired[scenario, predictor, against] for scenario in SCENARIOS)
+        ]
+        out.append(row(f"{predictor} against {against}", cells))
     inside = {(i["scenario"], i["channel"], i["horizon_s"]): i for i in results["channels"]}
     for channel in CHANNELS:
         cells = [

@@ -380,6 +380,6 @@ def test_thirty_seconds_after_a_fault_it_is_as_if_there_had_been_none():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 1_000_000), (PlusPredictor, 200_000)])
+@pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 1_000_000), (PlusPredictor, 1_000_000)])
 def test_long_marathon(kind, rows):
     marathon(kind, rows, 1)
