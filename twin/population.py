@@ -53,6 +53,7 @@ __all__ = [
     "random_boat",
     "rolled",
     "sail_calm",
+    "sister",
 ]
 
 Array = NDArray[np.float64]
@@ -78,6 +79,8 @@ SEED, DRAWN = 0, 140
 """Of the populations that ship."""
 SPREAD, BUILT = 0.30, 0.05
 """Standard deviation of the boats' coefficients, and of their geometry and inertia."""
+CLASS = 0.15
+"""The same of the coefficients of one class."""
 LARGEST_HELM = math.radians(25.0)
 
 
@@ -343,6 +346,27 @@ def boat_like(
     """
     keys = ("length", "beam", "draft", "mass", "speed")
     return _drafted(kind, rng, **{key: getattr(particulars, key) for key in keys})
+
+
+def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> tuple[Vessel, float]:
+    """Return a random boat of a vessel's class, and its usual shaft speed in rev/s.
+
+    Whoever has a model of the class knows more than main particulars tell::
+
+        draw = functools.partial(sister, Vessel.load("usv75"))
+        prior = make_prior("mmg", "drives", draw).of(model_of(particulars, "mmg", biased=True))
+        twin = Twin(particulars, prior=prior)
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The class.
+    rng : numpy.random.Generator
+        Draws the coefficients.
+    spread : float
+        How different the boats of a class are, as a share.
+    """
+    return vessel.varied(rng, spread, BUILT), vessel.values["shaft_speed_manoeuvring"]
 
 
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]

@@ -203,3 +203,14 @@ def test_boats_that_the_model_does_not_fit_are_told(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(pop, "LARGEST_ERROR", np.full(3, 1e-9))
     with pytest.raises(PriorError, match="'paper' fits 0 of 2 boats"):
         pop.make_prior("paper", "drives", drawn=2)
+
+
+def test_sisters_of_a_class_lie_around_its_vessel() -> None:
+    vessel, rng = Vessel.load("usv75"), np.random.default_rng(0)
+    sisters = [pop.sister(vessel, rng)[0] for _ in range(200)]
+    assert pop.sister(vessel, rng)[1] == vessel.values["shaft_speed_manoeuvring"]
+    for key in ("Y_v", "N_r"):
+        ratios = np.array([boat.values[key] for boat in sisters]) / vessel.values[key]
+        # 200 draws know a standard deviation to 5 %; boats that do not hold course are drawn anew
+        assert np.std(ratios) == pytest.approx(pop.CLASS, rel=0.2)
+        assert abs(np.mean(ratios) - 1.0) < 0.05
