@@ -16,8 +16,8 @@ import inspect
 import json
 import math
 import os
-import re
 import threading
+import urllib.parse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -223,6 +223,7 @@ def run_unit(
     next_origin, next_second = identify, float(seen.t[0])
     scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
     starts: list[float] = []
+    skipped = 0
     examples: list[Prediction] = []
     history: list[tuple[float, Array, Array]] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
@@ -237,7 +238,13 @@ def run_unit(
             continue
         while next_origin <= t + 1e-9:
             next_origin += 1.0
-        truth = reference.at(t + np.array([0.0, *STUDY_HORIZONS]))
+        wanted = t + np.array([0.0, *STUDY_HORIZONS])
+        if not reference.known(wanted):
+            skipped += 1
+            continue
+        truth = reference.at(wanted)
+        if not np.isfinite(truth).all():
+            raise BenchmarkError(f"{reference_log.name}: its truth has gaps")
         for plan in settings.plans:
             known = known_plan(seen, row, HORIZONS[-1], dt)
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
@@ -253,9 +260,10 @@ def run_unit(
                 if pictures and due:
                     examples.append(prediction)
     if not starts:
+        why = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
         raise BenchmarkError(
             f"{unit.log or unit.run}: too short to be scored: predictions begin at "
-            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them"
+            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{why}"
         )
     result: dict[str, Any] = {
         "digest": digest(settings, unit),
@@ -263,6 +271,8 @@ def run_unit(
         "unit": dataclasses.asdict(unit),
         "plans": {plan: table_of(parts) for plan, parts in scores.items()},
         "start_error": float(np.mean(starts)),
+        "skipped": skipped,
+        "repairs": list(reference_log.notes),
     }
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
@@ -327,7 +337,9 @@ def digest(settings: Settings, unit: Unit) -> str:
     value = hashlib.sha256(text.encode())
     value.update(_foreign(unit.predictor))
     ship = settings.ship if unit.log else settings.vessel
-    read = files_of(unit.log, settings.mapping) if unit.log else []
+    read = list(files_of(unit.log, settings.mapping)) if unit.log else []
+    if unit.log and settings.ship is None:
+        read.append(beside(unit.log, ".toml"))
     for path in (*read, Path(ship or "")):
         if path.is_file():
             with path.open("rb") as file:
@@ -350,7 +362,8 @@ def _foreign(predictor: str) -> bytes:
 
 def result_file(folder: Path, unit: Unit) -> Path:
     """Return the file that holds the result of one piece of work."""
-    name = re.sub(r"[^\w.+-]", "-", f"{unit.run}_{unit.predictor}")
+    # reversible: no two runs share a file
+    name = urllib.parse.quote(f"{unit.run}_{unit.predictor}", safe="+")
     return folder / "runs" / f"{name}.json"
 
 
@@ -564,6 +577,11 @@ def collect(
         },
         "predictors": {
             name: {"tuning": predictor_class(name).tuning} for name in settings.predictors
+        },
+        "logs": {
+            result["unit"]["scenario"]: {"repairs": result["repairs"], "skipped": result["skipped"]}
+            for result in ordered
+            if result["unit"]["log"]
         },
         "rows": list(rows_of(ordered)),
         "summary": summarise(runs),

@@ -833,10 +833,11 @@ class _compiling:
     def __enter__(self) -> None:
         self._status = None
         if not cached():
-            self._status = console.status(
-                "compiling the kernels (once after an installation or an edit, under a minute)"
-            )
+            text = "compiling the kernels (once after an installation or an edit, about a minute)"
+            self._status = console.status(text)
             self._status.start()
+            if not console.is_terminal:
+                errors.print(text, style="dim")
 
     def __exit__(self, *_: object) -> None:
         if self._status is not None:
@@ -1079,6 +1080,14 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         _print_blocks(cells, left_out)
         _print_paired(results.get("paired", []))
     _print_recorded(results.get("recorded", []))
+    for name, log in results.get("logs", {}).items():
+        parts = (
+            [f"{len(log['repairs'])} notes and repairs (results.json)"] if log["repairs"] else []
+        )
+        if log["skipped"]:
+            parts.append(f"{log['skipped']} predictions not scored, in gaps")
+        if parts:
+            _note(f"{name}: {', '.join(parts)}")
     for note in results["notes"]:
         _note(note)
     console.print(
@@ -1107,19 +1116,22 @@ def _print_overview(
     predictors = list(dict.fromkeys(name for block in cells.values() for name in block))
     excess = all("E" in metrics for block in cells.values() for metrics in block.values())
     metric, title = ("E", "E, excess over the oracle") if excess else ("mae", "MAE")
-    plans = list(dict.fromkeys(plan for _, _, plan in cells))
-    for plan in plans:
-        table = Table(title=f"{title}, plan {plan}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("run", no_wrap=True)
-        table.add_column("case", no_wrap=True)
-        for name in predictors:
-            table.add_column(name.replace("-", "-\n"), justify="right", no_wrap=True)
-        for (scenario, case, which), block in cells.items():
-            if which == plan:
-                values = (block.get(name, {}).get(metric) for name in predictors)
+    name_width = max(map(len, predictors))
+    for plan in dict.fromkeys(plan for _, _, plan in cells):
+        columns = [key for key in cells if key[2] == plan]
+        widest = max(len(word) for key in columns for word in key[:2]) + 1
+        many = max(1, (console.width - name_width - 2) // max(widest, 7))
+        for first in range(0, len(columns), many):
+            shown = columns[first : first + many]
+            table = Table(title=f"{title}, plan {plan}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+            table.add_column("predictor", no_wrap=True)
+            for scenario, case, _ in shown:
+                table.add_column(f"{scenario}\n{case}", justify="right", no_wrap=True)
+            for name in predictors:
+                values = (cells[key].get(name, {}).get(metric) for key in shown)
                 texts = ("-" if item is None else _short(item["value"], 3) for item in values)
-                table.add_row(scenario, case, *texts)
-        console.print(table)
+                table.add_row(name, *texts)
+            console.print(table)
 
 
 def _print_recorded(rows: list[dict[str, Any]]) -> None:

@@ -104,10 +104,14 @@ class _Trial:
         """Return all that a twin says now: estimate, and predictions under two plans."""
         estimate = twin.estimate()
         said = [getattr(estimate, item.name) for item in dataclasses.fields(estimate)]
-        for prediction in (
+        held, known, again = (
+            twin.predict("hold", dt=0.25),
             twin.predict(self.plan.copy(), dt=PLAN_DT),
             twin.predict("hold", dt=0.25),
-        ):
+        )
+        if not np.array_equal(held.mean, again.mean):
+            raise BrokenError("a plan that was asked about changes the next answer to another plan")
+        for prediction in (known, held):
             said += [getattr(prediction, item.name) for item in dataclasses.fields(prediction)]
         return [np.array(part, dtype=np.float64) for part in said]
 
@@ -206,7 +210,7 @@ def _shaped(trial: _Trial) -> str:
         ends = prediction.t0 + dt * np.arange(1, rows + 1)
         _need(np.allclose(prediction.t, ends, atol=1e-6), "its times are not the ends of the rows")
         _need(abs(prediction.t0 - estimate.t) < 1e-6, "t0 is not the time of the last row")
-    mean = twin.predictor.mean(trial.plan, PLAN_DT)
+    mean = twin.predictor.mean(trial.plan.copy(), PLAN_DT)
     full = twin.predict(trial.plan.copy(), dt=PLAN_DT).mean
     _need(np.allclose(mean, full, rtol=0.0, atol=1e-9), "mean() is not predict().mean")
     return "plans of .05 to 60 s"

@@ -601,8 +601,21 @@ class ModelPredictor(Predictor):
             start_cov,
             self.t + after,
             mean,
-            self.with_common_error(self.ukf.bands(acts, dt)),
+            self._within_reach(self.with_common_error(self.ukf.bands(acts, dt)), start_cov, after),
         )
+
+    def _within_reach(self, cov: Array, start_cov: Array, after: Array) -> Array:
+        """Return covariances (K, 6, 6) without deviations that no boat could have by then."""
+        envelope = self.ukf.envelope
+        most = np.empty((len(after), N_STATES))
+        most[:, :2] = 2.0 * envelope[0] * after[:, None]
+        most[:, 2] = 2.0 * np.minimum(envelope[2] * after, np.pi)
+        most += np.sqrt(np.diag(start_cov))
+        most[:, 3:] = 2.0 * envelope
+        sd = np.sqrt(np.maximum(np.einsum("kii->ki", cov), 1e-300))
+        shrink = np.minimum(1.0, most / sd)
+        within: Array = cov * shrink[:, :, None] * shrink[:, None, :]
+        return within
 
 
 class UKFPredictor(ModelPredictor):

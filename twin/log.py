@@ -585,16 +585,28 @@ def _check_turning(t: Array, z: Array, table: Table) -> None:
             )
     if len(gyro) >= _CONSTANT_ROWS:
         grid = _grid(t[compass])
-        turned = np.diff(np.interp(grid, t[compass], np.unwrap(heading)))
         rate, step = z[gyro, 5], np.diff(t[gyro])
         angle = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step))
         told = np.diff(np.interp(grid, t[gyro], angle))
-        both, square = turned @ told, turned @ turned
-        alike = both > 0.9 * math.sqrt(square * (told @ told))
-        if alike and 40.0 < both / max(square, 1e-9) < 80.0:
+
+        def ratio(psi: Array) -> float:
+            """Return how many times as fast the gyro turns; 0 where the two are not alike."""
+            turned = np.diff(np.interp(grid, t[compass], np.unwrap(psi)))
+            both, square = turned @ told, turned @ turned
+            alike = both > 0.9 * math.sqrt(square * (told @ told))
+            return float(both / max(square, 1e-9)) if alike else 0.0
+
+        times = ratio(heading)
+        if 40.0 < times < 80.0:
             raise LogError(
-                f"{table.source}: column {table.given['gyro_radps']}: {both / square:.3g} times "
+                f"{table.source}: column {table.given['gyro_radps']}: {times:.3g} times "
                 f"the rate at which the heading turns; {_in_degrees('gyro_radps')}"
+            )
+        beyond = np.abs(heading).max() > 2.1 * math.pi
+        if beyond and not 0.5 < times < 2.0 and 0.5 < ratio(np.radians(heading)) < 2.0:
+            raise LogError(
+                f"{table.source}: column {table.given['compass_rad']}: taken as degrees it turns "
+                f"as the yaw rate says, as radians not; {_in_degrees('compass_rad')}"
             )
 
 

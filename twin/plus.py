@@ -58,6 +58,8 @@ OBSERVER_GAIN = 0.5
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """A row may be fitted if the navigation is as sure as this of velocity (usual speeds) and
 heading (rad), and if the row before it is not older (s)."""
+UNHURRIED = 1.5
+"""Time to sail a length, in units of the study boat's, from which on segments are too alike."""
 JUMP = 300.0
 """After a gap longer than this, s, nothing of the window is kept."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
@@ -81,6 +83,10 @@ TRACK_SIZE = _SLOW + 3
 def refit_settings(particulars: Particulars) -> RefitSettings:
     """Return the settings of the refit, tuned for 6.336 m at 5.4 m/s, scaled by Froude.
 
+    Times are not scaled: nobody waits ten minutes for a tanker's model. A ship that takes much
+    longer to sail her length is seen for fewer lengths, by segments that are the more alike, and
+    each counts the less.
+
     Source: twin.md section 10 B3.
     """
     L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
@@ -91,7 +97,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         every=2,
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
-        scale=0.15,
+        scale=0.15 * min(1.0, UNHURRIED / (L / U)),
         knee=0.015,
     )
 

@@ -89,6 +89,11 @@ def crps(off: Array, down: Array, up: Array) -> Array:
     return np.asarray(to_truth / total - 0.5 * apart)
 
 
+NEARBY = 3.0
+"""A recorded sample must lie this many usual steps, and at least as many half seconds, from what
+is scored against it: across a gap nobody knows where the boat was."""
+
+
 class Reference:
     """What is scored against: the truth of a log, or its recorded positions and headings."""
 
@@ -100,9 +105,25 @@ class Reference:
         self.t, self.columns = [], []
         for entry in (0, 1, 4):
             seen = np.isfinite(log.z[:, entry])
+            if not seen.any():
+                raise ValueError(
+                    f"{log.name}: has no positions or no headings to score predictions against"
+                )
             values = log.z[seen, entry]
             self.t.append(log.t[seen])
             self.columns.append(np.unwrap(values) if entry == 4 else values)
+
+    def known(self, times: Array) -> bool:
+        """Return whether there are samples near all of some times."""
+        for t in self.t[-1 if len(self.t) == 6 else 0 :]:
+            reach = NEARBY * max(0.5, float(np.median(np.diff(t))) if len(t) > 1 else 0.0)
+            after = np.searchsorted(t, times).clip(max=len(t) - 1)
+            apart = np.minimum(
+                np.abs(t[after] - times), np.abs(times - t[np.maximum(after - 1, 0)])
+            )
+            if (apart > reach).any():
+                return False
+        return True
 
     def at(self, times: Array) -> Array:
         """Return states (h, 6) or (h, 3) at times, linearly between samples."""
