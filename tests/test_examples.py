@@ -64,11 +64,15 @@ def test_readme_results_are_those_of_the_checked_in_benchmark():
             assert cell == f"{item['value']:.2f} [{item['low']:.2f}, {item['high']:.2f}]"
 
 
-def test_study_tables_are_those_of_the_checked_in_confirmation():
+@pytest.mark.parametrize(
+    ("script", "function", "rows"),
+    [("confirmation", "lines", 25), ("benchmark", "full", 14), ("benchmark", "recorded", 6)],
+)
+def test_study_tables_are_those_of_the_checked_in_results(script, function, rows):
     import runpy
 
     study = (ROOT / "STUDY.md").read_text(encoding="utf-8").splitlines()
-    lines = runpy.run_path(str(ROOT / "examples/confirmation/tables.py"))["lines"]()
-    assert len(lines) > 15
+    lines = runpy.run_path(str(ROOT / "examples" / script / "tables.py"))[function]()
+    assert len(lines) >= rows
     missing = [line for line in lines if line not in study]
     assert not missing

@@ -515,8 +515,9 @@ def benchmark_command(
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     total = len(bench.units(settings))
     if len(done) + sum(failed.counts.values()) < total:
+        kept = sum(bench.result_file(out, unit).exists() for unit in bench.units(settings))
         errors.print(
-            f"stopped: {len(done)} of {total} results are kept in {out}; "
+            f"stopped: {kept} of {total} results are kept in {out}; "
             "the same command goes on from there",
             style="yellow",
         )

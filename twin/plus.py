@@ -322,9 +322,9 @@ class PlusPredictor(UKFPredictor):
             self._coefficients, self._noise = fit_autoregression(w)
             self._wave_sd = w.std(axis=0)
             self._seen = np.maximum(self._seen, np.abs(recent[:, LOW:WIND]).max(axis=0))
+        self.rivals.note(range(self._next_start, newest + 1, self.spacing))
         if (segments.first >= 0).sum() < 3:
             return
-        self.rivals.note(range(self._next_start, newest + 1, self.spacing))
         segments.renew(self.rows, self.renewed)
         self.rivals.solve()
         self.ukf.x[N_STATES:] = segments.xi

@@ -142,6 +142,50 @@ def test_other_settings_are_not_taken_for_the_same(small):
     assert bench.finished(SMALL, unit, folder, pictures=True) is None
 
 
+def test_other_particulars_are_not_taken_for_the_same(tmp_path):
+    log = recorded_runs()["boat1_usv_circle"]
+    path = tmp_path / "own.csv.gz"
+    path.write_bytes(log.read_bytes())
+    path.with_name("own.toml").write_text(log.with_name("boat1_usv_circle.toml").read_text())
+    settings = bench.Settings(scenarios=(), logs=(str(path),), predictors=("ukf",))
+    unit = bench.units(settings)[0]
+    before = bench.digest(settings, unit)
+    assert bench.digest(settings, unit) == before
+    text = path.with_name("own.toml").read_text()
+    path.with_name("own.toml").write_text(text + "\n# heavier today\n")
+    assert bench.digest(settings, unit) != before
+
+
+def test_no_two_runs_share_a_file(tmp_path):
+    names = ("go od", "go-od", "go%20od", "go_od")
+    files = {bench.result_file(tmp_path, bench.Unit(n, "none", 0, "ukf", n)) for n in names}
+    assert len(files) == len(names)
+
+
+def test_nothing_is_scored_across_a_gap(tmp_path):
+    log = Log.read(recorded_runs()["boat1_usv_circle"])
+    z = log.z.copy()
+    gap = (log.t > log.t[0] + 100.0) & (log.t < log.t[0] + 130.0)
+    z[gap, :4] = np.nan
+    path = tmp_path / "gap.csv"
+    dataclasses.replace(log, z=z).write(path)
+    settings = bench.Settings(
+        scenarios=(), logs=(str(path),), faults=("none",), predictors=("persistence",)
+    )
+    (unit,) = bench.units(settings)
+    result = bench.run_unit(settings, unit, tmp_path, pictures=False)
+    # an origin every second; its 10 s and the gap's 30 s overlap for 40 s, less what is near
+    assert 33 <= result["skipped"] <= 40
+    reference = scores.Reference(Log.read(path))
+    start = float(log.t[0])
+    assert reference.known(start + np.array([60.0, 70.0]))
+    assert not reference.known(start + np.array([95.0, 105.0]))
+    assert not reference.known(np.array([float(log.t[-1]) + 5.0]))
+    assert (
+        bench.collect(settings, {unit: result}, "")["logs"]["gap"]["skipped"] == result["skipped"]
+    )
+
+
 @pytest.mark.parametrize(("jobs", "backend"), [(2, "loky"), (2, "threading")])
 def test_workers_change_nothing(small, tmp_path, jobs, backend):
     assert run_all(SMALL, tmp_path, jobs, backend) == small[1]

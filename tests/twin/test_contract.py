@@ -120,6 +120,26 @@ class Moves(Plain):
         return super().predict(plan, dt)
 
 
+class Stashes(Plain):
+    """Answers one plan with what it was told of another."""
+
+    plan = None
+
+    def predict(self, plan, dt):
+        if np.ptp(plan, axis=0).max() > 0.0:
+            self.plan = plan.copy()
+        prediction = super().predict(plan, dt)
+        prediction.mean[:, 3] += (plan if self.plan is None else self.plan).sum()
+        return prediction
+
+
+class Erases(Plain):
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        plan[:] = 0.0
+        return prediction
+
+
 class Blind(Plain):
     def update(self, t, dt, z, cmd):
         super().update(t, dt, z, cmd)
@@ -160,6 +180,8 @@ class Bare(Plain):
         (Shares, ["same seed, same answer"], "same seed"),
         (Remembers, ["reset"], "after reset"),
         (Moves, ["asking changes nothing"], "asked"),
+        (Stashes, ["asking changes nothing"], "changes the next answer"),
+        (Erases, ["arrays handed in"], "writes to the plan"),
         (Blind, ["before and without data", "losses, gaps, wild numbers"], "not finite"),
         (Backwards, ["shapes, times, covariances, bands"], "do not increase"),
         (Inside, ["shapes, times, covariances, bands"], "low <= mean <= high"),
@@ -239,3 +261,11 @@ def test_the_command(own):
         )
         assert done.returncode == code, done.stdout + done.stderr
         assert word in " ".join(done.stdout.split())
+
+
+def test_only_the_oracle_is_told_of_the_world(own):
+    (own / "peeking.py").write_text(
+        "from twin.oracle import Oracle\n\nclass Peek(Oracle):\n    pass\n"
+    )
+    with pytest.raises(PredictorError, match="only the oracle is told of the true world"):
+        predictor_class("peeking:Peek")

@@ -494,6 +494,15 @@ def test_degrees_under_a_name_of_radians_are_refused(
     assert f"column {name}" in message and words in message
 
 
+def test_degrees_of_a_heading_that_runs_on_are_told_by_the_yaw_rate(tmp_path: Path) -> None:
+    table = sailing(1200, 0.2)
+    table["compass_rad"] = np.degrees(np.unwrap(table["compass_rad"]))
+    for name in ("gps_vx_mps", "gps_vy_mps"):
+        table.pop(name, None)
+    message = refused(save(tmp_path / "a.csv", as_text(table)))
+    assert "column compass_rad" in message and "name the column compass_deg" in message
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.04, -0.3])
 @pytest.mark.parametrize("wrap", [0.0, math.pi, math.inf])
 def test_radians_wrapped_or_run_on_are_taken(tmp_path: Path, turn: float, wrap: float) -> None:
