@@ -607,7 +607,7 @@ class ModelPredictor(Predictor):
     def _within_reach(self, cov: Array, start_cov: Array, after: Array) -> Array:
         """Return covariances (K, 6, 6) without deviations that no boat could have by then."""
         envelope = self.ukf.envelope
-        most = np.empty((len(after), N_STATES))
+        most = np.zeros((len(after), N_STATES))
         most[:, :2] = 2.0 * envelope[0] * after[:, None]
         most[:, 2] = 2.0 * np.minimum(envelope[2] * after, np.pi)
         most += np.sqrt(np.diag(start_cov))
