@@ -614,7 +614,8 @@ class ModelPredictor(Predictor):
         most[:, 3:] = 2.0 * envelope
         sd = np.sqrt(np.maximum(np.einsum("kii->ki", cov), 1e-300))
         shrink = np.minimum(1.0, most / sd)
-        within: Array = cov * shrink[:, :, None] * shrink[:, None, :]
+        # the product first: it is symmetric to the last bit
+        within: Array = cov * (shrink[:, :, None] * shrink[:, None, :])
         return within
 
 

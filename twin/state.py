@@ -123,11 +123,7 @@ def read(path: str | Path) -> Reader:
     StateError
         It is no such file, is cut off or damaged, or has another format.
     """
-    try:
-        content = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise StateError(f"{path}: no such file; name one that Twin.save wrote") from None
-    return unpack(content, Path(path))
+    return unpack(Path(path).read_bytes(), Path(path))
 
 
 def unpack(content: bytes, path: Path) -> Reader:
