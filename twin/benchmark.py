@@ -245,8 +245,8 @@ def run_unit(
         truth = reference.at(wanted)
         if not np.isfinite(truth).all():
             raise BenchmarkError(f"{reference_log.name}: its truth has gaps")
+        known = known_plan(seen, row, HORIZONS[-1], dt)
         for plan in settings.plans:
-            known = known_plan(seen, row, HORIZONS[-1], dt)
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
             prediction = twin.predict(commands, dt=dt)
             scores[plan].append(score(prediction, truth, STUDY_HORIZONS))

@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.fusion import LateFusion
 from twin.identifier import (
-    GAP_MAX,
     PSI,
     STUDY_STEP,
     FilterSettings,
@@ -38,6 +37,7 @@ from twin.identifier import (
 )
 from twin.log import MEASUREMENTS
 from twin.model import N_STATES, all_terms, model_of
+from twin.navigation import GAP_MAX
 from twin.particulars import Particulars
 from twin.ukf import measurement_update
 from twin.window import NOISE_FORMS, DynamicWindow, NoiseLimits, WaveProxy, adapt_noise

@@ -63,8 +63,6 @@ DT, SPAN = 0.05, 120.0
 """Control step and length of a run, s."""
 SLOWEST = 15.0
 """Longest time, s, in which a boat of the fleet sails its length: slower ones hardly move."""
-LENGTH_TIME = 6.336 / 5.4
-"""Time in which the study boat does, s: its manoeuvres are those of the benchmark."""
 SEAS = ((0.0, 0.0), (0.05, 2.0), (0.3, 3.5), (0.88, 6.0), (1.88, 8.7))
 """Wave height (m, the middle of the WMO's range) and about the wind (m/s) of sea states 0 to 4."""
 HEADS = 4
@@ -228,7 +226,8 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
         # no small boat is out in a gale
         calm = min(1.0, 0.15 * particulars.length / max(hs, 1e-9))
         sea = SeaState(hs=calm * hs, wind=math.sqrt(calm) * wind, wind_from=rng.uniform(0, 6.28))
-        slow = max(particulars.length / particulars.speed / LENGTH_TIME, 1.0)
+        # the manoeuvres of the study boat are those of the benchmark
+        slow = max(particulars.slowness, 1.0)
         log = simulate(
             _commands(vessel, math.sqrt(slow), rng),
             vessel=vessel,

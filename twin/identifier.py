@@ -27,6 +27,7 @@ from twin.model import (
     roll_out,
 )
 from twin.navigation import (
+    GAP_MAX,
     GPS_AGE,
     IMU_AGE,
     N_NAV,
@@ -40,8 +41,8 @@ from twin.navigation import (
     navigate,
     navigation_settings,
 )
-from twin.particulars import Particulars
-from twin.predictor import Estimate, Prediction, Predictor
+from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.predictor import Estimate, Prediction, Predictor, finer
 from twin.state import copied, pack
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
@@ -61,16 +62,12 @@ __all__ = [
 Array = NDArray[Any]
 
 PSI = 2
-STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
-"""Waterline (m) and speed (m/s) of the boat that the filter was tuned for."""
 STUDY_STEP = 0.05
 """Step at which the noises below are quoted, s."""
 STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 WIND_LIMIT = 100.0
 """No wind is faster, m/s."""
-GAP_MAX = 600.0
-"""A gap longer than this, s, is predicted through as if it were this long."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
 AID_SD = 0.5 / STUDY_SPEED
@@ -515,11 +512,8 @@ class JointUKF:
         _bands(acts, dt, every, *self.arguments, self._copy, coarse)
         if every == 1:
             return coarse
-        place = np.arange(1, len(acts) + 1) / every
-        low = np.minimum(place.astype(int), len(coarse) - 1)
-        share = np.minimum(place - low, 1.0)[:, None, None]
         path = np.concatenate([self.P[None, :N_STATES, :N_STATES], coarse])
-        return (1.0 - share) * path[low] + share * path[low + 1]
+        return finer(path, every, len(acts))
 
 
 class ModelPredictor(Predictor):

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.identifier import GAP_MAX
 from twin.log import Log
+from twin.navigation import GAP_MAX
 from twin.particulars import Particulars
 from twin.predictor import GRID, HistoryPredictor
 from twin.registry import PredictorError, predictor_class

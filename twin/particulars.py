@@ -32,6 +32,10 @@ STEERING = ("drives", "differential")
 ``differential``: the units are fixed and steer by unequal thrust."""
 
 
+STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
+"""Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for (twin.md)."""
+
+
 class ParticularsError(ValueError):
     """Particulars that cannot be used; the message names the key and the remedy."""
 
@@ -233,6 +237,11 @@ class Particulars:
             return cls(**_known(cls, table["particulars"]), instruments=instruments)
         except ParticularsError as error:
             raise ParticularsError(f"{path}: {error}") from None
+
+    @property
+    def slowness(self) -> float:
+        """Time to sail a length, in units of the study boat's."""
+        return self.length / self.speed / (STUDY_LENGTH / STUDY_SPEED)
 
     def to_toml(self) -> str:
         """Return the text of a file that :meth:`load` reads back to the same value."""

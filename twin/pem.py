@@ -41,7 +41,7 @@ from twin.structure import (
 )
 from usv_kernel import kernel
 
-__all__ = ["GRID", "RefitSettings", "Segments", "drive", "linearise", "room"]
+__all__ = ["GRID", "RefitSettings", "Segments", "linearise", "room"]
 
 Array = NDArray[Any]
 
@@ -98,7 +98,7 @@ yaw at each of its four stages."""
 
 
 @kernel
-def drive(act, terms):
+def _drive(act, terms):
     """Write the terms of the actuators."""
     thrust_terms(
         *(act[0], act[1], math.cos(act[2]), math.sin(act[2]), math.cos(act[3]), math.sin(act[3])),
@@ -220,15 +220,15 @@ def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room,
     for i in range(N_OFFSETS):
         S[3 + i, p + 1 + i] = 1.0
         full[p + 1 + i, p + 1 + i] = offset_weights[i]
-    drive(start[ACT:MIDDLE], terms[3])
+    _drive(start[ACT:MIDDLE], terms[3])
     for step in range(steps):
         after = rows[(first + step + 1) % size]
         for j in range(LEFT_COS, N_TERMS):
             terms[0, j] = terms[3, j]
-        drive(rows[(first + step) % size, MIDDLE:], terms[1])
+        _drive(rows[(first + step) % size, MIDDLE:], terms[1])
         for j in range(LEFT_COS, N_TERMS):
             terms[2, j] = terms[1, j]
-        drive(after[ACT:MIDDLE], terms[3])
+        _drive(after[ACT:MIDDLE], terms[3])
         for i in range(N_STATES):
             place[i], sums[i] = s[i], 0.0
         for stage in range(4):

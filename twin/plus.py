@@ -30,8 +30,6 @@ from numpy.typing import NDArray
 from twin.dense import cholesky
 from twin.identifier import (
     BEGUN,
-    STUDY_LENGTH,
-    STUDY_SPEED,
     UKFPredictor,
     nav_parts,
     parts,
@@ -40,9 +38,9 @@ from twin.identifier import (
     tight_step,
 )
 from twin.model import N_ACT, N_STATES, ROOM, model_of, roll_out
-from twin.particulars import Particulars
+from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
-from twin.predictor import Prediction
+from twin.predictor import GAP_MAX, Prediction, finer
 from twin.prior import population_prior
 from twin.residual import ORDER, between, fit_autoregression, simulate_waves
 from twin.rivals import Rivals
@@ -60,8 +58,6 @@ SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 heading (rad), and if the row before it is not older (s)."""
 UNHURRIED = 1.5
 """Time to sail a length, in units of the study boat's, from which on segments are too alike."""
-JUMP = 300.0
-"""After a gap longer than this, s, nothing of the window is kept."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
 WIDER = 1.3
@@ -97,7 +93,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         every=2,
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
-        scale=0.15 * min(1.0, UNHURRIED / (L / U)),
+        scale=0.15 * min(1.0, UNHURRIED / particulars.slowness),
         knee=0.015,
     )
 
@@ -126,7 +122,7 @@ def _slow_step(dt, n, track, memory, constants, scratch, kit):
 @kernel
 def _record(t, dt, n, good, track, act, wind, rows):
     """Write the window's rows up to time t, interpolated on its grid."""
-    if dt > JUMP:
+    if dt > GAP_MAX:
         for k in range(rows.shape[0]):
             rows[k, GOOD] = 0.0
         track[_HALVES] = math.ceil((t - track[_ORIGIN]) / (0.5 * GRID))
@@ -435,18 +431,14 @@ class PlusPredictor(UKFPredictor):
         # where the position is now is as unsure as where it goes, and of another cause
         away[:, :, :2] += (self._start_shocks[:, :2] @ _root(start_cov[:2, :2]).T)[:, None]
         edges = _edges(away)
-        place = np.arange(1, len(plan) + 1) / every
-        low = np.minimum(place.astype(int), K - 1)
-        share = (place - low)[:, None]
-        cov = (1.0 - share[..., None]) * covs[low] + share[..., None] * covs[low + 1]
-        low_edge, high_edge = (1.0 - share) * edges[:, low] + share * edges[:, low + 1]
+        low_edge, high_edge = (finer(edge, every, len(plan)) for edge in edges)
         return Prediction(
             self.t,
             starts[0].copy(),
             start_cov,
             self.t + dt * np.arange(1, len(plan) + 1),
             mean,
-            cov,
+            finer(covs, every, len(plan)),
             low=mean + low_edge,
             high=mean + high_edge,
         )

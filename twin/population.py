@@ -22,7 +22,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from twin.model import ROOM, model_of, roll_out
-from twin.particulars import Particulars
+from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
 from twin.prior import KINDS, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
@@ -58,7 +58,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-LENGTH_TIME = 6.336 / 5.4
+LENGTH_TIME = STUDY_LENGTH / STUDY_SPEED
 """Time in which the study boat of twin.md sails its length, s. Runs are told as a film shown at
 such a speed that every boat takes as long, so that the times below hold for all."""
 SPAN, ROW = 150.0, GRID
@@ -69,9 +69,14 @@ HORIZON, STRIDE = 20, 20
 """Rows that the fit looks ahead, and rows between its starts."""
 NEAR = 4
 """Rows that a first fit looks ahead."""
-ERROR_SD = np.array([0.35 / 6.336, 0.35 / 6.336, 0.04, 0.2 / 5.4, 0.2 / 5.4, 0.025 * LENGTH_TIME])
+ERROR_SD = np.array(
+    [
+        *(0.35 / STUDY_LENGTH, 0.35 / STUDY_LENGTH, 0.04),
+        *(0.2 / STUDY_SPEED, 0.2 / STUDY_SPEED, 0.025 * LENGTH_TIME),
+    ]
+)
 """Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
-LARGEST_ERROR = np.array([1.0 / 5.4, 1.0 / 5.4, 0.3 * LENGTH_TIME])
+LARGEST_ERROR = np.array([1.0 / STUDY_SPEED, 1.0 / STUDY_SPEED, 0.3 * LENGTH_TIME])
 """Root mean square errors of u, v, r above which a boat is no boat for the model."""
 FINE = 1e-4
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
@@ -124,7 +129,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
     n = vessel.values["shaft_speed_manoeuvring"] if n is None else n
     speed = vessel.straight_speed(n)
     true = dataclasses.replace(particulars_of(vessel), speed=speed, shaft_speed=n)
-    slow = true.length / speed / LENGTH_TIME
+    slow = true.slowness
     rows = round(SPAN / ROW)
     t = ROW * np.arange(rows)
     throttle, helm = np.ones(rows), np.zeros(rows)

@@ -253,6 +253,29 @@ class Predictor(ABC):
         """
 
 
+def finer(path: Array, every: int, rows: int) -> Array:
+    """Return values at every step of a plan from those at every few steps, linearly between.
+
+    Parameters
+    ----------
+    path : ndarray, shape (K + 1, ...)
+        Values now and after each coarse step.
+    every : int
+        Steps in a coarse step; the last may be cut short.
+    rows : int
+        Steps of the plan, at most K * every.
+
+    Returns
+    -------
+    ndarray, shape (rows, ...)
+    """
+    place = np.arange(1, rows + 1) / every
+    low = np.minimum(place.astype(int), len(path) - 2)
+    share = (place - low).reshape(-1, *[1] * (path.ndim - 1))
+    between: Array = (1.0 - share) * path[low] + share * path[low + 1]
+    return between
+
+
 def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
     """Return the states of a boat that keeps body velocity and yaw rate.
 

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, WIND, Segments, drive
-from twin.structure import N_STATES, N_TERMS, accelerations, state_terms
+from twin.model import derivative
+from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, WIND, Segments
+from twin.structure import N_STATES, N_TERMS
 from usv_kernel import kernel
 
 __all__ = ["Rivals", "miss"]
@@ -57,14 +58,13 @@ def miss(first, steps, every, rows, xi, kit, by_place, by_heading, room):
         Mean over the samples of the squared weighted errors; infinite where the motion leaves all
         bounds.
     """
-    hull, size = kit[2], rows.shape[0]
+    size = rows.shape[0]
     terms, rest = room[:N_TERMS], room[N_TERMS:]
     s, place, k, sums = rest[:6], rest[6:12], rest[12:18], rest[18:24]
     start = rows[first % size]
-    wind = start[WIND:GOOD]
+    wind, act = start[WIND:GOOD], start[ACT:MIDDLE]
     for i in range(3):
         s[i], s[3 + i] = start[i], start[LOW + i]
-    drive(start[ACT:MIDDLE], terms)
     total, count = 0.0, 0
     for step in range(steps):
         after = rows[(first + step + 1) % size]
@@ -72,14 +72,10 @@ def miss(first, steps, every, rows, xi, kit, by_place, by_heading, room):
             place[i], sums[i] = s[i], 0.0
         for stage in range(4):
             if stage == 1:
-                drive(rows[(first + step) % size, MIDDLE:], terms)
+                act = rows[(first + step) % size, MIDDLE:]
             elif stage == 3:
-                drive(after[ACT:MIDDLE], terms)
-            c, n = math.cos(place[2]), math.sin(place[2])
-            state_terms(place[3], place[4], place[5], c, n, wind, hull, terms)
-            k[0], k[1] = place[3] * c - place[4] * n, place[3] * n + place[4] * c
-            k[2] = place[5]
-            k[3], k[4], k[5] = accelerations(terms, kit, xi, 0)
+                act = after[ACT:MIDDLE]
+            derivative(place, xi, act, wind, kit, terms, k)
             share = 2.0 if stage == 1 or stage == 2 else 1.0
             h = GRID if stage == 2 else 0.5 * GRID
             for i in range(N_STATES):

@@ -16,8 +16,6 @@ __all__ = ["VARPredictor"]
 
 Array = NDArray[Any]
 
-LENGTH_TIME = 6.336 / 5.4
-"""Time in which the study boat sails its length, s: it has steps of one :data:`GRID`."""
 STRIDE_MAX = 8
 """Most grid steps in a step: a slow ship's still has to resolve its actuators."""
 ROWS_MIN = 40
@@ -58,8 +56,8 @@ class VARPredictor(ActuatedPredictor):
     """Length of the history at the first fit, and between fits, s."""
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
-        slow = particulars.length / particulars.speed / LENGTH_TIME
-        self.stride = min(max(round(slow), 1), STRIDE_MAX)
+        # the study boat has steps of one GRID
+        self.stride = min(max(round(particulars.slowness), 1), STRIDE_MAX)
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:
