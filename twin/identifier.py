@@ -57,6 +57,7 @@ __all__ = [
     "advance",
     "hold_inside",
     "plain_settings",
+    "scale_plan",
     "see",
 ]
 
@@ -197,6 +198,24 @@ def rooms(scratch, kit):
 
 
 @kernel
+def _process_noise(h, q, q_xi, Q, qx):
+    """Write the process noise of a step of h: Q (6, 6) of the states, qx (p,) of the parameters."""
+    for i in range(N_STATES):
+        Q[i, i] = q[i] * h
+    for k in range(q_xi.shape[0]):
+        qx[k] = q_xi[k] * h
+
+
+@kernel
+def scale_plan(plan, n_unit, scaled):
+    """Write a plan (K, 4) with its shaft speeds in the unit of the structure."""
+    for row in range(plan.shape[0]):
+        for k in range(2):
+            scaled[row, k] = n_unit * plan[row, k]
+            scaled[row, 2 + k] = plan[row, 2 + k]
+
+
+@kernel
 def advance(dt, cmd, memory, constants, scratch, work, kit):
     """Predict state, parameters and covariance of the joint filter over dt, actuators included.
 
@@ -214,10 +233,7 @@ def advance(dt, cmd, memory, constants, scratch, work, kit):
     dt = min(dt, GAP_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
-    for i in range(N_STATES):
-        Q[i, i] = q[i] * h
-    for k in range(q_xi.shape[0]):
-        qx[k] = q_xi[k] * h
+    _process_noise(h, q, q_xi, Q, qx)
     for _ in range(steps):
         _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
         joint_predict(x, P, act, wind, kit, h, Q, qx, weights, terms, work)
@@ -390,10 +406,7 @@ def _bands(acts, dt, every, memory, constants, scratch, work, kit, copy, out):
         copy[k] = memory[k]
     x, P, _, wind, q, q_xi, _, _, _, envelope, weights, _ = parts(copy, constants, kit)
     Q, _, terms, _, _, _, qx = rooms(scratch, kit)
-    for i in range(N_STATES):
-        Q[i, i] = q[i] * h
-    for k in range(q_xi.shape[0]):
-        qx[k] = q_xi[k] * h
+    _process_noise(h, q, q_xi, Q, qx)
     for j in range(out.shape[0]):
         last = min((j + 1) * every, acts.shape[0]) - 1
         for _ in range(steps):
@@ -409,10 +422,7 @@ def _roll(plan, dt, memory, constants, scratch, kit, ripple, scaled, out, acts):
     """Roll the model under a plan whose shaft speeds are in the unit of the particulars."""
     x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory, constants, kit)
     room = rooms(scratch, kit)[5]
-    for row in range(plan.shape[0]):
-        for k in range(2):
-            scaled[row, k] = n_unit * plan[row, k]
-            scaled[row, 2 + k] = plan[row, 2 + k]
+    scale_plan(plan, n_unit, scaled)
     s, xi = x[:N_STATES], x[N_STATES:]
     roll_out(s, xi, act, scaled, dt, lags, envelope, wind, kit, ripple, out, acts, room)
 
@@ -454,10 +464,7 @@ def spread_ahead(command, gps_var, P_nav, memory, constants, scratch, work, kit,
         copy[k] = memory[k]
     x, P, act, wind, q, q_xi, _, _, lags, envelope, weights, _ = parts(copy, constants, kit)
     Q, _, terms, _, _, _, qx = rooms(scratch, kit)
-    for i in range(N_STATES):
-        Q[i, i] = q[i] * BAND_STEP
-    for k in range(q_xi.shape[0]):
-        qx[k] = q_xi[k] * BAND_STEP
+    _process_noise(BAND_STEP, q, q_xi, Q, qx)
     before = 0.0
     for j in range(LOOK_AHEAD.shape[0]):
         after = LOOK_AHEAD[j]

@@ -19,6 +19,7 @@ from twin.identifier import (
     nav_parts,
     parts,
     rooms,
+    scale_plan,
     spread_ahead,
     spread_now,
     tight_step,
@@ -154,13 +155,6 @@ def describe(s, boat, note, points, rules, obs):
 
 
 @kernel
-def _scaled_command(boat, n_unit, held):
-    """Write a boat's command with shaft speeds in the unit of the structure."""
-    for k in range(2):
-        held[k], held[2 + k] = n_unit * boat[CMD + k], boat[CMD + 2 + k]
-
-
-@kernel
 def _ukf_all(
     boats, points, rules, told, notes, nav, memory, nav_settings, nav_work, constants, scratch,
     work, kit, room, obs,
@@ -184,7 +178,7 @@ def _ukf_all(
             *(dt, z, cmd, nav[i], nav_settings, nav_work),
             *(memory[i], constants, scratch, work, kit),
         )
-        _scaled_command(boat, n_unit, held)
+        scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
         look_ahead(
             *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[SLOWNESS]),
             *(_CALM, ahead, acts, rooms(scratch, kit)[5]),
@@ -219,10 +213,10 @@ def _plus_all(
         )
         n, P_nav = nav_parts(nav[i])
         x, _, _, _, _, _, _, _, _, _, _, n_unit = parts(memory[i], constants, kit)
-        _scaled_command(boat, n_unit, held)
+        scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
         plus_look(
             *(held, n, usual, told[SLOWNESS], rows[i], book[i], refit_rules, memory[i]),
-            *(constants, kit, ahead, look_room),
+            *(constants, kit, shocks, ahead, look_room),
         )
         spread_now(told[GPS_VAR], P_nav, memory[i], kit, now)
         if note[LAST] >= note[RENEW_AT]:

@@ -35,6 +35,7 @@ from twin.identifier import (
     parts,
     plain_settings,
     rooms,
+    scale_plan,
     tight_step,
 )
 from twin.model import LOOK_AHEAD, N_ACT, N_STATES, ROOM, look_ahead, model_of, roll_out, roll_outs
@@ -344,45 +345,6 @@ def plus_step(
 
 
 @kernel
-def plus_steps(
-    t,
-    dt,
-    z,
-    cmd,
-    nav,
-    settings,
-    nav_work,
-    memory,
-    constants,
-    scratch,
-    work,
-    kit,
-    rows,
-    book,
-    rules,
-    room,
-):
-    """Take one row of each of several boats of one structure: :func:`plus_step` for each.
-
-    Parameters
-    ----------
-    t, dt : (n,) arrays
-        Times, s.
-    z, cmd, nav, memory, rows, book : (n, ...) arrays
-        One boat's after the other.
-    settings, constants, rules : (n, ...) arrays
-        Likewise.
-    kit, nav_work, scratch, work, room
-        Shared.
-    """
-    for i in range(t.shape[0]):
-        plus_step(
-            *(t[i], dt[i], z[i], cmd[i], nav[i], settings[i], nav_work),
-            *(memory[i], constants[i], scratch, work, kit, rows[i], book[i], rules[i], room),
-        )
-
-
-@kernel
 def _past_waves(n, rows, track, w):
     """Write what is left of the last velocities (6, 3), newest first; zeros if some are no good."""
     newest = _last_row(track)
@@ -431,9 +393,7 @@ def _roll_guarded(
     x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory, constants, kit)
     start = room[ROOM:][:N_STATES]
     _start_at(n, track, start)
-    for row in range(plan.shape[0]):
-        for k in range(2):
-            scaled[row, k], scaled[row, 2 + k] = n_unit * plan[row, k], plan[row, 2 + k]
+    scale_plan(plan, n_unit, scaled)
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
         roll_out(
@@ -441,6 +401,10 @@ def _roll_guarded(
         )
         if _inside(out, track, usual):
             return
+
+
+_PATH = round(float(LOOK_AHEAD[-1]) / GRID) + 1
+"""Rows of a path of the waves, from now on."""
 
 
 @kernel
@@ -453,55 +417,51 @@ def _waves_ahead(past, track, shocks, path, ends, means):
         Last wave velocities, newest first.
     track : array
         Holds noise and coefficients.
-    shocks : (40, 3) array
-        Standard normal numbers; nothing is drawn if there are none (0, 3).
-    path : (41, 3) array
+    shocks : (1, 40, 3) array
+        Standard normal numbers; zeros give the mean path.
+    path : (1, 41, 3) array
         Room.
-    ends, means : (4, 3) arrays
+    ends, means : (1, 4, 3) arrays
         Written.
     """
     coefficients = track[_COEFFICIENTS:].reshape((ORDER, 3))
     for j in range(3):
-        path[0, j] = past[0, j]
-        for k in range(1, path.shape[0]):
-            value = track[_NOISE + j] * shocks[k - 1, j] if shocks.shape[0] > 0 else 0.0
-            for i in range(ORDER):
-                before = path[k - 1 - i, j] if i < k else past[i - k + 1, j]
-                value += coefficients[i, j] * before
-            path[k, j] = value
-        done = 0
-        for m in range(LOOK_AHEAD.shape[0]):
-            last, total = round(LOOK_AHEAD[m] / GRID), 0.0
-            for k in range(done, last):
-                total += 0.5 * (path[k, j] + path[k + 1, j])
-            ends[m, j], means[m, j] = path[last, j], total / (last - done)
-            done = last
+        path[0, 0, j] = past[0, j]
+    simulate_waves(past, coefficients, track[_NOISE:_COEFFICIENTS], shocks, path[:, 1:])
+    between(path, GRID, LOOK_AHEAD, ends, means)
 
 
 @kernel
 def _look_parts(room, p):
     """Return room for parameters, starts, waves, motions and factors as views."""
     many = LOOK_AHEAD.shape[0]
-    theta, drawn, start, begun = room[:p], room[p : 2 * p], room[2 * p :][:6], room[2 * p + 6 :][:6]
-    rest = room[2 * p + 12 :]
-    past, path = rest[:18].reshape((ORDER, 3)), rest[18:141].reshape((41, 3))
-    rest = rest[141:]
-    ends, means = rest[:12].reshape((many, 3)), rest[12:24].reshape((many, 3))
-    other, acts = rest[24:48].reshape((many, N_STATES)), rest[48:64].reshape((many, N_ACT))
-    rest = rest[64:]
-    root, small = rest[: p * p].reshape((p, p)), rest[p * p :][:36].reshape((N_STATES, N_STATES))
-    work = rest[p * p + 36 :][:p].reshape((1, p))
-    return theta, drawn, start, begun, past, path, ends, means, other, acts, root, small, work
+    theta, drawn, rest = room[:p], room[p : 2 * p], room[2 * p :]
+    start, begun, rest = rest[:N_STATES], rest[N_STATES:][:N_STATES], rest[2 * N_STATES :]
+    past, rest = rest[: 3 * ORDER].reshape((ORDER, 3)), rest[3 * ORDER :]
+    path, rest = rest[: 3 * _PATH].reshape((1, _PATH, 3)), rest[3 * _PATH :]
+    ends, means = rest[: 3 * many].reshape((1, many, 3)), rest[3 * many :][: 3 * many]
+    rest = rest[6 * many :]
+    other, rest = rest[: N_STATES * many].reshape((many, N_STATES)), rest[N_STATES * many :]
+    acts, rest = rest[: N_ACT * many].reshape((many, N_ACT)), rest[N_ACT * many :]
+    root, rest = rest[: p * p].reshape((p, p)), rest[p * p :]
+    small, rest = rest[: N_STATES**2].reshape((N_STATES, N_STATES)), rest[N_STATES**2 :]
+    return (
+        *(theta, drawn, start, begun, past, path, ends, means.reshape((1, many, 3))),
+        *(other, acts, root, small, rest[:p].reshape((1, p)), rest[p:]),
+    )
+
+
+def _look_size(p: int) -> int:
+    """Return the length of the room of :func:`plus_look`: that of its parts, and of a roll-out."""
+    many = len(LOOK_AHEAD)
+    waves = 3 * (ORDER + _PATH + 2 * many)
+    return 3 * p + p * p + 2 * N_STATES + N_STATES**2 + waves + (N_STATES + N_ACT) * many + ROOM
 
 
 @kernel
-def look_room(p):
-    """Return the length of the room of :func:`plus_look`."""
-    return 2 * p + 12 + 141 + 64 + p * p + 36 + p + ROOM
-
-
-@kernel
-def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants, kit, ahead, room):
+def plus_look(
+    command, n, usual, slowness, rows, book, rules, memory, constants, kit, shocks, ahead, room
+):
     """Write the motion most to be expected at LOOK_AHEAD under a held command.
 
     What :meth:`PlusPredictor.mean` says of the same times, to within about 1e-3 of the way made.
@@ -516,29 +476,33 @@ def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants,
         Largest usual velocities, and the time to sail a length, s.
     rows, book, rules, memory, constants, kit
         Of a :class:`PlusPredictor`.
+    shocks : tuple
+        Standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3); the
+        first of the waves are zeros, and all that is used here.
     ahead : (4, 6) array
         Written.
     room : array
-        Of :func:`look_room`; the parameters in use are left there, for :func:`plus_spread`.
+        As long as :func:`_look_size` says; the parameters in use are left there, for
+        :func:`plus_spread`.
     """
     p = kit[0].shape[1]
     x, _, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
-    theta, _, start, _, past, path, ends, means, _, acts, _, _, _ = _look_parts(room, p)
+    theta, _, start, _, past, path, ends, means, _, acts, _, _, _, roll = _look_parts(room, p)
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
-    _waves_ahead(past, track, rows[:0, :3], path, ends, means)
+    _waves_ahead(past, track, shocks[2][:1], path, ends, means)
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
         look_ahead(
             *(start, theta, act, command, lags, envelope, wind, kit, slowness),
-            *(means, ahead, acts, room[room.shape[0] - ROOM :]),
+            *(means[0], ahead, acts, roll),
         )
         if _inside(ahead, track, usual):
             break
     for m in range(ahead.shape[0]):
         for k in range(3):
-            ahead[m, 3 + k] += ends[m, k]
+            ahead[m, 3 + k] += ends[0, m, k]
 
 
 @kernel
@@ -561,7 +525,7 @@ def plus_spread(
 
     Parameters
     ----------
-    command, slowness, book, memory, constants, kit, room
+    command, slowness, book, memory, constants, kit, shocks, room
         As for :func:`plus_look`.
     gps_var : float
         Variance of the drifting part of a fix, m2.
@@ -569,8 +533,6 @@ def plus_spread(
         Covariance of the navigation.
     ahead : (4, 6) array
         From :func:`plus_look`.
-    shocks : tuple
-        Standard normal numbers of parameters (D, p), starts (D, 6) and waves (D, 40, 3).
     covs : (4, 6, 6) array
         Covariances ahead are written there.
     """
@@ -579,7 +541,7 @@ def plus_spread(
     _, P, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
-    theta, drawn, start, begun, past, path, ends, means, out, acts, root, small, work = own
+    theta, drawn, start, begun, past, path, ends, means, out, acts, root, small, work, roll = own
     cholesky(P[N_STATES:, N_STATES:], root, work)
     for i in range(N_STATES):
         for k in range(N_STATES):
@@ -596,14 +558,14 @@ def plus_spread(
         _add_drawn(root, by_theta[d], drawn)
         _add_drawn(small, by_start[d], begun)
         begun[0], begun[1] = start[0], start[1]
-        _waves_ahead(past, track, by_waves[d], path, ends, means)
+        _waves_ahead(past, track, by_waves[d + 1 : d + 2], path, ends, means)
         look_ahead(
             *(begun, drawn, act, command, lags, envelope, wind, kit, slowness),
-            *(means, out, acts, room[room.shape[0] - ROOM :]),
+            *(means[0], out, acts, roll),
         )
         for m in range(out.shape[0]):
             for k in range(3):
-                out[m, 3 + k] += ends[m, k]
+                out[m, 3 + k] += ends[0, m, k]
             for k in range(N_STATES):
                 out[m, k] = WIDER * (out[m, k] - ahead[m, k])
             for i in range(N_STATES):
@@ -723,8 +685,8 @@ class PlusPredictor(UKFPredictor):
             self.segments.room,
         )
         self._look = (
-            *(self._usual, np.zeros(look_room(p))),
-            (self._theta_shocks, self._start_shocks, self._wave_shocks[1:]),
+            *(self._usual, np.zeros(_look_size(p))),
+            (self._theta_shocks, self._start_shocks, self._wave_shocks),
         )
 
     def reset(self) -> None:

@@ -33,18 +33,18 @@ __all__ = [
 ]
 
 
+SIZE = len(OBSERVATION) + len(TWIN_OBSERVATION)
+"""Numbers in an observation with the twin's part."""
+
+
 def _space() -> spaces.Box:
-    size = len(OBSERVATION) + len(TWIN_OBSERVATION)
-    return spaces.Box(-BOUND, BOUND, (size,), np.float32)
+    return spaces.Box(-BOUND, BOUND, (SIZE,), np.float32)
 
 
-def _augment(observer: TwinObserver, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-    """Let the twin of one boat see this step, and return the observation with its part."""
-    out = np.empty((1, len(OBSERVATION) + len(TWIN_OBSERVATION)), np.float32)
-    out[0, : len(OBSERVATION)] = obs
-    observer.observe(out)
+def _look(observer: TwinObserver, obs: np.ndarray, info: dict[str, Any]) -> None:
+    """Let the twin of one boat see this step, and write its part of the observation and info."""
+    observer.observe(obs[None])
     info["twin_position_error_m"] = observer.off.item(0)
-    return out[0]
 
 
 class TwinObservation(
@@ -131,12 +131,18 @@ class TwinObservation(
         """Start an episode with a twin that knows nothing yet."""
         obs, info = self.env.reset(seed=seed, options=options)
         self._observer.reset(0)
-        return _augment(self._observer, obs, info), info
+        return self._with_twin(obs, info), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail one step, and let the twin see it."""
         obs, reward, terminated, truncated, info = self.env.step(action)
-        return _augment(self._observer, obs, info), float(reward), terminated, truncated, info
+        return self._with_twin(obs, info), float(reward), terminated, truncated, info
+
+    def _with_twin(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        whole = np.empty(SIZE, np.float32)
+        whole[: len(obs)] = obs
+        _look(self._observer, whole, info)
+        return whole
 
 
 class USVTwinEnv(USVEnv):
@@ -166,7 +172,7 @@ class USVTwinEnv(USVEnv):
         self._observer = observer_of(self.episodes, twin, particulars, band_period, twin_seed)
         self.twin = self._observer.first
         self.observation_space = _space()
-        self._size = len(OBSERVATION) + len(TWIN_OBSERVATION)
+        self._size = SIZE
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -174,19 +180,14 @@ class USVTwinEnv(USVEnv):
         """Start an episode; see :meth:`USVEnv.reset`."""
         obs, info = super().reset(seed=seed, options=options)
         self._observer.reset(0)
-        self._look(obs, info)
+        _look(self._observer, obs, info)
         return obs, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail one step; see :meth:`USVEnv.step`."""
         obs, reward, terminated, truncated, info = super().step(action)
-        self._look(obs, info)
+        _look(self._observer, obs, info)
         return obs, reward, terminated, truncated, info
-
-    def _look(self, obs: np.ndarray, info: dict[str, Any]) -> None:
-        """Let the twin see this step, and write its part of the observation."""
-        self._observer.observe(obs[None])
-        info["twin_position_error_m"] = self._observer.off.item(0)
 
 
 class USVTwinVectorEnv(USVVectorEnv):

@@ -197,7 +197,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._started = True
         if self.history is not None:
             self.history.clear()
-        self._remember()
+            self._remember(self.history)
         return obs[0], self._info(self._record.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -231,15 +231,14 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
         if self.history is not None:
-            self._remember()
+            self._remember(self.history)
         record = self._record.tolist()
         return obs[0], record[REWARD], record[TERMINATED] != 0.0, False, self._info(record)
 
-    def _remember(self) -> None:
-        """Keep this step's row for the log, if asked to."""
-        if self.history is not None:
-            sim = self.simulation
-            self.history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
+    def _remember(self, history: list[np.ndarray]) -> None:
+        """Keep this step's row for the log."""
+        sim = self.simulation
+        history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
 
     def _info(self, record: list[float]) -> dict[str, Any]:
         return {

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from usv_gym.vector import USVVectorEnv
 
 try:
+    from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError("usv_gym.sb3 needs stable-baselines3: pip install 'usv-twin[rl]'") from error
@@ -158,8 +159,7 @@ class SB3VecEnv(VecEnv):
 
         Of Monitor it returns True, because the infos have what it would add.
         """
-        monitored = wrapper_class.__name__ == "Monitor"
-        return [monitored for _ in self._boats(indices)]
+        return [issubclass(wrapper_class, Monitor) for _ in self._boats(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return no pictures; there are none yet."""

@@ -15,7 +15,7 @@ from twin.log import MEASUREMENTS, Log
 from twin.model import N_STATES
 from twin.particulars import Particulars
 from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND
-from twin.plus import PlusPredictor, plus_steps, take_segments
+from twin.plus import PlusPredictor, plus_step, take_segments
 from twin.simulated import particulars_of, simulate
 from twin.structure import MODELS
 from usv_gym import SeaState, Vessel
@@ -300,7 +300,7 @@ def test_a_clock_that_jumps_a_year_costs_no_walk_through_it(boat: Particulars, z
     assert predictor.last_row - predictor._next_start <= own.steps + predictor.spacing
 
 
-def test_boats_in_one_call_are_those_alone(boat: Particulars, zigzag: Log) -> None:
+def test_boats_that_share_their_scratch_are_those_alone(boat: Particulars, zigzag: Log) -> None:
     logs = [gap(zigzag, 30.0, 2.0), zigzag, without(zigzag, slice(0, 4), 20.0)]
     logs = [log.slice(0.0, 45.0) for log in logs]
     rows_each = min(map(len, logs))
@@ -316,10 +316,12 @@ def test_boats_in_one_call_are_those_alone(boat: Particulars, zigzag: Log) -> No
             np.stack([part[k] for part in parts])
             for parts in ([log.z for log in logs], [log.cmd for log in logs])
         )
-        plus_steps(
-            *(t, dt, z, cmd, many[0], many[1], nav_work, many[2], many[3], scratch, work, kit),
-            *(many[4], many[5], many[6], room),
-        )
+        for i in range(3):
+            nav, settings, memory_, constants, window, book, rules = (array[i] for array in many)
+            plus_step(
+                *(t[i], dt[i], z[i], cmd[i], nav, settings, nav_work, memory_, constants),
+                *(scratch, work, kit, window, book, rules, room),
+            )
     for i, log in enumerate(logs):
         predictor = PlusPredictor(boat)
         feed(predictor, log.slice(-1.0, float(log.t[rows_each - 1]) + 1e-9))
