@@ -1,0 +1,1 @@
+"""Everything that steers: classical controllers, trained policies, and how they are compared."""

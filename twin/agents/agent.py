@@ -1,0 +1,40 @@
+"""What steers a batch of boats, whether it was written or trained."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usv_gym.vector import USVVectorEnv
+
+__all__ = ["Agent"]
+
+
+class Agent(Protocol):
+    """Steers all boats of a vector environment at once.
+
+    Attributes
+    ----------
+    name : str
+        For tables.
+    observation : str
+        The observation set that it needs, see :func:`twin.wrapper.make_env`.
+    """
+
+    name: str
+    observation: str
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """Forget all there was: every boat of ``envs`` begins an episode.
+
+        Parameters
+        ----------
+        envs : USVVectorEnv
+            As it was reset. What is asked of it is its vessel, its options and the names of the
+            observation's entries, never the truth.
+        """
+
+    def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return the actions, shape (n, 2), for observations (n, D)."""
