@@ -167,6 +167,9 @@ class Simulation:
         Command of the last step.
     t : ndarray, shape (n,)
         Time since reset, s.
+    faults : ndarray, shape (n, F, FAULT_SIZE)
+        Faults of sensors of this episode, as :func:`usv_gym.sensors.fault_rows` gives them; NaN
+        where there are fewer.
     """
 
     def __init__(
@@ -225,7 +228,7 @@ class Simulation:
             for (part, shape), begin, end in zip(shapes.items(), ends[:-1], ends[1:], strict=True)
         }
         self.waves, self.gusts, self._noise = parts[WAVES], parts[GUSTS], parts[NOISE]
-        self._faults, self._rings = parts[FAULTS], parts[RING]
+        self.faults, self._rings = parts[FAULTS], parts[RING]
         self.records = self.boats[:, :RECORD_SIZE]
         self.state = self.records[:, STATE:CMD]
         self.cmd = self.records[:, CMD:Z]
@@ -233,7 +236,7 @@ class Simulation:
         self.z[:] = math.nan
         self.weather = self.records[:, WEATHER:TIME]
         self.t = self.records[:, TIME]
-        self._faults[:] = math.nan
+        self.faults[:] = math.nan
         layout = np.zeros(ROW_SIZE + 1, dtype=np.int64)
         layout[list(shapes)] = ends[:-1]
         layout[[COMPONENTS, GUST_COMPONENTS]] = shapes[WAVES][1], shapes[GUSTS][1]
@@ -281,8 +284,8 @@ class Simulation:
             (rng_weather,) = rng_gusts.spawn(1)
             given = self._given_faults
             faults = tuple(given(rng_faults) if callable(given) else given)
-            self._faults[i] = math.nan
-            self._faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
+            self.faults[i] = math.nan
+            self.faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
             sources = sensors.fault_sources(faults, rng_faults)
             self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, rng_weather, *sources)
             self.records[i, TIME] = self.records[i, COUNT] = self.records[i, NOISE_UNTIL] = 0.0
@@ -302,7 +305,7 @@ class Simulation:
             still = np.zeros(fr.STATE_SIZE)
             sensors.start_memory(suite, noise, memory)
             sensors.measure(
-                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self._faults[i], memory),
+                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self.faults[i], memory),
                 *(self._rings[i], self.z[i]),
             )
 

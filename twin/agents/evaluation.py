@@ -1,0 +1,188 @@
+"""How well something steers: episodes with fixed seeds, all at once, one row for each."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+import usv_gym  # noqa: F401 - registers the environment
+from twin.agents.agent import Agent
+from twin.agents.policy import AgentError
+from usv_gym.sensors import BITS, END, GPS_BIT, START
+from usv_gym.tasks import PathFollowing
+from usv_gym.vector import USVVectorEnv
+
+__all__ = [
+    "EVALUATION_SEEDS", "FIRST_TRAINING_SEED", "GRID", "OUTAGES", "SEAS", "evaluate", "make_envs",
+]  # fmt: skip
+
+SEAS = ("0", "2", "4")
+OUTAGES = ("none", "gps10", "gps30", "gps60")
+GRID = tuple(itertools.product(SEAS, OUTAGES))
+"""Sea states and losses of GPS of the study."""
+EVALUATION_SEEDS = tuple(range(900_000, 900_020))
+FIRST_TRAINING_SEED = 2**30
+"""No training sees a boat with a smaller seed, so that those may serve to evaluate."""
+FRAME_SKIP = 10
+EPISODE = 240
+AFTER_OUTAGE = 20.0
+"""The outage's own score goes on for so long after it, s."""
+
+
+def make_envs(
+    n: int, *, observation: str, twin: str = "ukf", frame_skip: int = FRAME_SKIP,
+    max_episode_steps: int = EPISODE, **env: Any,
+) -> USVVectorEnv:  # fmt: skip
+    """Make n boats for an agent.
+
+    Parameters
+    ----------
+    n : int
+        Number of boats.
+    observation : str
+        What the agent sees; see :func:`twin.wrapper.make_env`.
+    twin : str
+        Which twin, where it sees one.
+    frame_skip : int
+        Steps of 0.05 s for which an action is held.
+    max_episode_steps : int
+        Decisions in an episode.
+    **env
+        Other options of ``gym.make_vec("USVTwin-v0", ...)``.
+    """
+    envs: Any = _shim_make(
+        "USVTwin-v0",
+        num_envs=n,
+        observation=observation,
+        twin=twin,
+        frame_skip=frame_skip,
+        max_episode_steps=max_episode_steps,
+        **env,
+    )
+    return envs
+
+
+def _shim_make(name, *, observation, twin, frame_skip, sea="2", faults="none", **kw):  # SHIM
+    from twin.observer import TWIN_OBSERVATION
+    from usv_gym.episodes import OBSERVATION
+    if observation == "twin":
+        envs = gym.make_vec(name, twin=twin, sea=sea.split("|")[-1], faults=faults.split("|")[-1], **kw)
+        envs.observation_names = OBSERVATION + TWIN_OBSERVATION
+    else:
+        envs = gym.make_vec(name, twin=None, sea=sea.split("|")[-1], faults=faults.split("|")[-1], **kw)
+        envs.observation_names = OBSERVATION
+    return envs
+
+
+def evaluate(
+    agent: Agent, *, seeds: Sequence[int] = EVALUATION_SEEDS, sea: str = "2", faults: str = "none",
+    frame_skip: int = FRAME_SKIP, max_episode_steps: int = EPISODE, **env: Any,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Let an agent sail episodes, and return a row for each.
+
+    Parameters
+    ----------
+    agent : Agent
+        What steers.
+    seeds : sequence of int
+        One episode for each: the one that a single environment has with that seed.
+    sea, faults : str
+        Sea state and loss of sensors; ``"a|b"`` for one of them at random.
+    frame_skip, max_episode_steps, **env
+        See :func:`make_envs`.
+
+    Returns
+    -------
+    list of dict
+        ``agent, sea, faults, seed, return, length_s, success, failed`` (off the path or
+        capsized), ``cross_track_m`` (mean distance off the path until the episode's end),
+        ``off_path_m`` (the same over all decisions of an episode, of which those after a failure
+        count as 50 m, and those after a success do not count: to fail early is no advantage),
+        ``off_path_outage_m`` (the same from the begin of the loss of GPS to 20 s after it; None
+        without one, or where the goal was reached before).
+    """
+    seeds = [int(seed) for seed in seeds]
+    if not seeds:
+        raise AgentError("no seeds to evaluate on: name at least one")
+    envs = make_envs(
+        len(seeds),
+        observation=agent.observation,
+        autoreset_mode=AutoresetMode.NEXT_STEP,
+        sea=sea,
+        faults=faults,
+        frame_skip=frame_skip,
+        max_episode_steps=max_episode_steps,
+        **env,
+    )
+    try:
+        obs, infos = envs.reset(seed=seeds)
+        agent.begin(envs)
+        first, last = _outages(envs)
+        alive = np.ones(len(seeds), dtype=np.bool_)
+        success, failed = ~alive, ~alive
+        returns, lengths = np.zeros(len(seeds)), np.zeros(len(seeds))
+        off = np.full((max_episode_steps, len(seeds)), np.nan)
+        for row in off:
+            obs, rewards, terminated, truncated, infos = envs.step(agent.act(obs))
+            returns[alive] += rewards[alive]
+            lengths[alive] = infos["t_s"][alive]
+            row[alive] = np.abs(infos["cross_track_m"][alive])
+            ends = alive & (terminated | truncated)
+            success |= ends & infos["is_success"]
+            failed |= ends & terminated & ~infos["is_success"]
+            alive &= ~ends
+            if not alive.any():
+                break
+        times = envs.simulation.dt * _skip(frame_skip) * np.arange(1, max_episode_steps + 1)[:, None]
+    finally:
+        envs.close()
+    sailed = _mean(off)
+    off[np.isnan(off) & failed] = PathFollowing.off_track
+    during = (first <= times) & (times <= last + AFTER_OUTAGE)
+    whole, lost = _mean(off), _mean(np.where(during, off, np.nan))
+    return [
+        {
+            **{"agent": agent.name, "sea": sea, "faults": faults, "seed": seed},
+            **{"return": float(returns[i]), "length_s": float(lengths[i])},
+            **{"success": bool(success[i]), "failed": bool(failed[i])},
+            **{"cross_track_m": float(sailed[i]), "off_path_m": float(whole[i])},
+            "off_path_outage_m": None if np.isnan(lost[i]) else float(lost[i]),
+        }
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def on_grid(
+    agent: Agent, *, seeds: Sequence[int] = EVALUATION_SEEDS, seas: Sequence[str] = SEAS,
+    outages: Sequence[str] = OUTAGES, **env: Any,
+) -> Iterator[list[dict[str, Any]]]:  # fmt: skip
+    """Evaluate an agent in each sea state with each outage; yield the rows of each."""
+    for sea, faults in itertools.product(seas, outages):
+        yield evaluate(agent, seeds=seeds, sea=sea, faults=faults, **env)
+
+
+def _outages(envs: USVVectorEnv) -> tuple[np.ndarray, np.ndarray]:
+    """Return when each boat's GPS is first lost and back, s; NaN where it is not."""
+    first, last = np.full((2, envs.num_envs), np.nan)
+    for rows in np.moveaxis(envs.simulation.faults, 1, 0)[::-1]:
+        gps = rows[:, BITS] == GPS_BIT
+        first[gps], last[gps] = rows[gps, START], rows[gps, END]
+    return first, last
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """Return the means of columns over what is no NaN; NaN where there is nothing else."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _skip(n):  # SHIM
+    return 1

@@ -1,0 +1,185 @@
+"""A trained policy as a small file, and in plain numpy: what trained it is not needed to sail it."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usv_gym.vector import USVVectorEnv
+
+__all__ = ["AgentError", "Policy", "write_whole"]
+
+Array = NDArray[np.floating[Any]]
+Layer = tuple[Array, Array]
+
+ACTIVATIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+FORMAT = 1
+
+
+class AgentError(ValueError):
+    """Something that steers, trains or is compared does not fit; the message says what."""
+
+
+@dataclass
+class Policy:
+    """The deterministic actor that a training left behind; an :class:`~twin.agents.agent.Agent`.
+
+    Parameters
+    ----------
+    name : str
+        For tables.
+    observation : str
+        The observation set that it was trained on.
+    names : tuple of str
+        Name of each entry of the observation.
+    settings : dict
+        What it was trained with: ``algo``, ``seed``, ``steps``, ``twin``, ``sea``, ...
+    mean, sd : ndarray, shape (D,)
+        Observations are normalised with them.
+    clip : float
+        Largest size of a normalised entry.
+    layers : sequence of (ndarray, ndarray)
+        Weights (out, in) and biases (out,) of each layer; the last gives the action.
+    lstm : tuple of ndarray, optional
+        Weights of inputs (4 H, D) and of the hidden state (4 H, H), and biases (4 H,), of what
+        comes before the layers; gates in the order input, forget, cell, output.
+    activation : str
+        Of the hidden layers: ``"tanh"`` or ``"relu"``.
+    squash : bool
+        Actions are the hyperbolic tangent of the last layer; else it is cut off at -1 and 1.
+    """
+
+    name: str
+    observation: str
+    names: tuple[str, ...]
+    settings: dict[str, Any]
+    mean: Array
+    sd: Array
+    clip: float
+    layers: Sequence[Layer]
+    lstm: tuple[Array, Array, Array] | None = None
+    activation: str = "tanh"
+    squash: bool = False
+    _hidden: tuple[Array, Array] | None = field(default=None, init=False, repr=False)
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """Forget all there was; see :meth:`twin.agents.agent.Agent.begin`.
+
+        Raises
+        ------
+        AgentError
+            The observation is not the one that it was trained on.
+        """
+        found = tuple(envs.unwrapped.observation_names)  # type: ignore[attr-defined]
+        if found != self.names:
+            odd = [name for name in self.names if name not in found][:3]
+            odd += [name for name in found if name not in self.names][:3]
+            raise AgentError(
+                f"policy {self.name} was trained on {len(self.names)} entries of the observation "
+                f"set {self.observation!r}, and this environment gives {len(found)}"
+                + (f" (not in both: {', '.join(odd)})" if odd else " in another order")
+                + f"; make it with observation={self.observation!r}"
+            )
+        self.forget(envs.num_envs)
+
+    def forget(self, n: int) -> None:
+        """Begin with n boats and an empty memory."""
+        if self.lstm is not None:
+            size = self.lstm[1].shape[1]
+            self._hidden = np.zeros((n, size)), np.zeros((n, size))
+
+    def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return the actions, shape (n, 2), for observations (n, D)."""
+        x = np.clip((obs - self.mean) / self.sd, -self.clip, self.clip)
+        if self.lstm is not None:
+            if self._hidden is None:
+                raise AgentError(f"policy {self.name} remembers: call begin(envs) before act(obs)")
+            of_input, of_hidden, bias = self.lstm
+            hidden, cell = self._hidden
+            gates = x @ of_input.T + hidden @ of_hidden.T + bias
+            i, f, g, o = np.split(gates, 4, axis=1)
+            cell = _sigmoid(f) * cell + _sigmoid(i) * np.tanh(g)
+            x = _sigmoid(o) * np.tanh(cell)
+            self._hidden = x, cell
+        activate = ACTIVATIONS[self.activation]
+        for weights, bias in self.layers[:-1]:
+            x = activate(x @ weights.T + bias)
+        weights, bias = self.layers[-1]
+        x = x @ weights.T + bias
+        return np.tanh(x) if self.squash else np.clip(x, -1.0, 1.0)
+
+    def save(self, path: str | Path) -> None:
+        """Write it to a file, whole or not at all."""
+        notes = {
+            **{"format": FORMAT, "name": self.name, "observation": self.observation},
+            **{"names": self.names, "settings": self.settings, "clip": self.clip},
+            **{"activation": self.activation, "squash": self.squash},
+        }
+        arrays = {"notes": np.array(json.dumps(notes)), "mean": self.mean, "sd": self.sd}
+        for j, (weights, bias) in enumerate(self.layers):
+            arrays |= {f"weights_{j}": weights, f"bias_{j}": bias}
+        if self.lstm is not None:
+            arrays |= {f"lstm_{j}": part for j, part in enumerate(self.lstm)}
+        packed = io.BytesIO()
+        np.savez_compressed(packed, **arrays)
+        write_whole(Path(path), packed.getvalue())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Policy:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        AgentError
+            It is no such file.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = dict(file)
+            notes = json.loads(str(arrays["notes"]))
+            if notes.pop("format") != FORMAT:
+                raise AgentError(f"{path}: was written by another version; train it again")
+            several = range(len(arrays))
+            layers = [
+                (arrays[f"weights_{j}"], arrays[f"bias_{j}"])
+                for j in several
+                if f"weights_{j}" in arrays
+            ]
+            lstm = tuple(arrays[f"lstm_{j}"] for j in range(3)) if "lstm_0" in arrays else None
+            notes["names"] = tuple(notes["names"])
+            policy = cls(**notes, mean=arrays["mean"], sd=arrays["sd"], layers=layers, lstm=lstm)
+        except AgentError:
+            raise
+        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise AgentError(
+                f"{path}: is no policy ({error}); usv-twin train writes policy.npz"
+            ) from None
+        return policy
+
+
+def _sigmoid(x: Array) -> Array:
+    # the tangent does not overflow
+    return 0.5 + 0.5 * np.tanh(0.5 * x)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, also if the machine dies."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{os.getpid()}_{path.name}")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
