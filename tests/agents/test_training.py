@@ -1,0 +1,187 @@
+"""Training: reproducible, resumable, and a policy file that is what was trained."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+import usv_gym  # noqa: F401 - registers the environment
+
+pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
+pytest.importorskip("tensorboard", reason="tensorboard is not installed")
+
+from twin.agents import training
+from twin.agents.evaluation import EVALUATION_SEEDS, FIRST_TRAINING_SEED, make_envs
+from twin.agents.policy import AgentError, Policy
+from twin.agents.training import ALGORITHMS, CURVE_SEEDS, Plan, Run, hyperparameters, train
+
+SMALL = {
+    "ppo": {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2},
+    "sac": {"n_envs": 4, "learning_starts": 32, "batch_size": 16, "gradient_steps": 1},
+    "recurrent_ppo": {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2},
+}
+
+
+def plan(algo="ppo", **changes):
+    usual = {"observation": "raw", "steps": 300, "every": 128, "max_episode_steps": 12}
+    return Plan(algo, **(usual | changes))
+
+
+def run(tmp_path, algo="ppo", name="run", hyper=(), **changes):
+    small = hyperparameters(algo) | SMALL[algo] | dict(hyper)
+    return train(plan(algo, **changes), tmp_path / name, hyper=small, curve_seeds=(1, 2, 3))
+
+
+def curve(found: Run):
+    return [{key: value for key, value in row.items() if key != "wall_s"} for row in found.curve]
+
+
+def same(a: Policy, b: Policy) -> bool:
+    return all(
+        np.array_equal(x, y)
+        for one, other in zip(a.layers, b.layers, strict=True)
+        for x, y in zip(one, other, strict=True)
+    ) and np.array_equal(a.sd, b.sd)
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_a_run_that_crashed_goes_on_as_if_it_had_not(tmp_path, algo, monkeypatch):
+    hyper = {"buffer_size": 40 * 4} if algo == "sac" else {}  # the buffer is full before the end
+    whole = run(tmp_path, algo, "whole", hyper)
+    assert [row["decisions"] for row in whole.curve] == {
+        "sac": [0, 128, 256, 300],
+        "ppo": [0, 128, 256, 320],
+        "recurrent_ppo": [0, 128, 256, 320],
+    }[algo]
+    written = []
+    write = training._write
+
+    def dies(path, content):
+        # SAC: between the buffer's part and the checkpoint
+        if len(written) == {"sac": 3}.get(algo, 1):
+            raise KeyboardInterrupt
+        write(path, content)
+        written.append(path.name)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(training, "_write", dies)
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path, algo, "stopped", hyper)
+    assert (tmp_path / "stopped" / "checkpoint.pt").exists()
+    with pytest.raises(AgentError, match="has not ended"):
+        Run.of(tmp_path / "stopped")
+    stopped = run(tmp_path, algo, "stopped", hyper)
+    assert curve(stopped) == curve(whole)
+    assert same(stopped.policy, whole.policy)
+    left = {path.name for path in (tmp_path / "stopped").iterdir()}
+    assert left == {"run.json", "curve.csv", "policy.npz", "tensorboard"}
+    assert list((tmp_path / "stopped" / "tensorboard").glob("events*"))
+    with (tmp_path / "stopped" / "curve.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 4
+
+
+def test_same_seed_same_curve_and_another_seed_another(tmp_path):
+    first, again = run(tmp_path, name="a"), run(tmp_path, name="b")
+    assert curve(first) == curve(again) and same(first.policy, again.policy)
+    other = run(tmp_path, name="c", seed=1)
+    assert not same(first.policy, other.policy)
+
+
+def test_a_run_that_is_done_stays_as_it_is_and_another_one_is_refused(tmp_path):
+    first = run(tmp_path)
+    before = (tmp_path / "run" / "policy.npz").stat().st_mtime_ns
+    again = run(tmp_path)
+    assert again.curve == first.curve
+    assert (tmp_path / "run" / "policy.npz").stat().st_mtime_ns == before
+    with pytest.raises(AgentError, match="is a run with steps = 300, not 500"):
+        run(tmp_path, steps=500)
+    with pytest.raises(AgentError, match="is a run with hyper"):
+        run(tmp_path, hyper={"n_epochs": 3})
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_a_policy_file_is_what_stable_baselines3_predicts(tmp_path, algo):
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from usv_gym.sb3 import SB3VecEnv
+
+    small = hyperparameters(algo) | SMALL[algo]
+    learner = training._Learner(plan(algo), tmp_path, small, (1,))
+    learner.learn(False)
+    model, envs = learner.model, learner.envs
+    path = tmp_path / "policy.npz"
+    training.policy_of(model, envs, plan(algo), {"algo": algo}).save(path)
+    assert path.stat().st_size < 200_000
+    policy = Policy.load(path)
+    assert policy.settings == {"algo": algo} and policy.observation == "raw"
+    mine = make_envs(4, observation="raw", max_episode_steps=12)
+    obs, _ = mine.reset(seed=5)
+    policy.begin(mine)
+    state, starts = None, np.ones(4, dtype=bool)
+    for _ in range(11):
+        normal = envs.normalize_obs(obs)
+        expected, state = model.predict(normal, state, starts, deterministic=True)
+        actions = policy.act(obs)
+        np.testing.assert_allclose(actions, expected, atol=1e-5)
+        starts = np.zeros(4, dtype=bool)
+        obs, *_ = mine.step(actions)
+    assert np.ptp(actions) > 1e-3
+    mine.close()
+    assert isinstance(envs, VecNormalize) and isinstance(envs.venv, SB3VecEnv)
+
+
+def test_a_policy_refuses_other_observations_and_files(tmp_path):
+    policy = run(tmp_path).policy
+    with pytest.raises(AgentError, match="trained on 23 entries of the observation set 'raw'"):
+        policy.begin(make_envs(2, observation="twin"))
+    wrong = tmp_path / "wrong.npz"
+    wrong.write_bytes(b"nothing")
+    with pytest.raises(AgentError, match="is no policy"):
+        Policy.load(wrong)
+    np.savez(wrong, notes=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(AgentError, match="is no policy"):
+        Policy.load(wrong)
+
+
+def test_no_training_sees_a_boat_that_evaluates():
+    assert not set(EVALUATION_SEEDS) & set(CURVE_SEEDS)
+    assert max(EVALUATION_SEEDS + CURVE_SEEDS) < FIRST_TRAINING_SEED
+    drawn = [training._seed_of(seed, steps) for seed in range(20) for steps in range(20)]
+    assert len(set(drawn)) == 400
+    assert min(drawn) >= FIRST_TRAINING_SEED and max(drawn) < 2**31
+
+
+def test_wrong_plans_and_hyperparameters_are_named(tmp_path):
+    with pytest.raises(AgentError, match="algo = 'dqn'; known: ppo, sac, recurrent_ppo"):
+        Plan("dqn", "raw", 10)
+    with pytest.raises(AgentError, match="observation = 'eyes'; known: raw"):
+        Plan("ppo", "eyes", 10)
+    with pytest.raises(AgentError, match="steps = 0: must be"):
+        Plan("ppo", "raw", 0)
+    file = tmp_path / "mine.toml"
+    with pytest.raises(AgentError, match=r"mine\.toml: No such file"):
+        hyperparameters("ppo", file)
+    for text, message in (
+        ("n_steps =", "is no TOML"),
+        ("steps = 3", "ppo has no 'steps'; it has batch_size"),
+        ('[policy_kwargs]\nactivation_fn = "gelu"', "activation_fn = 'gelu'; use tanh, relu"),
+    ):
+        file.write_text(text)
+        with pytest.raises(AgentError, match=message):
+            hyperparameters("ppo", file)
+    for hyper, message in (
+        ({"learning_rate": "log_3"}, "learning_rate = 'log_3': must be"),
+        ({"policy_kwargs": {"width": 3}}, "hyperparameters of ppo: .*width"),
+    ):
+        with pytest.raises(AgentError, match=message):
+            run(tmp_path, name="wrong", hyper=hyper)
+        (tmp_path / "wrong" / "run.json").unlink()
+
+
+def test_a_linear_learning_rate_falls_to_zero():
+    rate = training._schedule("lin_1e-3")
+    assert [rate(left) for left in (1.0, 0.5, 0.0)] == [1e-3, 5e-4, 0.0]
+    assert training._schedule(3e-4) == 3e-4

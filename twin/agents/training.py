@@ -1,0 +1,522 @@
+"""Training with Stable-Baselines3: reproducible, and it goes on where it was stopped.
+
+A run is a folder. Every ``EVERY`` decisions it comes to a break: the policy is evaluated on fixed
+seeds, all that training needs is written to the folder, and then every random number generator is
+seeded anew from the run's seed and the decisions made, and every boat begins an episode. So a run
+that goes on from a checkpoint is the run that was never stopped.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import inspect
+import io
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.agents.evaluation import EPISODE, FIRST_TRAINING_SEED, FRAME_SKIP, evaluate, make_envs
+from twin.agents.policy import ACTIVATIONS, AgentError, Policy, write_whole
+from usv_kernel import __version__
+
+try:
+    import tomllib
+except ModuleNotFoundError:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+
+__all__ = ["ALGORITHMS", "OBSERVATIONS", "Plan", "Run", "hyperparameters", "policy_of", "train"]
+
+ALGORITHMS = {
+    "ppo": ("stable_baselines3", "PPO", "MlpPolicy"),
+    "sac": ("stable_baselines3", "SAC", "MlpPolicy"),
+    "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
+}
+"""Module, class and policy of each algorithm."""
+OBSERVATIONS = ("raw", "raw_stacked", "twin", "twin_params", "oracle")
+EVERY = 16_384
+"""Decisions between two checkpoints."""
+CURVE_SEEDS = tuple(range(800_000, 800_016))
+"""Episodes behind each point of a learning curve."""
+FILES = ("run.json", "checkpoint.pt", "curve.csv", "policy.npz")
+_NOTES, _CHECKPOINT, _CURVE, _POLICY = FILES
+_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is trained.
+
+    Parameters
+    ----------
+    algo : str
+        One of :data:`ALGORITHMS`.
+    observation : str
+        What the agent sees, one of :data:`OBSERVATIONS`.
+    steps : int
+        Decisions of all boats together.
+    seed : int
+        Of the run.
+    twin, task, sea, faults, vessel : str
+        Options of the environment; of ``"a|b"`` one is drawn at each reset.
+    frame_skip, max_episode_steps : int
+        Steps of 0.05 s for which a decision is held, and decisions in an episode.
+    every : int
+        Decisions between two checkpoints.
+    """
+
+    algo: str
+    observation: str
+    steps: int
+    seed: int = 0
+    twin: str = "ukf"
+    task: str = "path"
+    sea: str = "0|2|4"
+    faults: str = "none|gps10|gps30|gps60"
+    vessel: str = "usv75"
+    frame_skip: int = FRAME_SKIP
+    max_episode_steps: int = EPISODE
+    every: int = EVERY
+
+    def __post_init__(self) -> None:
+        if self.algo not in ALGORITHMS:
+            raise AgentError(f"algo = {self.algo!r}; known: {', '.join(ALGORITHMS)}")
+        if self.observation not in OBSERVATIONS:
+            raise AgentError(f"observation = {self.observation!r}; known: {', '.join(OBSERVATIONS)}")
+        for name, least in (("steps", 1), ("seed", 0), ("every", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise AgentError(f"{name} = {value!r}: must be a whole number, {least} or more")
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        return f"{self.algo}-{self.observation}"
+
+    @property
+    def environment(self) -> dict[str, Any]:
+        """Options of :func:`~twin.agents.evaluation.make_envs`."""
+        named = ("twin", "task", "sea", "faults", "vessel", "frame_skip", "max_episode_steps")
+        return {name: getattr(self, name) for name in named}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a training came to.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is.
+    policy : Policy
+        What was learnt.
+    curve : list of dict
+        ``decisions, wall_s, return, cross_track_m, off_path_m, success`` at each checkpoint.
+    """
+
+    folder: Path
+    policy: Policy
+    curve: list[dict[str, float]]
+
+    @classmethod
+    def of(cls, folder: Path) -> Run:
+        """Return the run of a folder.
+
+        Raises
+        ------
+        AgentError
+            It has not ended, or is no run.
+        """
+        if not (folder / _POLICY).exists():
+            went = "has not ended: the command that began it goes on with it"
+            raise AgentError(f"{folder}: {went if (folder / _NOTES).exists() else 'is no run'}")
+        with (folder / _CURVE).open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        curve = [{key: float(value) for key, value in row.items()} for row in rows]
+        return cls(folder, Policy.load(folder / _POLICY), curve)
+
+
+def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]:
+    """Return an algorithm's hyperparameters, those of this package if no file is named.
+
+    Raises
+    ------
+    AgentError
+        The file is not there, no TOML, or names what the algorithm does not know.
+    """
+    path = Path(__file__).with_name("hyper") / f"{algo}.toml" if path is None else Path(path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AgentError(f"{path}: {error.strerror}; name a TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise AgentError(f"{path}: is no TOML ({error})") from None
+    _check_hyper(algo, values, str(path))
+    return values
+
+
+def _check_hyper(algo: str, values: Mapping[str, Any], where: str) -> None:
+    known = {*inspect.signature(_algorithm(algo)).parameters, "n_envs", "normalize"}
+    known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
+    # of a checkpoint or a policy file these are no part
+    known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
+    for name in values:
+        if name not in known:
+            raise AgentError(f"{where}: {algo} has no {name!r}; it has {', '.join(sorted(known))}")
+    activation = values.get("policy_kwargs", {}).get("activation_fn", "tanh")
+    if activation not in ACTIVATIONS:
+        raise AgentError(f"{where}: activation_fn = {activation!r}; use {', '.join(ACTIVATIONS)}")
+
+
+def _algorithm(algo: str) -> type[BaseAlgorithm]:
+    module, name, _ = ALGORITHMS[algo]
+    try:
+        found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
+    except ImportError:
+        raise ImportError(
+            f"training with {algo} needs {module.replace('_', '-')}: pip install 'usv-twin[rl]'"
+        ) from None
+    return found
+
+
+def train(
+    plan: Plan,
+    folder: str | Path,
+    *,
+    hyper: Mapping[str, Any] | None = None,
+    progress: bool = False,
+    curve_seeds: tuple[int, ...] = CURVE_SEEDS,
+) -> Run:
+    """Train an agent, or go on with it, until it is done.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to train.
+    folder : str or Path
+        The run: ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
+        ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``.
+    hyper : mapping, optional
+        See :func:`hyperparameters`; those of this package if left out.
+    progress : bool
+        Show a bar.
+    curve_seeds : tuple of int
+        Episodes of each point of the learning curve.
+
+    Raises
+    ------
+    AgentError
+        The folder holds another run.
+    """
+    folder = Path(folder)
+    hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)
+    _check_hyper(plan.algo, hyper, "hyper")
+    notes = {"plan": asdict(plan), "hyper": hyper, "curve_seeds": list(curve_seeds)}
+    _claim(folder, notes)
+    if not (folder / _POLICY).exists():
+        import torch
+
+        torch.set_num_threads(1)  # several are slower on networks of this size
+        learner = _Learner(plan, folder, hyper, curve_seeds)
+        try:
+            learner.learn(progress)
+        finally:
+            learner.envs.close()
+        settings = {**asdict(plan), "hyper": hyper, "version": __version__}
+        policy_of(learner.model, learner.envs, plan, settings).save(folder / _POLICY)
+    for path in (folder / _CHECKPOINT, *folder.glob("replay_*.pt")):
+        path.unlink(missing_ok=True)
+    return Run.of(folder)
+
+
+def _claim(folder: Path, notes: dict[str, Any]) -> None:
+    """Make the folder that of this run, or see that it is."""
+    path = folder / _NOTES
+    text = json.dumps(notes, indent=1) + "\n"
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        write_whole(path, text.encode())
+        return
+    except ValueError:
+        raise AgentError(f"{path}: cannot be read; choose another folder") from None
+    now = json.loads(text)
+    parts = {**now["plan"], "hyper": now["hyper"], "curve_seeds": now["curve_seeds"]}
+    old = {**before["plan"], "hyper": before["hyper"], "curve_seeds": before["curve_seeds"]}
+    for name in parts:
+        if parts[name] != old.get(name):
+            raise AgentError(
+                f"{folder}: is a run with {name} = {old.get(name)}, not {parts[name]}; choose "
+                "another folder, or delete this one"
+            )
+
+
+class _Learner:
+    """One training under way."""
+
+    def __init__(
+        self, plan: Plan, folder: Path, hyper: dict[str, Any], curve_seeds: tuple[int, ...]
+    ) -> None:
+        self.plan, self.folder, self.curve_seeds = plan, folder, curve_seeds
+        self.hyper = hyper
+        algorithm = _algorithm(plan.algo)
+        from stable_baselines3.common.logger import configure
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        from usv_gym.sb3 import SB3VecEnv
+
+        options = dict(hyper)
+        n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
+        made = make_envs(
+            n, observation=plan.observation, autoreset_mode="SameStep", **plan.environment
+        )
+        gamma = options.get("gamma", 0.99)
+        self.envs = VecNormalize(SB3VecEnv(made), gamma=gamma, **normalize)
+        if "policy_kwargs" in options:
+            options["policy_kwargs"] = _torch_options(options["policy_kwargs"])
+        if "learning_rate" in options:
+            options["learning_rate"] = _schedule(options["learning_rate"])
+        options["seed"] = _seed_of(plan.seed, 0)
+        try:
+            kind = ALGORITHMS[plan.algo][2]
+            self.model: Any = algorithm(kind, self.envs, device="cpu", **options)
+        except TypeError as error:
+            raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
+        if importlib.util.find_spec("tensorboard") is None:
+            raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
+        self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+        self.curve: list[dict[str, float]] = []
+        self.wall, self.since = 0.0, time.perf_counter()
+        self.saved = 0
+        """Transitions that were written, of all that there were."""
+        self._resume()
+
+    def learn(self, progress: bool) -> None:
+        """Train to the end."""
+        from stable_baselines3.common.callbacks import BaseCallback
+
+        learner = self
+
+        class Breaks(BaseCallback):
+            """Comes to a break at the first rollout of the run, and every so many decisions."""
+
+            following = -1
+
+            def _on_rollout_start(self) -> None:
+                steps = self.model.num_timesteps
+                if steps >= self.following:
+                    self.following = steps - steps % learner.plan.every + learner.plan.every
+                    learner.take_break()
+
+            def _on_step(self) -> bool:
+                return True
+
+        left = self.plan.steps - self.model.num_timesteps
+        if left > 0:
+            self.since = time.perf_counter()
+            # learn() resets boats that never were; the break does that, after seeding them
+            self.model._last_obs = np.empty(0)
+            self.model.learn(
+                left, callback=Breaks(), reset_num_timesteps=False, progress_bar=progress
+            )
+        self.measure()
+
+    def take_break(self) -> None:
+        """Evaluate, save, and begin anew, the same whether the run has just been resumed or not."""
+        model, steps = self.model, self.model.num_timesteps
+        if not self.curve or self.curve[-1]["decisions"] < steps:
+            self.measure()
+            if steps:
+                self._save()
+        seed = _seed_of(self.plan.seed, steps)
+        model.set_random_seed(seed)  # Python's, numpy's, torch's, the action space's, the boats'
+        model._last_obs = self.envs.reset()
+        model._last_episode_starts = np.ones(self.envs.num_envs, dtype=np.bool_)
+        model._last_original_obs = self.envs.get_original_obs()
+        model.ep_info_buffer.clear()
+
+    def measure(self) -> None:
+        """Add a point to the learning curve."""
+        now = time.perf_counter()
+        self.wall += now - self.since
+        policy = policy_of(self.model, self.envs, self.plan, {})
+        rows = evaluate(policy, seeds=self.curve_seeds, **self.plan.environment)
+        point = {"decisions": self.model.num_timesteps, "wall_s": round(self.wall, 3)}
+        for name in ("return", "cross_track_m", "off_path_m", "success"):
+            point[name] = round(float(np.mean([row[name] for row in rows])), 6)
+            self.model.logger.record(f"evaluation/{name}", point[name])
+        self.model.logger.dump(self.model.num_timesteps)
+        self.curve.append(point)
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(point), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.curve)
+        write_whole(self.folder / _CURVE, text.getvalue().encode())
+        self.since = time.perf_counter()
+
+    def _save(self) -> None:
+        """Write a checkpoint: arrays and numbers only, which no reader has to trust."""
+        import torch
+
+        model, envs = self.model, self.envs
+        buffer = getattr(model, "replay_buffer", None)
+        if buffer is not None:
+            # what is new is a file of its own: a buffer may have hundreds of megabytes
+            total = model.num_timesteps // envs.num_envs
+            rows = np.arange(self.saved, total) % buffer.buffer_size
+            _write(self.folder / f"replay_{total:08d}.pt", {
+                name: torch.from_numpy(getattr(buffer, name)[rows]) for name in _ARRAYS
+            })  # fmt: skip
+            self.saved = total
+        state = {
+            "decisions": model.num_timesteps,
+            "updates": model._n_updates,
+            "wall_s": self.wall,
+            "curve": self.curve,
+            "parameters": model.get_parameters(),
+            "normalize": {
+                name: [torch.as_tensor(rms.mean), torch.as_tensor(rms.var), rms.count]
+                for name, rms in _averages(envs).items()
+            },
+        }
+        if getattr(model, "log_ent_coef", None) is not None:
+            state["log_ent_coef"] = model.log_ent_coef.detach()
+        _write(self.folder / _CHECKPOINT, state)
+
+    def _resume(self) -> None:
+        """Go on from the last checkpoint, if there is one."""
+        import torch
+
+        path = self.folder / _CHECKPOINT
+        if not path.exists():
+            return
+        model, envs = self.model, self.envs
+        state = torch.load(path, weights_only=True)
+        model.set_parameters(state["parameters"], device="cpu")
+        model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
+        self.wall, self.curve = state["wall_s"], state["curve"]
+        if "log_ent_coef" in state:
+            model.log_ent_coef.data.copy_(state["log_ent_coef"])
+        for name, rms in _averages(envs).items():
+            mean, var, count = state["normalize"][name]
+            rms.mean, rms.var, rms.count = mean.numpy(), var.numpy(), count
+        buffer = getattr(model, "replay_buffer", None)
+        if buffer is not None:
+            total = model.num_timesteps // envs.num_envs
+            for part in sorted(self.folder.glob("replay_*.pt")):
+                if int(part.stem[7:]) > total:  # its checkpoint was not written any more
+                    continue
+                arrays = torch.load(part, weights_only=True)
+                upto = int(part.stem[7:])
+                rows = np.arange(self.saved, upto) % buffer.buffer_size
+                for name in _ARRAYS:
+                    getattr(buffer, name)[rows] = arrays[name].numpy()
+                self.saved = upto
+            buffer.pos, buffer.full = total % buffer.buffer_size, total >= buffer.buffer_size
+
+
+def _averages(envs: VecNormalize) -> dict[str, Any]:
+    """Return the running means and variances of observations and returns."""
+    found = {"returns": envs.ret_rms}
+    return found | {"observations": envs.obs_rms} if envs.norm_obs else found
+
+
+def _write(path: Path, content: Any) -> None:
+    import torch
+
+    packed = io.BytesIO()
+    torch.save(content, packed)
+    write_whole(path, packed.getvalue())
+
+
+def _seed_of(seed: int, steps: int) -> int:
+    """Return a seed for what follows a break; it is no evaluation's."""
+    drawn = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
+    return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
+
+
+def _schedule(rate: float | str) -> Any:
+    """Return a learning rate: a number, or ``"lin_X"``, which falls from X to 0."""
+    if not isinstance(rate, str):
+        return float(rate)
+    kind, _, first = rate.partition("_")
+    try:
+        start = float(first)
+    except ValueError:
+        start = 0.0
+    if kind != "lin" or not start > 0.0:
+        raise AgentError(f"learning_rate = {rate!r}: must be a number, or 'lin_3e-4'")
+    return lambda left: start * left
+
+
+def _torch_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return policy_kwargs with the activation as torch has it."""
+    import torch
+
+    kinds = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+    return {key: kinds[value] if key == "activation_fn" else value for key, value in options.items()}
+
+
+def policy_of(
+    model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]
+) -> Policy:
+    """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
+
+    Parameters
+    ----------
+    model : BaseAlgorithm
+        PPO, SAC or RecurrentPPO.
+    envs : VecNormalize
+        How its observations are normalised.
+    plan : Plan
+        What it was trained for.
+    settings : dict
+        Kept in the file.
+    """
+    net = model.policy
+    off_policy = hasattr(net, "actor")
+    hidden = net.actor.latent_pi if off_policy else net.mlp_extractor.policy_net
+    last = net.actor.mu if off_policy else net.action_net
+    layers = [
+        (_array(layer.weight), _array(layer.bias))
+        for layer in (*hidden, last)
+        if hasattr(layer, "weight")
+    ]
+    lstm = None
+    if hasattr(net, "lstm_actor"):
+        of = net.lstm_actor
+        bias = _array(of.bias_ih_l0 + of.bias_hh_l0)
+        lstm = _array(of.weight_ih_l0), _array(of.weight_hh_l0), bias
+    size = envs.observation_space.shape[0]
+    mean, sd, clip = np.zeros(size), np.ones(size), np.inf
+    if envs.norm_obs:
+        mean, clip = envs.obs_rms.mean.copy(), float(envs.clip_obs)
+        sd = np.sqrt(envs.obs_rms.var + envs.epsilon)
+    default = "relu" if off_policy else "tanh"
+    kind = net.activation_fn.__name__.lower() if net.activation_fn else default
+    return Policy(
+        name=plan.name,
+        observation=plan.observation,
+        names=tuple(envs.unwrapped.envs.observation_names),
+        settings=settings,
+        mean=mean,
+        sd=sd,
+        clip=clip,
+        layers=layers,
+        lstm=lstm,
+        activation=kind,
+        squash=off_policy,
+    )
+
+
+def _array(parameter: Any) -> Any:
+    return parameter.detach().numpy().copy()
