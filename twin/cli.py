@@ -1,4 +1,4 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate."""
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate, train."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from twin import benchmark as bench
+from twin.agents import commands
+from twin.agents.policy import AgentError
 from twin.bag import is_bag
 from twin.identifiability import Finding, Identifiability
 from twin.log import Log, LogError, beside
@@ -34,6 +35,7 @@ from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.state import StateError
 from twin.structure import MODELS
+from twin.terminal import INTERRUPTED, console, errors, listed, results_text, seeds_of
 from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.design import DesignError, design
 from usv_gym.inspection import Inspection, inspect
@@ -42,6 +44,7 @@ from usv_gym.physics import KNOT
 from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULTS_HELP, GRADES, FaultError, SensorSuite, parse_faults
 from usv_gym.simulation import SimulationError
+from usv_gym.tasks import TaskError
 from usv_gym.vessel import KIND_SCHEMA, Vessel, VesselError, vessel_names
 from usv_kernel import cached
 
@@ -54,17 +57,16 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
-    "predict where it will be, benchmark predictors under GPS loss, and validate the ship and "
-    "the sea.",
+    "predict where it will be, benchmark predictors under GPS loss, validate the ship and "
+    "the sea, and train and evaluate agents that steer.",
 )
 vessel_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Check a vessel file, or begin a new one."
 )
 app.add_typer(vessel_app, name="vessel")
-console = Console(markup=False)
-errors = Console(stderr=True, markup=False)
 
 EXPECTED = (
+    AgentError,
     bench.BenchmarkError,
     DesignError,
     FaultError,
@@ -77,10 +79,10 @@ EXPECTED = (
     SeaError,
     SimulationError,
     StateError,
+    TaskError,
     TwinError,
     VesselError,
 )
-INTERRUPTED = 130
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -446,7 +448,7 @@ def benchmark_command(
         _check(check)
         return
     bench.check_backend(backend)
-    asked = _listed(predictors, "--predictors")
+    asked = listed(predictors, "--predictors")
     names, notes = bench.available(asked)
     if not names:
         raise PredictorError("; ".join(notes))
@@ -461,17 +463,17 @@ def benchmark_command(
     if recorded:
         usual |= {"scenarios": (), "ship": ship}
     elif scenarios is not None:
-        usual["scenarios"] = _listed(scenarios, "--scenarios")
+        usual["scenarios"] = listed(scenarios, "--scenarios")
     if faults is not None:
         if full:
             raise bench.BenchmarkError("--faults: the full protocol has --cases in its place")
-        usual["faults"] = _listed(faults, "--faults")
+        usual["faults"] = listed(faults, "--faults")
     elif recorded:
         usual["faults"] = ("none",)
     if seeds is not None:
-        usual["seeds"] = _seeds(seeds)
+        usual["seeds"] = seeds_of(seeds)
     if plans is not None:
-        usual["plans"] = _listed(plans, "--plans")
+        usual["plans"] = listed(plans, "--plans")
     settings = bench.Settings(
         predictors=names,
         vessel=vessel,
@@ -509,7 +511,7 @@ def benchmark_command(
     if full:  # hundreds of thousands of rows: a table of their own
         _write_table(out / "rows.csv.gz", results.pop("rows"))
         del results["runs"]
-    _write_results(out / "results.json", results)
+    _write_text(out / "results.json", results_text(results))
     _print_benchmark({**results, "notes": notes}, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
@@ -533,7 +535,7 @@ def benchmark_command(
 
 def _cases(text: str | None) -> tuple[bench.Case, ...]:
     """Return cases of the full protocol by name."""
-    names = tuple(bench.FULL_CASES) if text is None else _listed(text, "--cases")
+    names = tuple(bench.FULL_CASES) if text is None else listed(text, "--cases")
     for name in names:
         if name not in bench.FULL_CASES:
             known = ", ".join(bench.FULL_CASES)
@@ -1023,30 +1025,6 @@ class _bar:
         self._progress.stop()
 
 
-def _listed(text: str, option: str) -> tuple[str, ...]:
-    items = tuple(dict.fromkeys(item.strip() for item in text.split(",") if item.strip()))
-    if not items:
-        raise bench.BenchmarkError(f"{option}: name at least one")
-    return items
-
-
-def _seeds(text: str) -> tuple[int, ...]:
-    try:
-        found: list[int] = []
-        for item in text.split(","):
-            first, mark, last = item.partition(":" if ":" in item else "-")
-            begin = int(first) if first or mark != ":" else 0
-            found += range(begin, int(last) + (mark == "-") if mark else begin + 1)
-        seeds = tuple(dict.fromkeys(found))
-    except ValueError:
-        raise bench.BenchmarkError(
-            f"--seeds {text}: write A-B, A:B for A to B - 1, or a list as 0,4,7"
-        ) from None
-    if not seeds or min(seeds) < 0:
-        raise bench.BenchmarkError(f"--seeds {text}: holds no seed of 0 or more")
-    return seeds
-
-
 def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
     """Return a plan of commands on the grid of a prediction, from a CSV file."""
     names = ("t_s", "n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
@@ -1416,17 +1394,6 @@ def _write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> N
     _write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-def _write_results(path: Path, results: dict[str, Any]) -> None:
-    """Write results as JSON with a line for each row of each table."""
-    lines = []
-    for key, value in results.items():
-        text = json.dumps(value, indent=1) if isinstance(value, dict) else json.dumps(value)
-        if isinstance(value, list) and value and isinstance(value[0], dict):
-            text = "[\n  " + ",\n  ".join(json.dumps(row) for row in value) + "\n ]"
-        lines.append(f" {json.dumps(key)}: {text}")
-    _write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
-
-
 def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
     """Write rows as a packed CSV; equal rows give equal bytes."""
     import polars as pl
@@ -1488,6 +1455,10 @@ def _expand(arguments: list[str], option: str = "--log") -> list[str]:
         else:
             expanded.append(argument)
     return expanded
+
+
+for _name, _command in commands.COMMANDS.items():
+    app.command(_name)(_speaking(_command))
 
 
 def main() -> None:

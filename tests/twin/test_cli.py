@@ -18,9 +18,10 @@ import pytest
 
 import usv_gym
 from twin import Log, Twin, recorded_runs
-from twin.cli import _expand, _matching, _seeds
+from twin.cli import _expand, _matching
 from twin.predictor import CHANNELS
 from twin.simulated import particulars_of
+from twin.terminal import seeds_of
 from twin.wrapper import log_of
 from usv_gym import Vessel
 
@@ -338,11 +339,11 @@ def test_oracle_on_a_simulated_and_on_a_recorded_run(folder):
 
 
 def test_seeds():
-    assert _seeds("2:5") == (2, 3, 4)
-    assert _seeds(":2") == (0, 1)
-    assert _seeds("7,3,7") == (7, 3)
-    assert _seeds("200-202") == (200, 201, 202)
-    assert _seeds("0-1,5,8:10") == (0, 1, 5, 8, 9)
+    assert seeds_of("2:5") == (2, 3, 4)
+    assert seeds_of(":2") == (0, 1)
+    assert seeds_of("7,3,7") == (7, 3)
+    assert seeds_of("200-202") == (200, 201, 202)
+    assert seeds_of("0-1,5,8:10") == (0, 1, 5, 8, 9)
 
 
 def test_several_files_after_one_option():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -15,7 +14,7 @@ import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
 from twin.agents.policy import AgentError
 from usv_gym.sensors import BITS, END, GPS_BIT, START
-from usv_gym.tasks import PathFollowing
+from usv_gym.tasks import AREA, STATION
 from usv_gym.vector import USVVectorEnv
 
 __all__ = [
@@ -56,7 +55,7 @@ def make_envs(
     **env
         Other options of ``gym.make_vec("USVTwin-v0", ...)``.
     """
-    envs: Any = _shim_make(
+    envs: Any = gym.make_vec(
         "USVTwin-v0",
         num_envs=n,
         observation=observation,
@@ -65,18 +64,6 @@ def make_envs(
         max_episode_steps=max_episode_steps,
         **env,
     )
-    return envs
-
-
-def _shim_make(name, *, observation, twin, frame_skip, sea="2", faults="none", **kw):  # SHIM
-    from twin.observer import TWIN_OBSERVATION
-    from usv_gym.episodes import OBSERVATION
-    if observation == "twin":
-        envs = gym.make_vec(name, twin=twin, sea=sea.split("|")[-1], faults=faults.split("|")[-1], **kw)
-        envs.observation_names = OBSERVATION + TWIN_OBSERVATION
-    else:
-        envs = gym.make_vec(name, twin=None, sea=sea.split("|")[-1], faults=faults.split("|")[-1], **kw)
-        envs.observation_names = OBSERVATION
     return envs
 
 
@@ -101,9 +88,10 @@ def evaluate(
     -------
     list of dict
         ``agent, sea, faults, seed, return, length_s, success, failed`` (off the path or
-        capsized), ``cross_track_m`` (mean distance off the path until the episode's end),
-        ``off_path_m`` (the same over all decisions of an episode, of which those after a failure
-        count as 50 m, and those after a success do not count: to fail early is no advantage),
+        capsized), ``cross_track_m`` (mean distance off the path until the episode's end; of
+        station keeping, off the point), ``off_path_m`` (the same over all decisions of an episode,
+        of which those after a failure count as the distance that ends it, 50 m, and those after
+        a success do not count: to fail early is no advantage),
         ``off_path_outage_m`` (the same from the begin of the loss of GPS to 20 s after it; None
         without one, or where the goal was reached before).
     """
@@ -124,6 +112,7 @@ def evaluate(
         obs, infos = envs.reset(seed=seeds)
         agent.begin(envs)
         first, last = _outages(envs)
+        errors, along = envs.task.errors, float(envs.task.kind == STATION)
         alive = np.ones(len(seeds), dtype=np.bool_)
         success, failed = ~alive, ~alive
         returns, lengths = np.zeros(len(seeds)), np.zeros(len(seeds))
@@ -132,18 +121,18 @@ def evaluate(
             obs, rewards, terminated, truncated, infos = envs.step(agent.act(obs))
             returns[alive] += rewards[alive]
             lengths[alive] = infos["t_s"][alive]
-            row[alive] = np.abs(infos["cross_track_m"][alive])
+            row[alive] = np.hypot(errors[alive, 0], along * errors[alive, 1])
             ends = alive & (terminated | truncated)
             success |= ends & infos["is_success"]
             failed |= ends & terminated & ~infos["is_success"]
             alive &= ~ends
             if not alive.any():
                 break
-        times = envs.simulation.dt * _skip(frame_skip) * np.arange(1, max_episode_steps + 1)[:, None]
+        times = envs.simulation.dt * frame_skip * np.arange(1, max_episode_steps + 1)[:, None]
     finally:
         envs.close()
     sailed = _mean(off)
-    off[np.isnan(off) & failed] = PathFollowing.off_track
+    off[np.isnan(off) & failed] = envs.task.rules[AREA]
     during = (first <= times) & (times <= last + AFTER_OUTAGE)
     whole, lost = _mean(off), _mean(np.where(during, off, np.nan))
     return [
@@ -182,7 +171,3 @@ def _mean(values: np.ndarray) -> np.ndarray:
     count = known.sum(axis=0)
     total = np.where(known, values, 0.0).sum(axis=0)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _skip(n):  # SHIM
-    return 1

@@ -1,4 +1,4 @@
-"""A trained policy as a small file, and in plain numpy: what trained it is not needed to sail it."""
+"""A trained policy as a small file, which plain numpy sails."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,13 @@ from usv_gym.vector import USVVectorEnv
 
 __all__ = ["AgentError", "Policy", "write_whole"]
 
-Array = NDArray[np.floating[Any]]
+Array = NDArray[Any]
 Layer = tuple[Array, Array]
 
-ACTIVATIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0.0),
+}
 FORMAT = 1
 
 
@@ -99,7 +102,7 @@ class Policy:
 
     def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return the actions, shape (n, 2), for observations (n, D)."""
-        x = np.clip((obs - self.mean) / self.sd, -self.clip, self.clip)
+        x: Array = np.clip((obs - self.mean) / self.sd, -self.clip, self.clip)
         if self.lstm is not None:
             if self._hidden is None:
                 raise AgentError(f"policy {self.name} remembers: call begin(envs) before act(obs)")
@@ -124,7 +127,11 @@ class Policy:
             **{"names": self.names, "settings": self.settings, "clip": self.clip},
             **{"activation": self.activation, "squash": self.squash},
         }
-        arrays = {"notes": np.array(json.dumps(notes)), "mean": self.mean, "sd": self.sd}
+        arrays: dict[str, Any] = {
+            "notes": np.array(json.dumps(notes)),
+            "mean": self.mean,
+            "sd": self.sd,
+        }
         for j, (weights, bias) in enumerate(self.layers):
             arrays |= {f"weights_{j}": weights, f"bias_{j}": bias}
         if self.lstm is not None:

@@ -13,6 +13,7 @@ import importlib.util
 import inspect
 import io
 import json
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -23,18 +24,19 @@ import numpy as np
 
 from twin.agents.evaluation import EPISODE, FIRST_TRAINING_SEED, FRAME_SKIP, evaluate, make_envs
 from twin.agents.policy import ACTIVATIONS, AgentError, Policy, write_whole
+from twin.wrapper import OBSERVATIONS
 from usv_kernel import __version__
 
-try:
+if sys.version_info >= (3, 11):
     import tomllib
-except ModuleNotFoundError:
+else:
     import tomli as tomllib
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 
-__all__ = ["ALGORITHMS", "OBSERVATIONS", "Plan", "Run", "hyperparameters", "policy_of", "train"]
+__all__ = ["ALGORITHMS", "Plan", "Run", "hyperparameters", "policy_of", "train"]
 
 ALGORITHMS = {
     "ppo": ("stable_baselines3", "PPO", "MlpPolicy"),
@@ -42,7 +44,6 @@ ALGORITHMS = {
     "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
 }
 """Module, class and policy of each algorithm."""
-OBSERVATIONS = ("raw", "raw_stacked", "twin", "twin_params", "oracle")
 EVERY = 16_384
 """Decisions between two checkpoints."""
 CURVE_SEEDS = tuple(range(800_000, 800_016))
@@ -61,7 +62,7 @@ class Plan:
     algo : str
         One of :data:`ALGORITHMS`.
     observation : str
-        What the agent sees, one of :data:`OBSERVATIONS`.
+        What the agent sees, one of :data:`twin.wrapper.OBSERVATIONS`.
     steps : int
         Decisions of all boats together.
     seed : int
@@ -91,7 +92,9 @@ class Plan:
         if self.algo not in ALGORITHMS:
             raise AgentError(f"algo = {self.algo!r}; known: {', '.join(ALGORITHMS)}")
         if self.observation not in OBSERVATIONS:
-            raise AgentError(f"observation = {self.observation!r}; known: {', '.join(OBSERVATIONS)}")
+            raise AgentError(
+                f"observation = {self.observation!r}; known: {', '.join(OBSERVATIONS)}"
+            )
         for name, least in (("steps", 1), ("seed", 0), ("every", 1)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
@@ -463,12 +466,12 @@ def _torch_options(options: Mapping[str, Any]) -> dict[str, Any]:
     import torch
 
     kinds = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-    return {key: kinds[value] if key == "activation_fn" else value for key, value in options.items()}
+    return {
+        key: kinds[value] if key == "activation_fn" else value for key, value in options.items()
+    }
 
 
-def policy_of(
-    model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]
-) -> Policy:
+def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]) -> Policy:
     """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
 
     Parameters

@@ -1,0 +1,677 @@
+"""What an agent gains from the twin when the GPS is gone: trained, evaluated and compared.
+
+Arms are trained with several seeds and evaluated, as are the classical controllers, on the same
+episodes of every sea state with every outage. The numbers are interquartile means with intervals of
+a stratified bootstrap over runs and episodes.
+
+Source: Agarwal et al. 2021, Deep Reinforcement Learning at the Edge of the Statistical Precipice.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.agents.agent import Agent
+from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, evaluate, on_grid
+from twin.agents.policy import AgentError, write_whole
+from twin.agents.training import CURVE_SEEDS, Plan, hyperparameters, train
+from twin.terminal import results_text
+from usv_kernel import __version__, sources_digest
+
+__all__ = [
+    *("ARMS", "METRICS", "Settings", "check", "collect", "controllers", "interval", "iqm"),
+    *("markdown", "pictures", "pieces", "quick", "replicates", "verdicts", "work", "write"),
+]
+
+Array = NDArray[np.float64]
+
+ARMS = (
+    *((algo, observation) for algo in ("ppo", "sac")
+      for observation in ("raw", "raw_stacked", "twin", "oracle")),
+    ("recurrent_ppo", "raw"),
+)  # fmt: skip
+"""Algorithms and observation sets of the study."""
+METRICS = {
+    "off_path_m": "distance off the path, m",
+    "off_path_outage_m": "distance off the path while the GPS is gone and 20 s after, m",
+    "return": "return",
+}
+REPLICATES = 2000
+LEVEL = 95.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the study does.
+
+    Parameters
+    ----------
+    arms : tuple of (str, str)
+        Algorithms and observation sets.
+    steps : int
+        Decisions of each training.
+    seeds : tuple of int
+        Trainings of each arm.
+    controllers : tuple of str
+        Classical controllers beside them.
+    seas, outages : tuple of str
+        Where agents are evaluated.
+    evaluation_seeds : tuple of int
+        Episodes of each sea state with each outage.
+    curve_seeds : tuple of int
+        Episodes of each point of the learning curves.
+    options : dict
+        Options of :class:`~twin.agents.training.Plan`, such as ``twin`` and ``task``.
+    hyper : dict
+        Hyperparameters by algorithm; those of this package if left out.
+    """
+
+    arms: tuple[tuple[str, str], ...] = ARMS
+    steps: int = 150_000
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    controllers: tuple[str, ...] = ()
+    seas: tuple[str, ...] = SEAS
+    outages: tuple[str, ...] = OUTAGES
+    evaluation_seeds: tuple[int, ...] = EVALUATION_SEEDS
+    curve_seeds: tuple[int, ...] = CURVE_SEEDS
+    options: Mapping[str, Any] = field(default_factory=dict)
+    hyper: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def plan(self, algo: str, observation: str, seed: int) -> Plan:
+        """Return the plan of one training."""
+        return Plan(algo, observation, self.steps, seed, **self.options)
+
+
+def quick(settings: Settings) -> Settings:
+    """Return the same study so small that it shows only that everything runs."""
+    return dataclasses.replace(
+        settings,
+        arms=tuple(("ppo", observation) for observation in ("raw", "twin", "oracle")),
+        steps=8192,
+        seeds=settings.seeds[:2],
+        seas=("2",),
+        outages=("none", "gps30"),
+        evaluation_seeds=settings.evaluation_seeds[:4],
+        curve_seeds=settings.curve_seeds[:4],
+    )
+
+
+def controllers() -> dict[str, Any]:
+    """Return the classical controllers by name: what makes each."""
+    from twin.agents.controllers import CONTROLLERS
+
+    return dict(CONTROLLERS)
+
+
+Piece = tuple[str, str, int | None]
+"""Algorithm, observation set and seed; or a controller's name, nothing and None."""
+
+
+def pieces(settings: Settings) -> list[Piece]:
+    """Return all pieces of work, one seed of every arm before the next."""
+    steered: list[Piece] = [(name, "", None) for name in settings.controllers]
+    return steered + [(*arm, seed) for seed in settings.seeds for arm in settings.arms]
+
+
+def work(settings: Settings, folder: Path, jobs: int = 1) -> Iterator[tuple[Piece, dict[str, Any]]]:
+    """Train and evaluate all that is not done yet, and yield each piece as it comes.
+
+    Parameters
+    ----------
+    settings : Settings
+        What to do.
+    folder : Path
+        Where ``runs/`` are; an interrupted study goes on there.
+    jobs : int
+        Workers; the results do not depend on it.
+
+    Yields
+    ------
+    Piece, dict
+        ``rows`` (see :func:`~twin.agents.evaluation.evaluate`), and the learning ``curve``; of a
+        controller, its ``level`` on the episodes of the learning curves.
+    """
+    from joblib import Parallel, delayed
+
+    pool = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    yield from pool(delayed(_work_one)(settings, folder, piece) for piece in pieces(settings))
+
+
+def _work_one(settings: Settings, folder: Path, piece: Piece) -> tuple[Piece, dict[str, Any]]:
+    first, observation, seed = piece
+    named = first if seed is None else f"{first}-{observation}-{seed}"
+    place = folder / "runs" / named
+    plan = settings.plan("ppo" if seed is None else first, observation or "raw", seed or 0)
+    made: dict[str, Any] = {}
+    agent: Agent
+    if seed is None:
+        agent = controllers()[first]()
+    else:
+        hyper = settings.hyper.get(first)
+        run = train(plan, place, hyper=hyper, curve_seeds=settings.curve_seeds)
+        agent, made["curve"] = run.policy, run.curve
+    asked = {
+        **{"version": __version__, "sources": sources_digest(), "environment": plan.environment},
+        **{"seas": settings.seas, "outages": settings.outages},
+        "seeds": settings.evaluation_seeds,
+    }
+    asked = json.loads(json.dumps(asked))
+    path = place / "evaluation.json"
+    if path.exists():
+        before = json.loads(path.read_text(encoding="utf-8"))
+        if before["asked"] == asked:
+            return piece, before
+    grid = {"seas": settings.seas, "outages": settings.outages}
+    fixed = {key: value for key, value in plan.environment.items() if key not in ("sea", "faults")}
+    seeds = settings.evaluation_seeds
+    made["rows"] = [row for rows in on_grid(agent, seeds=seeds, **grid, **fixed) for row in rows]
+    if seed is None:
+        rows = evaluate(agent, seeds=settings.curve_seeds, **plan.environment)
+        made["level"] = float(np.mean([row["off_path_m"] for row in rows]))
+    made["asked"] = asked
+    write_whole(path, json.dumps(made).encode())
+    return piece, made
+
+
+def iqm(values: Array) -> Array:
+    """Return the interquartile means of the last axis, of what is no NaN.
+
+    A quarter of the values is cut off at each end, as ``scipy.stats.trim_mean(values, 0.25)`` does.
+    """
+    ordered = np.sort(values, axis=-1)  # NaN comes last
+    count = np.isfinite(ordered).sum(axis=-1, keepdims=True)
+    cut = count // 4
+    place = np.arange(ordered.shape[-1])
+    kept = (place >= cut) & (place < count - cut)
+    total = np.where(kept, ordered, 0.0).sum(axis=-1)
+    return np.where(count[..., 0] > 0, total / np.maximum(kept.sum(axis=-1), 1), np.nan)
+
+
+def replicates(scores: Sequence[Array], seed: int = 0) -> list[Array]:
+    """Return interquartile means of bootstrap samples of agents that met the same episodes.
+
+    Parameters
+    ----------
+    scores : sequence of ndarray, shape (S, R, E)
+        Of each agent: strata (sea states), runs, episodes. R may differ.
+    seed : int
+        Of the samples.
+
+    Returns
+    -------
+    list of ndarray, shape (REPLICATES,)
+        Runs are drawn for each agent, episodes within each stratum for all agents alike.
+    """
+    rng = np.random.default_rng(seed)
+    strata, _, episodes = scores[0].shape
+    chosen = rng.integers(episodes, size=(REPLICATES, strata, 1, episodes))
+    stratum = np.arange(strata)[:, None, None]
+    found = []
+    for values in scores:
+        runs = rng.integers(values.shape[1], size=(REPLICATES, 1, values.shape[1], 1))
+        found.append(iqm(values[stratum, runs, chosen].reshape(REPLICATES, -1)))
+    return found
+
+
+def interval(sample: Array) -> tuple[float | None, float | None]:
+    """Return the bounds of the 95 % interval of a bootstrap sample."""
+    tail = (100.0 - LEVEL) / 2.0
+    if not np.isfinite(sample).all():
+        return None, None
+    low, high = np.percentile(sample, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def collect(
+    settings: Settings, done: Mapping[Piece, Mapping[str, Any]], command: str
+) -> dict[str, Any]:
+    """Return all that the study found, ready for JSON.
+
+    Parameters
+    ----------
+    settings : Settings
+        What was asked for.
+    done : mapping
+        What :func:`work` yielded.
+    command : str
+        How it was started.
+    """
+    order = [piece for piece in pieces(settings) if piece in done]
+    scores = _Scores(settings, {piece: done[piece]["rows"] for piece in order})
+    told = {key: value for key, value in dataclasses.asdict(settings).items() if key != "hyper"}
+    algos = dict.fromkeys(algo for algo, _ in settings.arms)
+    hyper = {algo: settings.hyper.get(algo) or hyperparameters(algo) for algo in algos}
+    return {
+        "command": command,
+        "version": __version__,
+        "settings": told,
+        "hyper": hyper,
+        "cells": scores.cells(),
+        "gaps": scores.gaps(),
+        "helps": scores.helps(),
+        "curves": [
+            {"agent": _name(piece), "seed": piece[2], **_columns(done[piece]["curve"])}
+            for piece in order
+            if piece[2] is not None
+        ],
+        "levels": {_name(piece): done[piece]["level"] for piece in order if piece[2] is None},
+        "episodes": scores.episodes(),
+    }
+
+
+def _name(piece: Piece) -> str:
+    return piece[0] if piece[2] is None else f"{piece[0]}-{piece[1]}"
+
+
+def _columns(curve: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+    return {key: [row[key] for row in curve] for key in curve[0]}
+
+
+class _Scores:
+    """The episodes of all agents as arrays."""
+
+    def __init__(
+        self, settings: Settings, rows: Mapping[Piece, Sequence[Mapping[str, Any]]]
+    ) -> None:
+        self.settings = settings
+        self.agents = list(dict.fromkeys(map(_name, rows)))
+        self.rows = rows
+
+    def of(self, agent: str, seas: Sequence[str], faults: str, metric: str) -> Array:
+        """Return the scores of an agent, shape (seas, runs, episodes)."""
+        runs = [rows for piece, rows in self.rows.items() if _name(piece) == agent]
+        picked = [
+            [
+                [row[metric] for row in rows if row["sea"] == sea and row["faults"] == faults]
+                for rows in runs
+            ]
+            for sea in seas
+        ]
+        return np.array(picked, dtype=np.float64)
+
+    def cells(self) -> list[dict[str, Any]]:
+        """Return the interquartile means of each agent, sea state (and all) and outage."""
+        seas = self.settings.seas
+        found = []
+        for metric in METRICS:
+            for agent in self.agents:
+                for some in ([*seas], *([sea] for sea in seas))[: None if len(seas) > 1 else 1]:
+                    for faults in self.settings.outages:
+                        values = self.of(agent, some, faults, metric)
+                        if not np.isfinite(values).any():
+                            continue
+                        low, high = interval(replicates([values])[0])
+                        failed = self.of(agent, some, faults, "failed").mean()
+                        found.append(
+                            {
+                                **{"metric": metric, "agent": agent},
+                                **{"sea": "all" if len(some) > 1 else some[0], "faults": faults},
+                                **{"iqm": float(iqm(values.ravel())), "low": low, "high": high},
+                                **{"runs": values.shape[1], "failed": float(failed)},
+                            }
+                        )
+        return found
+
+    def gaps(self) -> list[dict[str, Any]]:
+        """Return which part of the gap from raw to oracle each agent closes, for each outage."""
+        found = []
+        for agent in self.agents:
+            algo, _, observation = agent.partition("-")
+            against = "ppo" if algo == "recurrent_ppo" else algo
+            raw, oracle = f"{against}-raw", f"{against}-oracle"
+            if agent in (raw, oracle) or not {raw, oracle} <= set(self.agents) or not observation:
+                continue
+            for metric in METRICS:
+                for faults in self.settings.outages:
+                    trio = [
+                        self.of(name, self.settings.seas, faults, metric)
+                        for name in (raw, agent, oracle)
+                    ]
+                    if not np.isfinite(trio[0]).any():
+                        continue
+                    worst, its, best = (float(iqm(values.ravel())) for values in trio)
+                    drawn = replicates(trio)
+                    gap = interval(drawn[0] - drawn[2])
+                    # none where chance may have made it: a share of nothing says nothing
+                    real = gap[0] is not None and gap[1] is not None and gap[0] * gap[1] > 0.0
+                    low, high = (
+                        interval((drawn[0] - drawn[1]) / (drawn[0] - drawn[2]))
+                        if real
+                        else (None, None)
+                    )
+                    found.append(
+                        {
+                            **{"agent": agent, "against": against, "metric": metric},
+                            **{"faults": faults, "raw": worst, "its": its, "oracle": best},
+                            "closed": (worst - its) / (worst - best) if real else None,
+                            **{"low": low, "high": high},
+                        }
+                    )
+        return found
+
+    def helps(self) -> list[dict[str, Any]]:
+        """Return by how much less the agents with a twin are off the path than those without."""
+        found = []
+        for algo in dict.fromkeys(algo for algo, _ in self.settings.arms):
+            names = f"{algo}-raw", f"{algo}-twin"
+            if not set(names) <= set(self.agents):
+                continue
+            for sea in self.settings.seas:
+                for faults in self.settings.outages:
+                    raw, twin = (self.of(name, [sea], faults, "off_path_m") for name in names)
+                    drawn = replicates([raw, twin])
+                    low, high = interval(drawn[0] - drawn[1])
+                    less = float(iqm(raw.ravel()) - iqm(twin.ravel()))
+                    verdict = "no difference shown"
+                    if low is not None and high is not None and low * high > 0.0:
+                        verdict = "helps" if less > 0.0 else "harms"
+                    found.append(
+                        {
+                            **{"algo": algo, "sea": sea, "faults": faults, "less_m": less},
+                            **{"low": low, "high": high, "verdict": verdict},
+                        }
+                    )
+        return found
+
+    def episodes(self) -> list[dict[str, Any]]:
+        """Return the scores of all episodes, a row for each run, sea state and outage."""
+        found = []
+        for piece, rows in self.rows.items():
+            for sea in self.settings.seas:
+                for faults in self.settings.outages:
+                    own = [row for row in rows if (row["sea"], row["faults"]) == (sea, faults)]
+                    found.append(
+                        {
+                            **{"agent": _name(piece), "seed": piece[2]},
+                            **{"sea": sea, "faults": faults},
+                            **{name: [_short(row[name]) for row in own] for name in METRICS},
+                            "failed": [int(row["failed"]) for row in own],
+                        }
+                    )
+        return found
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.5g}")
+
+
+def write(
+    results: Mapping[str, Any],
+    settings: Settings,
+    done: Mapping[Piece, Mapping[str, Any]],
+    folder: Path,
+) -> None:
+    """Write ``results.json``, ``tables.md``, pictures, and the policies that are shipped."""
+    write_whole(folder / "results.json", results_text(dict(results)).encode())
+    write_whole(folder / "tables.md", markdown(results).encode())
+    pictures(results, folder)
+    _copy_middle(settings, done, folder)
+
+
+def _copy_middle(settings: Settings, done: Mapping[Piece, Mapping[str, Any]], folder: Path) -> None:
+    """Copy the policy of the middle run of each arm, by distance off the path, to ``policies/``."""
+    for arm in settings.arms:
+        means = {
+            piece: np.mean([row["off_path_m"] for row in made["rows"]])
+            for piece, made in done.items()
+            if piece[:2] == arm
+        }
+        if not means:
+            continue
+        algo, observation, seed = sorted(means, key=lambda piece: means[piece])[len(means) // 2]
+        source = folder / "runs" / f"{algo}-{observation}-{seed}" / "policy.npz"
+        (folder / "policies").mkdir(exist_ok=True)
+        shutil.copyfile(source, folder / "policies" / f"{algo}-{observation}.npz")
+
+
+def markdown(results: Mapping[str, Any]) -> str:
+    """Return the study's tables and what they say."""
+    settings = results["settings"]
+    outages = settings["outages"]
+    runs, episodes = len(settings["seeds"]), len(settings["evaluation_seeds"])
+    lines = [
+        "# GPS loss study",
+        "",
+        f"`{results['command']}`",
+        "",
+        f"Interquartile means of {runs} trainings of {settings['steps']} decisions and {episodes} "
+        "episodes in each sea state, with 95 % intervals of a stratified bootstrap over runs and "
+        "episodes. Time after a failure counts as the distance that ends the episode.",
+    ]
+    cells = {
+        (cell["metric"], cell["sea"], cell["agent"], cell["faults"]): cell
+        for cell in results["cells"]
+    }
+    for metric, title in METRICS.items():
+        seas = list(dict.fromkeys(sea for name, sea, _, _ in cells if name == metric))
+        for sea in seas:
+            shown = [name for name in outages if any(
+                key[0] == metric and key[1] == sea and key[3] == name for key in cells
+            )]  # fmt: skip
+            where = "all sea states" if sea == "all" else f"sea state {sea}"
+            lines += ["", f"## {title[0].upper()}{title[1:]}, {where}", ""]
+            lines += _row(["agent", *shown]), _row(["---"] * (len(shown) + 1))
+            for agent in dict.fromkeys(key[2] for key in cells):
+                found = [cells.get((metric, sea, agent, name)) for name in shown]
+                lines.append(_row([agent, *(_text(cell, "iqm", metric) for cell in found)]))
+    lines += ["", "## Share of the gap from raw to oracle that is closed", ""]
+    lines += _row(["agent", "by", *outages]), _row(["---"] * (len(outages) + 2))
+    gaps = {(gap["agent"], gap["metric"], gap["faults"]): gap for gap in results["gaps"]}
+    for agent, metric in dict.fromkeys(key[:2] for key in gaps):
+        found = [gaps.get((agent, metric, name)) for name in outages]
+        lines.append(_row([agent, metric, *map(_closed, found)]))
+    return "\n".join([*lines, "", *verdicts(results)]) + "\n"
+
+
+def _row(items: Sequence[str]) -> str:
+    return f"| {' | '.join(items)} |"
+
+
+def _text(cell: Mapping[str, Any] | None, key: str, metric: str) -> str:
+    if cell is None:
+        return "-"
+    digits = 0 if metric == "return" else 2
+    text = f"{cell[key]:.{digits}f}"
+    if cell["low"] is not None:
+        text += f" [{cell['low']:.{digits}f}, {cell['high']:.{digits}f}]"
+    return text
+
+
+def _closed(gap: Mapping[str, Any] | None) -> str:
+    """Return the share of a gap that is closed in %, or that there is none."""
+    if gap is None:
+        return "-"
+    if gap["closed"] is None:
+        return "no gap"
+    bounds = "" if gap["low"] is None else f" [{gap['low']:.0%}, {gap['high']:.0%}]"
+    return f"{gap['closed']:.0%}{bounds}"
+
+
+def verdicts(results: Mapping[str, Any]) -> list[str]:
+    """Return where the twin helps, and where it does not, a line for each."""
+    lines = []
+    for algo in dict.fromkeys(row["algo"] for row in results["helps"]):
+        own = [row for row in results["helps"] if row["algo"] == algo]
+        good = [row for row in own if row["verdict"] == "helps"]
+        lines.append(f"{algo}: the twin helps in {len(good)} of {len(own)} sea states and outages.")
+        lines += [
+            f"{algo}: it does not help in sea state {row['sea']} with {row['faults']}: "
+            f"{row['verdict']} ({row['less_m']:+.2f} m less off the path"
+            + ("" if row["low"] is None else f", 95 % {row['low']:+.2f} to {row['high']:+.2f}")
+            + ")."
+            for row in own
+            if row["verdict"] != "helps"
+        ]
+    return [part for line in lines for part in (line, "")][:-1]
+
+
+COLOURS = {
+    "raw": "#c0392b", "raw_stacked": "#e08e0b", "twin": "#1f6fb4", "twin_params": "#6a3d9a",
+    "oracle": "#2e8b57",
+}  # fmt: skip
+
+
+def pictures(results: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Draw distances off the path, shares of the gap, and learning curves."""
+    import matplotlib.pyplot as plt
+
+    drawn = {
+        "off_path.png": _draw_cells(results),
+        "gap.png": _draw_gaps(results),
+        "curves.png": _draw_curves(results),
+    }
+    for name, figure in drawn.items():
+        figure.savefig(folder / name, dpi=130)
+        plt.close(figure)
+    return [folder / name for name in drawn]
+
+
+def _panels(results: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the agents of each panel; the recurrent one stands beside what it is compared with."""
+    found: dict[str, list[str]] = {}
+    for algo, observation in results["settings"]["arms"]:
+        panel = "ppo" if algo == "recurrent_ppo" else algo
+        found.setdefault(panel, []).append(f"{algo}-{observation}")
+    return found
+
+
+def _figure(count: int) -> Any:
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(
+        1, count, figsize=(1.5 + 4.5 * count, 4.2), sharey=True, squeeze=False, layout="constrained"
+    )
+
+
+def _style(agent: str) -> dict[str, Any]:
+    algo, _, observation = agent.partition("-")
+    dashed = "--" if algo == "recurrent_ppo" else "-"
+    label = "raw, recurrent" if algo == "recurrent_ppo" else observation.replace("_", " ")
+    return {"color": COLOURS[observation], "linestyle": dashed, "label": label}
+
+
+def _draw_cells(results: Mapping[str, Any]) -> Any:
+    settings = results["settings"]
+    outages = settings["outages"]
+    sea = "all" if len(settings["seas"]) > 1 else settings["seas"][0]
+    cells = {
+        (cell["agent"], cell["faults"]): cell
+        for cell in results["cells"]
+        if cell["metric"] == "off_path_m" and cell["sea"] == sea
+    }
+    panels = _panels(results)
+    figure, axes = _figure(len(panels))
+    place = np.arange(len(outages))
+    for ax, (panel, agents) in zip(axes[0], panels.items(), strict=True):
+        for k, agent in enumerate(agents):
+            own = [cells[agent, name] for name in outages]
+            middle = np.array([cell["iqm"] for cell in own])
+            ends = np.array([[cell["low"], cell["high"]] for cell in own], dtype=np.float64).T
+            aside = place + 0.05 * (k - 0.5 * (len(agents) - 1))
+            spans = np.abs(ends - middle)
+            ax.errorbar(aside, middle, spans, marker="o", ms=4, capsize=2, **_style(agent))
+        for k, name in enumerate(results["levels"]):
+            line = [cells[name, outage]["iqm"] for outage in outages]
+            ax.plot(place, line, color="0.45", lw=1.2, marker="xsdv^<>p*"[k % 9], ms=4,
+                    linestyle=":", label=name)  # fmt: skip
+        ax.set_xticks(place, outages)
+        ax.set_title(panel.upper())
+        ax.set_xlabel("loss of GPS")
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("{x:g}")
+        ax.tick_params(axis="y", which="minor", labelsize=7)
+        ax.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("off the path, m (interquartile mean)")
+    axes[0, -1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def _draw_gaps(results: Mapping[str, Any]) -> Any:
+    outages = results["settings"]["outages"]
+    gaps = [gap for gap in results["gaps"] if gap["metric"] == "off_path_m"]
+    panels = {
+        panel: [agent for agent in agents if any(gap["agent"] == agent for gap in gaps)]
+        for panel, agents in _panels(results).items()
+    }
+    figure, axes = _figure(len(panels))
+    for ax, (panel, agents) in zip(axes[0], panels.items(), strict=True):
+        width = 0.8 / max(len(agents), 1)
+        for k, agent in enumerate(agents):
+            style = _style(agent)
+            hatch = "//" if style.pop("linestyle") == "--" else None
+            for gap in (gap for gap in gaps if gap["agent"] == agent):
+                at = outages.index(gap["faults"]) + width * (k + 0.5) - 0.4
+                if gap["closed"] is None:
+                    ax.text(at, 0.02, "no gap", rotation=90, ha="center", va="bottom", fontsize=8)
+                    continue
+                ends = np.abs(np.array([[gap["low"]], [gap["high"]]]) - gap["closed"])
+                ax.bar(at, gap["closed"], 0.9 * width, yerr=ends, capsize=2, alpha=0.85,
+                       color=style["color"], hatch=hatch)  # fmt: skip
+            ax.bar(0, 0, color=style["color"], hatch=hatch, label=style["label"])
+        ax.axhline(0.0, color="0.3", lw=0.8)
+        ax.axhline(1.0, color="0.3", lw=0.8, ls=":")
+        ax.set_ylim(-1.0, 1.6)
+        ax.set_xticks(range(len(outages)), outages)
+        ax.set_title(panel.upper())
+        ax.set_xlabel("loss of GPS")
+        if agents:
+            ax.legend(fontsize=8, loc="lower left")
+    axes[0, 0].yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
+    axes[0, 0].set_ylabel("share of the gap raw to oracle that is closed")
+    return figure
+
+
+def _draw_curves(results: Mapping[str, Any]) -> Any:
+    panels = _panels(results)
+    figure, axes = _figure(len(panels))
+    for ax, (panel, agents) in zip(axes[0], panels.items(), strict=True):
+        for agent in agents:
+            own = [curve for curve in results["curves"] if curve["agent"] == agent]
+            if not own:
+                continue
+            steps = np.array(own[0]["decisions"]) / 1e3
+            off = np.array([curve["off_path_m"] for curve in own])
+            style = _style(agent)
+            ax.plot(steps, off.mean(axis=0), **style)
+            ax.fill_between(steps, off.min(axis=0), off.max(axis=0), color=style["color"],
+                            alpha=0.15, lw=0)  # fmt: skip
+        for name, level in results["levels"].items():
+            ax.axhline(level, color="0.5", lw=0.8, ls=":")
+            ax.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=6,
+                        ha="right", va="bottom", color="0.35")  # fmt: skip
+        ax.set_title(panel.upper())
+        ax.set_xlabel("decisions, thousands")
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize=8, loc="upper right")
+    axes[0, 0].set_ylabel("off the path, m (mean; band: all runs)")
+    return figure
+
+
+def check(settings: Settings) -> None:
+    """Refuse what cannot be done before hours are spent on it.
+
+    Raises
+    ------
+    AgentError
+        No seeds, or a controller that is not known.
+    """
+    if not (settings.seeds and settings.evaluation_seeds):
+        raise AgentError("a study needs a seed to train and a seed to evaluate on")
+    known = controllers() if settings.controllers else {}
+    for name in settings.controllers:
+        if name not in known:
+            raise AgentError(f"no controller is called {name!r}; known: {', '.join(known)}")
+    for algo, observation in settings.arms:
+        settings.plan(algo, observation, 0)
