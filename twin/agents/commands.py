@@ -143,7 +143,7 @@ def evaluate_command(
         typer.Argument(
             help="A run's folder, a folder of runs, a policy (.npz), or the name of a classical "
             "controller.",
-            metavar="MODEL...",
+            metavar="MODEL",
         ),
     ],
     sea: Annotated[

@@ -588,8 +588,9 @@ def _draw_cells(results: Mapping[str, Any]) -> Any:
         ax.set_xlabel("loss of GPS")
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter("{x:g}")
-        ax.tick_params(axis="y", which="minor", labelsize=7)
+        ax.yaxis.set_minor_formatter(
+            lambda value, _: f"{value:g}" if f"{value:g}"[0] in "25" else ""
+        )
         ax.grid(alpha=0.3)
     axes[0, 0].set_ylabel("off the path, m (interquartile mean)")
     axes[0, -1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)

@@ -1,0 +1,120 @@
+"""Evaluation: the episode of a seed is that of a single environment, and failing early costs."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from twin.agents import evaluation
+from twin.agents.evaluation import evaluate, make_envs
+from twin.agents.policy import AgentError
+
+
+class Fixed:
+    """Holds the same action for ever."""
+
+    observation = "raw"
+
+    def __init__(self, *action, name="fixed"):
+        self.action, self.name = action, name
+
+    def begin(self, envs):
+        self.n = envs.num_envs
+
+    def act(self, obs):
+        return np.tile(self.action, (self.n, 1))
+
+
+def test_episode_i_is_that_of_a_single_environment_with_its_seed():
+    seeds, steps = (7, 3, 900_000), 30
+    rows = evaluate(Fixed(0.7, 0.05), seeds=seeds, faults="gps10", max_episode_steps=steps)
+    for seed, row in zip(seeds, rows, strict=True):
+        env = gym.make(
+            *("USVTwin-v0",), observation="raw", faults="gps10", sea="2", frame_skip=10,
+            max_episode_steps=steps,
+        )  # fmt: skip
+        env.reset(seed=seed)
+        total, off, over = 0.0, [], False
+        while not over:
+            _, reward, terminated, truncated, info = env.step(np.array([0.7, 0.05]))
+            total += reward
+            off.append(abs(info["cross_track_m"]))
+            over = terminated or truncated
+        assert row["seed"] == seed and row["agent"] == "fixed"
+        assert row["return"] == pytest.approx(total, abs=1e-9)
+        assert row["length_s"] == pytest.approx(info["t_s"]) == pytest.approx(steps * 0.5)
+        assert row["cross_track_m"] == pytest.approx(np.mean(off)) == row["off_path_m"]
+        assert not row["failed"] and not row["success"]
+
+
+def test_time_after_a_failure_counts_as_far_off():
+    # a circle leaves the path behind by 50 m before long
+    rows = evaluate(Fixed(1.0, 0.0), seeds=(1, 2, 3, 4), max_episode_steps=240, sea="0")
+    failed = [row for row in rows if row["failed"]]
+    assert failed
+    for row in failed:
+        sailed = np.ceil(row["length_s"] * 2.0) / 240.0  # it ends within a decision
+        assert 0.0 < sailed < 1.0
+        expected = sailed * row["cross_track_m"] + (1.0 - sailed) * 50.0
+        assert row["off_path_m"] == pytest.approx(expected)
+        assert row["return"] < 0.0
+
+
+def test_time_after_a_success_does_not_count():
+    class Guided(Fixed):
+        observation = "oracle"
+
+        def begin(self, envs):
+            names = envs.observation_names
+            self.at = [names.index(f"true_{name}") for name in (
+                "cross_track", "cos_course_error", "sin_course_error"
+            )]  # fmt: skip
+
+        def act(self, obs):
+            off, c, s = obs[:, self.at].T
+            turn = np.arctan2(s, c) - np.arctan(off * 10.0 / 15.0)
+            return np.stack([np.ones_like(off), np.clip(1.5 * turn, -1.0, 1.0)], axis=1)
+
+    rows = evaluate(Guided(), seeds=(1, 2, 3), max_episode_steps=400, sea="0")
+    assert all(row["success"] and not row["failed"] for row in rows)
+    assert all(row["length_s"] < 150.0 for row in rows)
+    assert all(row["off_path_m"] == row["cross_track_m"] < 6.0 for row in rows)
+
+
+def test_the_outage_has_a_score_of_its_own():
+    agent = Fixed(0.7, 0.1)
+    (row,) = evaluate(agent, seeds=(5,), faults="gps10@4", max_episode_steps=40, sea="0")
+    env = gym.make("USVTwin-v0", observation="raw", sea="0", frame_skip=10, max_episode_steps=40)
+    env.reset(seed=5)
+    off = [abs(env.step(np.array([0.7, 0.1]))[4]["cross_track_m"]) for _ in range(40)]
+    # decisions end at 0.5, 1.0, ... s, and those from 4 to 34 s count; the episode has 20 s
+    assert row["off_path_outage_m"] == pytest.approx(np.mean(off[7:]))
+    (without,) = evaluate(agent, seeds=(5,), max_episode_steps=5)
+    assert without["off_path_outage_m"] is None
+
+
+def test_station_keeping_counts_the_distance_to_the_point():
+    (row,) = evaluate(Fixed(0.0, 0.0), seeds=(1,), task="station", max_episode_steps=2, sea="0")
+    envs = make_envs(1, observation="raw", task="station", max_episode_steps=2, sea="0")
+    envs.reset(seed=[1])
+    far = np.hypot(*envs.task.errors[0, :2])
+    assert row["cross_track_m"] == pytest.approx(far, abs=6.0) and far > 25.0
+
+
+def test_evaluation_has_no_memory():
+    agent = Fixed(0.6, 0.1)
+    twice = [evaluate(agent, seeds=(1, 2), max_episode_steps=20, faults="gps10") for _ in "ab"]
+    assert twice[0] == twice[1]
+    (alone,) = evaluate(agent, seeds=(2,), max_episode_steps=20, faults="gps10")
+    assert alone == twice[0][1]
+
+
+def test_no_seeds_are_refused():
+    with pytest.raises(AgentError, match="name at least one"):
+        evaluate(Fixed(0.0, 0.0), seeds=())
+
+
+def test_means_leave_out_what_is_missing():
+    values = np.array([[1.0, np.nan], [3.0, np.nan]])
+    np.testing.assert_array_equal(evaluation._mean(values), [2.0, np.nan])
