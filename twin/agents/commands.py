@@ -91,6 +91,7 @@ def train_command(
     console.print(table)
     console.print(
         f"look at them with: usv-twin evaluate {out} (and tensorboard --logdir {out})",
+        highlight=False,
         soft_wrap=True,
     )
 

@@ -552,6 +552,13 @@ def _figure(count: int) -> Any:
     )
 
 
+def _in_metres(ax: Any) -> None:
+    """Make the vertical axis logarithmic, with ticks at 1, 2, 5, 10, ..."""
+    ax.set_yscale("log")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter(lambda y, _: f"{y:g}" if f"{y:g}".strip("0.") in "25" else "")
+
+
 def _style(agent: str) -> dict[str, Any]:
     algo, _, observation = agent.partition("-")
     dashed = "--" if algo == "recurrent_ppo" else "-"
@@ -586,11 +593,7 @@ def _draw_cells(results: Mapping[str, Any]) -> Any:
         ax.set_xticks(place, outages)
         ax.set_title(panel.upper())
         ax.set_xlabel("loss of GPS")
-        ax.set_yscale("log")
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter(
-            lambda value, _: f"{value:g}" if f"{value:g}"[0] in "25" else ""
-        )
+        _in_metres(ax)
         ax.grid(alpha=0.3)
     axes[0, 0].set_ylabel("off the path, m (interquartile mean)")
     axes[0, -1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
@@ -646,14 +649,15 @@ def _draw_curves(results: Mapping[str, Any]) -> Any:
             ax.plot(steps, off.mean(axis=0), **style)
             ax.fill_between(steps, off.min(axis=0), off.max(axis=0), color=style["color"],
                             alpha=0.15, lw=0)  # fmt: skip
-        for name, level in results["levels"].items():
+        levels = results["levels"]
+        for k, (name, level) in enumerate(levels.items()):
             ax.axhline(level, color="0.5", lw=0.8, ls=":")
-            ax.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=6,
-                        ha="right", va="bottom", color="0.35")  # fmt: skip
+            # side by side, for some are alike
+            ax.annotate(name, ((k + 0.5) / len(levels), level), fontsize=7, color="0.35",
+                        xycoords=("axes fraction", "data"), ha="center", va="bottom")  # fmt: skip
         ax.set_title(panel.upper())
         ax.set_xlabel("decisions, thousands")
-        ax.set_yscale("log")
-        ax.yaxis.set_major_formatter("{x:g}")
+        _in_metres(ax)
         ax.grid(alpha=0.3)
         ax.legend(fontsize=8, loc="upper right")
     axes[0, 0].set_ylabel("off the path, m (mean; band: all runs)")
