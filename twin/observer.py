@@ -40,6 +40,7 @@ from usv_gym.episodes import (
     Episodes,
 )
 from usv_gym.physics import frames as fr
+from usv_gym.render import Belief
 from usv_gym.sensors import CHANNELS
 from usv_gym.simulation import CMD, STATE, TIME, Z
 from usv_gym.tasks import ERRORS, REACH, SPEED, follow
@@ -257,6 +258,24 @@ class TwinObserver(ABC):
         self.notes[i, LAST] = math.nan
         self._forget(i)
 
+    def belief(self, i: int) -> Belief | None:
+        """Return what the twin of boat i believes, for pictures; None before its first row."""
+        note = self.notes[i]
+        if not math.isfinite(note[LAST]):
+            return None
+        _, _, now, ahead, covs = in_python(note_parts)(note)
+        return Belief(
+            state=self.state(i),
+            cov=now[:2, :2].copy(),
+            horizons=LOOK_AHEAD.copy(),
+            ahead=ahead.copy(),
+            covs=covs[:, :2, :2].copy(),
+        )
+
+    @abstractmethod
+    def state(self, i: int) -> Array:
+        """Return the state (6,) that the twin of boat i believes in: a copy."""
+
     @abstractmethod
     def _forget(self, i: int) -> None: ...
 
@@ -284,6 +303,10 @@ class SeparateTwins(TwinObserver):
         super().__init__(episodes, twin, band_period)
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), N_ACT))
+
+    def state(self, i: int) -> Array:
+        """See :meth:`TwinObserver.state`."""
+        return np.array(self.twins[i].predictor.s, dtype=np.float64)
 
     def _forget(self, i: int) -> None:
         self.twins[i].reset()
@@ -339,6 +362,10 @@ class CompiledTwins(TwinObserver):
         self._room = np.zeros(len(predictor.ukf.memory) + (len(HORIZONS) + 1) * N_ACT)
         # a thread needs scratch of its own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
+
+    def state(self, i: int) -> Array:
+        """See :meth:`TwinObserver.state`."""
+        return self.memories[1][i, :N_STATES].copy()
 
     def _forget(self, i: int) -> None:
         if self._single:

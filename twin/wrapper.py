@@ -47,6 +47,12 @@ def _look(observer: TwinObserver, obs: np.ndarray, info: dict[str, Any]) -> None
     info["twin_position_error_m"] = observer.off.item(0)
 
 
+def _show(env: Any) -> None:
+    """Let the pictures know of this step, now that the twin has seen it."""
+    if env.renderer:
+        env.renderer.look()
+
+
 class TwinObservation(
     gym.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     gym.utils.RecordConstructorArgs,
@@ -124,6 +130,8 @@ class TwinObservation(
         self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
         self.twin = self._observer.first
         self.observation_space = _space()
+        if base.renderer:
+            base.renderer.belief = self._observer.belief
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -142,6 +150,7 @@ class TwinObservation(
         whole = np.empty(SIZE, np.float32)
         whole[: len(obs)] = obs
         _look(self._observer, whole, info)
+        _show(self.unwrapped)
         return whole
 
 
@@ -173,6 +182,8 @@ class USVTwinEnv(USVEnv):
         self.twin = self._observer.first
         self.observation_space = _space()
         self._size = SIZE
+        if self.renderer:
+            self.renderer.belief = self._observer.belief
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -181,12 +192,14 @@ class USVTwinEnv(USVEnv):
         obs, info = super().reset(seed=seed, options=options)
         self._observer.reset(0)
         _look(self._observer, obs, info)
+        _show(self)
         return obs, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail one step; see :meth:`USVEnv.step`."""
         obs, reward, terminated, truncated, info = super().step(action)
         _look(self._observer, obs, info)
+        _show(self)
         return obs, reward, terminated, truncated, info
 
 
@@ -218,6 +231,8 @@ class USVTwinVectorEnv(USVVectorEnv):
         self._observer = observer_of(self.episodes, twin, particulars, band_period, twin_seed)
         self._set_spaces(self.single_action_space, _space())
         self._obs = np.zeros(self.observation_space.shape or (), np.float32)
+        if self.renderer:
+            self.renderer.belief = self._observer.belief
 
     def twin(self, i: int) -> Twin:
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
@@ -252,6 +267,10 @@ def make_env(*, twin: str | Predictor | None = DEFAULT, **kwargs: Any) -> USVEnv
         See :class:`USVTwinEnv` and :class:`usv_gym.env.USVEnv`.
     """
     return USVEnv(**kwargs) if twin is None else USVTwinEnv(twin=twin, **kwargs)
+
+
+# where gym.make looks for the modes, to offer "rgb_array_list" as well
+make_env.metadata = USVEnv.metadata  # type: ignore[attr-defined]
 
 
 def make_vector_env(

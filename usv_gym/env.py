@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from usv_gym.episodes import BOUND, OBSERVATION, Episodes
+from usv_gym.render import RENDER_MODES, RENDER_SIZE, Frame, fps_of, pictures, renderer_of
 from usv_gym.sea import SeaState
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.tasks import (
@@ -114,11 +115,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         Control and integration step, s.
     record : bool
         Keep every row, for :func:`twin.wrapper.log_of`.
-    render_mode : None
-        There is none yet.
+    render_mode : str, optional
+        ``"rgb_array"``: :meth:`render` returns a picture from above. ``"human"``: a window
+        shows each step. Both need the extra ``render``.
+    render_size : tuple of int
+        Width and height of a picture, pixels; at least 400 x 360.
     """
 
-    metadata = {"render_modes": [], "render_fps": 20}  # noqa: RUF012 - Gymnasium's attribute
+    metadata = {  # noqa: RUF012 - Gymnasium's attribute
+        "render_modes": RENDER_MODES,
+        "render_fps": 20,
+    }
 
     def __init__(
         self,
@@ -137,10 +144,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         dt_physics: float = 0.05,
         record: bool = False,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r} is not offered; leave it out")
-        self.render_mode = None
         self.episodes = Episodes(
             1,
             vessel=vessel,
@@ -169,6 +174,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._action = self.episodes.actions[1, 0]
         self._record, self._time = self.task.records[0], self.simulation.t
         self._started = False
+        self.metadata = self.metadata | {"render_fps": fps_of(dt)}
+        self.render_mode = render_mode
+        self.renderer = renderer_of(self.episodes, render_mode, render_size, fps_of(dt))
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
 
@@ -198,6 +206,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         if self.history is not None:
             self.history.clear()
             self._remember(self.history)
+        self._show()
         return obs[0], self._info(self._record.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -232,8 +241,23 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             )
         if self.history is not None:
             self._remember(self.history)
+        self._show()
         record = self._record.tolist()
         return obs[0], record[REWARD], record[TERMINATED] != 0.0, False, self._info(record)
+
+    def render(self) -> Frame | None:  # type: ignore[override]
+        """Return a picture, shape (height, width, 3), if the mode is ``"rgb_array"``."""
+        return self.renderer.frames()[0] if pictures(self, self._started) else None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.renderer:
+            self.renderer.close()
+
+    def _show(self) -> None:
+        """Let the pictures know of this step; one who has a twin does so when it has seen it."""
+        if self.renderer and not self.renderer.belief:
+            self.renderer.look()
 
     def _remember(self, history: list[np.ndarray]) -> None:
         """Keep this step's row for the log."""

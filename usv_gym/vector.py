@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from usv_gym.env import spaces_of
 from usv_gym.episodes import OBSERVATION, RESTS, Episodes
+from usv_gym.render import RENDER_MODES, RENDER_SIZE, Frame, fps_of, pictures, renderer_of
 from usv_gym.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED, TERMS
 
 __all__ = ["USVVectorEnv"]
@@ -36,6 +37,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         ``"SameStep"``: the step that ends it does; ``info["final_obs"]`` and
         ``info["final_info"]`` hold how it ended. ``"Disabled"``: reset it yourself, with
         ``options={"reset_mask": ...}``.
+    render_mode : str, optional
+        ``"rgb_array"``: :meth:`render` returns a picture of each boat. ``"human"``: a window
+        shows each step of the first boat.
     num_threads : int
         Threads that share the boats; worth it from some hundred boats on, and more so with twins.
         The results do not hang on it.
@@ -50,7 +54,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's attribute
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
         "render_fps": 20,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -63,6 +67,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int = 1,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
         **kwargs: Any,
     ) -> None:
         if not _count(num_envs):
@@ -79,8 +84,6 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"the vector environment has no option {unknown}; it has "
                 f"{', '.join(name for name in known if name != 'threads')}"
             )
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r} is not offered; leave it out")
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -88,8 +91,11 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = int(num_envs), max_episode_steps
-        self.render_mode = None
         self.episodes = Episodes(self.num_envs, threads=num_threads, **kwargs)
+        fps = fps_of(self.episodes.simulation.dt)
+        self.metadata["render_fps"] = fps
+        self.render_mode = render_mode
+        self.renderer = renderer_of(self.episodes, render_mode, render_size, fps)
         self.simulation, self.task = self.episodes.simulation, self.episodes.task
         self.vessel, self.sea, self.speed = (
             self.episodes.vessel,
@@ -178,6 +184,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._rng(int(i), seeds[i])
         self._begin(mask)
         self._over[mask] = False
+        if self.renderer:
+            self.renderer.look()
         return self._obs.copy(), self._infos(mask)
 
     def _begin(self, mask: np.ndarray) -> None:
@@ -256,7 +264,14 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             infos |= {"final_info": ended, "_final_info": over.copy()}
             over = np.zeros_like(over)
         self._over = over
+        if self.renderer:
+            self.renderer.look()
         return self._obs.copy(), rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
+        """Return a picture of each boat if the mode is ``"rgb_array"``."""
+        self._refuse_closed()
+        return self.renderer.frames() if pictures(self, not self._unborn.any()) else None
 
     def _infos(self, mask: np.ndarray | None) -> Info:
         """Return the infos of some boats, or of all of them."""
@@ -279,8 +294,10 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise gym.error.ClosedEnvironmentError("the environment was closed; make another one")
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
+        """End the threads, and close the window."""
         self.episodes.close()
+        if self.renderer:
+            self.renderer.close()
 
 
 def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> Info:
