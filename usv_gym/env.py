@@ -247,7 +247,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> Frame | None:  # type: ignore[override]
         """Return a picture, shape (height, width, 3), if the mode is ``"rgb_array"``."""
-        return self.renderer.frames()[0] if pictures(self, self._started) else None
+        frames = pictures(self.renderer, self._started)
+        return frames[0] if frames else None
 
     def close(self) -> None:
         """Close the window."""

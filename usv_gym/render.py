@@ -73,7 +73,7 @@ class Belief:
     ahead: Array
     covs: Array
 
-    def band(self, steps: int = 60) -> tuple[Array, Array, Array]:
+    def band(self, steps: int = 40) -> tuple[Array, Array, Array]:
         """Return times ahead (T,), positions (T, 2) and their covariances (T, 2, 2) in between.
 
         Positions follow the speeds believed at each horizon; covariances are straight in time.
@@ -89,10 +89,10 @@ class Belief:
         return times, places, between.reshape(-1, 2, 2)
 
 
-def ellipses(places: Array, covs: Array) -> Array:
-    """Return outlines (T, 24, 2) of ``SDS`` standard deviations around positions (T, 2)."""
+def ellipses(places: Array, covs: Array, corners: int = 24) -> Array:
+    """Return outlines (T, corners, 2) of ``SDS`` standard deviations around positions (T, 2)."""
     variances, axes = np.linalg.eigh(covs)
-    angles = np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * math.pi, corners, endpoint=False)
     circle = SDS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     reach = np.sqrt(np.maximum(variances, 0.0))
     return places[:, None, :] + np.einsum("tij,tj,kj->tki", axes, reach, circle)
@@ -254,7 +254,7 @@ class Renderer:
         self._window = Window(self.painter.size, fps) if mode == "human" else None
         length = episodes.vessel.values["length_overall"]
         self.trails = [
-            Trail(0.05 * length, 0.3 * _span(episodes.vessel, episodes.speed))
+            Trail(0.05 * length, 0.2 * _span(episodes.vessel, episodes.speed))
             for _ in range(episodes.n)
         ]
 
@@ -324,20 +324,20 @@ def fps_of(period: float) -> float:
     return round(fps) if math.isclose(fps, round(fps)) else fps
 
 
-def pictures(env: Any, started: bool) -> bool:
-    """Return whether ``render()`` of an environment is to return pictures.
+def pictures(renderer: Renderer | None, started: bool) -> tuple[Frame, ...] | None:
+    """Return what ``render()`` of an environment does: pictures only in the mode ``rgb_array``.
 
     As in Gymnasium: before the first reset it is an error, and without a mode it warns.
     """
-    if env.render_mode is None:
+    if renderer is None:
         gym.logger.warn(
             "render() does nothing without a render_mode: make the environment with "
             "render_mode='rgb_array' or 'human'"
         )
-        return False
+        return None
     if not started:
         raise gym.error.ResetNeeded("call reset() before render()")
-    return bool(env.render_mode == "rgb_array")
+    return renderer.frames() if renderer.mode == "rgb_array" else None
 
 
 def _span(vessel: Vessel, speed: float) -> float:
@@ -370,7 +370,7 @@ def drives(vessel: Vessel, state: Array) -> Array:
         delta = state[fr.DELTA_LEFT + k] if values.get("steer_max") else 0.0
         pivot = -0.47 * length, side * max(values["y_P"], 0.22 * values["beam"])
         lines[k] = pivot
-        lines[k, 1] += 0.17 * length * np.array([-math.cos(delta), math.sin(delta)])
+        lines[k, 1] += 0.24 * length * np.array([-math.cos(delta), math.sin(delta)])
     return lines
 
 
@@ -422,24 +422,22 @@ class Painter:
         self._font = self.pg.font.Font(font, em)
         self._words: dict[tuple[str, Any], Any] = {}
         pad, line = em // 2, self._line
-        rose = 8 * line
+        rose = min(10 * line, int(w) - 35 * em)
         self._wide = w >= 1.25 * h
         if self._wide:
             panel = max(18 * em, rose)
             self._map = self.pg.Rect(0, 0, w - panel, h)
-            left, top = w - panel + pad, pad
-            self._rose = self.pg.Rect(left, top, rose, rose)
-            top += rose + pad
-            self._state, self._key = (left, top), (left, top + 12 * line)
-            self._terms = left, top + 22 * line
+            left = w - panel + pad
+            self._rose = self.pg.Rect(left, pad, rose, rose)
+            self._said = left, rose + 2 * pad
         else:
             panel = 12 * line + 2 * pad
             self._map = self.pg.Rect(0, 0, w, h - panel)
             top = h - panel + pad
-            self._rose = self.pg.Rect(pad, top + line, rose, rose)
-            spare = max(w - rose - 34 * em, 0) // 4
+            self._rose = self.pg.Rect(pad, top + (10 * line - rose) // 2, rose, rose)
+            spare = max(w - rose - 35 * em, 0) // 4
             left = pad + rose + em + spare
-            self._state, self._key = (left, top), (left + round(15.5 * em) + spare, top)
+            self._said, self._key = (left, top), (left + round(15.5 * em) + spare, top)
             self._terms = pad, top + 11 * line
         fine = _FINE * self._map.width, _FINE * self._map.height
         self._canvas = self.pg.Surface(fine, 0, 32)
@@ -459,14 +457,16 @@ class Painter:
         self._frame.fill(_PANEL)
         self._draw_map(scene)
         self._draw_rose(scene)
-        for row, (text, colour) in enumerate(_said(scene)):
-            self._write(text, (self._state[0], self._state[1] + row * self._line), colour)
-        self._draw_key(scene)
-        terms = [f"{name} {value:+.2f}" for name, value in scene.rewards.items()]
+        terms = [f"{name.replace('_', ' ')} {value:+.2f}" for name, value in scene.rewards.items()]
         if terms:
             terms.insert(0, f"reward {sum(scene.rewards.values()):+.2f}:")
-        for k, text in enumerate(terms if self._wide else ["   ".join(terms)]):
-            self._write(text, (self._terms[0], self._terms[1] + k * self._line))
+        end = self._write(self._said, _said(scene))
+        if self._wide:  # one below the other
+            end = self._write((end[0], end[1] + self._em), [(text, _INK) for text in terms])
+            self._draw_key(scene, (end[0], end[1] + self._em * bool(terms)))
+        else:
+            self._write(self._terms, [("   ".join(terms), _INK)])
+            self._draw_key(scene, self._key)
         return self._frame
 
     def _draw_map(self, scene: Scene) -> None:
@@ -499,7 +499,7 @@ class Painter:
             _, places, covs = belief.band()
             for shape in at(ellipses(places, covs), near):
                 draw.polygon(canvas, _BAND, shape)
-            for shape in at(ellipses(belief.ahead[:, :2], belief.covs), near):
+            for shape in at(ellipses(belief.ahead[:, :2], belief.covs, 64), near):
                 draw.polygon(canvas, _RED, shape, thin // 2)
         if len(scene.path):
             points = at(scene.path)
@@ -581,10 +581,10 @@ class Painter:
             self._frame.blit(words, box)
         self.placed.append(self._rose)
 
-    def _draw_key(self, scene: Scene) -> None:
+    def _draw_key(self, scene: Scene, place: tuple[int, int]) -> None:
         """Draw what each colour and shape stands for."""
         draw, frame, em = self.pg.draw, self._frame, self._em
-        thin, left = max(1, em // 7), self._key[0]
+        thin, (left, top) = max(1, em // 7), place
         rows = [
             ("hull", _HULL, "boat (truth)"),
             ("line", _BLUE, "its track"),
@@ -600,8 +600,8 @@ class Painter:
             rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
         rows += [("wind", _SKY, "wind")] * (scene.wind > 0.05)
         rows += [("waves", _BLUE, "waves")] * (scene.hs > 0.005)
-        for k, (kind, colour, text) in enumerate(rows):
-            y = self._key[1] + k * self._line + self._line // 2
+        for k, (kind, colour, _) in enumerate(rows):
+            y = top + k * self._line + self._line // 2
             end, middle = (left + 2 * em, y), (left + em, y)
             if kind in ("hull", "ghost"):
                 b = 0.35 * em
@@ -625,7 +625,7 @@ class Painter:
                     head = end[0] - 0.8 * em
                     tip = [(end[0], y), (head, y - 0.4 * em), (head, y + 0.4 * em)]
                     draw.polygon(frame, colour, tip)
-            self._write(text, (left + round(2.6 * em), y - self._line // 2))
+        self._write((left + round(2.6 * em), top), [(text, _INK) for _, _, text in rows])
 
     def _word(self, text: str, colour: Any) -> Any:
         key = text, colour
@@ -635,9 +635,13 @@ class Painter:
             self._words[key] = self._font.render(text, True, colour)
         return self._words[key]
 
-    def _write(self, text: str, place: tuple[int, int], colour: Any = _INK) -> None:
-        if text:
-            self.placed.append(self._frame.blit(self._word(text, colour), place))
+    def _write(self, place: tuple[int, int], lines: list[tuple[str, Any]]) -> tuple[int, int]:
+        """Write lines of a text and its colour from a place on; return where the next one goes."""
+        left, top = place
+        for text, colour in lines:
+            self.placed.append(self._frame.blit(self._word(text, colour), (left, top)))
+            top += self._line
+        return left, top
 
     def _boxed(self, text: str, top: tuple[int, int], colour: Any) -> None:
         """Write white on a colour, from a place at the middle of its top."""
@@ -666,7 +670,7 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
         lines.append((f"roll {roll:+.1f}, pitch {pitch:+.1f} deg", _INK))
     if len(scene.path):
         side = "starboard" if scene.off_path > 0.0 else "port"
-        lines.append((f"off path {abs(scene.off_path):.1f} m to {side}", _INK))
+        lines.append((f"{abs(scene.off_path):.1f} m {side} of leg", _INK))
         lines.append((f"leg {scene.leg + 1} of {len(scene.path) - 1}", _INK))
     if scene.belief:
         off = math.dist(scene.belief.state[:2], state[:2])
@@ -674,8 +678,8 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
     lines.append((f"GPS fix {scene.gps_age:.1f} s old", _RED if scene.gps_lost else _INK))
     wind = f"{scene.wind:.1f} m/s from {_angle(scene.wind_from)}"
     lines.append(("no wind" if scene.wind <= 0.05 else f"wind {wind}", _INK))
-    waves = f"{scene.hs:.2f} m (Hs) to {_angle(scene.wave_to)}"
-    lines.append(("no waves" if scene.hs <= 0.005 else f"waves {waves}", _INK))
+    waves = f"{scene.hs:.2f} m to {_angle(scene.wave_to)}"
+    lines.append(("no waves" if scene.hs <= 0.005 else f"waves Hs {waves}", _INK))
     return lines
 
 

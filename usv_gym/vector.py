@@ -271,7 +271,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
         """Return a picture of each boat if the mode is ``"rgb_array"``."""
         self._refuse_closed()
-        return self.renderer.frames() if pictures(self, not self._unborn.any()) else None
+        return pictures(self.renderer, not self._unborn.any())
 
     def _infos(self, mask: np.ndarray | None) -> Info:
         """Return the infos of some boats, or of all of them."""
