@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from usv_gym.episodes import AGE, HELD, Episodes
+from usv_gym.episodes import AGE, HELD, Episodes, Observer
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
-from usv_gym.tasks import LEG, TERMS
+from usv_gym.tasks import ERROR, LEG, NOTHING, REWARD, TERM
 from usv_gym.vessel import Vessel
 
 __all__ = ["RENDER_MODES", "RENDER_SIZE", "Belief", "Painter", "Renderer", "Scene", "Trail"]
@@ -227,42 +227,63 @@ class Renderer:
     ----------
     episodes : Episodes
         The boats.
+    observer : Observer, optional
+        Its method ``belief``, if it has one, returns what the twin of boat i believes.
     mode : str
         ``"rgb_array"`` or ``"human"``.
     size : tuple of int
         Width and height, pixels.
-    fps : float
-        Frames per second of the window.
 
     Attributes
     ----------
-    belief : callable or None
-        Returns what the twin of boat i believes; whoever brings a twin sets it.
+    waits : bool
+        Whether :meth:`look` is left to one who brings a twin from outside.
     """
 
     def __init__(
-        self, episodes: Episodes, mode: str, size: tuple[int, int] = RENDER_SIZE, fps: float = 20.0
+        self,
+        episodes: Episodes,
+        observer: Observer | None,
+        mode: str,
+        size: tuple[int, int] = RENDER_SIZE,
     ) -> None:
         if mode not in RENDER_MODES:
             raise ValueError(
                 f"render_mode = {mode!r}: unknown; use {' or '.join(map(repr, RENDER_MODES))}, or "
                 "leave it out"
             )
-        self.episodes, self.mode, self.fps = episodes, mode, fps
+        self.episodes, self.mode = episodes, mode
         self.painter = Painter(size)
-        self.belief: Callable[[int], Belief | None] | None = None
-        self._window = Window(self.painter.size, fps) if mode == "human" else None
+        self.belief: Callable[[int], Belief | None] | None = getattr(observer, "belief", None)
+        self.waits = False
+        self._window = Window(self.painter.size, fps_of(episodes)) if mode == "human" else None
         length = episodes.vessel.values["length_overall"]
         self.trails = [
             Trail(0.05 * length, 0.2 * _span(episodes.vessel, episodes.speed))
             for _ in range(episodes.n)
         ]
+        episodes.watchers.append(self._remember)
 
-    def look(self) -> None:
-        """Remember this step of every boat; show the first one where there is a window."""
+    @classmethod
+    def of(
+        cls,
+        episodes: Episodes,
+        observer: Observer | None,
+        mode: str | None,
+        size: tuple[int, int],
+    ) -> Renderer | None:
+        """Return what makes an environment's pictures; None without a mode."""
+        return None if mode is None else cls(episodes, observer, mode, size)
+
+    def _remember(self, obs: NDArray[np.float32], look: bool = True) -> None:
+        """Watch a step of every boat, as :class:`Episodes` has it."""
         sim, seen = self.episodes.simulation, self.episodes.seen
         for i, trail in enumerate(self.trails):
             trail.add(sim.t.item(i), sim.state[i], seen[i, HELD : HELD + 2], seen.item(i, AGE))
+
+    def look(self) -> None:
+        """Remember also what a reset made new; show the first boat where there is a window."""
+        self._remember(np.empty(0, np.float32))
         if self._window:
             self._window.show(self.painter, self.scene(0))
 
@@ -273,10 +294,13 @@ class Renderer:
             self.trails[i],
         )
         t, age = sim.t.item(i), self.episodes.seen.item(i, AGE)
+        record, goal = task.records[i].tolist(), task.kind != NOTHING
+        terms = record[TERM:REWARD]
         north, east = wx.air_velocity(t, sim.gusts[i], sim.weather[i])
         waves = sim.waves[i]
         # the components' mean direction, weighted with their energy
-        energy, number = waves[wv.AMPLITUDE] ** 2, np.hypot(waves[wv.K_NORTH], waves[wv.K_EAST])
+        energy = waves[wv.AMPLITUDE] ** 2
+        number = np.maximum(np.hypot(waves[wv.K_NORTH], waves[wv.K_EAST]), 1e-12)
         to_north, to_east = (energy @ (waves[k] / number) for k in (wv.K_NORTH, wv.K_EAST))
         gain = wx.wave_gain(t, sim.weather[i])
         return Scene(
@@ -286,9 +310,9 @@ class Renderer:
             state=sim.state[i].copy(),
             view=trail.view,
             track=np.array([*trail.track, sim.state[i, :2]]),
-            path=task.points[i].copy() if task.rated else np.empty((0, 2)),
-            leg=int(task.records[i, LEG]),
-            off_path=task.errors.item(i, 0),
+            path=task.points[i].copy() if goal else np.empty((0, 2)),
+            leg=int(record[LEG]),
+            off_path=record[ERROR],
             fixes=np.array(trail.fixes).reshape(-1, 2),
             gps_age=age,
             gps_lost=age > max(3.0 / sim.suite.gps_rate, 0.5),
@@ -296,7 +320,7 @@ class Renderer:
             wind_from=math.atan2(-east, -north),
             hs=4.0 * gain * math.sqrt(0.5 * energy.sum()),
             wave_to=math.atan2(to_east, to_north),
-            rewards=dict(zip(TERMS, task.terms[i].tolist(), strict=True)) if task.rated else {},
+            rewards=dict(zip(task.terms, terms, strict=True)) if goal else {},
             heeling=sim.dof == 6,
             belief=self.belief(i) if self.belief else None,
         )
@@ -311,16 +335,9 @@ class Renderer:
             self._window.close()
 
 
-def renderer_of(
-    episodes: Episodes, mode: str | None, size: tuple[int, int], fps: float
-) -> Renderer | None:
-    """Return what makes an environment's pictures; None without a mode."""
-    return None if mode is None else Renderer(episodes, mode, size, fps)
-
-
-def fps_of(period: float) -> float:
-    """Return steps per second, as a whole number where it is one."""
-    fps = 1.0 / period
+def fps_of(episodes: Episodes) -> float:
+    """Return decisions per second, as a whole number where it is one."""
+    fps = 1.0 / (episodes.simulation.dt * episodes.frame_skip)
     return round(fps) if math.isclose(fps, round(fps)) else fps
 
 
@@ -431,14 +448,14 @@ class Painter:
             self._rose = self.pg.Rect(left, pad, rose, rose)
             self._said = left, rose + 2 * pad
         else:
-            panel = 12 * line + 2 * pad
+            panel = 12 * line + 3 * pad
             self._map = self.pg.Rect(0, 0, w, h - panel)
             top = h - panel + pad
             self._rose = self.pg.Rect(pad, top + (10 * line - rose) // 2, rose, rose)
             spare = max(w - rose - 35 * em, 0) // 4
             left = pad + rose + em + spare
             self._said, self._key = (left, top), (left + round(15.5 * em) + spare, top)
-            self._terms = pad, top + 11 * line
+            self._terms = pad, top + 10 * line + pad
         fine = _FINE * self._map.width, _FINE * self._map.height
         self._canvas = self.pg.Surface(fine, 0, 32)
         self._frame = self.pg.Surface(self.size, 0, 32)
@@ -459,13 +476,13 @@ class Painter:
         self._draw_rose(scene)
         terms = [f"{name.replace('_', ' ')} {value:+.2f}" for name, value in scene.rewards.items()]
         if terms:
-            terms.insert(0, f"reward {sum(scene.rewards.values()):+.2f}:")
+            terms.insert(0, f"reward {sum(scene.rewards.values()):+.2f}")
         end = self._write(self._said, _said(scene))
         if self._wide:  # one below the other
             end = self._write((end[0], end[1] + self._em), [(text, _INK) for text in terms])
             self._draw_key(scene, (end[0], end[1] + self._em * bool(terms)))
         else:
-            self._write(self._terms, [("   ".join(terms), _INK)])
+            self._write(self._terms, [(text, _INK) for text in (*terms[:1], "   ".join(terms[1:]))])
             self._draw_key(scene, self._key)
         return self._frame
 
@@ -505,7 +522,10 @@ class Painter:
             points = at(scene.path)
             draw.lines(canvas, _GREY, False, points, thin)
             draw.line(canvas, _GREEN, *points[scene.leg : scene.leg + 2], 2 * thin)
-            for k, point in enumerate(points):
+            lengths = np.hypot(*np.diff(scene.path, axis=0).T)
+            # the points of a curve would be beads on a string
+            marked = lengths.max() > 2.0 * scene.vessel.values["length_overall"]
+            for k, point in enumerate(points if marked else []):
                 target = k == scene.leg + 1
                 draw.circle(canvas, _GREEN if target else _GREY, point, 3 * thin)
                 draw.circle(canvas, _WATER, point, (1 if target else 2) * thin)
@@ -671,7 +691,8 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
     if len(scene.path):
         side = "starboard" if scene.off_path > 0.0 else "port"
         lines.append((f"{abs(scene.off_path):.1f} m {side} of leg", _INK))
-        lines.append((f"leg {scene.leg + 1} of {len(scene.path) - 1}", _INK))
+        to_go = math.dist(scene.path[scene.leg + 1], state[:2])
+        lines.append((f"leg {scene.leg + 1} of {len(scene.path) - 1}: {to_go:.1f} m to go", _INK))
     if scene.belief:
         off = math.dist(scene.belief.state[:2], state[:2])
         lines.append((f"twin off by {off:.2f} m", _INK))

@@ -20,7 +20,7 @@ from twin.wrapper import TwinObservation
 from usv_gym import Fault, SensorSuite
 from usv_gym.env import USVEnv
 from usv_gym.physics import frames as fr
-from usv_gym.render import Belief, Painter, Renderer, Scene, Trail, drives, ellipses, fps_of
+from usv_gym.render import Belief, Painter, Renderer, Scene, Trail, drives, ellipses
 from usv_gym.vessel import Vessel
 
 pygame = pytest.importorskip("pygame", reason="needs the extra render")
@@ -32,6 +32,9 @@ PURPLE, RED, BAND = (170, 68, 130), (213, 94, 0), (248, 216, 178)
 @pytest.fixture(autouse=True)
 def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+TASKS = ["path", "curves", "lawnmower", "waypoints", "station", "free"]
 
 
 def made(seed: int = 0, **options: Any) -> USVEnv:
@@ -89,7 +92,7 @@ def test_rendering_twice_gives_the_same_frame() -> None:
 
 
 @pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 400), (500, 400), (400, 360)])
-@pytest.mark.parametrize("task", ["path", "free"])
+@pytest.mark.parametrize("task", TASKS)
 def test_words_neither_overlap_nor_leave_the_frame(size: tuple[int, int], task: str) -> None:
     env = made(
         twin="ukf", dof=6, sea="6", task=task, render_size=size, faults=[Fault("gps", 0.0, 90.0)]
@@ -181,6 +184,16 @@ def test_a_trail_is_not_longer_than_it_may_be() -> None:
     assert len(trail.track) == len(trail.fixes) == 50 and trail.track[-1] == (99.0, 0.0)
 
 
+def test_tracks_are_as_fine_where_decisions_are_rare() -> None:
+    often, rarely = made(), made(frame_skip=10)
+    sail(often, 5.0)
+    for _ in range(10):
+        rarely.step(AHEAD)
+    assert np.array_equal(scene(often).track, scene(rarely).track)
+    assert np.array_equal(scene(often).fixes, scene(rarely).fixes)
+    assert np.array_equal(scene(often).view, scene(rarely).view)
+
+
 # ------------------------------------------------- wind, waves, rewards
 
 
@@ -191,6 +204,8 @@ def test_wind_and_waves_are_those_of_the_sea() -> None:
     assert math.degrees(shown.wind_from) == pytest.approx(90.0)
     assert math.degrees(shown.wave_to) % 360.0 == pytest.approx(270.0)
     assert 4.0 < shown.wind < 12.0
+    drawn = scene(made(sea="calm|4", seed=1))
+    assert math.isfinite(drawn.wave_to) and drawn.hs in (0.0, pytest.approx(2.5, rel=1e-6))
     calm = scene(made(sea="calm"))
     assert calm.wind == calm.hs == 0.0
 
@@ -284,7 +299,9 @@ def test_metadata_says_what_there_is() -> None:
     env = made(dt=0.1)
     assert env.metadata["render_modes"] == ["human", "rgb_array"]
     assert env.metadata["render_fps"] == 10 and USVEnv.metadata["render_fps"] == 20
-    assert fps_of(0.05) == 20 and fps_of(0.3) == pytest.approx(10.0 / 3.0)
+    assert made(frame_skip=10).metadata["render_fps"] == 2
+    envs = gym.make_vec("USVTwin-v0", 2, frame_skip=6)
+    assert envs.metadata["render_fps"] == pytest.approx(10.0 / 3.0)
 
 
 def test_without_a_mode_it_warns_and_returns_nothing() -> None:
