@@ -73,7 +73,7 @@ class Belief:
     ahead: Array
     covs: Array
 
-    def band(self, steps: int = 40) -> tuple[Array, Array, Array]:
+    def band(self, steps: int = 60) -> tuple[Array, Array, Array]:
         """Return times ahead (T,), positions (T, 2) and their covariances (T, 2, 2) in between.
 
         Positions follow the speeds believed at each horizon; covariances are straight in time.
