@@ -1,0 +1,256 @@
+"""Classical controllers, for many boats at once: the baselines that a trained agent must beat.
+
+Line-of-sight guidance steers to a point of the path some way ahead of the boat; a PD law turns
+the boat to the course that leads there. The controllers differ in whom they ask where the boat is.
+
+Source: Fossen 2021, Handbook of Marine Craft Hydrodynamics and Motion Control, section 12.3-12.4
+(LOS and ILOS guidance), 15.3 (PD heading control).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.agents.agent import Agent
+from usv_gym.episodes import AGE_SCALE, CROSS_TRACK_SCALE, TO_GO_SCALE
+from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, follow
+from usv_gym.vector import USVVectorEnv
+from usv_kernel import kernel
+
+__all__ = ["CONTROLLERS", "LOS", "ControllerError", "DeadReckoningLOS", "make_controller"]
+
+Array = NDArray[np.float64]
+
+NAMES = {
+    "": ("yaw_rate", "speed_forward", "speed_starboard"),
+    "twin_": ("twin_yaw_rate", "twin_surge", "twin_sway"),
+    "true_": ("true_yaw_rate", "true_surge", "true_sway"),
+}
+"""Entries of an observation that tell the motion, by how those of the path begin."""
+PATH = ("cross_track", "to_go", "cos_course_error", "sin_course_error")
+
+
+class ControllerError(ValueError):
+    """A controller that cannot be had, or not for these boats; the message says what can."""
+
+
+class LOS:
+    """Line-of-sight guidance with a PD heading loop.
+
+    Lengths are in lengths of the boat and times in the time to sail a length, so that the same
+    numbers serve every boat.
+
+    Parameters
+    ----------
+    name : str
+        For tables.
+    observation : str
+        The set that it needs.
+    source : str
+        How the entries that it goes by begin: ``""``, ``"twin_"`` or ``"true_"``.
+    look_ahead : float
+        Distance to the point that it steers to, lengths.
+    gain : float
+        Helm angle per heading error.
+    damping : float
+        Helm angle per turn in the time to sail a length.
+    integral : float
+        Part of the cross-track error that is taken up while a length is sailed (against current
+        and leeway); 0 for none.
+    slowing : float
+        Part of the speed that is taken off while the boat is a right angle off its course.
+    """
+
+    def __init__(
+        self,
+        name: str = "los",
+        observation: str = "raw",
+        source: str = "",
+        *,
+        look_ahead: float = 2.0,
+        gain: float = 1.5,
+        damping: float = 0.5,
+        integral: float = 0.0,
+        slowing: float = 0.0,
+    ) -> None:
+        self.name, self.observation, self.source = name, observation, source
+        self.look_ahead, self.gain, self.damping = look_ahead, gain, damping
+        self.integral, self.slowing = integral, slowing
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """See :meth:`twin.agents.agent.Agent.begin`."""
+        base = envs.unwrapped
+        width = base.single_action_space.shape[0]
+        if width != 2:
+            raise ControllerError(
+                f"{self.name} gives a shaft speed and an angle, these boats take {width} numbers; "
+                "make them with actions='common'"
+            )
+        self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
+        vessel = base.vessel
+        self.dt = base.simulation.dt * getattr(base, "frame_skip", 1)
+        self.length, self.speed = vessel.values["length_waterline"], base.speed
+        self.reach, self.helm_max = base.task.rules[REACH], vessel.helm_max
+        # the shaft speed of the usual speed
+        self.shaft = vessel.values["shaft_speed_manoeuvring"] / vessel.values["shaft_speed_service"]
+        self._drift = np.zeros(base.num_envs)
+
+    def act(self, obs: NDArray[np.float32]) -> Array:
+        """See :meth:`twin.agents.agent.Agent.act`."""
+        motion = obs[:, self._places].astype(float)
+        motion[:, 0] *= CROSS_TRACK_SCALE
+        motion[:, 1] *= TO_GO_SCALE
+        return self._steer(*self._navigate(obs, motion).T)
+
+    def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
+        """Return cross-track and to-go (m), cosine and sine of the course error, and motion."""
+        return motion
+
+    def _steer(
+        self, e: Array, to_go: Array, cos: Array, sin: Array, r: Array, u: Array, v: Array
+    ) -> Array:
+        """Return actions from how the boats stand to their legs, shape (n,) each."""
+        near = to_go < self.reach  # only at the last point: there the next leg has begun by then
+        ahead = self.look_ahead * self.length * np.where(near, to_go / self.reach, 1.0)
+        # where the leg ends the boat is to stop, and to come back if it went too far
+        wanted = np.where(near, np.clip(np.hypot(to_go, e) / self.reach, 0.0, 1.0), 1.0)
+        aside = e + self._drift
+        error = wrapped(np.arctan2(sin, cos) - np.arctan2(aside, ahead))
+        astern = near & (np.cos(error) < 0.0)
+        error = np.where(astern, wrapped(error + math.pi), error)
+        wanted = np.where(astern, -wanted, wanted)
+        step = self.dt * self.speed * self.integral * ahead / (ahead**2 + aside**2 + 1e-9)
+        self._drift = np.where(near, 0.0, self._drift + step * e * self.length)
+        helm = self.gain * error - self.damping * self.length / self.speed * r
+        # astern the same angle of the drives turns the boat the other way
+        helm = np.where(astern, -helm, helm) * np.where(near, np.abs(wanted), 1.0)
+        wanted *= 1.0 - self.slowing * np.clip(1.0 - np.cos(error), 0.0, 1.0)
+        shaft = self.shaft * np.where(near, 2.0 * wanted - u / self.speed, wanted)
+        return np.clip(np.stack([shaft, helm / self.helm_max], axis=1), -1.0, 1.0)
+
+
+class DeadReckoningLOS(LOS):
+    """The same between and without fixes: compass, last known speed and time carry the boat on.
+
+    Where a leg ends it knows from the way points, which are the boat's own.
+    """
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """See :meth:`twin.agents.agent.Agent.begin`."""
+        super().begin(envs)
+        base = envs.unwrapped
+        self._more = places(base, ("cos_heading", "sin_heading", "gps_age"))
+        self._points, self._legs_at_fix = base.task.points, base.task.records[:, KNOWN_LEG]
+        n = base.num_envs
+        self._legs, self._errors = np.zeros(n), np.zeros((n, len(ERRORS)))
+        self._place = np.zeros((n, 2))
+        self._velocity = np.tile([self.speed, 0.0], (n, 1))
+
+    def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
+        cos, sin, age = obs[:, self._more].astype(float).T
+        age *= AGE_SCALE
+        fresh = age < self.dt - 1e-6
+        self._legs[fresh] = self._legs_at_fix[fresh]
+        self._velocity[fresh] = self.speed * motion[fresh, 5:]
+        since = np.where(fresh, age, self.dt)
+        reckon(
+            *(fresh, since, cos, sin, self._velocity, motion, self._points),
+            *(self.reach, self._place, self._legs, self._errors),
+        )
+        motion[:, :2] = self._errors[:, :2]
+        motion[:, 2], motion[:, 3] = np.cos(self._errors[:, 2]), np.sin(self._errors[:, 2])
+        return motion
+
+
+@kernel
+def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs, errors):
+    """Carry places on by dead reckoning, from the last fix where there is a new one.
+
+    Parameters
+    ----------
+    fresh : (n,) array of bool
+        Whether there is a new fix ...
+    since : (n,) array
+        ... and the time since then, or since the last call, s.
+    cos, sin : (n,) arrays
+        Of the compass heading.
+    velocity : (n, 2) array
+        Speed forward and to starboard, m/s.
+    motion : (n, ...) array
+        Begins with cross-track and to-go of the fix, m.
+    points : (n, K, 2) array
+        Way points, m north and east.
+    reach : float
+        Distance at which a way point counts as reached, m.
+    place, legs, errors : (n, 2), (n,), (n, 4) arrays
+        Carried on: position (m), leg, and errors as :func:`usv_gym.tasks.path_errors` has them.
+    """
+    for i in range(fresh.shape[0]):
+        if fresh[i]:
+            start, end = points[i, int(legs[i])], points[i, int(legs[i]) + 1]
+            dx, dy = end[0] - start[0], end[1] - start[1]
+            length = math.hypot(dx, dy)
+            c, s = dx / length, dy / length
+            place[i, 0] = end[0] - motion[i, 1] * c - motion[i, 0] * s
+            place[i, 1] = end[1] - motion[i, 1] * s + motion[i, 0] * c
+        place[i, 0] += since[i] * (velocity[i, 0] * cos[i] - velocity[i, 1] * sin[i])
+        place[i, 1] += since[i] * (velocity[i, 0] * sin[i] + velocity[i, 1] * cos[i])
+        psi = math.atan2(sin[i], cos[i])
+        legs[i] = follow(place[i, 0], place[i, 1], psi, points[i], int(legs[i]), reach, errors[i])
+
+
+def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
+    """Return where entries stand in an observation.
+
+    Raises
+    ------
+    ControllerError
+        Names an entry that is not there.
+    """
+    there = list(envs.observation_names)
+    missing = [name for name in names if name not in there]
+    if missing:
+        raise ControllerError(
+            f"the observation has no entry {missing[0]!r}; make the environment with the set that "
+            "the agent's attribute 'observation' names"
+        )
+    return [there.index(name) for name in names]
+
+
+def wrapped(angle: Array) -> Array:
+    """Return angles within -pi ... pi, rad."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+CONTROLLERS: dict[str, Callable[..., Agent]] = {
+    "los": LOS,
+    "los-dr": lambda **options: DeadReckoningLOS("los-dr", **options),
+    "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
+    "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
+}
+"""Controllers by name; each call gives a new one."""
+
+
+def make_controller(name: str, **options: Any) -> Agent:
+    """Return a controller by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`CONTROLLERS`.
+    **options
+        Those of its class, such as ``look_ahead`` of :class:`LOS`.
+
+    Raises
+    ------
+    ControllerError
+        Lists the names, or the options, that there are.
+    """
+    if name not in CONTROLLERS:
+        raise ControllerError(f"no controller is called {name!r}; known: {', '.join(CONTROLLERS)}")
+    return CONTROLLERS[name](**options)
