@@ -56,14 +56,12 @@ class LOS:
     look_ahead : float
         Distance to the point that it steers to, lengths.
     gain : float
-        Helm angle per heading error.
+        Part of full helm per rad of heading error.
     damping : float
-        Helm angle per turn in the time to sail a length.
+        Part of full helm per rad that the boat turns while it sails a length.
     integral : float
         Part of the cross-track error that is taken up while a length is sailed (against current
         and leeway); 0 for none.
-    slowing : float
-        Part of the speed that is taken off while the boat is a right angle off its course.
     """
 
     def __init__(
@@ -72,32 +70,25 @@ class LOS:
         observation: str = "raw",
         source: str = "",
         *,
-        look_ahead: float = 2.0,
-        gain: float = 1.5,
-        damping: float = 0.5,
-        integral: float = 0.0,
-        slowing: float = 0.0,
+        look_ahead: float = 3.0,
+        gain: float = 5.0,
+        damping: float = 1.5,
+        integral: float = 0.02,
     ) -> None:
         self.name, self.observation, self.source = name, observation, source
         self.look_ahead, self.gain, self.damping = look_ahead, gain, damping
-        self.integral, self.slowing = integral, slowing
+        self.integral = integral
 
     def begin(self, envs: USVVectorEnv) -> None:
         """See :meth:`twin.agents.agent.Agent.begin`."""
         base = envs.unwrapped
-        width = base.single_action_space.shape[0]
-        if width != 2:
-            raise ControllerError(
-                f"{self.name} gives a shaft speed and an angle, these boats take {width} numbers; "
-                "make them with actions='common'"
-            )
+        check_actions(self.name, base)
         self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
-        vessel = base.vessel
         self.dt = base.simulation.dt * getattr(base, "frame_skip", 1)
-        self.length, self.speed = vessel.values["length_waterline"], base.speed
-        self.reach, self.helm_max = base.task.rules[REACH], vessel.helm_max
-        # the shaft speed of the usual speed
-        self.shaft = vessel.values["shaft_speed_manoeuvring"] / vessel.values["shaft_speed_service"]
+        self.length, self.speed = base.vessel.values["length_waterline"], base.speed
+        self.reach = base.task.rules[REACH]
+        full, usual = shaft_speeds(base)
+        self.shaft = usual / full
         self._drift = np.zeros(base.num_envs)
 
     def act(self, obs: NDArray[np.float32]) -> Array:
@@ -129,16 +120,26 @@ class LOS:
         helm = self.gain * error - self.damping * self.length / self.speed * r
         # astern the same angle of the drives turns the boat the other way
         helm = np.where(astern, -helm, helm) * np.where(near, np.abs(wanted), 1.0)
-        wanted *= 1.0 - self.slowing * np.clip(1.0 - np.cos(error), 0.0, 1.0)
         shaft = self.shaft * np.where(near, 2.0 * wanted - u / self.speed, wanted)
-        return np.clip(np.stack([shaft, helm / self.helm_max], axis=1), -1.0, 1.0)
+        return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
 
 
 class DeadReckoningLOS(LOS):
     """The same between and without fixes: compass, last known speed and time carry the boat on.
 
     Where a leg ends it knows from the way points, which are the boat's own.
+
+    Parameters
+    ----------
+    smoothing : float
+        Time over which the known speeds are averaged, against waves, in times to sail a length.
+    **options
+        Those of :class:`LOS`.
     """
+
+    def __init__(self, *, smoothing: float = 12.0, **options: Any) -> None:
+        super().__init__(**({"name": "los-dr"} | options))
+        self.smoothing = smoothing
 
     def begin(self, envs: USVVectorEnv) -> None:
         """See :meth:`twin.agents.agent.Agent.begin`."""
@@ -156,7 +157,8 @@ class DeadReckoningLOS(LOS):
         age *= AGE_SCALE
         fresh = age < self.dt - 1e-6
         self._legs[fresh] = self._legs_at_fix[fresh]
-        self._velocity[fresh] = self.speed * motion[fresh, 5:]
+        part = 1.0 - math.exp(-self.dt * self.speed / (self.smoothing * self.length))
+        self._velocity[fresh] += part * (self.speed * motion[fresh, 5:] - self._velocity[fresh])
         since = np.where(fresh, age, self.dt)
         reckon(
             *(fresh, since, cos, sin, self._velocity, motion, self._points),
@@ -204,6 +206,22 @@ def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs,
         legs[i] = follow(place[i, 0], place[i, 1], psi, points[i], int(legs[i]), reach, errors[i])
 
 
+def check_actions(name: str, envs: USVVectorEnv) -> None:
+    """Refuse boats that take something else than a shaft speed and an angle."""
+    width = (envs.single_action_space.shape or (0,))[0]
+    if width != 2:
+        raise ControllerError(
+            f"{name} gives a shaft speed and an angle, these boats take {width} numbers; make "
+            "them with actions='common'"
+        )
+
+
+def shaft_speeds(envs: USVVectorEnv) -> tuple[float, float]:
+    """Return the shaft speeds of full throttle and of the usual speed, rev/s."""
+    values = envs.vessel.values
+    return values["shaft_speed_service"], values["shaft_speed_manoeuvring"]
+
+
 def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
     """Return where entries stand in an observation.
 
@@ -229,7 +247,7 @@ def wrapped(angle: Array) -> Array:
 
 CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los": LOS,
-    "los-dr": lambda **options: DeadReckoningLOS("los-dr", **options),
+    "los-dr": DeadReckoningLOS,
     "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
     "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
 }
