@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -32,19 +32,14 @@ from twin.oracle import world_options
 from twin.particulars import Particulars
 from twin.plus import PlusPredictor, plus_look, plus_spread, plus_step
 from twin.predictor import Predictor
+from twin.registry import PredictorError, predictor_class
 from twin.simulated import particulars_of
 from twin.twin import Twin
-from usv_gym.episodes import (
-    BOUND,
-    CROSS_TRACK_SCALE,
-    OBSERVATION,
-    TO_GO_SCALE,
-    Episodes,
-)
+from usv_gym.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.physics import frames as fr
 from usv_gym.sensors import CHANNELS
 from usv_gym.simulation import CMD, STATE, TIME, Z
-from usv_gym.tasks import ERRORS, REACH, SPEED, follow
+from usv_gym.tasks import ERRORS, REACH, SPEED, UNIT, follow
 from usv_kernel import in_python, kernel
 
 __all__ = ["HORIZONS", "TWIN_OBSERVATION", "TwinObserver", "observer_of"]
@@ -59,6 +54,7 @@ _SD = ("sd_forward", "sd_starboard", "sd_heading", "sd_surge", "sd_sway", "sd_ya
 TWIN_OBSERVATION = (
     *("twin_surge", "twin_sway", "twin_yaw_rate", "twin_cos_heading", "twin_sin_heading"),
     *("twin_cross_track", "twin_to_go", "twin_cos_course_error", "twin_sin_course_error"),
+    *("twin_cos_next_turn", "twin_sin_next_turn"),
     *(f"twin_{name}" for name in _SD),
     *(
         f"ahead_{h:g}s_{name}"
@@ -81,7 +77,7 @@ AHEAD = NOW + N_STATES**2
 COVS = AHEAD + len(HORIZONS) * N_STATES
 NOTE_SIZE = COVS + len(HORIZONS) * N_STATES**2
 # what all boats of a batch are told alike
-PERIOD, GPS_VAR, SLOWNESS = 0, 1, 2
+PERIOD, GPS_VAR, SLOWNESS, LOOK = 0, 1, 2, 3
 _CALM = np.empty((0, 3))
 _ALL = slice(None)
 
@@ -135,12 +131,13 @@ def describe(s, boat, note, points, rules, obs):
     speed, psi = rules[SPEED], s[2]
     c, d = math.cos(psi), math.sin(psi)
     note[LEG] = follow(s[0], s[1], psi, points, int(note[LEG]), rules[REACH], errors)
-    o = obs[len(OBSERVATION) :]
+    o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
     o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
-    o[5], o[6] = errors[0] / CROSS_TRACK_SCALE, errors[1] / TO_GO_SCALE
+    o[5], o[6] = errors[0] / rules[UNIT], 0.1 * errors[1] / rules[UNIT]
     o[7], o[8] = math.cos(errors[2]), math.sin(errors[2])
-    _spread(now, c, d, CROSS_TRACK_SCALE, speed, o, 9)
-    at = 15
+    o[9], o[10] = math.cos(errors[3]), math.sin(errors[3])
+    _spread(now, c, d, rules[UNIT], speed, o, 11)
+    at = 17
     for j in range(ahead.shape[0]):
         m = ahead[j]
         length = speed * LOOK_AHEAD[j]
@@ -180,6 +177,8 @@ def _ukf_all(
             *(dt, z, cmd, nav[i], nav_settings, nav_work),
             *(memory[i], constants, scratch, work, kit),
         )
+        if told[LOOK] == 0.0:
+            continue
         scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
         look_ahead(
             *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[SLOWNESS]),
@@ -213,6 +212,8 @@ def _plus_all(
             *(note[LAST], dt, z, cmd, nav[i], nav_settings, nav_work, memory[i], constants),
             *(scratch, work, kit, rows[i], book[i], refit_rules, refit_room),
         )
+        if told[LOOK] == 0.0:
+            continue
         n, P_nav = nav_parts(nav[i])
         x, _, _, _, _, _, _, _, _, _, _, n_unit = parts(memory[i], constants, kit)
         scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
@@ -230,7 +231,7 @@ def _plus_all(
         describe(x[:N_STATES], boat, note, points[i], rules, obs[i])
 
 
-class TwinObserver(ABC):
+class TwinObserver(Observer):
     """Twins of n boats, and their parts of the observations.
 
     Parameters
@@ -241,17 +242,38 @@ class TwinObserver(ABC):
         That of the first boat, as new.
     band_period : float
         The standard deviations ahead are renewed this often, s; 0 for every step.
+    parameters : bool
+        Add the parameters of the identified model and their standard deviations, both in units
+        of the standard deviations that they had at the start.
     """
 
-    def __init__(self, episodes: Episodes, twin: Twin, band_period: float) -> None:
+    def __init__(
+        self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
+    ) -> None:
         self.episodes, self.first, self.band_period = episodes, twin, band_period
         self.notes = np.zeros((episodes.n, NOTE_SIZE))
         self.notes[:, LAST] = math.nan
+        self.names: tuple[str, ...] = TWIN_OBSERVATION
+        self._parameters = parameters
+        if parameters:
+            prior = twin.predictor.estimate()
+            if not prior.xi.size:
+                raise PredictorError(
+                    f"{twin.name} identifies no parameters: observation='twin_params' needs a "
+                    "twin with a model, such as 'ukf'"
+                )
+            self._prior, self._prior_sd = prior.xi, np.maximum(prior.xi_sd, 1e-12)
+            known = twin.predictor.parameter_names
+            self.names += (*(f"xi_{name}" for name in known), *(f"sd_{name}" for name in known))
 
     @property
     def off(self) -> Array:
         """Distance (n,) of the believed from the true positions, m; a view."""
         return self.notes[:, OFF]
+
+    def infos(self) -> dict[str, np.ndarray]:
+        """See :class:`Observer`."""
+        return {"twin_position_error_m": self.off}
 
     def reset(self, i: int) -> None:
         """Let boat i begin an episode with a twin that knows nothing yet."""
@@ -259,20 +281,35 @@ class TwinObserver(ABC):
         self.notes[i, LAST] = math.nan
         self._forget(i)
 
-    @abstractmethod
-    def _forget(self, i: int) -> None: ...
-
-    @abstractmethod
-    def observe(self, obs: NDArray[np.float32], rows: slice = _ALL) -> None:
+    def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
         """Let the twins of boats with a new row take it, and write their parts of ``obs``.
 
         Parameters
         ----------
-        obs : ndarray, shape (n, 90)
+        obs : ndarray, shape (n, D)
             Observations of all boats.
+        look : bool
+            Predict and write; without it, the row is taken in and no more.
         rows : slice
             The boats to look at.
         """
+        self._observe(obs, look, rows)
+        if look and self._parameters:
+            xi, sd = self._identified(rows)
+            at = len(OBSERVATION) + len(TWIN_OBSERVATION)
+            half = at + xi.shape[1]
+            obs[rows, at:half] = ((xi - self._prior) / self._prior_sd).clip(-BOUND, BOUND)
+            obs[rows, half:] = (sd / self._prior_sd).clip(-BOUND, BOUND)
+
+    @abstractmethod
+    def _forget(self, i: int) -> None: ...
+
+    @abstractmethod
+    def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None: ...
+
+    @abstractmethod
+    def _identified(self, rows: slice) -> tuple[Array, Array]:
+        """Return parameters (k, p) of some boats' models, and their standard deviations."""
 
     @abstractmethod
     def twin(self, i: int) -> Twin:
@@ -282,8 +319,10 @@ class TwinObserver(ABC):
 class SeparateTwins(TwinObserver):
     """A predictor for each boat, asked one after the other; for any predictor."""
 
-    def __init__(self, episodes: Episodes, twin: Twin, band_period: float) -> None:
-        super().__init__(episodes, twin, band_period)
+    def __init__(
+        self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
+    ) -> None:
+        super().__init__(episodes, twin, band_period, parameters)
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), N_ACT))
 
@@ -294,8 +333,12 @@ class SeparateTwins(TwinObserver):
         """See :meth:`TwinObserver.twin`."""
         return copy.deepcopy(self.twins[i])
 
-    def observe(self, obs: NDArray[np.float32], rows: slice = _ALL) -> None:
-        """See :meth:`TwinObserver.observe`."""
+    def _identified(self, rows: slice) -> tuple[Array, Array]:
+        """See :class:`TwinObserver`."""
+        found = [twin.predictor.estimate() for twin in self.twins[rows]]
+        return np.array([one.xi for one in found]), np.array([one.xi_sd for one in found])
+
+    def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
         sim, task = self.episodes.simulation, self.episodes.task
         for i in range(self.episodes.n)[rows]:
             note = self.notes[i]
@@ -305,6 +348,8 @@ class SeparateTwins(TwinObserver):
             _, z, now, ahead, covs = in_python(note_parts)(note)
             # what a twin keeps must not change with the next row
             twin.feed(t, z.copy(), sim.cmd[i].copy())
+            if not look:
+                continue
             self._plan[:] = sim.cmd[i]
             if t >= note[RENEW_AT]:
                 note[RENEW_AT] = t + self.band_period - 1e-9
@@ -323,8 +368,10 @@ class CompiledTwins(TwinObserver):
     Of one boat the arrays are the predictor's own.
     """
 
-    def __init__(self, episodes: Episodes, twin: Twin, band_period: float) -> None:
-        super().__init__(episodes, twin, band_period)
+    def __init__(
+        self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
+    ) -> None:
+        super().__init__(episodes, twin, band_period, parameters)
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
         own = predictor.remembered
@@ -335,7 +382,7 @@ class CompiledTwins(TwinObserver):
         ]
         particulars = predictor.particulars
         self._told = np.array(
-            [band_period, particulars.instruments.gps_bias_sd**2, particulars.slowness]
+            [band_period, particulars.instruments.gps_bias_sd**2, particulars.slowness, 1.0]
         )
         self._shared = predictor.shared
         self._room = np.zeros(len(predictor.ukf.memory) + (len(HORIZONS) + 1) * N_ACT)
@@ -359,14 +406,20 @@ class CompiledTwins(TwinObserver):
         twin.cmd = self.episodes.simulation.cmd[i].copy()
         return twin
 
-    def observe(self, obs: NDArray[np.float32], rows: slice = _ALL) -> None:
-        """See :meth:`TwinObserver.observe`."""
+    def _identified(self, rows: slice) -> tuple[Array, Array]:
+        """See :class:`TwinObserver`."""
+        n = N_STATES + len(self._prior)
+        memory = self.memories[1][rows]
+        return memory[:, N_STATES:n], np.sqrt(memory[:, n : n + n * n : n + 1][:, N_STATES:])
+
+    def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
+        self._told[LOOK] = look
         if rows != _ALL:
-            self._observe(*self._arguments(rows), obs[rows])
+            self._call(*self._arguments(rows), obs[rows])
         elif len(self._all) == 1:
-            self._observe(*self._all[0], obs)
+            self._call(*self._all[0], obs)
         else:
-            self.episodes.each(lambda j: self._observe(*self._all[j], obs[self.episodes.blocks[j]]))
+            self.episodes.each(lambda j: self._call(*self._all[j], obs[self.episodes.blocks[j]]))
         if self._single:
             twin = self.first
             twin.t = self._predictor.t = self.notes.item(0, LAST)
@@ -392,7 +445,7 @@ class CompiledTwins(TwinObserver):
         return self._predictor.ukf
 
     @staticmethod
-    def _observe(*arguments: object) -> None:
+    def _call(*arguments: object) -> None:
         _ukf_all(*arguments)
 
 
@@ -405,7 +458,7 @@ class CompiledPlusTwins(CompiledTwins):
     """The same with refits."""
 
     @staticmethod
-    def _observe(*arguments: object) -> None:
+    def _call(*arguments: object) -> None:
         _plus_all(*arguments)
 
 
@@ -415,6 +468,7 @@ def observer_of(
     particulars: Particulars | None,
     band_period: float,
     seed: int,
+    parameters: bool = False,
 ) -> TwinObserver:
     """Return the twins of n boats.
 
@@ -430,16 +484,20 @@ def observer_of(
         The standard deviations ahead are renewed this often, s; 0 for every step.
     seed : int
         For predictors that draw random numbers.
+    parameters : bool
+        Add the parameters of the identified model.
     """
     if not (math.isfinite(band_period) and band_period >= 0.0):
         raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
     sim, options = episodes.simulation, {}
     if not isinstance(twin, Predictor):
-        options = world_options(twin, episodes.vessel, episodes.sea, sim.dof)
+        if len(episodes.seas) > 1 and predictor_class(twin).world:
+            raise PredictorError(f"{twin} is told of the sea: give one, not {len(episodes.seas)}")
+        options = world_options(twin, episodes.vessel, episodes.seas[0], sim.dof)
     particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
     first = Twin(particulars, twin, seed=seed, **options)
     kind = _COMPILED.get(type(first.predictor), SeparateTwins)
-    return kind(episodes, first, band_period)
+    return kind(episodes, first, band_period, parameters)
 
 
 _COMPILED: dict[type[Predictor], type[TwinObserver]] = {

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 
 from twin.log import Log, beside
 from twin.observer import HORIZONS, TWIN_OBSERVATION, TwinObserver, observer_of
@@ -17,12 +17,14 @@ from twin.predictor import Predictor
 from twin.registry import DEFAULT
 from twin.simulated import TRUE_STATE, measurement_row, particulars_of
 from twin.twin import Twin
-from usv_gym.env import USVEnv
-from usv_gym.episodes import BOUND, OBSERVATION
-from usv_gym.vector import USVVectorEnv, masked
+from usv_gym.env import USVEnv, spaces_of
+from usv_gym.episodes import OBSERVATION, Episodes
+from usv_gym.observers import OBSERVERS
+from usv_gym.vector import USVVectorEnv
 
 __all__ = [
     "HORIZONS",
+    "OBSERVATIONS",
     "TWIN_OBSERVATION",
     "TwinObservation",
     "USVTwinEnv",
@@ -33,18 +35,7 @@ __all__ = [
 ]
 
 
-SIZE = len(OBSERVATION) + len(TWIN_OBSERVATION)
-"""Numbers in an observation with the twin's part."""
-
-
-def _space() -> spaces.Box:
-    return spaces.Box(-BOUND, BOUND, (SIZE,), np.float32)
-
-
-def _look(observer: TwinObserver, obs: np.ndarray, info: dict[str, Any]) -> None:
-    """Let the twin of one boat see this step, and write its part of the observation and info."""
-    observer.observe(obs[None])
-    info["twin_position_error_m"] = observer.off.item(0)
+_Env = TypeVar("_Env")
 
 
 class TwinObservation(
@@ -54,7 +45,7 @@ class TwinObservation(
     """Append to the observation what a digital twin makes of the same sensors.
 
     The twin sees the measurements and the commands of the wrapped :class:`USVEnv`, as it
-    would on board; it never sees the truth. These 67 entries follow those of the
+    would on board; it never sees the truth. These 69 entries follow those of the
     environment, each in ``[-10, 10]``:
 
     ====== ============================================== ================
@@ -65,7 +56,8 @@ class TwinObservation(
     3-4    cosine and sine of the heading
     5-6    distance to starboard of the leg, and to go    10 m, 100 m
     7-8    cosine, sine: course of leg - heading
-    9-14   standard deviations: forward, starboard        10 m
+    9-10   cosine, sine: turn to the next leg
+    11-16  standard deviations: forward, starboard        10 m
            (position), heading, speeds, yaw rate          rad, usual speed, rad/s
     ====== ============================================== ================
 
@@ -121,9 +113,14 @@ class TwinObservation(
                 "TwinObservation comes before other observations are made of it, and only once; "
                 "gym.make('USVTwin-v0', twin=None) gives an environment without a twin"
             )
+        if base.episodes.frame_skip > 1:
+            raise TypeError(
+                "TwinObservation wraps environments with frame_skip=1; with more, "
+                "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
+            )
         self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
         self.twin = self._observer.first
-        self.observation_space = _space()
+        _, self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -139,9 +136,10 @@ class TwinObservation(
         return self._with_twin(obs, info), float(reward), terminated, truncated, info
 
     def _with_twin(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
-        whole = np.empty(SIZE, np.float32)
+        whole = np.empty(self.observation_space.shape or (), np.float32)
         whole[: len(obs)] = obs
-        _look(self._observer, whole, info)
+        self._observer.observe(whole[None])
+        info["twin_position_error_m"] = self._observer.off.item(0)
         return whole
 
 
@@ -149,12 +147,15 @@ class USVTwinEnv(USVEnv):
     """``USVTwin-v0``: :class:`USVEnv` and the twin's part of the observation in one.
 
     Actions, reward, start and end are those of :class:`usv_gym.env.USVEnv`; the observation
-    is that of :class:`TwinObservation`, 90 numbers in all.
+    is that of :class:`TwinObservation`, 92 numbers in all.
 
     Parameters
     ----------
     twin, particulars, band_period, twin_seed
         As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
+    parameters : bool
+        Add the parameters of the identified model and their standard deviations, both in units
+        of the standard deviations that they had at the start.
     **kwargs
         As for :class:`usv_gym.env.USVEnv`.
     """
@@ -166,28 +167,13 @@ class USVTwinEnv(USVEnv):
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         twin_seed: int = 0,
+        parameters: bool = False,
         **kwargs: Any,
     ) -> None:
-        super().__init__(**kwargs)
-        self._observer = observer_of(self.episodes, twin, particulars, band_period, twin_seed)
-        self.twin = self._observer.first
-        self.observation_space = _space()
-        self._size = SIZE
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; see :meth:`USVEnv.reset`."""
-        obs, info = super().reset(seed=seed, options=options)
-        self._observer.reset(0)
-        _look(self._observer, obs, info)
-        return obs, info
-
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Sail one step; see :meth:`USVEnv.step`."""
-        obs, reward, terminated, truncated, info = super().step(action)
-        _look(self._observer, obs, info)
-        return obs, reward, terminated, truncated, info
+        watch = _watching(twin, particulars, band_period, twin_seed, parameters)
+        super().__init__(observer=watch, **kwargs)
+        assert isinstance(self.observer, TwinObserver)
+        self.twin = self.observer.first
 
 
 class USVTwinVectorEnv(USVVectorEnv):
@@ -197,7 +183,7 @@ class USVTwinVectorEnv(USVVectorEnv):
     ----------
     num_envs : int
         Number of boats.
-    twin, particulars, band_period, twin_seed
+    twin, particulars, band_period, twin_seed, parameters
         As for :class:`USVTwinEnv`; every boat gets a twin of its own. Those of ``"ukf"`` and
         ``"dsw-ukf-plus"`` run in one compiled call.
     **kwargs
@@ -212,50 +198,90 @@ class USVTwinVectorEnv(USVVectorEnv):
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         twin_seed: int = 0,
+        parameters: bool = False,
         **kwargs: Any,
     ) -> None:
-        super().__init__(num_envs, **kwargs)
-        self._observer = observer_of(self.episodes, twin, particulars, band_period, twin_seed)
-        self._set_spaces(self.single_action_space, _space())
-        self._obs = np.zeros(self.observation_space.shape or (), np.float32)
+        watch = _watching(twin, particulars, band_period, twin_seed, parameters)
+        super().__init__(num_envs, observer=watch, **kwargs)
 
     def twin(self, i: int) -> Twin:
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
             raise IndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
-        return self._observer.twin(operator.index(i))
-
-    def _begin(self, mask: np.ndarray) -> None:
-        super()._begin(mask)
-        for i in np.flatnonzero(mask):
-            self._observer.reset(int(i))
-            self._observer.observe(self._obs, slice(int(i), int(i) + 1))
-
-    def _advance(self) -> None:
-        super()._advance()
-        self._observer.observe(self._obs)
-
-    def _infos(self, mask: np.ndarray | None) -> dict[str, Any]:
-        infos = super()._infos(mask)
-        off = {"twin_position_error_m": self._observer.off}
-        return infos | masked(off, mask, self.num_envs)
+        assert isinstance(self.observer, TwinObserver)
+        return self.observer.twin(operator.index(i))
 
 
-def make_env(*, twin: str | Predictor | None = DEFAULT, **kwargs: Any) -> USVEnv:
+def _watching(
+    twin: str | Predictor,
+    particulars: Particulars | None,
+    band_period: float,
+    seed: int,
+    parameters: bool,
+) -> Callable[[Episodes], TwinObserver]:
+    """Return what makes the twins of an environment's boats."""
+    return lambda episodes: observer_of(
+        episodes, twin, particulars, band_period, seed, parameters=parameters
+    )
+
+
+OBSERVATIONS = (*OBSERVERS, "twin", "twin_params")
+"""Names of the observation sets."""
+
+
+def _made(
+    plain: Callable[..., _Env],
+    with_twin: Callable[..., _Env],
+    observation: str | None,
+    twin: str | Predictor | None,
+    options: dict[str, Any],
+) -> _Env:
+    observation = observation or ("raw" if twin is None else "twin")
+    if observation not in OBSERVATIONS:
+        raise ValueError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
+    if observation in OBSERVERS:
+        return plain(observer=OBSERVERS[observation], **options)
+    if twin is None:
+        raise ValueError(f"observation = {observation!r} needs a twin; twin=None gives none")
+    return with_twin(twin=twin, parameters=observation == "twin_params", **options)
+
+
+def make_env(
+    *, observation: str | None = None, twin: str | Predictor | None = DEFAULT, **kwargs: Any
+) -> USVEnv:
     """Make ``USVTwin-v0``: the vessel at sea, with or without a twin.
 
     Parameters
     ----------
+    observation : str, optional
+        What the agent sees:
+
+        - ``"raw"``: the sensors, see :class:`usv_gym.env.USVEnv`;
+        - ``"raw_stacked"``: the same, and behind it those of the seven decisions before;
+        - ``"twin"``: the same, and behind it estimate and predictions of the twin, see
+          :class:`TwinObservation`;
+        - ``"twin_params"``: and behind that the identified parameters and their standard
+          deviations, both in units of the standard deviations that they had at the start;
+        - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only: speeds, yaw
+          rate, heading, errors of the path, shaft speeds and drive angles, scaled as above.
+
+        Left out, it is ``"twin"``, or ``"raw"`` with ``twin=None``. ``observation_names`` of the
+        environment has a name for each entry.
     twin : str or Predictor or None
-        A name in ``twin.PREDICTORS``, a predictor, or None for the plain environment.
+        A name in ``twin.PREDICTORS``, a predictor, or None for the plain environment. It is not
+        run where the observation has no part of it.
     **kwargs
         See :class:`USVTwinEnv` and :class:`usv_gym.env.USVEnv`.
     """
-    return USVEnv(**kwargs) if twin is None else USVTwinEnv(twin=twin, **kwargs)
+    return _made(USVEnv, USVTwinEnv, observation, twin, kwargs)
 
 
 def make_vector_env(
-    num_envs: int = 1, *, twin: str | Predictor | None = DEFAULT, **kwargs: Any
+    num_envs: int = 1,
+    *,
+    observation: str | None = None,
+    twin: str | Predictor | None = DEFAULT,
+    **kwargs: Any,
 ) -> USVVectorEnv:
     """Make ``num_envs`` of ``USVTwin-v0`` in one, for ``gym.make_vec``.
 
@@ -263,14 +289,13 @@ def make_vector_env(
     ----------
     num_envs : int
         Number of boats.
-    twin : str or Predictor or None
+    observation, twin
         As for :func:`make_env`.
     **kwargs
         See :class:`USVTwinVectorEnv` and :class:`usv_gym.vector.USVVectorEnv`.
     """
-    if twin is None:
-        return USVVectorEnv(num_envs, **kwargs)
-    return USVTwinVectorEnv(num_envs, twin=twin, **kwargs)
+    options = {"num_envs": num_envs, **kwargs}
+    return _made(USVVectorEnv, USVTwinVectorEnv, observation, twin, options)
 
 
 def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:

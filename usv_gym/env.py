@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from usv_gym.episodes import BOUND, OBSERVATION, Episodes
+from usv_gym.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.sea import SeaState
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.tasks import (
@@ -21,7 +21,6 @@ from usv_gym.tasks import (
     SUCCESS,
     TERM,
     TERMINATED,
-    TERMS,
 )
 from usv_gym.vessel import Vessel
 
@@ -54,7 +53,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
 
     Observation
     -----------
-    ``Box(-10, 10, (23,), float32)``. A sensor without a new sample shows its last one.
+    ``Box(-10, 10, (23,), float32)``, and more behind it with other observation sets, see
+    :func:`twin.wrapper.make_env`. A sensor without a new sample shows its last one.
+    ``observation_names`` has a name for each entry.
 
     ====== ======================================== =============
     entry  what                                     unit of 1.0
@@ -63,7 +64,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     2      yaw rate                                 rad/s
     3-4    specific force, forward and starboard    g
     5-6    GPS velocity, forward and starboard      usual speed
-    7-9    new sample of GPS, compass, IMU          yes
+    7-9    new sample of GPS, compass, IMU since
+           the last decision                        yes
     10-12  age of the last sample of each           10 s
     13-14  commanded shaft speeds, left, right      service speed
     15-16  commanded drive angles, left, right      steer_max
@@ -73,15 +75,20 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     21-22  cosine, sine: turn to the next leg
     ====== ======================================== =============
 
+    10 and 100 m are 4/3 and 13 lengths of a boat for which that is more.
+
     Reward
     ------
     That of the task, see :data:`usv_gym.tasks.TASKS`; ``info["reward_terms"]`` has the parts.
+    It comes from the truth, as ``info["cross_track_m"]`` does; the observation's path errors
+    come from what is known on board.
 
     Start and end
     -------------
     Straight ahead to the north at the speed of ``shaft_speed_manoeuvring``. The task ends
     the episode, and so does capsizing (``dof=6``; ``info["capsized"]``); ``USVTwin-v0``
-    truncates it after 2400 steps (120 s).
+    truncates it after 2400 decisions (120 s with ``frame_skip=1``), see ``max_episode_steps`` of
+    ``gym.make``.
 
     Version history
     ---------------
@@ -91,8 +98,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     ----------
     vessel : str or Path or Vessel
         Name, TOML file or object.
-    sea : str or SeaState
-        Name in :data:`usv_gym.sea.SEA_STATES`, or an object.
+    sea : str or SeaState or sequence of them
+        Name in :data:`usv_gym.sea.SEA_STATES`, or an object. Of several, as in ``"0|2|4"``,
+        each episode draws one.
     hs, wind, wind_from_deg : float, optional
         Change the sea state's wave height (m), wind speed (m/s) and where the wind comes
         from (degrees).
@@ -102,11 +110,15 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     faults : str or sequence of Disturbance
         ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
         without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,
-        see :func:`usv_gym.sensors.parse_faults`; or faults with their times.
+        see :func:`usv_gym.sensors.parse_faults`; or faults with their times. Of several texts,
+        as in ``"none|gps10|gps30"``, each episode draws one.
     task : str
         One of :data:`usv_gym.tasks.TASKS`.
     actions : str
         ``"common"`` or ``"units"``.
+    frame_skip : int
+        Steps of ``dt`` that an action is held for; the reward is their sum, and sensors (and
+        a twin) run in each of them.
     dof : int
         Degrees of freedom of the ship: 3 (surge, sway, yaw), or 6, with heave, roll and pitch
         in the waves, and their share of gravity in the accelerometers.
@@ -114,6 +126,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         Control and integration step, s.
     record : bool
         Keep every row, for :func:`twin.wrapper.log_of`.
+    observer : callable, optional
+        Returns, for the :class:`~usv_gym.episodes.Episodes`, what adds to the observation.
     render_mode : None
         There is none yet.
     """
@@ -124,7 +138,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self,
         *,
         vessel: str | Path | Vessel = "usv75",
-        sea: str | SeaState = "2",
+        sea: str | SeaState | Sequence[str | SeaState] = "2",
         hs: float | None = None,
         wind: float | None = None,
         wind_from_deg: float | None = None,
@@ -132,10 +146,12 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         faults: str | Sequence[Disturbance] = "none",
         task: str = "path",
         actions: str = "common",
+        frame_skip: int = 1,
         dof: int = 3,
         dt: float = 0.05,
         dt_physics: float = 0.05,
         record: bool = False,
+        observer: Callable[[Episodes], Observer] | None = None,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None:
@@ -152,25 +168,30 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             faults=faults,
             task=task,
             actions=actions,
+            frame_skip=frame_skip,
             dof=dof,
             dt=dt,
             dt_physics=dt_physics,
         )
         self.simulation, self.task = self.episodes.simulation, self.episodes.task
-        self.vessel, self.sea, self.speed = (
-            self.episodes.vessel,
-            self.episodes.sea,
-            self.episodes.speed,
+        self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
+        self.speed = self.episodes.speed
+        self.observer = observer(self.episodes) if observer else None
+        self.observation_names = names_of(self.observer)
+        """What each entry of the observation is."""
+        self.action_space, self.observation_space = spaces_of(
+            self.episodes.width, len(self.observation_names)
         )
-        self.action_space, self.observation_space = spaces_of(self.episodes.width)
-        self._shape = (self.episodes.width,)
-        self._size = len(OBSERVATION)
-        """Numbers in an observation; a subclass that has more writes them behind."""
+        self._shape, self._obs_shape = (self.episodes.width,), (1, len(self.observation_names))
         self._action = self.episodes.actions[1, 0]
         self._record, self._time = self.task.records[0], self.simulation.t
         self._started = False
+        if self.observer:
+            self.episodes.watchers.append(self.observer.observe)
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
+        if record:
+            self.episodes.watchers.append(self._remember)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -192,16 +213,19 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         super().reset(seed=seed)
         if options:
             raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
-        obs = np.empty((1, self._size), np.float32)
+        obs = np.empty(self._obs_shape, np.float32)
         self.episodes.reset(0, self.np_random, obs[0])
         self._started = True
+        if self.observer:
+            self.observer.reset(0)
+            self.observer.observe(obs)
         if self.history is not None:
             self.history.clear()
-            self._remember(self.history)
+            self._remember(obs)
         return obs[0], self._info(self._record.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Sail for one control step; see :meth:`gymnasium.Env.step`.
+        """Sail for one decision; see :meth:`gymnasium.Env.step`.
 
         Parameters
         ----------
@@ -225,39 +249,49 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 "see the action table of usv_gym.env.USVEnv"
             )
         self._action[:] = values
-        obs = np.empty((1, self._size), np.float32)
+        obs = np.empty(self._obs_shape, np.float32)
         if not self.episodes.step(obs):
             raise ValueError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
-        if self.history is not None:
-            self._remember(self.history)
         record = self._record.tolist()
         return obs[0], record[REWARD], record[TERMINATED] != 0.0, False, self._info(record)
 
-    def _remember(self, history: list[np.ndarray]) -> None:
+    def _remember(self, obs: np.ndarray, look: bool = True) -> None:
         """Keep this step's row for the log."""
         sim = self.simulation
-        history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
+        assert self.history is not None
+        self.history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
 
     def _info(self, record: list[float]) -> dict[str, Any]:
-        return {
+        names = self.task.terms
+        info = {
             "t_s": self._time.item(0),
             "cross_track_m": record[ERROR],
             "leg": int(record[LEG]),
             "is_success": record[SUCCESS] != 0.0,
             "capsized": record[CAPSIZED] != 0.0,
             "reward_terms": {
-                TERMS[0]: record[TERM],
-                TERMS[1]: record[TERM + 1],
-                TERMS[2]: record[TERM + 2],
+                names[0]: record[TERM],
+                names[1]: record[TERM + 1],
+                names[2]: record[TERM + 2],
+                names[3]: record[TERM + 3],
             },
         }
+        if self.observer:
+            for name, values in self.observer.infos().items():
+                info[name] = values.item(0)
+        return info
 
 
-def spaces_of(width: int) -> tuple[spaces.Box, spaces.Box]:
+def names_of(observer: Observer | None) -> tuple[str, ...]:
+    """Return what each entry of the observation is."""
+    return (*OBSERVATION, *observer.names) if observer else OBSERVATION
+
+
+def spaces_of(width: int, size: int) -> tuple[spaces.Box, spaces.Box]:
     """Return the spaces of actions and observations of one boat."""
     return (
         spaces.Box(-1.0, 1.0, (width,), np.float32),
-        spaces.Box(-BOUND, BOUND, (len(OBSERVATION),), np.float32),
+        spaces.Box(-BOUND, BOUND, (size,), np.float32),
     )

@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,9 +19,10 @@ from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel import Vessel
 
-__all__ = ["SEA_STATES", "Sea", "SeaError", "SeaState", "Spectrum", "Stage"]
+__all__ = ["SEA_STATES", "Sea", "SeaError", "SeaState", "Spectrum", "Stage", "choice"]
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T")
 
 SPECTRA = ("pm", "jonswap", "ittc")
 DISCRETISATIONS = ("equal-energy", "random-frequency")
@@ -329,6 +330,23 @@ class SeaState:
             ) from None
 
     @classmethod
+    def any_of(cls, seas: str | int | SeaState | Sequence[str | SeaState]) -> tuple[SeaState, ...]:
+        """Return the sea states of which one is to be drawn.
+
+        Parameters
+        ----------
+        seas : str or SeaState or sequence of them
+            A text may hold several names: ``"0|2|4"``.
+        """
+        if isinstance(seas, str):
+            return tuple(cls.named(name.strip()) for name in seas.split("|"))
+        if not isinstance(seas, Sequence):
+            return (cls.named(seas),)
+        if not seas:
+            raise SeaError("an empty list of sea states; give one or more")
+        return tuple(cls.named(one) for one in seas)
+
+    @classmethod
     def from_wind(cls, wind: float, **others: Any) -> SeaState:
         """Return the sea that a wind fully develops.
 
@@ -600,3 +618,8 @@ SEA_STATES: dict[str, SeaState] = {
     "5": SeaState(hs=4.0, wind=13.3),
     "6": SeaState(hs=6.0, wind=16.3),
 }
+
+
+def choice(options: Sequence[_T], rng: np.random.Generator) -> _T:
+    """Return one of some options, by chance where there are several."""
+    return options[0] if len(options) == 1 else options[int(rng.integers(len(options)))]

@@ -14,7 +14,7 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import WAVE_ROWS, factor_room
-from usv_gym.sea import SeaState
+from usv_gym.sea import SeaState, choice
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
 from usv_kernel import kernel
@@ -141,8 +141,9 @@ class Simulation:
         Number of boats.
     vessel : str or Path or Vessel
         The kind of boat.
-    sea : str or SeaState
-        The sea state; each boat gets its own realisation at each reset.
+    sea : str or SeaState or sequence of them
+        The sea state; each boat gets its own realisation at each reset. Of several, as in
+        ``"0|2|4"``, one is drawn then.
     suite : str or SensorSuite, optional
         Errors and rates of the sensors.
     faults : sequence of Disturbance or callable
@@ -173,7 +174,7 @@ class Simulation:
         self,
         n: int,
         vessel: str | Path | Vessel,
-        sea: str | SeaState,
+        sea: str | SeaState | Sequence[str | SeaState],
         *,
         suite: str | SensorSuite | None = None,
         faults: (
@@ -194,9 +195,10 @@ class Simulation:
             raise SimulationError(f"dof = {dof!r}: must be 3 or 6")
         if not (isinstance(n, (int, np.integer)) and n >= 1):
             raise SimulationError(f"n = {n!r}: must be a whole number of boats, 1 or more")
-        vessel, sea, suite = Vessel.load(vessel), SeaState.named(sea), SensorSuite.of(suite)
+        vessel, suite = Vessel.load(vessel), SensorSuite.of(suite)
+        self.seas = SeaState.any_of(sea)
         self.dof = int(dof)
-        self.n, self.vessel, self.sea, self.dt, self.substeps = n, vessel, sea, dt, substeps
+        self.n, self.vessel, self.dt, self.substeps = n, vessel, dt, substeps
         self.suite = suite
         fixed = () if callable(faults) else tuple(faults)
         if not all(isinstance(fault, Disturbance) for fault in fixed):
@@ -208,12 +210,12 @@ class Simulation:
         max_faults = max_faults if callable(faults) else len(fixed)
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
-        example = sea.realise(vessel, quiet, quiet)
+        examples = [sea.realise(vessel, quiet, quiet) for sea in self.seas]
         width = sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults + wx.NOISE_SIZE
         self._block = NOISE_ROWS[n > 1]
         shapes = {
-            WAVES: example.waves.shape,
-            GUSTS: example.gusts.shape,
+            WAVES: max(example.waves.shape for example in examples),
+            GUSTS: max(example.gusts.shape for example in examples),
             NOISE: (self._block, width),
             FAULTS: (max_faults, sensors.FAULT_SIZE),
             RING: (self.suite.delay_steps(dt) + 1, 4),
@@ -274,9 +276,14 @@ class Simulation:
                 )
         for i, rng in zip(boats, rngs, strict=True):
             self._asleep.discard(i)
-            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, rng_faults = rng.spawn(6)
-            sea = self.sea.realise(self.vessel, rng_waves, rng_gusts)
-            self.waves[i], self.gusts[i], self.weather[i] = sea.waves, sea.gusts, sea.weather
+            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = rng.spawn(7)
+            rng_faults, rng_sea = others
+            sea = choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts)
+            # where seas differ in their number of waves, the rest of the room holds none
+            for room, components in ((self.waves, sea.waves), (self.gusts, sea.gusts)):
+                room[i] = 0.0
+                room[i, :, : components.shape[1]] = components
+            self.weather[i] = sea.weather
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
             given = self._given_faults

@@ -8,12 +8,24 @@ import numpy as np
 
 from usv_kernel import kernel, wrap
 
-__all__ = ["TASKS", "FreeManoeuvre", "PathFollowing", "Task", "TaskError", "follow", "judge"]
+__all__ = [
+    "TASKS",
+    "Curves",
+    "FreeManoeuvre",
+    "LawnMower",
+    "PathFollowing",
+    "StationKeeping",
+    "Task",
+    "TaskError",
+    "WayPoints",
+    "follow",
+    "judge",
+]
 
 ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
-TERMS = ("progress", "cross_track", "effort")
-CROSS_TRACK_SCALE = 10.0
-"""Cross-track error that costs one unit of reward, m."""
+N_TERMS = 4
+FAILURE = 500.0
+"""What it costs to leave the area or to capsize: more than any way of failing early saves."""
 
 
 class TaskError(ValueError):
@@ -74,13 +86,17 @@ def follow(
 LEG = 0
 ERROR = LEG + 1
 TERM = ERROR + len(ERRORS)
-REWARD = TERM + len(TERMS)
+REWARD = TERM + N_TERMS
 TERMINATED, SUCCESS = REWARD + 1, REWARD + 2
 CAPSIZED = SUCCESS + 1
 KNOWN_LEG = CAPSIZED + 1
 RECORD_SIZE = KNOWN_LEG + 1
-# and what is common to all boats
-RATED, REACH, SPEED, AREA = 0, 1, 2, 3
+# and what is common to all boats: what is rated, the distance at which a way point counts as
+# reached (m), the usual speed (m/s), the distance that ends the episode (m), and the unit of
+# distances off the path (m)
+KIND, REACH, SPEED, AREA, UNIT = 0, 1, 2, 3, 4
+NOTHING, PATH, STATION = 0, 1, 2
+"""Kinds of tasks."""
 
 
 @kernel
@@ -92,7 +108,7 @@ def judge(
     rules: np.ndarray,
     record: np.ndarray,
 ) -> None:
-    """Write errors, reward terms and end of one step of one boat, from the truth.
+    """Write errors and end of one step of one boat, and add its reward terms, from the truth.
 
     Parameters
     ----------
@@ -102,10 +118,8 @@ def judge(
         Action of this step and of the step before.
     points : ndarray, shape (K, 2)
         Path.
-    rules : ndarray, shape (4,)
-        Whether steps are rated at all, the distance at which a way point counts as reached
-        (m), the speed along the path that earns one unit (m/s), and the distance off the
-        path that ends the episode (m).
+    rules : ndarray, shape (5,)
+        What is common to all boats; parts as named above.
     record : ndarray, shape (RECORD_SIZE,)
         Parts as named above; written, but for the leg that the boat believes to be on.
     """
@@ -115,19 +129,34 @@ def judge(
     # the mast points below the horizon
     capsized = math.cos(state[3]) * math.cos(state[4]) < 0.0
     record[CAPSIZED] = record[TERMINATED] = 1.0 if capsized else 0.0
-    if rules[RATED] == 0.0:
+    if rules[KIND] == NOTHING:
         return
-    along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
     change = 0.0
     for j in range(action.shape[0]):
         change += abs(action[j] - before[j])
-    record[TERM] = min(along / rules[SPEED], 1.0)
-    record[TERM + 1] = -min(abs(errors[0]) / CROSS_TRACK_SCALE, 2.0)
-    record[TERM + 2] = -0.05 * change
-    record[REWARD] = record[TERM] + record[TERM + 1] + record[TERM + 2]
-    reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
-    record[SUCCESS] = 1.0 if reached else 0.0
-    if reached or abs(errors[0]) > rules[AREA]:
+    if rules[KIND] == PATH:
+        along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
+        first = min(along / rules[SPEED], 1.0)
+        second = -min(abs(errors[0]) / rules[UNIT], 2.0)
+        reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
+        far = abs(errors[0]) > rules[AREA]
+        over = reached or far
+    else:
+        distance = math.hypot(errors[0], errors[1])
+        speed = math.hypot(state[6], state[7])
+        first = -0.5 * distance / rules[UNIT]
+        second = -0.1 * speed / rules[SPEED]
+        reached = distance < rules[REACH]
+        over = far = distance > rules[AREA]
+    third = -0.05 * change
+    fourth = -FAILURE if far or capsized else 0.0
+    record[TERM] += first
+    record[TERM + 1] += second
+    record[TERM + 2] += third
+    record[TERM + 3] += fourth
+    record[REWARD] += first + second + third + fourth
+    record[SUCCESS] = 1.0 if reached and not capsized else 0.0
+    if over:
         record[TERMINATED] = 1.0
 
 
@@ -149,29 +178,34 @@ class Task:
         Paths, m north and east.
     records : ndarray, shape (n, RECORD_SIZE)
         Leg, errors, reward terms and ends; parts as named at the top of this file.
-    rules : ndarray, shape (4,)
+    rules : ndarray, shape (5,)
         See :func:`judge`.
+    unit : float
+        Distance off the path that counts as 1, in rewards and observations: 10 m, or 4/3
+        lengths of a boat for which that is more.
     """
 
-    legs_per_path = 1
-    rated = False
-    off_track = math.inf
+    kind = NOTHING
+    terms: tuple[str, str, str, str] = ("progress", "cross_track", "effort", "failure")
+    """Names of the parts of the reward."""
+    legs = 1
+    reach = 2.0
+    """Distance at which a way point counts as reached, in lengths of the boat."""
+    area = 5.0
+    """Distance that ends the episode, in units."""
 
     def __init__(self, n: int, speed: float, length: float) -> None:
-        self.length = length
-        self.rules = np.array([float(self.rated), 2.0 * length, speed, self.off_track])
-        self.points = np.zeros((n, self.legs_per_path + 1, 2))
+        self.length, self.unit = length, max(10.0, 4.0 / 3.0 * length)
+        self.rules = np.array(
+            [float(self.kind), self.reach * length, speed, self.area * self.unit, self.unit]
+        )
+        self.points = np.zeros((n, self.legs + 1, 2))
         self.records = np.zeros((n, RECORD_SIZE))
 
     @property
     def errors(self) -> np.ndarray:
         """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
         return self.records[:, ERROR:TERM]
-
-    @property
-    def terms(self) -> np.ndarray:
-        """Reward terms of the last step, shape (n, 3) in the order of ``TERMS``; a view."""
-        return self.records[:, TERM:REWARD]
 
     def reset(self, i: int, rng: np.random.Generator) -> None:
         """Draw the path of boat i; it starts at the origin, heading north."""
@@ -191,28 +225,101 @@ class FreeManoeuvre(Task):
 
 
 class PathFollowing(Task):
-    """Follow straight legs through way points drawn at random.
+    """Follow straight legs of 10 to 20 lengths, with turns of up to 70 degrees between them.
 
-    Reward per step, from the truth: ``progress`` (speed along the leg over the usual speed,
-    at most 1), ``cross_track`` (minus the distance off the leg in units of 10 m, at most 2)
-    and ``effort`` (minus 0.05 times the change of the action). The episode ends with success
-    at the last way point, and without it 50 m off the leg or capsized.
+    Reward per step of ``dt``, from the truth: ``progress`` (speed along the leg over the usual
+    speed, at most 1), ``cross_track`` (minus the distance off the leg in units, at most 2),
+    ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500, once). The
+    episode ends with success at the last way point, and with failure 5 units off the leg or
+    capsized.
     """
 
-    legs_per_path = 6
-    rated = True
-    off_track = 50.0
+    kind = PATH
+    legs = 6
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
-        turns = np.radians(rng.uniform(-70.0, 70.0, self.legs_per_path))
+        turns = np.radians(rng.uniform(-70.0, 70.0, self.legs))
         turns[0] *= 0.3  # the boat starts heading north
-        courses = np.cumsum(turns)
-        lengths = self.length * rng.uniform(10.0, 20.0, self.legs_per_path)
-        legs = lengths[:, None] * np.stack([np.cos(courses), np.sin(courses)], axis=1)
-        return np.concatenate([np.zeros((1, 2)), np.cumsum(legs, axis=0)])
+        return _chain(np.cumsum(turns), self.length * rng.uniform(10.0, 20.0, self.legs))
 
 
-TASKS: dict[str, type[Task]] = {"path": PathFollowing, "free": FreeManoeuvre}
+class WayPoints(PathFollowing):
+    """Visit way points anywhere around, 12 to 30 lengths apart: turns of up to 140 degrees."""
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        turns = np.radians(rng.uniform(-140.0, 140.0, self.legs))
+        turns[0] *= 0.3
+        return _chain(np.cumsum(turns), self.length * rng.uniform(12.0, 30.0, self.legs))
+
+
+class Curves(PathFollowing):
+    """Follow a smooth curve: bends of 60 to 150 degrees with radii of 6 to 12 lengths.
+
+    It is made of legs of one length each, and the next begins where the boat passes the end of
+    the one before.
+    """
+
+    legs = 120
+    reach = 0.0
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        turns: list[float] = [0.0] * 5
+        while len(turns) < self.legs:
+            angle, radius = np.radians(rng.uniform(60.0, 150.0)), rng.uniform(6.0, 12.0)
+            side = rng.choice([-1.0, 1.0])
+            turns += [side / radius] * max(round(angle * radius), 1)
+        courses = np.cumsum(turns[: self.legs])
+        return _chain(courses, np.full(self.legs, self.length))
+
+
+class LawnMower(PathFollowing):
+    """Sweep a field: parallel legs of 14 to 24 lengths, 4 to 7 lengths apart."""
+
+    legs = 9
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        side = rng.choice([-1.0, 1.0])
+        lengths = np.where(
+            np.arange(self.legs) % 2 == 0, rng.uniform(14.0, 24.0), rng.uniform(4.0, 7.0)
+        )
+        quarter = side * 0.5 * math.pi
+        courses = np.resize([0.0, quarter, 2.0 * quarter, quarter], self.legs)
+        return _chain(courses, self.length * lengths)
+
+
+class StationKeeping(Task):
+    """Go to a point 4 to 8 lengths away, ahead or to one side, and stay there.
+
+    Reward per step of ``dt``, from the truth: ``distance`` (minus half the distance in units),
+    ``speed`` (minus a tenth of the speed over ground over the usual speed), ``effort`` and
+    ``failure`` as on a path. The boat succeeds while it is within two lengths; the episode ends
+    with failure 10 units away or capsized. Errors are those of the leg to the point: how far
+    to starboard of it, and how far to go.
+    """
+
+    kind = STATION
+    terms = ("distance", "speed", "effort", "failure")
+    area = 10.0
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        course = np.radians(rng.uniform(-90.0, 90.0, 1))
+        return _chain(course, self.length * rng.uniform(4.0, 8.0, 1))
+
+
+def _chain(courses: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return way points (K + 1, 2) in m from the origin, by courses in rad and lengths in m."""
+    legs = lengths[:, None] * np.stack([np.cos(courses), np.sin(courses)], axis=1)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(legs, axis=0)])
+
+
+TASKS: dict[str, type[Task]] = {
+    "path": PathFollowing,
+    "curves": Curves,
+    "lawnmower": LawnMower,
+    "waypoints": WayPoints,
+    "station": StationKeeping,
+    "free": FreeManoeuvre,
+}
 """Name to task."""
 
 

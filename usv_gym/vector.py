@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -13,9 +13,9 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from usv_gym.env import spaces_of
-from usv_gym.episodes import OBSERVATION, RESTS, Episodes
-from usv_gym.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED, TERMS
+from usv_gym.env import names_of, spaces_of
+from usv_gym.episodes import OBSERVATION, RESTS, Episodes, Observer
+from usv_gym.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED
 
 __all__ = ["USVVectorEnv"]
 
@@ -30,7 +30,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     num_envs : int
         Number of boats.
     max_episode_steps : int, optional
-        An episode is truncated after so many steps; None: never.
+        An episode is truncated after so many decisions; None: never.
     autoreset_mode : AutoresetMode or str
         ``"NextStep"``: the step after an episode's end resets it, whatever the action.
         ``"SameStep"``: the step that ends it does; ``info["final_obs"]`` and
@@ -39,6 +39,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     num_threads : int
         Threads that share the boats; worth it from some hundred boats on, and more so with twins.
         The results do not hang on it.
+    observer : callable, optional
+        As for :class:`usv_gym.env.USVEnv`.
     **kwargs
         As for :class:`usv_gym.env.USVEnv`.
 
@@ -62,6 +64,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int = 1,
+        observer: Callable[[Episodes], Observer] | None = None,
         render_mode: str | None = None,
         **kwargs: Any,
     ) -> None:
@@ -91,22 +94,24 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.render_mode = None
         self.episodes = Episodes(self.num_envs, threads=num_threads, **kwargs)
         self.simulation, self.task = self.episodes.simulation, self.episodes.task
-        self.vessel, self.sea, self.speed = (
-            self.episodes.vessel,
-            self.episodes.sea,
-            self.episodes.speed,
+        self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
+        self.speed = self.episodes.speed
+        self.frame_skip = self.episodes.frame_skip
+        self.observer = observer(self.episodes) if observer else None
+        if self.observer:
+            self.episodes.watchers.append(self.observer.observe)
+        self.observation_names = names_of(self.observer)
+        """What each entry of an observation is."""
+        self.single_action_space, self.single_observation_space = spaces_of(
+            self.episodes.width, len(self.observation_names)
         )
-        self._set_spaces(*spaces_of(self.episodes.width))
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._rngs: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds = [-1] * self.num_envs
-        self._obs = np.zeros((self.num_envs, len(OBSERVATION)), np.float32)
+        self._obs = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._unborn = np.ones(self.num_envs, dtype=np.bool_)
-
-    def _set_spaces(self, actions: gym.Space[Any], observations: gym.Space[Any]) -> None:
-        self.single_action_space, self.single_observation_space = actions, observations
-        self.action_space = batch_space(actions, self.num_envs)
-        self.observation_space = batch_space(observations, self.num_envs)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
@@ -183,17 +188,17 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _begin(self, mask: np.ndarray) -> None:
         """Reset some boats, and write their observations."""
         for i in np.flatnonzero(mask):
+            one = slice(int(i), int(i) + 1)
             self.episodes.reset(int(i), self._rng(int(i)), self._obs[i, : len(OBSERVATION)])
+            if self.observer:
+                self.observer.reset(int(i))
+                self.observer.observe(self._obs, rows=one)
         self._unborn[mask] = False
-
-    def _advance(self) -> None:
-        """Take a step, and write the observations of boats that do not rest."""
-        self.episodes.step(self._obs)
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
-        """Sail for one control step; see :meth:`gymnasium.vector.VectorEnv.step`.
+        """Sail for one decision; see :meth:`gymnasium.vector.VectorEnv.step`.
 
         Parameters
         ----------
@@ -233,15 +238,15 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             )
         if late.any():
             self._begin(late)
-            self.episodes.seen[late, RESTS] = 1.0
+            self.episodes.seen[late, RESTS] = self.frame_skip
         self.episodes.actions[1] = values
-        self._advance()
+        self.episodes.step(self._obs)
         record = self.task.records
         rewards = record[:, REWARD].copy()
         terminations = record[:, TERMINATED] != 0.0
         truncations = np.zeros(self.num_envs, dtype=np.bool_)
         if self.max_episode_steps is not None:
-            truncations = self.episodes.steps >= self.max_episode_steps
+            truncations = self.episodes.steps >= self.max_episode_steps * self.frame_skip
         rewards[late] = 0.0
         over = terminations | truncations
         infos = self._infos(None)
@@ -261,13 +266,14 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _infos(self, mask: np.ndarray | None) -> Info:
         """Return the infos of some boats, or of all of them."""
         record = self.task.records
-        terms = {name: record[:, TERM + k] for k, name in enumerate(TERMS)}
+        terms = {name: record[:, TERM + k] for k, name in enumerate(self.task.terms)}
         values = {
             "t_s": self.simulation.t,
             "cross_track_m": record[:, ERROR],
             "leg": record[:, LEG].astype(np.int64),
             "is_success": record[:, SUCCESS] != 0.0,
             "capsized": record[:, CAPSIZED] != 0.0,
+            **(self.observer.infos() if self.observer else {}),
         }
         infos = masked(values, mask, self.num_envs)
         infos["reward_terms"] = masked(terms, mask, self.num_envs)

@@ -152,9 +152,9 @@ def test_any_registered_twin_or_an_object() -> None:
 def test_the_documented_tables_have_the_right_sizes() -> None:
     assert "(23,)" in (USVEnv.__doc__ or "")
     assert len(OBSERVATION) == 23
-    assert "These 67 entries" in (TwinObservation.__doc__ or "")
-    assert len(TWIN_OBSERVATION) == 67
-    assert len(INDEX) == 90  # no name twice
+    assert "These 69 entries" in (TwinObservation.__doc__ or "")
+    assert len(TWIN_OBSERVATION) == 69
+    assert len(INDEX) == 92  # no name twice
 
 
 # ------------------------------------------------- in a fresh process
@@ -369,11 +369,11 @@ def test_unknown_reset_options() -> None:
 
 def test_sea_arguments_change_the_sea_state() -> None:
     env = make_env(twin=None, sea="3", hs=0.2, wind=3.0, wind_from_deg=90.0)
-    assert env.sea == SeaState(hs=0.2, wind=3.0, wind_from=0.5 * math.pi)
+    assert env.seas[0] == SeaState(hs=0.2, wind=3.0, wind_from=0.5 * math.pi)
     env.reset(seed=0)
     assert env.simulation.weather[0, WIND_SPEED] == 3.0
     calm = make_env(twin=None, hs=0.0, wind=0.0)
-    assert (calm.sea.hs, calm.sea.wind) == (0.0, 0.0)
+    assert (calm.seas[0].hs, calm.seas[0].wind) == (0.0, 0.0)
 
 
 def test_only_a_vessel_at_sea_can_have_a_twin() -> None:

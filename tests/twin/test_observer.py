@@ -30,8 +30,8 @@ def test_compiled_twins_are_those_asked_one_by_one(twin, monkeypatch):
     ours = gym.make("USVTwin-v0", twin=twin, **OPTIONS)
     monkeypatch.setattr(observer, "_COMPILED", {})
     theirs = gym.make("USVTwin-v0", twin=twin, **OPTIONS)
-    assert isinstance(ours.unwrapped._observer, CompiledTwins)
-    assert isinstance(theirs.unwrapped._observer, SeparateTwins)
+    assert isinstance(ours.unwrapped.observer, CompiledTwins)
+    assert isinstance(theirs.unwrapped.observer, SeparateTwins)
     a, b = sail(ours)[100:], sail(theirs)[100:]
     spread = np.array(["sd" in name for name in TWIN_OBSERVATION])
     now = np.array([not name.startswith("ahead") for name in TWIN_OBSERVATION])

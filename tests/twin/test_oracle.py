@@ -154,7 +154,7 @@ def test_in_the_environment_it_gets_the_environments_boat_and_sea():
         disable_env_checker=True,
     )
     obs, _ = env.reset(seed=1)
-    assert obs.shape == (90,)
+    assert obs.shape == (92,)
     for _ in range(60):
         obs, *_ = env.step(np.array([0.8, 0.3], np.float32))
     assert np.isfinite(obs).all()
