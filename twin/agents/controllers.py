@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.agents.agent import Agent
-from usv_gym.episodes import AGE_SCALE, CROSS_TRACK_SCALE, TO_GO_SCALE
-from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, follow
+from usv_gym.episodes import AGE_SCALE
+from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
 from usv_gym.vector import USVVectorEnv
 from usv_kernel import kernel
 
@@ -27,12 +27,15 @@ __all__ = ["CONTROLLERS", "LOS", "ControllerError", "DeadReckoningLOS", "make_co
 Array = NDArray[np.float64]
 
 NAMES = {
-    "": ("yaw_rate", "speed_forward", "speed_starboard"),
-    "twin_": ("twin_yaw_rate", "twin_surge", "twin_sway"),
-    "true_": ("true_yaw_rate", "true_surge", "true_sway"),
+    "": ("yaw_rate", "speed_forward"),
+    "twin_": ("twin_yaw_rate", "twin_surge"),
+    "true_": ("true_yaw_rate", "true_surge"),
 }
 """Entries of an observation that tell the motion, by how those of the path begin."""
-PATH = ("cross_track", "to_go", "cos_course_error", "sin_course_error")
+PATH = (
+    *("cross_track", "to_go", "cos_course_error", "sin_course_error"),
+    *("cos_next_turn", "sin_next_turn"),
+)
 
 
 class ControllerError(ValueError):
@@ -62,6 +65,8 @@ class LOS:
     integral : float
         Part of the cross-track error that is taken up while a length is sailed (against current
         and leeway); 0 for none.
+    early : float
+        Part of a turn that is steered before its way point, as the point ahead goes round it.
     """
 
     def __init__(
@@ -74,19 +79,20 @@ class LOS:
         gain: float = 5.0,
         damping: float = 1.5,
         integral: float = 0.02,
+        early: float = 1.0,
     ) -> None:
         self.name, self.observation, self.source = name, observation, source
         self.look_ahead, self.gain, self.damping = look_ahead, gain, damping
-        self.integral = integral
+        self.integral, self.early = integral, early
 
     def begin(self, envs: USVVectorEnv) -> None:
         """See :meth:`twin.agents.agent.Agent.begin`."""
         base = envs.unwrapped
         check_actions(self.name, base)
         self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
-        self.dt = base.simulation.dt * getattr(base, "frame_skip", 1)
+        self.dt = base.simulation.dt * base.frame_skip
         self.length, self.speed = base.vessel.values["length_waterline"], base.speed
-        self.reach = base.task.rules[REACH]
+        self.reach, self.unit = base.task.rules[REACH], base.task.rules[UNIT]
         full, usual = shaft_speeds(base)
         self.shaft = usual / full
         self._drift = np.zeros(base.num_envs)
@@ -94,32 +100,37 @@ class LOS:
     def act(self, obs: NDArray[np.float32]) -> Array:
         """See :meth:`twin.agents.agent.Agent.act`."""
         motion = obs[:, self._places].astype(float)
-        motion[:, 0] *= CROSS_TRACK_SCALE
-        motion[:, 1] *= TO_GO_SCALE
-        return self._steer(*self._navigate(obs, motion).T)
+        motion[:, 0] *= self.unit
+        motion[:, 1] *= 10.0 * self.unit
+        return self._steer(self._navigate(obs, motion))
 
     def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
-        """Return cross-track and to-go (m), cosine and sine of the course error, and motion."""
+        """Return cross-track and to-go (m), cosines and sines of both angles, and the motion."""
         return motion
 
-    def _steer(
-        self, e: Array, to_go: Array, cos: Array, sin: Array, r: Array, u: Array, v: Array
-    ) -> Array:
-        """Return actions from how the boats stand to their legs, shape (n,) each."""
-        near = to_go < self.reach  # only at the last point: there the next leg has begun by then
-        ahead = self.look_ahead * self.length * np.where(near, to_go / self.reach, 1.0)
-        # where the leg ends the boat is to stop, and to come back if it went too far
-        wanted = np.where(near, np.clip(np.hypot(to_go, e) / self.reach, 0.0, 1.0), 1.0)
+    def _steer(self, motion: Array) -> Array:
+        """Return actions from how the boats stand to their legs, and from their motion."""
+        e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
+        # only at the last point: elsewhere the next leg has begun by then
+        near = to_go < self.reach
+        left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
+        ahead = self.look_ahead * self.length
+        # so far the point ahead lies on the next leg
+        beyond = np.where(near, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
+        course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
+        ahead = ahead * left
         aside = e + self._drift
-        error = wrapped(np.arctan2(sin, cos) - np.arctan2(aside, ahead))
+        error = wrapped(course - np.arctan2(aside, ahead))
+        # where the path ends the boat is to stop, and to come back if it went too far
+        wanted = np.where(near, np.minimum(np.hypot(left, e / self.length), 1.0), 1.0)
         astern = near & (np.cos(error) < 0.0)
         error = np.where(astern, wrapped(error + math.pi), error)
         wanted = np.where(astern, -wanted, wanted)
-        step = self.dt * self.speed * self.integral * ahead / (ahead**2 + aside**2 + 1e-9)
-        self._drift = np.where(near, 0.0, self._drift + step * e * self.length)
-        helm = self.gain * error - self.damping * self.length / self.speed * r
+        step = self.integral * self.dt * self.speed * ahead / (ahead**2 + aside**2 + 1e-9)
+        self._drift = np.where(near, 0.0, self._drift + step * e)
         # astern the same angle of the drives turns the boat the other way
-        helm = np.where(astern, -helm, helm) * np.where(near, np.abs(wanted), 1.0)
+        helm = np.where(astern, -self.gain, self.gain) * error * np.where(near, abs(wanted), 1.0)
+        helm -= self.damping * self.length / self.speed * r
         shaft = self.shaft * np.where(near, 2.0 * wanted - u / self.speed, wanted)
         return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
 
@@ -145,7 +156,7 @@ class DeadReckoningLOS(LOS):
         """See :meth:`twin.agents.agent.Agent.begin`."""
         super().begin(envs)
         base = envs.unwrapped
-        self._more = places(base, ("cos_heading", "sin_heading", "gps_age"))
+        self._more = places(base, ("cos_heading", "sin_heading", "gps_age", "speed_starboard"))
         self._points, self._legs_at_fix = base.task.points, base.task.records[:, KNOWN_LEG]
         n = base.num_envs
         self._legs, self._errors = np.zeros(n), np.zeros((n, len(ERRORS)))
@@ -153,19 +164,20 @@ class DeadReckoningLOS(LOS):
         self._velocity = np.tile([self.speed, 0.0], (n, 1))
 
     def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
-        cos, sin, age = obs[:, self._more].astype(float).T
+        cos, sin, age, sway = obs[:, self._more].astype(float).T
         age *= AGE_SCALE
         fresh = age < self.dt - 1e-6
         self._legs[fresh] = self._legs_at_fix[fresh]
         part = 1.0 - math.exp(-self.dt * self.speed / (self.smoothing * self.length))
-        self._velocity[fresh] += part * (self.speed * motion[fresh, 5:] - self._velocity[fresh])
+        known = self.speed * np.stack([motion[:, 7], sway], axis=1)
+        self._velocity[fresh] += part * (known - self._velocity)[fresh]
         since = np.where(fresh, age, self.dt)
         reckon(
             *(fresh, since, cos, sin, self._velocity, motion, self._points),
             *(self.reach, self._place, self._legs, self._errors),
         )
         motion[:, :2] = self._errors[:, :2]
-        motion[:, 2], motion[:, 3] = np.cos(self._errors[:, 2]), np.sin(self._errors[:, 2])
+        motion[:, 2:6:2], motion[:, 3:6:2] = np.cos(self._errors[:, 2:]), np.sin(self._errors[:, 2:])
         return motion
 
 

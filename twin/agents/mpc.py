@@ -106,7 +106,9 @@ def misses(knots, last, states, points, leg, free, told, errors, legs, out):
         else:
             path_errors(s[0], s[1], s[2], points, int(legs[k]), errors)
         # within reach there is a point only where the path ends: there the boat is to stop
-        wanted = min(max(errors[1] / told[WITHIN], -1.0), 1.0)
+        wanted = 1.0
+        if errors[1] < told[WITHIN]:
+            wanted = max(errors[1] / told[WITHIN], -1.0)
         along = s[3] * math.cos(errors[2]) + s[4] * math.sin(errors[2])
         out[k] = errors[0] / told[LENGTH]
         out[K + k] = told[PROGRESS] * (wanted - along / told[SPEED_USUAL])
@@ -331,7 +333,7 @@ class ModelPredictive:
             Without a twin whose model is compiled.
         """
         base = envs.unwrapped
-        observer = getattr(base, "_observer", None)
+        observer = base.observer
         if not isinstance(observer, CompiledTwins):
             raise ControllerError(
                 "mpc-twin rolls the models of compiled twins; make the environment with "
@@ -342,7 +344,7 @@ class ModelPredictive:
         n, K, M, V = base.num_envs, self.rows, len(self.knots), WIDTH * len(self.knots)
         length, shafts = vessel.values["length_waterline"], shaft_speeds(base)
         h = self.horizon * length / base.speed / K
-        dt = base.simulation.dt * getattr(base, "frame_skip", 1)
+        dt = base.simulation.dt * base.frame_skip
         usual = shafts[1] / shafts[0]
         self._told = np.array([h, length, base.speed, base.task.rules[REACH], usual, *self.weights])
         times, each = h * K * np.array(self.knots), np.eye(M)
