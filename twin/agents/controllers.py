@@ -177,7 +177,8 @@ class DeadReckoningLOS(LOS):
             *(self.reach, self._place, self._legs, self._errors),
         )
         motion[:, :2] = self._errors[:, :2]
-        motion[:, 2:6:2], motion[:, 3:6:2] = np.cos(self._errors[:, 2:]), np.sin(self._errors[:, 2:])
+        angles = self._errors[:, 2:]
+        motion[:, 2:6:2], motion[:, 3:6:2] = np.cos(angles), np.sin(angles)
         return motion
 
 

@@ -110,7 +110,9 @@ def misses(knots, last, states, points, leg, free, told, errors, legs, out):
         if errors[1] < told[WITHIN]:
             wanted = max(errors[1] / told[WITHIN], -1.0)
         along = s[3] * math.cos(errors[2]) + s[4] * math.sin(errors[2])
-        out[k] = errors[0] / told[LENGTH]
+        off = errors[0] / told[LENGTH]
+        # its square grows as the distance does: far off the path the boat is to sail back, not wait
+        out[k] = off / (1.0 + off * off) ** 0.25
         out[K + k] = told[PROGRESS] * (wanted - along / told[SPEED_USUAL])
     for m in range(many):
         out[2 * K + m] = told[EFFORT] * (knots[m] - told[SHAFT])
@@ -312,9 +314,9 @@ class ModelPredictive:
         rows: int = 16,
         knots: tuple[float, ...] = (0.0, 0.12, 0.3, 0.6),
         steps: int = 2,
-        progress: float = 0.5,
-        effort: float = 0.1,
-        change: float = 0.1,
+        progress: float = 1.0,
+        effort: float = 0.3,
+        change: float = 0.3,
     ) -> None:
         if not (horizon > 0.0 and rows >= 1 and steps >= 0 and list(knots) == sorted(set(knots))):
             raise ControllerError(
