@@ -111,8 +111,8 @@ class LOS:
     def _steer(self, motion: Array) -> Array:
         """Return actions from how the boats stand to their legs, and from their motion."""
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
-        # only at the last point: elsewhere the next leg has begun by then
-        near = to_go < self.reach
+        # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
+        near = (self.reach > 0.0) & (to_go < self.reach)
         left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
         ahead = self.look_ahead * self.length
         # so far the point ahead lies on the next leg
@@ -121,17 +121,18 @@ class LOS:
         ahead = ahead * left
         aside = e + self._drift
         error = wrapped(course - np.arctan2(aside, ahead))
-        # where the path ends the boat is to stop, and to come back if it went too far
-        wanted = np.where(near, np.minimum(np.hypot(left, e / self.length), 1.0), 1.0)
-        astern = near & (np.cos(error) < 0.0)
-        error = np.where(astern, wrapped(error + math.pi), error)
-        wanted = np.where(astern, -wanted, wanted)
         step = self.integral * self.dt * self.speed * ahead / (ahead**2 + aside**2 + 1e-9)
         self._drift = np.where(near, 0.0, self._drift + step * e)
-        # astern the same angle of the drives turns the boat the other way
-        helm = np.where(astern, -self.gain, self.gain) * error * np.where(near, abs(wanted), 1.0)
-        helm -= self.damping * self.length / self.speed * r
-        shaft = self.shaft * np.where(near, 2.0 * wanted - u / self.speed, wanted)
+        # at its point the boat goes slowly ahead or astern, whichever is nearer, and not aside;
+        # astern the same angle of the drives turns it the other way
+        back = np.where(near & (np.cos(error) < 0.0), -1.0, 1.0)
+        error = np.where(back < 0.0, wrapped(error + math.pi), error)
+        part = np.minimum(np.hypot(left, e / max(self.reach, 1e-9)), 1.0) * np.cos(error)
+        part = np.where(near, part, 1.0)
+        helm = back * self.gain * part * error - self.damping * self.length / self.speed * r
+        wanted = 0.5 * back * part
+        slow = wanted + 2.0 * (wanted - u / self.speed)
+        shaft = self.shaft * np.where(near, slow, 1.0)
         return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
 
 
