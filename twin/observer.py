@@ -67,9 +67,10 @@ TWIN_OBSERVATION = (
 )
 """Names of the entries that the twin adds; scales in :class:`twin.wrapper.TwinObservation`."""
 
-# one row of numbers per boat: time of the last row, of the next bands, leg, errors of the path, how
-# far the believed position is off, the measurements, variances now, states and covariances ahead
-LAST, RENEW_AT, LEG, PATH_ERRORS = 0, 1, 2, 3
+# one row of numbers per boat: time of the last row, of the one last looked at, of the next bands,
+# leg, errors of the path, how far the believed position is off, the measurements, variances now,
+# states and covariances ahead
+LAST, SHOWN, RENEW_AT, LEG, PATH_ERRORS = 0, 1, 2, 3, 4
 OFF = PATH_ERRORS + len(ERRORS)
 ROW = OFF + 1
 NOW = ROW + len(MEASUREMENTS)
@@ -125,6 +126,15 @@ def _next_row(boat, note):
 
 
 @kernel
+def _is_looked_for(note, look):
+    """Return whether a boat's part of the observation is to be written, and is not yet."""
+    if look == 0.0 or note[SHOWN] == note[LAST]:
+        return False
+    note[SHOWN] = note[LAST]
+    return True
+
+
+@kernel
 def describe(s, boat, note, points, rules, obs):
     """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
     errors, _, now, ahead, covs = note_parts(note)
@@ -168,16 +178,15 @@ def _ukf_all(
     for i in range(boats.shape[0]):
         boat, note = boats[i], notes[i]
         dt = _next_row(boat, note)
-        if dt < 0.0:
-            continue
         _, z, now, ahead, covs = note_parts(note)
         x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory[i], constants, kit)
         cmd = boat[CMD : CMD + N_ACT]
-        tight_step(
-            *(dt, z, cmd, nav[i], nav_settings, nav_work),
-            *(memory[i], constants, scratch, work, kit),
-        )
-        if told[LOOK] == 0.0:
+        if dt >= 0.0:
+            tight_step(
+                *(dt, z, cmd, nav[i], nav_settings, nav_work),
+                *(memory[i], constants, scratch, work, kit),
+            )
+        if not _is_looked_for(note, told[LOOK]):
             continue
         scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
         look_ahead(
@@ -204,15 +213,14 @@ def _plus_all(
     for i in range(boats.shape[0]):
         boat, note = boats[i], notes[i]
         dt = _next_row(boat, note)
-        if dt < 0.0:
-            continue
         _, z, now, ahead, covs = note_parts(note)
         cmd = boat[CMD : CMD + N_ACT]
-        plus_step(
-            *(note[LAST], dt, z, cmd, nav[i], nav_settings, nav_work, memory[i], constants),
-            *(scratch, work, kit, rows[i], book[i], refit_rules, refit_room),
-        )
-        if told[LOOK] == 0.0:
+        if dt >= 0.0:
+            plus_step(
+                *(note[LAST], dt, z, cmd, nav[i], nav_settings, nav_work, memory[i], constants),
+                *(scratch, work, kit, rows[i], book[i], refit_rules, refit_room),
+            )
+        if not _is_looked_for(note, told[LOOK]):
             continue
         n, P_nav = nav_parts(nav[i])
         x, _, _, _, _, _, _, _, _, _, _, n_unit = parts(memory[i], constants, kit)
@@ -252,7 +260,7 @@ class TwinObserver(Observer):
     ) -> None:
         self.episodes, self.first, self.band_period = episodes, twin, band_period
         self.notes = np.zeros((episodes.n, NOTE_SIZE))
-        self.notes[:, LAST] = math.nan
+        self.notes[:, [LAST, SHOWN]] = math.nan
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._parameters = parameters
         if parameters:
@@ -278,7 +286,7 @@ class TwinObserver(Observer):
     def reset(self, i: int) -> None:
         """Let boat i begin an episode with a twin that knows nothing yet."""
         self.notes[i] = 0.0
-        self.notes[i, LAST] = math.nan
+        self.notes[i, [LAST, SHOWN]] = math.nan
         self._forget(i)
 
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
@@ -342,13 +350,13 @@ class SeparateTwins(TwinObserver):
         sim, task = self.episodes.simulation, self.episodes.task
         for i in range(self.episodes.n)[rows]:
             note = self.notes[i]
-            if _next_row(sim.boats[i], note) < 0.0:
-                continue
+            dt = _next_row(sim.boats[i], note)
             t, twin = note.item(LAST), self.twins[i]
             _, z, now, ahead, covs = in_python(note_parts)(note)
-            # what a twin keeps must not change with the next row
-            twin.feed(t, z.copy(), sim.cmd[i].copy())
-            if not look:
+            if dt >= 0.0:
+                # what a twin keeps must not change with the next row
+                twin.feed(t, z.copy(), sim.cmd[i].copy())
+            if not _is_looked_for(note, float(look)):
                 continue
             self._plan[:] = sim.cmd[i]
             if t >= note[RENEW_AT]:

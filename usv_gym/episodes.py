@@ -95,8 +95,8 @@ def observe(
     leg = follow(held[0], held[1], held[4], points, leg, rules[REACH], errors)
     task[KNOWN_LEG] = leg
     speed = rules[SPEED]
-    # new since the last decision
-    fresh = (rules[FRAMES] - 0.5) * dt
+    # new since the last decision, and there was one at all
+    fresh = (min(rules[FRAMES] - 1.0, boat[COUNT]) + 0.5) * dt
     c, s = math.cos(held[4]), math.sin(held[4])
     o[0], o[1], o[2] = c, s, held[5]
     o[3], o[4] = held[6] / GRAVITY, held[7] / GRAVITY

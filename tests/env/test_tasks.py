@@ -1,0 +1,378 @@
+"""Tasks: their paths, rewards and ends, computed a second time from the true track."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import (
+    FrameStackObservation,
+    NormalizeObservation,
+    RecordEpisodeStatistics,
+    TimeLimit,
+)
+
+from twin.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
+from usv_gym.episodes import OBSERVATION
+from usv_gym.tasks import FAILURE, TASKS, TaskError, make_task
+
+RATED = ("path", "curves", "lawnmower", "waypoints")
+SPEED, LENGTH = 5.0, 7.5
+
+
+def drawn(name, seed, n=1):
+    task = make_task(name, n, SPEED, LENGTH)
+    for i in range(n):
+        task.reset(i, np.random.default_rng([seed, i]))
+    return task
+
+
+def bends(points):
+    """Return the lengths of legs, and the turns between them in rad."""
+    legs = np.diff(points, axis=0)
+    courses = np.arctan2(legs[:, 1], legs[:, 0])
+    turns = (np.diff(courses) + math.pi) % (2.0 * math.pi) - math.pi
+    return np.hypot(*legs.T), turns, courses
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_paths_begin_at_the_boat_and_hang_on_their_seed_alone(name):
+    task = drawn(name, 3, n=2)
+    assert (task.points[:, 0] == 0.0).all()
+    again = drawn(name, 3, n=2)
+    np.testing.assert_array_equal(task.points, again.points)
+    if name != "free":
+        assert not np.array_equal(task.points[0], task.points[1])
+
+
+def test_each_kind_of_path_is_what_it_says():
+    for seed in range(30):
+        lengths, turns, courses = bends(drawn("path", seed).points[0])
+        assert (lengths >= 10 * LENGTH - 1e-9).all() and (lengths <= 20 * LENGTH + 1e-9).all()
+        assert np.degrees(np.abs(turns)).max() <= 70.0 + 1e-9
+        lengths, turns, _ = bends(drawn("waypoints", seed).points[0])
+        assert np.degrees(np.abs(turns)).max() <= 140.0 + 1e-9
+        lengths, turns, _ = bends(drawn("curves", seed).points[0])
+        np.testing.assert_allclose(lengths, LENGTH)
+        curvature = np.abs(turns[5:]) / LENGTH
+        assert curvature.max() <= 1.0 / (6.0 * LENGTH) + 1e-9  # never sharper than 6 lengths
+        lengths, turns, courses = bends(drawn("lawnmower", seed).points[0])
+        np.testing.assert_allclose(np.abs(turns), math.pi / 2.0)
+        np.testing.assert_allclose(lengths[::2], lengths[0])  # parallel legs of one length
+        assert len(set(np.round(np.cos(courses[::2]), 9))) == 2  # there and back
+        lengths, _, courses = bends(drawn("station", seed).points[0])
+        assert 4 * LENGTH <= lengths[0] <= 8 * LENGTH
+        assert abs(courses[0]) <= math.pi / 2.0
+
+
+def test_an_unknown_task_is_an_error_that_lists_those_there_are():
+    with pytest.raises(TaskError, match="lawnmower"):
+        make_env(task="paths", twin=None)
+
+
+@pytest.mark.parametrize("name", RATED)
+def test_rewards_of_paths_from_the_true_track(name):
+    """Computed a second time from the true states, leg by leg."""
+    env = make_env(task=name, twin=None, sea="3", record=True)
+    env.reset(seed=5)
+    rng, previous = np.random.default_rng(0), np.array([0.0, 0.0])
+    previous = env.episodes.actions[0, 0].copy()
+    points, reach, rates = env.task.points[0], env.task.rules[1], []
+    leg = 0
+    for _ in range(300):
+        action = np.array([0.7, rng.uniform(-1.0, 1.0)])
+        _, reward, terminated, _, info = env.step(action)
+        x, y, psi = env.simulation.state[0, [0, 1, 5]]
+        u, v = env.simulation.state[0, [6, 7]]
+
+        def off(k, x=x, y=y):
+            d = points[k + 1] - points[k]
+            course = math.atan2(d[1], d[0])
+            e = np.array([x, y]) - points[k]
+            across = e[1] * math.cos(course) - e[0] * math.sin(course)
+            left = np.hypot(*d) - e @ [math.cos(course), math.sin(course)]
+            return across, left, course
+
+        across, left, course = off(leg)
+        if left < reach and leg + 2 < len(points):
+            leg += 1
+            across, left, course = off(leg)
+        assert info["leg"] == leg
+        assert info["cross_track_m"] == pytest.approx(across, abs=1e-9)
+        along = u * math.cos(course - psi) + v * math.sin(course - psi)
+        terms = info["reward_terms"]
+        assert terms["progress"] == pytest.approx(min(along / env.speed, 1.0))
+        assert terms["cross_track"] == pytest.approx(-min(abs(across) / 10.0, 2.0))
+        assert terms["effort"] == pytest.approx(-0.05 * np.abs(action - previous).sum())
+        assert reward == pytest.approx(sum(terms.values()))
+        previous = action
+        rates.append(reward)
+        if terminated:
+            break
+    assert len(rates) > 100
+
+
+def test_off_the_path_is_a_failure_and_the_end():
+    env = make_env(twin=None, sea="calm")
+    env.reset(seed=0)
+    for _ in range(2000):
+        *_, reward, terminated, _, info = env.step(np.array([0.8, 0.25]))
+        if terminated:
+            break
+    assert abs(info["cross_track_m"]) > 50.0 and not info["is_success"]
+    assert info["reward_terms"]["failure"] == -FAILURE
+    assert reward < -FAILURE + 1.0
+
+
+def test_a_boat_on_her_station_succeeds_and_one_that_leaves_fails():
+    env = make_env(task="station", twin=None, sea="calm")
+    env.reset(seed=1)
+    assert set(env.reset(seed=1)[1]["reward_terms"]) == {"distance", "speed", "effort", "failure"}
+    point = env.task.points[0, 1]
+    env.simulation.state[0, :2] = point + np.array([3.0, 4.0])
+    *_, reward, terminated, _, info = env.step(np.zeros(2))
+    away = np.hypot(*(env.simulation.state[0, :2] - point))
+    assert info["is_success"] and not terminated
+    assert info["reward_terms"]["distance"] == pytest.approx(-0.5 * away / 10.0)
+    assert info["reward_terms"]["speed"] < 0.0
+    env.simulation.state[0, :2] = point + np.array([0.0, 101.0])
+    *_, reward, terminated, _, info = env.step(np.zeros(2))
+    assert terminated and not info["is_success"]
+    assert reward < -FAILURE
+
+
+def test_success_ends_a_path_without_a_penalty():
+    env = make_env(twin=None, sea="calm")
+    env.reset(seed=0)
+    env.task.records[0, 0] = len(env.task.points[0]) - 2  # on the last leg, 20 m before its end
+    a, b = env.task.points[0, -2:]
+    along = (b - a) / np.hypot(*(b - a))
+    env.simulation.state[0, :2] = b - 20.0 * along
+    env.simulation.state[0, 5] = math.atan2(*along[::-1])
+    for _ in range(100):
+        _, reward, terminated, _, info = env.step(np.array([0.8, 0.0]))
+        if terminated:
+            break
+    assert terminated and info["is_success"] and reward > 0.0
+
+
+def test_a_decision_of_ten_steps_is_ten_steps():
+    """The same track, the sum of rewards, the last observation; only the effort counts once."""
+    options = {"sea": "3", "twin": "ukf", "faults": "gps3@2"}
+    long, short = make_env(frame_skip=10, **options), make_env(**options)
+    one, other = long.reset(seed=3)[0], short.reset(seed=3)[0]
+    np.testing.assert_array_equal(one, other)
+    valid = [k for k, name in enumerate(OBSERVATION) if name.endswith("_valid")]
+    bands = [k for k, name in enumerate(long.observation_names) if "ahead" in name and "sd" in name]
+    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2)):
+        one, reward, *_, info = long.step(action)
+        total, seen = 0.0, np.zeros(len(valid))
+        for _ in range(10):
+            other, part, *_, last = short.step(action)
+            total, seen = total + part, np.maximum(seen, other[valid])
+        assert reward == pytest.approx(total)
+        np.testing.assert_array_equal(long.simulation.state, short.simulation.state)
+        np.testing.assert_array_equal(one[valid], seen)  # a sample since the last decision
+        rest = np.delete(np.arange(len(one)), [*valid, *bands])  # bands come every 5 s
+        np.testing.assert_allclose(one[rest], other[rest], atol=1e-6)
+        assert info["t_s"] == last["t_s"]
+
+
+def test_a_boat_that_fails_within_a_decision_stops_there():
+    env = make_env(twin=None, sea="calm", frame_skip=40)
+    env.reset(seed=0)
+    for _ in range(60):
+        *_, terminated, _, info = env.step(np.array([0.8, 0.25]))
+        if terminated:
+            break
+    assert 50.0 < abs(info["cross_track_m"]) < 50.5  # not two seconds later
+
+
+def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
+    env = make_env(twin=None, sea="calm|2|4", faults="none|gps10|imu5@3", task="free")
+    waves, losses = set(), set()
+    for seed in range(40):
+        env.reset(seed=seed)
+        waves.add(round(float(np.square(env.simulation.waves[0, 4]).sum()), 6))
+        rows = env.simulation._faults[0]
+        losses.add(() if np.isnan(rows[0, 0]) else tuple(rows[0, :2]))
+    assert len(waves) == 3 and 0.0 in waves
+    kinds = {loss[:1] for loss in losses}
+    assert len(kinds) >= 3
+
+
+def test_a_sea_that_was_drawn_is_that_sea():
+    """Room for waves that are not there changes nothing: the calm boat sails as in the calm."""
+    among, alone = make_env(twin=None, sea="calm|4"), make_env(twin=None, sea="calm")
+    for seed in range(8):
+        among.reset(seed=seed)
+        if among.simulation.waves.any():
+            continue
+        alone.reset(seed=seed)
+        for action in np.random.default_rng(1).uniform(-1.0, 1.0, (100, 2)):
+            among.step(action), alone.step(action)
+        np.testing.assert_allclose(
+            among.simulation.state[0, :9], alone.simulation.state[0, :9], atol=1e-9
+        )
+        return
+    raise AssertionError("no calm sea in eight draws")
+
+
+# ------------------------------------------------- observation sets
+
+
+@pytest.mark.filterwarnings("ignore:.*render.*")
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("observation", OBSERVATIONS)
+def test_both_checkers_accept_every_task_and_observation_set(task, observation):
+    env = make_env(task=task, observation=observation, twin="ukf", frame_skip=5, faults="gps10")
+    assert len(env.observation_names) == env.observation_space.shape[0]
+    assert len(set(env.observation_names)) == len(env.observation_names)
+    check_env(env, skip_render_check=True)
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
+    sb3.check_env(env)
+
+
+def test_stacked_is_what_was_seen_before():
+    env = make_env(observation="raw_stacked", frame_skip=4)
+    plain = make_env(observation="raw", frame_skip=4)
+    for seed in (1, None):
+        seen = [plain.reset(seed=seed)[0]] * 8
+        np.testing.assert_array_equal(env.reset(seed=seed)[0], np.concatenate(seen))
+        for action in np.random.default_rng(2).uniform(-1.0, 1.0, (12, 2)):
+            seen = [plain.step(action)[0], *seen[:7]]
+            np.testing.assert_array_equal(env.step(action)[0], np.concatenate(seen))
+
+
+def test_the_oracle_sees_the_truth():
+    env = make_env(observation="oracle", sea="3", faults="gps60@5")
+    env.reset(seed=2)
+    at = {name: k for k, name in enumerate(env.observation_names)}
+    for action in np.random.default_rng(2).uniform(-1.0, 1.0, (300, 2)):
+        obs, *_, info = env.step(action)
+    state = env.simulation.state[0]
+    assert obs[at["true_surge"]] == pytest.approx(state[6] / env.speed, rel=1e-6)
+    assert obs[at["true_sin_heading"]] == pytest.approx(math.sin(state[5]), abs=1e-6)
+    assert obs[at["true_cross_track"]] == pytest.approx(info["cross_track_m"] / 10.0, rel=1e-5)
+    assert obs[at["true_drive_left"]] == pytest.approx(state[14] / env.vessel.helm_max, rel=1e-5)
+    assert obs[at["cross_track"]] != obs[at["true_cross_track"]]
+
+
+def test_raw_and_twin_never_see_the_truth():
+    """A false true position changes rewards, and nothing that is seen before the next fix."""
+    for observation in ("raw", "raw_stacked", "twin", "twin_params"):
+        options = {"observation": observation, "twin": "ukf", "faults": "gps60@1", "sea": "calm"}
+        one, other = make_env(**options), make_env(**options)
+        one.reset(seed=1), other.reset(seed=1)
+        for k in range(60):
+            a, b = one.step(np.array([0.7, 0.1])), other.step(np.array([0.7, 0.1]))
+            if k == 39:
+                other.simulation.state[0, :2] += [5.0, 9.0]
+        np.testing.assert_array_equal(a[0], b[0])
+        assert a[1] != b[1]
+
+
+def test_parameters_are_those_of_the_twin():
+    for observed in (
+        make_env(observation="twin_params", twin="ukf"),
+        make_env(observation="twin_params", twin="dsw-ukf"),
+    ):
+        observed.reset(seed=1)
+        prior = type(observed)(twin=observed.twin.name, parameters=True).twin.predictor.estimate()
+        for action in np.random.default_rng(2).uniform(-1.0, 1.0, (60, 2)):
+            obs = observed.step(action)[0]
+        now = observed.twin.predictor.estimate()
+        p = len(now.xi)
+        xi, sd = obs[-2 * p : -p], obs[-p:]
+        expected = ((now.xi - prior.xi) / prior.xi_sd).clip(-10.0, 10.0)
+        np.testing.assert_allclose(xi, expected, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(sd, (now.xi_sd / prior.xi_sd).clip(0.0, 10.0), rtol=1e-5)
+        assert np.abs(xi).max() > 0.01
+
+
+def test_observation_sets_that_cannot_be_say_so():
+    with pytest.raises(ValueError, match=r"known: raw, raw_stacked, oracle, twin, twin_params"):
+        make_env(observation="all")
+    with pytest.raises(ValueError, match="needs a twin"):
+        make_vector_env(2, observation="twin", twin=None)
+    with pytest.raises(ValueError, match="identifies no parameters"):
+        make_env(observation="twin_params", twin="persistence")
+    with pytest.raises(ValueError, match="is told of the sea"):
+        make_env(twin="oracle", sea="0|2")
+    with pytest.raises(TypeError, match="frame_skip=1"):
+        TwinObservation(make_env(twin=None, frame_skip=2), "ukf")
+    with pytest.raises(ValueError, match="frame_skip = 0"):
+        make_env(frame_skip=0)
+
+
+@pytest.mark.parametrize("observation", OBSERVATIONS)
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_batches_are_single_environments_with_decisions_of_several_steps(observation, mode):
+    """Gymnasium's own vector over single environments, through ends, faults and drawn seas."""
+    options = {
+        **{"observation": observation, "twin": "ukf", "frame_skip": 10, "sea": "calm|3"},
+        **{"faults": "none|gps3@2", "max_episode_steps": 30},
+    }
+    native = gym.make_vec("USVTwin-v0", num_envs=3, autoreset_mode=mode, **options)
+    single = gym.vector.SyncVectorEnv(
+        [lambda: gym.make("USVTwin-v0", **options)] * 3,
+        autoreset_mode=gym.vector.AutoresetMode(mode),
+    )
+    np.testing.assert_array_equal(native.reset(seed=4)[0], single.reset(seed=4)[0])
+    ends = 0
+    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (100, 3, 2)):
+        # two boats sail hard to one side, and fail
+        action[:2] = [1.0, 0.3]
+        a, b = native.step(action), single.step(action)
+        for ours, theirs in zip(a[:4], b[:4], strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        for name, values in b[4]["reward_terms"].items():
+            np.testing.assert_array_equal(a[4]["reward_terms"][name], values)
+        ends += int(a[2].sum())
+    assert ends
+
+
+@pytest.mark.parametrize("observation", ["raw", "twin"])
+def test_gymnasiums_wrappers_work(observation):
+    env = gym.make(
+        "USVTwin-v0", observation=observation, twin="ukf", frame_skip=10, max_episode_steps=5
+    )
+    wrapped = RecordEpisodeStatistics(
+        FrameStackObservation(NormalizeObservation(TimeLimit(env, 4)), 3)
+    )
+    obs, _ = wrapped.reset(seed=0)
+    assert obs.shape == (3, env.observation_space.shape[0])
+    for _ in range(4):
+        obs, *_, truncated, info = wrapped.step(np.array([0.5, 0.0], np.float32))
+    assert truncated and info["episode"]["l"] == 4
+    assert np.isfinite(obs).all()
+    sync = gym.make_vec("USVTwin-v0", 2, "sync", observation=observation, twin="ukf", frame_skip=10)
+    native = gym.make_vec("USVTwin-v0", 2, observation=observation, twin="ukf", frame_skip=10)
+    ours, theirs = native.reset(seed=1)[0], sync.reset(seed=1)[0]
+    np.testing.assert_array_equal(ours, theirs)
+
+
+def test_processes_of_their_own_give_the_same_bits():
+    options = {"observation": "twin", "twin": "ukf", "frame_skip": 10}
+    apart = gym.make_vec("USVTwin-v0", 2, "async", **options)
+    native = gym.make_vec("USVTwin-v0", 2, **options)
+    np.testing.assert_array_equal(apart.reset(seed=1)[0], native.reset(seed=1)[0])
+    action = np.array([[0.5, 0.1], [0.6, -0.1]], np.float32)
+    np.testing.assert_array_equal(apart.step(action)[0], native.step(action)[0])
+    apart.close()
+
+
+@pytest.mark.slow
+def test_a_million_random_steps_in_a_storm_with_every_fault_are_numbers():
+    envs = make_vector_env(
+        100, observation="twin_params", twin="ukf", sea="6", faults="on", frame_skip=10, dof=6
+    )
+    obs, _ = envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(1000):
+        obs, reward, *_ = envs.step(rng.uniform(-1.0, 1.0, (100, 2)))
+        assert np.isfinite(obs).all() and np.isfinite(reward).all()
+        assert (np.abs(obs) <= 10.0).all()
