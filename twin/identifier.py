@@ -787,7 +787,7 @@ class UKFPredictor(ModelPredictor):
         memory, n = remembered[1], len(self.ukf.x)
         end = n + n * n
         return Beliefs(
-            *(memory[:, :PSI + 1], memory[:, PSI + 1 : N_STATES], memory[:, N_STATES:n]),
+            *(memory[:, : PSI + 1], memory[:, PSI + 1 : N_STATES], memory[:, N_STATES:n]),
             *(memory[:, end : end + N_ACT], memory[:, end + N_ACT : end + N_ACT + 2]),
             *(np.full((1, 3), math.inf), np.full(3, math.inf), self.ukf.settings.xi0),
         )

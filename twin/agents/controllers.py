@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.agents.agent import Agent
+from twin.agents.agent import Agent, ControllerError, check_actions, shaft_speeds
+from twin.agents.mpc import ModelPredictive
 from usv_gym.episodes import AGE_SCALE
 from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
 from usv_gym.vector import USVVectorEnv
@@ -36,10 +37,6 @@ PATH = (
     *("cross_track", "to_go", "cos_course_error", "sin_course_error"),
     *("cos_next_turn", "sin_next_turn"),
 )
-
-
-class ControllerError(ValueError):
-    """A controller that cannot be had, or not for these boats; the message says what can."""
 
 
 class LOS:
@@ -81,6 +78,12 @@ class LOS:
         integral: float = 0.02,
         early: float = 1.0,
     ) -> None:
+        numbers = look_ahead, gain, damping, integral, early
+        if not (all(math.isfinite(x) and x >= 0.0 for x in numbers) and look_ahead > 0.0):
+            raise ControllerError(
+                f"{name}: look_ahead, gain, damping, integral, early = {numbers}: must be finite "
+                "and 0 or more, the first above 0"
+            )
         self.name, self.observation, self.source = name, observation, source
         self.look_ahead, self.gain, self.damping = look_ahead, gain, damping
         self.integral, self.early = integral, early
@@ -150,7 +153,9 @@ class DeadReckoningLOS(LOS):
     """
 
     def __init__(self, *, smoothing: float = 12.0, **options: Any) -> None:
-        super().__init__(**({"name": "los-dr"} | options))
+        super().__init__("los-dr", **options)
+        if not (math.isfinite(smoothing) and smoothing > 0.0):
+            raise ControllerError(f"los-dr: smoothing = {smoothing}: must be finite and above 0")
         self.smoothing = smoothing
 
     def begin(self, envs: USVVectorEnv) -> None:
@@ -220,22 +225,6 @@ def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs,
         legs[i] = follow(place[i, 0], place[i, 1], psi, points[i], int(legs[i]), reach, errors[i])
 
 
-def check_actions(name: str, envs: USVVectorEnv) -> None:
-    """Refuse boats that take something else than a shaft speed and an angle."""
-    width = (envs.single_action_space.shape or (0,))[0]
-    if width != 2:
-        raise ControllerError(
-            f"{name} gives a shaft speed and an angle, these boats take {width} numbers; make "
-            "them with actions='common'"
-        )
-
-
-def shaft_speeds(envs: USVVectorEnv) -> tuple[float, float]:
-    """Return the shaft speeds of full throttle and of the usual speed, rev/s."""
-    values = envs.vessel.values
-    return values["shaft_speed_service"], values["shaft_speed_manoeuvring"]
-
-
 def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
     """Return where entries stand in an observation.
 
@@ -263,6 +252,7 @@ CONTROLLERS: dict[str, Callable[..., Agent]] = {
     "los": LOS,
     "los-dr": DeadReckoningLOS,
     "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
+    "mpc-twin": ModelPredictive,
     "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
 }
 """Controllers by name; each call gives a new one."""
@@ -285,4 +275,7 @@ def make_controller(name: str, **options: Any) -> Agent:
     """
     if name not in CONTROLLERS:
         raise ControllerError(f"no controller is called {name!r}; known: {', '.join(CONTROLLERS)}")
-    return CONTROLLERS[name](**options)
+    try:
+        return CONTROLLERS[name](**options)
+    except TypeError as error:
+        raise ControllerError(f"{name}: {error}") from None

@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.agents.controllers import ControllerError, check_actions, shaft_speeds
+from twin.agents.agent import ControllerError, check_actions, shaft_speeds
 from twin.dense import cholesky, solve_factored
 from twin.model import N_ACT, N_STATES, ROOM, roll_out
 from twin.observer import LEG, CompiledTwins
@@ -350,8 +350,10 @@ class ModelPredictive:
         usual = shafts[1] / shafts[0]
         self._told = np.array([h, length, base.speed, base.task.rules[REACH], usual, *self.weights])
         times, each = h * K * np.array(self.knots), np.eye(M)
-        between = [np.stack([np.interp(t, times, row) for row in each], axis=1)
-                   for t in (h * np.arange(K), times + dt)]
+        between = [
+            np.stack([np.interp(t, times, row) for row in each], axis=1)
+            for t in (h * np.arange(K), times + dt)
+        ]
         limits = np.array([joint.settings.n_unit * shafts[0]] * 2 + [vessel.helm_max] * 2)
         self._sources, self._shift = (between[0], vessel.mixing.copy(), limits), between[1]
         self._common = joint.lags, joint.envelope, joint.kit
