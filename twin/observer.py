@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.identifier import (
+    Beliefs,
+    JointUKF,
     UKFPredictor,
     nav_parts,
     parts,
@@ -465,6 +467,16 @@ class CompiledTwins(TwinObserver):
             *(memory[rows] for memory in self.memories),
             *(copy.deepcopy(shared) if own else shared),
         )
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """What the models of all boats are rolled from, for :mod:`twin.agents.mpc`; views."""
+        return self._predictor.beliefs(*self.memories)
+
+    @property
+    def joint(self) -> JointUKF:
+        """What the models have in common: structure, lags, envelope, unit of shaft speed."""
+        return self._predictor.ukf
 
     @staticmethod
     def _call(*arguments: object) -> None:
