@@ -24,6 +24,7 @@ from rich.table import Table
 
 from twin import benchmark as bench
 from twin.agents import commands
+from twin.agents.agent import ControllerError
 from twin.agents.policy import AgentError
 from twin.bag import is_bag
 from twin.identifiability import Finding, Identifiability
@@ -68,6 +69,7 @@ app.add_typer(vessel_app, name="vessel")
 EXPECTED = (
     AgentError,
     bench.BenchmarkError,
+    ControllerError,
     DesignError,
     FaultError,
     ImportError,

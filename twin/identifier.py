@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ from twin.ukf import measurement_update, scaled_weights, workspace
 from usv_kernel import in_python, kernel, wrap
 
 __all__ = [
+    "Beliefs",
     "FilterSettings",
     "JointUKF",
     "ModelPredictor",
@@ -687,6 +688,35 @@ class ModelPredictor(Predictor):
         return within
 
 
+class Beliefs(NamedTuple):
+    """What the models of many boats are rolled from.
+
+    Attributes
+    ----------
+    places, velocities : ndarray, shape (n, 3)
+        Position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s).
+    parameters : ndarray, shape (n, p)
+        Of the structure.
+    actuators, winds : ndarray, shapes (n, 4), (n, 2)
+        See :func:`twin.model.roll_out`.
+    seen : ndarray, shape (n, 3) or (1, 3)
+        Largest velocities met so far; infinite where no model is too wild.
+    usual : ndarray, shape (3,)
+        Velocities that any such boat may be foretold to have.
+    prior : ndarray, shape (p,)
+        Parameters to fall back to where a model exceeds both by far.
+    """
+
+    places: Array
+    velocities: Array
+    parameters: Array
+    actuators: Array
+    winds: Array
+    seen: Array
+    usual: Array
+    prior: Array
+
+
 class UKFPredictor(ModelPredictor):
     """Plain joint UKF behind the tight navigation filter.
 
@@ -745,6 +775,22 @@ class UKFPredictor(ModelPredictor):
         """What twins of like boats can share, in the order of :func:`tight_step`."""
         _, settings, nav_work, _, *rest = self._arguments
         return settings, nav_work, *rest
+
+    def beliefs(self, *remembered: Array) -> Beliefs:
+        """Return what :func:`twin.model.roll_out` needs, of many boats, as views.
+
+        Parameters
+        ----------
+        *remembered : ndarrays
+            As :attr:`remembered`, but with a row for each boat.
+        """
+        memory, n = remembered[1], len(self.ukf.x)
+        end = n + n * n
+        return Beliefs(
+            *(memory[:, : PSI + 1], memory[:, PSI + 1 : N_STATES], memory[:, N_STATES:n]),
+            *(memory[:, end : end + N_ACT], memory[:, end + N_ACT : end + N_ACT + 2]),
+            *(np.full((1, 3), math.inf), np.full(3, math.inf), self.ukf.settings.xi0),
+        )
 
     @property
     def ready(self) -> bool:

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.identifier import (
+    Beliefs,
+    JointUKF,
     UKFPredictor,
     nav_parts,
     parts,
@@ -35,6 +37,7 @@ from twin.simulated import particulars_of
 from twin.twin import Twin
 from usv_gym.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.physics import frames as fr
+from usv_gym.render import Belief
 from usv_gym.sensors import CHANNELS
 from usv_gym.simulation import CMD, STATE, TIME, Z
 from usv_gym.tasks import ERRORS, REACH, SPEED, UNIT, follow
@@ -287,6 +290,24 @@ class TwinObserver(Observer):
         self.notes[i, [LAST, SHOWN]] = math.nan
         self._forget(i)
 
+    def belief(self, i: int) -> Belief | None:
+        """Return what the twin of boat i believes, for pictures; None before its first row."""
+        note = self.notes[i]
+        if not math.isfinite(note[LAST]):
+            return None
+        _, _, now, ahead, covs = in_python(note_parts)(note)
+        return Belief(
+            state=self._state(i),
+            cov=now[:2, :2].copy(),
+            horizons=LOOK_AHEAD.copy(),
+            ahead=ahead.copy(),
+            covs=covs[:, :2, :2].copy(),
+        )
+
+    @abstractmethod
+    def _state(self, i: int) -> Array:
+        """Return a copy of the state (6,) that the twin of boat i believes in."""
+
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
         """Let the twins of boats with a new row take it, and write their parts of ``obs``.
 
@@ -331,6 +352,9 @@ class SeparateTwins(TwinObserver):
         super().__init__(episodes, twin, band_period, parameters)
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), N_ACT))
+
+    def _state(self, i: int) -> Array:
+        return np.array(self.twins[i].predictor.s, dtype=np.float64)
 
     def _forget(self, i: int) -> None:
         self.twins[i].reset()
@@ -395,6 +419,10 @@ class CompiledTwins(TwinObserver):
         # a thread needs scratch of its own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
 
+    def _state(self, i: int) -> Array:
+        _, memory, *_ = self.memories
+        return memory[i, :N_STATES].copy()
+
     def _forget(self, i: int) -> None:
         if self._single:
             self.first.reset()
@@ -439,6 +467,16 @@ class CompiledTwins(TwinObserver):
             *(memory[rows] for memory in self.memories),
             *(copy.deepcopy(shared) if own else shared),
         )
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """What the models of all boats are rolled from, for :mod:`twin.agents.mpc`; views."""
+        return self._predictor.beliefs(*self.memories)
+
+    @property
+    def joint(self) -> JointUKF:
+        """What the models have in common: structure, lags, envelope, unit of shaft speed."""
+        return self._predictor.ukf
 
     @staticmethod
     def _call(*arguments: object) -> None:

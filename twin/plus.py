@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from twin.dense import cholesky
 from twin.identifier import (
     BEGUN,
+    Beliefs,
     UKFPredictor,
     nav_parts,
     parts,
@@ -709,6 +710,21 @@ class PlusPredictor(UKFPredictor):
     def shared(self) -> tuple[Any, ...]:
         """What twins of like boats can share: for the rows, then for looking ahead."""
         return *super().shared, self.rules, self.segments.room, *self._look
+
+    def beliefs(self, *remembered: Array) -> Beliefs:
+        """See :meth:`UKFPredictor.beliefs`; without the share of the waves."""
+        nav, _, _, book = remembered
+        return (
+            super()
+            .beliefs(*remembered)
+            ._replace(
+                places=nav[:, :3],
+                velocities=book[:, _SLOW:_NEXT_START],
+                seen=book[:, _SEEN:_WAVE_SD],
+                usual=self._usual,
+                prior=self.segments.prior,
+            )
+        )
 
     @property
     def _next_start(self) -> int:

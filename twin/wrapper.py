@@ -121,6 +121,9 @@ class TwinObservation(
         self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
         self.twin = self._observer.first
         _, self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))
+        self._renderer = base.renderer
+        if self._renderer:
+            self._renderer.belief, self._renderer.waits = self._observer.belief, True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -140,6 +143,8 @@ class TwinObservation(
         whole[: len(obs)] = obs
         self._observer.observe(whole[None])
         info["twin_position_error_m"] = self._observer.off.item(0)
+        if self._renderer:
+            self._renderer.look()
         return whole
 
 
@@ -274,6 +279,10 @@ def make_env(
         See :class:`USVTwinEnv` and :class:`usv_gym.env.USVEnv`.
     """
     return _made(USVEnv, USVTwinEnv, observation, twin, kwargs)
+
+
+# where gym.make looks for the modes, to offer "rgb_array_list" as well
+make_env.metadata = USVEnv.metadata  # type: ignore[attr-defined]
 
 
 def make_vector_env(

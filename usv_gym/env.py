@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from usv_gym.episodes import BOUND, OBSERVATION, Episodes, Observer
+from usv_gym.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.sea import SeaState
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.tasks import (
@@ -128,11 +129,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         Keep every row, for :func:`twin.wrapper.log_of`.
     observer : callable, optional
         Returns, for the :class:`~usv_gym.episodes.Episodes`, what adds to the observation.
-    render_mode : None
-        There is none yet.
+    render_mode : str, optional
+        ``"rgb_array"``: :meth:`render` returns a picture from above. ``"human"``: a window
+        shows each decision. Both need the extra ``render``.
+    render_size : tuple of int
+        Width and height of a picture, pixels; at least 400 x 360.
     """
 
-    metadata = {"render_modes": [], "render_fps": 20}  # noqa: RUF012 - Gymnasium's attribute
+    metadata = {  # noqa: RUF012 - Gymnasium's attribute
+        "render_modes": RENDER_MODES,
+        "render_fps": 20,
+    }
 
     def __init__(
         self,
@@ -153,10 +160,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         record: bool = False,
         observer: Callable[[Episodes], Observer] | None = None,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r} is not offered; leave it out")
-        self.render_mode = None
         self.episodes = Episodes(
             1,
             vessel=vessel,
@@ -188,6 +193,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._started = False
         if self.observer:
             self.episodes.watchers.append(self.observer.observe)
+        self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
+        self.render_mode = render_mode
+        self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
         if record:
@@ -222,6 +230,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         if self.history is not None:
             self.history.clear()
             self._remember(obs)
+        self._show()
         return obs[0], self._info(self._record.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -254,8 +263,23 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             raise ValueError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
+        self._show()
         record = self._record.tolist()
         return obs[0], record[REWARD], record[TERMINATED] != 0.0, False, self._info(record)
+
+    def render(self) -> Frame | None:  # type: ignore[override]
+        """Return a picture, shape (height, width, 3), if the mode is ``"rgb_array"``."""
+        frames = pictures(self.renderer, self._started)
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.renderer:
+            self.renderer.close()
+
+    def _show(self) -> None:
+        if self.renderer and not self.renderer.waits:
+            self.renderer.look()
 
     def _remember(self, obs: np.ndarray, look: bool = True) -> None:
         """Keep this step's row for the log."""

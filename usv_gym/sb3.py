@@ -162,8 +162,8 @@ class SB3VecEnv(VecEnv):
         return [issubclass(wrapper_class, Monitor) for _ in self._boats(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """Return no pictures; there are none yet."""
-        return [None] * self.num_envs
+        """Return a picture of each boat; None in their place without ``render_mode``."""
+        return self.envs.render() or [None] * self.num_envs
 
 
 def one(infos: dict[str, Any], i: int) -> dict[str, Any]:

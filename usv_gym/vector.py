@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from usv_gym.env import names_of, spaces_of
 from usv_gym.episodes import OBSERVATION, RESTS, Episodes, Observer
+from usv_gym.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED
 
 __all__ = ["USVVectorEnv"]
@@ -36,6 +37,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         ``"SameStep"``: the step that ends it does; ``info["final_obs"]`` and
         ``info["final_info"]`` hold how it ended. ``"Disabled"``: reset it yourself, with
         ``options={"reset_mask": ...}``.
+    render_mode : str, optional
+        ``"rgb_array"``: :meth:`render` returns a picture of each boat. ``"human"``: a window
+        shows the first boat.
     num_threads : int
         Threads that share the boats; worth it from some hundred boats on, and more so with twins.
         The results do not hang on it.
@@ -52,7 +56,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's attribute
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
         "render_fps": 20,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -66,6 +70,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         num_threads: int = 1,
         observer: Callable[[Episodes], Observer] | None = None,
         render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
         **kwargs: Any,
     ) -> None:
         if not _count(num_envs):
@@ -82,8 +87,6 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"the vector environment has no option {unknown}; it has "
                 f"{', '.join(name for name in known if name != 'threads')}"
             )
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r} is not offered; leave it out")
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -91,7 +94,6 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = int(num_envs), max_episode_steps
-        self.render_mode = None
         self.episodes = Episodes(self.num_envs, threads=num_threads, **kwargs)
         self.simulation, self.task = self.episodes.simulation, self.episodes.task
         self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
@@ -100,6 +102,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observer = observer(self.episodes) if observer else None
         if self.observer:
             self.episodes.watchers.append(self.observer.observe)
+        self.metadata["render_fps"] = fps_of(self.episodes)
+        self.render_mode = render_mode
+        self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         self.observation_names = names_of(self.observer)
         """What each entry of an observation is."""
         self.single_action_space, self.single_observation_space = spaces_of(
@@ -183,6 +188,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._rng(int(i), seeds[i])
         self._begin(mask)
         self._over[mask] = False
+        if self.renderer:
+            self.renderer.look()
         return self._obs.copy(), self._infos(mask)
 
     def _begin(self, mask: np.ndarray) -> None:
@@ -261,7 +268,14 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             infos |= {"final_info": ended, "_final_info": over.copy()}
             over = np.zeros_like(over)
         self._over = over
+        if self.renderer:
+            self.renderer.look()
         return self._obs.copy(), rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
+        """Return a picture of each boat if the mode is ``"rgb_array"``."""
+        self._refuse_closed()
+        return pictures(self.renderer, not self._unborn.any())
 
     def _infos(self, mask: np.ndarray | None) -> Info:
         """Return the infos of some boats, or of all of them."""
@@ -285,8 +299,10 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise gym.error.ClosedEnvironmentError("the environment was closed; make another one")
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
+        """End the threads, and close the window."""
         self.episodes.close()
+        if self.renderer:
+            self.renderer.close()
 
 
 def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> Info:

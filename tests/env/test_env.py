@@ -347,7 +347,7 @@ def test_step_before_reset(twin: str | None) -> None:
         ({"actions": "rudder"}, ValueError, ("rudder", "common", "units")),
         ({"dof": 4}, SimulationError, ("dof = 4", "3 or 6")),
         ({"suite": "good"}, ValueError, ("good", "perfect", "SensorSuite")),
-        ({"render_mode": "human"}, ValueError, ("human",)),
+        ({"render_mode": "ansi"}, ValueError, ("ansi", "rgb_array")),
         ({"dt": 0.05, "dt_physics": 0.03}, SimulationError, ("dt = 0.05", "dt_physics = 0.03")),
         ({"band_period": -1.0}, ValueError, ("band_period = -1.0",)),
         ({"colour": "red"}, TypeError, ("colour",)),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from usv_gym.vector import USVVectorEnv
 
-__all__ = ["Agent"]
+__all__ = ["Agent", "ControllerError", "check_actions", "shaft_speeds"]
 
 
 class Agent(Protocol):
@@ -38,3 +38,23 @@ class Agent(Protocol):
 
     def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return the actions, shape (n, 2), for observations (n, D)."""
+
+
+class ControllerError(ValueError):
+    """A controller that cannot be had, or not for these boats; the message says what can."""
+
+
+def check_actions(name: str, envs: USVVectorEnv) -> None:
+    """Refuse boats that take something else than a shaft speed and an angle."""
+    width = (envs.single_action_space.shape or (0,))[0]
+    if width != 2:
+        raise ControllerError(
+            f"{name} gives a shaft speed and an angle, these boats take {width} numbers; make "
+            "them with actions='common'"
+        )
+
+
+def shaft_speeds(envs: USVVectorEnv) -> tuple[float, float]:
+    """Return the shaft speeds of full throttle and of the usual speed, rev/s."""
+    values = envs.vessel.values
+    return values["shaft_speed_service"], values["shaft_speed_manoeuvring"]

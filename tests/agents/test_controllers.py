@@ -1,0 +1,183 @@
+"""Classical controllers: they keep to paths, and the more they know the better."""
+
+from __future__ import annotations
+
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym  # noqa: F401 - registers the environment
+from twin.agents.controllers import CONTROLLERS, ControllerError, make_controller
+from twin.agents.mpc import ModelPredictive
+from usv_gym.sensors import Fault, SensorSuite
+
+
+def boats(agent, n=8, **options):
+    options = {"twin": "ukf", "frame_skip": 10, "sea": "2"} | options
+    return gym.make_vec(
+        "USVTwin-v0",
+        num_envs=n,
+        observation=agent.observation,
+        autoreset_mode="Disabled",
+        **options,
+    )
+
+
+def sail(agent, seconds=60.0, n=8, seed=50, moved=0.0, **options):
+    """Return cross-track errors (K, n) and actions (K, n, 2); NaN once an episode is over."""
+    envs = boats(agent, n, **options)
+    obs, _ = envs.reset(seed=seed)
+    envs.unwrapped.task.points[:, :, 1] += moved
+    agent.begin(envs)
+    errors, actions, over = [], [], np.zeros(n, dtype=bool)
+    for _ in range(round(seconds / 0.05 / envs.unwrapped.frame_skip)):
+        action = agent.act(obs)
+        obs, _, ended, _, infos = envs.step(action)
+        envs.unwrapped._over[:] = False  # boats that are there sail on
+        errors.append(np.where(over, np.nan, infos["cross_track_m"]))
+        actions.append(action)
+        over |= ended
+    envs.close()
+    return np.array(errors), np.array(actions)
+
+
+def mean_error(agent, **options):
+    return float(np.nanmean(np.abs(sail(agent, **options)[0])))
+
+
+def odd(name):
+    """Return whether an entry of an observation changes its sign in a mirror."""
+    return name.endswith(("cross_track", "yaw_rate", "sway", "starboard")) or "sin_" in name
+
+
+@pytest.mark.parametrize("vessel", ["usv75", "kvlcc2_l7", "otter"])
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_they_come_to_a_straight_line_and_stay_there(name, vessel):
+    options = {"sea": "0", "task": "free", "suite": SensorSuite.perfect(), "vessel": vessel}
+    length = {"otter": 2.0}.get(vessel, 7.0)
+    agent = make_controller(name)
+    errors, _ = sail(agent, 150.0, n=1, moved=0.7 * length, **options)
+    assert np.abs(errors[0]) > 0.5 * length
+    assert np.abs(errors[-40:]).max() < 0.1 * length
+
+
+def test_who_knows_more_keeps_to_the_path_better():
+    """30 s without GPS, in which every boat passes a way point."""
+    lost = {"faults": "gps30@8", "seconds": 45.0}
+    names = ("los", "los-dr", "los-twin", "los-oracle")
+    held, reckoned, believed, true = (mean_error(make_controller(name), **lost) for name in names)
+    assert true < believed < reckoned < held
+    assert believed < 0.5 * held
+
+
+@pytest.mark.parametrize("task", ["path", "curves", "station"])
+def test_the_model_is_worth_looking_ahead_with(task):
+    mpc, los = (mean_error(make_controller(name), task=task) for name in ("mpc-twin", "los-twin"))
+    assert mpc < los
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("frame_skip", [1, 10])
+def test_without_any_sensor_actions_are_still_actions(name, frame_skip):
+    dead = [Fault("all", start=0.0, duration=1e3)]
+    for faults in (dead, [Fault("all", start=2.0, duration=1e3)]):
+        _, actions = sail(make_controller(name), 10.0, 2, faults=faults, frame_skip=frame_skip)
+        assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0
+
+
+@pytest.mark.parametrize("name", ["los", "los-twin", "los-oracle"])
+def test_a_mirrored_observation_gives_the_mirrored_action(name):
+    agent = make_controller(name)
+    envs = boats(agent, 2)
+    obs, _ = envs.reset(seed=3)
+    agent.begin(envs)
+    sign = np.array([-1.0 if odd(x) else 1.0 for x in envs.unwrapped.observation_names])
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        one = rng.uniform(-1.0, 1.0, obs.shape[1])
+        first, second = agent.act(np.stack([one, sign * one]).astype(np.float32))
+        np.testing.assert_allclose(second, [first[0], -first[1]], atol=1e-12)
+    assert abs(first[1]) > 0.0
+
+
+def test_a_mirrored_start_gives_the_mirrored_plan():
+    agent = ModelPredictive()
+    envs = boats(agent, 2)
+    envs.reset(seed=3)
+    points = envs.unwrapped.task.points
+    points[1] = points[0] * [1.0, -1.0]
+    agent.begin(envs)
+    believed = envs.unwrapped.observer.beliefs
+    for i, side in enumerate((1.0, -1.0)):
+        believed.places[i] = 30.0, 4.0 * side, 0.2 * side
+        believed.velocities[i] = 5.0, 0.1 * side, -0.1 * side
+        believed.actuators[i] = *believed.actuators[i, :2], 0.05 * side, 0.05 * side
+        believed.parameters[i] = believed.prior
+    first, second = agent.act(np.zeros((2, 1)))
+    np.testing.assert_allclose(second, [first[0], -first[1]], atol=1e-6)
+    assert abs(first[1]) > 0.01
+
+
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])
+def test_the_plan_is_rolled_as_the_twin_would_roll_it(twin):
+    agent = ModelPredictive(steps=0)
+    envs = boats(agent, 2, twin=twin)
+    obs, _ = envs.reset(seed=5)
+    agent.begin(envs)
+    for _ in range(30):
+        obs, *_ = envs.step(agent.act(obs))
+    agent.act(obs)
+    plan, states = agent._motion[0].copy(), agent._motion[1]  # the last that was tried
+    predictor = envs.unwrapped.twin(1).predictor
+    plan[:, :2] /= predictor.ukf.settings.n_unit
+    row = float(agent._told[0])
+    if twin == "ukf":
+        theirs = predictor.mean(plan, row)
+    else:  # without the share of the waves
+        theirs = predictor._guarded(plan, row, np.empty((0, 3)))[1]
+    np.testing.assert_allclose(states, theirs, rtol=1e-12, atol=1e-12)
+
+
+def test_the_same_again_gives_the_same():
+    first, second = (sail(ModelPredictive(), 10.0, 2)[1] for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_errors_name_the_remedy():
+    with pytest.raises(ControllerError, match="known: los, los-dr"):
+        make_controller("pid")
+    with pytest.raises(ControllerError, match="colour"):
+        make_controller("los", colour=1)
+    with pytest.raises(ControllerError, match="look_ahead"):
+        make_controller("los", look_ahead=0.0)
+    with pytest.raises(ControllerError, match="horizon = -1"):
+        make_controller("mpc-twin", horizon=-1.0)
+    los = make_controller("los-twin")
+    with pytest.raises(ControllerError, match="'twin_cross_track'"):
+        los.begin(gym.make_vec("USVTwin-v0", num_envs=1, observation="raw"))
+    with pytest.raises(ControllerError, match="twin='ukf'"):
+        ModelPredictive().begin(gym.make_vec("USVTwin-v0", num_envs=1, twin="persistence"))
+    with pytest.raises(ControllerError, match="actions='common'"):
+        los.begin(gym.make_vec("USVTwin-v0", num_envs=1, twin="ukf", actions="units"))
+
+
+@pytest.mark.bench
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])
+def test_decisions_of_the_model_are_in_time(twin, capsys):
+    agent = ModelPredictive()
+    envs = boats(agent, 8, twin=twin, frame_skip=1)
+    obs, _ = envs.reset(seed=1)
+    agent.begin(envs)
+    agent.act(obs)
+    spent = 0.0
+    for _ in range(200):
+        begun = time.perf_counter()
+        action = agent.act(obs)
+        spent += time.perf_counter() - begun
+        obs, *_ = envs.step(action)
+    each = spent / 200 / 8
+    with capsys.disabled():
+        print(f"\nmpc-twin on {twin}: {1e3 * each:.2f} ms a decision")
+    assert each < 0.05

@@ -1,0 +1,475 @@
+"""Pictures: what they show, that they change nothing, and what happens without their library."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+import warnings
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym
+from twin.wrapper import TwinObservation
+from usv_gym import Fault, SensorSuite
+from usv_gym.env import USVEnv
+from usv_gym.physics import frames as fr
+from usv_gym.render import Belief, Painter, Renderer, Scene, Trail, drives, ellipses
+from usv_gym.vessel import Vessel
+
+pygame = pytest.importorskip("pygame", reason="needs the extra render")
+ROOT = Path(usv_gym.__file__).resolve().parent.parent
+AHEAD = np.array([0.8, 0.1], dtype=np.float32)
+PURPLE, RED, BAND = (170, 68, 130), (213, 94, 0), (248, 216, 178)
+
+
+@pytest.fixture(autouse=True)
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+TASKS = ["path", "curves", "lawnmower", "waypoints", "station", "free"]
+
+
+def made(seed: int = 0, **options: Any) -> USVEnv:
+    options = {"render_mode": "rgb_array", "twin": None} | options
+    env = gym.make("USVTwin-v0", **options).unwrapped
+    assert isinstance(env, USVEnv)
+    env.reset(seed=seed)
+    return env
+
+
+def sail(env: gym.Env[Any, Any], seconds: float) -> None:
+    for _ in range(round(seconds * 20)):
+        env.step(AHEAD)
+
+
+def scene(env: USVEnv) -> Scene:
+    assert env.renderer
+    return env.renderer.scene(0)
+
+
+def picture(env: gym.Env[Any, Any]) -> np.ndarray:
+    frame = env.render()
+    assert isinstance(frame, np.ndarray)
+    return frame
+
+
+def count(frame: np.ndarray, colour: tuple[int, int, int]) -> int:
+    return int(np.all(np.abs(frame.astype(int) - colour) < 12, axis=-1).sum())
+
+
+# ------------------------------------------------- frames
+
+
+@pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 400), (501, 401), (400, 900)])
+def test_a_frame_is_an_image_of_the_size_asked_for(size: tuple[int, int]) -> None:
+    frame = picture(made(render_size=size))
+    assert frame.shape == (size[1], size[0], 3) and frame.dtype == np.uint8
+    assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 20
+
+
+def test_frames_are_the_readers_own_and_move_with_the_boat() -> None:
+    env = made()
+    before = picture(env)
+    kept = before.copy()
+    sail(env, 0.5)
+    after = picture(env)
+    assert np.array_equal(before, kept)
+    assert (before != after).any(axis=-1).sum() > 500
+
+
+def test_rendering_twice_gives_the_same_frame() -> None:
+    env = made(twin="ukf")
+    sail(env, 1.0)
+    assert np.array_equal(picture(env), picture(env))
+
+
+@pytest.mark.parametrize("size", [(720, 720), (1280, 720), (400, 400), (500, 400), (400, 360)])
+@pytest.mark.parametrize("task", TASKS)
+def test_words_neither_overlap_nor_leave_the_frame(size: tuple[int, int], task: str) -> None:
+    env = made(
+        twin="ukf", dof=6, sea="6", task=task, render_size=size, faults=[Fault("gps", 0.0, 90.0)]
+    )
+    sail(env, 2.0)
+    assert env.renderer
+    # the longest that they may reasonably say
+    for t, off in ((2.0, 3.0), (1199.95, -1188.88)):
+        shown = scene(env)
+        object.__setattr__(shown, "t", t)
+        object.__setattr__(shown, "off_path", off)
+        shown.state[[fr.PHI, fr.THETA]] = -0.4, -0.4
+        env.renderer.painter.draw(shown)
+        placed = [rect for rect in env.renderer.painter.placed if rect.w > 0]
+        assert len(placed) > 15
+        frame = pygame.Rect(0, 0, *size)
+        assert all(frame.contains(rect) for rect in placed)
+        assert not [(a, b) for a, b in combinations(placed, 2) if a.colliderect(b)]
+
+
+@pytest.mark.parametrize("vessel", usv_gym.vessel_names())
+def test_every_vessel_is_painted(vessel: str) -> None:
+    env = made(vessel=vessel)
+    sail(env, 0.2)
+    assert count(picture(env), (92, 99, 105)) > 100
+
+
+def test_steered_drives_swing_aft_to_the_side_that_the_boat_turns_to() -> None:
+    vessel, state = Vessel.load("usv75"), np.zeros(fr.STATE_SIZE)
+    state[fr.DELTA_LEFT] = 0.3
+    left, right = drives(vessel, state)
+    assert left[0, 1] < 0.0 < right[0, 1]
+    assert left[1, 1] > left[0, 1] and left[1, 0] < left[0, 0]
+    assert right[1, 1] == right[0, 1]
+
+
+def test_north_is_up_and_east_is_right() -> None:
+    env = made(sea="calm", twin=None, task="free")
+    shown = scene(env)
+    object.__setattr__(shown, "fixes", shown.view + np.array([[15.0, 25.0]]))
+    frame = Painter((720, 720)).paint(shown)[:480]
+    rows, columns = np.nonzero(np.all(np.abs(frame.astype(int) - PURPLE) < 12, axis=-1))
+    assert rows.mean() < 240 < 360 < columns.mean()
+
+
+# ------------------------------------------------- the GPS and its loss
+
+
+def test_fixes_stop_where_the_gps_is_lost_and_go_on_after_it() -> None:
+    env = made(faults=[Fault("gps", 5.0, 30.0)], task="free")
+    sail(env, 4.9)
+    before, frame = scene(env), picture(env)
+    assert not before.gps_lost and len(before.fixes) >= 9
+    assert count(frame[:100], RED) == 0
+    sail(env, 20.0)
+    lost = scene(env)
+    assert lost.gps_lost and lost.gps_age == pytest.approx(24.9 - 5.0, abs=0.11)
+    assert len(lost.fixes) <= len(before.fixes) + 1
+    assert count(picture(env)[:100], RED) > 500
+    sail(env, 13.0)
+    assert not scene(env).gps_lost and len(scene(env).fixes) > len(lost.fixes) + 3
+
+
+def test_a_slow_gps_is_not_a_lost_one() -> None:
+    env = made(suite=SensorSuite(gps_rate=1.0), sea="calm", task="free")
+    said = []
+    for _ in range(100):
+        env.step(AHEAD)
+        said.append(scene(env).gps_lost)
+    assert not any(said)
+    assert 4 <= len(scene(env).fixes) <= 6
+
+
+def test_a_new_episode_forgets_the_track_of_the_old() -> None:
+    env = made()
+    sail(env, 5.0)
+    assert len(scene(env).track) > 10 and len(scene(env).fixes) > 5
+    env.reset()
+    assert len(scene(env).track) <= 2 and len(scene(env).fixes) <= 1
+
+
+def test_a_trail_is_not_longer_than_it_may_be() -> None:
+    trail = Trail(0.1, 10.0)
+    trail.longest = 50
+    for k in range(100):
+        state = np.zeros(fr.STATE_SIZE)
+        state[fr.X] = k
+        trail.add(float(k), state, np.zeros(2), 0.0)
+    assert len(trail.track) == len(trail.fixes) == 50 and trail.track[-1] == (99.0, 0.0)
+
+
+def test_tracks_are_as_fine_where_decisions_are_rare() -> None:
+    often, rarely = made(), made(frame_skip=10)
+    sail(often, 5.0)
+    for _ in range(10):
+        rarely.step(AHEAD)
+    assert np.array_equal(scene(often).track, scene(rarely).track)
+    assert np.array_equal(scene(often).fixes, scene(rarely).fixes)
+    assert np.array_equal(scene(often).view, scene(rarely).view)
+
+
+# ------------------------------------------------- wind, waves, rewards
+
+
+def test_wind_and_waves_are_those_of_the_sea() -> None:
+    env = made(hs=1.5, wind=8.0, wind_from_deg=90.0)
+    shown = scene(env)
+    assert shown.hs == pytest.approx(1.5, rel=1e-6)
+    assert math.degrees(shown.wind_from) == pytest.approx(90.0)
+    assert math.degrees(shown.wave_to) % 360.0 == pytest.approx(270.0)
+    assert 4.0 < shown.wind < 12.0
+    drawn = scene(made(sea="calm|4", seed=1))
+    assert math.isfinite(drawn.wave_to) and drawn.hs in (0.0, pytest.approx(2.5, rel=1e-6))
+    calm = scene(made(sea="calm"))
+    assert calm.wind == calm.hs == 0.0
+
+
+def test_rewards_are_those_of_the_step() -> None:
+    env = made()
+    _, reward, *_, info = env.step(AHEAD)
+    assert scene(env).rewards == info["reward_terms"]
+    assert sum(scene(env).rewards.values()) == pytest.approx(reward)
+    assert scene(made(task="free")).rewards == {}
+
+
+# ------------------------------------------------- the twin
+
+
+def test_the_band_of_the_twin_grows_with_the_horizon() -> None:
+    env = made(twin="ukf")
+    sail(env, 12.0)
+    belief = scene(env).belief
+    assert belief and belief.horizons.tolist() == [1.0, 2.0, 5.0, 10.0]
+    times, places, covs = belief.band()
+    shapes = ellipses(places, covs)
+    width = np.linalg.norm(shapes - places[:, None], axis=-1).max(axis=1)
+    assert times[0] == 0.0 and times[-1] == 10.0
+    at = np.searchsorted(times, belief.horizons)
+    assert (np.diff(width[at]) > 0.0).all() and width[-1] > 2.0 * width[0]
+    assert np.allclose(places[at], belief.ahead[:, :2], atol=1e-9)
+    assert math.dist(belief.state[:2], scene(env).state[:2]) < 5.0
+    assert count(picture(env), BAND) > 1500
+    assert scene(made()).belief is None and count(picture(made()), BAND) == 0
+
+
+def test_an_ellipse_has_two_standard_deviations() -> None:
+    shape = ellipses(np.zeros((1, 2)), np.diag([9.0, 1.0])[None], 64)[0]
+    assert np.abs(shape[:, 0]).max() == pytest.approx(6.0)
+    assert np.abs(shape[:, 1]).max() == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "persistence"])
+def test_all_observers_tell_the_same_as_their_twins(twin: str) -> None:
+    env = made(twin=twin)
+    sail(env, 2.0)
+    belief = scene(env).belief
+    assert belief
+    assert np.allclose(belief.state, env.twin.predictor.s)  # type: ignore[attr-defined]
+    assert np.isfinite(belief.covs).all() and belief.ahead.shape == (4, 6)
+
+
+def test_the_wrapper_brings_its_twin_into_the_picture() -> None:
+    env = TwinObservation(gym.make("USVTwin-v0", twin=None, render_mode="rgb_array"), "ukf")
+    native = made(twin="ukf")
+    env.reset(seed=0)
+    for _ in range(20):
+        env.step(AHEAD)
+    sail(native, 1.0)
+    assert np.array_equal(picture(env), picture(native))
+
+
+def test_an_unsure_twin_far_away_is_painted() -> None:
+    shown = scene(made())
+    ahead = np.array([[1e4, 2e4, 0.0, 5.0, 0.0, 0.0]])
+    belief = Belief(ahead[0] * 0.5, np.eye(2) * 1e8, np.array([10.0]), ahead, np.eye(2)[None] * 1e9)
+    object.__setattr__(shown, "belief", belief)
+    begin = time.perf_counter()
+    assert count(Painter((720, 720)).paint(shown), BAND) > 50_000
+    assert time.perf_counter() - begin < 2.0
+
+
+# ------------------------------------------------- Gymnasium's rules
+
+
+@pytest.mark.parametrize("mode", ["rgb_array", "human"])
+@pytest.mark.parametrize("twin", [None, "ukf"])
+def test_observations_are_the_same_with_pictures_and_without(mode: str, twin: Any) -> None:
+    plain = gym.make("USVTwin-v0", twin=twin, sea="4", faults="gps10@1")
+    shown = gym.make("USVTwin-v0", twin=twin, sea="4", faults="gps10@1", render_mode=mode)
+    if mode == "human":
+        shown.unwrapped.renderer._window.fps = 0  # type: ignore[attr-defined]
+    for seed in (3, None):
+        (a, _), (b, _) = plain.reset(seed=seed), shown.reset(seed=seed)
+        for _ in range(40):
+            assert a.tobytes() == b.tobytes()
+            a, *rest = plain.step(AHEAD)
+            b, *others = shown.step(AHEAD)
+            shown.render()
+            assert rest == others
+    shown.close()
+
+
+def test_metadata_says_what_there_is() -> None:
+    env = made(dt=0.1)
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    assert env.metadata["render_fps"] == 10 and USVEnv.metadata["render_fps"] == 20
+    assert made(frame_skip=10).metadata["render_fps"] == 2
+    envs = gym.make_vec("USVTwin-v0", 2, frame_skip=6)
+    assert envs.metadata["render_fps"] == pytest.approx(10.0 / 3.0)
+
+
+def test_without_a_mode_it_warns_and_returns_nothing() -> None:
+    env = made(render_mode=None)
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert env.render() is None
+
+
+def test_before_the_reset_there_is_no_picture() -> None:
+    for env in (
+        USVEnv(render_mode="rgb_array"),
+        gym.make_vec("USVTwin-v0", 2, twin=None, render_mode="rgb_array"),
+    ):
+        with pytest.raises(gym.error.ResetNeeded, match="render"):
+            env.render()
+
+
+@pytest.mark.parametrize(
+    "size",
+    [(399, 720), (720, 359), (720.5, 720), 720, "big", (5000, 720), (720, 720, 3), (math.nan, 720)],
+)
+def test_sizes_that_cannot_be_are_refused(size: Any) -> None:
+    with pytest.raises(ValueError, match="render_size"):
+        made(render_size=size)
+
+
+def test_a_list_of_frames_is_collected_by_gymnasium() -> None:
+    env = gym.make("USVTwin-v0", twin=None, render_mode="rgb_array_list")
+    env.reset(seed=0)
+    env.step(AHEAD)
+    frames = env.render()
+    assert isinstance(frames, list) and len(frames) == 2
+
+
+def test_a_missing_library_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(gym.error.DependencyNotInstalled, match=r"pip install 'usv-twin\[render\]'"):
+        made()
+    made(render_mode=None)
+
+
+def test_pictures_need_no_screen_and_nothing_is_imported_unasked() -> None:
+    code = (
+        "import sys, gymnasium as gym, usv_gym\n"
+        "env = gym.make('USVTwin-v0', twin=None); env.reset(seed=0)\n"
+        "assert 'pygame' not in sys.modules and 'matplotlib' not in sys.modules\n"
+        "env = gym.make('USVTwin-v0', twin=None, render_mode='rgb_array'); env.reset(seed=0)\n"
+        "env.render()\n"
+        "import pygame\n"
+        "assert not pygame.display.get_init()\n"
+    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    subprocess.run(command, check=True, cwd=ROOT, timeout=300)
+
+
+# ------------------------------------------------- many boats
+
+
+def test_many_boats_have_a_picture_each_as_they_have_alone() -> None:
+    envs = gym.make_vec(
+        "USVTwin-v0", 3, twin="ukf", render_mode="rgb_array", render_size=(400, 400)
+    )
+    envs.reset(seed=5)
+    alone = made(seed=6, twin="ukf", render_size=(400, 400))
+    for _ in range(20):
+        envs.step(np.tile(AHEAD, (3, 1)))
+    sail(alone, 1.0)
+    frames = envs.render()
+    assert frames is not None and len(frames) == 3
+    assert np.array_equal(np.asarray(frames[1]), picture(alone))
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    tracks = [len(envs.unwrapped.renderer.scene(i).track) for i in range(3)]  # type: ignore
+    assert tracks[1] < 3 < tracks[0]
+    envs.close()
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_tracks_begin_anew_where_boats_reset_themselves(mode: str) -> None:
+    envs = gym.make_vec(
+        "USVTwin-v0",
+        2,
+        twin=None,
+        render_mode="rgb_array",
+        max_episode_steps=60,
+        autoreset_mode=mode,
+    )
+    envs.reset(seed=0)
+    for _ in range(64):
+        envs.step(np.tile(AHEAD, (2, 1)))
+    renderer = envs.unwrapped.renderer  # type: ignore[attr-defined]
+    assert isinstance(renderer, Renderer)
+    assert all(len(renderer.scene(i).track) < 10 for i in range(2))
+
+
+def test_stable_baselines_gets_the_pictures() -> None:
+    pytest.importorskip("stable_baselines3")
+    from usv_gym.sb3 import SB3VecEnv
+
+    envs = SB3VecEnv(2, twin=None, render_mode="rgb_array", render_size=(400, 400))
+    envs.reset()
+    assert [np.shape(image) for image in envs.get_images()] == [(400, 400, 3)] * 2
+    assert np.shape(envs.render()) == (800, 400, 3)
+    envs.close()
+
+
+# ------------------------------------------------- videos and windows
+
+
+def test_a_video_is_recorded(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="RecordVideo needs moviepy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # moviepy's own
+        from moviepy import VideoFileClip
+    env = gym.make("USVTwin-v0", twin="ukf", render_mode="rgb_array", max_episode_steps=30)
+    env = gym.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
+    env.reset(seed=0)
+    for _ in range(30):
+        env.step(AHEAD)
+    env.close()
+    (path,) = (tmp_path / "videos").glob("*.mp4")
+    clip = VideoFileClip(str(path))
+    assert clip.size == [720, 720] and clip.fps == 20.0
+    assert clip.duration == pytest.approx(31 / 20.0, abs=0.06)
+    assert np.ptp(clip.get_frame(1.0)) > 100
+    clip.close()
+
+
+def test_a_window_shows_each_step_and_env_close_closes_it() -> None:
+    env = made(render_mode="human", twin="ukf", render_size=(400, 400))
+    assert pygame.display.get_init() and pygame.display.get_surface().get_size() == (400, 400)
+    first = pygame.surfarray.array3d(pygame.display.get_surface())
+    begin = time.perf_counter()
+    sail(env, 0.5)
+    assert time.perf_counter() - begin > 0.35  # 20 frames a second, not more
+    assert (pygame.surfarray.array3d(pygame.display.get_surface()) != first).any()
+    assert env.render() is None
+    env.close()
+    assert not pygame.display.get_init()
+    env.close()
+
+
+def test_a_window_that_its_user_closes_ends_nothing_else() -> None:
+    env = made(render_mode="human", render_size=(400, 400))
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    sail(env, 0.5)
+    assert not pygame.display.get_init()
+    env.reset()
+    env.render()
+    assert not pygame.display.get_init()
+    env.close()
+
+
+def test_without_a_screen_a_window_is_refused_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none such")
+    with pytest.raises(gym.error.Error, match="rgb_array"):
+        made(render_mode="human")
+
+
+@pytest.mark.bench
+@pytest.mark.parametrize("size", [(720, 720), (1280, 720)])
+def test_frames_per_second(size: tuple[int, int]) -> None:
+    env = made(twin="ukf", dof=6, sea="4", render_size=size)
+    sail(env, 20.0)
+    begin = time.process_time()
+    for _ in range(60):
+        env.render()
+    rate = 60 / (time.process_time() - begin)
+    print(f"{size}: {rate:.0f} frames/s")
+    assert rate >= 30.0

@@ -1,0 +1,281 @@
+"""Classical controllers, for many boats at once: the baselines that a trained agent must beat.
+
+Line-of-sight guidance steers to a point of the path some way ahead of the boat; a PD law turns
+the boat to the course that leads there. The controllers differ in whom they ask where the boat is.
+
+Source: Fossen 2021, Handbook of Marine Craft Hydrodynamics and Motion Control, section 12.3-12.4
+(LOS and ILOS guidance), 15.3 (PD heading control).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.agents.agent import Agent, ControllerError, check_actions, shaft_speeds
+from twin.agents.mpc import ModelPredictive
+from usv_gym.episodes import AGE_SCALE
+from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
+from usv_gym.vector import USVVectorEnv
+from usv_kernel import kernel
+
+__all__ = ["CONTROLLERS", "LOS", "ControllerError", "DeadReckoningLOS", "make_controller"]
+
+Array = NDArray[np.float64]
+
+NAMES = {
+    "": ("yaw_rate", "speed_forward"),
+    "twin_": ("twin_yaw_rate", "twin_surge"),
+    "true_": ("true_yaw_rate", "true_surge"),
+}
+"""Entries of an observation that tell the motion, by how those of the path begin."""
+PATH = (
+    *("cross_track", "to_go", "cos_course_error", "sin_course_error"),
+    *("cos_next_turn", "sin_next_turn"),
+)
+
+
+class LOS:
+    """Line-of-sight guidance with a PD heading loop.
+
+    Lengths are in lengths of the boat and times in the time to sail a length, so that the same
+    numbers serve every boat.
+
+    Parameters
+    ----------
+    name : str
+        For tables.
+    observation : str
+        The set that it needs.
+    source : str
+        How the entries that it goes by begin: ``""``, ``"twin_"`` or ``"true_"``.
+    look_ahead : float
+        Distance to the point that it steers to, lengths.
+    gain : float
+        Part of full helm per rad of heading error.
+    damping : float
+        Part of full helm per rad that the boat turns while it sails a length.
+    integral : float
+        Part of the cross-track error that is taken up while a length is sailed (against current
+        and leeway); 0 for none.
+    early : float
+        Part of a turn that is steered before its way point, as the point ahead goes round it.
+    """
+
+    def __init__(
+        self,
+        name: str = "los",
+        observation: str = "raw",
+        source: str = "",
+        *,
+        look_ahead: float = 3.0,
+        gain: float = 5.0,
+        damping: float = 1.5,
+        integral: float = 0.02,
+        early: float = 1.0,
+    ) -> None:
+        numbers = look_ahead, gain, damping, integral, early
+        if not (all(math.isfinite(x) and x >= 0.0 for x in numbers) and look_ahead > 0.0):
+            raise ControllerError(
+                f"{name}: look_ahead, gain, damping, integral, early = {numbers}: must be finite "
+                "and 0 or more, the first above 0"
+            )
+        self.name, self.observation, self.source = name, observation, source
+        self.look_ahead, self.gain, self.damping = look_ahead, gain, damping
+        self.integral, self.early = integral, early
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """See :meth:`twin.agents.agent.Agent.begin`."""
+        base = envs.unwrapped
+        check_actions(self.name, base)
+        self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
+        self.dt = base.simulation.dt * base.frame_skip
+        self.length, self.speed = base.vessel.values["length_waterline"], base.speed
+        self.reach, self.unit = base.task.rules[REACH], base.task.rules[UNIT]
+        full, usual = shaft_speeds(base)
+        self.shaft = usual / full
+        self._drift = np.zeros(base.num_envs)
+
+    def act(self, obs: NDArray[np.float32]) -> Array:
+        """See :meth:`twin.agents.agent.Agent.act`."""
+        motion = obs[:, self._places].astype(float)
+        motion[:, 0] *= self.unit
+        motion[:, 1] *= 10.0 * self.unit
+        return self._steer(self._navigate(obs, motion))
+
+    def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
+        """Return cross-track and to-go (m), cosines and sines of both angles, and the motion."""
+        return motion
+
+    def _steer(self, motion: Array) -> Array:
+        """Return actions from how the boats stand to their legs, and from their motion."""
+        e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
+        # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
+        near = (self.reach > 0.0) & (to_go < self.reach)
+        left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
+        ahead = self.look_ahead * self.length
+        # so far the point ahead lies on the next leg
+        beyond = np.where(near, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
+        course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
+        ahead = ahead * left
+        aside = e + self._drift
+        error = wrapped(course - np.arctan2(aside, ahead))
+        step = self.integral * self.dt * self.speed * ahead / (ahead**2 + aside**2 + 1e-9)
+        self._drift = np.where(near, 0.0, self._drift + step * e)
+        # at its point the boat goes slowly ahead or astern, whichever is nearer, and not aside;
+        # astern the same angle of the drives turns it the other way
+        back = np.where(near & (np.cos(error) < 0.0), -1.0, 1.0)
+        error = np.where(back < 0.0, wrapped(error + math.pi), error)
+        part = np.minimum(np.hypot(left, e / max(self.reach, 1e-9)), 1.0) * np.cos(error)
+        part = np.where(near, part, 1.0)
+        helm = back * self.gain * part * error - self.damping * self.length / self.speed * r
+        wanted = 0.5 * back * part
+        slow = wanted + 2.0 * (wanted - u / self.speed)
+        shaft = self.shaft * np.where(near, slow, 1.0)
+        return np.clip(np.stack([shaft, helm], axis=1), -1.0, 1.0)
+
+
+class DeadReckoningLOS(LOS):
+    """The same between and without fixes: compass, last known speed and time carry the boat on.
+
+    Where a leg ends it knows from the way points, which are the boat's own.
+
+    Parameters
+    ----------
+    smoothing : float
+        Time over which the known speeds are averaged, against waves, in times to sail a length.
+    **options
+        Those of :class:`LOS`.
+    """
+
+    def __init__(self, *, smoothing: float = 12.0, **options: Any) -> None:
+        super().__init__("los-dr", **options)
+        if not (math.isfinite(smoothing) and smoothing > 0.0):
+            raise ControllerError(f"los-dr: smoothing = {smoothing}: must be finite and above 0")
+        self.smoothing = smoothing
+
+    def begin(self, envs: USVVectorEnv) -> None:
+        """See :meth:`twin.agents.agent.Agent.begin`."""
+        super().begin(envs)
+        base = envs.unwrapped
+        self._more = places(base, ("cos_heading", "sin_heading", "gps_age", "speed_starboard"))
+        self._points, self._legs_at_fix = base.task.points, base.task.records[:, KNOWN_LEG]
+        n = base.num_envs
+        self._legs, self._errors = np.zeros(n), np.zeros((n, len(ERRORS)))
+        self._place = np.zeros((n, 2))
+        self._velocity = np.tile([self.speed, 0.0], (n, 1))
+
+    def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
+        cos, sin, age, sway = obs[:, self._more].astype(float).T
+        age *= AGE_SCALE
+        fresh = age < self.dt - 1e-6
+        self._legs[fresh] = self._legs_at_fix[fresh]
+        part = 1.0 - math.exp(-self.dt * self.speed / (self.smoothing * self.length))
+        known = self.speed * np.stack([motion[:, 7], sway], axis=1)
+        self._velocity[fresh] += part * (known - self._velocity)[fresh]
+        since = np.where(fresh, age, self.dt)
+        reckon(
+            *(fresh, since, cos, sin, self._velocity, motion, self._points),
+            *(self.reach, self._place, self._legs, self._errors),
+        )
+        motion[:, :2] = self._errors[:, :2]
+        angles = self._errors[:, 2:]
+        motion[:, 2:6:2], motion[:, 3:6:2] = np.cos(angles), np.sin(angles)
+        return motion
+
+
+@kernel
+def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs, errors):
+    """Carry places on by dead reckoning, from the last fix where there is a new one.
+
+    Parameters
+    ----------
+    fresh : (n,) array of bool
+        Whether there is a new fix ...
+    since : (n,) array
+        ... and the time since then, or since the last call, s.
+    cos, sin : (n,) arrays
+        Of the compass heading.
+    velocity : (n, 2) array
+        Speed forward and to starboard, m/s.
+    motion : (n, ...) array
+        Begins with cross-track and to-go of the fix, m.
+    points : (n, K, 2) array
+        Way points, m north and east.
+    reach : float
+        Distance at which a way point counts as reached, m.
+    place, legs, errors : (n, 2), (n,), (n, 4) arrays
+        Carried on: position (m), leg, and errors as :func:`usv_gym.tasks.path_errors` has them.
+    """
+    for i in range(fresh.shape[0]):
+        if fresh[i]:
+            start, end = points[i, int(legs[i])], points[i, int(legs[i]) + 1]
+            dx, dy = end[0] - start[0], end[1] - start[1]
+            length = math.hypot(dx, dy)
+            c, s = dx / length, dy / length
+            place[i, 0] = end[0] - motion[i, 1] * c - motion[i, 0] * s
+            place[i, 1] = end[1] - motion[i, 1] * s + motion[i, 0] * c
+        place[i, 0] += since[i] * (velocity[i, 0] * cos[i] - velocity[i, 1] * sin[i])
+        place[i, 1] += since[i] * (velocity[i, 0] * sin[i] + velocity[i, 1] * cos[i])
+        psi = math.atan2(sin[i], cos[i])
+        legs[i] = follow(place[i, 0], place[i, 1], psi, points[i], int(legs[i]), reach, errors[i])
+
+
+def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
+    """Return where entries stand in an observation.
+
+    Raises
+    ------
+    ControllerError
+        Names an entry that is not there.
+    """
+    there = list(envs.observation_names)
+    missing = [name for name in names if name not in there]
+    if missing:
+        raise ControllerError(
+            f"the observation has no entry {missing[0]!r}; make the environment with the set that "
+            "the agent's attribute 'observation' names"
+        )
+    return [there.index(name) for name in names]
+
+
+def wrapped(angle: Array) -> Array:
+    """Return angles within -pi ... pi, rad."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+CONTROLLERS: dict[str, Callable[..., Agent]] = {
+    "los": LOS,
+    "los-dr": DeadReckoningLOS,
+    "los-twin": lambda **options: LOS("los-twin", "twin", "twin_", **options),
+    "mpc-twin": ModelPredictive,
+    "los-oracle": lambda **options: LOS("los-oracle", "oracle", "true_", **options),
+}
+"""Controllers by name; each call gives a new one."""
+
+
+def make_controller(name: str, **options: Any) -> Agent:
+    """Return a controller by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`CONTROLLERS`.
+    **options
+        Those of its class, such as ``look_ahead`` of :class:`LOS`.
+
+    Raises
+    ------
+    ControllerError
+        Lists the names, or the options, that there are.
+    """
+    if name not in CONTROLLERS:
+        raise ControllerError(f"no controller is called {name!r}; known: {', '.join(CONTROLLERS)}")
+    try:
+        return CONTROLLERS[name](**options)
+    except TypeError as error:
+        raise ControllerError(f"{name}: {error}") from None
