@@ -230,10 +230,10 @@ class PathFollowing(Task):
     """Follow straight legs of 10 to 20 lengths, with turns of up to 70 degrees between them.
 
     Reward per step of ``dt``, from the truth: ``progress`` (1 at the usual speed along the leg, 0
-    at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at most 2),
-    ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500, once). The
-    episode ends with success at the last way point, and with failure 5 units off the leg or
-    capsized.
+    at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
+    most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
+    once). The episode ends with success at the last way point, and with failure 5 units off the
+    leg or capsized.
     """
 
     kind = PATH

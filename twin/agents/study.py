@@ -90,7 +90,8 @@ class Settings:
         """Return the plan of one training."""
         steps = self.steps or (self.hyper.get(algo) or hyperparameters(algo))["n_timesteps"]
         every = min(EVERY, -(-steps // 4))
-        return Plan(algo, observation, steps, seed, **({"every": every} | {**self.options}))
+        options: dict[str, Any] = {"every": every, **self.options}
+        return Plan(algo, observation, steps, seed, **options)
 
 
 def quick(settings: Settings) -> Settings:
