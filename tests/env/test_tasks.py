@@ -197,7 +197,7 @@ def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
     for seed in range(40):
         env.reset(seed=seed)
         waves.add(round(float(np.square(env.simulation.waves[0, 4]).sum()), 6))
-        rows = env.simulation._faults[0]
+        rows = env.simulation.faults[0]
         losses.add(() if np.isnan(rows[0, 0]) else tuple(rows[0, :2]))
     assert len(waves) == 3 and 0.0 in waves
     kinds = {loss[:1] for loss in losses}
