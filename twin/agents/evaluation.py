@@ -160,7 +160,7 @@ def on_grid(
     """
     return [
         functools.partial(
-            *(evaluate, copy.deepcopy(agent)), seeds=seeds, sea=sea, faults=faults, **env
+            evaluate, copy.deepcopy(agent), seeds=seeds, sea=sea, faults=faults, **env
         )
         for sea, faults in itertools.product(seas, outages)
     ]
