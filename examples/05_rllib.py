@@ -1,0 +1,82 @@
+"""Train PPO on USVTwin-v0 with Ray RLlib: two env runners, on this machine or on a cluster.
+
+    python -m pip install 'usv-twin[rllib]'
+    python examples/05_rllib.py --iterations 50
+    python examples/05_rllib.py --iterations 500 --runners 16 --address auto
+
+``--address`` is that of a running cluster (``ray start --head``, and ``ray start --address=...``
+on the other machines); every machine needs usv-twin. RLlib pins one release of Gymnasium (Ray 2.60:
+1.2.2), which usv-twin takes too: a virtual environment of its own for RLlib is best.
+"""
+
+import argparse
+
+import gymnasium as gym
+
+try:
+    import ray
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.tune import register_env
+except ImportError as error:
+    raise SystemExit(f"{error}: python -m pip install 'usv-twin[rllib]'") from None
+
+
+def boats(config):
+    """Return all boats of an env runner: RLlib gives their number as ``num_envs``."""
+    import usv_gym  # noqa: F401 - registers the environment, in every worker
+
+    return gym.make_vec("USVTwin-v0", **config)
+
+
+parser = argparse.ArgumentParser(description="Train PPO on USVTwin-v0 with Ray RLlib.")
+parser.add_argument("--iterations", type=int, default=3)
+parser.add_argument("--runners", type=int, default=2, help="env runners, a CPU each")
+parser.add_argument("--boats", type=int, default=16, help="boats of each env runner")
+parser.add_argument("--decisions", type=int, default=4096, help="of all boats, each iteration")
+parser.add_argument("--address", help="of a cluster; left out: one is started here")
+given = parser.parse_args()
+
+if given.address:
+    ray.init(given.address, log_to_driver=False)
+else:
+    ray.init(num_cpus=given.runners, include_dashboard=False, log_to_driver=False)
+register_env("boats", boats)
+config = (
+    PPOConfig()
+    .environment(
+        "boats",
+        env_config={
+            "observation": "twin",
+            "twin": "ukf",
+            "frame_skip": 10,  # a decision every half second
+            "max_episode_steps": 240,
+            "sea": "0|2|4",
+            "faults": "none|gps10|gps30|gps60",
+        },
+    )
+    .env_runners(
+        num_env_runners=given.runners,
+        num_envs_per_env_runner=given.boats,
+        gym_env_vectorize_mode="vector_entry_point",
+        sample_timeout_s=900.0,  # the first use compiles the kernels on every machine
+    )
+    .training(
+        train_batch_size_per_learner=given.decisions,
+        minibatch_size=256,
+        num_epochs=10,
+        lr=3e-4,
+        vf_clip_param=float("inf"),  # returns are in the hundreds
+    )
+)
+try:
+    algorithm = config.build_algo()
+    for i in range(given.iterations):
+        result = algorithm.train()
+        sampled = result["env_runners"]
+        print(
+            f"iteration {i + 1}: mean return {sampled.get('episode_return_mean', float('nan')):.1f}, "
+            f"{sampled['num_env_steps_sampled'] / result['time_this_iter_s']:.0f} decisions/s"
+        )
+    algorithm.stop()
+finally:
+    ray.shutdown()
