@@ -64,6 +64,7 @@ config = (
         train_batch_size_per_learner=given.decisions,
         minibatch_size=256,
         num_epochs=10,
+        gamma=0.95,
         lr=3e-4,
         vf_clip_param=float("inf"),  # returns are in the hundreds
     )
@@ -73,10 +74,9 @@ try:
     for i in range(given.iterations):
         result = algorithm.train()
         sampled = result["env_runners"]
-        print(
-            f"iteration {i + 1}: mean return {sampled.get('episode_return_mean', float('nan')):.1f}, "
-            f"{sampled['num_env_steps_sampled'] / result['time_this_iter_s']:.0f} decisions/s"
-        )
+        mean = sampled.get("episode_return_mean", float("nan"))  # before an episode has ended
+        speed = sampled["num_env_steps_sampled"] / result["time_this_iter_s"]
+        print(f"iteration {i + 1}: mean return {mean:.1f}, {speed:.0f} decisions/s", flush=True)
     algorithm.stop()
 finally:
     ray.shutdown()
