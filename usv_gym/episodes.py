@@ -281,7 +281,11 @@ class Episodes:
         self._scale = np.array([n_max, n_max, delta_max, delta_max])
         mixing = self.vessel.mixing if actions == "common" else self.vessel.actuators
         self.width = mixing.shape[1]
-        self._unmixing = np.linalg.pinv(mixing)
+        n_usual = limits["shaft_speed_manoeuvring"]
+        self.usual_action = np.linalg.pinv(mixing) @ (
+            np.array([n_usual, n_usual, 0.0, 0.0]) / self._scale
+        )
+        """The action that holds the usual speed, straight ahead; episodes begin with it."""
         self.actions = np.zeros((2, n, self.width))
         """Those of the last step, and of this one."""
         self.seen = np.zeros((n, RECORD_SIZE))
@@ -329,7 +333,7 @@ class Episodes:
         for_world, for_task = rng.spawn(2)
         self.simulation.reset([i], [for_world])
         self.task.reset(i, for_task)
-        self.actions[:, i] = self._unmixing @ (self.simulation.cmd[i] / self._scale)
+        self.actions[:, i] = self.usual_action
         self.seen[i] = 0.0
         observe(
             *(self.simulation.boats[i], self.task.records[i], self.task.points[i], self.rules),

@@ -25,7 +25,8 @@ __all__ = [
 ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
 N_TERMS = 4
 FAILURE = 500.0
-"""What it costs to leave the area or to capsize: more than any way of failing early saves."""
+"""What it costs to leave the area or to capsize: as much as some 12 s far off the path, so that an
+agent that looks ahead for less than that never fails on purpose."""
 
 
 class TaskError(ValueError):
@@ -136,7 +137,8 @@ def judge(
         change += abs(action[j] - before[j])
     if rules[KIND] == PATH:
         along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
-        first = min(along / rules[SPEED], 1.0)
+        # as much too fast costs what as much too slow does
+        first = 1.0 - abs(along / rules[SPEED] - 1.0)
         second = -min(abs(errors[0]) / rules[UNIT], 2.0)
         reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
         far = abs(errors[0]) > rules[AREA]
@@ -227,11 +229,11 @@ class FreeManoeuvre(Task):
 class PathFollowing(Task):
     """Follow straight legs of 10 to 20 lengths, with turns of up to 70 degrees between them.
 
-    Reward per step of ``dt``, from the truth: ``progress`` (speed along the leg over the usual
-    speed, at most 1), ``cross_track`` (minus the distance off the leg in units, at most 2),
-    ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500, once). The
-    episode ends with success at the last way point, and with failure 5 units off the leg or
-    capsized.
+    Reward per step of ``dt``, from the truth: ``progress`` (1 at the usual speed along the leg, 0
+    at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
+    most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
+    once). The episode ends with success at the last way point, and with failure 5 units off the
+    leg or capsized.
     """
 
     kind = PATH

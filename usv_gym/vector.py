@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -116,6 +117,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._seeds = [-1] * self.num_envs
         self._obs = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
+        # steps after which each boat's episode is truncated
+        self._limit = (max_episode_steps or math.inf) * self.frame_skip
+        self._limits = np.full(self.num_envs, self._limit)
         self._unborn = np.ones(self.num_envs, dtype=np.bool_)
 
     @property
@@ -149,6 +153,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             See the class.
         options : dict, optional
             ``"reset_mask"``: array of bool, shape (n,): only these are reset.
+            ``"first_episode_steps"``: array of int, shape (n,): decisions after which the
+            episodes that begin now are truncated, instead of ``max_episode_steps``, so that
+            boats need not end all at once.
 
         Returns
         -------
@@ -172,6 +179,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise TypeError(f"options = {options!r}: must be a dict or None")
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
+        limits = options.pop("first_episode_steps", None)
         if options:
             raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
         if mask is None:
@@ -184,9 +192,18 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"options['reset_mask'] of shape {mask.shape} with {mask.sum()} set: must have "
                 f"shape ({n},), and one or more set"
             )
+        if limits is not None:
+            limits = np.asarray(limits)
+            if limits.shape != (n,) or limits.dtype.kind not in "iu" or (limits < 1).any():
+                raise ValueError(
+                    "options['first_episode_steps'] must be an array of whole numbers, 1 or "
+                    f"more, of shape ({n},)"
+                )
         for i in np.flatnonzero(mask):
             self._rng(int(i), seeds[i])
         self._begin(mask)
+        if limits is not None:
+            self._limits[mask] = limits[mask] * self.frame_skip
         self._over[mask] = False
         if self.renderer:
             self.renderer.look()
@@ -201,6 +218,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 self.observer.reset(int(i))
                 self.observer.observe(self._obs, rows=one)
         self._unborn[mask] = False
+        self._limits[mask] = self._limit
 
     def step(
         self, actions: np.ndarray
@@ -251,9 +269,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         record = self.task.records
         rewards = record[:, REWARD].copy()
         terminations = record[:, TERMINATED] != 0.0
-        truncations = np.zeros(self.num_envs, dtype=np.bool_)
-        if self.max_episode_steps is not None:
-            truncations = self.episodes.steps >= self.max_episode_steps * self.frame_skip
+        truncations = self.episodes.steps >= self._limits
         rewards[late] = 0.0
         over = terminations | truncations
         infos = self._infos(None)

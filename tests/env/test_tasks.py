@@ -104,7 +104,7 @@ def test_rewards_of_paths_from_the_true_track(name):
         assert info["cross_track_m"] == pytest.approx(across, abs=1e-9)
         along = u * math.cos(course - psi) + v * math.sin(course - psi)
         terms = info["reward_terms"]
-        assert terms["progress"] == pytest.approx(min(along / env.speed, 1.0))
+        assert terms["progress"] == pytest.approx(1.0 - abs(along / env.speed - 1.0))
         assert terms["cross_track"] == pytest.approx(-min(abs(across) / 10.0, 2.0))
         assert terms["effort"] == pytest.approx(-0.05 * np.abs(action - previous).sum())
         assert reward == pytest.approx(sum(terms.values()))

@@ -247,3 +247,19 @@ def test_options_and_seeds_that_are_none():
             envs.reset(seed=seed)
     with pytest.raises(TypeError, match="options = 'x'"):
         envs.reset(options="x")
+
+
+@pytest.mark.parametrize("skip", [1, 5])
+def test_first_episodes_may_end_one_after_the_other(skip):
+    native = natives(faults="none", twin=None, frame_skip=skip, max_episode_steps=20)
+    ends = np.array([3, 20, 11])
+    native.reset(seed=1, options={"first_episode_steps": ends})
+    seen = np.zeros((60, N), dtype=bool)
+    for k, action in enumerate(np.zeros((60, N, 2), np.float32)):
+        seen[k] = native.step(action)[3]
+    for i, first in enumerate(ends):
+        # the step after an end begins the next episode, of full length
+        np.testing.assert_array_equal(np.flatnonzero(seen[:, i])[:2], [first - 1, first + 20])
+    for wrong in ([1, 2], [0, 1, 2], [1.5, 2.0, 3.0]):
+        with pytest.raises(ValueError, match="first_episode_steps"):
+            native.reset(options={"first_episode_steps": wrong})

@@ -43,8 +43,13 @@ def train_command(
         str, typer.Option(help=f"What the agent sees, one of: {', '.join(OBSERVATIONS)}.")
     ] = "twin",
     steps: Annotated[
-        int, typer.Option(min=1, help="Decisions (half a second each) of all boats together.")
-    ] = 150_000,
+        int | None,
+        typer.Option(
+            min=1,
+            help="Decisions (half a second each) of all boats together. Left out: n_timesteps "
+            "of the hyperparameters.",
+        ),
+    ] = None,
     seeds: Annotated[
         str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7: a run for each.")
     ] = "0",
@@ -78,8 +83,10 @@ def train_command(
         "twin": twin,
         "vessel": vessel,
     }
-    plans = [Plan(algo, obs, steps, seed, **options) for seed in seeds_of(seeds)]
     values = hyperparameters(algo, hyper)
+    if steps is None:
+        steps = values["n_timesteps"]
+    plans = [Plan(algo, obs, steps, seed, **options) for seed in seeds_of(seeds)]
     table = Table(title=f"{plans[0].name}, {steps} decisions", box=SIMPLE_HEAD)
     for head in ("seed", "return", "off the path, m", "success", "minutes", "folder"):
         table.add_column(head, justify="left" if head == "folder" else "right")
@@ -262,7 +269,13 @@ def study_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the study.")] = Path(
         "gps_loss_study"
     ),
-    steps: Annotated[int, typer.Option(min=1, help="Decisions of each training.")] = 150_000,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Decisions of each training. Left out: n_timesteps of the hyperparameters.",
+        ),
+    ] = None,
     seeds: Annotated[str, typer.Option(help="Trainings of each arm.")] = "0-4",
     twin: Annotated[str, typer.Option(help="Which twin.")] = "ukf",
     task: Annotated[str, typer.Option(help=f"One of: {', '.join(TASKS)}.")] = "path",

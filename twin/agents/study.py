@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, evaluate, on_grid
 from twin.agents.policy import AgentError, write_whole
-from twin.agents.training import CURVE_SEEDS, Plan, hyperparameters, train
+from twin.agents.training import CURVE_SEEDS, EVERY, Plan, hyperparameters, train
 from twin.terminal import results_text
 from twin.workers import results_of
 from usv_kernel import __version__, sources_digest
@@ -59,8 +59,8 @@ class Settings:
     ----------
     arms : tuple of (str, str)
         Algorithms and observation sets.
-    steps : int
-        Decisions of each training.
+    steps : int, optional
+        Decisions of each training; left out: ``n_timesteps`` of the algorithm's hyperparameters.
     seeds : tuple of int
         Trainings of each arm.
     controllers : tuple of str
@@ -78,7 +78,7 @@ class Settings:
     """
 
     arms: tuple[tuple[str, str], ...] = ARMS
-    steps: int = 150_000
+    steps: int | None = None
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     controllers: tuple[str, ...] = ()
     seas: tuple[str, ...] = SEAS
@@ -90,7 +90,10 @@ class Settings:
 
     def plan(self, algo: str, observation: str, seed: int) -> Plan:
         """Return the plan of one training."""
-        return Plan(algo, observation, self.steps, seed, **self.options)
+        steps = self.steps or (self.hyper.get(algo) or hyperparameters(algo))["n_timesteps"]
+        every = min(EVERY, -(-steps // 4))
+        options: dict[str, Any] = {"every": every, **self.options}
+        return Plan(algo, observation, steps, seed, **options)
 
 
 def quick(settings: Settings) -> Settings:
@@ -439,6 +442,12 @@ def _copy_middle(settings: Settings, done: Mapping[Piece, Mapping[str, Any]], fo
         shutil.copyfile(source, folder / "policies" / f"{algo}-{observation}.npz")
 
 
+def _steps(results: Mapping[str, Any]) -> str:
+    """Return how many decisions each algorithm was trained for."""
+    made = {row["agent"].partition("-")[0]: int(row["decisions"][-1]) for row in results["curves"]}
+    return ", ".join(f"{steps} ({algo})" for algo, steps in made.items())
+
+
 def markdown(results: Mapping[str, Any]) -> str:
     """Return the study's tables and what they say."""
     settings = results["settings"]
@@ -449,7 +458,7 @@ def markdown(results: Mapping[str, Any]) -> str:
         "",
         f"`{results['command']}`",
         "",
-        f"Interquartile means of {runs} trainings of {settings['steps']} decisions and {episodes} "
+        f"Interquartile means of {runs} trainings of {_steps(results)} decisions and {episodes} "
         "episodes in each sea state, with 95 % intervals of a stratified bootstrap over runs and "
         "episodes. Time after a failure counts as the distance that ends the episode.",
     ]

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.agents.evaluation import EPISODE, FIRST_TRAINING_SEED, FRAME_SKIP, evaluate, make_envs
 from twin.agents.policy import ACTIVATIONS, AgentError, Policy, write_whole
@@ -44,6 +45,8 @@ ALGORITHMS = {
     "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
 }
 """Module, class and policy of each algorithm."""
+TIMESTEPS = 131_072
+"""Decisions of a training whose hyperparameters name none."""
 EVERY = 16_384
 """Decisions between two checkpoints."""
 CURVE_SEEDS = tuple(range(800_000, 800_016))
@@ -164,11 +167,11 @@ def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise AgentError(f"{path}: is no TOML ({error})") from None
     _check_hyper(algo, values, str(path))
-    return values
+    return {"n_timesteps": TIMESTEPS, **values}
 
 
 def _check_hyper(algo: str, values: Mapping[str, Any], where: str) -> None:
-    known = {*inspect.signature(_algorithm(algo)).parameters, "n_envs", "normalize"}
+    known = {*inspect.signature(_algorithm(algo)).parameters, "n_envs", "n_timesteps", "normalize"}
     known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
     # of a checkpoint or a policy file these are no part
     known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
@@ -278,9 +281,10 @@ class _Learner:
         from usv_gym.sb3 import SB3VecEnv
 
         options = dict(hyper)
-        n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
+        options.pop("n_timesteps", None)
+        self.n, normalize = options.pop("n_envs", 64), options.pop("normalize", {})
         made = make_envs(
-            n, observation=plan.observation, autoreset_mode="SameStep", **plan.environment
+            self.n, observation=plan.observation, autoreset_mode="SameStep", **plan.environment
         )
         gamma = options.get("gamma", 0.99)
         self.envs = VecNormalize(SB3VecEnv(made), gamma=gamma, **normalize)
@@ -294,6 +298,7 @@ class _Learner:
             self.model: Any = algorithm(kind, self.envs, device="cpu", **options)
         except TypeError as error:
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
+        _begin_usual(self.model, made.episodes.usual_action)
         if importlib.util.find_spec("tensorboard") is None:
             raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
         self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
@@ -342,6 +347,9 @@ class _Learner:
                 self._save()
         seed = _seed_of(self.plan.seed, steps)
         model.set_random_seed(seed)  # Python's, numpy's, torch's, the action space's, the boats'
+        # boats that began all at once would end all at once, and a rollout show one part of it
+        drawn = np.random.default_rng(seed).integers(1, self.plan.max_episode_steps + 1, self.n)
+        self.envs.unwrapped.set_options({"first_episode_steps": drawn})
         model._last_obs = self.envs.reset()
         model._last_episode_starts = np.ones(self.envs.num_envs, dtype=np.bool_)
         model._last_original_obs = self.envs.get_original_obs()
@@ -425,6 +433,17 @@ class _Learner:
                     getattr(buffer, name)[rows] = arrays[name].numpy()
                 self.saved = upto
             buffer.pos, buffer.full = total % buffer.buffer_size, total >= buffer.buffer_size
+
+
+def _begin_usual(model: Any, action: NDArray[np.float64]) -> None:
+    """Let an untrained agent hold the usual speed: it learns sooner than one that lies still."""
+    import torch
+
+    net = model.policy
+    if hasattr(net, "actor"):  # its actions go through tanh
+        net.actor.mu.bias.data.copy_(torch.from_numpy(np.arctanh(0.999 * action)))
+    else:
+        net.action_net.bias.data.copy_(torch.from_numpy(action))
 
 
 def _averages(envs: VecNormalize) -> dict[str, Any]:
