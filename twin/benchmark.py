@@ -7,11 +7,9 @@ predictor is fed copies of the rows of a log without truth, and never sees anoth
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import hashlib
-import importlib
 import inspect
 import json
 import math
@@ -68,6 +66,7 @@ from twin.scores import (
 )
 from twin.simulated import particulars_of, simulate
 from twin.twin import Twin, known_plan
+from twin.workers import BACKENDS, check_backend, results_of
 from usv_gym.sensors import (
     FAULT_KINDS,
     GPS_BIT,
@@ -122,13 +121,6 @@ AGAINST = "ukf"
 """The reference of the paired comparison, where none is named."""
 AGAINST_RECORDED = "var"
 """The reference on recorded runs, where it takes part."""
-BACKENDS = {
-    "loky": ("joblib", "joblib"),
-    "threading": ("joblib", "joblib"),
-    "dask": ("dask.distributed", "'dask[distributed]'"),
-    "ray": ("ray.util.joblib", "ray"),
-}
-"""Kinds of workers by joblib's names: the module that each needs, and what to install."""
 
 
 def fault_start(settings: Settings, identify: float) -> float:
@@ -406,59 +398,6 @@ DRAWN_LOGS = 3
 """Recorded runs of one folder that are shown, where there are more."""
 
 
-def check_backend(backend: str) -> None:
-    """Refuse a kind of workers that is not known, or not installed.
-
-    Parameters
-    ----------
-    backend : str
-        One of :data:`BACKENDS`.
-
-    Raises
-    ------
-    BenchmarkError
-        Names what there is, or what to install.
-    """
-    if backend not in BACKENDS:
-        raise BenchmarkError(f"no backend is called {backend!r}; known: {', '.join(BACKENDS)}")
-    module, package = BACKENDS[backend]
-    try:
-        importlib.import_module(module)
-    except ImportError:
-        raise BenchmarkError(
-            f"backend {backend}: {module} is not installed; python -m pip install {package}"
-        ) from None
-
-
-@contextlib.contextmanager
-def _workers(backend: str, jobs: int) -> Iterator[None]:
-    """Start workers of a kind where joblib does not do so itself.
-
-    ``dask`` uses the cluster that ``DASK_SCHEDULER_ADDRESS`` names, ``ray`` the one of
-    ``RAY_ADDRESS``; else each starts one on this machine. The folder of results must be
-    shared with a cluster.
-    """
-    check_backend(backend)
-    with contextlib.ExitStack() as stack:
-        if backend == "dask":
-            import dask
-            from dask.distributed import Client
-
-            here = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
-            far = dask.config.get("scheduler-address", None)
-            stack.enter_context(Client(far) if far else Client(**here))
-        elif backend == "ray":
-            import ray
-            from ray.util.joblib import register_ray
-
-            if not ray.is_initialized():
-                far = os.environ.get("RAY_ADDRESS")
-                ray.init(**({} if far else {"num_cpus": jobs}), log_to_driver=False)
-                stack.callback(ray.shutdown)
-            register_ray()
-        yield
-
-
 def runs(
     settings: Settings, folder: Path, *, jobs: int = 1, backend: str = "loky"
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
@@ -483,8 +422,6 @@ def runs(
     Unit, dict or Exception
         A result, or why there is none (a log that cannot be read, say); the rest goes on.
     """
-    from joblib import Parallel, delayed, parallel_config
-
     todo: dict[str, list[Unit]] = {}
     for unit in units(settings):
         done = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
@@ -497,16 +434,9 @@ def runs(
     tasks = list(todo.values())
     if len(tasks) < jobs:
         tasks = [[unit] for task in tasks for unit in task]
-    # those of clusters give nothing back before all is done: a handful of tasks at a time
-    flows = backend in ("loky", "threading")
-    size = len(tasks) if flows else 4 * jobs
-    with _workers(backend, jobs):
-        with parallel_config(backend=backend):  # knows dask by name, as Parallel does not
-            pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
-        for first in range(0, len(tasks), size):
-            some = tasks[first : first + size]
-            for done_task in pool(delayed(_attempt)(settings, task, folder) for task in some):
-                yield from done_task
+    calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
+    for _, done_task in results_of(calls, jobs=jobs, backend=backend):
+        yield from done_task
 
 
 def _attempt(

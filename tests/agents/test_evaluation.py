@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from twin.agents import evaluation
+from twin.agents.controllers import CONTROLLERS
 from twin.agents.evaluation import evaluate, make_envs
 from twin.agents.policy import AgentError
+from twin.workers import BACKENDS, results_of
 
 
 class Fixed:
@@ -108,6 +112,26 @@ def test_evaluation_has_no_memory():
     assert twice[0] == twice[1]
     (alone,) = evaluate(agent, seeds=(2,), max_episode_steps=20, faults="gps10")
     assert alone == twice[0][1]
+
+
+GRID = {"seeds": (1, 2), "seas": ("0", "2"), "outages": ("none", "gps10@1")}
+
+
+@pytest.mark.parametrize(
+    ("jobs", "backend"), [(2, "threading"), (2, "loky"), (2, "dask"), (2, "ray")]
+)
+def test_workers_of_any_kind_change_nothing(jobs, backend):
+    pytest.importorskip(BACKENDS[backend][0], reason=f"{backend} is not installed")
+    agent = CONTROLLERS["los-dr"]()  # has a memory, which episodes must not share
+    calls = evaluation.on_grid(agent, **GRID, max_episode_steps=20)
+    serial = [
+        evaluate(agent, seeds=GRID["seeds"], sea=sea, faults=faults, max_episode_steps=20)
+        for sea in GRID["seas"]
+        for faults in GRID["outages"]
+    ]
+    assert len({json.dumps(rows) for rows in serial}) == 4
+    made = dict(results_of(calls, jobs=jobs, backend=backend))
+    assert [made[i] for i in range(4)] == serial
 
 
 def test_no_seeds_are_refused():

@@ -23,12 +23,16 @@ from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
 from twin.agents.policy import AgentError, Policy, write_whole
 from twin.agents.training import ALGORITHMS, Plan, Run, hyperparameters, train
 from twin.terminal import INTERRUPTED, console, errors, listed, seeds_of
+from twin.workers import BACKENDS, check_backend, results_of
 from twin.wrapper import OBSERVATIONS
 from usv_gym.tasks import TASKS
 
 __all__ = ["COMMANDS"]
 
 JobsOption = Annotated[int, typer.Option(min=1, help="Workers; results do not depend on it.")]
+BackendOption = Annotated[
+    str, typer.Option(help=f"Kind of workers, one of: {', '.join(BACKENDS)}.")
+]
 CPUS = os.cpu_count() or 1
 EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
 
@@ -175,6 +179,8 @@ def evaluate_command(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Every episode, in full precision.")
     ] = None,
+    jobs: JobsOption = 1,
+    backend: BackendOption = "loky",
 ) -> None:
     """Let agents sail the same episodes, in each sea state with each loss of GPS.
 
@@ -192,14 +198,19 @@ def evaluate_command(
     )
     for head in ("agent", "sea", *outages):
         table.add_column(head, no_wrap=head == "sea")
-    found: list[dict[str, Any]] = []
     where: dict[str, Any] = {"seeds": seeds_of(seeds), "seas": seas, "outages": outages}
+    calls = [
+        (model, call)
+        for model, agent in agents
+        for call in on_grid(agent, **where, **(_trained_with(agent) | given))
+    ]
+    made: dict[int, list[dict[str, Any]]] = {}
     with _bar() as progress:
-        bar = progress.add_task("evaluating", total=len(agents) * len(seas) * len(outages))
-        for model, agent in agents:
-            for rows in on_grid(agent, **where, **(_trained_with(agent) | given)):
-                found += [{"model": model, **row} for row in rows]
-                progress.advance(bar)
+        bar = progress.add_task("evaluating", total=len(calls))
+        for i, rows in results_of([call for _, call in calls], jobs=jobs, backend=backend):
+            made[i] = rows
+            progress.advance(bar)
+    found = [{"model": calls[i][0], **row} for i in sorted(made) for row in made[i]]
     for model, agent in agents:
         for state in seas:
             own = [
@@ -276,6 +287,7 @@ def study_command(
         bool, typer.Option("--quick", help="Only see that everything runs, in minutes.")
     ] = False,
     jobs: JobsOption = CPUS,
+    backend: BackendOption = "loky",
 ) -> None:
     """Ask what an agent gains from the twin when the GPS is gone.
 
@@ -296,11 +308,12 @@ def study_command(
     if quick:
         settings = study.quick(settings)
     study.check(settings)
+    check_backend(backend)
     done: dict[study.Piece, dict[str, Any]] = {}
     try:
         with _bar() as progress:
             bar = progress.add_task("study", total=len(study.pieces(settings)))
-            for piece, made in study.work(settings, out, jobs):
+            for piece, made in study.work(settings, out, jobs, backend):
                 done[piece] = made
                 progress.advance(bar)
     except KeyboardInterrupt:

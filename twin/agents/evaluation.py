@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +21,7 @@ from usv_gym.vector import USVVectorEnv
 
 __all__ = [
     "EVALUATION_SEEDS", "FIRST_TRAINING_SEED", "GRID", "OUTAGES", "SEAS", "evaluate", "make_envs",
+    "on_grid",
 ]  # fmt: skip
 
 SEAS = ("0", "2", "4")
@@ -150,10 +153,17 @@ def evaluate(
 def on_grid(
     agent: Agent, *, seeds: Sequence[int] = EVALUATION_SEEDS, seas: Sequence[str] = SEAS,
     outages: Sequence[str] = OUTAGES, **env: Any,
-) -> Iterator[list[dict[str, Any]]]:  # fmt: skip
-    """Evaluate an agent in each sea state with each outage; yield the rows of each."""
-    for sea, faults in itertools.product(seas, outages):
-        yield evaluate(agent, seeds=seeds, sea=sea, faults=faults, **env)
+) -> list[Callable[[], list[dict[str, Any]]]]:  # fmt: skip
+    """Return calls of :func:`evaluate` for each sea state with each outage.
+
+    Each has a copy of the agent, so that they may be made in any order and at the same time.
+    """
+    return [
+        functools.partial(
+            evaluate, copy.deepcopy(agent), seeds=seeds, sea=sea, faults=faults, **env
+        )
+        for sea, faults in itertools.product(seas, outages)
+    ]
 
 
 def _outages(envs: USVVectorEnv) -> tuple[np.ndarray, np.ndarray]:

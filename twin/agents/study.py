@@ -10,6 +10,7 @@ Source: Agarwal et al. 2021, Deep Reinforcement Learning at the Edge of the Stat
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, evaluate, on
 from twin.agents.policy import AgentError, write_whole
 from twin.agents.training import CURVE_SEEDS, EVERY, Plan, hyperparameters, train
 from twin.terminal import results_text
+from twin.workers import results_of
 from usv_kernel import __version__, sources_digest
 
 __all__ = [
@@ -125,7 +127,9 @@ def pieces(settings: Settings) -> list[Piece]:
     return steered + [(*arm, seed) for seed in settings.seeds for arm in settings.arms]
 
 
-def work(settings: Settings, folder: Path, jobs: int = 1) -> Iterator[tuple[Piece, dict[str, Any]]]:
+def work(
+    settings: Settings, folder: Path, jobs: int = 1, backend: str = "loky"
+) -> Iterator[tuple[Piece, dict[str, Any]]]:
     """Train and evaluate all that is not done yet, and yield each piece as it comes.
 
     Parameters
@@ -136,6 +140,8 @@ def work(settings: Settings, folder: Path, jobs: int = 1) -> Iterator[tuple[Piec
         Where ``runs/`` are; an interrupted study goes on there.
     jobs : int
         Workers; the results do not depend on it.
+    backend : str
+        Kind of workers, see :func:`twin.workers.results_of`; the results do not depend on it.
 
     Yields
     ------
@@ -143,13 +149,13 @@ def work(settings: Settings, folder: Path, jobs: int = 1) -> Iterator[tuple[Piec
         ``rows`` (see :func:`~twin.agents.evaluation.evaluate`), and the learning ``curve``; of a
         controller, its ``level`` on the episodes of the learning curves.
     """
-    from joblib import Parallel, delayed
+    todo = pieces(settings)
+    calls = [functools.partial(_work_one, settings, folder, piece) for piece in todo]
+    for i, made in results_of(calls, jobs=jobs, backend=backend):
+        yield todo[i], made
 
-    pool = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    yield from pool(delayed(_work_one)(settings, folder, piece) for piece in pieces(settings))
 
-
-def _work_one(settings: Settings, folder: Path, piece: Piece) -> tuple[Piece, dict[str, Any]]:
+def _work_one(settings: Settings, folder: Path, piece: Piece) -> dict[str, Any]:
     first, observation, seed = piece
     named = first if seed is None else f"{first}-{observation}-{seed}"
     place = folder / "runs" / named
@@ -172,17 +178,17 @@ def _work_one(settings: Settings, folder: Path, piece: Piece) -> tuple[Piece, di
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
         if before["asked"] == asked:
-            return piece, before
+            return before
     grid = {"seas": settings.seas, "outages": settings.outages}
     fixed = {key: value for key, value in plan.environment.items() if key not in ("sea", "faults")}
     seeds = settings.evaluation_seeds
-    made["rows"] = [row for rows in on_grid(agent, seeds=seeds, **grid, **fixed) for row in rows]
+    made["rows"] = [row for call in on_grid(agent, seeds=seeds, **grid, **fixed) for row in call()]
     if seed is None:
         rows = evaluate(agent, seeds=settings.curve_seeds, **plan.environment)
         made["level"] = float(np.mean([row["off_path_m"] for row in rows]))
     made["asked"] = asked
     write_whole(path, json.dumps(made).encode())
-    return piece, made
+    return made
 
 
 def iqm(values: Array) -> Array:
