@@ -62,6 +62,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    closed = True  # until there is something to close
+
     def __init__(
         self,
         num_envs: int,
@@ -121,6 +123,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._limit = (max_episode_steps or math.inf) * self.frame_skip
         self._limits = np.full(self.num_envs, self._limit)
         self._unborn = np.ones(self.num_envs, dtype=np.bool_)
+        self.closed = False
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]

@@ -56,6 +56,12 @@ _NOTES, _CHECKPOINT, _CURVE, _POLICY = FILES
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
+def check_algorithm(algo: str) -> None:
+    """Refuse a name that is no algorithm's."""
+    if algo not in ALGORITHMS:
+        raise AgentError(f"algo = {algo!r}; known: {', '.join(ALGORITHMS)}")
+
+
 @dataclass(frozen=True)
 class Plan:
     """What is trained.
@@ -92,8 +98,7 @@ class Plan:
     every: int = EVERY
 
     def __post_init__(self) -> None:
-        if self.algo not in ALGORITHMS:
-            raise AgentError(f"algo = {self.algo!r}; known: {', '.join(ALGORITHMS)}")
+        check_algorithm(self.algo)
         if self.observation not in OBSERVATIONS:
             raise AgentError(
                 f"observation = {self.observation!r}; known: {', '.join(OBSERVATIONS)}"
@@ -159,6 +164,7 @@ def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]
     AgentError
         The file is not there, no TOML, or names what the algorithm does not know.
     """
+    check_algorithm(algo)
     path = Path(__file__).with_name("hyper") / f"{algo}.toml" if path is None else Path(path)
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
