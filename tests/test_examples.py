@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -108,3 +109,56 @@ def test_a_small_part_of_the_checked_in_benchmark_is_what_the_command_gives(tmp_
         known = expected[tuple(run[name] for name in key)]
         for name in ("mae", "crps", "coverage90", "start_error", "displacement_10s"):
             assert run[name] == pytest.approx(known[name], rel=2e-3), (run["predictor"], name)
+
+
+STUDY = ROOT / "examples/gps_loss_study"
+
+
+def study():
+    import json
+
+    return json.loads((STUDY / "results.json").read_text(encoding="utf-8"))
+
+
+def test_tables_of_the_gps_loss_study_are_those_of_its_results():
+    from twin.agents.study import markdown
+
+    results = study()
+    text = markdown(results)
+    assert (STUDY / "tables.md").read_text(encoding="utf-8") == text
+    known = set(text.splitlines())
+    section = README[README.index("### What the twin is worth") : README.index("## The ship and")]
+    agents = {cell["agent"] for cell in results["cells"]}
+    shown = [line for line in section.splitlines() if line.split(" | ")[0][2:] in agents]
+    assert len(shown) >= 12
+    assert not [line for line in shown if line not in known]
+
+
+@pytest.mark.parametrize("agent", ["los-twin", "ppo-raw", "ppo-twin", "sac-oracle"])
+def test_a_part_of_the_gps_loss_study_is_what_its_agents_do(agent):
+    from twin.agents.controllers import CONTROLLERS, make_controller
+    from twin.agents.evaluation import evaluate
+    from twin.agents.policy import Policy
+
+    results = study()
+    if agent in CONTROLLERS:
+        steers, seed = make_controller(agent), None
+    else:
+        steers = Policy.load(STUDY / "policies" / f"{agent}.npz")
+        seed = steers.settings["seed"]
+    (row,) = (
+        row
+        for row in results["episodes"]
+        if (row["agent"], row["seed"], row["sea"], row["faults"]) == (agent, seed, "2", "gps30")
+    )
+    seeds = results["settings"]["evaluation_seeds"][:6]
+    found = evaluate(steers, seeds=seeds, sea="2", faults="gps30", twin="ukf")
+    for name in ("off_path_m", "return"):
+        # wave sums are rounded otherwise on other processors, and an agent may answer to that
+        np.testing.assert_allclose([one[name] for one in found], row[name][:6], rtol=1e-3)
+
+
+def test_shipped_policies_are_small():
+    sizes = [path.stat().st_size for path in (STUDY / "policies").glob("*.npz")]
+    assert len(sizes) >= 9
+    assert max(sizes) < 200_000

@@ -232,8 +232,9 @@ class PathFollowing(Task):
     Reward per step of ``dt``, from the truth: ``progress`` (1 at the usual speed along the leg, 0
     at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
     most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
-    once). The episode ends with success at the last way point, and with failure 5 units off the
-    leg or capsized.
+    once). A way point is reached where the boat passes, two lengths before it, the line across the
+    leg, however far to the side. The episode ends with success where the last one is, and with
+    failure 5 units (50 m) to the side of the leg or of its extension, or capsized.
     """
 
     kind = PATH

@@ -86,8 +86,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         known = [name for name in inspect.signature(Episodes).parameters if name != "n"]
         unknown = ", ".join(name for name in kwargs if name not in known or name == "threads")
         if unknown:
+            others = "observation, twin, max_episode_steps, autoreset_mode, num_threads"
             raise TypeError(
-                f"the vector environment has no option {unknown}; it has "
+                f"the vector environment has no option {unknown}; it has {others}, "
                 f"{', '.join(name for name in known if name != 'threads')}"
             )
         try:
@@ -206,7 +207,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._rng(int(i), seeds[i])
         self._begin(mask)
         if limits is not None:
-            self._limits[mask] = limits[mask] * self.frame_skip
+            self._limits[mask] = limits[mask].astype(np.int64) * self.frame_skip
         self._over[mask] = False
         if self.renderer:
             self.renderer.look()

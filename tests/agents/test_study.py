@@ -120,6 +120,9 @@ def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     assert "| ppo-twin | off_path_m | no gap | 75% [" in text
     assert "ppo: the twin helps in 2 of 4 sea states and outages." in text
     assert "it does not help in sea state 2 with none: no difference shown" in text
+    # where the truth is of no use, no part of its use is closed
+    useless = study.collect(TINY, made(levels | {"oracle": (8.0, 8.0)}), "a command")
+    assert {gap["closed"] for gap in useless["gaps"]} == {None}
     worse = levels | {"twin": (4.0, 7.0)}
     results = study.collect(TINY, made(worse), "a command")
     assert {row["verdict"] for row in results["helps"]} == {"harms"}
@@ -195,6 +198,27 @@ def test_commands(tmp_path, monkeypatch):
     rows = json.loads(file.read_text())
     assert len(rows) == 8 and rows[0]["agent"] == "ppo-raw"
     assert "no such folder or policy" in said("evaluate", "pilot", code=2)
+    assert rows[0]["task"] == "path" and rows[0]["frame_skip"] == 10
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n"
+        "class Mine:\n"
+        "    name, observation = 'mine', 'raw'\n"
+        "    def begin(self, envs): self.n = envs.num_envs\n"
+        "    def act(self, obs): return np.zeros((self.n, 2))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    told = said("evaluate", "mine:Mine", "--seeds", "1", "--sea", "0", "--faults", "none")
+    assert "mine" in told
+    assert "write module:Class" in said("evaluate", "mine:Nobody", code=2)
+    other = tmp_path / "station.npz"
+    policy = Policy.load(runs / "ppo-raw-0")
+    policy.settings["task"] = "station"
+    policy.save(other)
+    told = " ".join(said("evaluate", runs, other, "--seeds", "1", code=2).split())
+    assert "were trained with task = path, station" in told
+    with pytest.raises(AgentError, match=r"sees 23 entries .* not 4"):
+        policy.act(np.zeros((1, 4)))
+    assert policy.act(np.zeros(23)).shape == (2,)
     assert "algo = 'dqn'" in said("train", "--algo", "dqn", code=2)
     assert "no task is called 'swim'" in said("train", "--task", "swim", "--out", runs, code=2)
 

@@ -174,14 +174,70 @@ def test_wrong_plans_and_hyperparameters_are_named(tmp_path):
             hyperparameters("ppo", file)
     for hyper, message in (
         ({"learning_rate": "log_3"}, "learning_rate = 'log_3': must be"),
-        ({"policy_kwargs": {"width": 3}}, "hyperparameters of ppo: .*width"),
+        ({"policy_kwargs": {"width": 3}}, r"\[policy_kwargs\] has no 'width'"),
     ):
         with pytest.raises(AgentError, match=message):
             run(tmp_path, name="wrong", hyper=hyper)
-        (tmp_path / "wrong" / "run.json").unlink()
 
 
 def test_a_linear_learning_rate_falls_to_zero():
-    rate = training._schedule("lin_1e-3")
+    rate = training._schedule("learning_rate", "lin_1e-3")
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == [1e-3, 5e-4, 0.0]
     assert training._schedule(3e-4) == 3e-4
+
+
+@pytest.mark.parametrize(
+    ("algo", "hyper", "said"),
+    [
+        ("recurrent_ppo", {"policy_kwargs": {"n_lstm_layers": 2}}, "n_lstm_layers"),
+        ("ppo", {"normalize": {"gamma": 0.9}}, r"\[normalize\] has no 'gamma'"),
+        ("ppo", {"normalize": 1}, "must be a table"),
+        ("ppo", {"policy_kwargs": 3}, "must be a table"),
+        ("ppo", {"policy_kwargs": {"activation_fn": ["tanh"]}}, "activation_fn"),
+        ("ppo", {"clip_range": "fast"}, "clip_range = 'fast'"),
+        ("ppo", {"gamma": "x"}, "gamma = 'x'"),
+        ("ppo", {"batch_size": 0}, "hyperparameters of ppo"),
+        ("ppo", {"n_envs": 0}, "n_envs = 0"),
+    ],
+)
+def test_wrong_hyperparameters_are_one_sentence_and_leave_no_run(tmp_path, algo, hyper, said):
+    with pytest.raises(AgentError, match=said):
+        run(tmp_path, algo, hyper=hyper)
+    assert not (tmp_path / "run" / "run.json").exists()
+
+
+def test_what_never_began_does_not_block_its_folder(tmp_path):
+    with pytest.raises(ValueError, match="no sea state"):
+        run(tmp_path, sea="2,4")
+    run(tmp_path, sea="2", steps=64)
+
+
+def test_the_clip_range_may_fall_too(tmp_path):
+    one, other = (
+        run(tmp_path, name=name, hyper={"clip_range": clip}, steps=128)
+        for name, clip in (("falls", "lin_1e-4"), ("stays", 0.2))
+    )
+    assert not same(one.policy, other.policy)
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path, monkeypatch):
+    class Crash(Exception):
+        pass
+
+    def dies(self):
+        save(self)
+        raise Crash
+
+    save = training._Learner._save
+    with monkeypatch.context() as patch:
+        patch.setattr(training._Learner, "_save", dies)
+        with pytest.raises(Crash):
+            run(tmp_path)
+    (tmp_path / "run" / "checkpoint.pt").write_bytes(b"garbage")
+    with pytest.raises(AgentError, match=r"checkpoint\.pt: is damaged; delete"):
+        run(tmp_path)
+
+
+def test_there_is_nothing_to_learn_without_a_reward():
+    with pytest.raises(AgentError, match="has no reward"):
+        plan(task="free")

@@ -29,6 +29,9 @@ class Agent(Protocol):
     def begin(self, envs: USVVectorEnv) -> None:
         """Forget all there was: every boat of ``envs`` begins an episode.
 
+        Where boats begin new ones at different times, what an agent remembers of a boat
+        (integrals, plans, dead reckoning) goes on into its next episode.
+
         Parameters
         ----------
         envs : USVVectorEnv

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import json
 import os
 import shlex
@@ -153,8 +154,8 @@ def evaluate_command(
     models: Annotated[
         list[str],
         typer.Argument(
-            help="A run's folder, a folder of runs, a policy (.npz), or the name of a classical "
-            "controller.",
+            help="A run's folder, a folder of runs, a policy (.npz), the name of a classical "
+            "controller, or module:Class of an agent of your own.",
             metavar="MODEL",
         ),
     ],
@@ -191,26 +192,24 @@ def evaluate_command(
     chosen = {"task": task, "twin": twin, "vessel": vessel}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in _agents(model)]
+    same = _trained_with([agent for _, agent in agents], given)
     table = Table(
-        title="distance off the path, m: median [95 % interval], share of failures",
+        title=f"task {same['task']}: distance off the path, m; median [95 % interval], share of "
+        "failures",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
     for head in ("agent", "sea", *outages):
         table.add_column(head, no_wrap=head == "sea")
     where: dict[str, Any] = {"seeds": seeds_of(seeds), "seas": seas, "outages": outages}
-    calls = [
-        (model, call)
-        for model, agent in agents
-        for call in on_grid(agent, **where, **(_trained_with(agent) | given))
-    ]
+    calls = [(model, call) for model, agent in agents for call in on_grid(agent, **where, **same)]
     made: dict[int, list[dict[str, Any]]] = {}
     with _bar() as progress:
         bar = progress.add_task("evaluating", total=len(calls))
         for i, rows in results_of([call for _, call in calls], jobs=jobs, backend=backend):
             made[i] = rows
             progress.advance(bar)
-    found = [{"model": calls[i][0], **row} for i in sorted(made) for row in made[i]]
+    found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
     for model, agent in agents:
         for state in seas:
             own = [
@@ -239,20 +238,41 @@ def _agents(model: str) -> list[tuple[str, Agent]]:
         ]
     if path.suffix == ".npz":
         return [(model, Policy.load(path))]
+    module, colon, name = model.partition(":")
+    if colon:
+        try:
+            return [(model, getattr(importlib.import_module(module), name)())]
+        except (ImportError, AttributeError) as error:
+            raise AgentError(f"{model}: {error}; write module:Class") from None
     known = study.controllers()
     if model in known:
         return [(model, known[model]())]
     raise AgentError(
         f"{model}: no such folder or policy, and no controller is called so; "
-        f"controllers: {', '.join(known)}"
+        f"controllers: {', '.join(known)}; agents of your own: module:Class"
     )
 
 
-def _trained_with(agent: Agent) -> dict[str, Any]:
-    """Return options of the environment that a policy was trained in."""
-    names = ("task", "twin", "vessel", "frame_skip", "max_episode_steps")
-    settings = getattr(agent, "settings", {})
-    return {name: settings[name] for name in names if name in settings}
+def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of the environment that policies were trained in, and those given."""
+    options = Plan("ppo", "raw", 1).environment | given
+    for name in ("task", "twin", "vessel", "frame_skip", "max_episode_steps"):
+        trained = {
+            agent.settings[name]
+            for agent in agents
+            if isinstance(agent, Policy) and name in agent.settings
+        }
+        if name in given or not trained:
+            continue
+        if len(trained) > 1:
+            what = ", ".join(map(str, sorted(trained)))
+            raise AgentError(
+                f"these were trained with {name} = {what}: evaluate them one by one"
+                + (f", or name --{name}" if name in ("task", "twin", "vessel") else "")
+            )
+        (options[name],) = trained
+    del options["sea"], options["faults"]
+    return options
 
 
 def _median(rows: list[dict[str, Any]]) -> str:
@@ -302,11 +322,11 @@ def study_command(
         controllers=tuple(study.controllers()),
         options={"twin": twin, "task": task},
     )
+    if quick:
+        settings = study.quick(settings)
     if arms is not None:
         pairs = [item.partition("-") for item in listed(arms, "--arms")]
         settings = dataclasses.replace(settings, arms=tuple((one[0], one[2]) for one in pairs))
-    if quick:
-        settings = study.quick(settings)
     study.check(settings)
     check_backend(backend)
     done: dict[study.Piece, dict[str, Any]] = {}
@@ -321,7 +341,9 @@ def study_command(
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = study.collect(settings, done, command)
     study.write(results, settings, done, out)
-    for line in filter(None, study.verdicts(results)):
+    if quick:
+        console.print("everything runs; what so small a study says means nothing")
+    for line in () if quick else filter(None, study.verdicts(results)):
         console.print(line, highlight=False, soft_wrap=True)
     console.print(f"{out / 'results.json'}, {out / 'tables.md'}, and pictures beside them")
 

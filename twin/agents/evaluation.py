@@ -169,8 +169,8 @@ def on_grid(
 def _outages(envs: USVVectorEnv) -> tuple[np.ndarray, np.ndarray]:
     """Return when each boat's GPS is first lost and back, s; NaN where it is not."""
     first, last = np.full((2, envs.num_envs), np.nan)
-    for rows in np.moveaxis(envs.simulation.faults, 1, 0)[::-1]:
-        gps = rows[:, BITS] == GPS_BIT
+    for rows in np.moveaxis(envs.simulation.faults, 1, 0):
+        gps = (rows[:, BITS] == GPS_BIT) & ~(rows[:, START] >= first)
         first[gps], last[gps] = rows[gps, START], rows[gps, END]
     return first, last
 

@@ -36,6 +36,8 @@ class AgentError(ValueError):
 class Policy:
     """The deterministic actor that a training left behind; an :class:`~twin.agents.agent.Agent`.
 
+    In a single environment, ``policy.forget(1)`` begins an episode and ``policy.act(obs)`` steers.
+
     Parameters
     ----------
     name : str
@@ -101,7 +103,15 @@ class Policy:
             self._hidden = np.zeros((n, size)), np.zeros((n, size))
 
     def act(self, obs: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the actions, shape (n, 2), for observations (n, D)."""
+        """Return the actions, shape (n, 2), for observations (n, D); (2,) for those of one boat."""
+        obs = np.asarray(obs)
+        if obs.shape[-1] != len(self.names):
+            raise AgentError(
+                f"policy {self.name} sees {len(self.names)} entries of the observation set "
+                f"{self.observation!r}, not {obs.shape[-1]}"
+            )
+        if obs.ndim == 1:
+            return self.act(obs[None])[0]
         x: Array = np.clip((obs - self.mean) / self.sd, -self.clip, self.clip)
         if self.lstm is not None:
             if self._hidden is None:
@@ -149,6 +159,9 @@ class Policy:
         AgentError
             It is no such file.
         """
+        path = Path(path)
+        if path.is_dir():  # a run
+            path = path / "policy.npz"
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = dict(file)

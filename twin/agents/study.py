@@ -173,6 +173,8 @@ def _work_one(settings: Settings, folder: Path, piece: Piece) -> dict[str, Any]:
         **{"seas": settings.seas, "outages": settings.outages},
         "seeds": settings.evaluation_seeds,
     }
+    if seed is None:
+        asked["curve_seeds"] = settings.curve_seeds
     asked = json.loads(json.dumps(asked))
     path = place / "evaluation.json"
     if path.exists():
@@ -350,8 +352,10 @@ class _Scores:
                     worst, its, best = (float(iqm(values.ravel())) for values in trio)
                     drawn = replicates(trio)
                     gap = interval(drawn[0] - drawn[2])
-                    # none where chance may have made it: a share of nothing says nothing
-                    real = gap[0] is not None and gap[1] is not None and gap[0] * gap[1] > 0.0
+                    # none where chance may have made it, or where the truth did not help: a
+                    # share of nothing says nothing
+                    sign = -1.0 if metric == "return" else 1.0
+                    real = all(bound is not None and sign * bound > 0.0 for bound in gap)
                     low, high = (
                         interval((drawn[0] - drawn[1]) / (drawn[0] - drawn[2]))
                         if real

@@ -53,6 +53,14 @@ CURVE_SEEDS = tuple(range(800_000, 800_016))
 """Episodes behind each point of a learning curve."""
 FILES = ("run.json", "checkpoint.pt", "curve.csv", "policy.npz")
 _NOTES, _CHECKPOINT, _CURVE, _POLICY = FILES
+SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
+"""Hyperparameters that may be ``"lin_X"``: X at the start, 0 at the end."""
+_WORDS = {"ent_coef", "target_entropy", *SCHEDULES}
+_OF_POLICIES = {
+    *("net_arch", "activation_fn", "log_std_init", "ortho_init", "n_critics"),
+    *("lstm_hidden_size", "shared_lstm", "enable_critic_lstm"),
+}
+_NORMALIZE = {"norm_obs", "norm_reward", "clip_obs", "clip_reward", "epsilon"}
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -103,6 +111,8 @@ class Plan:
             raise AgentError(
                 f"observation = {self.observation!r}; known: {', '.join(OBSERVATIONS)}"
             )
+        if self.task == "free":
+            raise AgentError("task = 'free' has no reward: there is nothing to learn")
         for name, least in (("steps", 1), ("seed", 0), ("every", 1)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
@@ -181,12 +191,27 @@ def _check_hyper(algo: str, values: Mapping[str, Any], where: str) -> None:
     known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
     # of a checkpoint or a policy file these are no part
     known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
-    for name in values:
-        if name not in known:
-            raise AgentError(f"{where}: {algo} has no {name!r}; it has {', '.join(sorted(known))}")
+    tables = {"": known, "policy_kwargs": _OF_POLICIES, "normalize": _NORMALIZE}
+    for table, names in tables.items():
+        found = values.get(table, {}) if table else values
+        if not isinstance(found, Mapping):
+            raise AgentError(f"{where}: {table} = {found!r}: must be a table [{table}]")
+        for name in found:
+            if name not in names:
+                what = f"[{table}]" if table else algo
+                raise AgentError(
+                    f"{where}: {what} has no {name!r}; it has {', '.join(sorted(names))}"
+                )
+    for name, value in values.items():
+        if isinstance(value, str) and name not in _WORDS:
+            raise AgentError(f"{where}: {name} = {value!r}: must be a number")
     activation = values.get("policy_kwargs", {}).get("activation_fn", "tanh")
-    if activation not in ACTIVATIONS:
+    if not (isinstance(activation, str) and activation in ACTIVATIONS):
         raise AgentError(f"{where}: activation_fn = {activation!r}; use {', '.join(ACTIVATIONS)}")
+    for name in ("n_envs", "n_timesteps"):
+        value = values.get(name, 1)
+        if not (isinstance(value, int) and value >= 1):
+            raise AgentError(f"{where}: {name} = {value!r}: must be a whole number, 1 or more")
 
 
 def _algorithm(algo: str) -> type[BaseAlgorithm]:
@@ -233,31 +258,32 @@ def train(
     hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)
     _check_hyper(plan.algo, hyper, "hyper")
     notes = {"plan": asdict(plan), "hyper": hyper, "curve_seeds": list(curve_seeds)}
-    _claim(folder, notes)
+    _check_claim(folder, notes)
     if not (folder / _POLICY).exists():
         import torch
 
         torch.set_num_threads(1)  # several are slower on networks of this size
         learner = _Learner(plan, folder, hyper, curve_seeds)
         try:
+            # only now is it known that there can be such a run
+            write_whole(folder / _NOTES, (json.dumps(notes, indent=1) + "\n").encode())
             learner.learn(progress)
         finally:
             learner.envs.close()
         settings = {**asdict(plan), "hyper": hyper, "version": __version__}
         policy_of(learner.model, learner.envs, plan, settings).save(folder / _POLICY)
-    for path in (folder / _CHECKPOINT, *folder.glob("replay_*.pt")):
+    for path in (folder / _CHECKPOINT, *folder.glob("replay_*.pt"), *folder.glob(".*.pt")):
         path.unlink(missing_ok=True)
     return Run.of(folder)
 
 
-def _claim(folder: Path, notes: dict[str, Any]) -> None:
-    """Make the folder that of this run, or see that it is."""
+def _check_claim(folder: Path, notes: dict[str, Any]) -> None:
+    """Refuse a folder that is another run's."""
     path = folder / _NOTES
-    text = json.dumps(notes, indent=1) + "\n"
+    text = json.dumps(notes)
     try:
         before = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        write_whole(path, text.encode())
         return
     except ValueError:
         raise AgentError(f"{path}: cannot be read; choose another folder") from None
@@ -292,17 +318,19 @@ class _Learner:
         made = make_envs(
             self.n, observation=plan.observation, autoreset_mode="SameStep", **plan.environment
         )
-        gamma = options.get("gamma", 0.99)
-        self.envs = VecNormalize(SB3VecEnv(made), gamma=gamma, **normalize)
         if "policy_kwargs" in options:
             options["policy_kwargs"] = _torch_options(options["policy_kwargs"])
-        if "learning_rate" in options:
-            options["learning_rate"] = _schedule(options["learning_rate"])
+        for name in SCHEDULES:
+            if options.get(name) is not None:
+                options[name] = _schedule(name, options[name])
         options["seed"] = _seed_of(plan.seed, 0)
         try:
+            gamma = options.get("gamma", 0.99)
+            self.envs = VecNormalize(SB3VecEnv(made), gamma=gamma, **normalize)
             kind = ALGORITHMS[plan.algo][2]
             self.model: Any = algorithm(kind, self.envs, device="cpu", **options)
-        except TypeError as error:
+        except (AssertionError, AttributeError, TypeError, ValueError) as error:
+            made.close()
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
         _begin_usual(self.model, made.episodes.usual_action)
         if importlib.util.find_spec("tensorboard") is None:
@@ -411,13 +439,11 @@ class _Learner:
 
     def _resume(self) -> None:
         """Go on from the last checkpoint, if there is one."""
-        import torch
-
         path = self.folder / _CHECKPOINT
         if not path.exists():
             return
         model, envs = self.model, self.envs
-        state = torch.load(path, weights_only=True)
+        state = _read(path)
         model.set_parameters(state["parameters"], device="cpu")
         model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
         self.wall, self.curve = state["wall_s"], state["curve"]
@@ -432,7 +458,7 @@ class _Learner:
             for part in sorted(self.folder.glob("replay_*.pt")):
                 if int(part.stem[7:]) > total:  # its checkpoint was not written any more
                     continue
-                arrays = torch.load(part, weights_only=True)
+                arrays = _read(part)
                 upto = int(part.stem[7:])
                 rows = np.arange(self.saved, upto) % buffer.buffer_size
                 for name in _ARRAYS:
@@ -458,6 +484,18 @@ def _averages(envs: VecNormalize) -> dict[str, Any]:
     return found | {"observations": envs.obs_rms} if envs.norm_obs else found
 
 
+def _read(path: Path) -> Any:
+    """Return what :func:`_write` wrote."""
+    import pickle
+
+    import torch
+
+    try:
+        return torch.load(path, weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError):
+        raise AgentError(f"{path}: is damaged; delete {path.parent} and train again") from None
+
+
 def _write(path: Path, content: Any) -> None:
     import torch
 
@@ -472,8 +510,8 @@ def _seed_of(seed: int, steps: int) -> int:
     return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
 
 
-def _schedule(rate: float | str) -> Any:
-    """Return a learning rate: a number, or ``"lin_X"``, which falls from X to 0."""
+def _schedule(name: str, rate: float | str) -> Any:
+    """Return what falls while training: a number, or ``"lin_X"``, which falls from X to 0."""
     if not isinstance(rate, str):
         return float(rate)
     kind, _, first = rate.partition("_")
@@ -482,7 +520,7 @@ def _schedule(rate: float | str) -> Any:
     except ValueError:
         start = 0.0
     if kind != "lin" or not start > 0.0:
-        raise AgentError(f"learning_rate = {rate!r}: must be a number, or 'lin_3e-4'")
+        raise AgentError(f"{name} = {rate!r}: must be a number, or 'lin_3e-4'")
     return lambda left: start * left
 
 
