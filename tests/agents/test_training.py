@@ -183,7 +183,7 @@ def test_wrong_plans_and_hyperparameters_are_named(tmp_path):
 def test_a_linear_learning_rate_falls_to_zero():
     rate = training._schedule("learning_rate", "lin_1e-3")
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == [1e-3, 5e-4, 0.0]
-    assert training._schedule(3e-4) == 3e-4
+    assert training._schedule("learning_rate", 3e-4) == 3e-4
 
 
 @pytest.mark.parametrize(
