@@ -648,7 +648,9 @@ def _draw_gaps(results: Mapping[str, Any]) -> Any:
         ax.set_title(panel.upper())
         ax.set_xlabel("loss of GPS")
         if agents:
-            ax.legend(fontsize=8, loc="lower left")
+            ax.legend(
+                fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=3, frameon=False
+            )
     axes[0, 0].yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
     axes[0, 0].set_ylabel("share of the gap raw to oracle that is closed")
     return figure
