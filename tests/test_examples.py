@@ -162,3 +162,17 @@ def test_shipped_policies_are_small():
     sizes = [path.stat().st_size for path in (STUDY / "policies").glob("*.npz")]
     assert len(sizes) >= 9
     assert max(sizes) < 200_000
+
+
+def test_the_agent_of_the_default_task_is_as_good_as_line_of_sight():
+    """On a few episodes; the README's are 200."""
+    from twin.agents.controllers import make_controller
+    from twin.agents.evaluation import evaluate
+    from twin.agents.policy import Policy
+
+    trained = Policy.load(STUDY / "default_task" / "policy.npz")
+    off = [
+        np.mean([row["off_path_m"] for row in evaluate(agent, seeds=range(900_000, 900_020))])
+        for agent in (trained, make_controller("los"))
+    ]
+    assert off[0] < 1.1 * off[1]
