@@ -65,9 +65,12 @@ def write(path: str | Path, parts: dict[str, Any]) -> None:
     StateError
         Names what in them is no plain data.
     """
-    path = Path(path)
-    content = pack(parts)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    write_whole(Path(path), pack(parts))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, also if the machine dies."""
+    partial = path.with_name(f".{os.getpid()}_{path.name}")
     try:
         with partial.open("wb") as file:
             file.write(content)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin import state
 from usv_gym.vector import USVVectorEnv
 
 __all__ = ["AgentError", "Policy", "write_whole"]
@@ -192,14 +192,6 @@ def _sigmoid(x: Array) -> Array:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, also if the machine dies."""
+    """Make a file's folder, and write the file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}_{path.name}")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    state.write_whole(path, content)
