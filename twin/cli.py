@@ -34,7 +34,7 @@ from twin.particulars import ParticularsError
 from twin.predictor import CHANNELS, Estimate, Prediction
 from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
-from twin.state import StateError
+from twin.state import StateError, write_whole
 from twin.structure import MODELS
 from twin.terminal import INTERRUPTED, console, errors, listed, results_text, seeds_of
 from twin.twin import PLANS, Twin, TwinError, known_plan
@@ -1405,14 +1405,9 @@ def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+    """Make a file's folder, and write the file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_whole(path, text.encode())
 
 
 def _present(logs: list[Path]) -> tuple[tuple[str, ...], dict[str, str]]:
