@@ -293,6 +293,15 @@ class DSWPredictor(ModelPredictor):
         """True once the filter has begun."""
         return self._count > 0
 
+    @property
+    def window_s(self) -> float:
+        """See :attr:`twin.predictor.Predictor.window_s`."""
+        if self.use == "off":
+            return math.nan
+        W = self.window.base if self.use == "fixed" else self.window.W
+        last = np.arange(self._count - min(W, self._count), self._count) % self._size
+        return float(self._dts[last].sum())
+
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictor.Predictor.update`."""
         self.t = t

@@ -739,6 +739,11 @@ class PlusPredictor(UKFPredictor):
         """Number of the newest complete row of the window; -1 if there is none."""
         return int(_last_row(self.track))
 
+    @property
+    def window_s(self) -> float:
+        """See :attr:`twin.predictor.Predictor.window_s`."""
+        return min(max(self.last_row, 0) * GRID, self.refit.span)
+
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictor.Predictor.update`."""
         self.t = t

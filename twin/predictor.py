@@ -221,6 +221,11 @@ class Predictor(ABC):
     def estimate(self) -> Estimate:
         """Return what is believed now."""
 
+    @property
+    def window_s(self) -> float:
+        """Length of the data that the identifier looks back on now, s; NaN where it does not."""
+        return math.nan
+
     def identifiability(self) -> Identifiability | None:
         """Return what the data seen say of the parameters; None where there is no model."""
         return None

@@ -14,7 +14,7 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import WAVE_ROWS, factor_room
-from usv_gym.sea import SeaState, choice
+from usv_gym.sea import Sea, SeaState, choice
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
 from usv_kernel import kernel
@@ -157,6 +157,8 @@ class Simulation:
         Control step, s.
     dt_physics : float
         Integration step, s; dt must be a whole multiple of it.
+    changing : bool
+        Whether to make room for other seas than these: see :meth:`change_sea`.
 
     Attributes
     ----------
@@ -187,6 +189,7 @@ class Simulation:
         dof: int = 3,
         dt: float = 0.05,
         dt_physics: float = 0.05,
+        changing: bool = False,
     ) -> None:
         sound = math.isfinite(dt) and math.isfinite(dt_physics) and dt_physics > 0
         substeps = round(dt / dt_physics) if sound else 0
@@ -213,7 +216,8 @@ class Simulation:
         max_faults = max_faults if callable(faults) else len(fixed)
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
-        examples = [sea.realise(vessel, quiet, quiet) for sea in self.seas]
+        seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
+        examples = [sea.realise(vessel, quiet, quiet) for sea in seas]
         width = sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults + wx.NOISE_SIZE
         self._block = NOISE_ROWS[n > 1]
         shapes = {
@@ -281,12 +285,7 @@ class Simulation:
             self._asleep.discard(i)
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = rng.spawn(7)
             rng_faults, rng_sea = others
-            sea = choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts)
-            # where seas differ in their number of waves, the rest of the room holds none
-            for room, components in ((self.waves, sea.waves), (self.gusts, sea.gusts)):
-                room[i] = 0.0
-                room[i, :, : components.shape[1]] = components
-            self.weather[i] = sea.weather
+            self._fill(i, choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts))
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
             given = self._given_faults
@@ -301,9 +300,7 @@ class Simulation:
             self.state[i, fr.U] = self._start_speed
             self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
             self.cmd[i] = n_start, n_start, 0.0, 0.0
-            if self.dof == 6:
-                p, factors = self.constants[VESSEL:SUITE], self.arguments[3]
-                ship.float_on(self.state[i], self.waves[i], self.weather[i], p, factors)
+            self._float(i)
             self.records[i, WORK:] = 0.0
             self._rings[i] = 0.0
             noise, memory = self._noise[i, 0], self.records[i, BIAS:WEATHER]
@@ -315,6 +312,49 @@ class Simulation:
                 *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self.faults[i], memory),
                 *(self._rings[i], self.z[i]),
             )
+
+    def change_sea(self, i: int, sea: str | SeaState, rng: np.random.Generator) -> None:
+        """Put boat i into another sea, from now on until its reset.
+
+        With six degrees of freedom it is set on the new surface, moving with it. The slow
+        changes of the wind begin at its mean.
+
+        Parameters
+        ----------
+        i : int
+            Which boat.
+        sea : str or SeaState
+            The new sea state.
+        rng : numpy.random.Generator
+            For its waves and gusts.
+        """
+        new = SeaState.named(sea).realise(self.vessel, *rng.spawn(2))
+        for kind, room, components in (
+            ("waves", self.waves, new.waves),
+            ("gusts", self.gusts, new.gusts),
+        ):
+            if components.shape[1] > room.shape[2]:
+                raise SimulationError(
+                    f"change_sea: {components.shape[1]} components of {kind}, but there is room "
+                    f"for {room.shape[2]}: make the simulation with changing=True, or with a sea "
+                    "of as many components"
+                )
+        self._fill(i, new)
+        self._float(i)
+
+    def _fill(self, i: int, sea: Sea) -> None:
+        """Write a sea to the room of boat i."""
+        # where seas differ in their number of waves, the rest of the room holds none
+        for room, components in ((self.waves, sea.waves), (self.gusts, sea.gusts)):
+            room[i] = 0.0
+            room[i, :, : components.shape[1]] = components
+        self.weather[i] = sea.weather
+
+    def _float(self, i: int) -> None:
+        """Set boat i on the surface of its sea, where it may heave."""
+        if self.dof == 6:
+            p, factors = self.constants[VESSEL:SUITE], self.arguments[3]
+            ship.float_on(self.state[i], self.waves[i], self.weather[i], p, factors)
 
     def step(self, cmd: np.ndarray) -> None:
         """Advance every boat by one control step.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.vector import USVVectorEnv
+from usv_gym.vessel import Vessel
 
 __all__ = ["Agent", "ControllerError", "check_actions", "shaft_speeds"]
 
@@ -57,7 +58,7 @@ def check_actions(name: str, envs: USVVectorEnv) -> None:
         )
 
 
-def shaft_speeds(envs: USVVectorEnv) -> tuple[float, float]:
+def shaft_speeds(vessel: Vessel) -> tuple[float, float]:
     """Return the shaft speeds of full throttle and of the usual speed, rev/s."""
-    values = envs.vessel.values
+    values = vessel.values
     return values["shaft_speed_service"], values["shaft_speed_manoeuvring"]

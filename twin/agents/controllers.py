@@ -21,6 +21,7 @@ from twin.agents.mpc import ModelPredictive
 from usv_gym.episodes import AGE_SCALE
 from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
 from usv_gym.vector import USVVectorEnv
+from usv_gym.vessel import Vessel
 from usv_kernel import kernel
 
 __all__ = ["CONTROLLERS", "LOS", "ControllerError", "DeadReckoningLOS", "make_controller"]
@@ -93,26 +94,57 @@ class LOS:
         base = envs.unwrapped
         check_actions(self.name, base)
         self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
-        self.dt = base.simulation.dt * base.frame_skip
-        self.length, self.speed = base.vessel.values["length_waterline"], base.speed
-        self.reach, self.unit = base.task.rules[REACH], base.task.rules[UNIT]
-        full, usual = shaft_speeds(base)
+        self.unit = base.task.rules[UNIT]
+        dt = base.simulation.dt * base.frame_skip
+        self.fit(base.vessel, base.speed, dt, base.task.rules[REACH], base.num_envs)
+
+    def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
+        """Take over n boats: what :meth:`begin` does, where there is no environment.
+
+        Parameters
+        ----------
+        vessel : Vessel
+            The boats.
+        speed : float
+            Their usual speed, m/s.
+        dt : float
+            Time between two decisions, s.
+        reach : float
+            Distance at which a way point counts as reached, m; 0 on a curve.
+        n : int
+            Number of boats.
+        """
+        self.dt, self.speed, self.reach = dt, speed, reach
+        self.length = vessel.values["length_waterline"]
+        full, usual = shaft_speeds(vessel)
         self.shaft = usual / full
-        self._drift = np.zeros(base.num_envs)
+        self._drift = np.zeros(n)
 
     def act(self, obs: NDArray[np.float32]) -> Array:
         """See :meth:`twin.agents.agent.Agent.act`."""
         motion = obs[:, self._places].astype(float)
         motion[:, 0] *= self.unit
         motion[:, 1] *= 10.0 * self.unit
-        return self._steer(self._navigate(obs, motion))
+        return self.steer(self._navigate(obs, motion))
 
     def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
         """Return cross-track and to-go (m), cosines and sines of both angles, and the motion."""
         return motion
 
-    def _steer(self, motion: Array) -> Array:
-        """Return actions from how the boats stand to their legs, and from their motion."""
+    def steer(self, motion: Array) -> Array:
+        """Return actions from how the boats stand to their legs, and from their motion.
+
+        Parameters
+        ----------
+        motion : ndarray, shape (n, 8)
+            Cross-track distance and distance to go (m), cosines and sines of the course error
+            and of the next turn, yaw rate (rad/s), and speed forward in usual speeds.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Shaft speed and helm, parts of the full ones in [-1, 1].
+        """
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
         # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
         near = (self.reach > 0.0) & (to_go < self.reach)

@@ -344,7 +344,7 @@ class ModelPredictive:
         check_actions(self.name, base)
         joint, beliefs, vessel = observer.joint, observer.beliefs, base.vessel
         n, K, M, V = base.num_envs, self.rows, len(self.knots), WIDTH * len(self.knots)
-        length, shafts = vessel.values["length_waterline"], shaft_speeds(base)
+        length, shafts = vessel.values["length_waterline"], shaft_speeds(vessel)
         h = self.horizon * length / base.speed / K
         dt = base.simulation.dt * base.frame_skip
         usual = shafts[1] / shafts[0]
