@@ -166,6 +166,8 @@ _ABSENT = {
     "steer_lag": 1.0,
     "rudder_height": 1.0,
 }
+MESH_FORMATS = (".glb", ".stl", ".obj", ".ply")
+"""Kinds of mesh files that a vessel may name."""
 FULL_HELM = math.radians(30.0)
 """Helm angle at which a fixed pair of thrusters has moved all thrust to one of them, rad."""
 
@@ -220,6 +222,10 @@ class Vessel:
         and D_uu say it all.
     guesses : frozenset of str
         Keys that the file marks as judgement.
+    mesh : Path, optional
+        Mesh file that replaces the hull and superstructure drawn from the particulars; see
+        :mod:`usv_gym.geometry`. In m, origin amidships on the water line. A .glb file has y up,
+        z forward and x to port (glTF); the others have z up, x forward and y to port.
     """
 
     name: str
@@ -229,6 +235,7 @@ class Vessel:
     resistance_speed: tuple[float, ...] = ()
     resistance_force: tuple[float, ...] = ()
     guesses: frozenset[str] = field(default=frozenset())
+    mesh: Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -282,12 +289,12 @@ class Vessel:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise VesselError(f"{path}: is not valid TOML: {error}") from None
         try:
-            return cls._from_table(table, path.stem)
+            return cls._from_table(table, path)
         except VesselError as error:
             raise VesselError(f"{path}: {error}") from None
 
     @classmethod
-    def _from_table(cls, table: dict[str, Any], stem: str) -> Vessel:
+    def _from_table(cls, table: dict[str, Any], path: Path) -> Vessel:
         known = {"vessel", *SCHEMA}
         for name in table:
             if name not in known:
@@ -296,8 +303,8 @@ class Vessel:
         if not isinstance(about, dict):
             raise VesselError("[vessel] must be a table")
         for key, value in about.items():
-            if key not in ("name", "title") or not isinstance(value, str):
-                raise VesselError(f"[vessel] {key}: unknown key; known: name, title (texts)")
+            if key not in ("name", "title", "mesh") or not isinstance(value, str):
+                raise VesselError(f"[vessel] {key}: unknown key; known: name, title, mesh (texts)")
         values: dict[str, float] = {}
         guesses = set()
         curve: dict[str, tuple[float, ...]] = {"speed": (), "force": ()}
@@ -331,13 +338,14 @@ class Vessel:
                 if guess:
                     guesses.add(key)
         return cls(
-            name=about.get("name", stem),
-            title=about.get("title", stem),
+            name=about.get("name", path.stem),
+            title=about.get("title", path.stem),
             kind=kind,
             values=values,
             resistance_speed=curve["speed"],
             resistance_force=curve["force"],
             guesses=frozenset(guesses),
+            mesh=(path.parent / about["mesh"]).resolve() if "mesh" in about else None,
         )
 
     def _check(self) -> None:
@@ -357,6 +365,7 @@ class Vessel:
         if unknown:
             raise VesselError(f"unknown value(s): {', '.join(sorted(unknown))}")
         self._check_resistance()
+        self._check_mesh()
         v = self.values
         displaced = (v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]) * v[
             "water_density"
@@ -377,6 +386,19 @@ class Vessel:
             raise VesselError(
                 "[propulsion] a thruster_pair steers by unequal thrust: units must be 2 and y_P "
                 "above 0"
+            )
+
+    def _check_mesh(self) -> None:
+        if self.mesh is None:
+            return
+        if self.mesh.suffix.lower() not in MESH_FORMATS:
+            raise VesselError(
+                f"[vessel] mesh: {self.mesh} must be a file of {', '.join(MESH_FORMATS)}"
+            )
+        if not self.mesh.is_file():
+            raise VesselError(
+                f"[vessel] mesh: there is no file {self.mesh}; give a path from the folder of the "
+                "vessel's own file"
             )
 
     def _check_resistance(self) -> None:
