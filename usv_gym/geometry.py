@@ -940,7 +940,7 @@ def _with_file(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
     trimesh = _trimesh()
     place = f"[vessel] mesh: {path}:"
     try:
-        scene = trimesh.load_scene(path)
+        scene = trimesh.load_scene(path, process=False)  # which would drop what is not finite
         found = []
         for node in scene.graph.nodes_geometry:
             transform, key = scene.graph[node]
@@ -955,14 +955,15 @@ def _with_file(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
         raise VesselError(f"{place} holds no triangles; export the boat's surface as a mesh")
     if not all(np.isfinite(solid.vertices).all() for _, solid in found):
         raise VesselError(f"{place} has vertices that are no finite numbers; export it again")
+    for _, solid in found:
+        solid.merge_vertices()
     turn = _GLTF if path.suffix.lower() == ".glb" else _UPRIGHT
     own = {part.name: part for part in moving}
     parts: dict[str, Part] = {}
     for name, solid in found:
         mesh = Mesh(np.asarray(solid.vertices) @ turn, np.asarray(solid.faces, dtype=np.int32))
         if name in own:
-            boat = Boat(tuple(moving))
-            mesh = mesh.moved(-boat.place(own[name]))
+            mesh = mesh.moved(-Boat(tuple(moving)).place(own[name]))
             own[name] = replace(own[name], mesh=mesh, colour=_colour(solid))
         else:
             parts[name] = Part(name, mesh, _colour(solid))

@@ -309,7 +309,7 @@ class Vessel:
         mesh = (path.parent / about["mesh"]).resolve() if "mesh" in about else None
         if mesh is not None and not mesh.is_file():
             raise VesselError(
-                f"[vessel] mesh: there is no file {mesh}; give its path from the folder of {path}"
+                f"[vessel] mesh: there is no file {mesh}; give its path from this file's folder"
             )
         values: dict[str, float] = {}
         guesses = set()
