@@ -39,6 +39,7 @@ from twin.structure import MODELS
 from twin.terminal import INTERRUPTED, console, errors, listed, results_text, seeds_of
 from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.design import DesignError, design
+from usv_gym.geometry import boat_of
 from usv_gym.inspection import Inspection, inspect
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.physics import KNOT
@@ -46,7 +47,7 @@ from usv_gym.sea import SEA_STATES, SeaError, SeaState
 from usv_gym.sensors import FAULTS_HELP, GRADES, FaultError, SensorSuite, parse_faults
 from usv_gym.simulation import SimulationError
 from usv_gym.tasks import TaskError
-from usv_gym.vessel import KIND_SCHEMA, Vessel, VesselError, vessel_names
+from usv_gym.vessel import KIND_SCHEMA, MESH_FORMATS, Vessel, VesselError, vessel_names
 from usv_kernel import cached
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ app = typer.Typer(
     "the sea, and train and evaluate agents that steer.",
 )
 vessel_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Check a vessel file, or begin a new one."
+    no_args_is_help=True, rich_markup_mode=None, help="Check, begin or draw a vessel."
 )
 app.add_typer(vessel_app, name="vessel")
 
@@ -580,6 +581,7 @@ def vessel_check_command(
     Exit code 0: sound; 1: errors (with --strict also warnings); 2: it cannot be read.
     """
     boat = Vessel.load(vessel)
+    boat_of(boat)  # reads its mesh file
     found = inspect(boat)
     if json_file is not None:
         _write_json(json_file, found.to_json())
@@ -637,6 +639,40 @@ def vessel_new_command(
     console.print(
         f"{path}: {guesses} of {values} entries are estimates; look at it with "
         f"usv-twin vessel check {path}",
+        soft_wrap=True,
+    )
+
+
+@vessel_app.command("mesh")
+@_speaking
+def vessel_mesh_command(
+    vessel: Annotated[
+        str, typer.Argument(help=f"TOML file, or a name: {', '.join(vessel_names())}.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help=f"{', '.join(MESH_FORMATS)}; <name>.glb."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Write the boat's geometric model, in m, for a 3-D program or as a vessel's mesh.
+
+    .glb keeps parts and colours, with y up, z forward and x to port as in every glTF file; the
+    others have z up, x forward and y to port.
+    """
+    ship = Vessel.load(vessel)
+    path = out or Path(f"{ship.name}.glb")
+    if path.exists() and not force:
+        raise VesselError(f"{path}: is there already; choose another --out, or --force")
+    boat = boat_of(ship)
+    content = boat.encoded(path.suffix.lower())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
+    whole = boat.whole()
+    long, wide, high = np.ptp(whole.bounds, axis=0)
+    console.print(
+        f"{path}: {len(boat.parts)} parts, {len(whole.faces)} triangles, "
+        f"{long:.4g} m long, {wide:.4g} m wide, {high:.4g} m high",
         soft_wrap=True,
     )
 

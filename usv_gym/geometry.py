@@ -425,7 +425,7 @@ class _Lines:
         return np.asarray(keel / keel.max())
 
     def _below(self, fullness: float, power: float) -> tuple[Array, Array]:
-        """y and z of the sections from keel to water line, m, each (stations, rows + 1)."""
+        """Return y and z of the sections from keel to water line, m, each (stations, rows + 1)."""
         angle = np.linspace(0.0, 0.5 * math.pi, _BELOW + 1)
         across, down = np.sin(angle) ** (2.0 / power), np.cos(angle) ** (2.0 / power)
         down[-1] = 0.0
@@ -467,7 +467,7 @@ class _Lines:
         rise = np.concatenate([np.zeros(_BELOW + 1), height])
         rake = (over - back) * np.clip((xi - 0.45) / 0.55, 0.0, 1.0) ** 2
         rake -= back * np.clip((0.2 - xi) / 0.2, 0.0, 1.0)
-        x = (form.stern + form.length * xi)[:, None] + np.outer(rake, rise)
+        x = (form.stern + form.length * xi)[:, None] + np.outer(rake, rise**0.8)
         crown = z[:, -1:] - 0.05 * y[:, -1:]
         half = np.stack([x, y, z], axis=-1)
         top = np.stack([x[:, -1:], np.zeros_like(crown), crown], axis=-1)
@@ -609,8 +609,10 @@ def _fixed(form: Form, lines: _Lines) -> Iterator[Part]:
     x, y, z = lines.deck()
     thick, inner = 0.006 * lines.beam, 0.93 * y
     rim, crown = z - 0.05 * (y - inner), z - 0.05 * y
-    corners = ((x, inner, rim - thick), (x, 0 * y, crown - thick))
-    corners += ((x, -inner, rim - thick), (x, 0 * y, crown + thick))
+    corners = (
+        *((x, inner, rim - thick), (x, 0.0 * y, crown + thick)),
+        *((x, -inner, rim - thick), (x, 0.0 * y, crown - thick)),
+    )
     ring = np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1)
     inside = (lines.xi > 0.012) & (lines.xi < 0.985)
     planks = _loft(ring[inside]).moved([0.0, lines.offset, 0.0])
@@ -673,7 +675,7 @@ def _wheelhouse(form: Form, floor: Deck, L: float, top: float) -> dict[str, list
                 (roof - 0.34 * tall, foot - 2 * r, foot + 5 * r, 2.4 * r),
             ]
         ),
-        _turned([(roof - 0.5 * tall, 0.25 * r), (roof - 1.9 * tall, 0.15 * r)], 2, 6).moved(
+        _turned([(roof + r, 0.35 * r), (roof - 1.5 * tall, 0.15 * r)], 2, 6).moved(
             [a + 0.05 * L, 0.7 * half, 0.0]
         ),
     ]
@@ -756,18 +758,16 @@ def _ship_house(form: Form, floor: Deck, L: float, top: float) -> dict[str, list
         ),
     ]
     mid = 0.5 * (b + fore)
-    for side in (-2.2, 0.0, 2.2):  # pipes, and the manifold across them
-        mast.append(
-            _turned([(b, 0.8 * r), (fore - 0.05 * L, 0.8 * r)], 0, 8).moved(
-                [0.0, side * r, floor(mid) - 2.5 * r]
-            )
-        )
-    for at in (-1.5, 0.0, 1.5):
-        mast.append(
-            _turned([(-0.36 * form.beam, 0.8 * r), (0.36 * form.beam, 0.8 * r)], 1, 8).moved(
-                [mid + 3.0 * at * r, 0.0, floor(mid) - 2.5 * r]
-            )
-        )
+    # pipes, and the manifold across them
+    pipe, above = 0.36 * form.beam, floor(mid) - 2.5 * r
+    mast += [
+        _turned([(b, 0.8 * r), (fore - 0.05 * L, 0.8 * r)], 0, 8).moved([0.0, y * r, above])
+        for y in (-2.2, 0.0, 2.2)
+    ]
+    mast += [
+        _turned([(-pipe, 0.8 * r), (pipe, 0.8 * r)], 1, 8).moved([mid + at * r, 0.0, above])
+        for at in (-4.5, 0.0, 4.5)
+    ]
     sensors = [
         _ball(1.8 * r, [b - 0.015 * L, 6.0 * side * r, aloft - 0.026 * L - 2.0 * r])
         for side in (-1.0, 1.0)
@@ -852,39 +852,29 @@ def _drive(form: Form, name: str, unit: int, y: float) -> list[Part]:
     if x is None:
         x = form.stern - (0.3 if fixed else 0.8) * D
     depth = form.draft if form.depth is None else form.depth
-    up = -depth - 0.75 * form.freeboard  # of the head's foot, from the shaft
-    head = min(1.5 * D, form.freeboard) * (0.4 if fixed else 0.9)
+    up = -depth - 0.7 * form.freeboard  # where the leg ends, from the shaft
     chord = 0.62 * D
+    torpedo = ((-0.42, 0.09), (-0.2, 0.13), (0.25, 0.13), (0.5, 0.05), (0.55, 0.0))
     leg = [
-        _turned(
-            [
-                (-0.42 * D, 0.09 * D),
-                (-0.2 * D, 0.13 * D),
-                (0.25 * D, 0.13 * D),
-                (0.5 * D, 0.05 * D),
-                (0.55 * D, 0.0),
-            ],
-            0,
-        ),
+        _turned([(along * D, radius * D) for along, radius in torpedo], 0),
         _foil(chord, 0.16 * D, up, 0.0, 0.45 * chord),
         _foil(0.8 * chord, 0.05 * D, 0.0, 0.55 * D, 0.2 * chord),
-        _block(
-            [(-0.62 * D, -0.62 * D, 0.3 * D, 0.22 * D), (-0.58 * D, -0.62 * D, 0.3 * D, 0.22 * D)],
-            power=3.0,
-        ),
+        _block([(z * D, -0.62 * D, 0.3 * D, 0.22 * D) for z in (-0.62, -0.58)], power=3.0),
     ]
-    if x < form.stern:  # a bracket to the transom, and the motor's cowl
-        leg += [
+    parts = []
+    if x < form.stern:  # the motor's cowl, and a bracket to the transom
+        size = min((0.9 if fixed else 1.5) * D, 0.25 * form.beam)
+        tall = (0.45 if fixed else 0.95) * min(size, form.freeboard)
+        cowl = ((0.0, 0.42, 0.26), (0.25, 0.52, 0.33), (0.8, 0.5, 0.31), (1.0, 0.36, 0.22))
+        leg.append(
             _block(
-                [
-                    (up, -0.45 * D, 0.5 * D, 0.3 * D),
-                    (up - 0.25 * head, -0.55 * D, 0.55 * D, 0.36 * D),
-                    (up - 0.8 * head, -0.55 * D, 0.5 * D, 0.34 * D),
-                    (up - head, -0.45 * D, 0.35 * D, 0.26 * D),
-                ],
+                [(up - at * tall, -long * size, long * size, w * size) for at, long, w in cowl],
                 power=3.5,
-            ),
-        ]
+            )
+        )
+        ends = (x + 0.1 * D, form.stern + 0.1 * D, 0.2 * D)
+        bracket = _block([(z * form.freeboard, *ends) for z in (-0.6, -0.15)], power=8.0)
+        parts.append(Part(f"bracket{name}", bracket.moved([0.0, y, 0.0]), COLOURS["mast"]))
     drive = Part(
         name=f"drive{name}",
         mesh=Mesh.joined(leg),
@@ -893,7 +883,7 @@ def _drive(form: Form, name: str, unit: int, y: float) -> list[Part]:
         moves="" if fixed else "steer",
         unit=unit,
     )
-    return [drive, _screw(form, name, unit, (-0.5 * D, 0.0, 0.0), drive.name)]
+    return [*parts, drive, _screw(form, name, unit, (-0.5 * D, 0.0, 0.0), drive.name)]
 
 
 def _rudder(form: Form, name: str, unit: int, y: float) -> list[Part]:
@@ -950,7 +940,7 @@ def _with_file(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
     trimesh = _trimesh()
     place = f"[vessel] mesh: {path}:"
     try:
-        scene = trimesh.load_scene(path)
+        scene = trimesh.load_scene(path, process=False)  # which would drop what is not finite
         found = []
         for node in scene.graph.nodes_geometry:
             transform, key = scene.graph[node]
@@ -958,21 +948,22 @@ def _with_file(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
             if isinstance(solid, trimesh.Trimesh):
                 found.append((str(node), solid.copy().apply_transform(transform)))
     except OSError as error:
-        raise VesselError(f"{place} cannot be read ({error.strerror})") from None
+        raise VesselError(f"{place} cannot be read ({error.strerror or error})") from None
     except Exception as error:  # a parser of foreign files may raise anything
         raise VesselError(f"{place} is no {path.suffix} file that can be read: {error}") from None
     if not any(len(solid.faces) for _, solid in found):
         raise VesselError(f"{place} holds no triangles; export the boat's surface as a mesh")
     if not all(np.isfinite(solid.vertices).all() for _, solid in found):
         raise VesselError(f"{place} has vertices that are no finite numbers; export it again")
+    for _, solid in found:
+        solid.merge_vertices()
     turn = _GLTF if path.suffix.lower() == ".glb" else _UPRIGHT
     own = {part.name: part for part in moving}
     parts: dict[str, Part] = {}
     for name, solid in found:
         mesh = Mesh(np.asarray(solid.vertices) @ turn, np.asarray(solid.faces, dtype=np.int32))
         if name in own:
-            boat = Boat(tuple(moving))
-            mesh = mesh.moved(-boat.place(own[name]))
+            mesh = mesh.moved(-Boat(tuple(moving)).place(own[name]))
             own[name] = replace(own[name], mesh=mesh, colour=_colour(solid))
         else:
             parts[name] = Part(name, mesh, _colour(solid))

@@ -239,6 +239,7 @@ class Vessel:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        object.__setattr__(self, "mesh", None if self.mesh is None else Path(self.mesh))
         self._check()
 
     # A mapping proxy cannot be pickled, and parallel workers need the vessel.
@@ -305,6 +306,11 @@ class Vessel:
         for key, value in about.items():
             if key not in ("name", "title", "mesh") or not isinstance(value, str):
                 raise VesselError(f"[vessel] {key}: unknown key; known: name, title, mesh (texts)")
+        mesh = (path.parent / about["mesh"]).resolve() if "mesh" in about else None
+        if mesh is not None and not mesh.is_file():
+            raise VesselError(
+                f"[vessel] mesh: there is no file {mesh}; give its path from this file's folder"
+            )
         values: dict[str, float] = {}
         guesses = set()
         curve: dict[str, tuple[float, ...]] = {"speed": (), "force": ()}
@@ -345,7 +351,7 @@ class Vessel:
             resistance_speed=curve["speed"],
             resistance_force=curve["force"],
             guesses=frozenset(guesses),
-            mesh=(path.parent / about["mesh"]).resolve() if "mesh" in about else None,
+            mesh=mesh,
         )
 
     def _check(self) -> None:
@@ -394,11 +400,6 @@ class Vessel:
         if self.mesh.suffix.lower() not in MESH_FORMATS:
             raise VesselError(
                 f"[vessel] mesh: {self.mesh} must be a file of {', '.join(MESH_FORMATS)}"
-            )
-        if not self.mesh.is_file():
-            raise VesselError(
-                f"[vessel] mesh: there is no file {self.mesh}; give a path from the folder of the "
-                "vessel's own file"
             )
 
     def _check_resistance(self) -> None:
