@@ -28,6 +28,8 @@ from twin.agents.agent import ControllerError
 from twin.agents.policy import AgentError
 from twin.bag import is_bag
 from twin.identifiability import Finding, Identifiability
+from twin.live import commands as live
+from twin.live.feed import FeedError
 from twin.log import Log, LogError, beside
 from twin.oracle import check_world
 from twin.particulars import ParticularsError
@@ -73,6 +75,7 @@ EXPECTED = (
     ControllerError,
     DesignError,
     FaultError,
+    FeedError,
     ImportError,
     LogError,
     ManoeuvreError,
@@ -1490,7 +1493,7 @@ def _expand(arguments: list[str], option: str = "--log") -> list[str]:
     return expanded
 
 
-for _name, _command in commands.COMMANDS.items():
+for _name, _command in {**commands.COMMANDS, **live.COMMANDS}.items():
     app.command(_name)(_speaking(_command))
 
 

@@ -58,7 +58,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["LAYOUTS", "Layout", "layout_of"]
+__all__ = ["LAYOUTS", "Layout", "layout_of", "radii"]
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
 _TABLES = ("columns", "position", "velocity", "heading", "rows")
@@ -342,14 +342,31 @@ def _linear(
     return lambda values: [values[0] * factor + offset] * count
 
 
+def radii(latitude: float) -> tuple[float, float]:
+    """Return metres north per radian of latitude, and metres east per radian of longitude.
+
+    Parameters
+    ----------
+    latitude : float
+        Degrees.
+
+    Notes
+    -----
+    Source: radii of curvature of the ellipsoid, Torge and Mueller 2012, Geodesy, section 4.1.
+    """
+    a, e2 = _WGS84
+    phi = math.radians(latitude)
+    w = math.sqrt(1.0 - e2 * math.sin(phi) ** 2)
+    return a * (1.0 - e2) / w**3, a / w * math.cos(phi)
+
+
 def _projection(
     datum: tuple[float, ...] | None, source: str
 ) -> Callable[[Sequence[Array]], Sequence[Array]]:
     """Return the conversion of latitude and longitude, degrees, to metres north and east.
 
-    Source: radii of curvature of the ellipsoid, Torge and Mueller 2012, Geodesy, section 4.1;
-    on the plane that touches it at the datum (10 km north of it at 60 degrees the east is 0.3 %
-    off).
+    On the plane that touches the ellipsoid at the datum (10 km north of it at 60 degrees the
+    east is 0.3 % off).
     """
 
     def convert(values: Sequence[Array]) -> list[Array]:
@@ -364,12 +381,10 @@ def _projection(
             return [latitude, longitude]
         first = int(np.argmin(none))
         lat0, lon0 = (latitude[first], longitude[first]) if datum is None else datum
-        a, e2 = _WGS84
-        sine = math.sin(math.radians(lat0))
-        w = math.sqrt(1.0 - e2 * sine * sine)
-        north = np.radians(latitude - lat0) * a * (1.0 - e2) / w**3
+        to_north, to_east = radii(lat0)
+        north = np.radians(latitude - lat0) * to_north
         east = np.remainder(longitude - lon0 + 180.0, 360.0) - 180.0
-        east = np.radians(east) * a / w * math.cos(math.radians(lat0))
+        east = np.radians(east) * to_east
         if datum is None and math.hypot(np.nanmedian(north), np.nanmedian(east)) > _FAR:
             raise LogError(
                 f"{source}: [position]: the first fix, {lat0:.6g}, {lon0:.6g}, is more than "
