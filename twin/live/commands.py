@@ -1,8 +1,10 @@
-"""The command replay of ``usv-twin``."""
+"""The commands view and replay of ``usv-twin``."""
 
 from __future__ import annotations
 
 import math
+import signal
+import webbrowser
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -11,14 +13,210 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from twin.benchmark import particulars_beside
-from twin.live.feed import FeedError
-from twin.live.mavlink import Servos
+from twin.live.feed import Feed, FeedError
+from twin.live.mavlink import Servos, open_mavlink
+from twin.live.nmea import open_nmea
 from twin.live.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
-from twin.log import Log
+from twin.live.session import (
+    AUTOPILOTS,
+    FeedSession,
+    LogSession,
+    Session,
+    SimulatedSession,
+    World,
+)
+from twin.live.viewer import Viewer
+from twin.log import Log, LogError
+from twin.oracle import check_world
+from twin.particulars import Particulars
+from twin.protocol import NO_PARTICULARS, particulars_beside
+from twin.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
+from twin.simulated import particulars_of
 from twin.terminal import INTERRUPTED, console, errors
+from twin.twin import Twin
+from usv_gym.manoeuvres import ManoeuvreError
+from usv_gym.sea import SEA_STATES, SeaState
+from usv_gym.sensors import FAULTS_HELP, GRADES, parse_faults
+from usv_gym.vessel import Vessel, VesselError, vessel_names
 
 __all__ = ["COMMANDS"]
+
+ShaftMaxOption = Annotated[
+    float | None,
+    typer.Option(
+        help="MAVLink: shaft speed at full throttle, rev/s. Left out: twice the usual one."
+    ),
+]
+SteerMaxOption = Annotated[
+    float | None, typer.Option(help="MAVLink: full helm, degrees. Left out: 30.")
+]
+
+
+def view_command(
+    log: Annotated[
+        Path | None,
+        typer.Argument(help="Log to look at; left out: a simulated boat, or a feed."),
+    ] = None,
+    nmea: Annotated[
+        str | None,
+        typer.Option(help="Follow a boat that sends NMEA 0183 to this address: udp://:10110."),
+    ] = None,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(help="Follow a boat or an autopilot by MAVLink: udp://:14550."),
+    ] = None,
+    reply: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the twin's estimate and prediction are sent: udp://HOST:PORT. Left out: "
+            "back to who sends."
+        ),
+    ] = None,
+    vessel: Annotated[
+        str | None,
+        typer.Option(
+            "--vessel",
+            "--ship",
+            help=f"The boat: a name ({', '.join(vessel_names())}) or a TOML file; for a log or a "
+            "feed, main particulars will do. Left out: what lies beside the log, else usv75.",
+        ),
+    ] = None,
+    predictor: Annotated[
+        str, typer.Option("--predictor", "-p", help=f"One of: {', '.join(PREDICTORS)}.")
+    ] = DEFAULT,
+    mapping: Annotated[
+        Path | None, typer.Option(help="TOML file that says which column of the log is which.")
+    ] = None,
+    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    dof: Annotated[
+        int, typer.Option(help="Degrees of freedom of the simulated ship: 3, or 6 with its heave.")
+    ] = 6,
+    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
+    fault_start: Annotated[
+        float, typer.Option(help="When a fault given by its seconds begins, s.")
+    ] = 85.0,
+    shaft_max: ShaftMaxOption = None,
+    steer_max: SteerMaxOption = None,
+    autopilot: Annotated[str, typer.Option(help=f"One of: {', '.join(AUTOPILOTS)}.")] = "turn",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sea, sensors and path.")] = 0,
+    speed: Annotated[
+        float, typer.Option(min=0.1, max=10.0, help="Seconds of the run per second.")
+    ] = 1.0,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for logs that are recorded.")
+    ] = Path(),
+    host: Annotated[
+        str, typer.Option(help="Address to show it at; 0.0.0.0 lets others look.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port, or the next free one.")] = 8080,
+    browser: Annotated[
+        bool, typer.Option("--open", help="Open it in this machine's browser.")
+    ] = False,
+) -> None:
+    """Show a boat and its twin in the browser, live and in three dimensions.
+
+    Without a log or a feed, the boat is simulated: steer it, change the weather, lose its GPS.
+    Ctrl-C ends it; a log that is being recorded is written then.
+    """
+    given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
+    if len(given) > 1:
+        raise LogError(f"{' and '.join(given)}: look at one of them at a time")
+    session: Session
+    if log is not None:
+        session = _recorded(log, mapping, vessel, predictor, out)
+    elif nmea is not None or mavlink is not None:
+        full = shaft_max, None if steer_max is None else math.radians(steer_max)
+        session = _fed(nmea, mavlink, reply, vessel, predictor, full, out)
+    else:
+        boat = Vessel.load(vessel or "usv75")
+        if autopilot not in AUTOPILOTS:
+            raise ManoeuvreError(
+                f"no autopilot is called {autopilot!r}; known: {', '.join(AUTOPILOTS)}"
+            )
+        world = World(
+            vessel=boat,
+            sea=SeaState.named(sea),
+            predictor=predictor,
+            sensors=sensors,
+            seed=seed,
+            dof=dof,
+            faults=parse_faults(faults, fault_start),
+        )
+        session = SimulatedSession(world, out, autopilot)
+    session.set_scale(speed)
+    _show(session, host, port, browser)
+
+
+def _show(session: Session, host: str, port: int, browser: bool) -> None:
+    """Serve a session until Ctrl-C, or until it is told to end."""
+    viewer = Viewer(session, host, port)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        session.start()
+        console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False)
+        if browser:
+            webbrowser.open(viewer.url)
+        viewer.serve()
+    except KeyboardInterrupt:
+        console.print("stopped")
+    finally:
+        session.stop()
+        viewer.close()
+        if session.recorded is not None:
+            console.print(f"log: {session.recorded}", highlight=False, soft_wrap=True)
+
+
+def _recorded(
+    path: Path, mapping: Path | None, ship: str | None, predictor: str, out: Path
+) -> Session:
+    log = Log.read(path, mapping)
+    for note in log.notes:
+        _note(note)
+    particulars, found = particulars_beside(path, ship)
+    if not found:
+        _note(NO_PARTICULARS.format(path))
+    check_world(predictor, log, particulars)
+    return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out)
+
+
+def _fed(
+    nmea: str | None,
+    mavlink: str | None,
+    reply: str | None,
+    ship: str | None,
+    predictor: str,
+    full: tuple[float | None, float | None],
+    out: Path,
+) -> Session:
+    if predictor_class(predictor).world:
+        raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")
+    particulars, _ = particulars_beside(Path("feed"), ship or "usv75")
+    if ship is None:
+        _note("the boat is taken to be the usv75; --vessel names another")
+    twin = Twin(particulars, predictor)
+    if nmea is not None:
+        feed: Feed = open_nmea(nmea, particulars, reply)
+    else:
+        servos = Servos.of(particulars, *full)
+        feed = open_mavlink(str(mavlink), particulars, reply, servos=servos)
+    return FeedSession(feed, twin, _vessel(ship or "usv75", particulars), out)
+
+
+def _vessel(ship: str | None, particulars: Particulars) -> Vessel | None:
+    """Return the vessel whose hull is to be shown; None where only particulars are known."""
+    name = ship or particulars.name
+    if name in vessel_names():
+        vessel = Vessel.load(name)
+        return vessel if particulars_of(vessel).length == particulars.length else None
+    try:
+        return Vessel.load(name) if ship is not None else None
+    except VesselError:
+        return None
+
+
+def _note(text: str) -> None:
+    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
 
 
 def replay_command(
@@ -55,13 +253,8 @@ def replay_command(
             "Left out: the .toml beside the log, else usv75.",
         ),
     ] = None,
-    shaft_max: Annotated[
-        float | None,
-        typer.Option(help="Shaft speed at full throttle, rev/s. Left out: twice the usual one."),
-    ] = None,
-    steer_max: Annotated[
-        float | None, typer.Option(help="Full helm, degrees. Left out: 30.")
-    ] = None,
+    shaft_max: ShaftMaxOption = None,
+    steer_max: SteerMaxOption = None,
     mapping: Annotated[
         Path | None,
         typer.Option(help="TOML file that says which column is which column of the log."),
@@ -125,5 +318,5 @@ def _origin(text: str) -> tuple[float, float]:
     return latitude, longitude
 
 
-COMMANDS: dict[str, Callable[..., None]] = {"replay": replay_command}
+COMMANDS: dict[str, Callable[..., None]] = {"view": view_command, "replay": replay_command}
 """Commands by name."""

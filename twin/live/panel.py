@@ -1,0 +1,458 @@
+"""The controls and the curves beside the scene of a view."""
+
+from __future__ import annotations
+
+import html
+import math
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.live.follower import History
+from twin.live.scene import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
+from twin.live.session import (
+    AUTOPILOTS,
+    FeedSession,
+    LogSession,
+    Session,
+    SimulatedSession,
+    Snapshot,
+)
+from twin.registry import PREDICTORS
+from usv_gym.physics import frames as fr
+from usv_gym.physics import waves as wv
+from usv_gym.physics import weather as wx
+from usv_gym.render import SDS
+from usv_gym.sea import SEA_STATES, SeaState
+from usv_gym.vessel import Vessel, vessel_names
+
+if TYPE_CHECKING:
+    import viser
+
+__all__ = ["Controls", "Curves", "controls_of"]
+
+Array = NDArray[np.float64]
+
+SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+THROTTLE_STEP, HELM_STEP = 0.1, 2.0
+"""What a press of an arrow key changes: part of the usual shaft speed, degrees."""
+LOSS = 10.0
+"""A short loss of GPS, s."""
+CURVE_HEIGHT = 150
+LEFT, RIGHT = 290, 350
+"""Widths of controls and curves, pixels."""
+
+
+class Controls(ABC):
+    """The panel on the left: what can be changed, and what the instruments say.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Whose panel.
+    session : Session
+        What is steered by it.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+        self.gui, self.session = server.gui, session
+        server.gui.main_panel.dock_left()
+        server.gui.main_panel.set_width(LEFT)
+        self.status = self.gui.add_html("")
+        self.gui.add_html(key())
+        self._add_time()
+        self.add()
+
+    @abstractmethod
+    def add(self) -> None:
+        """Add what only this kind of session has."""
+
+    def show(self, now: Snapshot) -> None:
+        """Say what the instruments say."""
+        self.status.content = table(said(now, self.session))
+
+    def _add_time(self) -> None:
+        with self.gui.add_folder("Run"):
+            self.pause = self.gui.add_button("pause", hint="key: space")
+            self.pause.on_click(lambda _: self._toggle_pause())
+            names = tuple(f"{scale:g}x" for scale in SCALES)
+            self.scale = self.gui.add_dropdown("time scale", names, initial_value="1x")
+            self.scale.on_update(
+                lambda _: self.session.order(
+                    self.session.set_scale, float(self.scale.value.rstrip("x"))
+                )
+            )
+            self._add_record()
+        self.gui.add_command("pause", hotkey="space").on_trigger(lambda _: self._toggle_pause())
+
+    def _toggle_pause(self) -> None:
+        paused = not self.session.paused
+        self.pause.label = "go on" if paused else "pause"
+        self.session.order(self.session.set_paused, paused)
+
+    def _add_record(self) -> None:
+        self.record = self.gui.add_button("record a log")
+        self.record.on_click(lambda _: self._toggle_record())
+
+    def _toggle_record(self) -> None:
+        on = not self.session.recording
+        self.record.label = "stop, and write the log" if on else "record a log"
+        self.session.order(self.session.record, on)
+
+
+class SimulatedControls(Controls):
+    """Helm, sensors and world of a simulated boat."""
+
+    session: SimulatedSession
+
+    def add(self) -> None:
+        """Add helm, sensors, world and restart."""
+        session, order = self.session, self.session.order
+        with self.gui.add_folder("Helm"):
+            self.autopilot = self.gui.add_dropdown(
+                "autopilot", AUTOPILOTS, initial_value=session.autopilot
+            )
+            self.autopilot.on_update(lambda _: order(session.steer, self.autopilot.value))
+            self.throttle = self.gui.add_slider(
+                "throttle", -1.0, 1.2, 0.05, session.throttle, hint="keys: arrows up and down"
+            )
+            self.throttle.on_update(lambda _: setattr(session, "throttle", self.throttle.value))
+            self.helm = self.gui.add_slider(
+                "rudder (deg)", -35.0, 35.0, 0.5, 0.0, hint="keys: arrows left and right"
+            )
+            self.helm.on_update(lambda _: self._turn())
+        for key, slider, step in (
+            ("arrowup", self.throttle, THROTTLE_STEP),
+            ("arrowdown", self.throttle, -THROTTLE_STEP),
+            ("arrowright", self.helm, HELM_STEP),
+            ("arrowleft", self.helm, -HELM_STEP),
+        ):
+            self._on_key(key, slider, step)
+        with self.gui.add_folder("Sensors"):
+            brief = self.gui.add_button(f"lose GPS {LOSS:g} s", hint="key: G")
+            brief.on_click(lambda _: order(session.lose, "gps", LOSS))
+            self.gps = self._add_loss("gps", "GPS")
+            self.imu = self._add_loss("imu", "IMU")
+        self.gui.add_command(f"lose GPS {LOSS:g} s", hotkey="G").on_trigger(
+            lambda _: order(session.lose, "gps", LOSS)
+        )
+        world = session.world
+        with self.gui.add_folder("Weather", expand_by_default=False):
+            known = next((name for name, sea in SEA_STATES.items() if sea == world.sea), "as given")
+            names = tuple(name for name in SEA_STATES if name != "calm")
+            self.sea = self.gui.add_dropdown(
+                "sea state",
+                names if known in names else (known, *names),
+                initial_value=known,
+            )
+            self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, round(world.sea.wind, 1))
+            degrees = round(math.degrees(world.sea.wind_from)) % 360
+            self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
+            self.sea.on_update(lambda _: self._set_wind())
+            for slider in (self.wind, self.wind_from):
+                slider.on_update(lambda _: order(session.change_sea, self._chosen_sea()))
+        with self.gui.add_folder("Boat and twin", expand_by_default=False):
+            names = tuple(dict.fromkeys((world.vessel.name, *vessel_names())))
+            self._given = world.vessel
+            self.vessel = self.gui.add_dropdown("vessel", names, initial_value=world.vessel.name)
+            self.predictor = self.gui.add_dropdown(
+                "predictor",
+                tuple(dict.fromkeys((world.predictor, *PREDICTORS))),
+                initial_value=world.predictor,
+            )
+            self.dof = self.gui.add_dropdown(
+                "degrees of freedom", ("6", "3"), initial_value=str(world.dof)
+            )
+            self.seed = self.gui.add_number("seed", world.seed, min=0, step=1)
+            restart = self.gui.add_button("restart", hint="key: R")
+            restart.on_click(lambda _: self._restart())
+        self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
+
+    def _turn(self) -> None:
+        self.session.helm = math.radians(self.helm.value)
+
+    def _on_key(self, key: Any, slider: Any, step: float) -> None:
+        """Let a key move a slider."""
+        command = self.gui.add_command(f"{slider.label} {step:+g}", hotkey=key)
+
+        def move(_: Any) -> None:
+            slider.value = min(max(round(slider.value + step, 2), slider.min), slider.max)
+
+        command.on_trigger(move)
+
+    def _add_loss(self, kind: str, name: str) -> Any:
+        """Add a button that loses a sensor until it is pressed again."""
+        button = self.gui.add_button(f"lose {name} until pressed")
+
+        def toggle(_: Any) -> None:
+            lost = button.label.startswith("find")
+            button.label = f"lose {name} until pressed" if lost else f"find {name} again"
+            self.session.order(self.session.lose, kind, 0.0 if lost else math.inf)
+
+        button.on_click(toggle)
+        return button
+
+    def _chosen_sea(self) -> SeaState:
+        sea = SEA_STATES.get(self.sea.value, self.session.world.sea)
+        if self.wind.value == round(sea.wind, 1) and self.sea.value not in SEA_STATES:
+            return sea
+        return sea.replace(
+            wind=float(self.wind.value), wind_from=math.radians(self.wind_from.value)
+        )
+
+    def _set_wind(self) -> None:
+        """Take over the wind that goes with a sea state."""
+        self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.world.sea).wind, 1)
+        self.session.order(self.session.change_sea, self._chosen_sea())
+
+    def _restart(self) -> None:
+        name = self.vessel.value
+        vessel = self._given if name == self._given.name else Vessel.load(name)
+        for button, sensor in ((self.gps, "GPS"), (self.imu, "IMU")):
+            button.label = f"lose {sensor} until pressed"
+        world = replace(
+            self.session.world,
+            vessel=vessel,
+            sea=self._chosen_sea(),
+            predictor=self.predictor.value,
+            dof=int(self.dof.value),
+            seed=int(self.seed.value),
+        )
+        self.session.order(self.session.restart, world)
+
+
+class FeedControls(Controls):
+    """A real boat takes no orders, and nobody holds up its time."""
+
+    def add(self) -> None:
+        """Add nothing more."""
+
+    def _add_time(self) -> None:
+        self._add_record()
+
+
+class LogControls(Controls):
+    """The moment of a recorded run."""
+
+    session: LogSession
+
+    def _add_record(self) -> None:
+        """It is recorded already."""
+
+    def add(self) -> None:
+        """Add the slider of time."""
+        t = self.session.log.t
+        begin, end = float(t[0]), float(t[-1])
+        with self.gui.add_folder("Moment"):
+            self.at = self.gui.add_slider(
+                "time (s)", begin, max(end, begin + 0.1), 0.1, begin, hint="of the log"
+            )
+            self.progress = self.gui.add_progress_bar(0.0)
+            self.gui.add_markdown("bar: how far the twin has come through the log")
+
+        def seek(event: Any) -> None:
+            if event.client is not None:  # not what show() wrote itself
+                self.session.order(self.session.seek, self.at.value)
+
+        self.at.on_update(seek)
+
+    def show(self, now: Snapshot) -> None:
+        """Say what the instruments say, and move the slider along."""
+        super().show(now)
+        begin, end = self.at.min, self.at.max
+        at = round(min(max(now.t, begin), end), 1)
+        if at != self.at.value and not self.session.paused:
+            self.at.value = at
+        done = 100.0 * (self.session.done - begin) / (end - begin)
+        self.progress.value = min(max(done, 0.0), 100.0)
+
+
+def controls_of(server: viser.ViserServer, session: Session) -> Controls:
+    """Return the controls that suit a session."""
+    kinds: dict[type, type[Controls]] = {
+        SimulatedSession: SimulatedControls,
+        FeedSession: FeedControls,
+        LogSession: LogControls,
+    }
+    return kinds[type(session)](server, session)
+
+
+def said(now: Snapshot, session: Session) -> dict[str, str]:
+    """Return what the instruments say, each under its name."""
+    belief, state = now.belief, now.boat
+    lines = {"time": f"{now.t:.1f} s" + (f" ({now.rate:.2g}x)" if now.rate == now.rate else "")}
+    if belief is not None:
+        u, v, r = belief.state[3:6]
+        lines["speed (twin)"] = f"{math.hypot(u, v):.2f} m/s"
+        lines["heading (twin)"] = f"{math.degrees(belief.state[2]) % 360.0:05.1f} deg"
+        lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
+        sd = math.sqrt(max(float(np.linalg.eigvalsh(belief.covs[-1])[-1]), 0.0))
+        lines[f"band at {belief.horizons[-1]:g} s"] = f"+/- {SDS * sd:.1f} m"
+    if isinstance(session, SimulatedSession):
+        roll, pitch = np.degrees(state[[fr.PHI, fr.THETA]])
+        lines["roll, pitch"] = f"{roll:+.1f}, {pitch:+.1f} deg"
+        if belief is not None:
+            off = math.dist(belief.state[:2], state[:2])
+            lines["twin is off by"] = f"{off:.2f} m"
+    known = math.isfinite(now.gps_age)
+    lines["GPS"] = ("LOST, " if now.gps_lost else "") + (
+        f"fix {now.gps_age:.1f} s old" if known else "no fix yet"
+    )
+    lines["IMU"] = "LOST" if now.imu_lost else "on"
+    if now.sea is not None:
+        north, east = wx.air_velocity(now.t, now.sea.gusts, now.sea.weather)
+        lines["wind"] = f"{math.hypot(north, east):.1f} m/s"
+        height = wx.wave_gain(now.t, now.sea.weather) * 4.0
+        height *= math.sqrt(0.5 * float((now.sea.waves[wv.AMPLITUDE] ** 2).sum()))
+        lines["waves Hs"] = f"{height:.2f} m"
+    for k, note in enumerate(now.notes):
+        lines["feed" if k == 0 else " " * k] = note
+    if session.recording:
+        lines["log"] = "recording"
+    elif session.recorded is not None:
+        lines["log"] = f"written: {session.recorded}"
+    if session.message:
+        lines["not done"] = session.message
+    return lines
+
+
+def table(lines: dict[str, str]) -> str:
+    """Return names and values as a small table."""
+    rows = "".join(
+        f"<tr><td style='color:#555;padding-right:8px;white-space:nowrap;vertical-align:top'>"
+        f"{html.escape(name)}</td>"
+        f"<td style='font-variant-numeric:tabular-nums;overflow-wrap:anywhere"
+        f"{';font-weight:bold;color:#A03800' if 'LOST' in value else ''}'>"
+        f"{html.escape(value)}</td></tr>"
+        for name, value in lines.items()
+    )
+    return f"<table id='status' style='font-size:12px;line-height:1.35;margin:6px'>{rows}</table>"
+
+
+def key() -> str:
+    """Return what each colour of the scene stands for."""
+    entries = (
+        (RED, "twin, its next 10 s"),
+        (ORANGE, f"{SDS:g} sd"),
+        (BLUE, "track; thin: what came"),
+        (PURPLE, "GPS fix"),
+        (GREEN, "path"),
+    )
+    items = "".join(
+        f"<span style='white-space:nowrap;margin-right:8px'><span style='color:rgb{colour}'>"
+        f"&#9632;</span> {html.escape(name)}</span> "
+        for colour, name in entries
+    )
+    return f"<div style='font-size:11px;line-height:1.35;margin:0 6px 4px'>{items}</div>"
+
+
+class Curves:
+    """The panel on the right: how well the twin does, and what it makes of the boat.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Whose panel.
+    session : Session
+        Whose twin.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+        self.gui, self.session = server.gui, session
+        self.panel = server.gui.add_panel()
+        with self.panel.add_tab("Prediction"):
+            self.error = self._curve(
+                "error after 10 s (m)",
+                ("twin", RED, ()),
+                ("velocity and turn rate held", GREY, (6.0, 4.0)),
+            )
+            self.window = self._curve("window of the identifier (s)", ("window", BLUE, ()))
+            self.nis = self._curve(
+                "normalised innovations squared (1)",
+                ("GPS place", PURPLE, ()),
+                ("GPS velocity", ORANGE, (6.0, 4.0)),
+                ("ideal", GREY, (2.0, 3.0)),
+            )
+        self.blocks = session.follower.twin.predictor.parameter_blocks
+        names = session.follower.twin.predictor.parameter_names
+        units = session.follower.twin.predictor.parameter_units
+        self.parameters: list[tuple[Any, Any]] = []
+        with self.panel.add_tab("Parameters"):
+            if not self.blocks:
+                self.gui.add_markdown("This predictor has no model, and identifies no parameters.")
+            for block, (first, last) in self.blocks.items():
+                choice = self.gui.add_dropdown(block, names[first:last])
+                curve = self._curve(
+                    f"{names[first]} ({units[first]})",
+                    ("estimate", RED, ()),
+                    (f"- {SDS:g} sd", RED, (3.0, 3.0)),
+                    (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
+                )
+                self.parameters.append((choice, curve))
+        self.names, self.units = names, units
+        self.panel.dock_right()
+        self.panel.set_width(RIGHT)
+
+    def remove(self) -> None:
+        """Take the panel away, for that of another twin."""
+        self.panel.remove()
+
+    def show(self) -> None:
+        """Draw the curves up to now."""
+        seen = self.session.history()
+        if len(seen.t) < 2:
+            return
+        self._draw(self.error, seen.t, seen.error, seen.error_hold)
+        self.window.visible = bool(np.isfinite(seen.window[-1]))
+        self._draw(self.window, seen.t, seen.window)
+        self._draw(self.nis, seen.t, seen.nis_place, seen.nis_velocity, np.ones(len(seen.t)))
+        for choice, curve in self.parameters:
+            column = self.names.index(choice.value)
+            title = f"{choice.value} ({self.units[column]})"
+            if curve.title != title:
+                curve.title = title
+                curve.axes = axes(title)
+            self._draw(curve, seen.t, *band(seen, column))
+
+    def _curve(self, title: str, *series: tuple[str, Any, tuple[float, ...]]) -> Any:
+        lines: list[dict[str, Any]] = [{"label": "time (s)"}]
+        lines += [
+            {"label": label, "stroke": f"rgb{colour}", "width": 2, "dash": dash, "spanGaps": False}
+            for label, colour, dash in series
+        ]
+        nothing = np.array([0.0, 1.0])
+        return self.gui.add_uplot(
+            (nothing, *(np.zeros(2) for _ in series)),
+            tuple(lines),
+            title=title,
+            scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
+            axes=axes(title),
+            legend={"show": len(series) > 1, "live": False},
+            height=CURVE_HEIGHT,
+            padding=(8, 14, 0, 0),
+        )
+
+    @staticmethod
+    def _draw(handle: Any, t: Array, *values: Array) -> None:
+        """Draw what is known; the browser cannot draw NaN."""
+        known = np.isfinite(np.stack(values)).all(axis=0)
+        if known.sum() > 1:
+            handle.data = (t[known], *(value[known] for value in values))
+
+
+def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the axes of a curve over time."""
+    unit = title[title.rindex("(") + 1 : title.rindex(")")]
+    return (
+        {"label": "time (s)", "labelSize": 18, "size": 30},
+        {"label": unit, "labelSize": 18, "size": 48},
+    )
+
+
+def band(seen: History, column: int) -> tuple[Array, Array, Array]:
+    """Return a parameter and its band."""
+    middle, off = seen.xi[:, column], SDS * seen.xi_sd[:, column]
+    return middle, middle - off, middle + off
