@@ -8,7 +8,7 @@ import webbrowser
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -17,15 +17,6 @@ from twin.live.feed import Feed, FeedError
 from twin.live.mavlink import Servos, open_mavlink
 from twin.live.nmea import open_nmea
 from twin.live.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
-from twin.live.session import (
-    AUTOPILOTS,
-    FeedSession,
-    LogSession,
-    Session,
-    SimulatedSession,
-    World,
-)
-from twin.live.viewer import Viewer
 from twin.log import Log, LogError
 from twin.oracle import check_world
 from twin.particulars import Particulars
@@ -34,10 +25,13 @@ from twin.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
 from twin.simulated import particulars_of
 from twin.terminal import INTERRUPTED, console, errors
 from twin.twin import Twin
-from usv_gym.manoeuvres import ManoeuvreError
+from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaState
 from usv_gym.sensors import FAULTS_HELP, GRADES, parse_faults
 from usv_gym.vessel import Vessel, VesselError, vessel_names
+
+if TYPE_CHECKING:
+    from twin.live.session import Session
 
 __all__ = ["COMMANDS"]
 
@@ -98,7 +92,9 @@ def view_command(
     ] = 85.0,
     shaft_max: ShaftMaxOption = None,
     steer_max: SteerMaxOption = None,
-    autopilot: Annotated[str, typer.Option(help=f"One of: {', '.join(AUTOPILOTS)}.")] = "turn",
+    autopilot: Annotated[
+        str, typer.Option(help=f"off, {', '.join(MANOEUVRES)}, or path.")
+    ] = "turn",
     seed: Annotated[int, typer.Option(min=0, help="Seed of sea, sensors and path.")] = 0,
     speed: Annotated[
         float, typer.Option(min=0.1, max=10.0, help="Seconds of the run per second.")
@@ -119,6 +115,8 @@ def view_command(
     Without a log or a feed, the boat is simulated: steer it, change the weather, lose its GPS.
     Ctrl-C ends it; a log that is being recorded is written then.
     """
+    from twin.live.session import AUTOPILOTS, SimulatedSession, World
+
     given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
@@ -150,6 +148,8 @@ def view_command(
 
 def _show(session: Session, host: str, port: int, browser: bool) -> None:
     """Serve a session until Ctrl-C, or until it is told to end."""
+    from twin.live.viewer import Viewer
+
     viewer = Viewer(session, host, port)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -170,6 +170,8 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
 def _recorded(
     path: Path, mapping: Path | None, ship: str | None, predictor: str, out: Path
 ) -> Session:
+    from twin.live.session import LogSession
+
     log = Log.read(path, mapping)
     for note in log.notes:
         _note(note)
@@ -189,6 +191,8 @@ def _fed(
     full: tuple[float | None, float | None],
     out: Path,
 ) -> Session:
+    from twin.live.session import FeedSession
+
     if predictor_class(predictor).world:
         raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")
     particulars, _ = particulars_beside(Path("feed"), ship or "usv75")

@@ -210,7 +210,7 @@ class Follower:
         """Return the curves up to now; may be called from any thread."""
         rows, size = list(self._rows), len(self.twin.predictor.parameter_names)
         curves = np.array([row for row, _, _ in rows]).reshape(-1, 6)
-        parts = (np.array([row[k] for row in rows]).reshape(-1, size) for k in (1, 2))
+        parts = (np.array([row[k] for row in rows]).reshape(len(rows), size) for k in (1, 2))
         return History(*curves.T, *parts)
 
     def _weigh(self, t: float, fix: Array) -> None:
@@ -247,7 +247,7 @@ class Follower:
         there = math.isfinite(self._place[0])
         if there and (not self.track or math.dist(self.track[-1], self._place) > far):
             self.track.append(self._place)
-        while self._open and self._open[0][0] + HORIZON <= self.t:
+        while self._open and self._open[0][0] + HORIZON <= self.t + 1e-9:
             due, by_twin, held = self._open.popleft()
             share = (due + HORIZON - before) / (self.t - before)
             share = share if self.t - before < GAP else math.nan

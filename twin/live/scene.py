@@ -39,8 +39,8 @@ CELLS, FAR, NEAR = 56, 16.0, 0.35
 smaller than if all were alike."""
 TRACK, FIXES, PATH = 500, 400, 120
 """Most segments of the track, fixes and legs that are drawn."""
-STEPS = 40
-"""Pieces of the ribbon."""
+STEPS, ACROSS = 40, 7
+"""Pieces of the ribbon along and across: it lies on the waves."""
 RING = 72
 BEATS = 20.0
 
@@ -92,8 +92,8 @@ class SceneView:
         )
         self.ribbon = add.add_mesh_simple(
             "/sea/ribbon",
-            np.zeros((2 * (STEPS + 1), 3), np.float32),
-            strip(STEPS + 1, 2),
+            np.zeros(((STEPS + 1) * (ACROSS + 1), 3), np.float32),
+            strip(STEPS + 1, ACROSS + 1),
             color=ORANGE,
             opacity=0.6,
             side="double",
@@ -182,7 +182,7 @@ class SceneView:
         if len(now.fixes):
             # the rest of the room holds the last fix again
             fixes = padded(now.fixes[-FIXES:], FIXES)
-            self.fixes.points = self._lifted(fixes, height, 0.02)
+            self.fixes.points = self._lifted(fixes, height, 0.05)
 
     def _add_boat(self) -> Any:
         """Add the boat's parts; return the frame that they hang on."""
@@ -233,10 +233,12 @@ class SceneView:
         self.ghost.position = (float(x), float(y), -lift)
         self.ghost.wxyz = attitude(0.0, 0.0, float(psi))
         _, places, covs = belief.band(STEPS)
-        self.ribbon.vertices = self._lifted(borders(places, covs).reshape(-1, 2), height, 0.03)
-        self._draw(self.foretold, places, height, 0.05)
+        left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
+        net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)
+        self.ribbon.vertices = self._lifted(net.reshape(-1, 2), height, 0.04)
+        self._draw(self.foretold, places, height, 0.06)
         outline = ellipses(places[-1:], covs[-1:], RING)[0]
-        self._draw(self.end, np.concatenate([outline, outline[:1]]), height, 0.05)
+        self._draw(self.end, np.concatenate([outline, outline[:1]]), height, 0.06)
 
     def _lines(self, name: str, most: int, colour: Colour, thickness: float) -> Any:
         return self.scene.add_line_segments(
@@ -248,7 +250,7 @@ class SceneView:
         )
 
     def _draw(
-        self, handle: Any, places: Array, height: Callable[[Array], Array], above: float = 0.04
+        self, handle: Any, places: Array, height: Callable[[Array], Array], above: float = 0.05
     ) -> None:
         """Lay a line along places (n, 2) on the water."""
         handle.visible = len(places) > 1

@@ -43,7 +43,9 @@ class Viewer:
         self.session, self.frames = session, 0
         # it says where it listens, whoever asks; so does the command, in one line
         with contextlib.redirect_stdout(io.StringIO()):
-            self.server: Any = viser.ViserServer(host=host, port=port, label="usv-twin")
+            self.server: Any = viser.ViserServer(
+                host=host, port=port, label="usv-twin", verbose=False
+            )
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.scene = SceneView(self.server, boat(session))
         self.controls = controls_of(self.server, session)

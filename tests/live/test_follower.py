@@ -1,0 +1,134 @@
+"""What is seen of a twin, and how it is judged."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from twin import Log, Twin
+from twin.live.follower import HISTORY_ROWS, HORIZON, PLAN_STEP, Follower, belief_of
+from twin.predictor import hold_velocity
+from twin.simulated import particulars_of, simulate
+from usv_gym import Fault, SeaState, SensorSuite, Vessel
+
+VESSEL = Vessel.load("usv75")
+
+
+def sailed(duration: float = 40.0, **options: object) -> Log:
+    given = {"vessel": VESSEL, "sea": SeaState.named("2"), "seed": 3} | options
+    return simulate("zigzag", duration=duration, **given)  # type: ignore[arg-type]
+
+
+def follower(predictor: str = "ukf") -> Follower:
+    return Follower(Twin(particulars_of(VESSEL), predictor))
+
+
+def test_the_twin_is_fed_as_it_would_be_alone():
+    log = sailed()
+    seen, alone = follower(), Twin(particulars_of(VESSEL), "ukf")
+    for row, (t, z, cmd) in enumerate(log):
+        seen.step(t, z, cmd, log.truth[row])
+        alone.step(t, z, cmd)
+        if row % 7 == 0:
+            seen.predict()
+    np.testing.assert_array_equal(seen.twin.estimate().s, alone.estimate().s)
+    np.testing.assert_array_equal(seen.twin.estimate().xi_sd, alone.estimate().xi_sd)
+
+
+def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
+    log = sailed()
+    seen, twin = follower(), Twin(particulars_of(VESSEL), "ukf")
+    predicted, held = {}, {}
+    for row, (t, z, cmd) in enumerate(log):
+        twin.step(t, z, cmd)
+        seen.step(t, z, cmd, log.truth[row])
+        if seen.predict() is not None:
+            mean = twin.predict("hold", horizon=HORIZON, dt=PLAN_STEP)
+            predicted[row] = mean.mean[-1, :2]
+            held[row] = hold_velocity(mean.start, mean.start[3:], np.array([HORIZON]))[0, :2]
+        begun = row - round(HORIZON / 0.05)
+        if begun in predicted:
+            assert seen.error == pytest.approx(math.dist(predicted[begun], log.truth[row, :2]))
+            assert seen.error_hold == pytest.approx(math.dist(held[begun], log.truth[row, :2]))
+    assert seen.error < 30.0
+
+
+def test_nothing_is_judged_across_a_gap_or_by_a_twin_without_fixes():
+    log = sailed(60.0, faults=(Fault("gps", 20.0, 35.0),))
+    seen = follower()
+    for t, z, cmd in log:
+        seen.step(t, z, cmd)
+        seen.predict()
+        if t < 20.0:
+            known = seen.error
+        if t > 22.0 and t < 54.0:
+            assert seen.gps_lost and math.isnan(seen.error)
+            assert seen.gps_age == pytest.approx(t - 20.0, abs=0.3)
+    assert math.isfinite(known)
+    assert not seen.gps_lost
+    begin = log.t[-1]
+    for k, (t, z, cmd) in enumerate(log):  # the log once more, two minutes later
+        seen.step(begin + 120.0 + t, z, cmd)
+        if k == 0:
+            assert math.isnan(seen.error)
+
+
+def test_innovations_of_a_simulated_boat_are_about_as_large_as_they_should_be():
+    log = sailed(200.0)
+    seen = follower("dsw-ukf-plus")
+    for t, z, cmd in log:
+        seen.step(t, z, cmd)
+    curves = seen.history()
+    late = curves.t > 60.0
+    # a filter cannot tell drifting errors from the motion: a factor of two either way is good
+    assert 0.4 < np.median(curves.nis_place[late]) < 2.0
+    assert 0.2 < np.median(curves.nis_velocity[late]) < 2.0
+    assert np.isfinite(curves.window[late]).all() and curves.window[-1] <= 110.0
+
+
+def test_a_twin_that_is_too_sure_is_found_out():
+    log = sailed(60.0)
+    sure = particulars_of(VESSEL, SensorSuite(gps_white=0.02, gps_bias=0.02))
+    honest, boastful = follower(), Follower(Twin(sure, "ukf"))
+    for t, z, cmd in log:
+        honest.step(t, z, cmd)
+        boastful.step(t, z, cmd)
+    assert boastful.history().nis_place[-1] > 10.0 * honest.history().nis_place[-1]
+
+
+def test_curves_stay_short_however_long_the_run():
+    seen = follower("persistence")
+    for k in range(5 * HISTORY_ROWS):
+        t = 0.5 * k
+        z = np.full(10, math.nan)
+        z[:5] = 2.0 * t, 0.0, 2.0, 0.0, 0.0
+        seen.step(t, z, np.array([20.0, 20.0, 0.0, 0.0]))
+    curves = seen.history()
+    assert HISTORY_ROWS // 2 <= len(curves.t) <= HISTORY_ROWS
+    assert np.all(np.diff(curves.t) > 0.0)
+    assert curves.t[0] == 0.0 and curves.t[-1] > 0.99 * seen.t
+    assert len(seen.track) <= 1500 and len(seen.fixes) <= 400
+
+
+def test_before_a_first_fix_there_is_no_prediction():
+    seen = follower()
+    seen.step(0.0, np.full(10, math.nan), np.zeros(4))
+    assert seen.predict() is None
+    assert seen.gps_age == math.inf and seen.gps_lost
+    assert len(seen.track) == 0
+
+
+def test_what_is_drawn_is_the_prediction():
+    log = sailed(30.0)
+    seen = follower()
+    for t, z, cmd in log:
+        seen.step(t, z, cmd)
+    prediction = seen.predict()
+    belief = belief_of(prediction)
+    times, places, covs = belief.band(80)
+    for h in (2.5, 5.0, 10.0):
+        k, row = int(np.argmin(np.abs(times - h))), round(h / PLAN_STEP) - 1
+        np.testing.assert_allclose(places[k], prediction.mean[row, :2], atol=1e-6)
+        np.testing.assert_allclose(covs[k], prediction.cov[row, :2, :2], atol=1e-9)

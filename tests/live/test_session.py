@@ -1,0 +1,331 @@
+"""Runs behind a view: simulated, recorded and fed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin import Log, Particulars, Twin
+from twin.live.feed import COUNTS, Feed
+from twin.live.follower import HORIZON, PLAN_STEP
+from twin.live.session import (
+    AUTOPILOTS,
+    FeedSession,
+    LogSession,
+    Session,
+    SimulatedSession,
+    World,
+)
+from twin.simulated import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+from usv_gym.physics import frames as fr
+
+VESSEL = Vessel.load("usv75")
+
+
+def world(**options: object) -> World:
+    given = {"vessel": VESSEL, "sea": SeaState.named("2"), "predictor": "ukf", "seed": 5}
+    return World(**(given | options))  # type: ignore[arg-type]
+
+
+def sail(session: SimulatedSession, seconds: float) -> None:
+    """Live so long, as fast as it goes, without a thread."""
+    session._anchor = time.monotonic() - seconds, session.t
+    end = session.t + seconds
+    while session.t < end - 1e-6:
+        session._obey()
+        session._advance()
+        session._anchor = time.monotonic() - (end - session.t) - 1e-6, session.t
+
+
+def wait(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_same_seed_same_run(autopilot, tmp_path):
+    ends = []
+    for _ in range(2):
+        session = SimulatedSession(world(), tmp_path, autopilot)
+        sail(session, 15.0)
+        ends.append((session.simulation.state.copy(), session.follower.twin.estimate().s))
+    np.testing.assert_array_equal(ends[0][0], ends[1][0])
+    np.testing.assert_array_equal(ends[0][1], ends[1][1])
+    assert session.t == pytest.approx(15.0)
+
+
+def test_helm_and_throttle_steer(tmp_path):
+    session = SimulatedSession(world(sea=SeaState()), tmp_path)
+    sail(session, 5.0)
+    straight = session.simulation.state[0, fr.PSI]
+    session.helm = math.radians(20.0)
+    sail(session, 5.0)
+    assert session.simulation.state[0, fr.PSI] > straight + 0.3  # to starboard
+    session.throttle = 0.0
+    sail(session, 20.0)
+    assert session.simulation.state[0, fr.U] < 2.0
+    session.helm = 3.0  # more than the drives can
+    sail(session, 1.0)
+    assert session.simulation.cmd[0, 2] == pytest.approx(VESSEL.helm_max)
+
+
+def test_a_manoeuvre_begins_when_it_is_chosen_and_its_plan_is_known(tmp_path):
+    session = SimulatedSession(world(), tmp_path)
+    sail(session, 7.0)
+    session.steer("turn")
+    sail(session, 4.0)
+    assert session.simulation.cmd[0, 2] == 0.0  # the approach
+    plan = session._plan()
+    assert plan.shape == (round(HORIZON / PLAN_STEP), 4)
+    told = [plan[int(h / PLAN_STEP), 2] for h in np.arange(0.0, 9.0, 0.5)]
+    for angle in told:
+        assert session._command()[2] == pytest.approx(angle)
+        sail(session, 0.5)
+
+
+def test_the_path_is_followed_by_what_the_twin_believes(tmp_path):
+    session = SimulatedSession(world(), tmp_path, "path")
+    sail(session, 5.0)
+    off = []
+    for _ in range(60):
+        sail(session, 1.0)
+        place = session.simulation.state[0, :2]
+        legs = session._path
+        away = legs[:-1] - place
+        along = np.diff(legs, axis=0)
+        share = np.clip(-(away * along).sum(1) / (along**2).sum(1), 0.0, 1.0)
+        off.append(np.hypot(*(away + share[:, None] * along).T).min())
+    assert np.median(off) < 4.0
+
+
+def test_gps_and_imu_are_lost_and_found_again(tmp_path):
+    session = SimulatedSession(world(predictor="dsw-ukf-plus"), tmp_path)
+    sail(session, 40.0)
+    before = len(session.follower.fixes)
+    band = session._look().belief.covs[-1].trace()
+    session.order(session.lose, "gps", math.inf)
+    session.order(session.lose, "imu", 2.0)
+    sail(session, 1.0)
+    seen = session._look()
+    assert seen.imu_lost
+    fixes = seen.fixes
+    sail(session, 9.0)
+    seen = session._look()
+    assert seen.gps_lost and seen.gps_age > 9.0 and not seen.imu_lost
+    np.testing.assert_array_equal(seen.fixes, fixes)
+    assert before <= len(fixes) <= before + 2
+    assert seen.belief.covs[-1].trace() > 1.5 * band
+    session.order(session.lose, "gps", 0.0)
+    sail(session, 3.0)
+    assert not session._look().gps_lost
+
+
+def test_a_short_loss_ends_by_itself(tmp_path):
+    session = SimulatedSession(world(), tmp_path)
+    sail(session, 5.0)
+    session.lose("gps", 10.0)
+    sail(session, 9.0)
+    assert session._look().gps_lost
+    sail(session, 3.0)
+    assert not session._look().gps_lost
+
+
+def test_the_weather_changes_under_way(tmp_path):
+    session = SimulatedSession(world(sea=SeaState()), tmp_path)
+    sail(session, 3.0)
+    assert not session._look().sea.waves.any()
+    session.order(session.change_sea, SeaState.named("4"))
+    sail(session, 5.0)
+    seen = session._look()
+    places = np.random.default_rng(0).uniform(-500.0, 500.0, (4000, 2))
+    heights = seen.sea.elevation(*places.T, seen.t)
+    assert 4.0 * heights.std() == pytest.approx(2.5, rel=0.15)
+    assert np.isfinite(session.simulation.state).all()
+    # the boat floats on the surface that is drawn
+    x, y, z = seen.boat[[fr.X, fr.Y, fr.Z]]
+    assert -z == pytest.approx(seen.sea.elevation(x, y, seen.t), abs=0.8)
+
+
+def test_an_order_that_cannot_be_carried_out_is_told_and_changes_nothing(tmp_path):
+    session = SimulatedSession(world(), tmp_path)
+    sail(session, 2.0)
+    simulation = session.simulation
+    session.order(session.restart, replace(session.world, predictor="nobody"))
+    session._obey()
+    assert "nobody" in session.message and session.simulation is simulation
+    sail(session, 1.0)
+    session.order(session.restart, replace(session.world, vessel=Vessel.load("otter")))
+    session._obey()
+    assert session.message == "" and session.vessel.name == "otter" and session.t == 0.0
+    assert session.changed == 2
+    sail(session, 2.0)
+
+
+def test_a_recorded_log_is_a_log_with_truth_and_particulars(tmp_path):
+    session = SimulatedSession(world(), tmp_path, "zigzag")
+    sail(session, 2.0)
+    session.record(True)
+    sail(session, 6.0)
+    session.record(False)
+    log = Log.read(session.recorded)
+    assert len(log) == 120 and log.truth is not None
+    assert log.t[0] == pytest.approx(2.05)
+    np.testing.assert_allclose(log.truth[-1, :2], session.simulation.state[0, :2])
+    assert Particulars.load(session.recorded.with_suffix(".toml")) == session.particulars
+    session.record(True)  # another one, in a file of its own
+    sail(session, 1.0)
+    first = session.recorded
+    session.record(False)
+    assert session.recorded != first and len(Log.read(first)) == 120
+
+
+def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
+    session = SimulatedSession(world(), tmp_path)
+    session.set_scale(5.0)
+    session.start()
+    wait(lambda: session.snapshot is not None)
+    session.order(session.record, True)
+    wait(lambda: session.recording)
+    begin, t = time.monotonic(), session.t
+    time.sleep(2.0)
+    pace = (session.t - t) / (time.monotonic() - begin)
+    assert pace == pytest.approx(5.0, rel=0.15)
+    session.order(session.set_paused, True)
+    wait(lambda: session.paused)
+    time.sleep(0.2)
+    stands = session.t
+    time.sleep(0.3)
+    assert session.t == stands
+    session.stop()
+    assert session.error is None
+    assert len(Log.read(session.recorded)) > 50
+
+
+def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):
+    session = SimulatedSession(world(), tmp_path)
+    monkeypatch.setattr(session, "_command", lambda: 1 / 0)
+    session.start()
+    wait(lambda: session.error is not None)
+    session.stop()
+    assert isinstance(session.error, ZeroDivisionError)
+
+
+@pytest.fixture
+def log() -> Log:
+    return simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=40.0, seed=2)
+
+
+def through(log: Log, tmp_path: Path, **options: object) -> LogSession:
+    session = LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
+    session.start()
+    wait(lambda: session.done == log.t[-1])
+    return session
+
+
+def test_a_moment_of_a_log_shows_what_was_believed_then_and_what_happened(log, tmp_path):
+    session = through(log, tmp_path)
+    session.order(session.set_paused, True)
+    for t in (30.0, 12.0, 3.0):  # back and forth
+        session.order(session.seek, t)
+        wait(lambda t=t: session.at == t and abs(session.snapshot.t - t) < 0.2)
+        now = session.snapshot
+        twin = Twin(particulars_of(VESSEL), "ukf")
+        twin.run(log.slice(t1=now.t + 1e-6))
+        mean = twin.predict("hold", horizon=HORIZON, dt=PLAN_STEP).mean
+        np.testing.assert_allclose(now.belief.ahead, mean)
+        later = log.slice(now.t + 1e-6, now.t + HORIZON + 1e-6)
+        np.testing.assert_array_equal(now.ahead, later.truth[:, :2])
+        np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], twin_row(log, now.t))
+        assert session.history().t[-1] <= t + 1e-6
+    session.stop()
+
+
+def twin_row(log: Log, t: float) -> np.ndarray:
+    return log.truth[int(np.argmin(np.abs(log.t - t))), :2]
+
+
+def test_a_log_plays_and_ends(log, tmp_path):
+    session = through(log.without_truth(), tmp_path)
+    session.order(session.set_scale, 10.0)
+    session.order(session.seek, 37.0)
+    wait(lambda: session.snapshot is not None and session.snapshot.t == log.t[-1])
+    assert len(session.snapshot.ahead) == 0
+    assert session.error is None
+    session.stop()
+
+
+def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):
+    one = log.slice(t1=0.01)
+    session = through(one, tmp_path)
+    wait(lambda: session.snapshot is not None)
+    session.stop()
+    blind = Log(log.t, np.full_like(log.z, math.nan), log.cmd, None, "blind")
+    session = through(blind, tmp_path)
+    wait(lambda: session.snapshot is not None)
+    assert session.snapshot.belief is None
+    assert not np.isfinite(session.snapshot.boat[fr.X])
+    session.stop()
+
+
+class Told(Feed):
+    """Rows of a log, some at a time."""
+
+    def __init__(self, log: Log) -> None:
+        self.counts = dict.fromkeys(COUNTS, 0)
+        self.rows = list(log)
+        self.sent: list[object] = []
+        self.closed = False
+
+    notes = ("said so",)
+
+    def decode(self, data):
+        return iter(())
+
+    def encode(self, estimate, prediction):
+        return iter(())
+
+    def take(self):
+        rows, self.rows = self.rows[:10], self.rows[10:]
+        self.counts["received"] += len(rows)
+        return rows
+
+    def send(self, estimate, prediction):
+        self.sent.append((estimate, prediction))
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
+    feed = Told(log)
+    session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
+    session.record(True)
+    session.start()
+    wait(lambda: not feed.rows and session.snapshot is not None and session.snapshot.t > 39.9)
+    now = session.snapshot
+    assert now.notes[0] == "said so" and f"received {len(log)}" in now.notes[1]
+    twin = Twin(particulars_of(VESSEL), "ukf")
+    twin.run(log)
+    np.testing.assert_allclose(now.belief.state, twin.estimate().s)
+    session.stop()
+    assert feed.closed and feed.sent
+    estimate, prediction = feed.sent[-1]
+    assert estimate.t <= 40.0 and prediction.mean.shape == (round(HORIZON / PLAN_STEP), 6)
+    kept = Log.read(session.recorded)
+    np.testing.assert_array_equal(kept.t, log.t)
+    assert kept.truth is None
+
+
+def test_a_session_that_never_began_can_be_stopped(tmp_path):
+    session: Session = SimulatedSession(world(), tmp_path)
+    session.stop()
+    assert session.snapshot is None
