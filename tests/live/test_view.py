@@ -313,8 +313,8 @@ def watch(url: str, many: int, seconds: float) -> list[int]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
-    session = SimulatedSession(world(), tmp_path, "zigzag")
+def rates(served: Any, session: SimulatedSession) -> tuple[float, float, float]:
+    """Return frames, seconds and messages to the slowest per second, with five browsers."""
     viewer = served(session)
     wait(lambda: session.t > 2.0)
     seen: list[list[int]] = []
@@ -324,16 +324,26 @@ def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
     begin, t, frames = time.monotonic(), session.t, viewer.frames
     time.sleep(5.0)
     span = time.monotonic() - begin
-    rate, pace = (viewer.frames - frames) / span, (session.t - t) / span
+    made, pace = (viewer.frames - frames) / span, (session.t - t) / span
     thread.join()
-    # 20 Hz on a machine of its own (tests/bench); another test runs beside this one
-    assert pace == pytest.approx(1.0, abs=0.05)
-    assert rate > 12.0
-    assert min(seen[0]) > 5.0 * 12.0
     wait(lambda: not viewer.server.get_clients())
     t = session.t
     wait(lambda: session.t > t + 1.0)  # goes on for nobody
-    assert len(session.follower.history().t) > 10
+    return made, pace, min(seen[0]) / 8.0
+
+
+def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
+    # as far as the test beside this one leaves time for it
+    made, pace, came = rates(served, SimulatedSession(world(), tmp_path, "zigzag"))
+    assert pace == pytest.approx(1.0, abs=0.05)
+    assert made > 10.0 and came > 6.0
+
+
+@pytest.mark.bench
+def test_twenty_frames_a_second_for_five_browsers(served, tmp_path):
+    made, pace, came = rates(served, SimulatedSession(world(), tmp_path, "zigzag"))
+    assert pace == pytest.approx(1.0, abs=0.02)
+    assert made > 19.5 and came > 18.0
 
 
 def test_another_boat_and_another_twin_take_over(served, tmp_path):
