@@ -30,7 +30,7 @@ from twin.figures import (
     track_figure,
     trend_figure,
 )
-from twin.svg import FONTS, STYLE, standalone, svg_of
+from twin.svg import FONTS, sheet_of, standalone, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +101,7 @@ def write_report(out: Path, results: dict[str, Any], runs: list[RunFigure]) -> l
     body += [*_recorded_tables(results), *_tables(results, pictures, looks), *_conditions(results)]
     for index, run in enumerate(runs):
         body += _run_section(run, index, results, pictures, looks)
-    page = _PAGE.format(fonts=FONTS, style=STYLE, body="\n".join(body))
+    page = _PAGE.format(fonts=FONTS, sheet=sheet_of(pictures.styles, "svg "), body="\n".join(body))
     report = out / "report.html"
     report.write_text(page, encoding="utf-8")
     return [report, *pictures.written]
@@ -116,6 +116,7 @@ class _Pictures:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.written: list[Path] = []
+        self.styles: dict[str, str] = {}
 
     def add(self, fig: Figure, name: str, caption: str) -> str:
         """Return the HTML of a picture and keep the picture itself beside the report."""
@@ -123,8 +124,8 @@ class _Pictures:
         path, number = self.folder / f"{stem}.svg", 2
         while path in self.written:
             path, number = self.folder / f"{stem}_{number}.svg", number + 1
-        svg = svg_of(fig, f"p{len(self.written)}", caption)
-        path.write_text(standalone(svg), encoding="utf-8")
+        svg = svg_of(fig, f"p{len(self.written)}", caption, self.styles)
+        path.write_text(standalone(svg, self.styles), encoding="utf-8")
         self.written.append(path)
         return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
@@ -598,7 +599,7 @@ small {{ color: var(--soft); }}
   grid-template-columns: repeat(auto-fill, minmax(min(100%, 366px), 1fr)); }}
 figure {{ margin: 0; min-width: 0; max-width: 520px; }}
 svg {{ display: block; width: 100%; height: auto; background: #fff; font-family: {fonts}; }}
-svg {style}
+{sheet}
 </style>
 </head>
 <body>

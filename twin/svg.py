@@ -1,8 +1,8 @@
 """A matplotlib picture as a small SVG that can stand in a page with others.
 
 matplotlib writes each number with six decimals, each point of a curve, and names that are the
-same in every picture. Here points that do not show are left out, numbers keep one or two decimals, and
-only what is referred to has a name, one of its own.
+same in every picture. Here points that do not show are left out, numbers keep one or two
+decimals, equal styles are written once, and only what is referred to has a name, one of its own.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,22 +18,20 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FONTS", "STYLE", "standalone", "svg_of"]
+__all__ = ["FONTS", "sheet_of", "standalone", "svg_of"]
 
 FONTS = "Verdana, 'DejaVu Sans', Roboto, 'Helvetica Neue', Arial, sans-serif"
 """The first two are as wide as the letters that matplotlib measures, the others narrower."""
 
-NEAR = 0.15
+NEAR = 0.25
 """A curve may pass its points at this distance, pt: a pixel of a phone is larger."""
 
-STYLE = "*{stroke-linejoin:round;stroke-linecap:butt}"
-"""What matplotlib asks of the style sheet around a picture."""
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 _REFERENCE = re.compile(r"#([\w.-]+)")
 _FONT = re.compile(r"font-family:[^;]*;?")
 
 
-def svg_of(fig: Figure, prefix: str, label: str) -> str:
+def svg_of(fig: Figure, prefix: str, label: str, styles: dict[str, str]) -> str:
     """Return a picture as an SVG element; equal pictures are equal texts.
 
     Parameters
@@ -43,6 +42,8 @@ def svg_of(fig: Figure, prefix: str, label: str) -> str:
         Begins each name in the picture: a word that no other picture of the page has.
     label : str
         What is to be seen, for those who hear the page.
+    styles : dict of str to str
+        Classes by style, of all pictures of the page; those of this picture are added.
     """
     import matplotlib
 
@@ -52,7 +53,7 @@ def svg_of(fig: Figure, prefix: str, label: str) -> str:
     root = ET.fromstring(buffer.getvalue())
     text = ET.tostring(root, encoding="unicode")
     used = {name: f"{prefix}-{k}" for k, name in enumerate(dict.fromkeys(_references(text)))}
-    _tidy(root, used)
+    _tidy(root, used, styles)
     width, height = (float(72.0 * inch) for inch in fig.get_size_inches())
     root.attrib.clear()
     root.attrib.update(
@@ -61,10 +62,19 @@ def svg_of(fig: Figure, prefix: str, label: str) -> str:
     return ET.tostring(root, encoding="unicode", short_empty_elements=True)
 
 
-def standalone(svg: str) -> str:
+def sheet_of(styles: Mapping[str, str], inside: str = "") -> str:
+    """Return a style sheet for pictures, or for those ``inside`` other elements."""
+    rules = [f"{inside}*{{stroke-linejoin:round;stroke-linecap:butt}}"]
+    rules += [f"{inside}.{name}{{{style}}}" for style, name in styles.items()]
+    return "\n".join(rules)
+
+
+def standalone(svg: str, styles: Mapping[str, str]) -> str:
     """Return an SVG element as a file of its own."""
     head = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{FONTS}"'
-    return svg.replace("<svg", head, 1).replace(">", f"><style>{STYLE}</style>", 1) + "\n"
+    there = set(re.findall(r'class="(\w+)"', svg))
+    sheet = sheet_of({style: name for style, name in styles.items() if name in there})
+    return svg.replace("<svg", head, 1).replace(">", f"><style>{sheet}</style>", 1) + "\n"
 
 
 def _references(text: str) -> list[str]:
@@ -72,7 +82,7 @@ def _references(text: str) -> list[str]:
     return re.findall(r'(?:href="|url\()#([\w.-]+)', text)
 
 
-def _tidy(element: ET.Element, used: dict[str, str]) -> None:
+def _tidy(element: ET.Element, used: dict[str, str], styles: dict[str, str]) -> None:
     """Simplify an element and all in it."""
     element.tag = element.tag.rpartition("}")[2]
     element.text = element.text if element.tag == "text" else None
@@ -91,13 +101,15 @@ def _tidy(element: ET.Element, used: dict[str, str]) -> None:
         if name not in ("d", "id"):
             value = _NUMBER.sub(_short, value)
             value = _REFERENCE.sub(lambda m: f"#{used.get(m[1], m[1])}", value)
+        if name == "style" and value:
+            name, value = "class", styles.setdefault(value, f"s{len(styles)}")
         if value:
             values[name] = value
     element.attrib.clear()
     element.attrib.update(values)
     children: list[ET.Element] = []
     for child in list(element):
-        _tidy(child, used)
+        _tidy(child, used, styles)
         if child.tag in ("metadata", "style") or (child.tag in ("g", "defs") and not len(child)):
             continue
         bare = child.tag == "g" and not child.attrib
