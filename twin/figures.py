@@ -440,7 +440,7 @@ def _few_ticks(ax: Axes, across: int, up: int) -> None:
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     for axis, number in ((ax.xaxis, across), (ax.yaxis, up)):
-        axis.set_major_locator(MaxNLocator(number, steps=[1, 2, 2.5, 5, 10]))
+        axis.set_major_locator(MaxNLocator(number, steps=[1, 2, 5, 10]))
         form = ScalarFormatter(useOffset=False)
         form.set_scientific(False)
         axis.set_major_formatter(form)
@@ -690,7 +690,7 @@ def prediction_figure(run: RunFigure, origin: float, looks: Looks, seen: Referen
     if lost:
         labels.append((_patch(YELLOW), "no GPS"))
     header = _header_height(labels)
-    high, gap, wide = 1.15, 0.42, 1.62
+    high, gap, wide = 1.15, 0.42, 1.59
     fig = _figure(WIDTH, header + 3 * high + 2 * gap + 0.5)
     _header(fig, f"Predicted at t = {second(origin)} s", name_of(run), labels)
 
@@ -818,7 +818,7 @@ def parameter_figure(
         labels.append((_line(BLACK, DASHED, 1.0), "first prediction"))
     if lost:
         labels.append((_patch(YELLOW), "no GPS"))
-    across, high, gap, wide = 2, 1.0, 0.42, 1.62
+    across, high, gap, wide = 2, 1.0, 0.42, 1.59
     rows = math.ceil(len(columns) / across)
     fig = _figure(WIDTH, _header_height(labels) + rows * high + (rows - 1) * gap + 0.5)
     _header(fig, f"{motion.capitalize()} parameters by {name}", name_of(run), labels)
@@ -828,7 +828,7 @@ def parameter_figure(
             np.where(np.abs(part[:, column]) < 1e12, part[:, column], math.nan)
             for part in (figure.xi, figure.xi_sd)
         )
-        power = _power(xi)
+        power = _power(_history_limits(xi, sd))
         xi, sd = xi / 10.0**power, sd / 10.0**power
         low_y, high_y = limits = _history_limits(xi, sd)
         far = 5.0 * (high_y - low_y)
@@ -867,13 +867,10 @@ def _history_limits(xi: Array, sd: Array) -> tuple[float, float]:
     return _span([usual, close], 0.0, 0.12)
 
 
-def _power(values: Array) -> int:
-    """Return the power of ten, a multiple of 3, that makes values easy to read; 0 if they are."""
-    values = np.abs(values[np.isfinite(values)])
-    size = float(np.percentile(values, 95)) if len(values) else 0.0
-    if size == 0.0 or 0.01 <= size < 1e4:
-        return 0
-    return 3 * math.floor(math.log10(size) / 3.0)
+def _power(limits: tuple[float, float]) -> int:
+    """Return the power of ten, a multiple of 3, that makes numbers short; 0 if they are."""
+    size = max(map(abs, limits))
+    return 0 if 0.1 <= size < 1e4 else 3 * math.floor(math.log10(size) / 3.0)
 
 
 def _parameter_title(figure: PredictorFigure, column: int, power: int) -> str:
@@ -973,7 +970,7 @@ def _stacked(
     fig = _figure(WIDTH, _header_height(labels) + below + high)
     _header(fig, title, about, labels)
     for row, name in enumerate(panels):
-        _title(_axes(fig, 0.58, below - row * (high + gap), WIDTH - 0.7, high), name)
+        _title(_axes(fig, 0.58, below - row * (high + gap), WIDTH - 0.76, high), name)
     return fig
 
 
