@@ -197,10 +197,8 @@ def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
         panels[1][1].append((seen.t[5], np.degrees(seen.v[5]), line))
     panels[2][1].append((seen.t[2], np.degrees(seen.v[2]), line))
     for index, unit in ((0, 1.0), (2, 180.0 / math.pi)):
-        for side, look in (
-            (0, {"color": LEFT, "lw": 1.4}),
-            (1, {"color": RIGHT, "lw": 1.4, "ls": DASHED}),
-        ):
+        for side, (colour, style) in enumerate(((LEFT, "-"), (RIGHT, DASHED))):
+            look: dict[str, Any] = {"color": colour, "ls": style, "lw": 1.4}
             panels[3 + index // 2][1].append((log.t, unit * log.cmd[:, index + side], look))
     high = (tall + below - foot - 2 * gap) / 3
     places = [(5.4, foot + (2 - k) * (high + gap), high) for k in range(3)]
@@ -737,7 +735,7 @@ def prediction_figure(run: RunFigure, origin: float, looks: Looks, seen: Referen
         _shade(ax, lost, origin)
         ax.set_xlim(0.0, end - origin)
         ax.set_ylim(*limits)
-        _few_ticks(ax, 5, 4)
+        _few_ticks(ax, 6, 4)
         if panel < 4:
             ax.tick_params(labelbottom=False)
         else:

@@ -477,10 +477,10 @@ def _run_section(
     stem = f"{run.scenario}_{run.fault}_seed{run.seed}"
     compared = "truth" if seen.known else "measurements (no truth is known)"
     first = PAPER.get(run.scenario)
-    title = _escape(name_of(run).capitalize())
+    title = name_of(run)
     if first is not None:
-        title += f": compare the paper's Figures {first}-{first + 3}"
-    body = [f'<h2 id="run-{index}">{title}</h2>']
+        title = f"{title[0].upper()}{title[1:]}: compare the paper's Figures {first}-{first + 3}"
+    body = [f'<h2 id="run-{index}">{_escape(title)}</h2>']
     if first is not None and run.fault != "none":
         body.append('<p class="note">The paper has these figures without a fault.</p>')
     body.append('<div class="pictures">')
@@ -592,6 +592,7 @@ th, td {{ padding: 5px 12px; border-bottom: 1px solid var(--rule); text-align: r
   white-space: nowrap; vertical-align: top; }}
 thead th {{ border-bottom: 2px solid var(--soft); vertical-align: bottom; }}
 th:first-child, .plain td {{ text-align: left; }}
+th:first-child {{ position: sticky; left: 0; background: var(--page); padding-left: 0; }}
 .plain td {{ white-space: normal; }}
 tbody th {{ font-weight: normal; }}
 small {{ color: var(--soft); }}

@@ -136,7 +136,7 @@ def _curve(data: str) -> str:
             path = Path(points)
             path.simplify_threshold = NEAR
             path = path.cleaned(simplify=True)
-            points = path.vertices[path.codes != Path.STOP]
+            points = np.asarray(path.vertices)[np.asarray(path.codes) != Path.STOP]
         whole = np.rint(10.0 * points).astype(np.int64)
         steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), dtype=np.int64)).tolist()
         pairs = [_tenths(x) + _joined(_tenths(y)) for x, y in steps]

@@ -155,8 +155,8 @@ def test_page_is_well_formed(whole):
 
 def test_pictures_stand_beside_those_of_the_paper(whole):
     text = page(whole)
-    assert "Turn, fault gps10, seed 0: compare the paper's Figures 9-12<" in text
-    assert "Zigzag, no fault, seed 0: compare the paper's Figures 13-16<" in text
+    assert "Turn, fault gps10, seed 0: compare the paper&#x27;s Figures 9-12<" in text
+    assert "Zigzag, no fault, seed 0: compare the paper&#x27;s Figures 13-16<" in text
     captions = re.findall(r"<figcaption>Compare Figure (\d+) of the paper", text)
     # two predictions, then surge, sway and yaw by two predictors; one of each
     assert captions == ["12"] * 2 + ["9", "10", "11"] * 2 + ["16", "13", "14", "15"]
