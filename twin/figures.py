@@ -355,8 +355,8 @@ def _axes(fig: Figure, left: float, bottom: float, width: float, height: float) 
 
 
 def _columns(items: Sequence[tuple[Any, str]], width: float) -> int:
-    """Return how many columns of a legend fit into a width in inches, at most 4."""
-    for columns in range(min(4, len(items)), 1, -1):
+    """Return how many columns of a legend fit into a width in inches."""
+    for columns in range(len(items), 1, -1):
         # a letter of 9.5 pt is 0.08 inch wide at most, on average; line and gaps 0.58
         longest = (max(len(text) for _, text in items[c::columns]) for c in range(columns))
         if sum(0.08 * letters + 0.58 for letters in longest) < width:

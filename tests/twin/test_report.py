@@ -48,13 +48,16 @@ def predicted(log, t0, factor=1.0):
     return Prediction(t0, start, np.zeros((6, 6)), t0 + after, mean, cov)
 
 
-def figure(log, factor=1.0, model=True, origins=(5.0, 8.0)):
+def figure(log, factor=1.0, model=1, origins=(5.0, 8.0)):
+    """Return what a predictor leaves; ``model``: so many parameters of each motion at most."""
     t, examples = np.arange(20.0), [predicted(log, o, factor) for o in origins]
-    if not model:
-        return PredictorFigure(examples, t, np.zeros((20, 0)), np.zeros((20, 0)))
-    xi = np.outer(t, np.linspace(1e-6, 1.0, len(MODEL))) * factor
-    named = MODEL.parameters, MODEL.units, MODEL.blocks
-    return PredictorFigure(examples, t, xi, 0.1 * np.abs(xi), *named)
+    kept, blocks = [], {}
+    for motion, (first, last) in MODEL.blocks.items():
+        blocks[motion] = (len(kept), len(kept) + min(model, last - first))
+        kept += range(first, last)[:model]
+    xi = np.outer(t, np.linspace(1e-6, 1.0, len(MODEL)))[:, kept] * factor
+    names, units = (tuple(part[k] for k in kept) for part in (MODEL.parameters, MODEL.units))
+    return PredictorFigure(examples, t, xi, 0.1 * np.abs(xi), names, units, blocks if kept else {})
 
 
 def results(predictors=("persistence", "ukf"), **more):
@@ -85,7 +88,7 @@ def page(files):
 
 def test_report_is_complete_and_self_contained(tmp_path):
     log = sail()
-    predictors = {"persistence": figure(log, model=False), "ukf": figure(log)}
+    predictors = {"persistence": figure(log, model=0), "ukf": figure(log)}
     files = write_report(tmp_path, results(), [run(log, predictors, [(7.0, 12.0)])])
     assert files[0] == tmp_path / "report.html"
     stems = {path.stem for path in files[1:]}
@@ -127,7 +130,7 @@ def whole(tmp_path_factory):
     """Return a report with every kind of picture, of many predictors and long names."""
     log = sail()
     names = [*PREDICTORS, "an-own-predictor", "dsw-ukf"]
-    every = {n: figure(log, model=n in ("ukf", "dsw-ukf")) for n in names}
+    every = {n: figure(log, model=len(MODEL) if n in ("ukf", "dsw-ukf") else 0) for n in names}
     one = {"ukf": figure(log, origins=(8.0,))}
     runs = [
         run(log, every, [(7.0, 12.0)]),
@@ -169,7 +172,7 @@ def test_long_runs_make_a_small_page(tmp_path):
     rng = np.random.default_rng(0)
     log = sail(rows=2400)
     log = dataclasses.replace(log, z=log.z + rng.normal(0.0, 0.5, log.z.shape))
-    made = figure(log)
+    made = figure(log, model=len(MODEL))
     t = 0.5 * np.arange(240)
     # parameters that walk through the whole panel all the time are worse than real ones
     xi = rng.normal(size=(240, len(MODEL))).cumsum(axis=0)
@@ -180,7 +183,7 @@ def test_long_runs_make_a_small_page(tmp_path):
 
 def test_every_axis_has_its_unit():
     log = sail()
-    several = run(log, {"ukf": figure(log), "dsw-ukf": figure(log)}, [(7.0, 12.0)])
+    several = run(log, {"ukf": figure(log, model=3), "dsw-ukf": figure(log)}, [(7.0, 12.0)])
     looks = looks_of(several.predictors)
     seen = figures.reference_of(log)
     found = results()
@@ -260,7 +263,7 @@ def test_page_in_a_browser(browser, whole, width, height):
 
 def test_same_input_gives_same_bytes(tmp_path):
     log = sail()
-    runs = [run(log, {"ukf": figure(log, model=False, origins=(8.0,))})]
+    runs = [run(log, {"ukf": figure(log, model=0, origins=(8.0,))})]
     first, second = (write_report(tmp_path / k, results(), runs) for k in ("a", "b"))
     assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
 
@@ -342,7 +345,7 @@ def test_nothing_finished(tmp_path, found):
 @pytest.mark.parametrize("factor", [1e300, math.inf])
 def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
     log = sail()
-    tame = figure(log, model=False, origins=(5.0,))
+    tame = figure(log, model=0, origins=(5.0,))
     with np.errstate(all="ignore"):
         wild = figure(log, factor, origins=(5.0,))
     files = write_report(tmp_path, results(), [run(log, {"ukf": tame, "dsw-ukf": wild})])
@@ -365,21 +368,21 @@ def test_recorded_run_without_truth(tmp_path):
     np.testing.assert_allclose(seen.v[5], 0.2, atol=1e-9)
     found = results()
     found["rows"] = [row for row in found["rows"] if row["channel"] != "u"]
-    files = write_report(tmp_path, found, [run(log, {"ukf": figure(log, model=False)})])
+    files = write_report(tmp_path, found, [run(log, {"ukf": figure(log, model=0)})])
     assert len(files) == 1 + 1 + 1 + 2
 
 
 def test_a_predictor_may_lack_what_others_have(tmp_path):
     log = sail()
     empty = PredictorFigure([], np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
-    one = figure(log, model=False, origins=(8.0,))
+    one = figure(log, model=0, origins=(8.0,))
     files = write_report(tmp_path, results(), [run(log, {"lstm": empty, "ukf": one})])
     assert {p.stem for p in files[2:]} == {"turn_gps10_seed0_track", "turn_gps10_seed0_prediction1"}
 
 
 def test_equal_names_do_not_overwrite_each_other(tmp_path):
     log = sail()
-    runs = [run(log, {"ukf": figure(log, model=False, origins=())})] * 2
+    runs = [run(log, {"ukf": figure(log, model=0, origins=())})] * 2
     files = write_report(tmp_path, results(), runs)
     assert len(set(files)) == len(files) == 4
 
