@@ -61,7 +61,8 @@ LOOKS: dict[str, tuple[str, Any]] = {
     "dsw-ukf-plus": ("#D55E00", "-"),
     "oracle": (GREY, (0, (1, 2.5))),
 }
-SPARE = ("#D55E00", "#CC79A7", "#009E73", "#E69F00", "#56B4E9", "#0072B2")
+# of other predictors: from Tol's muted scheme, for the same readers
+SPARE = ("#882255", "#999933", "#332288", "#44AA99", "#661100")
 STYLES: tuple[Any, ...] = (
     (0, (2.5, 1)),
     (0, (6, 1, 2, 1)),
@@ -995,7 +996,7 @@ TRENDS: dict[str, tuple[str, str, tuple[tuple[str, str, float], ...]]] = {
 
 def trend_figure(axis: str, rows: Sequence[Mapping[str, Any]], looks: Looks) -> Figure:
     """Draw the panels of one trend, a line with intervals for each predictor."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     title, label, panels = TRENDS[axis]
     names = list(dict.fromkeys(text_of(row, "predictor") for row in rows))
@@ -1031,7 +1032,7 @@ def trend_figure(axis: str, rows: Sequence[Mapping[str, Any]], looks: Looks) -> 
         ticks = [m * 10.0**p for p in range(-4, 5) for m in parts]
         ax.yaxis.set_major_locator(FixedLocator(ticks))
         ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.yaxis.set_minor_locator(NullLocator())
         ax.set_xticks(at, [f"{v:g}" for v in at])
     _xlabel(fig.axes[-1], label)
     return fig
