@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.figures import PredictorFigure, RunFigure
 from twin.log import Log, beside, files_of, recorded_runs
 from twin.oracle import world_options
 from twin.particulars import Particulars
@@ -45,7 +46,6 @@ from twin.protocol import (
     without_particulars,
 )
 from twin.registry import predictor_class
-from twin.report import PredictorFigure, RunFigure
 from twin.scores import (
     CHANNELS,
     KEY,

@@ -274,7 +274,7 @@ def test_the_full_protocol_can_be_thinned(tmp_path):
     assert {row["at"] for row in results["trends"]} == {0, 5, 10}
     table = gzip.decompress((tmp_path / "out" / "rows.csv.gz").read_bytes()).decode().splitlines()
     assert len(table) == 1 + 3 * 6 * 4 and table[0].startswith("scenario,case,fault,sea,grade,seed")
-    assert (tmp_path / "out" / "pictures" / "trend_gps_loss_s.png").exists()
+    assert (tmp_path / "out" / "pictures" / "trend_gps_loss_s.svg").exists()
 
 
 def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):

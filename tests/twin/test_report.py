@@ -5,14 +5,17 @@ import math
 import re
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from twin import report
+from twin import PREDICTORS, figures
+from twin.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
 from twin.log import MEASUREMENTS, Log
-from twin.predictor import Prediction
-from twin.report import PredictorFigure, RunFigure, picture_of_log, write_report
+from twin.predictor import Z90, Prediction
+from twin.report import write_report
 from twin.structure import structure_of
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -45,13 +48,16 @@ def predicted(log, t0, factor=1.0):
     return Prediction(t0, start, np.zeros((6, 6)), t0 + after, mean, cov)
 
 
-def figure(log, factor=1.0, model=True, origins=(5.0, 8.0)):
+def figure(log, factor=1.0, model=1, origins=(5.0, 8.0)):
+    """Return what a predictor leaves; ``model``: so many parameters of each motion at most."""
     t, examples = np.arange(20.0), [predicted(log, o, factor) for o in origins]
-    if not model:
-        return PredictorFigure(examples, t, np.zeros((20, 0)), np.zeros((20, 0)))
-    xi = np.outer(t, np.linspace(1e-6, 1.0, len(MODEL))) * factor
-    named = MODEL.parameters, MODEL.units, MODEL.blocks
-    return PredictorFigure(examples, t, xi, 0.1 * np.abs(xi), *named)
+    kept, blocks = [], {}
+    for motion, (first, last) in MODEL.blocks.items():
+        blocks[motion] = (len(kept), len(kept) + min(model, last - first))
+        kept += range(first, last)[:model]
+    xi = np.outer(t, np.linspace(1e-6, 1.0, len(MODEL)))[:, kept] * factor
+    names, units = (tuple(part[k] for k in kept) for part in (MODEL.parameters, MODEL.units))
+    return PredictorFigure(examples, t, xi, 0.1 * np.abs(xi), names, units, blocks if kept else {})
 
 
 def results(predictors=("persistence", "ukf"), **more):
@@ -82,7 +88,7 @@ def page(files):
 
 def test_report_is_complete_and_self_contained(tmp_path):
     log = sail()
-    predictors = {"persistence": figure(log, model=False), "ukf": figure(log)}
+    predictors = {"persistence": figure(log, model=0), "ukf": figure(log)}
     files = write_report(tmp_path, results(), [run(log, predictors, [(7.0, 12.0)])])
     assert files[0] == tmp_path / "report.html"
     stems = {path.stem for path in files[1:]}
@@ -90,20 +96,174 @@ def test_report_is_complete_and_self_contained(tmp_path):
     ends = ("track", "prediction1", "prediction2", "ukf_surge", "ukf_sway", "ukf_yaw")
     assert stems == {"turn_gps10_error"} | {base + end for end in ends}
     assert all(path.parent == tmp_path / "pictures" for path in files[1:])
-    assert all(path.read_bytes().startswith(PNG) for path in files[1:])
+    for path in files[1:]:
+        assert ET.fromstring(path.read_text(encoding="utf-8")).tag.endswith("}svg")
     text = page(files)
-    assert text.count("<img ") == len(files) - 1
-    sources = re.findall(r'(?:src|href)="([^"]{0,12})', text)
-    assert all(source.startswith(("data:image", "#")) for source in sources)
-    assert "<script" not in text
-    # every link of the contents leads somewhere
-    for target in re.findall(r'href="#([^"]+)"', text):
-        assert f'id="{target}"' in text
+    assert text.count("<svg ") == text.count('aria-label="') == len(files) - 1
+    assert 'name="viewport" content="width=device-width' in text
+    # nothing to be fetched from anywhere, and every reference leads somewhere, to one place
+    assert not re.search(r"https?:|@import|<(script|link|img|iframe|object)|\bsrc=", text)
+    targets = re.findall(r'href="([^"]*)"', text) + re.findall(r"url\(([^)]*)\)", text)
+    names = re.findall(r'\bid="([^"]*)"', text)
+    assert {target[1:] for target in targets} == set(names)
+    assert len(names) == len(set(names))
+
+
+class Nesting(HTMLParser):
+    """Checks that every element is closed where it was opened."""
+
+    def __init__(self):
+        super().__init__()
+        self.open = []
+
+    def handle_starttag(self, tag, attrs):
+        assert len(dict(attrs)) == len(attrs), (tag, attrs)
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return a report with every kind of picture, of many predictors and long names."""
+    log = sail()
+    names = [*PREDICTORS, "an-own-predictor", "dsw-ukf"]
+    every = {n: figure(log, model=len(MODEL) if n in ("ukf", "dsw-ukf") else 0) for n in names}
+    one = {"ukf": figure(log, origins=(8.0,))}
+    runs = [
+        run(log, every, [(7.0, 12.0)]),
+        RunFigure("zigzag", "none", 0, log, [], one),
+        RunFigure(
+            "a-recorded-run-of-a-boat_with_a_long_name", "gps30", 12, log, [], {"ukf": every["var"]}
+        ),
+    ]
+    trends = [
+        {"axis": axis, "predictor": name, "metric": metric, "at": at, "value": 1.0 + at}
+        | {"low": 0.9 + at, "high": 1.2 + at}
+        for name in names
+        for axis, (_, _, panels) in figures.TRENDS.items()
+        for metric, _, _ in panels
+        for at in (0.0, 10.0, 30.0)
+    ]
+    return write_report(tmp_path_factory.mktemp("report"), results(names, trends=trends), runs)
+
+
+def test_page_is_well_formed(whole):
+    parser = Nesting()
+    parser.feed(page(whole))
+    assert parser.open == []
+
+
+def test_pictures_stand_beside_those_of_the_paper(whole):
+    text = page(whole)
+    assert "Turn, fault gps10, seed 0: compare the paper&#x27;s Figures 9-12<" in text
+    assert "Zigzag, no fault, seed 0: compare the paper&#x27;s Figures 13-16<" in text
+    captions = re.findall(r"<figcaption>Compare Figure (\d+) of the paper", text)
+    # two predictions, then surge, sway and yaw by two predictors; one of each
+    assert captions == ["12"] * 2 + ["9", "10", "11"] * 2 + ["16", "13", "14", "15"]
+    # the paper's own method first, and not folded away
+    shown = re.findall(r"<details( open)?><summary>Parameters by ([\w-]+)", text)
+    assert shown[:2] == [(" open", "dsw-ukf"), ("", "ukf")]
+
+
+def test_long_runs_make_a_small_page(tmp_path):
+    rng = np.random.default_rng(0)
+    log = sail(rows=2400)
+    log = dataclasses.replace(log, z=log.z + rng.normal(0.0, 0.5, log.z.shape))
+    made = figure(log, model=len(MODEL))
+    t = 0.5 * np.arange(240)
+    # parameters that walk through the whole panel all the time are worse than real ones
+    xi = rng.normal(size=(240, len(MODEL))).cumsum(axis=0)
+    made = dataclasses.replace(made, t=t, xi=xi, xi_sd=1.0 + 0.0 * xi)
+    files = write_report(tmp_path, results(), [run(log, {"ukf": made, "dsw-ukf": made})])
+    assert files[0].stat().st_size < 400_000
+
+
+def test_every_axis_has_its_unit():
+    log = sail()
+    several = run(log, {"ukf": figure(log, model=3), "dsw-ukf": figure(log)}, [(7.0, 12.0)])
+    looks = looks_of(several.predictors)
+    seen = figures.reference_of(log)
+    found = results()
+    trend = [
+        {"axis": axis, "predictor": "ukf", "metric": metric, "at": at, "value": 1.0 + at}
+        for axis, (_, _, panels) in figures.TRENDS.items()
+        for metric, _, _ in panels
+        for at in (0.0, 10.0, 30.0)
+    ]
+    drawn = [
+        figures.track_figure(several, looks),
+        figures.prediction_figure(several, 5.0, looks, seen),
+        figures.error_figure("turn", found["rows"], looks_of(("persistence", "ukf"))),
+    ]
+    drawn += [
+        figures.parameter_figure(several, "ukf", motion, looks, 5.0) for motion in MODEL.blocks
+    ]
+    drawn += [
+        figures.trend_figure(axis, [row for row in trend if row["axis"] == axis], looks)
+        for axis in figures.TRENDS
+    ]
+    unit = re.compile(r"\((?!\))[^()]*(\([^()]*\))?\)$")
+    for picture in drawn:
+        assert picture.axes
+        for ax in picture.axes:
+            assert unit.search(ax.get_ylabel() or ax.get_title(loc="left")), ax
+            left, bottom = ax.get_position().p0
+            # the label of the time stands below the lowest panel of a column
+            column = [o for o in picture.axes if abs(o.get_position().x0 - left) < 1e-6]
+            lowest = min(column, key=lambda o: o.get_position().y0)
+            assert unit.search((ax if ax.get_xlabel() else lowest).get_xlabel()), ax
+            assert ax.get_xlabel() or bottom > lowest.get_position().y0
+
+
+def test_predictors_look_different_without_colours_too():
+    looks = looks_of((*PREDICTORS, *figures.LOOKS))
+    assert len({str(style) for _, style in looks.values()}) == len(looks)
+    assert len({colour for colour, _ in (looks[name] for name in figures.LOOKS)}) == 7
+
+
+OVERLAPS = """
+const bad = [];
+for (const svg of document.querySelectorAll('svg')) {
+  const box = svg.getBoundingClientRect();
+  const texts = [...svg.querySelectorAll('text')].map(e => [e, e.getBoundingClientRect()]);
+  for (const [i, [a, p]] of texts.entries()) {
+    if (p.left < box.left || p.right > box.right || p.top < box.top || p.bottom > box.bottom)
+      bad.push(['outside', a.textContent, svg.getAttribute('aria-label')]);
+    for (const [b, q] of texts.slice(i + 1)) {
+      const wide = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+      // a line of text is higher than its letters
+      const high = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+      if (wide > 0 && high > 0.25 * Math.min(p.height, q.height))
+        bad.push([a.textContent, b.textContent, svg.getAttribute('aria-label')]);
+    }
+  }
+}
+return bad;
+"""
+SMALLEST = """
+return Math.min(...[...document.querySelectorAll('text')].map(
+  e => parseFloat(getComputedStyle(e).fontSize) * e.ownerSVGElement.getScreenCTM().a));
+"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])
+def test_page_in_a_browser(browser, whole, width, height):
+    driver = browser(width, height)
+    driver.get(whole[0].as_uri())
+    driver.execute_script("for (const e of document.querySelectorAll('details')) e.open = true")
+    assert driver.execute_script("return innerWidth") == width
+    assert driver.execute_script("return document.scrollingElement.scrollWidth") <= width
+    assert driver.get_log("browser") == []
+    assert driver.execute_script(OVERLAPS) == []
+    assert driver.execute_script(SMALLEST) > 9.5  # pixels
 
 
 def test_same_input_gives_same_bytes(tmp_path):
     log = sail()
-    runs = [run(log, {"ukf": figure(log, model=False, origins=(8.0,))})]
+    runs = [run(log, {"ukf": figure(log, model=0, origins=(8.0,))})]
     first, second = (write_report(tmp_path / k, results(), runs) for k in ("a", "b"))
     assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
 
@@ -159,9 +319,9 @@ def test_a_band_may_be_wider_on_one_side():
     skew = dataclasses.replace(
         prediction, low=prediction.mean - 1.0, high=prediction.mean + 3.0, start_cov=np.eye(6)
     )
-    down, up = report._band(skew, 3, 2.0)
-    np.testing.assert_allclose(down, [2.0 * report.Z90, *[2.0] * 40])
-    np.testing.assert_allclose(up, [2.0 * report.Z90, *[6.0] * 40])
+    down, up = figures._band(skew, 3, 2.0)
+    np.testing.assert_allclose(down, [2.0 * Z90, *[2.0] * 40])
+    np.testing.assert_allclose(up, [2.0 * Z90, *[6.0] * 40])
 
 
 def test_missing_values_are_dashes(tmp_path):
@@ -185,7 +345,7 @@ def test_nothing_finished(tmp_path, found):
 @pytest.mark.parametrize("factor", [1e300, math.inf])
 def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
     log = sail()
-    tame = figure(log, model=False, origins=(5.0,))
+    tame = figure(log, model=0, origins=(5.0,))
     with np.errstate(all="ignore"):
         wild = figure(log, factor, origins=(5.0,))
     files = write_report(tmp_path, results(), [run(log, {"ukf": tame, "dsw-ukf": wild})])
@@ -194,35 +354,35 @@ def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
 
 def test_absurd_predictions_do_not_squash_the_truth():
     truth = np.linspace(0.0, 10.0, 50)
-    low, high = report._limits(truth, [np.linspace(0.0, 1e9, 50)], 1.0)
+    low, high = figures._limits(truth, [np.linspace(0.0, 1e9, 50)], 1.0)
     assert -2.0 < low < 0.0
     assert 10.0 < high < 25.0
 
 
 def test_recorded_run_without_truth(tmp_path):
     log = sail(truth=False)
-    seen = report._reference(log)
+    seen = figures.reference_of(log)
     assert not seen.known
     # surge speed from GPS and compass, yaw rate from the compass since there is no gyro
     np.testing.assert_allclose(seen.v[3], 4.0, atol=1e-9)
     np.testing.assert_allclose(seen.v[5], 0.2, atol=1e-9)
     found = results()
     found["rows"] = [row for row in found["rows"] if row["channel"] != "u"]
-    files = write_report(tmp_path, found, [run(log, {"ukf": figure(log, model=False)})])
+    files = write_report(tmp_path, found, [run(log, {"ukf": figure(log, model=0)})])
     assert len(files) == 1 + 1 + 1 + 2
 
 
 def test_a_predictor_may_lack_what_others_have(tmp_path):
     log = sail()
     empty = PredictorFigure([], np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
-    one = figure(log, model=False, origins=(8.0,))
+    one = figure(log, model=0, origins=(8.0,))
     files = write_report(tmp_path, results(), [run(log, {"lstm": empty, "ukf": one})])
     assert {p.stem for p in files[2:]} == {"turn_gps10_seed0_track", "turn_gps10_seed0_prediction1"}
 
 
 def test_equal_names_do_not_overwrite_each_other(tmp_path):
     log = sail()
-    runs = [run(log, {"ukf": figure(log, model=False, origins=())})] * 2
+    runs = [run(log, {"ukf": figure(log, model=0, origins=())})] * 2
     files = write_report(tmp_path, results(), runs)
     assert len(set(files)) == len(files) == 4
 
@@ -239,7 +399,7 @@ def test_picture_of_log(tmp_path, kind):
 
 def test_matplotlib_comes_late_and_without_pyplot(tmp_path):
     code = (
-        "import sys, numpy as np, twin.report as r; from pathlib import Path\n"
+        "import sys, numpy as np, twin.figures as r; from pathlib import Path\n"
         "assert 'matplotlib' not in sys.modules\n"
         "log = r.Log(np.arange(3.), np.zeros((3, len(r.MEASUREMENTS))), np.zeros((3, 4)))\n"
         f"r.picture_of_log(log, Path({str(tmp_path / 'p.png')!r}))\n"
