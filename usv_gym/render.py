@@ -14,7 +14,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from usv_gym.episodes import AGE, HELD, Episodes, Observer
 from usv_gym.physics import frames as fr
@@ -78,6 +77,8 @@ class Belief:
 
         Positions follow the speeds believed at each horizon; covariances are straight in time.
         """
+        from scipy.interpolate import CubicHermiteSpline  # takes a quarter of a second
+
         t = np.concatenate([[0.0], self.horizons])
         states = np.vstack([self.state, self.ahead])
         c, s, u, v = np.cos(states[:, 2]), np.sin(states[:, 2]), states[:, 3], states[:, 4]
