@@ -328,6 +328,7 @@ class Feed(ABC):
         self._seen: dict[tuple[str, int], float] = {}
         self._last: dict[str, tuple[Message, float]] = {}
         self._buffer: list[tuple[float, int, dict[str, float]]] = []
+        self._ready: list[tuple[float, Array, Array]] = []
         self._order = itertools.count()
         self._arrival = -math.inf
         self._peer: Address | None = None
@@ -387,8 +388,10 @@ class Feed(ABC):
         now = self.clock()
         for data in self.greet(now):
             self._send(data)
-        waited = drained and now - self._arrival >= self.wait
-        return self._rows(math.inf if waited else self._head - self.wait)
+        if drained and now - self._arrival >= self.wait:
+            self._release(math.inf)
+        rows, self._ready = self._ready, []
+        return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
         """Take one datagram.
@@ -404,13 +407,13 @@ class Feed(ABC):
         """
         if not self._map.pairs:  # until a message tells a time, ours is as good as any
             self._map.tell(arrival, 0.0)
-        self._arrival = max(self._arrival, arrival)
         for item in self.decode(data):
             counted = item if isinstance(item, str) else self._place(item, arrival)
             self.counts["received"] += 1
             self.counts[counted] += 1
-            if counted == "used":
-                self._peer = source
+            if counted in ("used", "void"):
+                self._arrival, self._peer = arrival, source
+        self._release(self._head - self.wait)
 
     def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
         """Send what the twin believes; nothing before it knows a place, or whom to send it to.
@@ -555,9 +558,8 @@ class Feed(ABC):
             self._map.tell(arrival, t)
         return t
 
-    def _rows(self, until: float) -> list[tuple[float, Array, Array]]:
-        """Return the rows of all samples up to a time; no more will come of them."""
-        rows = []
+    def _release(self, until: float) -> None:
+        """Make rows of all samples up to a time."""
         while self._buffer and self._buffer[0][0] + self.period <= until:
             first, fix, last = self._buffer[0][0], None, self._buffer[0][0]
             row: dict[str, float] = {}
@@ -573,8 +575,7 @@ class Feed(ABC):
                 count += 1
             del self._buffer[:count]
             self._released = last
-            rows.append(self._row(last if fix is None else fix, row))
-        return rows
+            self._ready.append(self._row(last if fix is None else fix, row))
 
     def _row(self, t: float, row: dict[str, float]) -> tuple[float, Array, Array]:
         if self._zero is None:
