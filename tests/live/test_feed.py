@@ -36,7 +36,7 @@ def test_addresses(address: str, found: tuple[str, int]) -> None:
         ("udp://:0", "names no port"),
         ("udp://localhost", "names no port"),
         ("udp://:99999", "range"),
-        ("udp://:nmea", "port"),
+        ("udp://:nmea", "Port"),
         ("udp://:10110/gps", "more than host and port"),
         ("udp://[::1:10110", "IPv6"),
     ],
@@ -209,9 +209,7 @@ def _free() -> int:
         return int(taken.getsockname()[1])
 
 
-BOAT = Particulars(
-    name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0
-)
+BOAT = Particulars(name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0)
 NMEA = NmeaWriter("GP")
 TIMES = st.floats(0.0, 86399.0)
 NUMBERS = st.sampled_from(["", "0", "-1", "nan", "inf", "1e308", "-1e-300", "361", "x", "12.5"])

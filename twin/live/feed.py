@@ -237,7 +237,11 @@ class Message:
 
 
 class _Clock:
-    """The sender's time as a function of ours, fitted to the messages that tell theirs."""
+    """The sender's time as a function of ours, fitted to the messages that tell theirs.
+
+    Source: Theil 1950, A rank-invariant method of linear regression (the incomplete method): late
+    messages do not turn the line.
+    """
 
     def __init__(self) -> None:
         self.pairs: deque[tuple[float, float]] = deque(maxlen=100)
@@ -248,15 +252,22 @@ class _Clock:
         self.pairs.append((arrival, t))
         self.fit = None
 
+    def shift(self, by: float) -> None:
+        """Move the sender's time, s, as it runs on under another name."""
+        self.pairs = deque(((ours, theirs + by) for ours, theirs in self.pairs), maxlen=100)
+        self.fit = None
+
     def at(self, arrival: float) -> float:
         """Return the time of what comes now."""
         if self.fit is None:
             ours, theirs = np.array(self.pairs).T
-            spread = ours - ours.mean()
+            half = (len(ours) + 1) // 2
+            passed = ours[half:] - ours[: len(ours) - half]
             rate = 1.0
             # fewer say nothing of the rate: between two lies as much chance as time
-            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and np.ptp(ours) > 0.0:
-                rate = max(float(spread @ theirs / (spread @ spread)), 0.0)
+            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and (passed > 0.0).any():
+                steps = theirs[half:] - theirs[: len(ours) - half]
+                rate = max(float(np.median(steps[passed > 0.0] / passed[passed > 0.0])), 0.0)
             offset = float(np.median((theirs - rate * ours)[-10:]))
             self.fit = float(ours[-1]), rate, offset
         last, rate, offset = self.fit
@@ -526,7 +537,6 @@ class Feed(ABC):
         """Return the time of a message on the feed's axis, or why it has none."""
         if self._base is None:
             self._base = stamp - self._map.at(arrival)
-            self._map.pairs.clear()
             t = stamp - self._base
         else:
             nearest = max(self._timed, self._released)
@@ -537,15 +547,18 @@ class Feed(ABC):
         if behind:
             self._stale = min(self._stale, t)
             if t - self._stale >= RESTART:
-                begun = max(self._map.at(arrival), self._head + self.period)
+                now = self._map.at(arrival)
+                begun = max(now, self._head + self.period)
                 self._base += t - begun
-                self._map.pairs.clear()
+                self._map.shift(begun - now)
                 self._seen.clear()
                 self._timed = -math.inf
                 t, key, behind = begun, (kind, round(begun / SAME)), False
         if key in self._seen:
             return "doubled"
         if behind:
+            if t > self._released - RESTART:  # of the clock it still speaks
+                self._map.tell(arrival, t)
             return "late"
         self._stale = math.inf
         self._seen[key] = t
