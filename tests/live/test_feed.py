@@ -5,14 +5,17 @@ import socket
 
 import numpy as np
 import pytest
-from conftest import Wire
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wire import Wire
 
 from twin.live.feed import BYTES_MAX, FeedError, Message, Plane, open_socket, parse_address
 from twin.live.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.live.nmea import NmeaFeed, NmeaWriter
 from twin.particulars import Particulars
+
+pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
 
 
 @pytest.mark.parametrize(
@@ -190,17 +193,17 @@ def test_a_message_without_a_time_that_comes_twice_at_once_is_doubled(usv: Parti
 
 
 def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:
-    with NmeaFeed("udp://:0".replace(":0", f":{_free()}"), usv) as feed:
+    with NmeaFeed(f"udp://:{_free()}", usv) as feed:
         host, port = feed._socket.getsockname()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for _ in range(20000):
+            for _ in range(4000):
                 sender.sendto(b"$GPGSV,1*00\r\n" * 80, (host, port))
         feed.take()
         assert 0 < feed.counts["received"] <= 1.1 * BYTES_MAX / 13
         for _ in range(200):
             feed.take()
         datagrams = feed.counts["received"] / 80 + feed.counts["dropped"]
-        assert feed.counts["dropped"] == 0 or datagrams <= 20000
+        assert feed.counts["dropped"] == 0 or datagrams <= 4000
 
 
 def _free() -> int:
