@@ -237,7 +237,11 @@ class Message:
 
 
 class _Clock:
-    """The sender's time as a function of ours, fitted to the messages that tell theirs."""
+    """The sender's time as a function of ours, fitted to the messages that tell theirs.
+
+    Source: Theil 1950, A rank-invariant method of linear regression (the incomplete method): late
+    messages do not turn the line.
+    """
 
     def __init__(self) -> None:
         self.pairs: deque[tuple[float, float]] = deque(maxlen=100)
@@ -248,15 +252,22 @@ class _Clock:
         self.pairs.append((arrival, t))
         self.fit = None
 
+    def shift(self, by: float) -> None:
+        """Move the sender's time, s, as it runs on under another name."""
+        self.pairs = deque(((ours, theirs + by) for ours, theirs in self.pairs), maxlen=100)
+        self.fit = None
+
     def at(self, arrival: float) -> float:
         """Return the time of what comes now."""
         if self.fit is None:
             ours, theirs = np.array(self.pairs).T
-            spread = ours - ours.mean()
+            half = (len(ours) + 1) // 2
+            passed = ours[half:] - ours[: len(ours) - half]
             rate = 1.0
             # fewer say nothing of the rate: between two lies as much chance as time
-            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and np.ptp(ours) > 0.0:
-                rate = max(float(spread @ theirs / (spread @ spread)), 0.0)
+            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and (passed > 0.0).any():
+                steps = theirs[half:] - theirs[: len(ours) - half]
+                rate = max(float(np.median(steps[passed > 0.0] / passed[passed > 0.0])), 0.0)
             offset = float(np.median((theirs - rate * ours)[-10:]))
             self.fit = float(ours[-1]), rate, offset
         last, rate, offset = self.fit
@@ -328,6 +339,7 @@ class Feed(ABC):
         self._seen: dict[tuple[str, int], float] = {}
         self._last: dict[str, tuple[Message, float]] = {}
         self._buffer: list[tuple[float, int, dict[str, float]]] = []
+        self._ready: list[tuple[float, Array, Array]] = []
         self._order = itertools.count()
         self._arrival = -math.inf
         self._peer: Address | None = None
@@ -387,8 +399,10 @@ class Feed(ABC):
         now = self.clock()
         for data in self.greet(now):
             self._send(data)
-        waited = drained and now - self._arrival >= self.wait
-        return self._rows(math.inf if waited else self._head - self.wait)
+        if drained and now - self._arrival >= self.wait:
+            self._release(math.inf)
+        rows, self._ready = self._ready, []
+        return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
         """Take one datagram.
@@ -404,13 +418,13 @@ class Feed(ABC):
         """
         if not self._map.pairs:  # until a message tells a time, ours is as good as any
             self._map.tell(arrival, 0.0)
-        self._arrival = max(self._arrival, arrival)
         for item in self.decode(data):
             counted = item if isinstance(item, str) else self._place(item, arrival)
             self.counts["received"] += 1
             self.counts[counted] += 1
-            if counted == "used":
-                self._peer = source
+            if counted in ("used", "void"):
+                self._arrival, self._peer = arrival, source
+        self._release(self._head - self.wait)
 
     def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
         """Send what the twin believes; nothing before it knows a place, or whom to send it to.
@@ -523,7 +537,6 @@ class Feed(ABC):
         """Return the time of a message on the feed's axis, or why it has none."""
         if self._base is None:
             self._base = stamp - self._map.at(arrival)
-            self._map.pairs.clear()
             t = stamp - self._base
         else:
             nearest = max(self._timed, self._released)
@@ -534,15 +547,18 @@ class Feed(ABC):
         if behind:
             self._stale = min(self._stale, t)
             if t - self._stale >= RESTART:
-                begun = max(self._map.at(arrival), self._head + self.period)
+                now = self._map.at(arrival)
+                begun = max(now, self._head + self.period)
                 self._base += t - begun
-                self._map.pairs.clear()
+                self._map.shift(begun - now)
                 self._seen.clear()
                 self._timed = -math.inf
                 t, key, behind = begun, (kind, round(begun / SAME)), False
         if key in self._seen:
             return "doubled"
         if behind:
+            if t > self._released - RESTART:  # of the clock it still speaks
+                self._map.tell(arrival, t)
             return "late"
         self._stale = math.inf
         self._seen[key] = t
@@ -555,9 +571,8 @@ class Feed(ABC):
             self._map.tell(arrival, t)
         return t
 
-    def _rows(self, until: float) -> list[tuple[float, Array, Array]]:
-        """Return the rows of all samples up to a time; no more will come of them."""
-        rows = []
+    def _release(self, until: float) -> None:
+        """Make rows of all samples up to a time."""
         while self._buffer and self._buffer[0][0] + self.period <= until:
             first, fix, last = self._buffer[0][0], None, self._buffer[0][0]
             row: dict[str, float] = {}
@@ -573,8 +588,7 @@ class Feed(ABC):
                 count += 1
             del self._buffer[:count]
             self._released = last
-            rows.append(self._row(last if fix is None else fix, row))
-        return rows
+            self._ready.append(self._row(last if fix is None else fix, row))
 
     def _row(self, t: float, row: dict[str, float]) -> tuple[float, Array, Array]:
         if self._zero is None:

@@ -18,7 +18,6 @@ Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -113,11 +112,11 @@ class Servos:
         angle : float, optional
             Full helm, rad; left out, 30 degrees.
         """
+        if shaft_speed is None:
+            shaft_speed = FULL_SHAFT * particulars.shaft_speed
         skid = {"left": 1, "right": 3, "steering": 0}
         return cls(
-            shaft_speed=FULL_SHAFT * particulars.shaft_speed
-            if shaft_speed is None
-            else shaft_speed,
+            shaft_speed=shaft_speed,
             angle=FULL_ANGLE if angle is None else angle,
             **(skid if particulars.steering == "differential" else {}),
         )
@@ -223,10 +222,7 @@ class MavlinkFeed(Feed):
             yield "broken"  # the last datagram ended within a message, which this does not go on
             self._parser = self._writer.parser()
         for item in self._parser.parse_buffer(data) or ():
-            try:
-                yield self._message(item)
-            except (ValueError, ArithmeticError, struct.error):
-                yield "broken"
+            yield self._message(item)
 
     def greet(self, now: float) -> Iterator[bytes]:
         """Yield the heartbeat, once a second."""

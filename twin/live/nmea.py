@@ -1,13 +1,13 @@
-"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's belief as sentences.
+r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's belief as sentences.
 
 Taken are GGA and RMC (fix and velocity; of the same epoch they are one fix), HDT (true heading),
 ROT (rate of turn), RPM and RSA (commands) of any talker, and ZDA and TAG blocks for the time.
 
-=========  ==========================================================================================
-RPM        revolutions per minute of shaft or engine; number 0: single, even: port, odd: starboard
+=========  ====================================================================================
+RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
 RSA        rudder angle, degrees, above 0 to starboard; the first is starboard or single
-``\\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
-=========  ==========================================================================================
+``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
+=========  ====================================================================================
 
 HDT, ROT, RPM and RSA hold no time: they have that of the sentence before them in the same
 datagram (ZDA, GGA, RMC, a TAG block), or else that of their arrival by the sender's clock. A
@@ -311,6 +311,8 @@ def _rpm(sentence: Any) -> Message:
     number, speed = _number(sentence.engine_no), _number(sentence.speed)
     if number is None or speed is None or sentence.status != "A":
         return Message("RPM", void=True)
+    if number not in range(100):
+        raise ValueError("no shaft")
     names = COMMANDS[:2] if number == 0 else (COMMANDS[int(number) % 2],)
     return Message(f"RPM{number:.0f}", values=dict.fromkeys(names, speed / 60.0))
 

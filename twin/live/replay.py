@@ -266,11 +266,8 @@ def schedule(
             yield sent(dataclasses.replace(delayed, due=due))
         kind = kinds[int(np.searchsorted(edges, rng.random(), side="right"))]
         swaps = kind == "swapped"
-        if (
-            datagram.steady
-            or (swaps and held)
-            or (kind in ("late", "swapped") and datagram.due > end)
-        ):
+        last = datagram.due > end and (swaps or kind == "late")
+        if datagram.steady or last or (swaps and held is not None):
             kind = ""  # nothing comes after the end, and no two change places at once
         if kind == "broken":
             datagram = dataclasses.replace(datagram, data=stream.broken(datagram.data, rng))
@@ -283,7 +280,8 @@ def schedule(
         else:
             for _ in range(2 if kind == "doubled" else 1):
                 yield sent(datagram)
-            if held is not None and held.due < datagram.due:
+            overtakes = kind != "broken" and not datagram.steady
+            if held is not None and overtakes and held.due < datagram.due:
                 yield sent(dataclasses.replace(held, due=datagram.due))
                 held = None
     for datagram in (*([held] if held else []), *(delayed for _, _, delayed in sorted(late))):

@@ -1,0 +1,74 @@
+"""What the tests of the live feed share: a wire without waiting, and a belief."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from twin.live.feed import Feed
+from twin.live.replay import Datagram, Stream, schedule
+from twin.log import Log, recorded_runs
+from twin.particulars import Particulars
+from twin.predictor import Estimate, Prediction
+
+RUN = recorded_runs()["boat1_usv_circle"]
+
+
+class Wire:
+    """Hands datagrams to a feed at times of a clock that stands still between them."""
+
+    def __init__(self, kind: type[Feed], boat: Particulars, **options: Any) -> None:
+        self.now = 0.0
+        self.feed = kind(None, boat, clock=lambda: self.now, **options)
+        self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
+
+    def carry(self, datagrams: Iterable[Datagram], speed: float = 1.0) -> None:
+        began, first = self.now, None
+        for datagram in datagrams:
+            first = datagram.due if first is None else first
+            self.now = began + (datagram.due - first) / speed
+            self.feed.receive(datagram.data, self.now, ("127.0.0.1", 9))
+            self.rows += self.feed.take()
+
+    def tell(self, *lines: bytes, after: float = 0.0) -> list[Any]:
+        self.now += after
+        for line in lines:
+            self.feed.receive(line, self.now, ("127.0.0.1", 9))
+        return self.take()
+
+    def take(self, after: float = 0.0) -> list[Any]:
+        self.now += after
+        new = self.feed.take()
+        self.rows += new
+        return new
+
+    def replay(self, log: Log, stream: Stream, speed: float, **options: Any) -> Counter[str]:
+        counts: Counter[str] = Counter()
+        self.carry(schedule(log, stream, counts=counts, **options), speed)
+        self.take(after=1.0)
+        return counts
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        t, z, cmd = zip(*self.rows, strict=True)
+        return np.array(t), np.array(z), np.array(cmd)
+
+    def balance(self) -> dict[str, int]:
+        """Return the counts above 0; each message counts in one way."""
+        counts = self.feed.counts
+        ways = ("used", "late", "doubled", "broken", "void", "unknown", "own")
+        assert counts["received"] == sum(counts[way] for way in ways)
+        return {name: count for name, count in counts.items() if count}
+
+
+def estimate_of(t: float) -> tuple[Estimate, Prediction]:
+    s = np.array([100.0, -50.0, 0.3, 5.0, 0.5, 0.1])
+    none = np.zeros(0)
+    estimate = Estimate(t, s, np.full(6, 0.5), none, none, True)
+    after = 0.25 * np.arange(1, 41)
+    mean = s + np.outer(after, [5.0, 1.0, 0.1, 0.0, 0.0, 0.0])
+    cov = np.eye(6) * (1.0 + after[:, None, None]) ** 2
+    cov[:, 0, 1] = cov[:, 1, 0] = 0.5 * cov[:, 0, 0]
+    return estimate, Prediction(t, s, np.eye(6), t + after, mean, cov)
