@@ -310,7 +310,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
     session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
     session.record(True)
     session.start()
-    wait(lambda: not feed.rows and session.snapshot is not None and session.snapshot.t > 39.9)
+    wait(lambda: not feed.rows and session.snapshot is not None and session.snapshot.t > 39.99)
     now = session.snapshot
     assert now.notes[0] == "said so" and f"received {len(log)}" in now.notes[1]
     twin = Twin(particulars_of(VESSEL), "ukf")
