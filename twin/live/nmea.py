@@ -396,7 +396,7 @@ class NmeaWriter:
         mode: str,
     ) -> str:
         """Return velocity over ground, m/s, with place and date."""
-        sides = ("", "", "", "")
+        sides: tuple[str, ...] = ("", "", "", "")
         if place is not None:
             sides = (*_text(place[0], "NS", 2, 7), *_text(place[1], "EW", 3, 7))
         motion = ("", "")
