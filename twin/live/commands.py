@@ -81,6 +81,12 @@ def view_command(
     mapping: Annotated[
         Path | None, typer.Option(help="TOML file that says which column of the log is which.")
     ] = None,
+    plan: Annotated[
+        str,
+        typer.Option(
+            help="Of a log. hold: the last command stays; known: the twin is told what follows."
+        ),
+    ] = "hold",
     sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
     dof: Annotated[
         int, typer.Option(help="Degrees of freedom of the simulated ship: 3, or 6 with its heave.")
@@ -122,7 +128,7 @@ def view_command(
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
     session: Session
     if log is not None:
-        session = _recorded(log, mapping, vessel, predictor, out)
+        session = _recorded(log, mapping, vessel, predictor, plan, out)
     elif nmea is not None or mavlink is not None:
         full = shaft_max, None if steer_max is None else math.radians(steer_max)
         session = _fed(nmea, mavlink, reply, vessel, predictor, full, out)
@@ -168,7 +174,7 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
 
 
 def _recorded(
-    path: Path, mapping: Path | None, ship: str | None, predictor: str, out: Path
+    path: Path, mapping: Path | None, ship: str | None, predictor: str, plan: str, out: Path
 ) -> Session:
     from twin.live.session import LogSession
 
@@ -179,7 +185,7 @@ def _recorded(
     if not found:
         _note(NO_PARTICULARS.format(path))
     check_world(predictor, log, particulars)
-    return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out)
+    return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
 
 
 def _fed(

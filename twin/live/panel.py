@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.live.follower import History
-from twin.live.scene import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
+from twin.live.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
 from twin.live.session import (
     AUTOPILOTS,
     FeedSession,
@@ -41,7 +41,8 @@ THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 """What a press of an arrow key changes: part of the usual shaft speed, degrees."""
 LOSS = 10.0
 """A short loss of GPS, s."""
-CURVE_HEIGHT = 150
+HEIGHT, LOW = 150, 116
+"""Of a curve, and of one under a choice, pixels: three of a kind fit 720."""
 LEFT, RIGHT = 290, 350
 """Widths of controls and curves, pixels."""
 
@@ -336,7 +337,7 @@ def key() -> str:
     """Return what each colour of the scene stands for."""
     entries = (
         (RED, "twin, its next 10 s"),
-        (ORANGE, f"{SDS:g} sd"),
+        (PALE, f"{SDS:g} sd"),
         (BLUE, "track; thin: what came"),
         (PURPLE, "GPS fix"),
         (GREEN, "path"),
@@ -390,6 +391,7 @@ class Curves:
                     ("estimate", RED, ()),
                     (f"- {SDS:g} sd", RED, (3.0, 3.0)),
                     (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
+                    height=LOW,
                 )
                 self.parameters.append((choice, curve))
         self.names, self.units = names, units
@@ -417,7 +419,9 @@ class Curves:
                 curve.axes = axes(title)
             self._draw(curve, seen.t, *band(seen, column))
 
-    def _curve(self, title: str, *series: tuple[str, Any, tuple[float, ...]]) -> Any:
+    def _curve(
+        self, title: str, *series: tuple[str, Any, tuple[float, ...]], height: int = HEIGHT
+    ) -> Any:
         lines: list[dict[str, Any]] = [{"label": "time (s)"}]
         lines += [
             {"label": label, "stroke": f"rgb{colour}", "width": 2, "dash": dash, "spanGaps": False}
@@ -431,8 +435,8 @@ class Curves:
             scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
             axes=axes(title),
             legend={"show": len(series) > 1, "live": False},
-            height=CURVE_HEIGHT,
-            padding=(8, 14, 0, 0),
+            height=height,
+            padding=(8, 22, 0, 0),
         )
 
     @staticmethod

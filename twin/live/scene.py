@@ -21,7 +21,7 @@ from usv_gym.render import SDS, Belief, ellipses
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "PURPLE", "RED", "SceneView"]
+__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "PALE", "PURPLE", "RED", "SceneView"]
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
@@ -29,7 +29,7 @@ Colour = tuple[int, int, int]
 # colours that people with any colour vision can tell apart
 # Source: Okabe and Ito (2008), Color Universal Design.
 BLUE, GREEN, RED, ORANGE = (0, 114, 178), (0, 158, 115), (213, 94, 0), (230, 159, 0)
-PURPLE, GREY = (150, 52, 116), (90, 96, 100)
+PURPLE, GREY, PALE = (150, 52, 116), (90, 96, 100), (255, 206, 120)
 WATER, SKY = (70, 130, 168), ((160, 196, 222), (244, 248, 251))
 
 TURN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -94,8 +94,8 @@ class SceneView:
             "/sea/ribbon",
             np.zeros(((STEPS + 1) * (ACROSS + 1), 3), np.float32),
             strip(STEPS + 1, ACROSS + 1),
-            color=ORANGE,
-            opacity=0.6,
+            # not transparent: what lies on water that is would be drawn in any order
+            color=PALE,
             side="double",
             cast_shadow=False,
             receive_shadow=False,
@@ -122,11 +122,11 @@ class SceneView:
         self.lost = add.add_label(
             "/sea/lost", "", anchor="bottom-center", font_screen_scale=1.3, visible=False
         )
-        self.radius = nice(3.0 * L)
+        self.radius = nice(2.2 * L)
         server.initial_camera.position = (-1.2 * L, -3.2 * L, 1.9 * L)
         server.initial_camera.look_at = (0.0, 0.6 * L, 0.0)
         server.initial_camera.far = 60.0 * L
-        server.initial_camera.near = 0.02 * L
+        server.initial_camera.near = min(0.02 * L, 0.2)
 
     def _light(self) -> None:
         """Let a low sun shine, so that waves are seen by their slopes."""

@@ -6,6 +6,7 @@ when it comes to them.
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import math
 import threading
@@ -30,7 +31,7 @@ from twin.predictor import Prediction
 from twin.registry import DEFAULT, predictor_class
 from twin.simulated import TRUE_STATE, measurement_row, particulars_of
 from twin.state import write_whole
-from twin.twin import Twin
+from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.manoeuvres import MANOEUVRES, commands
 from usv_gym.physics import frames as fr
 from usv_gym.render import Belief
@@ -560,6 +561,10 @@ class LogSession(Session):
         Fresh.
     vessel : Vessel or None
         Whose hull is shown.
+    folder : Path
+        As for any session; nothing is recorded twice.
+    plan : str
+        One of ``twin.twin.PLANS``: whether the twin is told the commands that follow.
 
     Attributes
     ----------
@@ -569,12 +574,15 @@ class LogSession(Session):
         Moment up to which the twin has come, s.
     """
 
-    def __init__(self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
+    def __init__(
+        self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "hold"
+    ) -> None:
         super().__init__(vessel, twin.particulars, folder)
-        self.log = log
+        if plan not in PLANS:
+            raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
+        self.log, self.plan, self._row = log, plan, 0
         self._follower = Follower(twin)
         self.at = self.done = float(log.t[0])
-        self._next = 0
         self._moments: list[Snapshot] = []
         self._times: list[float] = []
         span = float(log.t[-1] - log.t[0])
@@ -634,8 +642,14 @@ class LogSession(Session):
         except BaseException as error:
             self.error = error
 
+    def _plan(self) -> str | Array:
+        if self.plan == "hold":
+            return "hold"
+        return known_plan(self.log, self._row, HORIZON, PLAN_STEP)
+
     def _moment(self, row: int) -> Snapshot:
         log, t = self.log, float(self.log.t[row])
+        self._row = row
         boat = measured_boat(self._follower.measured, log.cmd[row])
         if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
             boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
@@ -653,9 +667,8 @@ class LogSession(Session):
     def _look(self) -> Snapshot | None:
         if not self._times:
             return None
-        index = int(np.searchsorted(self._times[: len(self._moments)], self.at + 1e-9)) - 1
-        shown = self._moments[max(index, 0)]
-        return shown
+        index = bisect.bisect_right(self._times, self.at + 1e-9) - 1
+        return self._moments[max(index, 0)]
 
 
 def measured_boat(measured: Array, cmd: Array) -> Array:
