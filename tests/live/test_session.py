@@ -14,14 +14,11 @@ import pytest
 from twin import Log, Particulars, Twin
 from twin.live.feed import COUNTS, Feed
 from twin.live.follower import HORIZON, PLAN_STEP
-from twin.live.session import (
-    AUTOPILOTS,
-    FeedSession,
-    LogSession,
-    Session,
-    SimulatedSession,
-    World,
-)
+from twin.live.fed import FeedSession
+from twin.live.helm import AUTOPILOTS
+from twin.live.recorded import LogSession
+from twin.live.sailing import SimulatedSession, World
+from twin.live.session import Session
 from twin.simulated import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
@@ -67,13 +64,13 @@ def test_helm_and_throttle_steer(tmp_path):
     session = SimulatedSession(world(sea=SeaState()), tmp_path)
     sail(session, 5.0)
     straight = session.simulation.state[0, fr.PSI]
-    session.helm = math.radians(20.0)
+    session.helm.angle = math.radians(20.0)
     sail(session, 5.0)
     assert session.simulation.state[0, fr.PSI] > straight + 0.3  # to starboard
-    session.throttle = 0.0
+    session.helm.throttle = 0.0
     sail(session, 20.0)
     assert session.simulation.state[0, fr.U] < 2.0
-    session.helm = 3.0  # more than the drives can
+    session.helm.angle = 3.0  # more than the drives can
     sail(session, 1.0)
     assert session.simulation.cmd[0, 2] == pytest.approx(VESSEL.helm_max)
 
@@ -88,7 +85,7 @@ def test_a_manoeuvre_begins_when_it_is_chosen_and_its_plan_is_known(tmp_path):
     assert plan.shape == (round(HORIZON / PLAN_STEP), 4)
     told = [plan[int(h / PLAN_STEP), 2] for h in np.arange(0.0, 9.0, 0.5)]
     for angle in told:
-        assert session._command()[2] == pytest.approx(angle)
+        assert session.helm.command(session.t, np.zeros(6))[2] == pytest.approx(angle)
         sail(session, 0.5)
 
 
@@ -99,7 +96,7 @@ def test_the_path_is_followed_by_what_the_twin_believes(tmp_path):
     for _ in range(60):
         sail(session, 1.0)
         place = session.simulation.state[0, :2]
-        legs = session._path
+        legs = session.helm.path
         away = legs[:-1] - place
         along = np.diff(legs, axis=0)
         share = np.clip(-(away * along).sum(1) / (along**2).sum(1), 0.0, 1.0)
@@ -212,7 +209,7 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
 
 def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):
     session = SimulatedSession(world(), tmp_path)
-    monkeypatch.setattr(session, "_command", lambda: 1 / 0)
+    monkeypatch.setattr(session.helm, "command", lambda t, s: 1 / 0)
     session.start()
     wait(lambda: session.error is not None)
     session.stop()
@@ -247,6 +244,20 @@ def test_a_moment_of_a_log_shows_what_was_believed_then_and_what_happened(log, t
         np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], twin_row(log, now.t))
         assert session.history().t[-1] <= t + 1e-6
     session.stop()
+
+
+def test_the_twin_may_be_told_the_commands_that_follow(log, tmp_path):
+    errors = []
+    for plan in ("hold", "known"):
+        twin = Twin(particulars_of(VESSEL), "dsw-ukf-plus")
+        session = LogSession(log, twin, VESSEL, tmp_path, plan)
+        session.start()
+        wait(lambda session=session: session.done == log.t[-1])
+        session.stop()
+        errors.append(np.nanmean(session.follower.history().error[40:]))
+    assert errors[1] < 0.7 * errors[0]
+    with pytest.raises(ValueError, match="hold or known"):
+        LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path, "guess")
 
 
 def twin_row(log: Log, t: float) -> np.ndarray:

@@ -23,7 +23,9 @@ import numpy as np
 import pytest
 
 from twin import Log, Twin, recorded_runs
-from twin.live.session import LogSession, Session, SimulatedSession, World
+from twin.live.recorded import LogSession
+from twin.live.sailing import SimulatedSession, World
+from twin.live.session import Session
 from twin.simulated import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.geometry import boat_of
@@ -235,9 +237,9 @@ def test_keys_steer(browser, served, tmp_path):
     driver = opened(browser, served(session))
     page = driver.find_element(By.TAG_NAME, "body")
     page.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
-    wait(lambda: session.helm == pytest.approx(math.radians(4.0)))
+    wait(lambda: session.helm.angle == pytest.approx(math.radians(4.0)))
     page.send_keys(Keys.ARROW_DOWN)
-    wait(lambda: session.throttle == pytest.approx(0.9))
+    wait(lambda: session.helm.throttle == pytest.approx(0.9))
     page.send_keys("g")
     wait(lambda: session.snapshot.gps_lost)
     assert errors_of(driver) == []

@@ -121,7 +121,8 @@ def view_command(
     Without a log or a feed, the boat is simulated: steer it, change the weather, lose its GPS.
     Ctrl-C ends it; a log that is being recorded is written then.
     """
-    from twin.live.session import AUTOPILOTS, SimulatedSession, World
+    from twin.live.helm import AUTOPILOTS
+    from twin.live.sailing import SimulatedSession, World
 
     given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
     if len(given) > 1:
@@ -176,7 +177,7 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
 def _recorded(
     path: Path, mapping: Path | None, ship: str | None, predictor: str, plan: str, out: Path
 ) -> Session:
-    from twin.live.session import LogSession
+    from twin.live.recorded import LogSession
 
     log = Log.read(path, mapping)
     for note in log.notes:
@@ -197,7 +198,7 @@ def _fed(
     full: tuple[float | None, float | None],
     out: Path,
 ) -> Session:
-    from twin.live.session import FeedSession
+    from twin.live.fed import FeedSession
 
     if predictor_class(predictor).world:
         raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")

@@ -11,16 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.live.fed import FeedSession
 from twin.live.follower import History
+from twin.live.helm import AUTOPILOTS
+from twin.live.recorded import LogSession
+from twin.live.sailing import SimulatedSession
 from twin.live.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
-from twin.live.session import (
-    AUTOPILOTS,
-    FeedSession,
-    LogSession,
-    Session,
-    SimulatedSession,
-    Snapshot,
-)
+from twin.live.session import Session, Snapshot
 from twin.registry import PREDICTORS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
@@ -114,13 +111,15 @@ class SimulatedControls(Controls):
         session, order = self.session, self.session.order
         with self.gui.add_folder("Helm"):
             self.autopilot = self.gui.add_dropdown(
-                "autopilot", AUTOPILOTS, initial_value=session.autopilot
+                "autopilot", AUTOPILOTS, initial_value=session.helm.autopilot
             )
             self.autopilot.on_update(lambda _: order(session.steer, self.autopilot.value))
             self.throttle = self.gui.add_slider(
-                "throttle", -1.0, 1.2, 0.05, session.throttle, hint="keys: arrows up and down"
+                "throttle", -1.0, 1.2, 0.05, session.helm.throttle, hint="keys: arrows up and down"
             )
-            self.throttle.on_update(lambda _: setattr(session, "throttle", self.throttle.value))
+            self.throttle.on_update(
+                lambda _: setattr(session.helm, "throttle", self.throttle.value)
+            )
             self.helm = self.gui.add_slider(
                 "rudder (deg)", -35.0, 35.0, 0.5, 0.0, hint="keys: arrows left and right"
             )
@@ -173,7 +172,7 @@ class SimulatedControls(Controls):
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
 
     def _turn(self) -> None:
-        self.session.helm = math.radians(self.helm.value)
+        self.session.helm.angle = math.radians(self.helm.value)
 
     def _on_key(self, key: Any, slider: Any, step: float) -> None:
         """Let a key move a slider."""
