@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from twin import Log, Particulars, Twin
+from twin.live.fed import FeedSession
 from twin.live.feed import COUNTS, Feed
 from twin.live.follower import HORIZON, PLAN_STEP
-from twin.live.fed import FeedSession
 from twin.live.helm import AUTOPILOTS
 from twin.live.recorded import LogSession
 from twin.live.sailing import SimulatedSession, World

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 AUTOPILOTS = ("off", *MANOEUVRES, "path")
 """``off``: by hand; a manoeuvre, from the moment on at which it is chosen; or a path."""
 DECISION, STEADY = 0.5, 4.0
-"""Time between two decisions along a path, and over which they are averaged to say what comes, s."""
+"""Time between two decisions along a path, and over which they are averaged to foretell, s."""
 
 
 class Helm:
