@@ -73,6 +73,8 @@ def test_nothing_is_judged_across_a_gap_or_by_a_twin_without_fixes():
         seen.step(begin + 120.0 + t, z, cmd)
         if k == 0:
             assert math.isnan(seen.error)
+            assert seen.history().t[0] > begin + 100.0  # and no line across
+    assert np.nanmax(seen.history().nis_place) < 50.0
 
 
 def test_innovations_of_a_simulated_boat_are_about_as_large_as_they_should_be():

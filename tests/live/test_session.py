@@ -221,15 +221,15 @@ def log() -> Log:
     return simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=40.0, seed=2)
 
 
-def through(log: Log, tmp_path: Path, **options: object) -> LogSession:
-    session = LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
+def through(log: Log, tmp_path: Path, plan: str = "known") -> LogSession:
+    session = LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path, plan)
     session.start()
     wait(lambda: session.done == log.t[-1])
     return session
 
 
 def test_a_moment_of_a_log_shows_what_was_believed_then_and_what_happened(log, tmp_path):
-    session = through(log, tmp_path)
+    session = through(log, tmp_path, "hold")
     session.order(session.set_paused, True)
     for t in (30.0, 12.0, 3.0):  # back and forth
         session.order(session.seek, t)
@@ -329,11 +329,54 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
     np.testing.assert_allclose(now.belief.state, twin.estimate().s)
     session.stop()
     assert feed.closed and feed.sent
+    assert not now.has_imu or not now.imu_lost
     estimate, prediction = feed.sent[-1]
     assert estimate.t <= 40.0 and prediction.mean.shape == (round(HORIZON / PLAN_STEP), 6)
     kept = Log.read(session.recorded)
     np.testing.assert_array_equal(kept.t, log.t)
     assert kept.truth is None
+
+
+def test_a_feed_that_falls_silent_is_told_and_answered_no_more(log, tmp_path, monkeypatch):
+    monkeypatch.setattr("twin.live.fed.SILENT", 0.4)
+    feed = Told(log.slice(t1=20.0))
+    session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
+    session.start()
+    wait(lambda: session.snapshot is not None and session.snapshot.silence > 1.0)
+    sent, seen = len(feed.sent), session.snapshot
+    assert seen.gps_lost and seen.imu_lost and seen.gps_age > 1.0
+    wait(lambda: session.snapshot.silence > 2.0)
+    assert len(feed.sent) == sent
+    feed.rows = list(log.slice(t0=20.0))
+    wait(lambda: session.snapshot.silence == 0.0)
+    wait(lambda: len(feed.sent) > sent)
+    wait(lambda: not feed.rows)
+    session.order(session.forget)
+    wait(lambda: session.changed == 1)
+    assert not session.follower.fixes and not session.follower.twin.estimate().ready
+    session.stop()
+    assert session.error is None
+
+
+def test_a_boat_without_an_imu_has_not_lost_it(log, tmp_path):
+    z = log.z.copy()
+    z[:, 5:] = math.nan
+    session = through(Log(log.t, z, log.cmd, None, "bare"), tmp_path)
+    wait(lambda: session.snapshot is not None)
+    assert not session.snapshot.has_imu and not session.snapshot.imu_lost
+    session.stop()
+
+
+def test_the_plan_of_a_log_may_be_changed_under_way(log, tmp_path):
+    session = through(log, tmp_path)
+    known = session.follower.history().error
+    session.order(session.again, "hold")
+    wait(lambda: session.changed == 1 and session.done == log.t[-1])
+    held = session.follower.history().error
+    assert np.nanmean(held) > np.nanmean(known)
+    session.order(session.again, "guess")
+    wait(lambda: "hold or known" in session.message)
+    session.stop()
 
 
 def test_a_session_that_never_began_can_be_stopped(tmp_path):

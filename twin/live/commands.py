@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import time
 import webbrowser
 from collections import Counter
 from collections.abc import Callable
@@ -84,9 +85,9 @@ def view_command(
     plan: Annotated[
         str,
         typer.Option(
-            help="Of a log. hold: the last command stays; known: the twin is told what follows."
+            help="Of a log. known: the twin is told the commands that follow; hold: the last stays."
         ),
-    ] = "hold",
+    ] = "known",
     sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
     dof: Annotated[
         int, typer.Option(help="Degrees of freedom of the simulated ship: 3, or 6 with its heave.")
@@ -161,6 +162,8 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         session.start()
+        if viewer.port != port:
+            _note(f"port {port} is in use")
         console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False)
         if browser:
             webbrowser.open(viewer.url)
@@ -294,7 +297,9 @@ def replay_command(
         console=console,
         transient=True,
     )
-    code = 0
+    span = "again and again" if loop else f"{length:g} s"
+    console.print(f"sending {run.name} to {target}: {span}, {speed:g} times as fast")
+    code, begun = 0, time.monotonic()
     with bar:
         task = bar.add_task(f"sending {run.name}", total=None if loop else length)
 
@@ -313,6 +318,9 @@ def replay_command(
             )
         except KeyboardInterrupt:
             code = INTERRUPTED
+    late = time.monotonic() - begun - length / speed
+    if not loop and late > 1.0 + 0.1 * length / speed:
+        _note(f"this machine was {late:.0f} s too slow for {speed:g} times as fast")
     told = [f"{count} {name}" for name, count in counts.items() if count]
     console.print(f"sent to {target}: {', '.join(told)}", highlight=False, soft_wrap=True)
     if code:

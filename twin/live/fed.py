@@ -19,6 +19,8 @@ __all__ = ["FeedSession"]
 
 REPLY = 0.2
 """Time between two answers to a feed, s."""
+SILENT = 2.0
+"""After so much time of the clock without a row, s, a feed counts as silent."""
 
 
 class FeedSession(Session):
@@ -40,12 +42,19 @@ class FeedSession(Session):
         super().__init__(vessel, twin.particulars, folder)
         self.feed = feed
         self._follower, self._cmd = Follower(twin), np.zeros(len(COMMANDS))
-        self._answered = -math.inf
+        self._answered, self._heard = -math.inf, math.nan
 
     @property
     def follower(self) -> Follower:
         """The twin and what is seen of it."""
         return self._follower
+
+    def forget(self) -> None:
+        """Let the twin begin anew, as for another boat; a log that is being recorded goes on."""
+        self._follower.twin.reset()
+        self._follower = Follower(self._follower.twin)
+        self.snapshot = None
+        self.changed += 1
 
     def _close(self) -> None:
         super()._close()
@@ -54,19 +63,23 @@ class FeedSession(Session):
     def _advance(self) -> None:
         for t, z, cmd in self.feed.take():
             self._follower.step(t, z, cmd)
-            self._cmd = cmd
+            self._cmd, self._heard = cmd, time.monotonic()
             self._keep(t, z, cmd)
 
     def _look(self) -> Snapshot | None:
         follower = self._follower
         if not math.isfinite(follower.t):
             return None
-        estimate = follower.twin.estimate()
+        now = time.monotonic()
+        silence = now - self._heard
+        silence = silence if silence > SILENT else 0.0
         boat = measured_boat(follower.measured, self._cmd)
-        seen = self._seen(boat, rate=self._rate(follower.t), notes=self.notes)
-        if estimate.ready and time.monotonic() >= self._answered + REPLY:
-            self._answered = time.monotonic()
-            self.feed.send(estimate, seen.prediction)
+        rate = self._rate(follower.t) if silence == 0.0 else 0.0
+        seen = self._seen(boat, silence, rate=rate, notes=self.notes)
+        # of a boat that is heard of no more, nothing is known that others should go by
+        if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
+            self._answered = now
+            self.feed.send(follower.twin.estimate(), seen.prediction)
         return seen
 
     @property

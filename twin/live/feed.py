@@ -48,7 +48,7 @@ Address = tuple[Any, ...]
 
 COUNTS = {
     "received": "messages that came, of any kind",
-    "used": "those that went into rows or told the time",
+    "used": "those that went into rows, told the time or that the sender is there",
     "late": "came when the row of their time was gone; dropped",
     "doubled": "came twice; the second was dropped",
     "out of order": "were overtaken by a later one and sorted in; they count as used, too",

@@ -15,7 +15,7 @@ from twin.predictor import Prediction, hold_velocity
 from twin.twin import Twin
 from usv_gym.render import Belief
 
-__all__ = ["HORIZON", "PLAN_STEP", "Follower", "History", "belief_of"]
+__all__ = ["HORIZON", "LOST_AFTER", "PLAN_STEP", "Follower", "History", "belief_of"]
 
 Array = NDArray[np.float64]
 
@@ -30,11 +30,12 @@ FIXES, TRACK = 400, 1500
 HISTORY_STEP, HISTORY_ROWS = 0.5, 1200
 """Time between two rows of the curves at first, s, and how many rows make them half as dense."""
 LOST_AFTER = 3.0, 0.5
-"""GPS counts as lost after so many usual intervals between fixes, and s at least."""
+"""A sensor counts as lost after so many usual intervals, and s at least."""
 SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
-GAP = 1.0
-"""Nothing is judged across so many seconds without a row."""
+GAP, NEW_AFTER = 1.0, 30.0
+"""Nothing is judged across so many seconds without a row, and after so many the curves begin
+anew."""
 _X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
 
 
@@ -78,6 +79,14 @@ class History:
     xi: Array
     xi_sd: Array
 
+    def rows(self, chosen: NDArray[np.bool_]) -> History:
+        """Return some rows, chosen by a mask (T,)."""
+        return History(**{name: values[chosen] for name, values in vars(self).items()})
+
+    def since(self, span: float) -> History:
+        """Return the rows of the last seconds."""
+        return self.rows(self.t >= self.t[-1] - span) if len(self.t) else self
+
 
 class _Mean:
     """Mean of what came within the last seconds."""
@@ -115,8 +124,6 @@ class Follower:
         north and east.
     gps_age : float
         Time since the last fix, s.
-    imu_lost : bool
-        Whether the last row held no turn rate, and rows before it did.
     error, error_hold : float
         See :class:`History`.
     """
@@ -147,16 +154,26 @@ class Follower:
         return self.t - self._fixed_at if math.isfinite(self._fixed_at) else math.inf
 
     @property
-    def gps_lost(self) -> bool:
-        """Whether fixes that should have come by now did not."""
+    def patience(self) -> float:
+        """Time without a fix after which GPS counts as lost, s."""
         usual = float(np.median(self._intervals)) if self._intervals else 1.0
         times, least = LOST_AFTER
-        return self.gps_age > max(times * usual, least)
+        return max(times * usual, least)
 
     @property
-    def imu_lost(self) -> bool:
-        """Whether a turn rate that used to come has not come for half a second."""
-        return self.t - self._gyro_at > LOST_AFTER[1]
+    def gps_lost(self) -> bool:
+        """Whether fixes that should have come by now did not."""
+        return self.gps_age > self.patience
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether a turn rate has ever come."""
+        return math.isfinite(self._gyro_at)
+
+    @property
+    def imu_age(self) -> float:
+        """Time since the last turn rate, s; 0 where none ever came."""
+        return self.t - self._gyro_at if self.has_imu else 0.0
 
     def step(self, t: float, z: Array, cmd: Array, truth: Array | None = None) -> None:
         """Take one row.
@@ -169,7 +186,10 @@ class Follower:
             True state, to judge by; NaN where it is not known. No twin is told.
         """
         fix, heading = z[_X : _X + 4], float(z[_COMPASS])
-        if math.isfinite(fix[0]):
+        if t - self.t > NEW_AFTER:
+            self._rows, self._step = [], HISTORY_STEP
+            self.error = self.error_hold = math.nan
+        if math.isfinite(fix[0]) and t - self.t < GAP:
             self._weigh(t, fix)
         self.twin.step(t, z, cmd)
         before, self.t = self.t, t

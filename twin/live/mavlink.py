@@ -263,6 +263,8 @@ class MavlinkFeed(Feed):
         }.get(kind)
         if self.system is None and kind in ("GLOBAL_POSITION_INT", "ATTITUDE"):
             self.system = self._writer.system = system
+        if kind == "HEARTBEAT" and self.system in (None, system):  # says that it is there
+            return Message("heartbeat")
         return "unknown" if read is None or system != self.system else read(item)
 
     def _position(self, item: Any) -> Message:

@@ -19,6 +19,7 @@ from twin.live.sailing import SimulatedSession
 from twin.live.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
 from twin.live.session import Session, Snapshot
 from twin.registry import PREDICTORS
+from twin.twin import PLANS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
@@ -38,8 +39,10 @@ THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 """What a press of an arrow key changes: part of the usual shaft speed, degrees."""
 LOSS = 10.0
 """A short loss of GPS, s."""
-HEIGHT, LOW = 150, 116
-"""Of a curve, and of one under a choice, pixels: three of a kind fit 720."""
+HEIGHT = 150
+"""Of a curve, pixels: three of a kind fit 720."""
+SHOWN = 300.0
+"""Of a run that goes on for ever, the curves show the last s."""
 LEFT, RIGHT = 290, 350
 """Widths of controls and curves, pixels."""
 
@@ -60,7 +63,7 @@ class Controls(ABC):
         server.gui.main_panel.dock_left()
         server.gui.main_panel.set_width(LEFT)
         self.status = self.gui.add_html("")
-        self.gui.add_html(key())
+        self.gui.add_html(key(path=isinstance(session, SimulatedSession)))
         self._add_time()
         self.add()
 
@@ -172,6 +175,9 @@ class SimulatedControls(Controls):
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
 
     def _turn(self) -> None:
+        """Take the helm: a hand on it counts more than an autopilot."""
+        if self.autopilot.value != "off":
+            self.autopilot.value = "off"
         self.session.helm.angle = math.radians(self.helm.value)
 
     def _on_key(self, key: Any, slider: Any, step: float) -> None:
@@ -227,8 +233,12 @@ class SimulatedControls(Controls):
 class FeedControls(Controls):
     """A real boat takes no orders, and nobody holds up its time."""
 
+    session: FeedSession
+
     def add(self) -> None:
-        """Add nothing more."""
+        """Add what helps when another boat begins to send."""
+        forget = self.gui.add_button("let the twin begin anew", hint="as for another boat")
+        forget.on_click(lambda _: self.session.order(self.session.forget))
 
     def _add_time(self) -> None:
         self._add_record()
@@ -251,7 +261,14 @@ class LogControls(Controls):
                 "time (s)", begin, max(end, begin + 0.1), 0.1, begin, hint="of the log"
             )
             self.progress = self.gui.add_progress_bar(0.0)
-            self.gui.add_markdown("bar: how far the twin has come through the log")
+            self.gui.add_html(small("Bar: how far the twin has come through the log."))
+            self.plan = self.gui.add_dropdown(
+                "commands ahead",
+                PLANS,
+                initial_value=self.session.plan,
+                hint="known: the twin is told those that follow; hold: the last one stays",
+            )
+            self.plan.on_update(lambda _: self.session.order(self.session.again, self.plan.value))
 
         def seek(event: Any) -> None:
             if event.client is not None:  # not what show() wrote itself
@@ -291,7 +308,14 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
         sd = math.sqrt(max(float(np.linalg.eigvalsh(belief.covs[-1])[-1]), 0.0))
         lines[f"band at {belief.horizons[-1]:g} s"] = f"+/- {SDS * sd:.1f} m"
+    if now.silence > 0.0:
+        lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession):
+        left, right = state[fr.DELTA_LEFT], state[fr.DELTA_RIGHT]
+        shafts = 0.5 * (state[fr.N_LEFT] + state[fr.N_RIGHT])
+        lines["shafts, drives"] = (
+            f"{shafts:.1f} rev/s, {math.degrees(0.5 * (left + right)):+.1f} deg"
+        )
         roll, pitch = np.degrees(state[[fr.PHI, fr.THETA]])
         lines["roll, pitch"] = f"{roll:+.1f}, {pitch:+.1f} deg"
         if belief is not None:
@@ -301,7 +325,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
     lines["GPS"] = ("LOST, " if now.gps_lost else "") + (
         f"fix {now.gps_age:.1f} s old" if known else "no fix yet"
     )
-    lines["IMU"] = "LOST" if now.imu_lost else "on"
+    lines["IMU"] = "none" if not now.has_imu else "LOST" if now.imu_lost else "on"
     if now.sea is not None:
         north, east = wx.air_velocity(now.t, now.sea.gusts, now.sea.weather)
         lines["wind"] = f"{math.hypot(north, east):.1f} m/s"
@@ -309,11 +333,11 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         height *= math.sqrt(0.5 * float((now.sea.waves[wv.AMPLITUDE] ** 2).sum()))
         lines["waves Hs"] = f"{height:.2f} m"
     for k, note in enumerate(now.notes):
-        lines["feed" if k == 0 else " " * k] = note
+        lines["messages" if k == 0 else " " * k] = note
     if session.recording:
-        lines["log"] = "recording"
+        lines["log"] = f"recording, {session.kept} rows"
     elif session.recorded is not None:
-        lines["log"] = f"written: {session.recorded}"
+        lines["log"] = f"written: {session.recorded.resolve()}"
     if session.message:
         lines["not done"] = session.message
     return lines
@@ -332,14 +356,43 @@ def table(lines: dict[str, str]) -> str:
     return f"<table id='status' style='font-size:12px;line-height:1.35;margin:6px'>{rows}</table>"
 
 
-def key() -> str:
+def small(*paragraphs: str) -> str:
+    """Return paragraphs in small letters."""
+    texts = "".join(f"<p style='margin:0 0 7px'>{text}</p>" for text in paragraphs)
+    return f"<div style='font-size:12px;line-height:1.4;margin:6px'>{texts}</div>"
+
+
+HELP = (
+    "<b>Scene.</b> The boat is the true one, or as measured last; her copy is where the twin "
+    "believes her to be. The ribbon is where the twin foretells her to go within 10 s, "
+    f"{SDS:g} standard deviations to either side; the ellipse at its end is the same for the "
+    "last moment. The ring shows the scale, N the north. Drag to turn the view, scroll to come "
+    "nearer.",
+    "<b>Band at 10 s</b>: half the longer axis of that ellipse.",
+    "<b>Error after 10 s</b>: how far the place foretold 10 s ago is off, judged by the truth "
+    "where it is known, else by where the twin believes to be now, with a fresh fix. Beside "
+    "it, that of a boat that keeps its velocity and turn rate. Of manoeuvres and known "
+    "commands the twin is told what will be steered; else it takes the last command to stay.",
+    "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
+    "<b>Normalised innovations squared</b>: how far fixes are from what the twin expected, in "
+    "units of what it thought possible, mean of 30 s. 1 is ideal; far above it the twin is "
+    "too sure.",
+    f"<b>Parameters</b> of the twin's model, with {SDS:g} standard deviations (dotted). X, Y, N "
+    "are those of surge, sway and yaw; the letters behind say what each multiplies (X_uu: "
+    "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind and "
+    "current. More: twin/structure.py.",
+    "<b>Keys</b>: arrows steer, space stops the time, G loses GPS for 10 s, R begins anew.",
+)
+
+
+def key(path: bool) -> str:
     """Return what each colour of the scene stands for."""
-    entries = (
+    entries: tuple[tuple[Any, str], ...] = (
         (RED, "twin, its next 10 s"),
         (PALE, f"{SDS:g} sd"),
         (BLUE, "track; thin: what came"),
         (PURPLE, "GPS fix"),
-        (GREEN, "path"),
+        *([(GREEN, "path")] if path else []),
     )
     items = "".join(
         f"<span style='white-space:nowrap;margin-right:8px'><span style='color:rgb{colour}'>"
@@ -390,9 +443,11 @@ class Curves:
                     ("estimate", RED, ()),
                     (f"- {SDS:g} sd", RED, (3.0, 3.0)),
                     (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
-                    height=LOW,
+                    legend=False,
                 )
                 self.parameters.append((choice, curve))
+        with self.panel.add_tab("Help"):
+            self.gui.add_html(small(*HELP))
         self.names, self.units = names, units
         self.panel.dock_right()
         self.panel.set_width(RIGHT)
@@ -404,6 +459,8 @@ class Curves:
     def show(self) -> None:
         """Draw the curves up to now."""
         seen = self.session.history()
+        if not isinstance(self.session, LogSession):
+            seen = seen.since(SHOWN)
         if len(seen.t) < 2:
             return
         self._draw(self.error, seen.t, seen.error, seen.error_hold)
@@ -419,7 +476,7 @@ class Curves:
             self._draw(curve, seen.t, *band(seen, column))
 
     def _curve(
-        self, title: str, *series: tuple[str, Any, tuple[float, ...]], height: int = HEIGHT
+        self, title: str, *series: tuple[str, Any, tuple[float, ...]], legend: bool = True
     ) -> Any:
         lines: list[dict[str, Any]] = [{"label": "time (s)"}]
         lines += [
@@ -433,8 +490,8 @@ class Curves:
             title=title,
             scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
             axes=axes(title),
-            legend={"show": len(series) > 1, "live": False},
-            height=height,
+            legend={"show": legend and len(series) > 1, "live": False},
+            height=HEIGHT,
             padding=(8, 22, 0, 0),
         )
 

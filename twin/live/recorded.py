@@ -22,7 +22,7 @@ __all__ = ["LogSession"]
 
 Array = NDArray[np.float64]
 
-SNAPSHOTS = 4000
+SNAPSHOTS = 2000
 """Moments of a recorded run that are kept at most."""
 
 
@@ -48,25 +48,44 @@ class LogSession(Session):
         Moment that is shown, s.
     done : float
         Moment up to which the twin has come, s.
+    plan : str
+        As above.
     """
 
     def __init__(
-        self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "hold"
+        self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "known"
     ) -> None:
         super().__init__(vessel, twin.particulars, folder)
-        if plan not in PLANS:
-            raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
-        self.log, self.plan, self._row = log, plan, 0
-        self._follower = Follower(twin)
-        self.at = self.done = float(log.t[0])
-        self._moments: list[Snapshot] = []
-        self._times: list[float] = []
+        self.log = log
+        self.at = float(log.t[0])
         span = float(log.t[-1] - log.t[0])
         self._spacing = max(2.0 * PUBLISHED, span / SNAPSHOTS)
         self._anchor = time.monotonic(), self.at
         known = log.z[:, :2] if log.truth is None else log.truth[:, :2]
-        self._known = np.isfinite(known[:, 0])
-        self._places, self._when = known[self._known], log.t[self._known]
+        there = np.isfinite(known[:, 0])
+        self._places, self._when = known[there], log.t[there]
+        self._prepare(twin, plan)
+
+    def _prepare(self, twin: Twin, plan: str) -> None:
+        """Let a fresh twin stand before the first row."""
+        if plan not in PLANS:
+            raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
+        self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
+        self._follower = Follower(twin)
+        self._moments: list[Snapshot] = []
+        self._times: list[float] = []
+        self._over = threading.Event()
+        self._worker = threading.Thread(target=self._go_through, name="twin", daemon=True)
+
+    def again(self, plan: str) -> None:
+        """Go through the log once more with another plan, up to the moment that is shown."""
+        self._over.set()
+        self._worker.join()
+        twin = self._follower.twin
+        twin.reset()
+        self._prepare(twin, plan)
+        self._worker.start()
+        self.changed += 1
 
     @property
     def follower(self) -> Follower:
@@ -76,8 +95,7 @@ class LogSession(Session):
     def history(self) -> History:
         """Return the curves up to the moment that is shown."""
         whole = self._follower.history()
-        rows = whole.t <= self.at + 1e-9
-        return History(**{name: values[rows] for name, values in vars(whole).items()})
+        return whole.rows(whole.t <= self.at + 1e-9)
 
     def seek(self, t: float) -> None:
         """Show another moment."""
@@ -95,18 +113,20 @@ class LogSession(Session):
         self._anchor = time.monotonic(), self.at
 
     def _run(self) -> None:
-        worker = threading.Thread(target=self._go_through, name="twin", daemon=True)
-        worker.start()
+        self._worker.start()
         super()._run()
-        self._stop.set()
-        worker.join()
+
+    def _close(self) -> None:
+        self._over.set()
+        self._worker.join()
+        super()._close()
 
     def _go_through(self) -> None:
         """Feed the twin all rows, and keep what it believed in between."""
         log, due = self.log, -math.inf
         try:
             for row, (t, z, cmd) in enumerate(log):
-                if self._stop.is_set():
+                if self._over.is_set():
                     return
                 truth = None if log.truth is None else log.truth[row]
                 self._follower.step(t, z, cmd, truth)

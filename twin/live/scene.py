@@ -165,6 +165,8 @@ class SceneView:
         self.surface.vertices = self._lifted(self._grid + place, height, 0.0)
         self._show_boat(now)
         losses = [f"GPS LOST {now.gps_age:.1f} s"] * now.gps_lost + ["IMU LOST"] * now.imu_lost
+        if now.silence > 0.0:
+            losses = [f"NOTHING HEARD FOR {now.silence:.0f} s"]
         self.lost.visible = bool(losses) and math.isfinite(now.gps_age)
         self.lost.text = ", ".join(losses)
         self.lost.position = (*place.tolist(), -1.0 * self.length)

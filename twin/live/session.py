@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.live.follower import Follower, History, belief_of
+from twin.live.follower import LOST_AFTER, Follower, History, belief_of
 from twin.log import TRUTH, Log, beside
 from twin.particulars import Particulars
 from twin.predictor import Prediction
@@ -64,6 +64,10 @@ class Snapshot:
         Time since the last fix, s.
     gps_lost, imu_lost : bool
         Whether fixes, or turn rates, that should have come did not.
+    has_imu : bool
+        Whether a turn rate has ever come.
+    silence : float
+        Time of the clock for which nothing has come at all, s; 0 where that cannot be.
     error, error_hold : float
         How far off the place predicted 10 s ago is, m, by the twin and by holding velocity and
         turn rate; NaN where nothing tells.
@@ -88,12 +92,14 @@ class Snapshot:
     gps_age: float
     gps_lost: bool
     imu_lost: bool
+    has_imu: bool
     error: float
     error_hold: float
     ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
     sea: Sea | None = None
     rate: float = math.nan
+    silence: float = 0.0
     notes: tuple[str, ...] = ()
 
 
@@ -193,6 +199,11 @@ class Session(ABC):
             self.recorded = save(Log(t, z, cmd, known, "view"), self.particulars, self.folder)
         self.recording = on
 
+    @property
+    def kept(self) -> int:
+        """Rows of the log that is being recorded."""
+        return len(self._rows)
+
     def _keep(self, t: float, z: Array, cmd: Array, truth: Array = UNKNOWN) -> None:
         """Add a row to the log that is being recorded, if one is."""
         if self.recording:
@@ -245,7 +256,7 @@ class Session(ABC):
         """Return the commands of the next seconds, as far as they are known."""
         return "hold"
 
-    def _seen(self, boat: Array, **others: Any) -> Snapshot:
+    def _seen(self, boat: Array, silence: float = 0.0, **others: Any) -> Snapshot:
         """Return the follower's part of a snapshot, and the rest as given."""
         follower = self.follower
         prediction = follower.predict(self._plan())
@@ -256,9 +267,11 @@ class Session(ABC):
             prediction=prediction,
             fixes=np.array(follower.fixes).reshape(-1, 2),
             track=np.array(follower.track).reshape(-1, 2),
-            gps_age=follower.gps_age,
-            gps_lost=follower.gps_lost,
-            imu_lost=follower.imu_lost,
+            gps_age=follower.gps_age + silence,
+            gps_lost=follower.gps_age + silence > follower.patience,
+            imu_lost=follower.imu_age + silence > LOST_AFTER[1],
+            has_imu=follower.has_imu,
+            silence=silence,
             error=follower.error,
             error_hold=follower.error_hold,
             **others,

@@ -59,7 +59,12 @@ class Viewer:
         """Where browsers find it."""
         host = self.server.get_host()
         shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, host)
-        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.server.get_port()}"
+        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}"
+
+    @property
+    def port(self) -> int:
+        """Port that it listens at."""
+        return int(self.server.get_port())
 
     def serve(self) -> None:
         """Show frame after frame until the session ends or the user presses Ctrl-C.
