@@ -39,8 +39,8 @@ THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 """What a press of an arrow key changes: part of the usual shaft speed, degrees."""
 LOSS = 10.0
 """A short loss of GPS, s."""
-HEIGHT = 150
-"""Of a curve, pixels: three of a kind fit 720."""
+HEIGHT, LOW = 150, 126
+"""Of a curve, and of one under a choice, pixels: three of a kind fit 720."""
 SHOWN = 300.0
 """Of a run that goes on for ever, the curves show the last s."""
 LEFT, RIGHT = 290, 350
@@ -443,7 +443,7 @@ class Curves:
                     ("estimate", RED, ()),
                     (f"- {SDS:g} sd", RED, (3.0, 3.0)),
                     (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
-                    legend=False,
+                    under_choice=True,
                 )
                 self.parameters.append((choice, curve))
         with self.panel.add_tab("Help"):
@@ -476,7 +476,7 @@ class Curves:
             self._draw(curve, seen.t, *band(seen, column))
 
     def _curve(
-        self, title: str, *series: tuple[str, Any, tuple[float, ...]], legend: bool = True
+        self, title: str, *series: tuple[str, Any, tuple[float, ...]], under_choice: bool = False
     ) -> Any:
         lines: list[dict[str, Any]] = [{"label": "time (s)"}]
         lines += [
@@ -490,8 +490,8 @@ class Curves:
             title=title,
             scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
             axes=axes(title),
-            legend={"show": legend and len(series) > 1, "live": False},
-            height=HEIGHT,
+            legend={"show": len(series) > 1 and not under_choice, "live": False},
+            height=LOW if under_choice else HEIGHT,
             padding=(8, 22, 0, 0),
         )
 

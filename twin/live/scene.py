@@ -172,7 +172,7 @@ class SceneView:
         self.lost.position = (*place.tolist(), -1.0 * self.length)
         self._show_belief(now.belief, height)
         self._draw(self.track, now.track, height)
-        self._draw(self.ahead, now.ahead, height)
+        self._draw(self.ahead, now.ahead, height, 0.075)
         self._draw(self.path, nearest(now.path, place), height)
         angle = np.linspace(0.0, 2.0 * math.pi, RING + 1)
         circle = place + self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
