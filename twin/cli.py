@@ -660,8 +660,9 @@ def vessel_mesh_command(
 ) -> None:
     """Write the boat's geometric model, in m, for a 3-D program or as a vessel's mesh.
 
-    .glb keeps parts and colours, with y up, z forward and x to port as in every glTF file; the
-    others have z up, x forward and y to port.
+    .glb keeps parts and colours, drives and propellers too, with y up, z forward and x to port as
+    in every glTF file; the others hold the hull and what stands on it, with z up, x forward and y
+    to port.
     """
     ship = Vessel.load(vessel)
     path = out or Path(f"{ship.name}.glb")
@@ -674,8 +675,8 @@ def vessel_mesh_command(
     whole = boat.whole()
     long, wide, high = np.ptp(whole.bounds, axis=0)
     console.print(
-        f"{path}: {len(boat.parts)} parts, {len(whole.faces)} triangles, "
-        f"{long:.4g} m long, {wide:.4g} m wide, {high:.4g} m high",
+        f"{path}: of a boat of {len(boat.parts)} parts, {len(whole.faces)} triangles, "
+        f"with her drives {long:.4g} m long, {wide:.4g} m wide, {high:.4g} m high",
         soft_wrap=True,
     )
 

@@ -44,6 +44,8 @@ COLOURS: dict[str, Colour] = {
 _GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])
 
+_PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
+"""How the names of the parts begin that a mesh file need not have."""
 _STATIONS, _BELOW, _ABOVE = 33, 8, 4  # sections of a hull; rows of faces below and above water
 _POWERS = (math.log(0.6), math.log(40.0))  # logarithms of a section's exponent: hollow V to box
 
@@ -292,8 +294,9 @@ class Boat:
         ----------
         suffix : str
             ``.glb``: parts as named nodes with colours; axes of glTF: y up, z forward, x to
-            port. ``.ply``, ``.obj``, ``.stl``: one surface, z up, x forward, y to port. Metres,
-            origin amidships on the water line, as in the ship's state.
+            port. ``.ply``, ``.obj``, ``.stl``, which name no parts: one surface of all but the
+            propulsion, z up, x forward, y to port. Metres, origin amidships on the water line, as
+            in the ship's state.
 
         Raises
         ------
@@ -304,11 +307,13 @@ class Boat:
             raise VesselError(f"no mesh format is called {suffix!r}; use {', '.join(MESH_FORMATS)}")
         trimesh = _trimesh()
         if suffix != ".glb":
-            mesh = self.whole()
+            # as the mesh of a vessel, drives that stand still would stick to those that turn
+            fixed = [part for part in self.parts if part.name.partition("_")[0] not in _PROPULSION]
+            mesh = Mesh.joined(part.mesh.moved(self.place(part)) for part in fixed)
             solid = trimesh.Trimesh(mesh.vertices @ _UPRIGHT.T, mesh.faces, process=False)
             if suffix == ".ply":
-                counts = [len(part.mesh.faces) for part in self.parts]
-                solid.visual.face_colors = np.repeat([p.colour for p in self.parts], counts, axis=0)
+                counts = [len(part.mesh.faces) for part in fixed]
+                solid.visual.face_colors = np.repeat([p.colour for p in fixed], counts, axis=0)
             content = solid.export(file_type=suffix[1:])
             return content.encode() if isinstance(content, str) else bytes(content)
         scene = trimesh.Scene(base_frame="boat")
@@ -940,17 +945,21 @@ def _with_file(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
     trimesh = _trimesh()
     place = f"[vessel] mesh: {path}:"
     try:
-        scene = trimesh.load_scene(path, process=False)  # which would drop what is not finite
-        found = []
-        for node in scene.graph.nodes_geometry:
-            transform, key = scene.graph[node]
-            solid = scene.geometry[key]
-            if isinstance(solid, trimesh.Trimesh):
-                found.append((str(node), solid.copy().apply_transform(transform)))
+        with np.errstate(all="ignore"):  # of numbers that are none: told below
+            scene = trimesh.load_scene(path, process=False)  # which would drop them
+            found = []
+            for node in scene.graph.nodes_geometry:
+                transform, key = scene.graph[node]
+                solid = scene.geometry[key]
+                if isinstance(solid, trimesh.Trimesh):
+                    found.append((str(node), solid.copy().apply_transform(transform)))
     except OSError as error:
         raise VesselError(f"{place} cannot be read ({error.strerror or error})") from None
-    except Exception as error:  # a parser of foreign files may raise anything
-        raise VesselError(f"{place} is no {path.suffix} file that can be read: {error}") from None
+    except Exception:  # a parser of foreign files may raise anything
+        raise VesselError(
+            f"{place} is no {path.suffix} file that can be read: it is damaged, cut off, empty or "
+            "of another kind; export it again"
+        ) from None
     if not any(len(solid.faces) for _, solid in found):
         raise VesselError(f"{place} holds no triangles; export the boat's surface as a mesh")
     if not all(np.isfinite(solid.vertices).all() for _, solid in found):
@@ -975,6 +984,12 @@ def _with_file(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
         raise VesselError(
             f"{place} is {length:.4g} m long from bow to stern, but length_overall is "
             f"{form.overall:.4g} m; {_hint(body, form)}"
+        )
+    off = float(np.abs(body.bounds.mean(axis=0)).max())
+    if off > form.overall:
+        raise VesselError(
+            f"{place} lies {off:.4g} m off the origin, which must be amidships on the water line; "
+            "move it there"
         )
     return Boat((*parts.values(), *own.values()))
 

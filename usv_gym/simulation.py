@@ -313,7 +313,9 @@ class Simulation:
                 *(self._rings[i], self.z[i]),
             )
 
-    def change_sea(self, i: int, sea: str | SeaState, rng: np.random.Generator) -> None:
+    def change_sea(
+        self, i: int, sea: str | SeaState, rng: np.random.Generator, *, waves: bool = True
+    ) -> None:
         """Put boat i into another sea, from now on until its reset.
 
         With six degrees of freedom it is set on the new surface, moving with it. The slow
@@ -327,6 +329,8 @@ class Simulation:
             The new sea state.
         rng : numpy.random.Generator
             For its waves and gusts.
+        waves : bool
+            Whether the waves change, too; else the wind alone does.
         """
         new = SeaState.named(sea).realise(self.vessel, *rng.spawn(2))
         for kind, room, components in (
@@ -339,6 +343,12 @@ class Simulation:
                     f"for {room.shape[2]}: make the simulation with changing=True, or with a sea "
                     "of as many components"
                 )
+        if not waves:
+            kept = self.weather[i, wx.DRIFT : wx.DRIFT_END]
+            self.gusts[i] = 0.0
+            self.gusts[i, :, : new.gusts.shape[1]] = new.gusts
+            self.weather[i] = [*new.weather[: wx.DRIFT], *kept, *new.weather[wx.DRIFT_END :]]
+            return
         self._fill(i, new)
         self._float(i)
 

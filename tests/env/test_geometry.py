@@ -207,6 +207,9 @@ def with_mesh(folder: Path, mesh: str) -> Path:
     return path
 
 
+PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
+
+
 def exported(folder: Path, suffix: str) -> Boat:
     boat = boat_of(Vessel.load("usv75"))
     (folder / f"boat{suffix}").write_bytes(boat.encoded(suffix))
@@ -217,10 +220,40 @@ def exported(folder: Path, suffix: str) -> Boat:
 def test_an_exported_file_has_the_axes_of_its_format(tmp_path: Path, suffix: str) -> None:
     boat = exported(tmp_path, suffix)
     (north, west, up), (bow, east, top) = trimesh.load_scene(tmp_path / f"boat{suffix}").bounds
+    if suffix != ".glb":  # nothing that moves
+        boat = Boat(
+            tuple(part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION)
+        )
     (aft, port, high), (fore, _, low) = boat.whole().bounds
     if suffix == ".glb":  # y up, z forward
         north, west, up, bow, east, top = up, north, west, top, bow, east
     np.testing.assert_allclose([north, bow, west, up, top], [aft, fore, port, -low, -high], 1e-4)
+
+
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_a_whole_boat_as_its_own_mesh_has_no_drive_twice(tmp_path: Path, suffix: str) -> None:
+    boat = exported(tmp_path, suffix)
+    again = boat_of(Vessel.load(with_mesh(tmp_path, f"boat{suffix}")))
+    assert len(again.whole().faces) == len(boat.whole().faces)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"glTF", b"solid x", b"glTF\x02\0\0\0\x14\0\0\0" + bytes(8)]
+)
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_a_damaged_file_is_told_without_its_parser_s_words(
+    tmp_path: Path, suffix: str, content: bytes
+) -> None:
+    (tmp_path / f"bad{suffix}").write_bytes(content)
+    with pytest.raises(VesselError, match=r"export it again|no triangles"):
+        boat_of(Vessel.load(with_mesh(tmp_path, f"bad{suffix}")))
+
+
+def test_a_mesh_far_from_the_origin_is_refused(tmp_path: Path) -> None:
+    hull = boat_of(Vessel.load("usv75"))["hull"]
+    off = dataclasses.replace(hull, mesh=hull.mesh.moved([500.0, 0.0, 0.0]))
+    (tmp_path / "off.stl").write_bytes(Boat((off,)).encoded(".stl"))
+    refused(tmp_path, "off.stl", "501 m off the origin|amidships")
 
 
 def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:

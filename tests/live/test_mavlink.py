@@ -111,6 +111,21 @@ def test_one_system_is_followed(wire: Wire) -> None:
     assert wire.balance() == {"received": 2, "used": 1, "unknown": 1}
 
 
+def test_a_gimbal_s_attitude_is_not_the_boat_s(wire: Wire) -> None:
+    gimbal, autopilot = MavlinkWriter(component=154), MavlinkWriter(component=1)
+    wire.tell(gimbal.attitude(900.0, 2.0, 0.0))  # comes first, and has a clock of its own
+    for k in range(40):
+        t = 5.0 + 0.1 * k
+        wire.tell(autopilot.position(t, (59.5, 10.5), (1.0, 0.0)), autopilot.attitude(t, 0.1, 0.0))
+        wire.tell(gimbal.attitude(900.0 + t, 2.0, 0.0))
+        wire.take(after=0.1)
+    wire.take(after=1.0)
+    headings = [z[4] for _, z, _ in wire.rows if np.isfinite(z[4])]
+    assert len(headings) >= 39
+    assert headings[2:] == pytest.approx([0.1] * (len(headings) - 2), abs=1e-6)
+    assert sum(np.isfinite(z[0]) for _, z, _ in wire.rows) >= 30
+
+
 def test_broken_messages_do_not_spoil_their_neighbours(wire: Wire) -> None:
     write = MavlinkWriter()
     sound = [write.attitude(1.0 + 0.1 * i, 1.0, 0.0) for i in range(5)]

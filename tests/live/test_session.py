@@ -22,6 +22,7 @@ from twin.live.session import Session
 from twin.simulated import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
+from usv_gym.physics import weather as wx
 
 VESSEL = Vessel.load("usv75")
 
@@ -185,6 +186,69 @@ def test_a_recorded_log_is_a_log_with_truth_and_particulars(tmp_path):
     assert session.recorded != first and len(Log.read(first)) == 120
 
 
+def test_a_log_that_cannot_be_written_is_kept(tmp_path):
+    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session.order(session.toggle_record)
+    sail(session, 2.0)
+    session.folder = tmp_path / "file" / "folder"
+    (tmp_path / "file").write_text("no folder")
+    session.order(session.toggle_record)
+    session._obey()
+    assert "choose another folder" in session.message and session.recording
+    session.folder = tmp_path / "good"
+    sail(session, 1.0)
+    session.order(session.toggle_record)
+    session._obey()
+    assert len(Log.read(session.recorded)) == 60 and not session.recording
+
+
+def test_a_log_that_cannot_be_written_at_the_end_goes_elsewhere(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "elsewhere"))
+    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session.start()
+    session.order(session.toggle_record)
+    wait(lambda: session.kept > 5)
+    (tmp_path / "file").write_text("no folder")
+    session.folder = tmp_path / "file" / "folder"
+    session.stop()
+    assert session.error is None
+    assert session.recorded.parent == tmp_path / "elsewhere" and len(Log.read(session.recorded)) > 5
+
+
+def test_the_wind_changes_without_the_waves(tmp_path):
+    session = SimulatedSession(world(), tmp_path)
+    sail(session, 3.0)
+    waves, state = session.simulation.waves.copy(), session.simulation.state.copy()
+    stronger = SeaState.named("2").replace(wind=14.0, wind_from=1.0)
+    session.order(session.change_sea, stronger, False)
+    session._obey()
+    np.testing.assert_array_equal(session.simulation.waves, waves)
+    np.testing.assert_array_equal(session.simulation.state, state)
+    speeds = []
+    for _ in range(40):
+        sail(session, 1.0)
+        sea = session._look().sea
+        speeds.append(np.hypot(*wx.air_velocity(session.t, sea.gusts, sea.weather)))
+    assert np.mean(speeds) == pytest.approx(14.0, rel=0.1)
+    session.order(session.change_sea, SeaState(), False)  # a calm that was none before
+    session._obey()
+    session.order(session.change_sea, stronger, False)
+    sail(session, 2.0)
+    assert np.isfinite(session.simulation.state).all()
+
+
+def test_losses_and_pauses_are_toggled_where_they_are_carried_out(tmp_path):
+    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    for call in (session.toggle_paused, session.toggle_paused):
+        session.order(call)
+    session.order(session.toggle_loss, "gps")
+    session._obey()
+    assert not session.paused and session.is_lost("gps") and not session.is_lost("imu")
+    session.order(session.lose, "gps", 10.0)  # takes the place of the endless one
+    session._obey()
+    assert not session.is_lost("gps")
+
+
 def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
     session = SimulatedSession(world(), tmp_path)
     session.set_scale(5.0)
@@ -262,6 +326,27 @@ def test_the_twin_may_be_told_the_commands_that_follow(log, tmp_path):
 
 def twin_row(log: Log, t: float) -> np.ndarray:
     return log.truth[int(np.argmin(np.abs(log.t - t))), :2]
+
+
+def test_a_long_log_is_shown_smoothly(tmp_path, monkeypatch):
+    monkeypatch.setattr("twin.live.recorded.MOMENTS", 20)
+    log = simulate("turn", vessel=VESSEL, sea=SeaState(), duration=40.0, seed=2)
+    session = through(log, tmp_path)
+    session.stop()
+    assert len(session._moments) < 30
+    before = None
+    for t in np.arange(20.0, 24.0, 0.05):
+        session.seek(t)
+        now = session._look()
+        assert now.t == pytest.approx(t, abs=1e-6)
+        if before is not None:
+            assert 0.05 < np.hypot(*(now.boat[:2] - before.boat[:2])) < 0.6
+            assert np.hypot(*(now.belief.state[:2] - before.belief.state[:2])) < 1.0
+        end = now.belief.horizons[-1]
+        assert HORIZON - 2.1 < end <= HORIZON
+        k = int(np.argmin(np.abs(log.t - (now.t + end))))
+        assert np.hypot(*(now.belief.ahead[-1, :2] - log.truth[k, :2])) < 15.0
+        before = now
 
 
 def test_a_log_plays_and_ends(log, tmp_path):

@@ -130,7 +130,7 @@ def opened(browser: Any, viewer: Viewer) -> Any:
     driver.get(viewer.url)
     wait(lambda: "band at 10 s" in status(driver))
     # what the browser says of its missing graphics card is in the way
-    wait(lambda: driver.execute_script(CLOSE_NOTE) or True)
+    driver.execute_script(CLOSE_NOTE)
     return driver
 
 
@@ -197,7 +197,8 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
 def test_nothing_overlaps_at_1280_x_720(browser, served, tmp_path):
     session = SimulatedSession(world(), tmp_path, "turn")
     session.set_scale(10.0)
-    driver = opened(browser, served(session))
+    viewer = served(session)
+    driver = opened(browser, viewer)
     wait(lambda: session.t > 60.0)
     wait(lambda: len(boxes(driver, "canvas")) >= 4)  # the scene and three curves
     pixels(driver, "layout")
@@ -213,20 +214,12 @@ def test_nothing_overlaps_at_1280_x_720(browser, served, tmp_path):
     for one in lines:
         assert one["right"] <= 300
     assert driver.execute_script("return document.scrollingElement.scrollWidth") <= 1280
-    titles = driver.execute_script(
-        "return [...document.querySelectorAll('.uplot')].map(e => e.parentElement.innerText)"
-    )
-    axes = viewer_axes(session)
-    assert all(title for title in titles) and len(axes) == 3
-
-
-def viewer_axes(session: Session) -> list[str]:
-    from twin.live.panel import axes
-
-    names = ("error after 10 s (m)", "window of the identifier (s)", "innovations (1)")
-    labels = [[axis["label"] for axis in axes(name)] for name in names]
-    assert labels == [["time (s)", unit] for unit in ("m", "s", "1")]
-    return names
+    units = [viewer.curves.error, viewer.curves.window, viewer.curves.nis]
+    assert [[axis["label"] for axis in curve.axes] for curve in units] == [
+        ["time (s)", "m"],
+        ["time (s)", "s"],
+        ["time (s)", "1"],
+    ]
 
 
 def test_keys_steer(browser, served, tmp_path):
@@ -374,6 +367,57 @@ def test_every_boat_has_a_scene(name, served, tmp_path):
     viewer = served(session)
     wait(lambda: viewer.frames > 0)
     assert viewer.scene.length == pytest.approx(np.ptp(boat_of(vessel).whole().vertices[:, 0]))
+
+
+def test_labels_follow_the_session_and_the_scale_is_that_asked_for(served, tmp_path):
+    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session.set_scale(3.0)
+    viewer = served(session)
+    controls = viewer.controls
+    assert controls.scale.value == "3x"
+    session.order(session.toggle_record)
+    session.order(session.toggle_loss, "gps")
+    wait(lambda: controls.record.label.startswith("stop"))
+    wait(lambda: controls.gps.label == "find GPS again")
+    session.order(session.restart, session.world)
+    wait(lambda: controls.record.label == "record a log")
+    wait(lambda: controls.gps.label == "lose GPS until pressed")
+    session.order(session.toggle_paused)
+    wait(lambda: controls.pause.label == "go on")
+
+
+def test_a_log_shows_no_curve_of_what_comes_later(served, tmp_path):
+    log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=60.0, seed=1)
+    z = log.z.copy()
+    z[:, 2:4] = math.nan  # a receiver without velocity
+    bare = Log(log.t, z, log.cmd, log.truth, "bare")
+    session = LogSession(bare, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
+    viewer = served(session)
+    wait(lambda: session.done == log.t[-1])
+    session.order(session.set_paused, True)
+    for t in (50.0, 20.0, 0.0):
+        session.order(session.seek, t)
+        wait(lambda t=t: session.at == pytest.approx(t) and viewer._shown.t <= t + 0.1)
+        time.sleep(0.7)
+        for curve in (viewer.curves.error, viewer.curves.nis):
+            times = curve.data[0]
+            assert len(times) == 0 or times.max() <= t + 0.1
+            assert all(np.isfinite(values).all() for values in curve.data)
+        if t > 10.0:
+            assert np.ptp(viewer.curves.nis.data[1]) > 0.0  # of the place alone
+
+
+@pytest.mark.parametrize("host", ["nosuch.invalid", "203.0.113.9"])
+def test_an_address_of_nobody_is_refused_at_once(host):
+    done = subprocess.run(
+        [sys.executable, "-m", "twin.cli", "view", "--host", host, "-p", "persistence"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert f"--host {host}: cannot listen there" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])

@@ -175,6 +175,8 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
         viewer.close()
         if session.recorded is not None:
             console.print(f"log: {session.recorded}", highlight=False, soft_wrap=True)
+    if session.error is not None:
+        raise session.error
 
 
 def _recorded(

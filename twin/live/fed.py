@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.live.feed import Feed
 from twin.live.follower import Follower
-from twin.live.session import Session, Snapshot, measured_boat
+from twin.live.session import SLIP, Session, Snapshot, measured_boat
 from twin.log import COMMANDS
 from twin.twin import Twin
 from usv_gym.vessel import Vessel
 
 __all__ = ["FeedSession"]
+
+Array = NDArray[np.float64]
 
 REPLY = 0.2
 """Time between two answers to a feed, s."""
@@ -43,6 +47,7 @@ class FeedSession(Session):
         self.feed = feed
         self._follower, self._cmd = Follower(twin), np.zeros(len(COMMANDS))
         self._answered, self._heard = -math.inf, math.nan
+        self._waiting: deque[tuple[float, Array, Array]] = deque()
 
     @property
     def follower(self) -> Follower:
@@ -57,11 +62,15 @@ class FeedSession(Session):
         self.changed += 1
 
     def _close(self) -> None:
-        super()._close()
         self.feed.close()
+        super()._close()
 
     def _advance(self) -> None:
-        for t, z, cmd in self.feed.take():
+        begun = time.monotonic()
+        if not self._waiting:
+            self._waiting.extend(self.feed.take())
+        while self._waiting and time.monotonic() < begun + SLIP:
+            t, z, cmd = self._waiting.popleft()
             self._follower.step(t, z, cmd)
             self._cmd, self._heard = cmd, time.monotonic()
             self._keep(t, z, cmd)

@@ -15,7 +15,7 @@ from twin.predictor import Prediction, hold_velocity
 from twin.twin import Twin
 from usv_gym.render import Belief
 
-__all__ = ["HORIZON", "LOST_AFTER", "PLAN_STEP", "Follower", "History", "belief_of"]
+__all__ = ["HORIZON", "LOST_AFTER", "PLAN_STEP", "Follower", "History", "belief_of", "patience"]
 
 Array = NDArray[np.float64]
 
@@ -48,6 +48,12 @@ def belief_of(prediction: Prediction) -> Belief:
         ahead=prediction.mean,
         covs=prediction.cov[:, :2, :2],
     )
+
+
+def patience(interval: float) -> float:
+    """Return the time without a sample, s, after which a sensor of that interval counts as lost."""
+    times, least = LOST_AFTER
+    return max(times * interval, least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +162,7 @@ class Follower:
     @property
     def patience(self) -> float:
         """Time without a fix after which GPS counts as lost, s."""
-        usual = float(np.median(self._intervals)) if self._intervals else 1.0
-        times, least = LOST_AFTER
-        return max(times * usual, least)
+        return patience(float(np.median(self._intervals)) if self._intervals else 1.0)
 
     @property
     def gps_lost(self) -> bool:

@@ -1,10 +1,10 @@
 """MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's belief as messages.
 
 Taken are GLOBAL_POSITION_INT (fix and velocity), ATTITUDE (heading and yaw rate) and
-SERVO_OUTPUT_RAW (commands, by :class:`Servos`), of the first system that sends one of the first
-two. While GPS_RAW_INT says that there is no fix, the position is no measurement but the
-autopilot's own dead reckoning, and counts as void. The largest value of a field of
-GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not known.
+SERVO_OUTPUT_RAW (commands, by :class:`Servos`), of the first component that sends the first, or
+as autopilot (component 1) the second. While GPS_RAW_INT says that there is no fix, the position is
+no measurement but the autopilot's own dead reckoning, and counts as void. The largest value of a
+field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not known.
 
 The twin answers as the onboard computer (component 191) of that system: HEARTBEAT once a second,
 and of its belief GLOBAL_POSITION_INT, ATTITUDE, ODOMETRY (local NED about the first fix, with
@@ -37,12 +37,14 @@ Array = NDArray[np.float64]
 
 WRAP = 2.0**32
 UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
+UNUSED = 2**16 - 1
+"""Pulse width of an output that there is not, us."""
 NEAR = 5.0
 """A time of a servo output that is farther than this, s, from the last one is of another clock."""
 HEARTBEAT = 1.0
 """Time between two, s."""
-ONBOARD = 191
-"""Component of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
+AUTOPILOT, ONBOARD = 1, 191
+"""Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
 FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
 """Full throttle, in usual shaft speeds, and full helm, rad, of a boat of which neither is told."""
 
@@ -137,7 +139,7 @@ class Servos:
         return {
             name: full * self._share(widths[output - 1])
             for name, output, full in self.outputs
-            if output <= len(widths) and 0 < widths[output - 1] < UNKNOWN_HEADING
+            if output <= len(widths) and 0 < widths[output - 1] < UNUSED
         }
 
     def widths(self, cmd: Array) -> list[int]:
@@ -210,6 +212,7 @@ class MavlinkFeed(Feed):
         self._writer = MavlinkWriter(component=ONBOARD)
         self.servos = servos or Servos.of(particulars)
         self.system: int | None = None
+        self._component = AUTOPILOT
         self._parser = self._writer.parser()
         self._lost = False
         self._boot = math.nan
@@ -252,8 +255,8 @@ class MavlinkFeed(Feed):
         kind = item.get_type()
         if kind == "BAD_DATA":
             return "broken"
-        system = item.get_srcSystem()
-        if item.get_srcComponent() == ONBOARD and system in (self.system, self._writer.system):
+        system, component = item.get_srcSystem(), item.get_srcComponent()
+        if component == ONBOARD and system in (self.system, self._writer.system):
             return "own"
         read = {
             "GLOBAL_POSITION_INT": self._position,
@@ -261,11 +264,15 @@ class MavlinkFeed(Feed):
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
         }.get(kind)
-        if self.system is None and kind in ("GLOBAL_POSITION_INT", "ATTITUDE"):
+        # a gimbal has an attitude, too
+        known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
+        if self.system is None and known:
             self.system = self._writer.system = system
+            self._component = component
         if kind == "HEARTBEAT" and self.system in (None, system):  # says that it is there
             return Message("heartbeat")
-        return "unknown" if read is None or system != self.system else read(item)
+        followed = (system, component) == (self.system, self._component)
+        return read(item) if read is not None and followed else "unknown"
 
     def _position(self, item: Any) -> Message:
         self._boot = stamp = item.time_boot_ms / 1000.0

@@ -72,15 +72,27 @@ class Controls(ABC):
         """Add what only this kind of session has."""
 
     def show(self, now: Snapshot) -> None:
-        """Say what the instruments say."""
+        """Say what the instruments say, and what each button does next."""
         self.status.content = table(said(now, self.session))
+        for button, label in self.labels():
+            if button.label != label:
+                button.label = label
+
+    def labels(self) -> list[tuple[Any, str]]:
+        """Return the buttons whose words change, and what they say now."""
+        said = {
+            "pause": "go on" if self.session.paused else "pause",
+            "record": "stop, and write the log" if self.session.recording else "record a log",
+        }
+        return [(getattr(self, name), text) for name, text in said.items() if hasattr(self, name)]
 
     def _add_time(self) -> None:
         with self.gui.add_folder("Run"):
             self.pause = self.gui.add_button("pause", hint="key: space")
             self.pause.on_click(lambda _: self._toggle_pause())
-            names = tuple(f"{scale:g}x" for scale in SCALES)
-            self.scale = self.gui.add_dropdown("time scale", names, initial_value="1x")
+            own = self.session.scale
+            names = tuple(f"{scale:g}x" for scale in sorted({*SCALES, own}))
+            self.scale = self.gui.add_dropdown("time scale", names, initial_value=f"{own:g}x")
             self.scale.on_update(
                 lambda _: self.session.order(
                     self.session.set_scale, float(self.scale.value.rstrip("x"))
@@ -90,18 +102,11 @@ class Controls(ABC):
         self.gui.add_command("pause", hotkey="space").on_trigger(lambda _: self._toggle_pause())
 
     def _toggle_pause(self) -> None:
-        paused = not self.session.paused
-        self.pause.label = "go on" if paused else "pause"
-        self.session.order(self.session.set_paused, paused)
+        self.session.order(self.session.toggle_paused)
 
     def _add_record(self) -> None:
         self.record = self.gui.add_button("record a log")
-        self.record.on_click(lambda _: self._toggle_record())
-
-    def _toggle_record(self) -> None:
-        on = not self.session.recording
-        self.record.label = "stop, and write the log" if on else "record a log"
-        self.session.order(self.session.record, on)
+        self.record.on_click(lambda _: self.session.order(self.session.toggle_record))
 
 
 class SimulatedControls(Controls):
@@ -156,7 +161,7 @@ class SimulatedControls(Controls):
             self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
             self.sea.on_update(lambda _: self._set_wind())
             for slider in (self.wind, self.wind_from):
-                slider.on_update(lambda _: order(session.change_sea, self._chosen_sea()))
+                slider.on_update(lambda _: order(session.change_sea, self._chosen_sea(), False))
         with self.gui.add_folder("Boat and twin", expand_by_default=False):
             names = tuple(dict.fromkeys((world.vessel.name, *vessel_names())))
             self._given = world.vessel
@@ -192,14 +197,16 @@ class SimulatedControls(Controls):
     def _add_loss(self, kind: str, name: str) -> Any:
         """Add a button that loses a sensor until it is pressed again."""
         button = self.gui.add_button(f"lose {name} until pressed")
-
-        def toggle(_: Any) -> None:
-            lost = button.label.startswith("find")
-            button.label = f"lose {name} until pressed" if lost else f"find {name} again"
-            self.session.order(self.session.lose, kind, 0.0 if lost else math.inf)
-
-        button.on_click(toggle)
+        button.on_click(lambda _: self.session.order(self.session.toggle_loss, kind))
         return button
+
+    def labels(self) -> list[tuple[Any, str]]:
+        """Return the buttons whose words change, and what they say now."""
+        said = super().labels()
+        for button, kind, name in ((self.gps, "gps", "GPS"), (self.imu, "imu", "IMU")):
+            lost = self.session.is_lost(kind)
+            said.append((button, f"find {name} again" if lost else f"lose {name} until pressed"))
+        return said
 
     def _chosen_sea(self) -> SeaState:
         sea = SEA_STATES.get(self.sea.value, self.session.world.sea)
@@ -217,8 +224,6 @@ class SimulatedControls(Controls):
     def _restart(self) -> None:
         name = self.vessel.value
         vessel = self._given if name == self._given.name else Vessel.load(name)
-        for button, sensor in ((self.gps, "GPS"), (self.imu, "IMU")):
-            button.label = f"lose {sensor} until pressed"
         world = replace(
             self.session.world,
             vessel=vessel,
@@ -461,12 +466,16 @@ class Curves:
         seen = self.session.history()
         if not isinstance(self.session, LogSession):
             seen = seen.since(SHOWN)
-        if len(seen.t) < 2:
-            return
+        if len(seen.t) < 2:  # nothing yet, or back at the begin of a log
+            nothing = np.full(2, math.nan)
+            none = np.full((2, len(self.names)), math.nan)
+            five = (nothing, nothing, nothing, nothing, nothing)
+            seen = History(np.arange(2.0), *five, none, none)
         self._draw(self.error, seen.t, seen.error, seen.error_hold)
         self.window.visible = bool(np.isfinite(seen.window[-1]))
         self._draw(self.window, seen.t, seen.window)
-        self._draw(self.nis, seen.t, seen.nis_place, seen.nis_velocity, np.ones(len(seen.t)))
+        ideal = np.where(np.isfinite(seen.nis_place), 1.0, math.nan)
+        self._draw(self.nis, seen.t, seen.nis_place, seen.nis_velocity, ideal)
         for choice, curve in self.parameters:
             column = self.names.index(choice.value)
             title = f"{choice.value} ({self.units[column]})"
@@ -497,10 +506,18 @@ class Curves:
 
     @staticmethod
     def _draw(handle: Any, t: Array, *values: Array) -> None:
-        """Draw what is known; the browser cannot draw NaN."""
-        known = np.isfinite(np.stack(values)).all(axis=0)
-        if known.sum() > 1:
-            handle.data = (t[known], *(value[known] for value in values))
+        """Draw what is known; of nothing, an empty plot."""
+        rows = np.isfinite(np.stack(values)).any(axis=0)
+        # the browser cannot draw NaN: what one curve lacks is drawn through
+        handle.data = (t[rows], *(filled(value[rows]) for value in values))
+
+
+def filled(values: Array) -> Array:
+    """Return a curve with its gaps drawn through; one of nothing stays at 1, which is ideal."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.ones(len(values))
+    return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
 
 
 def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -11,19 +11,32 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.live.follower import HORIZON, PLAN_STEP, Follower, History
-from twin.live.session import PUBLISHED, Session, Snapshot, measured_boat
-from twin.log import Log
+from twin.live.follower import (
+    HORIZON,
+    LOST_AFTER,
+    PLAN_STEP,
+    Follower,
+    History,
+    belief_of,
+    patience,
+)
+from twin.live.session import PUBLISHED, Session, Snapshot
+from twin.log import MEASUREMENTS, Log
 from twin.simulated import TRUE_STATE
 from twin.twin import PLANS, Twin, TwinError, known_plan
+from usv_gym.physics import frames as fr
+from usv_gym.render import Belief
 from usv_gym.vessel import Vessel
 
 __all__ = ["LogSession"]
 
 Array = NDArray[np.float64]
 
-SNAPSHOTS = 2000
-"""Moments of a recorded run that are kept at most."""
+MOMENTS, MOST_APART = 4000, 2.0
+"""About so many predictions of a run are kept, and not farther apart than this, s."""
+BEHIND, TRACK, FIXES = 4000, 400, 400
+"""The track of so many rows is drawn with about so many points, and so many fixes."""
+_X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
 
 
 class LogSession(Session):
@@ -59,11 +72,13 @@ class LogSession(Session):
         self.log = log
         self.at = float(log.t[0])
         span = float(log.t[-1] - log.t[0])
-        self._spacing = max(2.0 * PUBLISHED, span / SNAPSHOTS)
+        self._spacing = min(max(PUBLISHED, span / MOMENTS), MOST_APART)
         self._anchor = time.monotonic(), self.at
-        known = log.z[:, :2] if log.truth is None else log.truth[:, :2]
-        there = np.isfinite(known[:, 0])
-        self._places, self._when = known[there], log.t[there]
+        self._fixes, self._headings, self._turns = (
+            np.flatnonzero(np.isfinite(log.z[:, column])) for column in (_X, _COMPASS, _GYRO)
+        )
+        intervals = np.diff(log.t[self._fixes])
+        self._patience = patience(float(np.median(intervals)) if len(intervals) else 1.0)
         self._prepare(twin, plan)
 
     def _prepare(self, twin: Twin, plan: str) -> None:
@@ -72,7 +87,8 @@ class LogSession(Session):
             raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
         self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
         self._follower = Follower(twin)
-        self._moments: list[Snapshot] = []
+        self._believed = np.full((len(self.log), 6), math.nan)
+        self._moments: list[Belief | None] = []
         self._times: list[float] = []
         self._over = threading.Event()
         self._worker = threading.Thread(target=self._go_through, name="twin", daemon=True)
@@ -130,11 +146,17 @@ class LogSession(Session):
                     return
                 truth = None if log.truth is None else log.truth[row]
                 self._follower.step(t, z, cmd, truth)
-                if t >= due or row == len(log) - 1:
-                    due = t + self._spacing
-                    self._moments.append(self._moment(row))
+                predictor = self._follower.twin.predictor
+                if self._moments and self._moments[-1] is not None:
+                    self._believed[row] = predictor.s
+                if t >= due - 1e-9 or row == len(log) - 1:
+                    due, self._row = t + self._spacing, row
+                    made = self._follower.predict(self._plan())
+                    if made is not None:
+                        self._believed[row] = predictor.s
+                    self._moments.append(None if made is None else belief_of(made))
                     self._times.append(t)
-                    self.done = t
+                self.done = t
         except BaseException as error:
             self.error = error
 
@@ -142,15 +164,6 @@ class LogSession(Session):
         if self.plan == "hold":
             return "hold"
         return known_plan(self.log, self._row, HORIZON, PLAN_STEP)
-
-    def _moment(self, row: int) -> Snapshot:
-        log, t = self.log, float(self.log.t[row])
-        self._row = row
-        boat = measured_boat(self._follower.measured, log.cmd[row])
-        if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
-            boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
-        first, last = np.searchsorted(self._when, (t, t + HORIZON), side="right")
-        return self._seen(boat, ahead=self._places[first:last])
 
     def _advance(self) -> None:
         begin, first = self._anchor
@@ -163,5 +176,51 @@ class LogSession(Session):
     def _look(self) -> Snapshot | None:
         if not self._times:
             return None
-        index = bisect.bisect_right(self._times, self.at + 1e-9) - 1
-        return self._moments[max(index, 0)]
+        log, last = self.log, min(self.at, self.done) + 1e-9
+        row = max(int(np.searchsorted(log.t, last, side="right")) - 1, 0)
+        t = float(log.t[row])
+        fixes, headings, turns = (
+            known[: np.searchsorted(known, row, side="right")]
+            for known in (self._fixes, self._headings, self._turns)
+        )
+        ages = [t - float(log.t[known[-1]]) if len(known) else math.inf for known in (fixes, turns)]
+        boat = np.zeros(fr.STATE_SIZE)
+        boat[fr.N_LEFT :] = log.cmd[row]
+        if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
+            boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
+        else:
+            boat[[fr.X, fr.Y]] = log.z[fixes[-1], _X : _X + 2] if len(fixes) else math.nan
+            boat[fr.PSI] = log.z[headings[-1], _COMPASS] if len(headings) else math.nan
+        places = self._believed if log.truth is None else log.truth
+        behind = places[max(row - BEHIND, 0) : row + 1 : max(min(row, BEHIND) // TRACK, 1), :2]
+        follow = slice(row + 1, int(np.searchsorted(log.t, t + HORIZON, side="right")))
+        ahead = (log.z if log.truth is None else log.truth)[follow, :2]
+        return Snapshot(
+            t=t,
+            boat=boat,
+            belief=self._belief(row, t),
+            prediction=None,
+            fixes=log.z[fixes[-FIXES:], _X : _X + 2],
+            track=behind[np.isfinite(behind[:, 0])],
+            ahead=ahead[np.isfinite(ahead[:, 0])],
+            gps_age=ages[0],
+            gps_lost=ages[0] > self._patience,
+            imu_lost=len(turns) > 0 and ages[1] > LOST_AFTER[1],
+            has_imu=len(turns) > 0,
+        )
+
+    def _belief(self, row: int, t: float) -> Belief | None:
+        """Return what was believed at a row, with the last prediction from there on."""
+        index = max(bisect.bisect_right(self._times, t + 1e-9) - 1, 0)
+        made = self._moments[index]
+        if made is None or not np.isfinite(self._believed[row, 0]):
+            return None
+        since = max(t - self._times[index], 0.0)
+        later = made.horizons > since + 1e-6
+        return Belief(
+            state=self._believed[row],
+            cov=made.cov,
+            horizons=made.horizons[later] - since,
+            ahead=made.ahead[later],
+            covs=made.covs[later],
+        )

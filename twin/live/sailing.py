@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,6 +108,7 @@ class SimulatedSession(Session):
         twin = Twin(particulars, world.predictor, seed=world.seed, **told)
         self.record(False)
         rng, self._sea_rng, helm_rng = np.random.default_rng(world.seed).spawn(3)
+        self._gust_seed = int(self._sea_rng.integers(2**32))
         simulation.reset([0], [rng])
         helm = Helm(world.vessel, particulars.speed, helm_rng)
         if autopilot is None:
@@ -144,13 +146,19 @@ class SimulatedSession(Session):
         row = self.simulation.faults[0, ("gps", "imu").index(kind)]
         row[START], row[END] = self.t, self.t + seconds
 
-    def find(self, kind: str) -> None:
-        """End a loss."""
-        self.lose(kind, 0.0)
+    def is_lost(self, kind: str) -> bool:
+        """Whether ``gps`` or ``imu`` was lost until it is found again."""
+        begin, end = self.simulation.faults[0, ("gps", "imu").index(kind), [START, END]]
+        return bool(begin <= self.t and end == math.inf)
 
-    def change_sea(self, sea: SeaState) -> None:
-        """Put the boat into another sea."""
-        self.simulation.change_sea(0, sea, self._sea_rng)
+    def toggle_loss(self, kind: str) -> None:
+        """Lose ``gps`` or ``imu`` for good, or find it again."""
+        self.lose(kind, 0.0 if self.is_lost(kind) else math.inf)
+
+    def change_sea(self, sea: SeaState, waves: bool = True) -> None:
+        """Put the boat into another sea, or under another wind alone."""
+        rng = np.random.default_rng(self._gust_seed) if not waves else self._sea_rng
+        self.simulation.change_sea(0, sea, rng, waves=waves)
 
     def _rest(self) -> float:
         return self.simulation.dt / max(self.scale, 1e-3)

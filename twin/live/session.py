@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import tempfile
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -68,9 +69,6 @@ class Snapshot:
         Whether a turn rate has ever come.
     silence : float
         Time of the clock for which nothing has come at all, s; 0 where that cannot be.
-    error, error_hold : float
-        How far off the place predicted 10 s ago is, m, by the twin and by holding velocity and
-        turn rate; NaN where nothing tells.
     ahead : ndarray, shape (A, 2)
         Where the boat went in the 10 s that follow, where that is known; m north and east.
     path : ndarray, shape (K, 2)
@@ -93,8 +91,6 @@ class Snapshot:
     gps_lost: bool
     imu_lost: bool
     has_imu: bool
-    error: float
-    error_hold: float
     ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
     sea: Sea | None = None
@@ -188,16 +184,30 @@ class Session(ABC):
 
     def _close(self) -> None:
         """Let go of what is held; in the session's thread, at its end."""
-        self.record(False)
+        try:
+            self.record(False)
+        except OSError:  # better elsewhere than lost
+            self.folder = Path(tempfile.gettempdir())
+            self.record(False)
 
     def record(self, on: bool) -> None:
-        """Begin to record a log, or end and write it."""
-        if self._rows:
+        """Begin to record a log, or end and write it; what cannot be written is kept."""
+        if on:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        elif self._rows:
             t, z, cmd, truth = (np.array(column) for column in zip(*self._rows, strict=True))
             known = truth if np.isfinite(truth).any() else None
-            self._rows = []
             self.recorded = save(Log(t, z, cmd, known, "view"), self.particulars, self.folder)
+            self._rows = []
         self.recording = on
+
+    def toggle_record(self) -> None:
+        """Begin to record a log, or end and write it, whichever comes next."""
+        self.record(not self.recording)
+
+    def toggle_paused(self) -> None:
+        """Let time stand still, or go on, whichever comes next."""
+        self.set_paused(not self.paused)
 
     @property
     def kept(self) -> int:
@@ -224,9 +234,11 @@ class Session(ABC):
                 self._stop.wait(min(max(due - time.monotonic(), 0.0), self._rest()))
         except BaseException as error:  # told by who waits in the main thread
             self.error = error
-        finally:
+        try:
             self._close()
-            self.fresh.set()
+        except Exception as error:
+            self.error = self.error or error
+        self.fresh.set()
 
     def _obey(self) -> None:
         """Carry out what was ordered; what cannot be done is told, and changes nothing."""
@@ -236,7 +248,9 @@ class Session(ABC):
                 try:
                     self.message = ""
                     call()
-                except (ValueError, ImportError, OSError) as error:
+                except OSError as error:
+                    self.message = f"{error.filename}: {error.strerror}; choose another folder"
+                except (ValueError, ImportError) as error:
                     self.message = str(error)
 
     def _rest(self) -> float:
@@ -272,8 +286,6 @@ class Session(ABC):
             imu_lost=follower.imu_age + silence > LOST_AFTER[1],
             has_imu=follower.has_imu,
             silence=silence,
-            error=follower.error,
-            error_hold=follower.error_hold,
             **others,
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import socket
 import time
 from typing import Any
 
@@ -40,6 +41,7 @@ class Viewer:
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
         viser = _viser()
+        _check_host(host)
         self.session, self.frames = session, 0
         # it says where it listens, whoever asks; so does the command, in one line
         with contextlib.redirect_stdout(io.StringIO()):
@@ -102,7 +104,8 @@ class Viewer:
 
     def close(self) -> None:
         """Send every browser away."""
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def _rebuild(self) -> None:
         """Show another boat and another twin."""
@@ -122,6 +125,19 @@ def boat(session: Session) -> Boat:
     volume = own.mass / 1000.0
     form = Form(length=own.length, beam=own.beam, draft=own.draft, volume=volume, kind=kind)
     return boat_of(form)
+
+
+def _check_host(host: str) -> None:
+    """Refuse an address that is none of this machine: the server would wait for ever."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as one:
+            one.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise OSError(
+            f"--host {host}: cannot listen there ({error}); use 127.0.0.1, 0.0.0.0 or an address "
+            "of this machine"
+        ) from None
 
 
 def _viser() -> Any:
