@@ -2,10 +2,10 @@
 
 The numbers lie beside this file. Those of the full protocol were made by::
 
-    usv-twin benchmark --full --seeds 200-203 --out full \
+    usv-twin benchmark --full --jobs 2 --out full \
         --predictors persistence,persistence-8s,var,ukf,dsw-ukf-plus,oracle
 
-(four of its 24 boats), and those of the recorded runs, which are not part of the project, by::
+and those of the recorded runs, which are not part of the project, by::
 
     usv-twin benchmark --plans known --ship particulars.toml --out recorded \
         --predictors persistence,persistence-8s,var,ukf,dsw-ukf,dsw-ukf-plus \

@@ -408,7 +408,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
     session.start()
     wait(lambda: not feed.rows and session.snapshot is not None and session.snapshot.t > 39.99)
     now = session.snapshot
-    assert now.notes[0] == "said so" and f"received {len(log)}" in now.notes[1]
+    assert f"received {len(log)}" in now.notes[0] and now.notes[1] == "said so"
     twin = Twin(particulars_of(VESSEL), "ukf")
     twin.run(log)
     np.testing.assert_allclose(now.belief.state, twin.estimate().s)

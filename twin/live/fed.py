@@ -95,4 +95,4 @@ class FeedSession(Session):
     def notes(self) -> tuple[str, ...]:
         """What came over the wire, in words."""
         counts = ", ".join(f"{name} {n}" for name, n in self.feed.counts.items() if n)
-        return (*self.feed.notes, counts)
+        return (counts, *self.feed.notes)

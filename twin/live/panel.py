@@ -230,7 +230,7 @@ class SimulatedControls(Controls):
             sea=self._chosen_sea(),
             predictor=self.predictor.value,
             dof=int(self.dof.value),
-            seed=int(self.seed.value),
+            seed=int(self.seed.value or 0),  # an emptied field is None
         )
         self.session.order(self.session.restart, world)
 
@@ -312,7 +312,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["heading (twin)"] = f"{math.degrees(belief.state[2]) % 360.0:05.1f} deg"
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
         sd = math.sqrt(max(float(np.linalg.eigvalsh(belief.covs[-1])[-1]), 0.0))
-        lines[f"band at {belief.horizons[-1]:g} s"] = f"+/- {SDS * sd:.1f} m"
+        lines[f"band at {belief.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession):
