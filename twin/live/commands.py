@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from twin.live.feed import Feed, FeedError
+from twin.live.feed import Feed, FeedError, needed
 from twin.live.mavlink import Servos, open_mavlink
 from twin.live.nmea import open_nmea
 from twin.live.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
@@ -124,7 +124,10 @@ def view_command(
     """
     from twin.live.helm import AUTOPILOTS
     from twin.live.sailing import SimulatedSession, World
+    from twin.live.viewer import check_host
 
+    needed("viser")  # before anything is compiled
+    check_host(host)
     given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")

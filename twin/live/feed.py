@@ -105,8 +105,8 @@ def needed(module: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise ImportError(
-            f"the live feed needs {module.partition('.')[0]}, which is not installed; install it "
-            "with: pip install 'usv-twin[view]'"
+            f"the live view and its feeds need {module.partition('.')[0]}, which is not installed; "
+            "install it with: pip install 'usv-twin[view]'"
         ) from None
 
 

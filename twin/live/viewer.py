@@ -8,12 +8,13 @@ import socket
 import time
 from typing import Any
 
+from twin.live.feed import needed
 from twin.live.panel import Curves, controls_of
 from twin.live.scene import SceneView
 from twin.live.session import Session, Snapshot
 from usv_gym.geometry import Boat, Form, boat_of
 
-__all__ = ["Viewer"]
+__all__ = ["Viewer", "check_host"]
 
 CURVES = 0.5
 """Time between two pictures of the curves, s."""
@@ -40,12 +41,11 @@ class Viewer:
     """
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
-        viser = _viser()
-        _check_host(host)
+        check_host(host)
         self.session, self.frames = session, 0
         # it says where it listens, whoever asks; so does the command, in one line
         with contextlib.redirect_stdout(io.StringIO()):
-            self.server: Any = viser.ViserServer(
+            self.server: Any = needed("viser").ViserServer(
                 host=host, port=port, label="usv-twin", verbose=False
             )
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -127,7 +127,7 @@ def boat(session: Session) -> Boat:
     return boat_of(form)
 
 
-def _check_host(host: str) -> None:
+def check_host(host: str) -> None:
     """Refuse an address that is none of this machine: the server would wait for ever."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
@@ -138,14 +138,3 @@ def _check_host(host: str) -> None:
             f"--host {host}: cannot listen there ({error}); use 127.0.0.1, 0.0.0.0 or an address "
             "of this machine"
         ) from None
-
-
-def _viser() -> Any:
-    """Return viser, which is an extra."""
-    try:
-        import viser
-    except ImportError:
-        raise ImportError(
-            "the view is drawn by viser, which is not installed: pip install 'usv-twin[view]'"
-        ) from None
-    return viser
