@@ -164,7 +164,8 @@ class SceneView:
         self.root.position = tuple(-TURN @ [*place, 0.0])
         self.surface.vertices = self._lifted(self._grid + place, height, 0.0)
         self._show_boat(now)
-        losses = [f"GPS LOST {now.gps_age:.1f} s"] * now.gps_lost + ["IMU LOST"] * now.imu_lost
+        # whole seconds: a browser takes a moment for every new text
+        losses = [f"GPS LOST {now.gps_age:.0f} s"] * now.gps_lost + ["IMU LOST"] * now.imu_lost
         if now.silence > 0.0:
             losses = [f"NOTHING HEARD FOR {now.silence:.0f} s"]
         self.lost.visible = bool(losses) and math.isfinite(now.gps_age)
