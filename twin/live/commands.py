@@ -162,7 +162,8 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
     from twin.live.viewer import Viewer
 
     viewer = Viewer(session, host, port)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for kind in (signal.SIGINT, signal.SIGTERM):  # also where a shell has told it to ignore them
+        signal.signal(kind, signal.default_int_handler)
     try:
         session.start()
         if viewer.port != port:
