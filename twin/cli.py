@@ -1,4 +1,4 @@
-"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate, train."""
+"""The command line ``usv-twin``: simulate, identify, predict, benchmark, validate, train, view."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
     "predict where it will be, benchmark predictors under GPS loss, validate the ship and "
-    "the sea, and train and evaluate agents that steer.",
+    "the sea, train and evaluate agents that steer, and view boat and twin in the browser.",
 )
 vessel_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Check, begin or draw a vessel."
