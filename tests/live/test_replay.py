@@ -14,8 +14,8 @@ from wire import RUN, Wire
 from twin import Twin
 from twin.cli import app
 from twin.live.feed import Feed, FeedError, needed
-from twin.live.mavlink import MavlinkFeed, Servos, open_mavlink
-from twin.live.nmea import NmeaFeed, open_nmea
+from twin.live.mavlink import MavlinkFeed, Servos
+from twin.live.nmea import NmeaFeed
 from twin.live.replay import Disturb, MavlinkStream, NmeaStream, Stream, replay
 from twin.log import Log
 from twin.particulars import Particulars
@@ -159,7 +159,7 @@ def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -
     address = f"udp://:{_free()}"
     stream = KINDS[kind][1](boat)
     twin = Twin(boat, "persistence")
-    with (open_nmea if kind == "nmea" else open_mavlink)(address, boat) as feed:
+    with (NmeaFeed if kind == "nmea" else MavlinkFeed)(address, boat) as feed:
         told: dict[str, int] = {}
 
         def send() -> None:
@@ -188,7 +188,7 @@ def test_the_reply_goes_where_it_is_told(circle: Log, usv: Particulars) -> None:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(5.0)
         reply = f"udp://:{receiver.getsockname()[1]}"
-        with open_mavlink(f"udp://:{_free()}", usv, reply) as feed:
+        with MavlinkFeed(f"udp://:{_free()}", usv, reply) as feed:
             feed.take()
             assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
 
@@ -197,7 +197,7 @@ def test_the_command(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # t
     path = tmp_path / "run.csv"
     simulated[0].slice(0.0, 5.0).write(path)
     address = f"udp://:{_free()}"
-    with open_nmea(address, simulated[1]) as feed:
+    with NmeaFeed(address, simulated[1]) as feed:
         asked = ["replay", str(path), "--nmea", address, "--speed", "10"]
         result = CliRunner().invoke(app, asked)
         assert result.exit_code == 0, result.output
@@ -242,4 +242,4 @@ def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch, usv: Particu
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)
     with pytest.raises(ImportError, match="pynmea2"):
-        open_nmea(f"udp://:{_free()}", usv)
+        NmeaFeed(f"udp://:{_free()}", usv)

@@ -444,6 +444,37 @@ def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
     assert "Traceback" not in complained and "rror" not in complained
 
 
+@pytest.mark.parametrize("kind", ["--nmea", "--mavlink"])
+def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
+    log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=30.0, seed=1)
+    log.write(tmp_path / "run.csv")
+    port, address = free_port(), f"udp://:{free_port()}"
+    program = [sys.executable, "-m", "twin.cli"]
+    with subprocess.Popen(
+        [*program, "view", kind, address, "--vessel", "usv75", "-p", "ukf", "--port", str(port)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    ) as process:
+        for line in process.stdout:
+            if "look at" in line:
+                break
+        done = subprocess.run(
+            [*program, "replay", "run.csv", kind, address, "--speed", "10", "--ship", "usv75"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+        )
+        process.send_signal(signal.SIGTERM)
+        _, complained = process.communicate(timeout=20)
+    assert process.returncode == 0 and "Traceback" not in complained
+    assert done.returncode == 0
+    back = re.search(r"(\d+) back", done.stdout.replace("\n", " "))
+    assert back is not None and int(back.group(1)) > 20
+
+
 def test_only_this_machine_is_served(tmp_path, served):
     session = SimulatedSession(world(predictor="persistence"), tmp_path)
     viewer = served(session)

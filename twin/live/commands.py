@@ -15,8 +15,8 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from twin.live.feed import Feed, FeedError, needed
-from twin.live.mavlink import Servos, open_mavlink
-from twin.live.nmea import open_nmea
+from twin.live.mavlink import MavlinkFeed, Servos
+from twin.live.nmea import NmeaFeed
 from twin.live.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
 from twin.log import Log, LogError
 from twin.oracle import check_world
@@ -216,10 +216,10 @@ def _fed(
         _note("the boat is taken to be the usv75; --vessel names another")
     twin = Twin(particulars, predictor)
     if nmea is not None:
-        feed: Feed = open_nmea(nmea, particulars, reply)
+        feed: Feed = NmeaFeed(nmea, particulars, reply)
     else:
         servos = Servos.of(particulars, *full)
-        feed = open_mavlink(str(mavlink), particulars, reply, servos=servos)
+        feed = MavlinkFeed(str(mavlink), particulars, reply, servos=servos)
     return FeedSession(feed, twin, _vessel(ship or "usv75", particulars), out)
 
 

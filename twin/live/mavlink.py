@@ -31,7 +31,7 @@ from twin.log import COMMANDS, MEASUREMENTS
 from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction
 
-__all__ = ["MavlinkFeed", "MavlinkWriter", "Servos", "open_mavlink"]
+__all__ = ["MavlinkFeed", "MavlinkWriter", "Servos"]
 
 Array = NDArray[np.float64]
 
@@ -160,43 +160,14 @@ class Servos:
         return beyond / (self.high - self.middle if beyond > 0.0 else self.middle - self.low)
 
 
-def open_mavlink(
-    address: str,
-    particulars: Particulars,
-    reply: str | None = None,
-    *,
-    servos: Servos | None = None,
-    **options: Any,
-) -> MavlinkFeed:
-    """Listen for MAVLink messages.
+class MavlinkFeed(Feed):
+    """Messages of an autopilot as rows; see :class:`twin.live.feed.Feed` and this module's head.
 
     Parameters
     ----------
-    address : str
-        ``udp://HOST:PORT``; without a host only this machine is heard.
-    particulars : Particulars
-        The boat.
-    reply : str, optional
-        Where the twin's belief goes; left out, back to the sender.
     servos : Servos, optional
         What the servo outputs stand for; left out, :meth:`Servos.of` the boat.
-    **options
-        See :class:`twin.live.feed.Feed`.
-
-    Returns
-    -------
-    MavlinkFeed
-
-    Raises
-    ------
-    FeedError
-        The address is none, or is in use.
     """
-    return MavlinkFeed(address, particulars, reply, servos=servos, **options)
-
-
-class MavlinkFeed(Feed):
-    """Messages of an autopilot as rows; see :class:`twin.live.feed.Feed` and this module's head."""
 
     modulus = WRAP / 1000.0
 

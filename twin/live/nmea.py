@@ -40,10 +40,9 @@ from numpy.typing import NDArray
 
 from twin.live.feed import Feed, Message, needed
 from twin.log import COMMANDS, MEASUREMENTS
-from twin.particulars import Particulars
 from twin.predictor import Estimate, Prediction
 
-__all__ = ["HORIZONS", "NmeaFeed", "NmeaWriter", "open_nmea"]
+__all__ = ["HORIZONS", "NmeaFeed", "NmeaWriter"]
 
 Array = NDArray[np.float64]
 
@@ -63,34 +62,6 @@ NO_MODE = ("N", "E")
 _LINES = re.compile(r"[\r\n]+|(?<!\\)(?=[$!])")
 _TAG = re.compile(r"\\([^\\*]*)\*([0-9A-Fa-f]{2})\\")
 _WHOLE = re.compile(r"\*[0-9A-Fa-f]{2}$")
-
-
-def open_nmea(
-    address: str, particulars: Particulars, reply: str | None = None, **options: Any
-) -> NmeaFeed:
-    """Listen for NMEA 0183 sentences.
-
-    Parameters
-    ----------
-    address : str
-        ``udp://HOST:PORT``; without a host only this machine is heard.
-    particulars : Particulars
-        The boat.
-    reply : str, optional
-        Where the twin's belief goes; left out, back to the sender.
-    **options
-        See :class:`twin.live.feed.Feed`.
-
-    Returns
-    -------
-    NmeaFeed
-
-    Raises
-    ------
-    FeedError
-        The address is none, or is in use.
-    """
-    return NmeaFeed(address, particulars, reply, **options)
 
 
 class NmeaFeed(Feed):
