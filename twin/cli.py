@@ -38,7 +38,7 @@ from twin.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.simulated import particulars_of, simulate
 from twin.state import StateError, write_whole
 from twin.structure import MODELS
-from twin.terminal import INTERRUPTED, console, errors, listed, results_text, seeds_of
+from twin.terminal import INTERRUPTED, console, errors, listed, note, results_text, seeds_of
 from twin.twin import PLANS, Twin, TwinError, known_plan
 from usv_gym.design import DesignError, design
 from usv_gym.geometry import boat_of
@@ -181,7 +181,7 @@ def simulate_command(
     suite, broken = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
     for fault in broken:
         if getattr(fault, "start", 0.0) >= duration:
-            _note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
+            note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     log = simulate(
         manoeuvre,
@@ -504,8 +504,8 @@ def benchmark_command(
         for path in recorded
         if ship is None and bench.without_particulars(path)
     )
-    for note in notes:
-        _note(note)
+    for line in notes:
+        note(line)
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _work(settings, out, jobs, backend)
     not_scored = tuple(
@@ -635,8 +635,8 @@ def vessel_new_command(
         length_overall=length_overall,
         water_density=water_density,
     )
-    for note in first.notes:
-        _note(note)
+    for line in first.notes:
+        note(line)
     _write_text(path, first.text)
     guesses, values = len(first.vessel.guesses), len(first.vessel.values) + 2
     console.print(
@@ -861,7 +861,7 @@ def _print_validation(sections: list[Section]) -> None:
         reasons += skipped
     console.print(table)
     for reason in dict.fromkeys(reasons):
-        _note(f"skipped: {reason}")
+        note(f"skipped: {reason}")
 
 
 def _timed(cases: list[speed.Case], rounds: int) -> speed.Measured:
@@ -920,7 +920,7 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
         highlight=False,
     )
     if measured.interrupted:
-        _note("interrupted: the medians are those of the rounds so far; sizes were not measured")
+        note("interrupted: the medians are those of the rounds so far; sizes were not measured")
     for name, (twin, most) in memory.items():
         if measured.interrupted:
             break
@@ -931,7 +931,7 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
         console.print(f"{name}: {size / 1e3:.1f} kB{limit}", highlight=False)
     for why in dict.fromkeys(measured.absent.values()):
         names = [name for name, reason in measured.absent.items() if reason == why]
-        _note(f"left out: {', '.join(names)}: {why}")
+        note(f"left out: {', '.join(names)}: {why}")
     return rows, measured.interrupted
 
 
@@ -977,10 +977,6 @@ def _digits(value: float) -> str:
     return f"{value:.{min(max(2 - math.floor(math.log10(value)), 0), 3)}f}"
 
 
-def _note(text: str) -> None:
-    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
-
-
 def _begin(
     path: Path,
     predictor: str | None,
@@ -992,8 +988,8 @@ def _begin(
 ) -> tuple[Log, Twin]:
     """Read a log, say what is missing in it, and make a twin for it, or load one."""
     log = Log.read(path, mapping)
-    for note in log.notes:
-        _note(note)
+    for line in log.notes:
+        note(line)
     if resume is not None:
         found, twin = True, _resumed(resume, predictor, ship, model)
     else:
@@ -1009,7 +1005,7 @@ def _begin(
         if len(log) == 0:
             raise TwinError(f"--until {until:g}: the log has no row before it")
     if not found:
-        _note(bench.NO_PARTICULARS.format(path))
+        note(bench.NO_PARTICULARS.format(path))
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
     if resume is not None:
         later = log.slice(math.nextafter(twin.t, math.inf), math.inf) if twin.t == twin.t else log
@@ -1258,9 +1254,9 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         if log["skipped"]:
             parts.append(f"{log['skipped']} predictions not scored, in gaps")
         if parts:
-            _note(f"{name}: {', '.join(parts)}")
-    for note in results["notes"]:
-        _note(note)
+            note(f"{name}: {', '.join(parts)}")
+    for line in results["notes"]:
+        note(line)
     console.print(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
         "2, 5 and 10 s, units mixed; CRPS: the same of the whole distribution. norm. (error over "

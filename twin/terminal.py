@@ -9,12 +9,17 @@ from rich.console import Console
 
 from twin.protocol import BenchmarkError
 
-__all__ = ["INTERRUPTED", "console", "errors", "listed", "results_text", "seeds_of"]
+__all__ = ["INTERRUPTED", "console", "errors", "listed", "note", "results_text", "seeds_of"]
 
 console = Console(markup=False)
 errors = Console(stderr=True, markup=False)
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
+
+
+def note(text: str) -> None:
+    """Print what a user should know."""
+    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
 
 
 def listed(text: str, option: str) -> tuple[str, ...]:

@@ -343,22 +343,20 @@ class Simulation:
                     f"for {room.shape[2]}: make the simulation with changing=True, or with a sea "
                     "of as many components"
                 )
-        if not waves:
-            kept = self.weather[i, wx.DRIFT : wx.DRIFT_END]
-            self.gusts[i] = 0.0
-            self.gusts[i, :, : new.gusts.shape[1]] = new.gusts
-            self.weather[i] = [*new.weather[: wx.DRIFT], *kept, *new.weather[wx.DRIFT_END :]]
-            return
-        self._fill(i, new)
-        self._float(i)
+        self._fill(i, new, waves=waves)
+        if waves:
+            self._float(i)
 
-    def _fill(self, i: int, sea: Sea) -> None:
-        """Write a sea to the room of boat i."""
+    def _fill(self, i: int, sea: Sea, *, waves: bool = True) -> None:
+        """Write a sea to the room of boat i, or its wind alone."""
+        drift = self.weather[i, wx.DRIFT : wx.DRIFT_END].copy()
         # where seas differ in their number of waves, the rest of the room holds none
-        for room, components in ((self.waves, sea.waves), (self.gusts, sea.gusts)):
+        for room, components in ((self.waves, sea.waves), (self.gusts, sea.gusts))[not waves :]:
             room[i] = 0.0
             room[i, :, : components.shape[1]] = components
         self.weather[i] = sea.weather
+        if not waves:  # the mean drift is theirs
+            self.weather[i, wx.DRIFT : wx.DRIFT_END] = drift
 
     def _float(self, i: int) -> None:
         """Set boat i on the surface of its sea, where it may heave."""

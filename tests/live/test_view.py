@@ -420,20 +420,24 @@ def test_an_address_of_nobody_is_refused_at_once(host):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])
-def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
-    port = free_port()
+@contextlib.contextmanager
+def viewing(folder: Path, *arguments: str) -> Iterator[tuple[Any, str]]:
+    """Run the command; yield its process and the line that tells its address."""
     with subprocess.Popen(
-        [sys.executable, "-m", "twin.cli", "view", "--port", str(port), *arguments],
+        [sys.executable, "-m", "twin.cli", "view", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        cwd=tmp_path,
+        cwd=folder,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
     ) as process:
-        for line in process.stdout:
-            if "look at" in line:
-                break
+        yield process, next(line for line in process.stdout if "look at" in line)
+
+
+@pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])
+def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
+    port = free_port()
+    with viewing(tmp_path, "--port", str(port), *arguments) as (process, line):
         assert f"http://127.0.0.1:{port}" in line
         (came,) = watch(f"http://127.0.0.1:{port}", 1, 3.0)
         assert came > 5
@@ -449,20 +453,13 @@ def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
     log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=30.0, seed=1)
     log.write(tmp_path / "run.csv")
     port, address = free_port(), f"udp://:{free_port()}"
-    program = [sys.executable, "-m", "twin.cli"]
-    with subprocess.Popen(
-        [*program, "view", kind, address, "--vessel", "usv75", "-p", "ukf", "--port", str(port)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    ) as process:
-        for line in process.stdout:
-            if "look at" in line:
-                break
+    own = "--vessel", "usv75", "-p", "ukf", "--port", str(port)
+    with viewing(tmp_path, kind, address, *own) as (process, _):
         done = subprocess.run(
-            [*program, "replay", "run.csv", kind, address, "--speed", "10", "--ship", "usv75"],
+            [
+                *(sys.executable, "-m", "twin.cli", "replay", "run.csv", kind, address),
+                *("--speed", "10", "--ship", "usv75"),
+            ],
             capture_output=True,
             text=True,
             cwd=tmp_path,

@@ -24,7 +24,7 @@ from twin.particulars import Particulars
 from twin.protocol import NO_PARTICULARS, particulars_beside
 from twin.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
 from twin.simulated import particulars_of
-from twin.terminal import INTERRUPTED, console, errors
+from twin.terminal import INTERRUPTED, console, errors, note
 from twin.twin import Twin
 from usv_gym.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.sea import SEA_STATES, SeaState
@@ -167,7 +167,7 @@ def _show(session: Session, host: str, port: int, browser: bool) -> None:
     try:
         session.start()
         if viewer.port != port:
-            _note(f"port {port} is in use")
+            note(f"port {port} is in use")
         console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False)
         if browser:
             webbrowser.open(viewer.url)
@@ -189,11 +189,11 @@ def _recorded(
     from twin.live.recorded import LogSession
 
     log = Log.read(path, mapping)
-    for note in log.notes:
-        _note(note)
+    for line in log.notes:
+        note(line)
     particulars, found = particulars_beside(path, ship)
     if not found:
-        _note(NO_PARTICULARS.format(path))
+        note(NO_PARTICULARS.format(path))
     check_world(predictor, log, particulars)
     return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
 
@@ -213,7 +213,7 @@ def _fed(
         raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")
     particulars, _ = particulars_beside(Path("feed"), ship or "usv75")
     if ship is None:
-        _note("the boat is taken to be the usv75; --vessel names another")
+        note("the boat is taken to be the usv75; --vessel names another")
     twin = Twin(particulars, predictor)
     if nmea is not None:
         feed: Feed = NmeaFeed(nmea, particulars, reply)
@@ -233,10 +233,6 @@ def _vessel(ship: str | None, particulars: Particulars) -> Vessel | None:
         return Vessel.load(name) if ship is not None else None
     except VesselError:
         return None
-
-
-def _note(text: str) -> None:
-    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
 
 
 def replay_command(
@@ -326,7 +322,7 @@ def replay_command(
             code = INTERRUPTED
     late = time.monotonic() - begun - length / speed
     if not loop and late > 1.0 + 0.1 * length / speed:
-        _note(f"this machine was {late:.0f} s too slow for {speed:g} times as fast")
+        note(f"this machine was {late:.0f} s too slow for {speed:g} times as fast")
     told = [f"{count} {name}" for name, count in counts.items() if count]
     console.print(f"sent to {target}: {', '.join(told)}", highlight=False, soft_wrap=True)
     if code:

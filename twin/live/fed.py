@@ -45,19 +45,14 @@ class FeedSession(Session):
     def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
         super().__init__(vessel, twin.particulars, folder)
         self.feed = feed
-        self._follower, self._cmd = Follower(twin), np.zeros(len(COMMANDS))
+        self.follower, self._cmd = Follower(twin), np.zeros(len(COMMANDS))
         self._answered, self._heard = -math.inf, math.nan
         self._waiting: deque[tuple[float, Array, Array]] = deque()
 
-    @property
-    def follower(self) -> Follower:
-        """The twin and what is seen of it."""
-        return self._follower
-
     def forget(self) -> None:
         """Let the twin begin anew, as for another boat; a log that is being recorded goes on."""
-        self._follower.twin.reset()
-        self._follower = Follower(self._follower.twin)
+        self.follower.twin.reset()
+        self.follower = Follower(self.follower.twin)
         self.snapshot = None
         self.changed += 1
 
@@ -71,12 +66,12 @@ class FeedSession(Session):
             self._waiting.extend(self.feed.take())
         while self._waiting and time.monotonic() < begun + SLIP:
             t, z, cmd = self._waiting.popleft()
-            self._follower.step(t, z, cmd)
+            self.follower.step(t, z, cmd)
             self._cmd, self._heard = cmd, time.monotonic()
             self._keep(t, z, cmd)
 
     def _look(self) -> Snapshot | None:
-        follower = self._follower
+        follower = self.follower
         if not math.isfinite(follower.t):
             return None
         now = time.monotonic()

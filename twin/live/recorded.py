@@ -20,11 +20,10 @@ from twin.live.follower import (
     belief_of,
     patience,
 )
-from twin.live.session import PUBLISHED, Session, Snapshot
+from twin.live.session import PUBLISHED, Session, Snapshot, measured_boat
 from twin.log import MEASUREMENTS, Log
 from twin.simulated import TRUE_STATE
 from twin.twin import PLANS, Twin, TwinError, known_plan
-from usv_gym.physics import frames as fr
 from usv_gym.render import Belief
 from usv_gym.vessel import Vessel
 
@@ -86,7 +85,7 @@ class LogSession(Session):
         if plan not in PLANS:
             raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
         self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
-        self._follower = Follower(twin)
+        self.follower = Follower(twin)
         self._believed = np.full((len(self.log), 6), math.nan)
         self._moments: list[Belief | None] = []
         self._times: list[float] = []
@@ -97,20 +96,15 @@ class LogSession(Session):
         """Go through the log once more with another plan, up to the moment that is shown."""
         self._over.set()
         self._worker.join()
-        twin = self._follower.twin
+        twin = self.follower.twin
         twin.reset()
         self._prepare(twin, plan)
         self._worker.start()
         self.changed += 1
 
-    @property
-    def follower(self) -> Follower:
-        """The twin and what is seen of it."""
-        return self._follower
-
     def history(self) -> History:
         """Return the curves up to the moment that is shown."""
-        whole = self._follower.history()
+        whole = self.follower.history()
         return whole.rows(whole.t <= self.at + 1e-9)
 
     def seek(self, t: float) -> None:
@@ -118,14 +112,8 @@ class LogSession(Session):
         self.at = min(max(t, float(self.log.t[0])), self.done)
         self._anchor = time.monotonic(), self.at
 
-    def set_scale(self, scale: float) -> None:
-        """Change the pace."""
-        super().set_scale(scale)
-        self._anchor = time.monotonic(), self.at
-
-    def set_paused(self, paused: bool) -> None:
-        """Let time stand still, or go on."""
-        super().set_paused(paused)
+    def _mark_anew(self) -> None:
+        super()._mark_anew()
         self._anchor = time.monotonic(), self.at
 
     def _run(self) -> None:
@@ -145,13 +133,13 @@ class LogSession(Session):
                 if self._over.is_set():
                     return
                 truth = None if log.truth is None else log.truth[row]
-                self._follower.step(t, z, cmd, truth)
-                predictor = self._follower.twin.predictor
+                self.follower.step(t, z, cmd, truth)
+                predictor = self.follower.twin.predictor
                 if self._moments and self._moments[-1] is not None:
                     self._believed[row] = predictor.s
                 if t >= due - 1e-9 or row == len(log) - 1:
                     due, self._row = t + self._spacing, row
-                    made = self._follower.predict(self._plan())
+                    made = self.follower.predict(self._plan())
                     if made is not None:
                         self._believed[row] = predictor.s
                     self._moments.append(None if made is None else belief_of(made))
@@ -184,13 +172,14 @@ class LogSession(Session):
             for known in (self._fixes, self._headings, self._turns)
         )
         ages = [t - float(log.t[known[-1]]) if len(known) else math.inf for known in (fixes, turns)]
-        boat = np.zeros(fr.STATE_SIZE)
-        boat[fr.N_LEFT :] = log.cmd[row]
+        measured = np.full(3, math.nan)
+        if len(fixes):
+            measured[:2] = log.z[fixes[-1], _X : _X + 2]
+        if len(headings):
+            measured[2] = log.z[headings[-1], _COMPASS]
+        boat = measured_boat(measured, log.cmd[row])
         if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
             boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
-        else:
-            boat[[fr.X, fr.Y]] = log.z[fixes[-1], _X : _X + 2] if len(fixes) else math.nan
-            boat[fr.PSI] = log.z[headings[-1], _COMPASS] if len(headings) else math.nan
         places = self._believed if log.truth is None else log.truth
         behind = places[max(row - BEHIND, 0) : row + 1 : max(min(row, BEHIND) // TRACK, 1), :2]
         follow = slice(row + 1, int(np.searchsorted(log.t, t + HORIZON, side="right")))

@@ -82,11 +82,6 @@ class SimulatedSession(Session):
         self.helm: Helm
         self.restart(world, autopilot)
 
-    @property
-    def follower(self) -> Follower:
-        """The twin and what is seen of it."""
-        return self._follower
-
     def restart(self, world: World, autopilot: str | None = None) -> None:
         """Begin anew; a log that is being recorded ends. Who steers goes on unless named."""
         suite = SensorSuite.grade(world.sensors)
@@ -115,8 +110,7 @@ class SimulatedSession(Session):
             autopilot = self.helm.autopilot
             helm.throttle, helm.angle = self.helm.throttle, self.helm.angle
         self.world, self.vessel, self.particulars = world, world.vessel, particulars
-        self.simulation, self._follower, self.helm = simulation, Follower(twin), helm
-        self._anchor = time.monotonic(), 0.0
+        self.simulation, self.follower, self.helm = simulation, Follower(twin), helm
         self.steer(autopilot)
         self._mark_anew()
         self._feed()
@@ -127,19 +121,13 @@ class SimulatedSession(Session):
         """Time since the restart, s."""
         return float(self.simulation.t[0])
 
-    def set_scale(self, scale: float) -> None:
-        """Change the pace."""
-        super().set_scale(scale)
-        self._anchor = time.monotonic(), self.t
-
-    def set_paused(self, paused: bool) -> None:
-        """Let time stand still, or go on."""
-        super().set_paused(paused)
+    def _mark_anew(self) -> None:
+        super()._mark_anew()
         self._anchor = time.monotonic(), self.t
 
     def steer(self, autopilot: str) -> None:
         """Hand the helm over, from this moment on."""
-        self.helm.hand_over(autopilot, self.t, self._follower.twin.predictor.s)
+        self.helm.hand_over(autopilot, self.t, self.follower.twin.predictor.s)
 
     def lose(self, kind: str, seconds: float) -> None:
         """Lose ``gps`` or ``imu`` from now on for so long; infinity is until it is found again."""
@@ -168,7 +156,7 @@ class SimulatedSession(Session):
         now = time.monotonic()
         goal = first + (now - begin) * self.scale
         while self.t + self.simulation.dt <= goal + 1e-9:
-            cmd = self.helm.command(self.t, self._follower.twin.predictor.s)
+            cmd = self.helm.command(self.t, self.follower.twin.predictor.s)
             self.simulation.step(cmd[None])
             self._feed()
             if time.monotonic() > now + SLIP:  # too much is asked of this machine
@@ -178,7 +166,7 @@ class SimulatedSession(Session):
     def _feed(self) -> None:
         sim = self.simulation
         z, truth = measurement_row(sim.z[0]), sim.state[0, TRUE_STATE]
-        self._follower.step(self.t, z, sim.cmd[0], truth)
+        self.follower.step(self.t, z, sim.cmd[0], truth)
         self._keep(self.t, z, sim.cmd[0], truth)
 
     def _plan(self) -> str | Array:

@@ -104,6 +104,8 @@ class Session(ABC):
 
     Attributes
     ----------
+    follower : Follower
+        The twin and what is seen of it.
     snapshot : Snapshot or None
         The latest; None before the first.
     scale : float
@@ -122,6 +124,8 @@ class Session(ABC):
         What ended the thread.
     """
 
+    follower: Follower
+
     def __init__(self, vessel: Vessel | None, particulars: Particulars, folder: Path) -> None:
         self.vessel, self.particulars, self.folder = vessel, particulars, folder
         self.recording = False
@@ -136,11 +140,6 @@ class Session(ABC):
         self.fresh, self._stop = threading.Event(), threading.Event()
         self._marks: list[tuple[float, float]] = []
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
-
-    @property
-    @abstractmethod
-    def follower(self) -> Follower:
-        """The twin and what is seen of it."""
 
     def history(self) -> History:
         """Return the curves up to the moment that is shown."""
