@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from usv_kernel import fma, kernel
+from usv_kernel.vectors import accumulate
 
 __all__ = [
     "add_product",
@@ -121,9 +122,6 @@ def invert(U, out, work):
 def add_rows(target, i, start, stop, factors, row, rows, first, last):
     """Add factors[row, j] * rows[j] for j = first ... last - 1 to target[i], start to stop.
 
-    Several rows at a time save loads and stores; the order of the sum is that of j. Loops over
-    all of a slice become vector instructions, those from a start that is not known do not.
-
     Parameters
     ----------
     target : (a, b) array
@@ -133,28 +131,12 @@ def add_rows(target, i, start, stop, factors, row, rows, first, last):
     rows : (d, b) array
         What is added; may be the target, of which row ``i`` is not among those then.
     """
-    to = target[i, start:stop]
-    j = first
-    while j + 6 <= last:
-        a, b, c = factors[row, j], factors[row, j + 1], factors[row, j + 2]
-        d, e, f = factors[row, j + 3], factors[row, j + 4], factors[row, j + 5]
-        A, B, C = rows[j, start:stop], rows[j + 1, start:stop], rows[j + 2, start:stop]
-        D, E, F = rows[j + 3, start:stop], rows[j + 4, start:stop], rows[j + 5, start:stop]
-        for k in range(to.shape[0]):
-            three = to[k] + a * A[k] + b * B[k] + c * C[k]
-            to[k] = three + d * D[k] + e * E[k] + f * F[k]
-        j += 6
-    while j + 2 <= last:
-        a, b = factors[row, j], factors[row, j + 1]
-        A, B = rows[j, start:stop], rows[j + 1, start:stop]
-        for k in range(to.shape[0]):
-            to[k] = to[k] + a * A[k] + b * B[k]
-        j += 2
-    while j < last:
-        a, A = factors[row, j], rows[j, start:stop]
-        for k in range(to.shape[0]):
-            to[k] += a * A[k]
-        j += 1
+    across = rows.shape[1]
+    accumulate(
+        *(target, i * target.shape[1] + start, stop - start),
+        *(factors, row * factors.shape[1] + first, 1, 1.0),
+        *(rows, first * across + start, across, last - first),
+    )
 
 
 @kernel
@@ -173,33 +155,13 @@ def add_product(target, left, right, size, start, stop, first, last, sign):
     sign : float
         Factor of the product.
     """
-    j = first
-    while j + 6 <= last:
-        A, B, C = right[j, start:stop], right[j + 1, start:stop], right[j + 2, start:stop]
-        D, E, F = right[j + 3, start:stop], right[j + 4, start:stop], right[j + 5, start:stop]
-        for i in range(size):
-            a, b, c = sign * left[j, i], sign * left[j + 1, i], sign * left[j + 2, i]
-            d, e, f = sign * left[j + 3, i], sign * left[j + 4, i], sign * left[j + 5, i]
-            to = target[i, start:stop]
-            for k in range(to.shape[0]):
-                three = to[k] + a * A[k] + b * B[k] + c * C[k]
-                to[k] = three + d * D[k] + e * E[k] + f * F[k]
-        j += 6
-    while j + 2 <= last:
-        A, B = right[j, start:stop], right[j + 1, start:stop]
-        for i in range(size):
-            a, b = sign * left[j, i], sign * left[j + 1, i]
-            to = target[i, start:stop]
-            for k in range(to.shape[0]):
-                to[k] = to[k] + a * A[k] + b * B[k]
-        j += 2
-    while j < last:
-        A = right[j, start:stop]
-        for i in range(size):
-            a, to = sign * left[j, i], target[i, start:stop]
-            for k in range(to.shape[0]):
-                to[k] += a * A[k]
-        j += 1
+    down, across = left.shape[1], right.shape[1]
+    for i in range(size):
+        accumulate(
+            *(target, i * target.shape[1] + start, stop - start),
+            *(left, first * down + i, down, sign),
+            *(right, first * across + start, across, last - first),
+        )
 
 
 @kernel
@@ -210,16 +172,12 @@ def add_square(target, rows):
     ----------
     target : (a, a) array
         Its upper triangle is added to.
-    rows : (6, a) array
+    rows : (b, a) array
         Factor.
     """
-    A, B, C, D, E, F = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
-    for i in range(target.shape[0]):
-        a, b, c, d, e, f = A[i], B[i], C[i], D[i], E[i], F[i]
-        to, A_i, B_i, C_i, D_i, E_i, F_i = target[i, i:], A[i:], B[i:], C[i:], D[i:], E[i:], F[i:]
-        for k in range(to.shape[0]):
-            three = fma(c, C_i[k], fma(b, B_i[k], fma(a, A_i[k], to[k])))
-            to[k] = fma(f, F_i[k], fma(e, E_i[k], fma(d, D_i[k], three)))
+    n = target.shape[0]
+    for i in range(n):
+        accumulate(target, i * n + i, n - i, rows, i, n, 1.0, rows, i, n, rows.shape[0])
 
 
 @kernel

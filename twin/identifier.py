@@ -47,7 +47,7 @@ from twin.predictor import Estimate, Prediction, Predictor, finer
 from twin.state import copied, pack
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
-from usv_kernel import in_python, kernel, wrap
+from usv_kernel import in_python, inlined, kernel, wrap
 
 __all__ = [
     "Beliefs",
@@ -156,7 +156,7 @@ def plain_settings(particulars: Particulars, model: str = "paper") -> FilterSett
     )
 
 
-@kernel
+@inlined
 def _follow_commands(act, cmd, lags, n_unit, h):
     """Move the four actuators towards their commands for a time h."""
     for k in range(2):
@@ -164,7 +164,7 @@ def _follow_commands(act, cmd, lags, n_unit, h):
         act[2 + k] = follow(act[2 + k], cmd[2 + k], lags[1], lags[2], h)
 
 
-@kernel
+@inlined
 def parts(memory, constants, kit):
     """Return x, P, act, wind, q, q_xi, r, p0, lags, envelope, weights and n_unit as views.
 
@@ -181,7 +181,7 @@ def parts(memory, constants, kit):
     return x, P, act, wind, q, q_xi, r, p0, rest[:3], rest[3:6], rest[6:10], rest[10]
 
 
-@kernel
+@inlined
 def rooms(scratch, kit):
     """Return room for Q, q_xi, R, terms, four numbers, six numbers and a roll-out as views."""
     square = N_STATES * N_STATES
@@ -198,7 +198,7 @@ def rooms(scratch, kit):
     )
 
 
-@kernel
+@inlined
 def _process_noise(h, q, q_xi, Q, qx):
     """Write the process noise of a step of h: Q (6, 6) of the states, qx (p,) of the parameters."""
     for i in range(N_STATES):
@@ -272,7 +272,7 @@ def see(dt, terms, memory, kit):
         first += size
 
 
-@kernel
+@inlined
 def hold_inside(x, envelope):
     """Keep the velocities inside what the boat can do: bad parameters must not run away.
 
@@ -294,7 +294,7 @@ _SINCE_AID, BEGUN, _HAS_IMU = range(_STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE
 NAV_SIZE = _HAS_IMU + 1
 
 
-@kernel
+@inlined
 def nav_parts(nav):
     """Return state and covariance of the navigation filter as views."""
     return nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
@@ -383,7 +383,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
             x[i], P[i, i] = n[i], spread
 
 
-@kernel
+@inlined
 def feel_wind(z, wind):
     """Take the velocity of the true wind from a row of measurements, if both parts are there.
 

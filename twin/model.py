@@ -27,12 +27,15 @@ from twin.structure import (
     N_TERMS,
     Structure,
     accelerations,
+    gather,
+    rates,
     state_terms,
     structure_of,
+    thrust_rates,
     thrust_terms,
 )
 from twin.ukf import POINTS, SLOPE, sigma_points, time_update
-from usv_kernel import kernel, sincos
+from usv_kernel import inlined, kernel, sincos
 
 __all__ = [
     "LOOK_AHEAD",
@@ -63,7 +66,11 @@ ARRIVED = 1e-7
 STEP_MAX = 0.25
 """Longest integration step of :func:`roll_out`, s."""
 
-_MOTION = N_STATES + 2
+_THRUST = N_STATES + 2
+_SHARES = _THRUST + 9
+_MOTION = _SHARES + 3 * N_TERMS
+"""What a motion needs: state, cosine and sine of the heading; what the actuators add at the start,
+middle and end of a step; its parameters, gathered."""
 ROOM = 3 * N_TERMS + N_ACT + _MOTION + N_STATES
 """Length of the scratch of :func:`roll_out`."""
 
@@ -156,7 +163,7 @@ def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> St
     )
 
 
-@kernel
+@inlined
 def all_terms(s, act, wind, kit, terms):
     """Write every term of a state and of its actuators; arguments as for :func:`derivative`."""
     thrust_terms(
@@ -264,7 +271,7 @@ def propagate_points(act, wind, kit, h, terms, work):
         point[5] += h * dr
 
 
-@kernel
+@inlined
 def joint_predict(x, P, act, wind, kit, h, Q_s, q_xi, weights, terms, work):
     """Predict state and parameters over one step with the structured UKF.
 
@@ -299,7 +306,7 @@ def joint_predict(x, P, act, wind, kit, h, Q_s, q_xi, weights, terms, work):
     return repairs + time_update(x, P, Q_s, q_xi, kit[1], weights, work)
 
 
-@kernel
+@inlined
 def follow(value, target, lag, rate, h):
     """Return where a lagged, rate-limited actuator is after a time h, exactly.
 
@@ -335,7 +342,7 @@ def follow(value, target, lag, rate, h):
     return target - gap * math.exp(-h / lag)
 
 
-@kernel
+@inlined
 def _bounded(value, bound):
     """Return the value within -bound ... bound; -bound for NaN."""
     if value >= bound:
@@ -366,21 +373,21 @@ def _follow_all(act, command, lags, h, turned):
             turned[2 * k], turned[2 * k + 1] = math.cos(act[2 + k]), math.sin(act[2 + k])
 
 
-@kernel
-def _rates(u, v, r, c, s, wind, kit, xi, terms):
+@inlined
+def _rates(u, v, r, c, s, wind, hull, shares, thrust, terms):
     """Return the derivatives of u, v, r with the actuators' terms in place."""
-    state_terms(u, v, r, c, s, wind, kit[2], terms)
-    return accelerations(terms, kit, xi, 0)
+    state_terms(u, v, r, c, s, wind, hull, terms)
+    return rates(terms, shares, hull, thrust)
 
 
-@kernel
-def _advance(now, xi, a, b, w, h, envelope, wind, kit, terms):
+@inlined
+def _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms):
     """Advance a motion (state, cosine and sine of the heading) by one step of :func:`roll_out`."""
     x, y, psi, u, v, r = now[0], now[1], now[2], now[3], now[4], now[5]
     c_1, s_1 = now[6], now[7]
     c_2, s_2, c_3, s_3 = c_1, s_1, c_1, s_1
-    du_1, dv_1, dr_1 = _rates(u, v, r, c_1, s_1, wind, kit, xi, terms[0])
-    if kit[2][BIASED] > 0.0:  # which way the bias points, as far as this stage can know
+    du_1, dv_1, dr_1 = _rates(u, v, r, c_1, s_1, wind, hull, shares, thrust[0], terms[0])
+    if hull[BIASED] > 0.0:  # which way the bias points, as far as this stage can know
         ahead = psi + 0.5 * h * (r + w + 0.25 * h * dr_1)
         s_2, c_2 = sincos(ahead)
         ahead = psi + h * (r + w + 0.5 * h * dr_1)
@@ -388,15 +395,15 @@ def _advance(now, xi, a, b, w, h, envelope, wind, kit, terms):
     u_2 = _bounded(u + 0.5 * h * du_1, envelope[0])
     v_2 = _bounded(v + 0.5 * h * dv_1, envelope[1])
     r_2 = _bounded(r + 0.5 * h * dr_1, envelope[2])
-    du_2, dv_2, dr_2 = _rates(u_2, v_2, r_2, c_2, s_2, wind, kit, xi, terms[1])
+    du_2, dv_2, dr_2 = _rates(*(u_2, v_2, r_2, c_2, s_2, wind, hull, shares, thrust[1], terms[1]))
     u_3 = _bounded(u + 0.5 * h * du_2, envelope[0])
     v_3 = _bounded(v + 0.5 * h * dv_2, envelope[1])
     r_3 = _bounded(r + 0.5 * h * dr_2, envelope[2])
-    du_3, dv_3, dr_3 = _rates(u_3, v_3, r_3, c_2, s_2, wind, kit, xi, terms[1])
+    du_3, dv_3, dr_3 = _rates(*(u_3, v_3, r_3, c_2, s_2, wind, hull, shares, thrust[1], terms[1]))
     u_4 = _bounded(u + h * du_3, envelope[0])
     v_4 = _bounded(v + h * dv_3, envelope[1])
     r_4 = _bounded(r + h * dr_3, envelope[2])
-    du_4, dv_4, dr_4 = _rates(u_4, v_4, r_4, c_3, s_3, wind, kit, xi, terms[2])
+    du_4, dv_4, dr_4 = _rates(*(u_4, v_4, r_4, c_3, s_3, wind, hull, shares, thrust[2], terms[2]))
     u_1, v_1, r_1 = u, v, r
     u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), envelope[0])
     v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), envelope[1])
@@ -462,7 +469,7 @@ def roll_out(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, o
         start[k] = s_0[k]
     _roll(
         *(start.reshape((many, N_STATES)), xi.reshape((many, xi.shape[0])), act_0, plan, dt_plan),
-        *(STEP_MAX, lags, envelope, wind, kit, ripple.reshape((many, ripple.shape[0], 3))),
+        *(lags, envelope, wind, kit, ripple.reshape((many, ripple.shape[0], 3))),
         *(out.reshape((many, K, N_STATES)), out_act, room),
     )
 
@@ -477,16 +484,13 @@ def roll_outs(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, 
         Those of :func:`roll_out`, one motion's after the other.
     act_0, plan, dt_plan, lags, envelope, wind, kit, out_act
         See :func:`roll_out`.
-    room : (ROOM + 8 (D - 1),) array
+    room : (ROOM D,) array
         Scratch.
     """
-    _roll(
-        *(s_0, xi, act_0, plan, dt_plan, STEP_MAX, lags, envelope, wind, kit, ripple),
-        *(out, out_act, room),
-    )
+    _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out, out_act, room)
 
 
-@kernel
+@inlined
 def _moves(act, command):
     """Return whether an actuator has not arrived at its command."""
     moves = False
@@ -495,48 +499,89 @@ def _moves(act, command):
     return moves
 
 
+@inlined
+def _rooms(room, D):
+    """Return views: terms at start, middle and end of a step, sines of the drives, D motions."""
+    end = 3 * N_TERMS + N_ACT
+    return (
+        room[: 3 * N_TERMS].reshape((3, N_TERMS)),
+        room[3 * N_TERMS : end],
+        room[end : end + D * _MOTION].reshape((D, _MOTION)),
+    )
+
+
+@inlined
+def _motion(row):
+    """Return the parts of a motion as views, see ``_MOTION``."""
+    return row[:_THRUST], row[_THRUST:_SHARES].reshape((3, 3)), row[_SHARES:].reshape((3, N_TERMS))
+
+
 @kernel
-def _roll(
-    s_0, xi, act_0, plan, dt_plan, step_max, lags, envelope, wind, kit, ripple, out, out_act, room
-):
-    """Roll out as :func:`roll_outs` does, at steps of at most ``step_max`` s."""
-    terms = room[: 3 * N_TERMS].reshape((3, N_TERMS))
-    turned = room[3 * N_TERMS : 3 * N_TERMS + N_ACT]
-    D = s_0.shape[0]
-    now = room[3 * N_TERMS + N_ACT :][: _MOTION * D].reshape((D, _MOTION))
-    for d in range(D):
+def _begin(s_0, xi, act_0, envelope, kit, room):
+    """Write to the room what :func:`_sail` goes on from."""
+    terms, turned, motions = _rooms(room, s_0.shape[0])
+    for d in range(s_0.shape[0]):
+        now, _, shares = _motion(motions[d])
         for k in range(3):
-            now[d, k] = s_0[d, k]
-            now[d, 3 + k] = _bounded(s_0[d, 3 + k], envelope[k])
-        now[d, 7], now[d, 6] = sincos(s_0[d, 2])
-    a, b, w, moved = 0.0, 0.0, 0.0, True
-    steps = max(math.ceil(dt_plan / step_max - 1e-9), 1)
-    h = dt_plan / steps
+            now[k] = s_0[d, k]
+            now[3 + k] = _bounded(s_0[d, 3 + k], envelope[k])
+        now[7], now[6] = sincos(s_0[d, 2])
+        gather(kit, xi[d], shares)
     _turn_drives(act_0, turned)
     _thrust(act_0, turned, terms[2])
+
+
+@kernel
+def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, row, moved, room):
+    """Advance all motions by ``span`` in so many steps; return whether actuators moved in the last.
+
+    ``moved`` is what the span before returned, True at the start.
+    """
+    D = ripple.shape[0]
+    terms, turned, motions = _rooms(room, D)
+    a, b, w = 0.0, 0.0, 0.0
+    h = span / steps
+    for _ in range(steps):
+        moves = _moves(act, command)
+        if moves or moved:  # else the terms of the actuators stay
+            for k in range(LEFT_COS, N_TERMS):
+                terms[0, k] = terms[2, k]
+            if moves:
+                _follow_all(act, command, lags, 0.5 * h, turned)
+            _thrust(act, turned, terms[1])
+            if moves:
+                _follow_all(act, command, lags, 0.5 * h, turned)
+            _thrust(act, turned, terms[2])
+        for d in range(D):
+            now, thrust, shares = _motion(motions[d])
+            if moves or moved:
+                for k in range(3):
+                    thrust_rates(terms[k], shares, thrust[k])
+            if ripple.shape[1] > 0:
+                a, b, w = ripple[d, row, 0], ripple[d, row, 1], ripple[d, row, 2]
+            _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms)
+        moved = moves
+    return moved
+
+
+@kernel
+def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out, out_act, room):
+    """Roll out as :func:`roll_outs` does."""
+    D, moved = s_0.shape[0], True
+    motions = _rooms(room, D)[2]
+    steps = max(math.ceil(dt_plan / STEP_MAX - 1e-9), 1)
+    _begin(s_0, xi, act_0, envelope, kit, room)
     for row in range(plan.shape[0]):
         act = out_act[row]
         for k in range(N_ACT):
             act[k] = out_act[row - 1, k] if row > 0 else act_0[k]
-        for _ in range(steps):
-            moves = _moves(act, plan[row])
-            if moves or moved:  # else the terms of the actuators stay
-                for k in range(LEFT_COS, N_TERMS):
-                    terms[0, k] = terms[2, k]
-                if moves:
-                    _follow_all(act, plan[row], lags, 0.5 * h, turned)
-                _thrust(act, turned, terms[1])
-                if moves:
-                    _follow_all(act, plan[row], lags, 0.5 * h, turned)
-                _thrust(act, turned, terms[2])
-            moved = moves
-            for d in range(D):
-                if ripple.shape[1] > 0:
-                    a, b, w = ripple[d, row, 0], ripple[d, row, 1], ripple[d, row, 2]
-                _advance(now[d], xi[d], a, b, w, h, envelope, wind, kit, terms)
+        moved = _sail(
+            *(act, plan[row], dt_plan, steps, lags, envelope, wind, kit[2], ripple, row, moved),
+            room,
+        )
         for d in range(D):
             for k in range(N_STATES):
-                out[d, row, k] = now[d, k]
+                out[d, row, k] = motions[d, k]
 
 
 LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
@@ -571,23 +616,32 @@ def look_ahead(
     out, out_act : (4, 6), (4, 4) arrays
         States and actuators at :data:`LOOK_AHEAD` are written there.
     """
-    many, p, before = 1, xi.shape[0], 0.0
-    last = room[ROOM - N_STATES : ROOM]
+    many, before, moved = 1, 0.0, True
+    terms, turned, motions = _rooms(room, many)
+    start = room[ROOM - N_STATES : ROOM]
     for k in range(N_STATES):
-        last[k] = s[k]
-    held = command.reshape((1, N_ACT))
+        start[k] = s[k]
+    _begin(
+        *(start.reshape((many, N_STATES)), xi.reshape((many, xi.shape[0])), act, envelope, kit),
+        room,
+    )
+    waves = ripple.reshape((many, ripple.shape[0], 3))
     for j in range(LOOK_AHEAD.shape[0]):
-        step_max = slowness * (_STEPS[0] if LOOK_AHEAD[j] <= _FINE else _STEPS[1])
-        wave = ripple[j : j + 1]
-        _roll(
-            *(last.reshape((many, N_STATES)), xi.reshape((many, p)), act, held),
-            *(LOOK_AHEAD[j] - before, step_max, lags, envelope, wind, kit),
-            *(wave.reshape((many, wave.shape[0], 3)), out[j : j + 1].reshape((many, 1, N_STATES))),
-            *(out_act[j : j + 1], room),
+        now, span = out_act[j], LOOK_AHEAD[j] - before
+        before = LOOK_AHEAD[j]
+        for k in range(N_ACT):
+            now[k] = out_act[j - 1, k] if j > 0 else act[k]
+        step_max = slowness * (_STEPS[0] if before <= _FINE else _STEPS[1])
+        steps = max(math.ceil(span / step_max - 1e-9), 1)
+        moved = _sail(
+            *(now, command, span, steps, lags, envelope, wind, kit[2], waves, j, moved, room)
         )
         for k in range(N_STATES):
-            last[k] = out[j, k]
-        act, before = out_act[j], LOOK_AHEAD[j]
+            out[j, k] = motions[0, k]
         for k in range(N_ACT):
-            if abs(act[k] - command[k]) <= _NEAR * abs(command[k]):
-                act[k] = command[k]
+            if now[k] != command[k] and abs(now[k] - command[k]) <= _NEAR * abs(command[k]):
+                now[k] = command[k]
+                moved = True
+        if moved:
+            _turn_drives(now, turned)
+            _thrust(now, turned, terms[2])

@@ -41,7 +41,7 @@ from usv_gym.render import Belief
 from usv_gym.sensors import CHANNELS
 from usv_gym.simulation import CMD, STATE, TIME, Z
 from usv_gym.tasks import ERRORS, REACH, SPEED, UNIT, follow
-from usv_kernel import in_python, kernel
+from usv_kernel import in_python, inlined, kernel
 
 __all__ = ["HORIZONS", "TWIN_OBSERVATION", "TwinObserver", "observer_of"]
 
@@ -84,7 +84,7 @@ _CALM = np.empty((0, 3))
 _ALL = slice(None)
 
 
-@kernel
+@inlined
 def _spread(cov, c, s, length, speed, out, at):
     """Write the six standard deviations of a state, position turned into the body frame."""
     a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
@@ -96,7 +96,7 @@ def _spread(cov, c, s, length, speed, out, at):
     out[at + 5] = math.sqrt(max(cov[5, 5], 0.0))
 
 
-@kernel
+@inlined
 def note_parts(note):
     """Return path errors, measurements, variances now, states and covariances ahead as views."""
     many = (COVS - AHEAD) // N_STATES
@@ -109,7 +109,7 @@ def note_parts(note):
     )
 
 
-@kernel
+@inlined
 def _next_row(boat, note):
     """Write a boat's measurements to its note; return the time since the row before, or -1.
 
@@ -126,7 +126,7 @@ def _next_row(boat, note):
     return t - last if math.isfinite(last) else 0.0
 
 
-@kernel
+@inlined
 def _is_looked_for(note, look):
     """Return whether a boat's part of the observation is to be written, and is not yet."""
     if look == 0.0 or note[SHOWN] == note[LAST]:

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_kernel import kernel
+from usv_kernel import fma, inlined, kernel
 
 __all__ = [
     "BY_PSI",
@@ -51,9 +51,12 @@ __all__ = [
     "Structure",
     "StructureError",
     "accelerations",
+    "gather",
+    "rates",
     "state_terms",
     "structure_of",
     "term_slopes",
+    "thrust_rates",
     "thrust_terms",
 ]
 
@@ -65,8 +68,8 @@ N_STATES = 6
 """States that stand before the parameters in a joint vector: x, y, psi, u, v, r."""
 
 (
-    U_U, UUU, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, UV, AU_V, AU_R, AV_R, ONE,
-    COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N,
+    U_U, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, COS, SIN, MINUS_SIN,
+    UUU, UV, AU_V, AU_R, AV_R, ONE, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N,
     ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT,
     LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
     MEAN_COS, MEAN_SIN, DIFFERENCE,
@@ -74,7 +77,8 @@ N_STATES = 6
     _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
 ) = range(48)  # fmt: skip
 N_TERMS = 48
-"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone."""
+"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
+before UUU are in every structure, the others of the state where all terms are needed."""
 
 _SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT)
 BY_U = np.array([U_U, UUU, U, UR, UV, AU_V, AU_R, ADVANCE_COS, ADVANCE_SIN, *_SHIP])
@@ -92,7 +96,7 @@ STRAIGHTENING, LEVER = 0.5, 0.71
 """Flow straightening and effective lever over length at the stern. Source: twin.md 14.2."""
 
 
-@kernel
+@inlined
 def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, terms):
     """Write the terms that depend on the actuators alone.
 
@@ -120,7 +124,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
     terms[_COS_RIGHT], terms[_SIN_RIGHT] = cos_right, sin_right
 
 
-@kernel
+@inlined
 def _inflow(u, race, soft):
     """Return the flow along the keel at a rudder or drive, m/s, and its slope in u."""
     square = WAKE_SQUARED * u * abs(u) + race
@@ -129,7 +133,7 @@ def _inflow(u, race, soft):
     return square / root, 2.0 * WAKE_SQUARED * abs(u) * (size - 0.5 * abs(square)) / (size * root)
 
 
-@kernel
+@inlined
 def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     """Write the terms that depend on the state; those of the actuators must be there.
 
@@ -240,7 +244,7 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
             slopes[i, FIN_LIFT] += 0.5 * c * slope
 
 
-@kernel
+@inlined
 def accelerations(terms, kit, xi, first):
     """Return the three accelerations from terms and parameters.
 
@@ -271,6 +275,59 @@ def accelerations(terms, kit, xi, first):
     for k in range(limits[5, 0] - N_STATES, limits[5, 1] - N_STATES):
         dr += terms[which[2, k]] * xi[first + k]
     return du, dv, dr
+
+
+@kernel
+def gather(kit, xi, shares):
+    """Write what each term adds to the accelerations, for many calls of :func:`rates`.
+
+    Parameters
+    ----------
+    kit : tuple
+        Of the structure.
+    xi : (p,) array
+        Parameters.
+    shares : (3, 48) array
+        Coefficients of the terms in du/dt, dv/dt, dr/dt.
+    """
+    which, limits, _ = kit
+    for i in range(3):
+        for k in range(N_TERMS):
+            shares[i, k] = 0.0
+        for k in range(limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES):
+            shares[i, which[i, k]] += xi[k]
+
+
+@kernel
+def thrust_rates(terms, shares, out):
+    """Write the three accelerations (3,) that the actuators give, whatever the state."""
+    for i in range(3):
+        total = 0.0
+        for k in range(LEFT_COS, _SHAFT_COS):
+            total = fma(shares[i, k], terms[k], total)
+        out[i] = total
+
+
+@inlined
+def rates(terms, shares, hull, thrust):
+    """Return the three accelerations from terms, gathered parameters and :func:`thrust_rates`."""
+    du, dv, dr = thrust[0], thrust[1], thrust[2]
+    # four parts of each sum, so that they need not wait for each other
+    du_2 = dv_2 = dr_2 = du_3 = dv_3 = dr_3 = du_4 = dv_4 = dr_4 = 0.0
+    for k in range(0, UUU, 4):
+        a, b, c, d = terms[k], terms[k + 1], terms[k + 2], terms[k + 3]
+        du, du_2 = fma(shares[0, k], a, du), fma(shares[0, k + 1], b, du_2)
+        dv, dv_2 = fma(shares[1, k], a, dv), fma(shares[1, k + 1], b, dv_2)
+        dr, dr_2 = fma(shares[2, k], a, dr), fma(shares[2, k + 1], b, dr_2)
+        du_3, du_4 = fma(shares[0, k + 2], c, du_3), fma(shares[0, k + 3], d, du_4)
+        dv_3, dv_4 = fma(shares[1, k + 2], c, dv_3), fma(shares[1, k + 3], d, dv_4)
+        dr_3, dr_4 = fma(shares[2, k + 2], c, dr_3), fma(shares[2, k + 3], d, dr_4)
+    if hull[FULL] > 0.0:
+        for k in range(UUU, LEFT_COS):
+            du = fma(shares[0, k], terms[k], du)
+            dv = fma(shares[1, k], terms[k], dv)
+            dr = fma(shares[2, k], terms[k], dr)
+    return du + du_2 + (du_3 + du_4), dv + dv_2 + (dv_3 + dv_4), dr + dr_2 + (dr_3 + dr_4)
 
 
 class StructureError(ValueError):

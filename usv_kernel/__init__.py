@@ -36,6 +36,7 @@ __all__ = [
     "cached",
     "fma",
     "in_python",
+    "inlined",
     "kernel",
     "module_digest",
     "sincos",
@@ -177,7 +178,7 @@ _MODULES: set[str] = set()
 event.register("numba:compile", Compiling(_MODULES))
 
 
-def kernel(function: F) -> F:
+def kernel(function: F, inline: bool = False) -> F:
     """Compile a function to machine code on its first call, and keep the code on disk.
 
     No kernel allocates: one that would does not compile. So there are no references to count
@@ -191,6 +192,8 @@ def kernel(function: F) -> F:
     ----------
     function : callable
         Plain function of scalars and arrays.
+    inline : bool
+        Always put it in place of its calls; see :func:`inlined`.
 
     Returns
     -------
@@ -204,13 +207,21 @@ def kernel(function: F) -> F:
     numba.config.CACHE_DIR = str(folder) if folder else before  # type: ignore[attr-defined]
     try:
         options = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
-        compiled = numba.njit(cache=folder is not None, **options)(function)
+        compiled = numba.njit(cache=folder is not None, forceinline=inline, **options)(function)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
     # A number written out in a call would have the kernel compiled once more for that number.
     compile_for = compiled.compile
     compiled.compile = lambda types: compile_for(tuple(map(unliteral, types)))
     return compiled  # type: ignore[no-any-return]
+
+
+def inlined(function: F) -> F:
+    """Compile as :func:`kernel` does what is so short that a call would cost more.
+
+    An array goes into a call as seven or more numbers, each of them by way of the stack.
+    """
+    return kernel(function, inline=True)
 
 
 def in_python(compiled: F) -> F:
@@ -242,7 +253,7 @@ _PIO2_LOW = 6.07710050650619224932e-11
 _ROUND = 6755399441055744.0
 
 
-@kernel
+@inlined
 def sincos(x: float) -> tuple[float, float]:
     """Return sine and cosine to 2e-15, in straight-line code that vectorises.
 
@@ -265,7 +276,7 @@ def sincos(x: float) -> tuple[float, float]:
     return sign * fma(odd, c - s, s), sign * fma(-odd, c + s, c)
 
 
-@kernel
+@inlined
 def wrap(angle: float) -> float:
     """Return the angle in [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
