@@ -22,7 +22,7 @@ from twin.model import (
     N_STATES,
     ROOM,
     all_terms,
-    follow,
+    follow_all,
     joint_predict,
     model_of,
     roll_out,
@@ -157,14 +157,6 @@ def plain_settings(particulars: Particulars, model: str = "paper") -> FilterSett
 
 
 @inlined
-def _follow_commands(act, cmd, lags, n_unit, h):
-    """Move the four actuators towards their commands for a time h."""
-    for k in range(2):
-        act[k] = follow(act[k], n_unit * cmd[k], lags[0], math.inf, h)
-        act[2 + k] = follow(act[2 + k], cmd[2 + k], lags[1], lags[2], h)
-
-
-@inlined
 def parts(memory, constants, kit):
     """Return x, P, act, wind, q, q_xi, r, p0, lags, envelope, weights and n_unit as views.
 
@@ -236,9 +228,9 @@ def advance(dt, cmd, memory, constants, scratch, work, kit):
     h = dt / steps
     _process_noise(h, q, q_xi, Q, qx)
     for _ in range(steps):
-        _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
+        follow_all(act, cmd, lags, n_unit, 0.5 * h)
         joint_predict(x, P, act, wind, kit, h, Q, qx, weights, terms, work)
-        _follow_commands(act, cmd, lags, n_unit, 0.5 * h)
+        follow_all(act, cmd, lags, n_unit, 0.5 * h)
 
 
 @kernel
@@ -344,7 +336,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
             for k in range(x.shape[0]):
                 P[i, k] = P[k, i] = 0.0
             x[i], P[i, i] = n[i], p0[i] + P_nav[i, i]
-        _follow_commands(act, cmd, lags, n_unit, dt)
+        follow_all(act, cmd, lags, n_unit, dt)
         return
     advance(dt, cmd, memory, constants, scratch, work, kit)
     row = max(dt, 1e-3)
@@ -470,9 +462,9 @@ def spread_ahead(command, gps_var, P_nav, memory, constants, scratch, work, kit,
     for j in range(LOOK_AHEAD.shape[0]):
         after = LOOK_AHEAD[j]
         for _ in range(round((after - before) / BAND_STEP)):
-            _follow_commands(act, command, lags, 1.0, 0.5 * BAND_STEP)
+            follow_all(act, command, lags, 1.0, 0.5 * BAND_STEP)
             joint_predict(x, P, act, wind, kit, BAND_STEP, Q, qx, weights, terms, work)
-            _follow_commands(act, command, lags, 1.0, 0.5 * BAND_STEP)
+            follow_all(act, command, lags, 1.0, 0.5 * BAND_STEP)
             hold_inside(x, envelope)
         before = after
         for i in range(N_STATES):

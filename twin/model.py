@@ -23,6 +23,7 @@ from twin.particulars import Particulars
 from twin.structure import (
     BIASED,
     LEFT_COS,
+    LENGTH,
     N_STATES,
     N_TERMS,
     Structure,
@@ -47,6 +48,7 @@ __all__ = [
     "all_terms",
     "derivative",
     "follow",
+    "follow_all",
     "joint_predict",
     "look_ahead",
     "model_of",
@@ -252,15 +254,15 @@ def propagate_points(act, wind, kit, h, terms, work):
         for k in range(limits[3 + i, 0], limits[3 + i, 1]):
             slope[3 + i, k] = h * terms[which[i, k - N_STATES]]
     psi = points[0, 2]
-    cos_psi = cos_0 = math.cos(psi)
-    sin_psi = sin_0 = math.sin(psi)
+    sin_0, cos_0 = sincos(psi)
+    sin_psi, cos_psi = sin_0, cos_0
     for i in range(points.shape[0]):
         point = points[i]
         u, v, r = point[3], point[4], point[5]
         if point[2] == psi:  # Half of the points move no heading.
             cos_psi, sin_psi = cos_0, sin_0
         else:
-            cos_psi, sin_psi = math.cos(point[2]), math.sin(point[2])
+            sin_psi, cos_psi = sincos(point[2])
         state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms)
         du, dv, dr = accelerations(terms, kit, point, N_STATES)
         point[0] += h * (u * cos_psi - v * sin_psi)
@@ -329,6 +331,12 @@ def follow(value, target, lag, rate, h):
     float
         Later value, in the same unit.
     """
+    return _follow(value, target, lag, rate, h, math.exp(-h / lag))
+
+
+@inlined
+def _follow(value, target, lag, rate, h, stay):
+    """Do as :func:`follow`, with exp(-h / lag) at hand."""
     gap = target - value
     if abs(gap) <= ARRIVED * abs(target):
         return target
@@ -337,9 +345,39 @@ def follow(value, target, lag, rate, h):
         straight = (abs(gap) - reach) / rate
         if h <= straight:
             return value + math.copysign(rate * h, gap)
-        h -= straight
+        stay = math.exp((straight - h) / lag)
         gap = math.copysign(reach, gap)
-    return target - gap * math.exp(-h / lag)
+    return target - gap * stay
+
+
+@kernel
+def follow_all(act, command, lags, n_unit, h):
+    """Move the four actuators towards their commands for a time h.
+
+    Parameters
+    ----------
+    act : (4,) array
+        In the unit of the structure, rad; moved in place.
+    command : (4,) array
+        With shaft speeds in a unit that ``n_unit`` turns into that of the structure, rad.
+    lags : (3,) array
+        See :func:`roll_out`.
+    n_unit, h : float
+        Unit of the command's shaft speeds; time, s.
+    """
+    _follow_pair(act, 0, n_unit * command[0], n_unit * command[1], lags[0], math.inf, h)
+    _follow_pair(act, 2, command[2], command[3], lags[1], lags[2], h)
+
+
+@inlined
+def _follow_pair(act, at, left, right, lag, rate, h):
+    """Move two actuators, of which mostly both have arrived or both do the same."""
+    a, b = act[at], act[at + 1]
+    if a != left or b != right:
+        stay = math.exp(-h / lag)
+        act[at] = _follow(a, left, lag, rate, h, stay)
+        alike = a == b and left == right
+        act[at + 1] = act[at] if alike else _follow(b, right, lag, rate, h, stay)
 
 
 @inlined
@@ -350,27 +388,19 @@ def _bounded(value, bound):
     return value if value > -bound else -bound
 
 
-@kernel
+@inlined
 def _turn_drives(act, turned):
     """Write cosine and sine of the drive angles, left and right."""
-    for k in range(2):
-        turned[2 * k], turned[2 * k + 1] = math.cos(act[2 + k]), math.sin(act[2 + k])
+    turned[1], turned[0] = sincos(act[2])
+    if act[3] == act[2]:
+        turned[3], turned[2] = turned[1], turned[0]
+    else:
+        turned[3], turned[2] = sincos(act[3])
 
 
 @kernel
 def _thrust(act, turned, terms):
     thrust_terms(act[0], act[1], turned[0], turned[1], turned[2], turned[3], terms)
-
-
-@kernel
-def _follow_all(act, command, lags, h, turned):
-    """Advance the four actuators by h in place, and renew the sines of drives that moved."""
-    for k in range(2):
-        act[k] = follow(act[k], command[k], lags[0], math.inf, h)
-        before = act[2 + k]
-        act[2 + k] = follow(before, command[2 + k], lags[1], lags[2], h)
-        if act[2 + k] != before:
-            turned[2 * k], turned[2 * k + 1] = math.cos(act[2 + k]), math.sin(act[2 + k])
 
 
 @inlined
@@ -547,10 +577,12 @@ def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, row, mo
             for k in range(LEFT_COS, N_TERMS):
                 terms[0, k] = terms[2, k]
             if moves:
-                _follow_all(act, command, lags, 0.5 * h, turned)
+                follow_all(act, command, lags, 1.0, 0.5 * h)
+                _turn_drives(act, turned)
             _thrust(act, turned, terms[1])
             if moves:
-                _follow_all(act, command, lags, 0.5 * h, turned)
+                follow_all(act, command, lags, 1.0, 0.5 * h)
+                _turn_drives(act, turned)
             _thrust(act, turned, terms[2])
         for d in range(D):
             now, thrust, shares = _motion(motions[d])
@@ -586,11 +618,29 @@ def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out,
 
 LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
-_FINE = 2.0
-_STEPS = 0.43, 0.5
-"""Steps until then and later, in times to sail a length."""
+_LONGEST, _STIFFEST = 1.0, 1.2
+"""Longest step of :func:`look_ahead`, in times to sail a length and in the model's own times."""
 _NEAR = 1e-3
 """An actuator so near to its command (as a part of it) has arrived, in :func:`look_ahead`."""
+
+
+@kernel
+def _stiffness(now, shares, thrust, length, slowness, wind, hull, terms):
+    """Return how fast the model's fastest motion dies away, 1/s; surge by itself.
+
+    Radius of the spectrum of the Jacobian, by differences.
+    """
+    u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
+    du, dv, dr = _rates(u, v, r, c, s, wind, hull, shares, thrust, terms)
+    small = 1e-3 * length / slowness
+    du_u, _, _ = _rates(u + small, v, r, c, s, wind, hull, shares, thrust, terms)
+    _, dv_v, dr_v = _rates(u, v + small, r, c, s, wind, hull, shares, thrust, terms)
+    _, dv_r, dr_r = _rates(u, v, r + small / length, c, s, wind, hull, shares, thrust, terms)
+    vv, rr = (dv_v - dv) / small, (dr_r - dr) / small * length
+    half = 0.5 * (vv + rr)
+    bent = half * half - vv * rr + (dv_r - dv) / small * length * (dr_v - dr) / small
+    fast = abs(half) + math.sqrt(bent) if bent > 0.0 else math.sqrt(half * half - bent)
+    return max(fast, abs(du_u - du) / small)
 
 
 @kernel
@@ -631,8 +681,14 @@ def look_ahead(
         before = LOOK_AHEAD[j]
         for k in range(N_ACT):
             now[k] = out_act[j - 1, k] if j > 0 else act[k]
-        step_max = slowness * (_STEPS[0] if before <= _FINE else _STEPS[1])
-        steps = max(math.ceil(span / step_max - 1e-9), 1)
+        sailed, thrust, shares = _motion(motions[0])
+        if j == 0:
+            thrust_rates(terms[2], shares, thrust[2])
+        fast = _stiffness(
+            *(sailed, shares, thrust[2], kit[2][LENGTH], slowness, wind, kit[2], terms[2])
+        )
+        step = slowness * min(_LONGEST, _STIFFEST / max(fast * slowness, 1e-9))
+        steps = max(math.ceil(min(span / step, 1e3)), 1)
         moved = _sail(
             *(now, command, span, steps, lags, envelope, wind, kit[2], waves, j, moved, room)
         )

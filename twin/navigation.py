@@ -42,6 +42,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel import kernel, wrap
+from usv_kernel.vectors import accumulate
 
 __all__ = ["GPS_AGE", "N_NAV", "Navigator", "aid_velocity", "navigate", "navigation_settings"]
 
@@ -316,10 +317,11 @@ def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
         n[i] += gain[i] * step
     for i in range(3):
         status[_CORRECTED + i] += gain[2 + i] * step
-    inverse = 1.0 / S
+    root = 1.0 / math.sqrt(S)
     for i in range(N_NAV):
-        for k in range(N_NAV):
-            P[i, k] -= gain[i] * gain[k] * inverse
+        gain[i] *= root
+    for i in range(N_NAV):
+        accumulate(P, N_NAV * i, N_NAV, gain, i, 1, -1.0, gain, 0, N_NAV, 1)
         P[i, i] = max(P[i, i], _VARIANCE_MIN)
     if S / variance > _SHARP:
         _mend(P, A)
@@ -346,13 +348,10 @@ def _gain(P, H, variance, gain):
     S = variance
     for i in range(N_NAV):
         gain[i] = 0.0
-    for k in range(N_NAV):
-        if H[k] != 0.0:
-            for i in range(N_NAV):
-                gain[i] += P[k, i] * H[k]
+    accumulate(gain, 0, N_NAV, H, 0, 1, 1.0, P, 0, N_NAV, N_NAV)
     for i in range(N_NAV):
         S += H[i] * gain[i]
-    return S
+    return max(S, variance)  # rounding apart it is no less
 
 
 @kernel

@@ -269,11 +269,11 @@ def accelerations(terms, kit, xi, first):
     which, limits, _ = kit
     du, dv, dr = 0.0, 0.0, 0.0
     for k in range(limits[3, 0] - N_STATES, limits[3, 1] - N_STATES):
-        du += terms[which[0, k]] * xi[first + k]
+        du = fma(terms[which[0, k]], xi[first + k], du)
     for k in range(limits[4, 0] - N_STATES, limits[4, 1] - N_STATES):
-        dv += terms[which[1, k]] * xi[first + k]
+        dv = fma(terms[which[1, k]], xi[first + k], dv)
     for k in range(limits[5, 0] - N_STATES, limits[5, 1] - N_STATES):
-        dr += terms[which[2, k]] * xi[first + k]
+        dr = fma(terms[which[2, k]], xi[first + k], dr)
     return du, dv, dr
 
 

@@ -50,7 +50,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.dense import add_product, add_rows
-from usv_kernel import kernel, wrap
+from usv_kernel import fma, kernel, wrap
 
 __all__ = [
     "POINTS",
@@ -289,7 +289,7 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
         for i in range(n_s):
             product = 0.0
             for k in range(limits[i, 0], limits[i, 1]):
-                product += slope[i, k] * root[j, k]
+                product = fma(slope[i, k], root[j, k], product)
             rows[common + j, i] = product
             root[j, i] = points[1 + j, i] - product
     centre = weights[COVARIANCE_0] + 2.0 * (n - n_s) * weights[OTHERS]
@@ -301,7 +301,7 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
         for q in range(i + 1):
             product = Q_s[i, q] + centre * rows[error, i] * rows[error, q]
             for k in range(limits[q, 0], limits[q, 1]):
-                product += rows[i, k] * slope[q, k]
+                product = fma(rows[i, k], slope[q, k], product)
             slope[i, q] = product
             slope[q, i] = product
     add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
