@@ -48,6 +48,7 @@ from twin.state import copied, pack
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
 from usv_kernel import in_python, inlined, kernel, wrap
+from usv_kernel.views import shaped
 
 __all__ = [
     "Beliefs",
@@ -166,7 +167,7 @@ def parts(memory, constants, kit):
     n = N_STATES + p
     end = n + n * n
     x, act, wind = memory[:n], memory[end : end + N_ACT], memory[end + N_ACT : end + N_ACT + 2]
-    P = memory[n:end].reshape((n, n))
+    P = shaped(memory, n, (n, n))
     q, q_xi = constants[:N_STATES], constants[N_STATES:n]
     r, p0 = constants[n : n + N_STATES], constants[n + N_STATES : n + 2 * N_STATES]
     rest = constants[n + 2 * N_STATES :]
@@ -177,11 +178,10 @@ def parts(memory, constants, kit):
 def rooms(scratch, kit):
     """Return room for Q, q_xi, R, terms, four numbers, six numbers and a roll-out as views."""
     square = N_STATES * N_STATES
-    Q, R = scratch[:square], scratch[square : 2 * square]
     rest = scratch[2 * square :]
     return (
-        Q.reshape((N_STATES, N_STATES)),
-        R.reshape((N_STATES, N_STATES)),
+        shaped(scratch, 0, (N_STATES, N_STATES)),
+        shaped(scratch, square, (N_STATES, N_STATES)),
         rest[:N_TERMS],
         rest[N_TERMS : N_TERMS + 4],
         rest[N_TERMS + 4 : N_TERMS + 10],
@@ -259,7 +259,7 @@ def see(dt, terms, memory, kit):
     for i in range(3):
         low, high = kit[1][3 + i, 0] - N_STATES, kit[1][3 + i, 1] - N_STATES
         size = (high - low) ** 2
-        gram = seen[first : first + size].reshape((high - low, high - low))
+        gram = shaped(seen, first, (high - low, high - low))
         accumulate(gram, terms, kit[0][i, low:high], seconds)
         first += size
 
@@ -289,7 +289,7 @@ NAV_SIZE = _HAS_IMU + 1
 @inlined
 def nav_parts(nav):
     """Return state and covariance of the navigation filter as views."""
-    return nav[:_NAV_P], nav[_NAV_P:_STATUS].reshape((N_NAV, N_NAV))
+    return nav[:_NAV_P], shaped(nav, _NAV_P, (N_NAV, N_NAV))
 
 
 @kernel
@@ -427,7 +427,7 @@ def spread_now(gps_var, P_nav, memory, kit, now):
     Other arguments as for :func:`spread_ahead`.
     """
     n = N_STATES + kit[0].shape[1]
-    P = memory[n : n + n * n].reshape((n, n))
+    P = shaped(memory, n, (n, n))
     for i in range(N_STATES):
         now[i, i] = P[i, i] + P_nav[i, i] + (gps_var if i < 2 else 0.0)
 

@@ -37,6 +37,7 @@ from twin.structure import (
 )
 from twin.ukf import POINTS, SLOPE, sigma_points, time_update
 from usv_kernel import inlined, kernel, sincos
+from usv_kernel.views import shaped
 
 __all__ = [
     "LOOK_AHEAD",
@@ -498,9 +499,10 @@ def roll_out(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, o
     for k in range(N_STATES):
         start[k] = s_0[k]
     _roll(
-        *(start.reshape((many, N_STATES)), xi.reshape((many, xi.shape[0])), act_0, plan, dt_plan),
-        *(lags, envelope, wind, kit, ripple.reshape((many, ripple.shape[0], 3))),
-        *(out.reshape((many, K, N_STATES)), out_act, room),
+        *(shaped(start, 0, (many, N_STATES)), shaped(xi, 0, (many, xi.shape[0]))),
+        *(act_0, plan, dt_plan),
+        *(lags, envelope, wind, kit, shaped(ripple, 0, (many, ripple.shape[0], 3))),
+        *(shaped(out, 0, (many, K, N_STATES)), out_act, room),
     )
 
 
@@ -534,16 +536,16 @@ def _rooms(room, D):
     """Return views: terms at start, middle and end of a step, sines of the drives, D motions."""
     end = 3 * N_TERMS + N_ACT
     return (
-        room[: 3 * N_TERMS].reshape((3, N_TERMS)),
+        shaped(room, 0, (3, N_TERMS)),
         room[3 * N_TERMS : end],
-        room[end : end + D * _MOTION].reshape((D, _MOTION)),
+        shaped(room, end, (D, _MOTION)),
     )
 
 
 @inlined
 def _motion(row):
     """Return the parts of a motion as views, see ``_MOTION``."""
-    return row[:_THRUST], row[_THRUST:_SHARES].reshape((3, 3)), row[_SHARES:].reshape((3, N_TERMS))
+    return row[:_THRUST], shaped(row, _THRUST, (3, 3)), shaped(row, _SHARES, (3, N_TERMS))
 
 
 @kernel
@@ -672,10 +674,10 @@ def look_ahead(
     for k in range(N_STATES):
         start[k] = s[k]
     _begin(
-        *(start.reshape((many, N_STATES)), xi.reshape((many, xi.shape[0])), act, envelope, kit),
-        room,
+        *(shaped(start, 0, (many, N_STATES)), shaped(xi, 0, (many, xi.shape[0]))),
+        *(act, envelope, kit, room),
     )
-    waves = ripple.reshape((many, ripple.shape[0], 3))
+    waves = shaped(ripple, 0, (many, ripple.shape[0], 3))
     for j in range(LOOK_AHEAD.shape[0]):
         now, span = out_act[j], LOOK_AHEAD[j] - before
         before = LOOK_AHEAD[j]

@@ -42,6 +42,7 @@ from usv_gym.sensors import CHANNELS
 from usv_gym.simulation import CMD, STATE, TIME, Z
 from usv_gym.tasks import ERRORS, REACH, SPEED, UNIT, follow
 from usv_kernel import in_python, inlined, kernel
+from usv_kernel.views import shaped
 
 __all__ = ["HORIZONS", "TWIN_OBSERVATION", "TwinObserver", "observer_of"]
 
@@ -103,9 +104,9 @@ def note_parts(note):
     return (
         note[PATH_ERRORS:OFF],
         note[ROW:NOW],
-        note[NOW:AHEAD].reshape((N_STATES, N_STATES)),
-        note[AHEAD:COVS].reshape((many, N_STATES)),
-        note[COVS:NOTE_SIZE].reshape((many, N_STATES, N_STATES)),
+        shaped(note, NOW, (N_STATES, N_STATES)),
+        shaped(note, AHEAD, (many, N_STATES)),
+        shaped(note, COVS, (many, N_STATES, N_STATES)),
     )
 
 
@@ -174,7 +175,7 @@ def _ukf_all(
     ``room`` is for one memory, four actuators at each horizon, and a command.
     """
     copied = room[: memory.shape[1]]
-    acts = room[memory.shape[1] :].reshape((-1, N_ACT))
+    acts = shaped(room, memory.shape[1], (len(HORIZONS) + 1, N_ACT))
     held = acts[acts.shape[0] - 1]
     for i in range(boats.shape[0]):
         boat, note = boats[i], notes[i]
@@ -189,7 +190,7 @@ def _ukf_all(
             )
         if not _is_looked_for(note, told[LOOK]):
             continue
-        scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
+        scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
         look_ahead(
             *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[SLOWNESS]),
             *(_CALM, ahead, acts, rooms(scratch, kit)[5]),
@@ -225,7 +226,7 @@ def _plus_all(
             continue
         n, P_nav = nav_parts(nav[i])
         x, _, _, _, _, _, _, _, _, _, _, n_unit = parts(memory[i], constants, kit)
-        scale_plan(cmd.reshape((1, N_ACT)), n_unit, held.reshape((1, N_ACT)))
+        scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
         plus_look(
             *(held, n, usual, told[SLOWNESS], rows[i], book[i], refit_rules, memory[i]),
             *(constants, kit, shocks, ahead, look_room),

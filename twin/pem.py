@@ -51,6 +51,7 @@ from twin.structure import (
     thrust_terms,
 )
 from usv_kernel import fma, in_python, kernel
+from usv_kernel.views import shaped
 
 __all__ = ["GRID", "RefitSettings", "Segments", "linearise", "room"]
 
@@ -246,21 +247,21 @@ def linearise(first, steps, every, rows, xi, kit, weights, offset_weights, room,
     size, p = rows.shape[0], xi.shape[0]
     # columns: parameters, then the error of a sample, then the offset
     m = p + 1 + N_OFFSETS
-    terms = room[: 4 * N_TERMS].reshape((4, N_TERMS))
-    slopes = room[4 * N_TERMS : 8 * N_TERMS].reshape((4, N_TERMS))
-    by_term = room[8 * N_TERMS : 11 * N_TERMS].reshape((N_TERMS, 3))
+    terms = shaped(room, 0, (4, N_TERMS))
+    slopes = shaped(room, 4 * N_TERMS, (4, N_TERMS))
+    by_term = shaped(room, 8 * N_TERMS, (N_TERMS, 3))
     rest = room[11 * N_TERMS :]
     s, place, k, sums = rest[:6], rest[6:12], rest[12:18], rest[18:24]
     rest = rest[24:]
-    A = rest[: 4 * _SQUARE].reshape((4, N_STATES, N_STATES))
-    W = rest[4 * _SQUARE : 5 * _SQUARE].reshape((N_STATES, N_STATES))
-    D = rest[5 * _SQUARE : 6 * _SQUARE].reshape((N_STATES, N_STATES))
+    A = shaped(rest, 0, (4, N_STATES, N_STATES))
+    W = shaped(rest, 4 * _SQUARE, (N_STATES, N_STATES))
+    D = shaped(rest, 5 * _SQUARE, (N_STATES, N_STATES))
     rest = rest[6 * _SQUARE :]
-    T = rest[: _ROWS * N_STATES].reshape((N_STATES, _ROWS))
+    T = shaped(rest, 0, (N_STATES, _ROWS))
     rest = rest[_ROWS * N_STATES :]
-    S = rest[: _ROWS * m].reshape((_ROWS, m))  # sensitivities, then terms
-    full = rest[_ROWS * m : (_ROWS + m) * m].reshape((m, m))
-    J = rest[(_ROWS + m) * m : (_ROWS + m + N_STATES) * m].reshape((N_STATES, m))
+    S = shaped(rest, 0, (_ROWS, m))  # sensitivities, then terms
+    full = shaped(rest, _ROWS * m, (m, m))
+    J = shaped(rest, (_ROWS + m) * m, (N_STATES, m))
 
     start = rows[first % size]
     wind = start[WIND:GOOD]
@@ -347,7 +348,7 @@ def memory_size(p, capacity):
 @kernel
 def believed(memory, p):
     """Return parameters and covariance in use as views of the memory; before them is the trust."""
-    return memory[1 : 1 + p], memory[1 + p : 1 + p + p * p].reshape((p, p))
+    return memory[1 : 1 + p], shaped(memory, 1 + p, (p, p))
 
 
 @kernel
@@ -361,8 +362,8 @@ def quadratics(memory, p):
     rest = memory[1 + p + p * p :]
     n = rest.shape[0] // (2 + 2 * p + h)
     first, c, rest = rest[:n], rest[n : 2 * n], rest[2 * n :]
-    b, at = rest[: n * p].reshape((n, p)), rest[n * p : 2 * n * p].reshape((n, p))
-    return first, c, b, at, rest[2 * n * p : n * (2 * p + h)].reshape((n, h))
+    b, at = shaped(rest, 0, (n, p)), shaped(rest, n * p, (n, p))
+    return first, c, b, at, shaped(rest, 2 * n * p, (n, h))
 
 
 @kernel
@@ -372,7 +373,7 @@ def _take(slot, first, rows, xi, memory, rules, kit, room):
     _, c, b, at, packed = quadratics(memory, p)
     prior = rules[RULES : RULES + p]
     rest = room[roll_room(p) :]
-    H, pull, away = rest[: p * p].reshape((p, p)), rest[p * p :][:p], rest[p * p + p :][:p]
+    H, pull, away = shaped(rest, 0, (p, p)), rest[p * p :][:p], rest[p * p + p :][:p]
     cost = linearise(
         *(first, int(rules[STEPS]), int(rules[EVERY]), rows, xi, kit),
         *(rules[:N_STATES], rules[N_STATES:STEPS], room, H, pull),
@@ -495,8 +496,8 @@ def _solving(room, p):
         room[:h],
         room[h : 2 * h],
         room[2 * h : 2 * h + h // 6],
-        rest[:square].reshape((p, p)),
-        rest[square : 2 * square + p].reshape((p + 1, p)),
+        shaped(rest, 0, (p, p)),
+        shaped(rest, square, (p + 1, p)),
         rest[2 * square + p : 2 * square + 2 * p],
         rest[2 * square + 2 * p : 2 * square + 3 * p],
     )

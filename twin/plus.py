@@ -67,6 +67,7 @@ from twin.residual import ORDER, between, fit_waves, simulate_waves
 from twin.rivals import Rivals, judge, note, record_size, settle
 from twin.structure import accelerations, state_terms, thrust_terms
 from usv_kernel import in_python, kernel
+from usv_kernel.views import shaped
 
 __all__ = ["PlusPredictor", "refit_settings"]
 
@@ -244,8 +245,8 @@ def _describe_waves(rows, track, room):
             count += 1
     if count <= 5 * ORDER:
         return
-    w = room[: 3 * count].reshape((count, 3))
-    coefficients = track[_COEFFICIENTS:].reshape((ORDER, 3))
+    w = shaped(room, 0, (count, 3))
+    coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
     fit_waves(w, coefficients, track[_NOISE:_COEFFICIENTS], room[3 * count :])
     for i in range(3):
         mean, square = 0.0, 0.0
@@ -425,7 +426,7 @@ def _waves_ahead(past, track, shocks, path, ends, means):
     ends, means : (1, 4, 3) arrays
         Written.
     """
-    coefficients = track[_COEFFICIENTS:].reshape((ORDER, 3))
+    coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
     for j in range(3):
         path[0, 0, j] = past[0, j]
     simulate_waves(past, coefficients, track[_NOISE:_COEFFICIENTS], shocks, path[:, 1:])
@@ -438,17 +439,17 @@ def _look_parts(room, p):
     many = LOOK_AHEAD.shape[0]
     theta, drawn, rest = room[:p], room[p : 2 * p], room[2 * p :]
     start, begun, rest = rest[:N_STATES], rest[N_STATES:][:N_STATES], rest[2 * N_STATES :]
-    past, rest = rest[: 3 * ORDER].reshape((ORDER, 3)), rest[3 * ORDER :]
-    path, rest = rest[: 3 * _PATH].reshape((1, _PATH, 3)), rest[3 * _PATH :]
-    ends, means = rest[: 3 * many].reshape((1, many, 3)), rest[3 * many :][: 3 * many]
+    past, rest = shaped(rest, 0, (ORDER, 3)), rest[3 * ORDER :]
+    path, rest = shaped(rest, 0, (1, _PATH, 3)), rest[3 * _PATH :]
+    ends, means = shaped(rest, 0, (1, many, 3)), rest[3 * many :][: 3 * many]
     rest = rest[6 * many :]
-    other, rest = rest[: N_STATES * many].reshape((many, N_STATES)), rest[N_STATES * many :]
-    acts, rest = rest[: N_ACT * many].reshape((many, N_ACT)), rest[N_ACT * many :]
-    root, rest = rest[: p * p].reshape((p, p)), rest[p * p :]
-    small, rest = rest[: N_STATES**2].reshape((N_STATES, N_STATES)), rest[N_STATES**2 :]
+    other, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
+    acts, rest = shaped(rest, 0, (many, N_ACT)), rest[N_ACT * many :]
+    root, rest = shaped(rest, 0, (p, p)), rest[p * p :]
+    small, rest = shaped(rest, 0, (N_STATES, N_STATES)), rest[N_STATES**2 :]
     return (
         *(theta, drawn, start, begun, past, path, ends, means.reshape((1, many, 3))),
-        *(other, acts, root, small, rest[:p].reshape((1, p)), rest[p:]),
+        *(other, acts, root, small, shaped(rest, 0, (1, p)), rest[p:]),
     )
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from twin.dense import cholesky, solve_factored
 from usv_kernel import kernel
+from usv_kernel.views import shaped
 
 __all__ = ["ORDER", "between", "fit_autoregression", "fit_waves", "simulate_waves"]
 
@@ -72,12 +73,12 @@ def fit_waves(w, coefficients, noise, room):
         Scratch.
     """
     N = w.shape[0]
-    G = room[: ORDER * ORDER].reshape((ORDER, ORDER))
+    G = shaped(room, 0, (ORDER, ORDER))
     rest = room[ORDER * ORDER :]
     a, b, line = (
         rest[:ORDER],
         rest[ORDER : 2 * ORDER],
-        rest[2 * ORDER :][:ORDER].reshape((1, ORDER)),
+        shaped(rest, 2 * ORDER, (1, ORDER)),
     )
     for j in range(w.shape[1]):
         # products with the newest value; those of older values differ in the first and last row

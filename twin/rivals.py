@@ -39,6 +39,7 @@ from twin.pem import (
 )
 from twin.structure import LEFT_COS, N_STATES, N_TERMS, accelerations, state_terms
 from usv_kernel import in_python, kernel
+from usv_kernel.views import shaped
 
 __all__ = ["Rivals", "miss"]
 
@@ -84,7 +85,7 @@ def miss(first, steps, every, rows, xi, kit, by_place, by_heading, room):
         bounds.
     """
     size = rows.shape[0]
-    terms = room[: 3 * N_TERMS].reshape((3, N_TERMS))
+    terms = shaped(room, 0, (3, N_TERMS))
     rest = room[3 * N_TERMS :]
     s, place, k, sums = rest[:6], rest[6:12], rest[12:18], rest[18:24]
     start = rows[first % size]
@@ -138,8 +139,8 @@ def record_parts(record, p):
     """
     many = len(TRUSTS)
     rest = record[4 + many :]
-    xi = rest[: many * p].reshape((many, p))
-    factors = rest[many * p : many * p * (1 + p)].reshape((many, p, p))
+    xi = shaped(rest, 0, (many, p))
+    factors = shaped(rest, many * p, (many, p, p))
     rest = rest[many * p * (1 + p) :]
     slots = rest.shape[0] // (many * p)
     return record[4 : 4 + many], xi, factors, rest.reshape((slots, many, p))

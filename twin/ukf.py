@@ -51,6 +51,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.dense import add_product, add_rows
 from usv_kernel import fma, kernel, wrap
+from usv_kernel.vectors import accumulate, combine
 
 __all__ = [
     "POINTS",
@@ -131,7 +132,7 @@ def _factorise(P, root, factors, n_s):
 
     They do not either where a parameter would be left a negative variance, given the states.
     """
-    n = P.shape[0]
+    n, width = P.shape[0], root.shape[1]
     for j in range(n_s):
         pivot = P[j, j]
         for i in range(j):
@@ -142,8 +143,8 @@ def _factorise(P, root, factors, n_s):
         for i in range(j):
             root[j, i] = 0.0
             factors[0, i] = -scale * root[i, j]
-        for k in range(j, n):
-            root[j, k] = scale * P[j, k]
+        factors[0, j] = scale
+        combine(root, j * width + j, n - j, factors, j, 1, 1.0, P, j * n + j, n, 1)
         add_rows(root, j, j, n, factors, 0, root, 0, j)
     for k in range(n_s, n):
         factors[0, k] = P[k, k]
@@ -203,11 +204,15 @@ def sigma_points(x, P, weights, work):
     distance = math.sqrt(weights[SPREAD])
     for k in range(n):
         points[0, k] = x[k]
+        root[n_s, k] = x[k]
+    # each is a row of the root, so many standard deviations off the mean, which follows the root
+    sides, width = work[SCRATCH], points.shape[1]
+    sides[0, 0], sides[0, 1], sides[0, 2] = distance, 1.0, -distance
     for j in range(n_s):
-        for k in range(n):
-            offset = distance * root[j, k]
-            points[1 + j, k] = x[k] + offset
-            points[1 + n_s + j, k] = x[k] - offset
+        row, apart = j * width, (n_s - j) * width
+        combine(points, width + row, n, sides, 0, 1, 1.0, root, row, apart, 2)
+        down = width * (1 + n_s) + row
+        combine(points, down, n, sides, 2, -1, 1.0, root, row, apart, 2)
     return repairs
 
 
@@ -361,6 +366,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     n = x.shape[0]
     n_s = z.shape[0]
     rows = work[SCRATCH]
+    width = rows.shape[1]
     S = n
     y = n + n_s
     factors = work[POINTS]
@@ -381,8 +387,8 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
             innovation = wrap(innovation)
         for j in range(m):
             factors[0, j] = -scale * rows[j, S + i]
-        for k in range(n):
-            rows[m, k] = scale * P[i, k]
+        factors[0, m] = scale
+        combine(rows, m * width, n, factors, m, 1, 1.0, P, i * n, n, 1)
         for k in range(n_s):
             rows[m, S + k] = scale * (P[i, k] + R[i, k])
         rows[m, y] = scale * innovation
@@ -392,9 +398,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     if not (nis <= gate and nis < math.inf):
         return nis
 
-    for j in range(m):
-        for k in range(n):
-            x[k] += rows[j, y] * rows[j, k]
+    accumulate(x, 0, n, rows, y, width, 1.0, rows, 0, width, m)
     least = work[ROOT, 0]
     for i in range(n):
         least[i] = _PIVOT_MIN * P[i, i]

@@ -17,7 +17,8 @@ from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_gym.sea import Sea, SeaState, choice
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
-from usv_kernel import kernel
+from usv_kernel import inlined, kernel
+from usv_kernel.views import shaped
 
 __all__ = ["Simulation", "SimulationError"]
 
@@ -50,22 +51,22 @@ STEP, SUBSTEPS, DOF, VESSEL = 0, 1, 2, 3
 SUITE = VESSEL + par.PACKED_SIZE
 
 
-@kernel
+@inlined
 def sea_parts(boat: np.ndarray, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return waves (7, M) and gusts (3, G) of a boat's row, as views."""
     M, G = layout[COMPONENTS], layout[GUST_COMPONENTS]
-    waves = boat[layout[WAVES] : layout[WAVES] + WAVE_ROWS * M].reshape((WAVE_ROWS, M))
-    return waves, boat[layout[GUSTS] : layout[GUSTS] + 3 * G].reshape((3, G))
+    waves = shaped(boat, layout[WAVES], (WAVE_ROWS, M))
+    return waves, shaped(boat, layout[GUSTS], (3, G))
 
 
-@kernel
+@inlined
 def sensor_parts(boat: np.ndarray, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return noise (B, W), faults (F, FAULT_SIZE) and delay line (D, 4) of a row, as views."""
     B, W, F, D = layout[BLOCK], layout[NOISE_WIDTH], layout[MAX_FAULTS], layout[RING_ROWS]
     width = sensors.FAULT_SIZE
-    noise = boat[layout[NOISE] : layout[NOISE] + B * W].reshape((B, W))
-    faults = boat[layout[FAULTS] : layout[FAULTS] + F * width].reshape((F, width))
-    return noise, faults, boat[layout[RING] : layout[RING] + D * 4].reshape((D, 4))
+    noise = shaped(boat, layout[NOISE], (B, W))
+    faults = shaped(boat, layout[FAULTS], (F, width))
+    return noise, faults, shaped(boat, layout[RING], (D, 4))
 
 
 @kernel
@@ -86,7 +87,7 @@ def advance(
         Scratch, from :func:`usv_gym.physics.waves.factor_room`.
     """
     state, cmd = boat[STATE:CMD], boat[CMD:Z]
-    work = boat[WORK:MEAN_RATE].reshape((ship.WORK_ROWS, fr.STATE_SIZE))
+    work = shaped(boat, WORK, (ship.WORK_ROWS, fr.STATE_SIZE))
     waves, gusts = sea_parts(boat, layout)
     noise, faults, ring = sensor_parts(boat, layout)
     p, suite = constants[VESSEL:SUITE], constants[SUITE:]

@@ -18,6 +18,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
@@ -27,6 +28,7 @@ from numba.core.types import unliteral  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from usv_kernel.first_use import Compiling
+from usv_kernel.views import reshaped
 
 __version__ = "0.1.0"
 
@@ -229,7 +231,9 @@ def in_python(compiled: F) -> F:
 
     Python would free a view that nobody has counted.
     """
-    return compiled.py_func  # type: ignore[attr-defined,no-any-return]
+    function = compiled.py_func  # type: ignore[attr-defined]
+    names = {**function.__globals__, "shaped": reshaped}
+    return FunctionType(function.__code__, names)  # type: ignore[return-value]
 
 
 @intrinsic

@@ -14,7 +14,7 @@ from numba.core import cgutils, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
-__all__ = ["accumulate"]
+__all__ = ["accumulate", "combine"]
 
 _LANES = 4
 _GROUP = 4
@@ -30,11 +30,22 @@ def accumulate(typing_context, to, at, count, factors, start, step, sign, rows, 
     All arrays are contiguous float64, and indexed as they lie in memory. What is added may lie in
     the same array, but not in those ``count`` numbers. For kernels only.
     """
+    return _sums(to, factors, rows, add=True)
+
+
+@intrinsic
+def combine(typing_context, to, at, count, factors, start, step, sign, rows, first, width, many):
+    """Write what :func:`accumulate` adds; what was there before does not matter."""
+    return _sums(to, factors, rows, add=False)
+
+
+def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
+    """Return signature and code of the sums."""
     for array in (to, factors, rows):
         if not (isinstance(array, types.Array) and array.dtype == types.float64):
-            raise TypingError(f"accumulate takes arrays of float64, not {array}")
+            raise TypingError(f"sums of rows take arrays of float64, not {array}")
         if array.layout != "C":
-            raise TypingError(f"accumulate takes contiguous arrays, not {array}")
+            raise TypingError(f"sums of rows take contiguous arrays, not {array}")
     whole, real = types.intp, types.float64
     signature = types.void(
         *(to, whole, whole, factors, whole, whole, real, rows, whole, whole, whole)
@@ -63,8 +74,11 @@ def accumulate(typing_context, to, at, count, factors, start, step, sign, rows, 
                 lane = builder.add(offset, index(vector * lanes))
                 return builder.bitcast(builder.gep(base, [lane]), kind.as_pointer())
 
+            zero = ir.Constant(kind, [0.0] * lanes if lanes > 1 else 0.0)
             totals = [
-                cgutils.alloca_once_value(builder, builder.load(place(target, v), align=8))
+                cgutils.alloca_once_value(
+                    builder, builder.load(place(target, v), align=8) if add else zero
+                )
                 for v in range(vectors)
             ]
             with cgutils.for_range(builder, many) as loop:

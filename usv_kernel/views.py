@@ -1,0 +1,68 @@
+"""Parts of arrays seen in another shape, by kernels.
+
+numba's own reshape calls a function that looks for strides, each time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba.core import cgutils, types
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+__all__ = ["reshaped", "shaped"]
+
+
+def reshaped(array: NDArray[np.float64], at: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return what :func:`shaped` returns in a kernel.
+
+    Parameters
+    ----------
+    array : ndarray
+        Contiguous.
+    at : int
+        The first of them, counted as they lie in memory.
+    shape : tuple of int
+        Of the view.
+    """
+    size = int(np.prod(shape))
+    return array.reshape(-1)[at : at + size].reshape(shape)
+
+
+@intrinsic
+def shaped(typing_context, array, at, shape):
+    """Return the numbers of an array from the ``at``-th on, as a view of another shape.
+
+    The array must be contiguous, and nobody checks that it has as many numbers. For kernels; from
+    Python, :func:`usv_kernel.in_python` calls :func:`reshaped` instead.
+    """
+    if not (isinstance(array, types.Array) and array.layout == "C"):
+        raise TypingError(f"shaped takes a contiguous array, not {array}")
+    seen = array.copy(ndim=len(shape))
+    signature = seen(array, types.intp, shape)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        whole = context.make_array(sig.args[0])(context, builder, args[0])
+        view = context.make_array(sig.return_type)(context, builder)
+        sizes = [
+            context.cast(builder, size, kind, types.intp)
+            for size, kind in zip(cgutils.unpack_tuple(builder, args[2]), shape, strict=True)
+        ]
+        stride = context.get_constant(types.intp, 8)
+        strides = []
+        for size in reversed(sizes):
+            strides.append(stride)
+            stride = builder.mul(stride, size)
+        of_all = types.UniTuple(types.intp, len(sizes))  # type: ignore[attr-defined]
+        view.meminfo, view.parent = whole.meminfo, whole.parent
+        view.data = builder.gep(whole.data, [args[1]])
+        view.itemsize = whole.itemsize
+        view.nitems = builder.sdiv(stride, context.get_constant(types.intp, 8))
+        view.shape = context.make_tuple(builder, of_all, sizes)
+        view.strides = context.make_tuple(builder, of_all, strides[::-1])
+        return view._getvalue()
+
+    return signature, generate
