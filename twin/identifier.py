@@ -73,12 +73,15 @@ STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 WIND_LIMIT = 100.0
 """No wind is faster, m/s."""
-SHELTERED = 0.07
-"""Tankers are disturbed as much as ships of their length at this Froude number."""
+DISTURBED = 4e-4, 1.8e-3
+"""How far the velocities (in V) and the yaw rate (in V / L) of a tanker of length L are driven
+within L / V, where V is the speed of Froude number 1."""
 WAVELESS = 0.05
 """Part of the measurement noise that is not that of waves."""
-WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 10.0
+WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
+DOUBT = 1.5
+"""How much larger than in the population the variances of a tanker's parameters are taken."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
 AID_SD = 0.5 / STUDY_SPEED
@@ -178,19 +181,21 @@ def _of_a_tanker(particulars: Particulars) -> FilterSettings:
 
     Source: twin.md sections 14.2 and 14.4.
     """
-    disturbed = SHELTERED * math.sqrt(GRAVITY * particulars.length)
+    speed = math.sqrt(GRAVITY * particulars.length)
+    time = particulars.length / speed
+    along, turning = DISTURBED
+    disturbed = np.array([along * speed, along * speed, turning / time])
     calm = plain_settings(particulars, "mmg")
     structure = calm.structure
     mean, covariance = population_prior(structure, particulars)
     wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME
-    like = dataclasses.replace(particulars, speed=disturbed)
     return dataclasses.replace(
         calm,
-        q=plain_settings(like, "mmg").q,
+        q=np.concatenate([calm.q[:3], disturbed**2 / time]),
         r=WAVELESS**2 * calm.r,
         q_xi=wander,
         xi0=mean,
-        xi0_cov=covariance,
+        xi0_cov=DOUBT * covariance,
     )
 
 

@@ -86,8 +86,8 @@ SPREAD, BUILT = 0.30, 0.05
 """Standard deviation of the boats' coefficients, and of their geometry and inertia."""
 CLASS = 0.15
 """The same of the coefficients of one class."""
-MEASURED, TANKERS = "kvlcc2_l7", 0.20
-"""Whose sisters tankers are taken for, and the standard deviation of their coefficients."""
+MEASURED = "kvlcc2_l7"
+"""Whose sisters tankers are taken for."""
 LARGEST_HELM = math.radians(25.0)
 
 
@@ -321,7 +321,7 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
         Draws main particulars and coefficients.
     """
     if kind == TANKER:
-        return sister(Vessel.load(MEASURED), rng, TANKERS)
+        return sister(Vessel.load(MEASURED), rng, SPREAD)
     if kind not in KINDS:
         raise PriorError(f"kind = {kind!r}: must be one of {', '.join(KINDS)}")
     (small, large), *shares = _RANGES[kind]
