@@ -7,6 +7,7 @@ rolls the model into the future. :class:`ModelPredictor` makes a predictor of it
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -42,8 +43,9 @@ from twin.navigation import (
     navigate,
     navigation_settings,
 )
-from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.particulars import GRAVITY, STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.predictor import Estimate, Prediction, Predictor, finer
+from twin.prior import population_prior
 from twin.state import copied, pack
 from twin.structure import N_TERMS, Structure, accelerations
 from twin.ukf import measurement_update, scaled_weights, workspace
@@ -72,6 +74,15 @@ STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 WIND_LIMIT = 100.0
 """No wind is faster, m/s."""
+DISTURBED = 4e-4, 1.8e-3
+"""How far the velocities (in V) and the yaw rate (in V / L) of a tanker of length L are driven
+within L / V, where V is the speed of Froude number 1."""
+WAVELESS = 0.05
+"""Part of the measurement noise that is not that of waves."""
+WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
+"""Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
+DOUBT = 1.5
+"""How much larger than in the population the variances of a tanker's parameters are taken."""
 BAND_STEP = 0.25
 """Step at which covariances are carried along a prediction, s."""
 AID_SD = 0.5 / STUDY_SPEED
@@ -129,8 +140,10 @@ class FilterSettings:
     kappa: float = 0.0
 
 
-def plain_settings(particulars: Particulars, model: str = "paper") -> FilterSettings:
+def plain_settings(particulars: Particulars, model: str | None = None) -> FilterSettings:
     """Return the settings of the plain joint UKF.
+
+    The model is that of the paper if none is named, but for tankers: see :func:`_of_a_tanker`.
 
     Those that worked for a boat of 6.336 m (waterline) at 5.4 m/s and 20 Hz, scaled to any
     boat by length and speed (Froude). The measurement noise is far above that of the
@@ -144,7 +157,9 @@ def plain_settings(particulars: Particulars, model: str = "paper") -> FilterSett
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
     r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
-    structure = model_of(particulars, model)
+    if model is None and particulars.tanker:
+        return _of_a_tanker(particulars)
+    structure = model_of(particulars, model or "paper")
     return FilterSettings(
         structure=structure,
         q=q**2 / (STUDY_STEP * time),
@@ -154,6 +169,34 @@ def plain_settings(particulars: Particulars, model: str = "paper") -> FilterSett
         xi0=structure.mean,
         xi0_cov=np.diag(structure.sd**2),
         n_unit=structure.n_unit,
+    )
+
+
+def _of_a_tanker(particulars: Particulars) -> FilterSettings:
+    """Return the settings of the plain joint UKF for a slow ship of full form.
+
+    She sails a few lengths in the minutes that others are learned in: her filter needs the model
+    and the prior of ships. What disturbs her goes by her length, not by how slowly she sails, and
+    her velocities carry no waves that the model must be excused from. Wind and current change
+    while she sails a length, so that the biases that stand for them wander.
+
+    Source: twin.md sections 14.2 and 14.4.
+    """
+    speed = math.sqrt(GRAVITY * particulars.length)
+    time = particulars.length / speed
+    along, turning = DISTURBED
+    disturbed = np.array([along * speed, along * speed, turning / time])
+    calm = plain_settings(particulars, "mmg")
+    structure = calm.structure
+    mean, covariance = population_prior(structure, particulars)
+    wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME
+    return dataclasses.replace(
+        calm,
+        q=np.concatenate([calm.q[:3], disturbed**2 / time]),
+        r=WAVELESS**2 * calm.r,
+        q_xi=wander,
+        xi0=mean,
+        xi0_cov=DOUBT * covariance,
     )
 
 
@@ -720,8 +763,8 @@ class UKFPredictor(ModelPredictor):
     ----------
     particulars : Particulars
         The boat.
-    model : str
-        One of ``twin.structure.MODELS``.
+    model : str, optional
+        One of ``twin.structure.MODELS``; that of :func:`plain_settings` if left out.
     settings : FilterSettings, optional
         :func:`plain_settings` if left out; it brings its own structure.
     seed : int
@@ -734,7 +777,7 @@ class UKFPredictor(ModelPredictor):
         self,
         particulars: Particulars,
         *,
-        model: str = "paper",
+        model: str | None = None,
         settings: FilterSettings | None = None,
         seed: int = 0,
     ) -> None:

@@ -145,7 +145,7 @@ def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> St
     Parameters
     ----------
     particulars : Particulars
-        Length, speed, shaft speed and steering are used.
+        Main particulars and steering are used.
     name : str
         One of ``twin.structure.MODELS``.
     biased : bool
@@ -162,6 +162,7 @@ def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> St
         particulars.speed,
         particulars.shaft_speed,
         differential=particulars.steering == "differential",
+        tanker=particulars.tanker,
         biased=biased,
     )
 
@@ -197,7 +198,7 @@ def derivative(s, xi, act, wind, kit, terms, out):
         True wind to north and east, m/s; zeros where it is not known.
     kit : tuple
         Of the structure.
-    terms : (48,) array
+    terms : (49,) array
         Room for the terms; they are left there.
     out : (6,) array
         The derivative.

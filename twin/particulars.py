@@ -24,6 +24,14 @@ __all__ = ["GRAVITY", "STEERING", "Instruments", "Particulars"]
 GRAVITY = 9.81
 """Gravity, m/s2."""
 
+SEA_WATER = 1025.0
+"""Density, kg/m3."""
+
+FAST = 0.35
+"""Froude number of the usual speed above which a boat is taken to have drives, not rudders."""
+FULL_FORM = 0.75
+"""Block coefficient from which on a ship is a tanker or a bulk carrier."""
+
 LATENCY_MAX = 10.0
 """Largest age of a fix, s."""
 
@@ -242,6 +250,17 @@ class Particulars:
     def slowness(self) -> float:
         """Time to sail a length, in units of the study boat's."""
         return self.length / self.speed / (STUDY_LENGTH / STUDY_SPEED)
+
+    @property
+    def froude(self) -> float:
+        """Froude number of the usual speed."""
+        return self.speed / math.sqrt(GRAVITY * self.length)
+
+    @property
+    def tanker(self) -> bool:
+        """Whether she is a slow ship of full form, which has one propeller and one rudder."""
+        block = self.mass / (SEA_WATER * self.length * self.beam * self.draft)
+        return self.steering == "drives" and self.froude <= FAST and block >= FULL_FORM
 
     def to_toml(self) -> str:
         """Return the text of a file that :meth:`load` reads back to the same value."""

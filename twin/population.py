@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from twin.model import ROOM, model_of, roll_out
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
-from twin.prior import KINDS, Prior, PriorError
+from twin.prior import KINDS, TANKER, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
 from twin.structure import (
     COS,
@@ -86,6 +86,8 @@ SPREAD, BUILT = 0.30, 0.05
 """Standard deviation of the boats' coefficients, and of their geometry and inertia."""
 CLASS = 0.15
 """The same of the coefficients of one class."""
+MEASURED = "kvlcc2_l7"
+"""Whose sisters tankers are taken for."""
 LARGEST_HELM = math.radians(25.0)
 
 
@@ -314,10 +316,12 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
     Parameters
     ----------
     kind : str
-        One of ``twin.prior.KINDS``.
+        One of ``twin.prior.KINDS``, or ``twin.prior.TANKER``.
     rng : numpy.random.Generator
         Draws main particulars and coefficients.
     """
+    if kind == TANKER:
+        return sister(Vessel.load(MEASURED), rng, SPREAD)
     if kind not in KINDS:
         raise PriorError(f"kind = {kind!r}: must be one of {', '.join(KINDS)}")
     (small, large), *shares = _RANGES[kind]

@@ -9,7 +9,6 @@ Source: twin.md, sections 10 B2 and 13.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.particulars import Particulars
+from twin.particulars import FAST, Particulars
 from twin.structure import Structure
 
 __all__ = ["KINDS", "Prior", "PriorError", "kind_of", "population_prior", "shipped_prior"]
@@ -27,8 +26,9 @@ Array = NDArray[np.float64]
 
 KINDS = ("drives", "rudder", "differential")
 """Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
-FAST = 0.35
-"""Froude number of the usual speed above which a boat is taken to have drives, not rudders."""
+TANKER = "tanker"
+"""Ships with rudders that are of full form: sisters of one that was measured, because the drafts
+of the others are made to hold their course, and few tankers do."""
 FLOOR = 0.3
 """Share of each variance that no other parameter explains, at the least."""
 
@@ -133,17 +133,18 @@ class Prior:
 
 
 def kind_of(particulars: Particulars) -> str:
-    """Return which of :data:`KINDS` a boat belongs to.
+    """Return which of :data:`KINDS` a boat belongs to, or :data:`TANKER`.
 
     Parameters
     ----------
     particulars : Particulars
-        Length, speed and steering are used.
+        Main particulars and steering are used.
     """
     if particulars.steering == "differential":
         return "differential"
-    froude = particulars.speed / math.sqrt(9.81 * particulars.length)
-    return "drives" if froude > FAST else "rudder"
+    if particulars.tanker:
+        return TANKER
+    return "drives" if particulars.froude > FAST else "rudder"
 
 
 @cache
@@ -153,7 +154,7 @@ def shipped_prior(model: str, kind: str) -> Prior:
     Parameters
     ----------
     model, kind : str
-        Model structure, and one of :data:`KINDS`.
+        Model structure, and one of :data:`KINDS` or :data:`TANKER`.
     """
     return Prior.load(Path(str(resources.files("twin") / "priors" / f"{model}_{kind}.csv")))
 

@@ -20,7 +20,8 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
     heading, once and twice around: wind and waves turn a boat that lies across them, and what
     nobody measures must be learned. Left and right propeller enter
-    as their mean and difference, because nothing tells them apart when they turn alike.
+    as their mean and difference, because nothing tells them apart when they turn alike. A tanker
+    has one propeller: in the place of the difference, N_dn is the turning of one that runs astern.
 
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
 current do and the model does not know; they enter surge and sway together.
@@ -72,11 +73,11 @@ N_STATES = 6
     UUU, UV, AU_V, AU_R, AV_R, ONE, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N,
     ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT,
     LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
-    MEAN_COS, MEAN_SIN, DIFFERENCE,
+    MEAN_COS, MEAN_SIN, DIFFERENCE, ASTERN_RACE,
     _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
     _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
-) = range(48)  # fmt: skip
-N_TERMS = 48
+) = range(49)  # fmt: skip
+N_TERMS = 49
 """Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
 before UUU are in every structure, the others of the state where all terms are needed."""
 
@@ -106,7 +107,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
         Shaft speeds in the unit of the structure.
     cos_left, sin_left, cos_right, sin_right : float
         Of the drive angles.
-    terms : (48,) array
+    terms : (49,) array
         Those from LEFT_COS on are written.
     """
     left, right = n_left * abs(n_left), n_right * abs(n_right)
@@ -120,6 +121,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
     terms[_SHAFT_SIN] = 0.5 * (abs(n_left) * sin_left + abs(n_right) * sin_right)
     terms[_RACE_LEFT] = (SLIPSTREAM if n_left > 0.0 else ASTERN * SLIPSTREAM) * left
     terms[_RACE_RIGHT] = (SLIPSTREAM if n_right > 0.0 else ASTERN * SLIPSTREAM) * right
+    terms[ASTERN_RACE] = 0.5 * (min(n_left, 0.0) ** 2 + min(n_right, 0.0) ** 2)
     terms[_COS_LEFT], terms[_SIN_LEFT] = cos_left, sin_left
     terms[_COS_RIGHT], terms[_SIN_RIGHT] = cos_right, sin_right
 
@@ -147,7 +149,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         Velocity of the true wind to north and east, m/s; zeros where it is not known.
     hull : (4,) array
         Constants of the structure.
-    terms : (48,) array
+    terms : (49,) array
         Those before LEFT_COS are written.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
@@ -188,9 +190,9 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     ----------
     u, v, r, cos_psi, sin_psi, wind, hull
         See :func:`state_terms`.
-    terms : (48,) array
+    terms : (49,) array
         As :func:`state_terms` left it.
-    slopes : (4, 48) array
+    slopes : (4, 49) array
         Written where a derivative is not always 0; hand in zeros.
     """
     slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
@@ -250,7 +252,7 @@ def accelerations(terms, kit, xi, first):
 
     Parameters
     ----------
-    terms : (48,) array
+    terms : (49,) array
         All terms.
     kit : tuple
         Of the structure.
@@ -287,7 +289,7 @@ def gather(kit, xi, shares):
         Of the structure.
     xi : (p,) array
         Parameters.
-    shares : (3, 48) array
+    shares : (3, 49) array
         Coefficients of the terms in du/dt, dv/dt, dr/dt.
     """
     which, limits, _ = kit
@@ -467,6 +469,16 @@ _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
     "N_dn": (DIFFERENCE, 0.48, 0.28),
 }
 
+# A laden ship of full form: more water than wind takes hold of (drag of 0.3 m2 of side and 0.06 m2
+# of front for each tonne of a 3 m model; centre of pressure forward in a quartering wind). The
+# race of a right-handed propeller that runs astern pushes her stern to port.
+_TANKER: dict[str, tuple[int, float, float]] = {
+    "X_w": (WIND_X, 0.0009, 0.0006),
+    "Y_w": (WIND_Y, 0.002, 0.0012),
+    "N_w": (WIND_N, -0.0035, 0.003),
+    "N_dn": (ASTERN_RACE, 0.05, 0.05),
+}
+
 
 def structure_of(
     name: str,
@@ -475,6 +487,7 @@ def structure_of(
     shaft_speed: float,
     *,
     differential: bool = False,
+    tanker: bool = False,
     biased: bool = False,
 ) -> Structure:
     """Return a model structure for a boat.
@@ -487,6 +500,8 @@ def structure_of(
         On the waterline, m; usual speed, m/s, and shaft speed at it, rev/s.
     differential : bool
         The boat steers by unequal thrust.
+    tanker : bool
+        She is a laden ship of full form, with one propeller.
     biased : bool
         Add the two earth-fixed accelerations where the structure has none.
 
@@ -505,13 +520,11 @@ def structure_of(
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
         rows[sway:sway] = _BIASES
-    if differential:
-        rows = [
-            (*row[:3], known[0], row[4], *known[1:])
-            if (known := _DIFFERENTIAL.get(row[0]))
-            else row
-            for row in rows
-        ]
+    told = _DIFFERENTIAL if differential else _TANKER if tanker else {}
+    rows = [
+        (*row[:3], known[0], row[4], *known[1:]) if (known := told.get(row[0])) else row
+        for row in rows
+    ]
     equations = [row[2] for row in rows]
     limits = np.full((N_STATES, 2), N_STATES, dtype=np.int64)
     which = np.zeros((3, len(rows)), dtype=np.int64)
