@@ -271,11 +271,11 @@ def accelerations(terms, kit, xi, first):
     which, limits, _ = kit
     du, dv, dr = 0.0, 0.0, 0.0
     for k in range(limits[3, 0] - N_STATES, limits[3, 1] - N_STATES):
-        du = fma(terms[which[0, k]], xi[first + k], du)
+        du += terms[which[0, k]] * xi[first + k]
     for k in range(limits[4, 0] - N_STATES, limits[4, 1] - N_STATES):
-        dv = fma(terms[which[1, k]], xi[first + k], dv)
+        dv += terms[which[1, k]] * xi[first + k]
     for k in range(limits[5, 0] - N_STATES, limits[5, 1] - N_STATES):
-        dr = fma(terms[which[2, k]], xi[first + k], dr)
+        dr += terms[which[2, k]] * xi[first + k]
     return du, dv, dr
 
 
@@ -302,11 +302,14 @@ def gather(kit, xi, shares):
 
 @kernel
 def thrust_rates(terms, shares, out):
-    """Write the three accelerations (3,) that the actuators give, whatever the state."""
+    """Write the three accelerations (3,) that the actuators give, whatever the state.
+
+    Not fused: what left and right do against each other cancels to the last bit.
+    """
     for i in range(3):
         total = 0.0
         for k in range(LEFT_COS, _SHAFT_COS):
-            total = fma(shares[i, k], terms[k], total)
+            total += shares[i, k] * terms[k]
         out[i] = total
 
 
