@@ -621,7 +621,7 @@ def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out,
 
 LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
-_LONGEST, _STIFFEST = 1.0, 1.2
+_LONGEST, _STIFFEST = 1.1, 0.9
 """Longest step of :func:`look_ahead`, in times to sail a length and in the model's own times."""
 _NEAR = 1e-3
 """An actuator so near to its command (as a part of it) has arrived, in :func:`look_ahead`."""
@@ -652,9 +652,8 @@ def look_ahead(
 ):
     """Predict the motion under a held command at a few times, cheaply.
 
-    As :func:`roll_out`, at steps that suit the boat, and coarser ones once the actuators have
-    arrived. Mostly within 1e-3 of the way made of what that says; within 2e-2 for the models of the
-    first minute, which may be wild.
+    As :func:`roll_out`, at steps as long as the model's stiffness allows. Mostly within 1e-3 of the
+    way made of what that says; within 2e-2 for the models of the first minute, which may be wild.
 
     Parameters
     ----------

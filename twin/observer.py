@@ -41,7 +41,7 @@ from usv_gym.render import Belief
 from usv_gym.sensors import CHANNELS
 from usv_gym.simulation import CMD, STATE, TIME, Z
 from usv_gym.tasks import ERRORS, REACH, SPEED, UNIT, follow
-from usv_kernel import in_python, inlined, kernel
+from usv_kernel import in_python, inlined, kernel, sincos
 from usv_kernel.views import shaped
 
 __all__ = ["HORIZONS", "TWIN_OBSERVATION", "TwinObserver", "observer_of"]
@@ -141,13 +141,13 @@ def describe(s, boat, note, points, rules, obs):
     """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
     errors, _, now, ahead, covs = note_parts(note)
     speed, psi = rules[SPEED], s[2]
-    c, d = math.cos(psi), math.sin(psi)
+    d, c = sincos(psi)
     note[LEG] = follow(s[0], s[1], psi, points, int(note[LEG]), rules[REACH], errors)
     o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
     o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
     o[5], o[6] = errors[0] / rules[UNIT], 0.1 * errors[1] / rules[UNIT]
-    o[7], o[8] = math.cos(errors[2]), math.sin(errors[2])
-    o[9], o[10] = math.cos(errors[3]), math.sin(errors[3])
+    o[8], o[7] = sincos(errors[2])
+    o[10], o[9] = sincos(errors[3])
     _spread(now, c, d, rules[UNIT], speed, o, 11)
     at = 17
     for j in range(ahead.shape[0]):
@@ -156,7 +156,7 @@ def describe(s, boat, note, points, rules, obs):
         dx, dy, turn = m[0] - s[0], m[1] - s[1], m[2] - psi
         o[at] = (dx * c + dy * d) / length
         o[at + 1] = (dy * c - dx * d) / length
-        o[at + 2], o[at + 3] = math.cos(turn), math.sin(turn)
+        o[at + 3], o[at + 2] = sincos(turn)
         o[at + 4], o[at + 5], o[at + 6] = m[3] / speed, m[4] / speed, m[5]
         _spread(covs[j], c, d, length, speed, o, at + 7)
         at += 13
@@ -458,7 +458,7 @@ class CompiledTwins(TwinObserver):
         if self._single:
             twin = self.first
             twin.t = self._predictor.t = self.notes.item(0, LAST)
-            twin.cmd = self._cmd.copy()
+            twin.cmd = self._cmd
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
         sim, task = self.episodes.simulation, self.episodes.task

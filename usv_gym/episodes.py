@@ -30,7 +30,7 @@ from usv_gym.tasks import (
     make_task,
 )
 from usv_gym.vessel import Vessel
-from usv_kernel import kernel
+from usv_kernel import kernel, sincos
 
 __all__ = ["BOUND", "OBSERVATION", "Episodes", "Observer"]
 
@@ -97,7 +97,7 @@ def observe(
     speed = rules[SPEED]
     # new since the last decision, and there was one at all
     fresh = (min(rules[FRAMES] - 1.0, boat[COUNT]) + 0.5) * dt
-    c, s = math.cos(held[4]), math.sin(held[4])
+    s, c = sincos(held[4])
     o[0], o[1], o[2] = c, s, held[5]
     o[3], o[4] = held[6] / GRAVITY, held[7] / GRAVITY
     o[5] = (held[2] * c + held[3] * s) / speed
@@ -109,8 +109,8 @@ def observe(
         o[13 + j] = boat[CMD + j] / rules[SCALE + j]
     o[17] = errors[0] / rules[UNIT]
     o[18] = 0.1 * errors[1] / rules[UNIT]
-    o[19], o[20] = math.cos(errors[2]), math.sin(errors[2])
-    o[21], o[22] = math.cos(errors[3]), math.sin(errors[3])
+    o[20], o[19] = sincos(errors[2])
+    o[22], o[21] = sincos(errors[3])
     for j in range(len(OBSERVATION)):  # more may follow
         o[j] = min(max(o[j], -BOUND), BOUND)
 
