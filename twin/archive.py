@@ -43,7 +43,7 @@ ESSO = Particulars(
         gps_sd=0.012,  # jitter of 3 to 12 mm
         gps_bias_sd=0.0,
         compass_sd=0.004,  # jitter of 0.06 to 0.24 degrees
-        gyro_sd=0.004,
+        gyro_sd=0.002,
         gps_latency=0.0,
     ),
 )

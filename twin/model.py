@@ -621,7 +621,7 @@ def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out,
 
 LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
-_LONGEST, _STIFFEST = 1.1, 0.9
+_LONGEST, _STIFFEST = 0.5, 0.9
 """Longest step of :func:`look_ahead`, in times to sail a length and in the model's own times."""
 _NEAR = 1e-3
 """An actuator so near to its command (as a part of it) has arrived, in :func:`look_ahead`."""

@@ -299,7 +299,7 @@ def _with_a_past(burst: Burst, steps: int = 2400) -> Burst:
 def _gym_sailing() -> Burst:
     import gym_sailing  # noqa: F401
 
-    env = gym.make("MotorboatTest-v0")
+    env = gym.make("Motorboat-v0")
     return _stepping(env, env.action_space.sample(), ends=True)
 
 
@@ -460,7 +460,7 @@ def _stonesoup(count: int = 10) -> Burst:
     from stonesoup.models.measurement.linear import LinearGaussian
     from stonesoup.models.transition.base import TransitionModel
     from stonesoup.predictor.kalman import UnscentedKalmanPredictor
-    from stonesoup.types.array import StateVector
+    from stonesoup.types.array import StateVectors
     from stonesoup.types.detection import Detection
     from stonesoup.types.hypothesis import SingleHypothesis
     from stonesoup.types.state import GaussianState
@@ -474,7 +474,8 @@ def _stonesoup(count: int = 10) -> Burst:
 
         def function(self, state, noise=False, **kwargs):
             dt = kwargs["time_interval"].total_seconds()
-            return StateVector(problem.move(np.asarray(state.state_vector, float).ravel(), dt))
+            points = np.asarray(state.state_vector, float).T
+            return StateVectors(np.column_stack([problem.move(point, dt) for point in points]))
 
         def covar(self, **kwargs):
             return Q
@@ -577,8 +578,10 @@ def _shipmmg() -> Burst:
         **{"m": v["mass"] / per_mass, "I_zG": v["I_zz"] / per_inertia, "A_R": v["A_R"] / (L * d)},
         **{"m_x": v["m_x"] / per_mass, "m_y": v["m_y"] / per_mass, "J_z": v["J_zz"] / per_inertia},
         **{"\u03b7": v["propeller_diameter"] / v["rudder_height"], "f_\u03b1": v["f_alpha"]},
-        **{"\u03f5": v["epsilon"], "t_R": v["t_R"], "a_H": v["a_H"], "x_H": v["x_H_prime"]},
-        **{"\u03b3_R": v["gamma_R_plus"], "l_R": v["l_R_prime"], "\u03ba": v["kappa"]},
+        **{"\u03b5": v["epsilon"], "t_R": v["t_R"], "a_H": v["a_H"], "x_H": v["x_H_prime"]},
+        **{f"\u03b3_R_{side}": v[f"gamma_R_{side}"] for side in ("plus", "minus")},
+        **{"x_R": v["x_R_prime"], "x_P": v["x_P_prime"], "l_R": v["l_R_prime"]},
+        **{"\u03ba": v["kappa"]},
         **{"t_P": v["thrust_deduction"], "w_P0": v["wake_fraction"]},
     )
     forces = [f"X_{k}" for k in ("vv", "vr", "rr", "vvvv")]

@@ -11,7 +11,7 @@ from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, Segments
 from twin.plus import refit_settings
 from twin.rivals import ENOUGH, TRUSTS, Rivals, miss
 from twin.simulated import particulars_of
-from twin.structure import N_STATES
+from twin.structure import N_STATES, N_TERMS
 from usv_gym.vessel import Vessel
 
 PARTICULARS: Particulars = particulars_of(Vessel.load("usv75"))
@@ -56,7 +56,7 @@ def structure():
 def missed(structure, rows, xi, first=0):
     weights = SETTINGS.sd**-2.0
     how = (first, round(SETTINGS.horizon / GRID), SETTINGS.every, rows)
-    return miss(*how, xi, structure.kit, weights[0], weights[2], np.zeros(168))
+    return miss(*how, xi, structure.kit, weights[0], weights[2], np.zeros(3 * N_TERMS + 24))
 
 
 def test_the_right_parameters_miss_nothing_and_others_do(structure):
