@@ -141,7 +141,7 @@ def search(
     path = folder / "search.jsonl"
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     known = [json.loads(line) for line in text.splitlines()]
-    field, ranked = configurations, []
+    field, ranked = configurations, list[dict[str, Any]]()
     for rung in range(rungs):
         ranked = []
         for i, configuration in enumerate(field):
