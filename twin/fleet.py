@@ -133,7 +133,9 @@ class FleetSettings:
 
 
 SHIPPED = {
-    "lstm": FleetSettings(),
+    "lstm": FleetSettings(
+        width=96, layers=2, steps=12288, batch=32, rate=2.2e-3, decay=9.8e-4, dropout=0.1, late=0.5
+    ),
     "transformer": FleetSettings(kind="transformer", layers=2, steps=1300, rate=2e-3),
 }
 """Settings of the weights that ship."""

@@ -368,12 +368,12 @@ class FleetPredictor(ActuatedPredictor):
 class FleetLSTM(FleetPredictor):
     """An LSTM, trained once on simulated boats.
 
-    Tuning budget: 6 short trainings of 200 to 400 steps (rate, batch, width, means of the past
-    as inputs), judged on the four manoeuvres of six seeds (100, 102 ... 110) by 10 s forecasts
-    with known commands. The settings of the training that ships are in its file.
+    Tuning budget: 40 configurations (:mod:`twin.fleet_search`) of 8192 windows each, by
+    successive halving in five rungs, 77 trainings, judged on 60 other boats of the fleet; 6
+    short trainings before that. The settings of the training that ships are in its file.
     """
 
-    tuning = "6 short trainings on 6 tuning seeds"
+    tuning = "40 configurations by successive halving (77 trainings) on 60 boats of the fleet"
     kind = "lstm"
     file = HERE / "fleet-lstm.npz"
 
@@ -381,10 +381,10 @@ class FleetLSTM(FleetPredictor):
 class FleetTransformer(FleetPredictor):
     """A causal transformer, trained once on simulated boats, in the LSTM's harness.
 
-    Tuning budget: 3 short trainings of 200 to 400 steps (rate, layers, batch), judged as the
-    LSTM's were; what the LSTM's showed of inputs and batches was taken over.
+    Tuning budget: the LSTM's 40 configurations (rates of its own, one to three layers), halved
+    in three rungs, 70 trainings, judged on the same boats; 3 short trainings before that.
     """
 
-    tuning = "3 short trainings on 6 tuning seeds, after the LSTM's 6"
+    tuning = "40 configurations by successive halving (70 trainings) on 60 boats of the fleet"
     kind = "transformer"
     file = HERE / "fleet-transformer.npz"

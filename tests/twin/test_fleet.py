@@ -271,7 +271,7 @@ def test_weights_come_back_and_others_are_refused(tmp_path: Path) -> None:
 def test_shipped_weights(kind: type[FleetPredictor]) -> None:
     """They are small, of today's format, from a fleet of 300 boats or more."""
     weights = Weights.read(kind.file, kind.kind)
-    assert kind.file.stat().st_size < {"lstm": 300_000, "transformer": 400_000}[kind.kind]
+    assert kind.file.stat().st_size < {"lstm": 300_000, "transformer": 500_000}[kind.kind]
     assert weights.settings["boats"] >= 300 and weights.settings["seed"] == weights.seed
     assert all(np.isfinite(a).all() for a in weights.arrays.values())
 

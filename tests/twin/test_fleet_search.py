@@ -33,21 +33,39 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Run], list[An
     return runs, fleet_search.windows(others, 128, 0), folder
 
 
-def found(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "search.jsonl").read_text().splitlines()]
+def found(folder: Path, name: str = "search.jsonl") -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / name).read_text().splitlines()]
 
 
 @pytest.mark.parametrize("kind", ["lstm", "transformer"])
 def test_configurations_are_drawn_from_the_seed(kind: str) -> None:
-    """The first is the one that ships; the others hang on seed and number alone."""
+    """The first is where it begins; the others hang on seed and number alone."""
     drawn = [fleet_search.draw(kind, i, 0) for i in range(40)]
-    assert drawn[0] == fleet.SHIPPED[kind]
+    assert drawn[0] == fleet_search.BEGIN[kind]
     assert drawn == [fleet_search.draw(kind, i, 0) for i in range(40)]
     assert len(set(drawn)) == 40
     assert not set(drawn[1:]) & {fleet_search.draw(kind, i, 1) for i in range(40)}
     # the boats that judge are others
     assert {settings.seed for settings in drawn} == {0} != {fleet_search.OTHERS}
     assert all(settings.width % fleet.HEADS == 0 for settings in drawn)
+
+
+def test_what_ships_won_the_search_that_is_checked_in() -> None:
+    """Every configuration of the search is there, and the best of the last rung is what ships."""
+    lines = found(Path(__file__).parents[2] / "examples" / "confirmation", "fleet_search.jsonl")
+    for kind, rungs in (("lstm", 5), ("transformer", 3)):
+        ours = [line for line in lines if line["settings"]["kind"] == kind]
+        counts = [sum(line["windows"] == 8192 * 2**k for line in ours) for k in range(rungs)]
+        assert counts == [40, 20, 10, 5, 2][:rungs] and sum(counts) == len(ours)
+        first = {FleetSettings(**{**line["settings"], "steps": 1}) for line in ours[:40]}
+        drawn = {fleet_search.draw(kind, i, 0) for i in range(40)}
+        assert first == {dataclasses.replace(settings, steps=1) for settings in drawn}
+        last = [line for line in ours if line["windows"] == 8192 * 2 ** (rungs - 1)]
+        best = FleetSettings(**min(last, key=lambda line: line["loss"])["settings"])
+        assert dataclasses.replace(best, steps=fleet.SHIPPED[kind].steps) == fleet.SHIPPED[kind]
+        shipped = Weights.read(fleet.NETS[kind].file, kind).settings
+        shipped.pop("sailed")
+        assert FleetSettings(**shipped) == fleet.SHIPPED[kind]
 
 
 def test_the_better_half_is_trained_longer(
