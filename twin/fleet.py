@@ -136,7 +136,17 @@ SHIPPED = {
     "lstm": FleetSettings(
         width=96, layers=2, steps=12288, batch=32, rate=2.2e-3, decay=9.8e-4, dropout=0.1, late=0.5
     ),
-    "transformer": FleetSettings(kind="transformer", layers=2, steps=1300, rate=2e-3),
+    "transformer": FleetSettings(
+        kind="transformer",
+        width=96,
+        layers=3,
+        steps=8192,
+        batch=32,
+        rate=9.5e-4,
+        decay=9.8e-4,
+        dropout=0.1,
+        late=0.5,
+    ),
 }
 """Settings of the weights that ship."""
 
