@@ -43,6 +43,7 @@ from twin.pretrained import (
     FleetPredictor,
     FleetTransformer,
     Weights,
+    gated,
     tokens,
 )
 from twin.prior import KINDS
@@ -95,12 +96,18 @@ class FleetSettings:
     boats, runs : int
         Boats of the fleet, and runs of each.
     width, layers : int
-        Size of the net; an LSTM has one layer.
+        Size of the net.
     steps, batch : int
         Steps of the optimiser, and windows in each.
     rate, decay : float
         Largest learning rate of AdamW (warmed up over 5 % of the steps, a cosine ends at 0)
         and its weight decay.
+    dropout : float
+        Share of hidden numbers that are left out in training.
+    late : float
+        The loss weighs the k-th step of a prediction by k**late.
+    gate : float
+        As of :func:`twin.pretrained.gated`.
     """
 
     kind: str = "lstm"
@@ -108,11 +115,14 @@ class FleetSettings:
     boats: int = 320
     runs: int = 3
     width: int = 64
-    layers: int = 2
+    layers: int = 1
     steps: int = 3000
     batch: int = 128
     rate: float = 1e-2
     decay: float = 1e-2
+    dropout: float = 0.0
+    late: float = 0.0
+    gate: float = 0.0
 
     def __post_init__(self) -> None:
         if self.kind not in NETS:
@@ -123,8 +133,20 @@ class FleetSettings:
 
 
 SHIPPED = {
-    "lstm": FleetSettings(),
-    "transformer": FleetSettings(kind="transformer", steps=1300, rate=2e-3),
+    "lstm": FleetSettings(
+        width=96, layers=2, steps=12288, batch=32, rate=2.2e-3, decay=9.8e-4, dropout=0.1, late=0.5
+    ),
+    "transformer": FleetSettings(
+        kind="transformer",
+        width=96,
+        layers=3,
+        steps=8192,
+        batch=32,
+        rate=9.5e-4,
+        decay=9.8e-4,
+        dropout=0.1,
+        late=0.5,
+    ),
 }
 """Settings of the weights that ship."""
 
@@ -339,11 +361,13 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
     class LSTM(Module):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__()
-            self.body = nn.LSTM(TOKEN, width, batch_first=True)
+            between = settings.dropout if settings.layers > 1 else 0.0
+            self.body = nn.LSTM(TOKEN, width, settings.layers, batch_first=True, dropout=between)
+            self.drop = nn.Dropout(settings.dropout)
             self.read = nn.Linear(width + TOKEN, 3 * PATCH)
 
         def forward(self, x: Any) -> Any:
-            return self.read(torch.cat([self.body(x)[0][:, PAST:], x[:, PAST:]], dim=2))
+            return self.read(torch.cat([self.drop(self.body(x)[0][:, PAST:]), x[:, PAST:]], dim=2))
 
     class Layer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -351,13 +375,14 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
             self.qkv, self.mix = nn.Linear(width, 3 * width), nn.Linear(width, width)
             self.up, self.down = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
+            self.drop = nn.Dropout(settings.dropout)
 
         def forward(self, x: Any) -> Any:
             B, T = x.shape[:2]
             q, k, v = self.qkv(self.norm1(x)).view(B, T, 3, HEADS, -1).permute(2, 0, 3, 1, 4)
             seen = nn.functional.scaled_dot_product_attention(q, k, v, is_causal=True)
-            x = x + self.mix(seen.transpose(1, 2).reshape(B, T, width))
-            return x + self.down(nn.functional.relu(self.up(self.norm2(x))))
+            x = x + self.drop(self.mix(seen.transpose(1, 2).reshape(B, T, width)))
+            return x + self.drop(self.down(nn.functional.relu(self.up(self.norm2(x)))))
 
     class Transformer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -444,7 +469,9 @@ def roll(said: Any, start: Any, sailed: Any, torch: Any) -> Any:
     return torch.cat([torch.stack([x, y, psi], dim=2), nu], dim=2)
 
 
-def train(settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int = 25) -> Weights:
+def train(
+    settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int = 25, name: str = ""
+) -> Weights:
     """Train a net on a fleet; go on from where an earlier call stopped.
 
     Parameters
@@ -457,6 +484,8 @@ def train(settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int
         Where the state of the training is kept.
     every : int
         Steps between two savings.
+    name : str
+        What the bar of progress is called, if not after the net.
 
     Returns
     -------
@@ -483,8 +512,11 @@ def train(settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int
             net.load_state_dict(kept["net"])
             optimiser.load_state_dict(kept["optimiser"])
             done = kept["done"]
-        scale = torch.from_numpy(TYPICAL.astype(np.float32))
-        for step in _counted(done, settings):
+        late = np.arange(1, AHEAD * PATCH + 1) ** settings.late
+        weight = torch.from_numpy(((late / late.mean())[:, None] / TYPICAL).astype(np.float32))
+        for step in _counted(done, settings, name or f"{settings.kind} learns"):
+            # a training that goes on leaves out what it would have left out
+            torch.manual_seed((settings.seed << 32) + step + 1)
             share = step / settings.steps
             for group in optimiser.param_groups:
                 group["lr"] = (
@@ -493,8 +525,10 @@ def train(settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int
                     * (0.5 + 0.5 * math.cos(math.pi * share))
                 )
             rng = np.random.default_rng([_FLEET, settings.seed, step, 1])
-            x, start, sailed, truth = map(torch.from_numpy, batch(fleet, settings.batch, rng))
-            loss = torch.mean(torch.abs(roll(net(x), start, sailed, torch) - truth) / scale)
+            x, *rest = batch(fleet, settings.batch, rng)
+            told = torch.from_numpy(gated(x, settings.gate))
+            start, sailed, truth = map(torch.from_numpy, rest)
+            loss = torch.mean(torch.abs(roll(net(told), start, sailed, torch) - truth) * weight)
             optimiser.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
@@ -509,9 +543,8 @@ def train(settings: FleetSettings, fleet: list[Run], folder: Path, *, every: int
     return Weights(settings.kind, settings.seed, record, arrays)
 
 
-def _counted(done: int, settings: FleetSettings) -> Iterator[int]:
+def _counted(done: int, settings: FleetSettings, name: str) -> Iterator[int]:
     """Count the steps that are left, with a bar of progress."""
-    name = f"{settings.kind} learns"
     yield from track(
         range(done, settings.steps), description=name, total=settings.steps, completed=done
     )

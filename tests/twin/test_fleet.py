@@ -145,6 +145,31 @@ def test_the_mirror_is_a_boat(sailed: tuple[list[Run], Path]) -> None:
     assert np.array_equal(once[:, 12], -rows[:, 13])
 
 
+def test_the_gate_closes_where_a_sensor_is_missing() -> None:
+    """u and v fade with the mask of GPS, r with that of the IMU; nothing else does."""
+    x = np.full((1, PAST + AHEAD, TOKEN), 2.0, dtype=np.float32)
+    rows = x[:, :, : PATCH * pretrained.PER_ROW].reshape(1, PAST + AHEAD, PATCH, -1).copy()
+    rows[..., 5:8] = 0.75, 1.0, 0.25
+    x[:, :, : PATCH * pretrained.PER_ROW] = rows.reshape(1, PAST + AHEAD, -1)
+    before = x.copy()
+    for gate, shown in ((0.0, [2.0, 2.0, 2.0]), (1.0, [1.5, 1.5, 0.5]), (0.5, [1.75, 1.75, 1.25])):
+        y = pretrained.gated(x, gate)
+        np.testing.assert_array_equal(x, before)
+        np.testing.assert_array_equal(y[:, PAST:], x[:, PAST:])
+        past = y[:, :PAST, : PATCH * pretrained.PER_ROW].reshape(1, PAST, PATCH, -1)
+        np.testing.assert_array_equal(past[..., :3], np.broadcast_to(shown, past[..., :3].shape))
+        np.testing.assert_array_equal(past[..., 3:], rows[:, :PAST, :, 3:])
+
+
+def test_late_errors_weigh_more_if_told_so(sailed: tuple[list[Run], Path], tmp_path: Path) -> None:
+    """Another weighting of the horizon is another training."""
+    pytest.importorskip("torch")
+    one, other = (
+        fleet.train(FleetSettings(**SMALL, late=late), sailed[0], tmp_path) for late in (0.0, 1.0)
+    )
+    assert not same(one, other)
+
+
 @pytest.mark.parametrize("net", ["lstm", "transformer"])
 def test_numpy_answers_as_torch(net: str, sailed: tuple[list[Run], Path]) -> None:
     """The forecasts are those that were trained: net and roll-out, to single precision."""
@@ -202,7 +227,7 @@ def test_training_repeats_itself_stopped_or_not(
 ) -> None:
     """The same seed gives the same weights, also after Ctrl-C; it learns; another seed differs."""
     pytest.importorskip("torch")
-    settings = FleetSettings(kind=net, **SMALL)
+    settings = FleetSettings(kind=net, dropout=0.2, **SMALL)
     whole = fleet.train(settings, sailed[0], tmp_path / "a", every=2)
     true, asked = fleet.batch, []
 
@@ -246,7 +271,7 @@ def test_weights_come_back_and_others_are_refused(tmp_path: Path) -> None:
 def test_shipped_weights(kind: type[FleetPredictor]) -> None:
     """They are small, of today's format, from a fleet of 300 boats or more."""
     weights = Weights.read(kind.file, kind.kind)
-    assert kind.file.stat().st_size < {"lstm": 300_000, "transformer": 400_000}[kind.kind]
+    assert kind.file.stat().st_size < {"lstm": 300_000, "transformer": 500_000}[kind.kind]
     assert weights.settings["boats"] >= 300 and weights.settings["seed"] == weights.seed
     assert all(np.isfinite(a).all() for a in weights.arrays.values())
 
