@@ -43,7 +43,7 @@ from twin.navigation import (
     navigate,
     navigation_settings,
 )
-from twin.particulars import GRAVITY, STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.predictor import Estimate, Prediction, Predictor, finer
 from twin.prior import population_prior
 from twin.state import copied, pack
@@ -74,11 +74,13 @@ STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 WIND_LIMIT = 100.0
 """No wind is faster, m/s."""
-DISTURBED = 4e-4, 1.8e-3
-"""How far the velocities (in V) and the yaw rate (in V / L) of a tanker of length L are driven
-within L / V, where V is the speed of Froude number 1."""
-WAVELESS = 0.05
-"""Part of the measurement noise that is not that of waves."""
+DISTURBED = 0.0088, 0.039
+"""What drives the velocities (times length, m2/s) and the yaw rate (times length squared,
+rad m2/s) of a tanker within a second: gusts that are no stronger for a longer model, and take
+hold of an area to move a mass."""
+WAVELESS, WAVELESS_TURN = 0.05, 0.005
+"""Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
+that of the gyro out."""
 WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
 DOUBT = 1.5
@@ -176,24 +178,23 @@ def _of_a_tanker(particulars: Particulars) -> FilterSettings:
     """Return the settings of the plain joint UKF for a slow ship of full form.
 
     She sails a few lengths in the minutes that others are learned in: her filter needs the model
-    and the prior of ships. What disturbs her goes by her length, not by how slowly she sails, and
+    and the prior of ships. What disturbs her goes by her length alone, see :data:`DISTURBED`, and
     her velocities carry no waves that the model must be excused from. Wind and current change
     while she sails a length, so that the biases that stand for them wander.
 
     Source: twin.md sections 14.2 and 14.4.
     """
-    speed = math.sqrt(GRAVITY * particulars.length)
-    time = particulars.length / speed
+    L = particulars.length
     along, turning = DISTURBED
-    disturbed = np.array([along * speed, along * speed, turning / time])
+    disturbed = np.array([along / L, along / L, turning / L**2])
     calm = plain_settings(particulars, "mmg")
     structure = calm.structure
     mean, covariance = population_prior(structure, particulars)
     wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME
     return dataclasses.replace(
         calm,
-        q=np.concatenate([calm.q[:3], disturbed**2 / time]),
-        r=WAVELESS**2 * calm.r,
+        q=np.concatenate([calm.q[:3], disturbed**2]),
+        r=np.array([*5 * (WAVELESS,), WAVELESS_TURN]) ** 2 * calm.r,
         q_xi=wander,
         xi0=mean,
         xi0_cov=DOUBT * covariance,

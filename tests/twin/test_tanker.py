@@ -76,12 +76,12 @@ def test_what_disturbs_her_goes_by_her_length_not_by_her_speed() -> None:
         plain_settings(dataclasses.replace(TANKER, speed=speed)) for speed in (0.3, 0.6)
     )
     np.testing.assert_array_equal(quiet.q[3:], hasty.q[3:])
-    # four times as large, by Froude: speeds and times are twice as large
+    # the same gusts push a model of four times the length a quarter as hard, and turn it a 16th
     large = dataclasses.replace(
         TANKER, length=12.0, beam=4 * 0.489, draft=4 * 0.201, mass=64 * 244.6, speed=0.72
     )
-    wander = np.sqrt(plain_settings(large).q[3:] / plain_settings(TANKER).q[3:])
-    np.testing.assert_allclose(wander, np.array([2.0, 2.0, 0.5]) / math.sqrt(2.0), rtol=1e-12)
+    less = np.sqrt(plain_settings(large).q[3:] / plain_settings(TANKER).q[3:])
+    np.testing.assert_allclose(less, 1.0 / np.array([4.0, 4.0, 16.0]), rtol=1e-12)
 
 
 def test_a_model_that_is_named_is_the_one_that_is_used() -> None:
