@@ -76,7 +76,7 @@ KVLCC2 = {
             gps_bias_sd=0.0,
             doppler_sd=0.01,
             compass_sd=0.003,  # printed with three digits
-            gyro_sd=0.001,
+            gyro_sd=0.0002,
             gyro_bias_sd=6e-4,  # 0.03 degrees/s in all runs
             gps_latency=0.0,
         ),
@@ -88,7 +88,7 @@ KVLCC2 = {
             gps_bias_sd=0.0,
             doppler_sd=0.005,
             compass_sd=0.001,
-            gyro_sd=0.001,
+            gyro_sd=0.0002,
             gyro_bias_sd=1e-4,
             gps_latency=0.0,
         ),

@@ -399,3 +399,42 @@ def test_follow_solves_the_actuator_law(
     close = 1e-12 + 2.0 * model.ARRIVED * abs(target)
     assert model.follow(value, target, lag, rate, h) == pytest.approx(once, abs=close)
     assert min(value, target) <= once <= max(value, target)
+
+
+def look_ahead(
+    structure: Structure, xi: np.ndarray, act: list[float], command: list[float], slowness: float
+) -> np.ndarray:
+    """Look ahead from usual speed; shaft speeds are rev/s."""
+    unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
+    out, out_act = np.empty((4, 6)), np.empty((4, 4))
+    model.look_ahead(
+        *(np.array([0.0, 0.0, 0.5, 5.0, 0.2, 0.05]), xi, unit * act, unit * command),
+        *(np.array([0.6, 0.1, 0.35]), np.array([50.0, 50.0, 10.0]), CALM, structure.kit, slowness),
+        *(np.empty((0, 3)), out, out_act, np.empty(model.ROOM)),
+    )
+    return out
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "command", [[6.0, 6.0, 0.0, 0.0], [7.0, 5.0, 0.2, 0.1], [3.0, 3.0, -0.3, -0.3]]
+)
+def test_looking_ahead_is_rolling_out_at_longer_steps(name: str, command: list[float]) -> None:
+    structure = structure_for(name)
+    xi, act = lively(structure), [6.0, 6.0, 0.0, 0.0]
+    fine, _ = roll_out(
+        *(xi, np.tile(command, (1000, 1)), 0.01, (0.0, 0.0, 0.5, 5.0, 0.2, 0.05)),
+        structure=structure,
+    )
+    fine = fine[[99, 199, 499, 999]]
+    got = look_ahead(structure, xi, act, command, BOAT.length / BOAT.speed)
+    way = np.hypot(fine[:, 0], fine[:, 1])
+    assert (np.hypot(*(got - fine)[:, :2].T) < 1e-3 * way).all()
+    np.testing.assert_allclose(got[:, 2:], fine[:, 2:], rtol=0, atol=5e-3)
+
+
+def test_looking_ahead_with_absurd_parameters_ends() -> None:
+    structure = structure_for("mmg")
+    for size in (1e3, 1e9, math.inf, math.nan):
+        xi = np.full(len(structure), size)
+        assert look_ahead(structure, xi, [6.0] * 4, [6.0] * 4, 1e-3).shape == (4, 6)
