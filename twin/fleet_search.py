@@ -191,7 +191,9 @@ def main(
     first: Annotated[int, typer.Option(help="Windows in the shortest training.", min=1)] = FIRST,
     seed: Annotated[int, typer.Option(help="Of the configurations.")] = 0,
     boats: Annotated[int, typer.Option(help="Boats to learn from.", min=1)] = 320,
-    others: Annotated[int, typer.Option(help="Boats that judge.", min=1)] = BOATS,
+    others: Annotated[
+        int, typer.Option(help="Boats that judge; the same in every call for a folder.", min=1)
+    ] = BOATS,
     jobs: Annotated[int, typer.Option(help="Processes that sail.")] = 1,
 ) -> None:
     """Search for good settings of a net, by successive halving; Ctrl-C, and go on later."""

@@ -623,6 +623,8 @@ LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
 _LONGEST, _STIFFEST = 0.5, 0.9
 """Longest step of :func:`look_ahead`, in times to sail a length and in the model's own times."""
+_STEPS_MAX = 100.0
+"""No more steps from one time to the next: a model as stiff as that is wild at any step."""
 _NEAR = 1e-3
 """An actuator so near to its command (as a part of it) has arrived, in :func:`look_ahead`."""
 
@@ -653,7 +655,8 @@ def look_ahead(
     """Predict the motion under a held command at a few times, cheaply.
 
     As :func:`roll_out`, at steps as long as the model's stiffness allows. Mostly within 1e-3 of the
-    way made of what that says; within 2e-2 for the models of the first minute, which may be wild.
+    way made of what that says; within 5e-2 from rest, where the stiffness is yet to come, and for the
+    models of the first minute, which may be wild.
 
     Parameters
     ----------
@@ -690,7 +693,7 @@ def look_ahead(
             *(sailed, shares, thrust[2], kit[2][LENGTH], slowness, wind, kit[2], terms[2])
         )
         step = slowness * min(_LONGEST, _STIFFEST / max(fast * slowness, 1e-9))
-        steps = max(math.ceil(min(span / step, 1e3)), 1)
+        steps = max(math.ceil(min(span / step, _STEPS_MAX)), 1)
         moved = _sail(
             *(now, command, span, steps, lags, envelope, wind, kit[2], waves, j, moved, room)
         )

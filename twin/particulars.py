@@ -259,8 +259,9 @@ class Particulars:
     @property
     def tanker(self) -> bool:
         """Whether she is a slow ship of full form, which has one propeller and one rudder."""
-        block = self.mass / (SEA_WATER * self.length * self.beam * self.draft)
-        return self.steering == "drives" and self.froude <= FAST and block >= FULL_FORM
+        box = SEA_WATER * self.length * self.beam * self.draft
+        full = FULL_FORM * box <= self.mass <= box  # no hull fills more than the box around it
+        return self.steering == "drives" and self.froude <= FAST and full
 
     def to_toml(self) -> str:
         """Return the text of a file that :meth:`load` reads back to the same value."""

@@ -39,8 +39,9 @@ def shaped(typing_context, array, at, shape):
     The array must be contiguous, and nobody checks that it has as many numbers. For kernels; from
     Python, :func:`usv_kernel.in_python` calls :func:`reshaped` instead.
     """
-    if not (isinstance(array, types.Array) and array.layout == "C"):
-        raise TypingError(f"shaped takes a contiguous array, not {array}")
+    known = isinstance(array, types.Array) and array.layout == "C"
+    if not (known and array.dtype == types.float64):
+        raise TypingError(f"shaped takes a contiguous array of float64, not {array}")
     seen = array.copy(ndim=len(shape))
     signature = seen(array, types.intp, shape)
 
