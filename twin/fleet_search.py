@@ -192,7 +192,7 @@ def main(
     seed: Annotated[int, typer.Option(help="Of the configurations.")] = 0,
     boats: Annotated[int, typer.Option(help="Boats to learn from.", min=1)] = 320,
     others: Annotated[
-        int, typer.Option(help="Boats that judge; the same in every call for a folder.", min=1)
+        int, typer.Option(help="Boats that judge; always as many for one folder.", min=1)
     ] = BOATS,
     jobs: Annotated[int, typer.Option(help="Processes that sail.")] = 1,
 ) -> None:

@@ -655,8 +655,8 @@ def look_ahead(
     """Predict the motion under a held command at a few times, cheaply.
 
     As :func:`roll_out`, at steps as long as the model's stiffness allows. Mostly within 1e-3 of the
-    way made of what that says; within 5e-2 from rest, where the stiffness is yet to come, and for the
-    models of the first minute, which may be wild.
+    way made of what that says; within 5e-2 from rest, where the stiffness is yet to come, and for
+    the models of the first minute, which may be wild.
 
     Parameters
     ----------
