@@ -34,6 +34,7 @@ from twin.fleet import (
 )
 from twin.neural import import_torch
 from twin.pretrained import Weights
+from twin.state import write_whole
 
 __all__ = ["draw", "losses", "search", "windows"]
 
@@ -167,9 +168,7 @@ def search(
                     "channels": [round(float(e), 5) for e in error],
                 }
                 known.append(found)
-                partial = path.with_suffix(".part")
-                partial.write_text("".join(json.dumps(line) + "\n" for line in known))
-                partial.replace(path)
+                write_whole(path, "".join(json.dumps(line) + "\n" for line in known).encode())
             ranked.append(found)
         order = np.argsort([line["loss"] for line in ranked], kind="stable")
         ranked = [ranked[j] for j in order]

@@ -153,14 +153,14 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
 
     Source: twin.md section 5.1.
     """
+    if model is None and particulars.tanker:
+        return _of_a_tanker(particulars)
     L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
     time = L / U
     scale = np.array([L, L, 1.0, U, U, 1.0 / time])
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
     r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
-    if model is None and particulars.tanker:
-        return _of_a_tanker(particulars)
     structure = model_of(particulars, model or "paper")
     return FilterSettings(
         structure=structure,

@@ -427,15 +427,15 @@ def _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms):
     u_2 = _bounded(u + 0.5 * h * du_1, envelope[0])
     v_2 = _bounded(v + 0.5 * h * dv_1, envelope[1])
     r_2 = _bounded(r + 0.5 * h * dr_1, envelope[2])
-    du_2, dv_2, dr_2 = _rates(*(u_2, v_2, r_2, c_2, s_2, wind, hull, shares, thrust[1], terms[1]))
+    du_2, dv_2, dr_2 = _rates(u_2, v_2, r_2, c_2, s_2, wind, hull, shares, thrust[1], terms[1])
     u_3 = _bounded(u + 0.5 * h * du_2, envelope[0])
     v_3 = _bounded(v + 0.5 * h * dv_2, envelope[1])
     r_3 = _bounded(r + 0.5 * h * dr_2, envelope[2])
-    du_3, dv_3, dr_3 = _rates(*(u_3, v_3, r_3, c_2, s_2, wind, hull, shares, thrust[1], terms[1]))
+    du_3, dv_3, dr_3 = _rates(u_3, v_3, r_3, c_2, s_2, wind, hull, shares, thrust[1], terms[1])
     u_4 = _bounded(u + h * du_3, envelope[0])
     v_4 = _bounded(v + h * dv_3, envelope[1])
     r_4 = _bounded(r + h * dr_3, envelope[2])
-    du_4, dv_4, dr_4 = _rates(*(u_4, v_4, r_4, c_3, s_3, wind, hull, shares, thrust[2], terms[2]))
+    du_4, dv_4, dr_4 = _rates(u_4, v_4, r_4, c_3, s_3, wind, hull, shares, thrust[2], terms[2])
     u_1, v_1, r_1 = u, v, r
     u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), envelope[0])
     v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), envelope[1])
@@ -630,12 +630,13 @@ _NEAR = 1e-3
 
 
 @kernel
-def _stiffness(now, shares, thrust, length, slowness, wind, hull, terms):
+def _stiffness(now, shares, thrust, slowness, wind, hull, terms):
     """Return how fast the model's fastest motion dies away, 1/s; surge by itself.
 
     Radius of the spectrum of the Jacobian, by differences.
     """
     u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
+    length = hull[LENGTH]
     du, dv, dr = _rates(u, v, r, c, s, wind, hull, shares, thrust, terms)
     small = 1e-3 * length / slowness
     du_u, _, _ = _rates(u + small, v, r, c, s, wind, hull, shares, thrust, terms)
@@ -687,11 +688,8 @@ def look_ahead(
         for k in range(N_ACT):
             now[k] = out_act[j - 1, k] if j > 0 else act[k]
         sailed, thrust, shares = _motion(motions[0])
-        if j == 0:
-            thrust_rates(terms[2], shares, thrust[2])
-        fast = _stiffness(
-            *(sailed, shares, thrust[2], kit[2][LENGTH], slowness, wind, kit[2], terms[2])
-        )
+        thrust_rates(terms[2], shares, thrust[2])
+        fast = _stiffness(sailed, shares, thrust[2], slowness, wind, kit[2], terms[2])
         step = slowness * min(_LONGEST, _STIFFEST / max(fast * slowness, 1e-9))
         steps = max(math.ceil(min(span / step, _STEPS_MAX)), 1)
         moved = _sail(

@@ -42,7 +42,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel import kernel, wrap
-from usv_kernel.vectors import accumulate
+from usv_kernel.vectors import accumulate, combine
 
 __all__ = ["GPS_AGE", "N_NAV", "Navigator", "aid_velocity", "navigate", "navigation_settings"]
 
@@ -346,9 +346,7 @@ def _forget_biases(n, P, settings):
 def _gain(P, H, variance, gain):
     """Write P H' and return the variance of the innovation."""
     S = variance
-    for i in range(N_NAV):
-        gain[i] = 0.0
-    accumulate(gain, 0, N_NAV, H, 0, 1, 1.0, P, 0, N_NAV, N_NAV)
+    combine(gain, 0, N_NAV, H, 0, 1, 1.0, P, 0, N_NAV, N_NAV)
     for i in range(N_NAV):
         S += H[i] * gain[i]
     return max(S, variance)  # rounding apart it is no less

@@ -229,7 +229,7 @@ def inlined(function: F) -> F:
 def in_python(compiled: F) -> F:
     """Return what a kernel was compiled from, for those that return views of their arguments.
 
-    Python would free a view that nobody has counted.
+    Python would free a view that nobody has counted. ``shaped`` becomes its twin for Python.
     """
     function = compiled.py_func  # type: ignore[attr-defined]
     names = {**function.__globals__, "shaped": reshaped}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from twin import Twin
+from twin.archive import ESSO as TANKER
 from twin.identifier import plain_settings
 from twin.model import all_terms, model_of
 from twin.particulars import GRAVITY, Particulars
@@ -18,16 +19,6 @@ from twin.structure import N_TERMS, accelerations
 from twin.twin import known_plan
 from usv_gym import Vessel
 from usv_gym.sea import SeaState
-
-TANKER = Particulars(
-    name="3 m model",
-    length=3.0,
-    beam=0.489,
-    draft=0.201,
-    mass=244.6,
-    speed=0.36,
-    shaft_speed=10.0,
-)
 
 
 def turning(boat: Particulars, n: float) -> float:
