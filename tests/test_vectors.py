@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_kernel import in_python, kernel
-from usv_kernel.vectors import accumulate, combine
-from usv_kernel.views import shaped
+from usv_kernel.vectors import LANES, accumulate, combine, dots
+from usv_kernel.views import shaped, stack
 
 GUARD = 12345.0
 
@@ -20,6 +20,39 @@ def add(to, at, count, factors, start, step, sign, rows, first, width, many):
 @kernel
 def write(to, at, count, factors, start, step, sign, rows, first, width, many):
     combine(to, at, count, factors, start, step, sign, rows, first, width, many)
+
+
+@kernel
+def two_dots(a, b, x):
+    return dots(a, b, x)
+
+
+@kernel
+def reversed_by_the_stack(numbers):
+    room = stack(5)
+    for i in range(5):
+        room[i] = numbers[i]
+    for i in range(5):
+        numbers[i] = room[4 - i]
+
+
+@settings(deadline=None)  # the first call compiles
+@given(groups=st.integers(0, 9), over=st.integers(0, LANES - 1), seed=st.integers(0, 2**32 - 1))
+def test_dots_are_those_of_whole_groups_in_a_fixed_order(groups, over, seed):
+    rng = np.random.default_rng(seed)
+    a, b, x = rng.normal(size=(3, groups * LANES + over))
+    whole = slice(0, groups * LANES)
+    found = two_dots(a, b, x)
+    np.testing.assert_allclose(found, (a[whole] @ x[whole], b[whole] @ x[whole]), atol=1e-12)
+    # each of the sums by itself: neither what stands beside it nor where it lies changes a bit
+    assert two_dots(b, a, x) == found[::-1]
+    assert two_dots(*np.pad([a[whole], b[whole], x[whole]], ((0, 0), (0, 3 * LANES)))) == found
+
+
+def test_room_on_the_stack_holds_what_is_put_there():
+    numbers = np.arange(7.0)
+    reversed_by_the_stack(numbers)
+    np.testing.assert_array_equal(numbers, [4.0, 3.0, 2.0, 1.0, 0.0, 5.0, 6.0])
 
 
 @settings(deadline=None)  # the first call compiles

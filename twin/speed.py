@@ -38,7 +38,7 @@ from twin.twin import Twin
 from twin.ukf import measurement_update
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
-from usv_gym.physics.waves import factor_room
+from usv_gym.physics.waves import WAVE_ROWS, factor_room, filled
 from usv_kernel import kernel
 
 __all__ = [
@@ -545,9 +545,11 @@ def _ship(dof: int, components: int) -> Burst:
     sea = state.realise(boat, rng, rng)
     states, work = np.zeros((SHIP_STEPS + 1, 16)), np.zeros((ship.WORK_ROWS, 16))
     states[0, 6] = 5.6
-    factors = factor_room(sea.waves.shape[1])
+    waves = np.zeros((WAVE_ROWS, filled(sea.waves.shape[1])))
+    waves[:, : sea.waves.shape[1]] = sea.waves
+    factors = factor_room(waves.shape[1])
     cmds = np.tile(boat.helm(20.4, 0.1), (SHIP_STEPS, 1))
-    arguments = (states, cmds, boat.packed, sea.waves, sea.gusts, sea.weather)
+    arguments = (states, cmds, boat.packed, waves, sea.gusts, sea.weather)
     return lambda: ship.sail(*arguments, H, dof, factors, work), SHIP_STEPS
 
 

@@ -13,7 +13,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
+from usv_gym.physics.waves import WAVE_ROWS, factor_room, filled
 from usv_gym.sea import Sea, SeaState, choice
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
@@ -83,7 +83,7 @@ def advance(
         Places and sizes of the parts that follow the record.
     constants : ndarray, shape (SUITE + ...,)
         What all boats share.
-    factors : ndarray, shape (13, M + 16)
+    factors : ndarray, shape (13, M)
         Scratch, from :func:`usv_gym.physics.waves.factor_room`.
     """
     state, cmd = boat[STATE:CMD], boat[CMD:Z]
@@ -222,7 +222,7 @@ class Simulation:
         width = sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults + wx.NOISE_SIZE
         self._block = NOISE_ROWS[n > 1]
         shapes = {
-            WAVES: max(example.waves.shape for example in examples),
+            WAVES: (WAVE_ROWS, filled(max(example.waves.shape[1] for example in examples))),
             GUSTS: max(example.gusts.shape for example in examples),
             NOISE: (self._block, width),
             FAULTS: (max_faults, sensors.FAULT_SIZE),

@@ -14,8 +14,10 @@ from numba.core import cgutils, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
-__all__ = ["accumulate", "combine"]
+__all__ = ["LANES", "accumulate", "combine", "dots"]
 
+LANES = 16
+"""So many sums of :func:`dots` run side by side."""
 _LANES = 4
 _GROUP = 4
 """Vectors that are summed side by side, so that one need not wait for the other."""
@@ -37,6 +39,14 @@ def accumulate(typing_context, to, at, count, factors, start, step, sign, rows, 
 def combine(typing_context, to, at, count, factors, start, step, sign, rows, first, width, many):
     """Write what :func:`accumulate` adds; what was there before does not matter."""
     return _sums(to, factors, rows, add=False)
+
+
+def _fused(builder: ir.IRBuilder, lanes: int) -> tuple[Any, Any]:
+    """Return the type of so many lanes, and the function a b + c of them with one rounding."""
+    kind = ir.VectorType(_DOUBLE, lanes) if lanes > 1 else _DOUBLE
+    name = f"llvm.fma.v{lanes}f64" if lanes > 1 else "llvm.fma.f64"
+    of_three = ir.FunctionType(kind, [kind] * 3)
+    return kind, cgutils.get_or_insert_function(builder.module, of_three, name)
 
 
 def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
@@ -64,11 +74,7 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
 
         def sums(offset: Any, lanes: int, vectors: int) -> list[Any]:
             """Return sums of some vectors from ``offset`` on, in variables of their own."""
-            kind = ir.VectorType(_DOUBLE, lanes) if lanes > 1 else _DOUBLE
-            name = f"llvm.fma.v{lanes}f64" if lanes > 1 else "llvm.fma.f64"
-            fused = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(kind, [kind] * 3), name
-            )
+            kind, fused = _fused(builder, lanes)
 
             def place(base: Any, vector: int) -> Any:
                 lane = builder.add(offset, index(vector * lanes))
@@ -124,3 +130,56 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
         return context.get_dummy_value()
 
     return signature, generate
+
+
+@intrinsic
+def dots(typing_context, a, b, x):
+    """Return a . x and b . x of contiguous rows, in an order that no compiler changes.
+
+    Sixteen sums run side by side, number i in sum i modulo 16, and are added pair by pair. What
+    is over of a multiple of sixteen is left out: fill the rows up with zeros. For kernels only.
+    """
+    for array in (a, b, x):
+        if array != types.Array(types.float64, 1, "C"):
+            raise TypingError(f"dots take contiguous rows of float64, not {array}")
+    pair = types.UniTuple(types.float64, 2)  # type: ignore[attr-defined]
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        rows = [context.make_array(a)(context, builder, value) for value in args]
+        kind, fused = _fused(builder, LANES)
+        zero = ir.Constant(kind, [0.0] * LANES)
+        totals = [cgutils.alloca_once_value(builder, zero) for _ in "ab"]
+        count = builder.extract_value(rows[2].shape, 0)
+        size = count.type(LANES)
+        end = builder.sub(count, builder.srem(count, size))
+        with cgutils.for_range_slice(builder, count.type(0), end, size, intp=count.type) as (at, _):
+            first, second, factor = (
+                builder.load(
+                    builder.bitcast(builder.gep(row.data, [at]), kind.as_pointer()), align=8
+                )
+                for row in rows
+            )
+            for total, row in zip(totals, (first, second), strict=True):
+                builder.store(builder.call(fused, [row, factor, builder.load(total)]), total)
+        return context.make_tuple(
+            builder, sig.return_type, [_folded(builder, builder.load(total)) for total in totals]
+        )
+
+    return pair(a, b, x), generate
+
+
+def _folded(builder: ir.IRBuilder, lanes: Any) -> Any:
+    """Return the sum of all lanes, pair by pair."""
+    half = LANES // 2
+    while half > 0:
+        parts = [
+            builder.shuffle_vector(
+                lanes,
+                lanes,
+                ir.Constant(ir.VectorType(ir.IntType(32), half), list(range(at, at + half))),
+            )
+            for at in (0, half)
+        ]
+        lanes = builder.fadd(*parts)
+        half //= 2
+    return builder.extract_element(lanes, ir.IntType(32)(0))

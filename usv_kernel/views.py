@@ -8,12 +8,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-__all__ = ["reshaped", "shaped"]
+__all__ = ["reshaped", "shaped", "stack"]
 
 
 def reshaped(array: NDArray[np.float64], at: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -67,3 +68,30 @@ def shaped(typing_context, array, at, shape):
         return view._getvalue()
 
     return signature, generate
+
+
+@intrinsic(prefer_literal=True)
+def stack(typing_context, size):
+    """Return room for so many float64 on the stack; what is in it is left from others.
+
+    For kernels: the number must be a constant, and the room ends with the kernel.
+    """
+    if not isinstance(size, types.IntegerLiteral):
+        raise TypingError(f"the size of a room on the stack must be a constant, not {size}")
+    kind = types.Array(types.float64, 1, "C")
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        whole = context.get_constant
+        number = ir.IntType(64)(size.literal_value)
+        room = context.make_array(kind)(context, builder)
+        context.populate_array(
+            room,
+            data=cgutils.alloca_once(builder, ir.DoubleType(), number),
+            shape=[whole(types.intp, size.literal_value)],
+            strides=[whole(types.intp, 8)],
+            itemsize=whole(types.intp, 8),
+            meminfo=None,
+        )
+        return room._getvalue()
+
+    return kind(size), generate

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
-from usv_kernel import kernel
+from usv_kernel import inlined, sincos
 
 X, Y, Z, PHI, THETA, PSI = 0, 1, 2, 3, 4, 5
 U, V, W, P, Q, R = 6, 7, 8, 9, 10, 11
@@ -15,24 +13,24 @@ UNITS = 2
 """Propulsion units; index 0 is port (left), 1 is starboard (right)."""
 
 
-@kernel
+@inlined
 def to_earth(a: float, b: float, psi: float) -> tuple[float, float]:
     """Turn a horizontal body vector into north and east parts.
 
     Source: Eq (1)-(2) with roll and pitch zero.
     """
-    c, s = math.cos(psi), math.sin(psi)
+    s, c = sincos(psi)
     return a * c - b * s, a * s + b * c
 
 
-@kernel
+@inlined
 def to_body(north: float, east: float, psi: float) -> tuple[float, float]:
     """Turn a horizontal earth vector into forward and starboard parts."""
-    c, s = math.cos(psi), math.sin(psi)
+    s, c = sincos(psi)
     return north * c + east * s, east * c - north * s
 
 
-@kernel
+@inlined
 def rotate(
     phi: float, theta: float, psi: float, a: float, b: float, c: float
 ) -> tuple[float, float, float]:
@@ -41,20 +39,20 @@ def rotate(
     Source: Eq (1)-(2): roll, then pitch, then heading. Upright, it gives the bits of
     :func:`to_earth`.
     """
-    c_phi, s_phi = math.cos(phi), math.sin(phi)
-    c_theta, s_theta = math.cos(theta), math.sin(theta)
+    s_phi, c_phi = sincos(phi)
+    s_theta, c_theta = sincos(theta)
     starboard, low = b * c_phi - c * s_phi, b * s_phi + c * c_phi
     north, east = to_earth(a * c_theta + low * s_theta, starboard, psi)
     return north, east, low * c_theta - a * s_theta
 
 
-@kernel
+@inlined
 def unrotate(
     phi: float, theta: float, psi: float, north: float, east: float, down: float
 ) -> tuple[float, float, float]:
     """Turn an earth vector into forward, starboard and down parts; undoes :func:`rotate`."""
-    c_phi, s_phi = math.cos(phi), math.sin(phi)
-    c_theta, s_theta = math.cos(theta), math.sin(theta)
+    s_phi, c_phi = sincos(phi)
+    s_theta, c_theta = sincos(theta)
     ahead, starboard = to_body(north, east, psi)
     low = ahead * s_theta + down * c_theta
     return (

@@ -77,7 +77,7 @@ def hull_forces(u: float, v: float, r: float, p: np.ndarray) -> tuple[float, flo
     does not have is 0. The added mass part stands in the ship's left-hand side.
     """
     L, d, rho = p[par.LENGTH], p[par.DRAFT], p[par.DENSITY]
-    U = math.hypot(u, v)
+    U = math.sqrt(u * u + v * v)
     q = 0.5 * rho * L * d * U * U
     v_ = v / max(U, 1e-9)
     r_ = L * r / max(U, abs(L * r) / R_PRIME_MAX, 1e-9)

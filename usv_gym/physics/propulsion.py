@@ -9,7 +9,7 @@ import numpy as np
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import R_PRIME_MAX
-from usv_kernel import actuate, kernel
+from usv_kernel import actuate, kernel, sincos
 
 
 @kernel
@@ -53,7 +53,7 @@ def _drive_forces(
     area = p[par.DENSITY] * math.pi * p[par.DIAMETER] ** 2 / 8.0
     u_unit = u - y * r
     T = thrust(n, (1.0 - p[par.WAKE]) * u_unit, p)
-    c, s = math.cos(delta), math.sin(delta)
+    s, c = sincos(delta)
     u_R = u_unit + p[par.SLIPSTREAM] * math.sqrt(max(T, 0.0) / area)
     v_R = v + p[par.X_P] * r
     # sin(delta + atan2(v_R, u_R)) * (u_R^2 + v_R^2), without the arc tangent
@@ -76,7 +76,7 @@ def _rudder_forces(
     so that it goes through zero when the ship goes astern.
     """
     L, D = p[par.LENGTH], p[par.DIAMETER]
-    U = math.hypot(u, v)
+    U = math.sqrt(u * u + v * v)
     beta = math.atan2(-v, abs(u))
     r_ = L * r / max(U, abs(L * r) / R_PRIME_MAX, 1e-9)
     beta_P = beta - p[par.X_P_PRIME] * r_
@@ -94,7 +94,7 @@ def _rudder_forces(
     drift = U * beta - p[par.L_R_PRIME] * L * r
     v_R = drift * (p[par.GAMMA_R_PLUS] if drift > 0.0 else p[par.GAMMA_R_MINUS])
     speed = math.sqrt(u_R * u_R + v_R * v_R)
-    c, s = math.cos(delta), math.sin(delta)
+    s, c = sincos(delta)
     # sin(delta - atan2(v_R, u_R)) * (u_R^2 + v_R^2), without the arc tangent
     F_N = 0.5 * p[par.DENSITY] * p[par.A_R] * p[par.F_ALPHA] * speed * (s * u_R - c * v_R)
 

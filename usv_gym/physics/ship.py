@@ -28,8 +28,8 @@ from usv_gym.physics.weather import (
     air_velocity,
     wave_gain,
 )
-from usv_gym.physics.wind import wind_loads
-from usv_kernel import kernel
+from usv_gym.physics.wind import apparent_loads, wind_loads
+from usv_kernel import kernel, sincos
 
 WORK_ROWS = 3
 LEVEL_MIN = 0.05
@@ -61,7 +61,7 @@ def derivative(
         Command.
     p : ndarray, shape (PACKED_SIZE,)
         Packed vessel.
-    waves, factors : ndarray, shapes (7, M), (13, M + 16)
+    waves, factors : ndarray, shapes (7, M), (13, filled(M))
         Wave components and :func:`~usv_gym.physics.waves.box_factors`; M = 0 is a calm sea.
     weather : ndarray, shape (WEATHER_SIZE,)
         Current and drift sums; layout in :mod:`~usv_gym.physics.weather`.
@@ -118,7 +118,7 @@ def derivative(
     if air_north != 0.0 or air_east != 0.0:
         # the resistance curve has the drag of still air in it already
         X_air, Y_air, N_air = wind_loads(state[fr.U], state[fr.V], psi, air_north, air_east, p)
-        X_still, Y_still, N_still = wind_loads(state[fr.U], state[fr.V], psi, 0.0, 0.0, p)
+        X_still, Y_still, N_still = apparent_loads(state[fr.U], state[fr.V], p)
         X_wind, Y_wind = X_air - X_still, Y_air - Y_still
         X, Y, N = X + X_wind, Y + Y_wind, N + N_air - N_still
     if waves.shape[1] > 0:
@@ -138,8 +138,8 @@ def derivative(
         return
 
     w, p_rate, q_rate = state[fr.W] - current_w, state[fr.P], state[fr.Q]
-    sf, cf = math.sin(phi), math.cos(phi)
-    st, ct = math.sin(theta), math.cos(theta)
+    sf, cf = sincos(phi)
+    st, ct = sincos(theta)
     k_x, k_y, k_z = -st, ct * sf, ct * cf  # downwards
     north, east, down = fr.rotate(phi, theta, psi, state[fr.U], state[fr.V], state[fr.W])
     x_F, z_G = p[par.X_F], p[par.DRAFT] - p[par.KG]
@@ -257,7 +257,7 @@ def step(
         Time and step, s.
     dof : int
         3 or 6; see :func:`derivative`.
-    factors : ndarray, shape (13, M + 16)
+    factors : ndarray, shape (13, filled(M))
         Room for :func:`~usv_gym.physics.waves.box_factors`.
     work : ndarray, shape (3, 16)
         Scratch; on return row 0 holds the mean derivative over the step.

@@ -8,6 +8,7 @@ import numpy as np
 
 from usv_gym.physics import parameters as par
 from usv_kernel import fma, kernel, sincos
+from usv_kernel.vectors import LANES, dots
 
 # rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
 # draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
@@ -18,8 +19,6 @@ WAVE_ROWS = 7
 FORCE_NORTH, FORCE_EAST, YAW_ALONG, YAW_ACROSS, ORBIT_NORTH, ORBIT_EAST = 0, 1, 2, 3, 4, 5
 LIFT, TRIM, HEEL, SCRATCH = 6, 7, 8, 9
 FACTOR_ROWS = SCRATCH + 4
-LANES = 16
-"""So many sums run side by side; each row of factors is longer by as much."""
 DRIFT_SUMS = 6
 
 _TINY = 1e-30
@@ -79,8 +78,16 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 
 
 def factor_room(components: int) -> np.ndarray:
-    """Return room for :func:`box_factors` of so many components, shape (13, components + 16)."""
-    return np.zeros((FACTOR_ROWS, components + LANES))
+    """Return room for :func:`box_factors` of so many components, shape (13, width).
+
+    Rows are filled up with zeros, see :func:`filled`.
+    """
+    return np.zeros((FACTOR_ROWS, filled(components)))
+
+
+def filled(components: int) -> int:
+    """Return how many columns hold so many components and leave no lane of a sum empty."""
+    return -(-components // LANES) * LANES
 
 
 @kernel
@@ -129,14 +136,14 @@ def box_factors(
         Packed vessel.
     dof : int
         3 or 6: with 3, lift, trim and heel are left out.
-    factors : ndarray, shape (13, M + 16)
+    factors : ndarray, shape (13, filled(M))
         From :func:`factor_room`; written, rows as named at the top of this file.
     """
     M = waves.shape[1]
     half_length, half_beam = 0.5 * p[par.LENGTH], 0.5 * p[par.BEAM]
     area = p[par.BLOCK] * p[par.LENGTH] * p[par.BEAM]
     mass = p[par.DENSITY] * p[par.DRAFT] * area
-    cp, sp = math.cos(psi), math.sin(psi)
+    sp, cp = sincos(psi)
     north, east, pressure = waves[K_NORTH], waves[K_EAST], waves[PRESSURE]
     S, C = factors[SCRATCH, :M], factors[SCRATCH + 1, :M]
     along, across = factors[SCRATCH + 2, :M], factors[SCRATCH + 3, :M]
@@ -166,40 +173,6 @@ def box_factors(
         _scale(S, waves[BOTTOM], factors[LIFT, :M])
         _scale(along, waves[BOTTOM], factors[TRIM, :M])
         _scale(across, waves[BOTTOM], factors[HEEL, :M])
-
-
-@kernel
-def _lanes(sums: np.ndarray) -> float:
-    """Return the sum of the last sixteen of a row of running sums, pair by pair."""
-    last = sums[sums.shape[0] - LANES :]
-    half = LANES // 2
-    while half > 0:
-        for i in range(half):
-            last[i] += last[i + half]
-        half //= 2
-    return last[0]  # type: ignore[no-any-return]
-
-
-@kernel
-def _dot(a: np.ndarray, x: np.ndarray, sums: np.ndarray) -> float:
-    """Return a . x, in an order that no compiler changes; each of sixteen sums runs by itself."""
-    sums[:LANES] = 0.0
-    for i in range(x.shape[0]):
-        sums[i + LANES] = fma(a[i], x[i], sums[i])
-    return _lanes(sums)
-
-
-@kernel
-def _dots(
-    a: np.ndarray, b: np.ndarray, x: np.ndarray, sums: np.ndarray, more: np.ndarray
-) -> tuple[float, float]:
-    """Return a . x and b . x as :func:`_dot` would."""
-    sums[:LANES] = 0.0
-    more[:LANES] = 0.0
-    for i in range(x.shape[0]):
-        sums[i + LANES] = fma(a[i], x[i], sums[i])
-        more[i + LANES] = fma(b[i], x[i], more[i])
-    return _lanes(sums), _lanes(more)
 
 
 @kernel
@@ -233,7 +206,7 @@ def first_order_loads(
         Packed vessel.
     dof : int
         3 or 6.
-    factors : ndarray, shape (13, M + 16)
+    factors : ndarray, shape (13, filled(M))
         What :func:`box_factors` makes of the components; the last rows are scratch.
 
     Returns
@@ -248,22 +221,21 @@ def first_order_loads(
     Source: physics.md 2.3 C.
     """
     M = waves.shape[1]
-    cp, sp = math.cos(psi), math.sin(psi)
-    sines, cosines = factors[SCRATCH, :M], factors[SCRATCH + 1, :M]
-    sums, more = factors[SCRATCH + 2], factors[SCRATCH + 3]
+    sp, cp = sincos(psi)
+    sines, cosines = factors[SCRATCH], factors[SCRATCH + 1]
     for i in range(M):
         phase = fma(waves[K_NORTH, i], x, waves[PHASE, i] - waves[OMEGA, i] * t)
         sines[i], cosines[i] = sincos(fma(waves[K_EAST, i], y, phase))
-    north, east = _dots(factors[FORCE_NORTH], factors[FORCE_EAST], sines, sums, more)
+    north, east = dots(factors[FORCE_NORTH], factors[FORCE_EAST], sines)
     X, Y = north * cp + east * sp, east * cp - north * sp
-    along, across = _dots(factors[YAW_ALONG], factors[YAW_ACROSS], cosines, sums, more)
+    along, across = dots(factors[YAW_ALONG], factors[YAW_ACROSS], cosines)
     N = along * cp - across * sp
-    north, east = _dots(factors[ORBIT_NORTH], factors[ORBIT_EAST], cosines, sums, more)
+    north, east = dots(factors[ORBIT_NORTH], factors[ORBIT_EAST], cosines)
     u, v = north * cp + east * sp, east * cp - north * sp
     if dof != 6:
         return X, Y, N, 0.0, 0.0, 0.0, u, v
-    lift = _dot(factors[LIFT], cosines, sums)
-    trim, heel = _dots(factors[TRIM], factors[HEEL], sines, sums, more)
+    lift, _ = dots(factors[LIFT], factors[LIFT], cosines)
+    trim, heel = dots(factors[TRIM], factors[HEEL], sines)
     L, B = p[par.LENGTH], p[par.BEAM]
     area = p[par.BLOCK] * L * B
     restoring = 12.0 * p[par.MASS] / (p[par.DENSITY] * area)
@@ -289,7 +261,7 @@ def mean_drift_loads(psi: float, sums: np.ndarray) -> tuple[float, float, float]
     -----
     Source: Eq (18) with g, and L^2 in N, as the dimensions ask for.
     """
-    c, s = math.cos(psi), math.sin(psi)
+    s, c = sincos(psi)
     # cos(mu - psi) for surge, sin(mu - psi) for sway and yaw
     X = sums[0] * c + sums[1] * s
     Y = sums[3] * c - sums[2] * s

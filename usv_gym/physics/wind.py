@@ -9,6 +9,8 @@ import numpy as np
 from usv_gym.physics import AIR_DENSITY, frames
 from usv_gym.physics import parameters as par
 from usv_kernel import kernel, sincos
+from usv_kernel.vectors import LANES
+from usv_kernel.views import stack
 
 
 @kernel
@@ -22,11 +24,24 @@ def gust(t: float, gusts: np.ndarray) -> float:
     gusts : ndarray, shape (3, G)
         Rows: circular frequency (rad/s), phase (rad), amplitude (m/s).
     """
-    total = 0.0
-    for i in range(gusts.shape[1]):
+    G = gusts.shape[1]
+    whole = G - G % LANES
+    sums = stack(LANES)  # side by side, for vector instructions
+    sums[:] = 0.0
+    for begin in range(0, whole, LANES):
+        for k in range(LANES):
+            i = begin + k
+            _, c = sincos(gusts[0, i] * t + gusts[1, i])
+            sums[k] += gusts[2, i] * c
+    for i in range(whole, G):
         _, c = sincos(gusts[0, i] * t + gusts[1, i])
-        total += gusts[2, i] * c
-    return total
+        sums[i - whole] += gusts[2, i] * c
+    half = LANES // 2
+    while half > 0:
+        for k in range(half):
+            sums[k] += sums[k + half]
+        half //= 2
+    return sums[0]  # type: ignore[no-any-return]
 
 
 @kernel
@@ -87,7 +102,12 @@ def wind_loads(
     Source: Eq (12).
     """
     air_u, air_v = frames.to_body(north, east, psi)
-    u_rw, v_rw = u - air_u, v - air_v
+    return apparent_loads(u - air_u, v - air_v, p)
+
+
+@kernel
+def apparent_loads(u_rw: float, v_rw: float, p: np.ndarray) -> tuple[float, float, float]:
+    """Return :func:`wind_loads` of a boat that moves through the air, forward and to starboard."""
     speed = math.sqrt(u_rw * u_rw + v_rw * v_rw)
     if speed == 0.0:
         return 0.0, 0.0, 0.0
