@@ -6,7 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_kernel import in_python, kernel
-from usv_kernel.vectors import LANES, accumulate, combine, dots
+from usv_kernel.vectors import (
+    LANES,
+    accumulate,
+    accumulate_rows,
+    combine,
+    dots,
+    fours,
+    inner,
+    transpose,
+)
 from usv_kernel.views import shaped, stack
 
 GUARD = 12345.0
@@ -20,6 +29,28 @@ def add(to, at, count, factors, start, step, sign, rows, first, width, many):
 @kernel
 def write(to, at, count, factors, start, step, sign, rows, first, width, many):
     combine(to, at, count, factors, start, step, sign, rows, first, width, many)
+
+
+@kernel
+def add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many):
+    accumulate_rows(
+        *(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many)
+    )
+
+
+@kernel
+def three_sums(first, factors, rows, count):
+    return fours(first, factors, rows, count)
+
+
+@kernel
+def product(a, first, b, start, count):
+    return inner(a, first, b, start, count)
+
+
+@kernel
+def turn(to, at, apart, rows, first, width, size, count):
+    transpose(to, at, apart, rows, first, width, size, count)
 
 
 @kernel
@@ -85,6 +116,73 @@ def test_rows_are_added_or_written_and_nothing_beside_them(
         call(to, at, count, factors, start, step, sign, rows, first, width, many)
         np.testing.assert_allclose(to[at : at + count], base + expected, rtol=0, atol=1e-13)
         assert (to[:at] == GUARD).all() and (to[at + count :] == GUARD).all()
+
+
+@settings(deadline=None)  # the first call compiles
+@given(
+    size=st.integers(0, 9),
+    count=st.integers(0, 40),
+    many=st.integers(0, 14),
+    sign=st.sampled_from([1.0, -1.0]),
+    gaps=st.tuples(*[st.integers(0, 3)] * 5),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_matrix_of_rows_is_added_as_row_by_row(size, count, many, sign, gaps, seed):
+    rng = np.random.default_rng(seed)
+    at, first, start, over, beside = gaps
+    apart, width, step = count + over, count + beside, size + over
+    factors = rng.normal(size=start + many * step + size + 1)
+    rows = rng.normal(size=first + many * width + count + 1)
+    to = rng.normal(size=at + size * apart + count + 1)
+    singly = to.copy()
+    for i in range(size):
+        add(
+            *(singly, at + i * apart, count, factors, start + i, step, sign),
+            *(rows, first, width, many),
+        )
+    add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many)
+    # to the bit: each number's terms are fused in the same order
+    np.testing.assert_array_equal(to, singly)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(groups=st.integers(0, 5), seed=st.integers(0, 2**32 - 1))
+def test_three_sums_begin_with_what_is_there(groups, seed):
+    rng = np.random.default_rng(seed)
+    factors, rows, first = rng.normal(size=23), rng.normal(size=(23, 4)), rng.normal(size=3)
+    count = 4 * groups
+    expected = first + factors[:count] @ rows[:count, :3]
+    np.testing.assert_allclose(three_sums(first, factors, rows, count), expected, atol=1e-12)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(count=st.integers(0, 40), places=st.tuples(*[st.integers(0, 5)] * 2))
+def test_inner_takes_so_many_numbers_and_no_more(count, places):
+    rng = np.random.default_rng(count)
+    a, b = np.full((2, 50), np.nan)
+    first, start = places
+    a[first : first + count], b[start : start + count] = rng.normal(size=(2, count))
+    expected = a[first : first + count] @ b[start : start + count]
+    assert abs(product(a, first, b, start, count) - expected) < 1e-13
+
+
+@settings(deadline=None)  # the first call compiles
+@given(
+    size=st.integers(0, 13),
+    count=st.integers(0, 30),
+    gaps=st.tuples(*[st.integers(0, 3)] * 4),
+)
+def test_columns_become_rows_and_nothing_beside_them(size, count, gaps):
+    at, first, over, beside = gaps
+    apart, width = size + over, count + beside
+    rows = np.arange(float(first + size * width + count + 1))
+    to = np.full(at + count * apart + size + 1, GUARD)
+    turn(to, at, apart, rows, first, width, size, count)
+    expected = np.full(len(to), GUARD)
+    for i in range(size):
+        for k in range(count):
+            expected[at + k * apart + i] = rows[first + i * width + k]
+    np.testing.assert_array_equal(to, expected)
 
 
 def test_rows_may_lie_in_the_array_that_they_are_added_to():

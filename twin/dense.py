@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from usv_kernel import fma, kernel
-from usv_kernel.vectors import accumulate
+from usv_kernel.vectors import accumulate, accumulate_rows
 
 __all__ = [
     "add_product",
@@ -153,15 +153,14 @@ def add_product(target, left, right, size, start, stop, first, last, sign):
     left, right : (c, a), (c, b) arrays
         Factors.
     sign : float
-        Factor of the product.
+        1 or -1.
     """
     down, across = left.shape[1], right.shape[1]
-    for i in range(size):
-        accumulate(
-            *(target, i * target.shape[1] + start, stop - start),
-            *(left, first * down + i, down, sign),
-            *(right, first * across + start, across, last - first),
-        )
+    accumulate_rows(
+        *(target, start, target.shape[1], size, stop - start),
+        *(left, first * down, down, sign),
+        *(right, first * across + start, across, last - first),
+    )
 
 
 @kernel

@@ -71,7 +71,7 @@ STEP_MAX = 0.25
 
 _THRUST = N_STATES + 2
 _SHARES = _THRUST + 9
-_MOTION = _SHARES + 3 * N_TERMS
+_MOTION = _SHARES + 4 * N_TERMS
 """What a motion needs: state, cosine and sine of the heading; what the actuators add at the start,
 middle and end of a step; its parameters, gathered."""
 ROOM = 3 * N_TERMS + N_ACT + _MOTION + N_STATES
@@ -253,8 +253,10 @@ def propagate_points(act, wind, kit, h, terms, work):
     which, limits, hull = kit
     all_terms(points[0], act, wind, kit, terms)
     for i in range(3):
-        for k in range(limits[3 + i, 0], limits[3 + i, 1]):
-            slope[3 + i, k] = h * terms[which[i, k - N_STATES]]
+        low, high = limits[3 + i, 0], limits[3 + i, 1]
+        row, term = slope[3 + i, low:high], which[i, low - N_STATES :]
+        for k in range(high - low):
+            row[k] = h * terms[term[k]]
     psi = points[0, 2]
     sin_0, cos_0 = sincos(psi)
     sin_psi, cos_psi = sin_0, cos_0
@@ -546,7 +548,7 @@ def _rooms(room, D):
 @inlined
 def _motion(row):
     """Return the parts of a motion as views, see ``_MOTION``."""
-    return row[:_THRUST], shaped(row, _THRUST, (3, 3)), shaped(row, _SHARES, (3, N_TERMS))
+    return row[:_THRUST], shaped(row, _THRUST, (3, 3)), shaped(row, _SHARES, (N_TERMS, 4))
 
 
 @kernel

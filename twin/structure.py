@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_kernel import fma, inlined, kernel
+from usv_kernel.vectors import fours
 
 __all__ = [
     "BY_PSI",
@@ -62,7 +63,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-Kit = tuple[NDArray[np.int64], NDArray[np.int64], Array]
+Kit = tuple[NDArray[np.uint64], NDArray[np.int64], Array]
 """What kernels take of a structure: terms, limits and hull constants."""
 
 N_STATES = 6
@@ -268,15 +269,23 @@ def accelerations(terms, kit, xi, first):
 
     Source: Eq (20), (23).
     """
+    return (
+        _sum(0, terms, kit, xi, first),
+        _sum(1, terms, kit, xi, first),
+        _sum(2, terms, kit, xi, first),
+    )
+
+
+@inlined
+def _sum(i, terms, kit, xi, first):
+    """Return one of :func:`accelerations`."""
     which, limits, _ = kit
-    du, dv, dr = 0.0, 0.0, 0.0
-    for k in range(limits[3, 0] - N_STATES, limits[3, 1] - N_STATES):
-        du += terms[which[0, k]] * xi[first + k]
-    for k in range(limits[4, 0] - N_STATES, limits[4, 1] - N_STATES):
-        dv += terms[which[1, k]] * xi[first + k]
-    for k in range(limits[5, 0] - N_STATES, limits[5, 1] - N_STATES):
-        dr += terms[which[2, k]] * xi[first + k]
-    return du, dv, dr
+    low, high = limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES
+    term, factor = which[i, low:high], xi[first + low :]
+    total = 0.0
+    for k in range(high - low):
+        total += terms[term[k]] * factor[k]
+    return total
 
 
 @kernel
@@ -289,15 +298,14 @@ def gather(kit, xi, shares):
         Of the structure.
     xi : (p,) array
         Parameters.
-    shares : (3, 49) array
-        Coefficients of the terms in du/dt, dv/dt, dr/dt.
+    shares : (49, 4) array
+        Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
     """
     which, limits, _ = kit
+    shares[:] = 0.0
     for i in range(3):
-        for k in range(N_TERMS):
-            shares[i, k] = 0.0
         for k in range(limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES):
-            shares[i, which[i, k]] += xi[k]
+            shares[which[i, k], i] += xi[k]
 
 
 @kernel
@@ -307,32 +315,22 @@ def thrust_rates(terms, shares, out):
     Not fused: what left and right do against each other cancels to the last bit.
     """
     for i in range(3):
-        total = 0.0
-        for k in range(LEFT_COS, _SHAFT_COS):
-            total += shares[i, k] * terms[k]
-        out[i] = total
+        out[i] = 0.0
+    for k in range(LEFT_COS, _SHAFT_COS):
+        for i in range(3):
+            out[i] += shares[k, i] * terms[k]
 
 
 @inlined
 def rates(terms, shares, hull, thrust):
     """Return the three accelerations from terms, gathered parameters and :func:`thrust_rates`."""
-    du, dv, dr = thrust[0], thrust[1], thrust[2]
-    # four parts of each sum, so that they need not wait for each other
-    du_2 = dv_2 = dr_2 = du_3 = dv_3 = dr_3 = du_4 = dv_4 = dr_4 = 0.0
-    for k in range(0, UUU, 4):
-        a, b, c, d = terms[k], terms[k + 1], terms[k + 2], terms[k + 3]
-        du, du_2 = fma(shares[0, k], a, du), fma(shares[0, k + 1], b, du_2)
-        dv, dv_2 = fma(shares[1, k], a, dv), fma(shares[1, k + 1], b, dv_2)
-        dr, dr_2 = fma(shares[2, k], a, dr), fma(shares[2, k + 1], b, dr_2)
-        du_3, du_4 = fma(shares[0, k + 2], c, du_3), fma(shares[0, k + 3], d, du_4)
-        dv_3, dv_4 = fma(shares[1, k + 2], c, dv_3), fma(shares[1, k + 3], d, dv_4)
-        dr_3, dr_4 = fma(shares[2, k + 2], c, dr_3), fma(shares[2, k + 3], d, dr_4)
+    du, dv, dr = fours(thrust, terms, shares, UUU)
     if hull[FULL] > 0.0:
         for k in range(UUU, LEFT_COS):
-            du = fma(shares[0, k], terms[k], du)
-            dv = fma(shares[1, k], terms[k], dv)
-            dr = fma(shares[2, k], terms[k], dr)
-    return du + du_2 + (du_3 + du_4), dv + dv_2 + (dv_3 + dv_4), dr + dr_2 + (dr_3 + dr_4)
+            du = fma(shares[k, 0], terms[k], du)
+            dv = fma(shares[k, 1], terms[k], dv)
+            dr = fma(shares[k, 2], terms[k], dr)
+    return du, dv, dr
 
 
 class StructureError(ValueError):
@@ -530,7 +528,7 @@ def structure_of(
     ]
     equations = [row[2] for row in rows]
     limits = np.full((N_STATES, 2), N_STATES, dtype=np.int64)
-    which = np.zeros((3, len(rows)), dtype=np.int64)
+    which = np.zeros((3, len(rows)), dtype=np.uint64)
     for i, members in enumerate(("XE", "EY", "N")):
         columns = [k for k, equation in enumerate(equations) if equation in members]
         limits[3 + i] += (columns[0], columns[-1] + 1)

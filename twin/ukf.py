@@ -50,8 +50,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.dense import add_product, add_rows
-from usv_kernel import fma, kernel, wrap
-from usv_kernel.vectors import accumulate, combine
+from usv_kernel import kernel, wrap
+from usv_kernel.vectors import accumulate, combine, inner, transpose
 
 __all__ = [
     "POINTS",
@@ -146,14 +146,16 @@ def _factorise(P, root, factors, n_s):
         factors[0, j] = scale
         combine(root, j * width + j, n - j, factors, j, 1, 1.0, P, j * n + j, n, 1)
         add_rows(root, j, j, n, factors, 0, root, 0, j)
-    for k in range(n_s, n):
-        factors[0, k] = P[k, k]
+    own, rest = P[n_s:, n_s:], factors[0, n_s:n]
+    for k in range(n - n_s):
+        rest[k] = own[k, k]
     for j in range(n_s):
-        for k in range(n_s, n):
-            factors[0, k] -= root[j, k] * root[j, k]
+        row = root[j, n_s:n]
+        for k in range(n - n_s):
+            rest[k] -= row[k] * row[k]
     left = True
-    for k in range(n_s, n):
-        left = left and factors[0, k] > _PIVOT_MIN * P[k, k]
+    for k in range(n - n_s):
+        left = left and rest[k] > _PIVOT_MIN * own[k, k]
     return left
 
 
@@ -265,6 +267,7 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
     root = work[ROOT]
     slope = work[SLOPE]
     rows = work[SCRATCH]  # The first n_s become rows of P'_sx.
+    width = rows.shape[1]
     common = n_s  # rows[common + j, i] is slope_l . G_j, what slope and root have in common.
     error = 2 * n_s  # rows[error] is the answer at the centre less the mean.
 
@@ -292,21 +295,23 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
     # with C = P_xx - G'G. The factor of G takes the place of the root's own s columns.
     for j in range(n_s):
         for i in range(n_s):
-            product = 0.0
-            for k in range(limits[i, 0], limits[i, 1]):
-                product = fma(slope[i, k], root[j, k], product)
+            first = limits[i, 0]
+            product = inner(slope, i * width + first, root, j * width + first, limits[i, 1] - first)
             rows[common + j, i] = product
             root[j, i] = points[1 + j, i] - product
     centre = weights[COVARIANCE_0] + 2.0 * (n - n_s) * weights[OTHERS]
     for i in range(n_s):
-        for k in range(n_s, n):
-            rows[i, k] = 0.0
-        add_rows(rows, i, n_s, n, slope, i, P, limits[i, 0], limits[i, 1])
+        first = limits[i, 0]
+        combine(
+            *(rows, i * width + n_s, n - n_s),
+            *(slope, i * width + first, 1, 1.0),
+            *(P, first * n + n_s, n, limits[i, 1] - first),
+        )
         # P'_ss takes the slope's s columns until all of it is known to be finite.
         for q in range(i + 1):
-            product = Q_s[i, q] + centre * rows[error, i] * rows[error, q]
-            for k in range(limits[q, 0], limits[q, 1]):
-                product = fma(rows[i, k], slope[q, k], product)
+            first = limits[q, 0]
+            product = inner(rows, i * width + first, slope, q * width + first, limits[q, 1] - first)
+            product += Q_s[i, q] + centre * rows[error, i] * rows[error, q]
             slope[i, q] = product
             slope[q, i] = product
     add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
@@ -321,11 +326,14 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
         x[i] = points[0, i]
         for k in range(n_s):
             P[i, k] = slope[i, k]
-        for k in range(n_s, n):
-            P[i, k] = rows[i, k]
-            P[k, i] = rows[i, k]
+        # Loops over views begin at 0, where no index can be taken for one from the end.
+        across, row = P[i, n_s:], rows[i, n_s:n]
+        for k in range(n - n_s):
+            across[k] = row[k]
+    transpose(P, n_s * n, n, P, n_s, n, n_s, n - n_s)
+    own = P[n_s:, n_s:]
     for k in range(n - n_s):
-        P[n_s + k, n_s + k] += q_xi[k]
+        own[k, k] += q_xi[k]
     return 0
 
 
