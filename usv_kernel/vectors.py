@@ -195,22 +195,30 @@ def accumulate_rows(
                     total = builder.call(fused, [factor, row, total])
                 builder.store(total, where, align=8)
 
+        def groups(lanes: int, begin: Any, block: int) -> None:
+            """Add so many rows in groups of columns, of which the last overlaps the one before."""
+            over = builder.and_(count, index(lanes - 1))
+            done, group = builder.sub(count, over), index(lanes)
+            with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as (at, _):
+                columns(at, lanes, begin, block)
+            if lanes > 1:
+                with builder.if_then(builder.icmp_signed("!=", over, index(0))):
+                    seen = builder.sub(group, over)
+                    columns(builder.sub(done, seen), lanes, begin, block, seen)
+
         def across(begin: Any, block: int) -> None:
             """Add so many rows from ``begin`` on, in all columns."""
-            over = builder.and_(count, index(_WIDE - 1))
-            done = builder.sub(count, over)
-            step_by = index(_WIDE)
-            with cgutils.for_range_slice(builder, index(0), done, step_by, intp=index) as (at, _):
-                columns(at, _WIDE, begin, block)
-            some = builder.icmp_signed("!=", over, index(0))
-            with builder.if_then(some):
-                wide = builder.icmp_signed(">=", count, index(_WIDE))
-                with builder.if_else(wide) as (then, otherwise):
-                    with then:  # a last group that overlaps the one before
-                        seen = builder.sub(index(_WIDE), over)
-                        columns(builder.sub(done, seen), _WIDE, begin, block, seen)
-                    with otherwise, cgutils.for_range(builder, count) as loop:
-                        columns(loop.index, 1, begin, block)
+            wide, some = (
+                builder.icmp_signed(">=", count, index(lanes)) for lanes in (_WIDE, _LANES)
+            )
+            with builder.if_else(wide) as (then, otherwise):
+                with then:
+                    groups(_WIDE, begin, block)
+                with otherwise, builder.if_else(some) as (few, fewer):
+                    with few:
+                        groups(_LANES, begin, block)
+                    with fewer:
+                        groups(1, begin, block)
 
         rest = builder.srem(many, index(_BLOCK))
         end = builder.sub(many, rest)
