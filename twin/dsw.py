@@ -36,12 +36,13 @@ from twin.identifier import (
     see,
 )
 from twin.log import MEASUREMENTS
-from twin.model import N_STATES, all_terms, model_of
+from twin.model import N_ACT, N_STATES, all_terms, model_of
 from twin.navigation import GAP_MAX
 from twin.particulars import Particulars
 from twin.ukf import measurement_update
 from twin.window import NOISE_FORMS, DynamicWindow, NoiseLimits, WaveProxy, adapt_noise
 from usv_kernel import in_python, kernel, wrap
+from usv_kernel.views import stack
 
 __all__ = ["ADAPTED", "WINDOWS", "DSWPredictor", "paper_settings"]
 
@@ -146,6 +147,32 @@ def _rerun(states, cmds, dts, first, count, innovation, memory, constants, scrat
             innovation[0, i] = states[row, i] - x[i]
             innovation[1, i] = P[i, i] + r[i]
         measurement_update(x, P, states[row], mask, R, PSI, math.inf, work)
+
+
+@kernel
+def _restart(
+    states, acts, cmds, dts, first, count, innovation, memory, constants, scratch, work, kit
+):
+    """Run the filter over the ``count`` rows after ``first`` once more, from what it measured.
+
+    Parameters and their covariance go on as they are, and the actuators end where they were.
+    """
+    x, P, act, _, _, _, _, p0, _, _, _, _ = parts(memory, constants, kit)
+    now, size = stack(N_ACT), states.shape[0]
+    for k in range(N_ACT):
+        now[k], act[k] = act[k], acts[(first + 1) % size, k]
+    for i in range(N_STATES):
+        x[i] = states[first, i]
+        row = P[i]
+        row[:] = 0.0
+        P[i, i] = p0[i]
+    for k in range(N_STATES, x.shape[0]):
+        row = P[k]
+        for i in range(N_STATES):
+            row[i] = 0.0
+    _rerun(states, cmds, dts, first + 1, count, innovation, memory, constants, scratch, work, kit)
+    for k in range(N_ACT):
+        act[k] = now[k]
 
 
 class DSWPredictor(ModelPredictor):
@@ -352,16 +379,11 @@ class DSWPredictor(ModelPredictor):
 
     def _restart(self, W: int) -> None:
         """Use the last W rows once more, starting from the measured state."""
-        ukf = self.ukf
-        first = (self._count - W) % self._size
-        ukf.x[:N_STATES] = self._states[first]
-        ukf.P[:N_STATES, :] = 0.0
-        ukf.P[:, :N_STATES] = 0.0
-        ukf.P[range(N_STATES), range(N_STATES)] = ukf.settings.p0
-        now = ukf.act.copy()
-        ukf.act[:] = self._acts[(first + 1) % self._size]
-        self._run(first + 1, W - 1)
-        ukf.act[:] = now
+        _restart(
+            *(self._states, self._acts, self._cmds, self._dts),
+            *((self._count - W) % self._size, W - 1, self._innovation),
+            *self.ukf.arguments,
+        )
 
     def _run(self, first: int, count: int) -> None:
         _rerun(
