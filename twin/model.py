@@ -623,7 +623,7 @@ def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out,
 
 LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
-_LONGEST, _STIFFEST = 0.5, 0.9
+_LONGEST, _STIFFEST = 1.6, 1.3
 """Longest step of :func:`look_ahead`, in times to sail a length and in the model's own times."""
 _STEPS_MAX = 100.0
 """No more steps from one time to the next: a model as stiff as that is wild at any step."""
