@@ -252,7 +252,7 @@ def scale_plan(plan, n_unit, scaled):
             scaled[row, 2 + k] = plan[row, 2 + k]
 
 
-@kernel
+@inlined
 def advance(dt, cmd, memory, constants, scratch, work, kit):
     """Predict state, parameters and covariance of the joint filter over dt, actuators included.
 

@@ -38,8 +38,9 @@ from twin.twin import Twin
 from twin.ukf import measurement_update
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
-from usv_gym.physics.waves import WAVE_ROWS, factor_room, filled
+from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_kernel import kernel
+from usv_kernel.vectors import filled
 
 __all__ = [
     "BOATS",

@@ -25,7 +25,8 @@ and :func:`measurement_update` when something was measured. All three share one 
   columns (n_s and up) are read, and there only those within ``limits``;
 - ``work[SCRATCH]``: room for what is in between.
 
-Their first n = n_s + n_xi columns count.
+Their first n = n_s + n_xi columns count. Rows are filled up with zeros to whole groups of lanes, so
+that what one sum has written in vectors the next one reads in the same.
 
 P is kept exactly symmetric, and neither x nor P ever becomes NaN or infinite:
 
@@ -49,9 +50,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.dense import add_product, add_rows
-from usv_kernel import kernel, wrap
-from usv_kernel.vectors import accumulate, combine, inner, transpose
+from twin.dense import add_product
+from usv_kernel import inlined, kernel, wrap
+from usv_kernel.vectors import accumulate, combine, filled, inner, transpose
 
 __all__ = [
     "POINTS",
@@ -120,10 +121,17 @@ def workspace(n_s: int, n_xi: int) -> Array:
 
     Returns
     -------
-    (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
-        Zeros.
+    (4, 1 + 2 n_s, width) array
+        Zeros; the width is a multiple of :data:`usv_kernel.vectors.LANES`.
     """
-    return np.zeros((4, 1 + 2 * n_s, 2 * n_s + n_xi + 1))
+    return np.zeros((4, 1 + 2 * n_s, filled(2 * n_s + n_xi + 1)))
+
+
+@inlined
+def _eliminate(rows, factors, j):
+    """Write factors[0, j] of row j and factors[0, i] of the rows i before it to row j."""
+    width = rows.shape[1]
+    combine(rows, j * width, width, factors, j, -1, 1.0, rows, j * width, -width, j + 1)
 
 
 @kernel
@@ -132,7 +140,11 @@ def _factorise(P, root, factors, n_s):
 
     They do not either where a parameter would be left a negative variance, given the states.
     """
-    n, width = P.shape[0], root.shape[1]
+    n = P.shape[0]
+    for j in range(n_s):
+        row, origin = root[j, :n], P[j]
+        for k in range(n):
+            row[k] = origin[k]
     for j in range(n_s):
         pivot = P[j, j]
         for i in range(j):
@@ -141,11 +153,11 @@ def _factorise(P, root, factors, n_s):
             return False
         scale = 1.0 / math.sqrt(pivot)
         for i in range(j):
-            root[j, i] = 0.0
             factors[0, i] = -scale * root[i, j]
         factors[0, j] = scale
-        combine(root, j * width + j, n - j, factors, j, 1, 1.0, P, j * n + j, n, 1)
-        add_rows(root, j, j, n, factors, 0, root, 0, j)
+        _eliminate(root, factors, j)
+        for i in range(j):
+            root[j, i] = 0.0
     own, rest = P[n_s:, n_s:], factors[0, n_s:n]
     for k in range(n - n_s):
         rest[k] = own[k, k]
@@ -184,7 +196,7 @@ def sigma_points(x, P, weights, work):
         Covariance; changed only where it has no Cholesky factor, see the head of this file.
     weights : (4,) array
         From :func:`scaled_weights`.
-    work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+    work : (4, 1 + 2 n_s, width) array
         From :func:`workspace`; fills the points and the root.
 
     Returns
@@ -250,7 +262,7 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
         counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one.
     weights : (4,) array
         From :func:`scaled_weights`.
-    work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+    work : (4, 1 + 2 n_s, width) array
         As :func:`sigma_points` left it, but with the model's answer in the first n_s columns
         of ``work[POINTS]`` and its slope in ``work[SLOPE]``; both are used up.
 
@@ -358,7 +370,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     gate : float
         Normalised innovation squared above which the measurement is refused as a whole;
         infinity to refuse none.
-    work : (4, 1 + 2 n_s, 2 n_s + n_xi + 1) array
+    work : (4, 1 + 2 n_s, width) array
         From :func:`workspace`.
 
     Returns
@@ -370,7 +382,7 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     Source: Eq (31)-(33) for z = s + noise; physics.md section 7.2.
     """
     # Elimination turns the rows (P_s | S | y) of what was measured, with S = P_ss + R = L L',
-    # into L^-1 P_s, L' and L^-1 y.
+    # into L^-1 P_s, L' and L^-1 y; those of what was not are left 0.
     n = x.shape[0]
     n_s = z.shape[0]
     rows = work[SCRATCH]
@@ -378,39 +390,40 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     S = n
     y = n + n_s
     factors = work[POINTS]
-    m = 0
+    for i in range(n_s):
+        row, origin = rows[i], P[i]
+        for k in range(n):
+            row[k] = origin[k]
+        for k in range(n_s):
+            row[S + k] = origin[k] + R[i, k]
+        row[y] = z[i] - x[i]
+        if i == angle:
+            row[y] = wrap(row[y])
     nis = 0.0
     for i in range(n_s):
-        if not (mask[i] and abs(z[i]) < _OVERFLOW):
-            continue
+        row = rows[i]
         pivot = P[i, i] + max(R[i, i], _NOISE_MIN * P[i, i])
         floor = _PIVOT_MIN * pivot
-        for j in range(m):
+        for j in range(i):
             pivot -= rows[j, S + i] * rows[j, S + i]
-        if not (pivot > floor and pivot < _OVERFLOW**2):
-            continue  # This entry repeats the others to the last digit.
+        # an entry may also repeat the others to the last digit
+        if not (mask[i] and abs(z[i]) < _OVERFLOW and pivot > floor and pivot < _OVERFLOW**2):
+            row[:] = 0.0
+            continue
         scale = 1.0 / math.sqrt(pivot)
-        innovation = z[i] - x[i]
-        if i == angle:
-            innovation = wrap(innovation)
-        for j in range(m):
+        for j in range(i):
             factors[0, j] = -scale * rows[j, S + i]
-        factors[0, m] = scale
-        combine(rows, m * width, n, factors, m, 1, 1.0, P, i * n, n, 1)
-        for k in range(n_s):
-            rows[m, S + k] = scale * (P[i, k] + R[i, k])
-        rows[m, y] = scale * innovation
-        add_rows(rows, m, 0, y + 1, factors, 0, rows, 0, m)
-        nis += rows[m, y] * rows[m, y]
-        m += 1
+        factors[0, i] = scale
+        _eliminate(rows, factors, i)
+        nis += row[y] * row[y]
     if not (nis <= gate and nis < math.inf):
         return nis
 
-    accumulate(x, 0, n, rows, y, width, 1.0, rows, 0, width, m)
+    accumulate(x, 0, n, rows, y, width, 1.0, rows, 0, width, n_s)
     least = work[ROOT, 0]
     for i in range(n):
         least[i] = _PIVOT_MIN * P[i, i]
-    add_product(P, rows, rows, n, 0, n, 0, m, -1.0)
+    add_product(P, rows, rows, n, 0, n, 0, n_s, -1.0)
     for i in range(n):
         P[i, i] = max(P[i, i], least[i])
     return nis

@@ -13,11 +13,12 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
-from usv_gym.physics.waves import WAVE_ROWS, factor_room, filled
+from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_gym.sea import Sea, SeaState, choice
 from usv_gym.sensors import Disturbance, SensorSuite
 from usv_gym.vessel import Vessel
 from usv_kernel import inlined, kernel
+from usv_kernel.vectors import filled
 from usv_kernel.views import shaped
 
 __all__ = ["Simulation", "SimulationError"]

@@ -20,6 +20,7 @@ __all__ = [
     "accumulate_rows",
     "combine",
     "dots",
+    "filled",
     "fours",
     "inner",
     "transpose",
@@ -33,6 +34,11 @@ _GROUP = 4
 _WIDE, _BLOCK = 8, 6
 """Columns that :func:`accumulate_rows` takes at once, and rows that it holds in registers."""
 _DOUBLE = ir.DoubleType()
+
+
+def filled(count: int) -> int:
+    """Return how many numbers hold so many, and leave no lane of a sum empty."""
+    return -(-count // LANES) * LANES
 
 
 @intrinsic

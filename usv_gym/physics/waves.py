@@ -8,7 +8,7 @@ import numpy as np
 
 from usv_gym.physics import parameters as par
 from usv_kernel import fma, kernel, sincos
-from usv_kernel.vectors import LANES, dots
+from usv_kernel.vectors import dots, filled
 
 # rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
 # draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
@@ -80,14 +80,9 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 def factor_room(components: int) -> np.ndarray:
     """Return room for :func:`box_factors` of so many components, shape (13, width).
 
-    Rows are filled up with zeros, see :func:`filled`.
+    Rows are filled up with zeros, see :func:`~usv_kernel.vectors.filled`.
     """
     return np.zeros((FACTOR_ROWS, filled(components)))
-
-
-def filled(components: int) -> int:
-    """Return how many columns hold so many components and leave no lane of a sum empty."""
-    return -(-components // LANES) * LANES
 
 
 @kernel
