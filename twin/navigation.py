@@ -42,7 +42,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel import kernel, wrap
-from usv_kernel.vectors import accumulate, combine
+from usv_kernel.vectors import accumulate_rows, combine
 
 __all__ = ["GPS_AGE", "N_NAV", "Navigator", "aid_velocity", "navigate", "navigation_settings"]
 
@@ -320,8 +320,8 @@ def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
     root = 1.0 / math.sqrt(S)
     for i in range(N_NAV):
         gain[i] *= root
+    accumulate_rows(P, 0, N_NAV, N_NAV, N_NAV, gain, 0, 1, -1.0, gain, 0, N_NAV, 1)
     for i in range(N_NAV):
-        accumulate(P, N_NAV * i, N_NAV, gain, i, 1, -1.0, gain, 0, N_NAV, 1)
         P[i, i] = max(P[i, i], _VARIANCE_MIN)
     if S / variance > _SHARP:
         _mend(P, A)
