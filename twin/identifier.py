@@ -427,7 +427,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
     if waves[0] > 0.0:
         for k in range(3):
             i = PSI + 1 + k
-            # ... and no measure of waves
+            # held while the sensor that would feel them is gone
             if not (no_imu if k == 2 else no_gps):
                 more = (n[i] - x[i]) ** 2 - P[i, i] - R[i, i]
                 felt[k] = max(felt[k] + min(row / waves[0], 1.0) * (more - felt[k]), 0.0)
