@@ -112,7 +112,7 @@ def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> Non
 def test_her_noises_follow_the_waves_that_are_felt() -> None:
     vessel = Vessel.load("kvlcc2_l7")
     felt = {}
-    for sea in ("calm", "1", "2"):
+    for sea in ("calm", "1", "3"):
         twin = Twin(particulars_of(vessel), "ukf")
         ukf = twin.predictor.ukf
         for t, z, cmd in simulate(
@@ -120,10 +120,10 @@ def test_her_noises_follow_the_waves_that_are_felt() -> None:
         ):
             twin.step(t, z, cmd)
         felt[sea] = np.sqrt(in_python(wave_parts)(ukf.memory, ukf.constants, ukf.kit)[0])
-    # the noises stay at what they are without waves
-    assert (felt["calm"] < 1e-3).all()
-    assert (felt["1"] > felt["calm"]).all()
-    assert (felt["2"] > 2.0 * felt["1"]).all()
+    # m/s, m/s and rad/s; nothing to add to the noises of a pond but what is in the gyro
+    assert not felt["calm"][:2].any()
+    assert felt["calm"][2] < 5e-4 < 5e-3 < felt["1"][2]
+    assert felt["3"][0] > 0.05
     assert plain_settings(particulars_of(Vessel.load("usv75"))).waves == (0.0, 0.0, 0.0)
 
 
