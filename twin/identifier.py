@@ -81,6 +81,10 @@ hold of an area to move a mass."""
 WAVELESS, WAVELESS_TURN = 0.05, 0.005
 """Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
 that of the gyro out."""
+FELT_TIME, FELT_NOISE, FELT_PUSH = 1.0, 0.3, 10.0
+"""Waves that a tanker feels: time over which they are averaged, and what their mean square adds to
+the densities of measurement noise (both in lengths over usual speed) and of process noise (in
+usual speeds over length)."""
 WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
 DOUBT = 1.5
@@ -125,6 +129,10 @@ class FilterSettings:
         Prior of the parameters.
     n_unit : float
         Shaft speeds are multiplied by this before they enter the model.
+    waves : tuple of float
+        Time (s) over which is averaged by how much the squared innovations of the velocities
+        exceed what the filter expects, and what that mean adds to the densities of measurement
+        noise (s) and process noise (1/s). With zeros nothing is.
     alpha, beta, kappa : float
         Spread of the sigma points.
     """
@@ -137,6 +145,7 @@ class FilterSettings:
     xi0: Array
     xi0_cov: Array
     n_unit: float
+    waves: tuple[float, float, float] = (0.0, 0.0, 0.0)
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
@@ -179,12 +188,13 @@ def _of_a_tanker(particulars: Particulars) -> FilterSettings:
 
     She sails a few lengths in the minutes that others are learned in: her filter needs the model
     and the prior of ships. What disturbs her goes by her length alone, see :data:`DISTURBED`, and
-    her velocities carry no waves that the model must be excused from. Wind and current change
-    while she sails a length, so that the biases that stand for them wander.
+    of waves her velocities carry those that are felt, none on a pond: both noises grow with how
+    far the innovations exceed what these small ones explain. Wind and current change while she
+    sails a length, so that the biases that stand for them wander.
 
     Source: twin.md sections 14.2 and 14.4.
     """
-    L = particulars.length
+    L, time = particulars.length, particulars.length / particulars.speed
     along, turning = DISTURBED
     disturbed = np.array([along / L, along / L, turning / L**2])
     calm = plain_settings(particulars, "mmg")
@@ -198,6 +208,7 @@ def _of_a_tanker(particulars: Particulars) -> FilterSettings:
         q_xi=wander,
         xi0=mean,
         xi0_cov=DOUBT * covariance,
+        waves=(FELT_TIME * time, FELT_NOISE * time, FELT_PUSH / time),
     )
 
 
@@ -219,6 +230,14 @@ def parts(memory, constants, kit):
 
 
 @inlined
+def wave_parts(memory, constants, kit):
+    """Return the mean squares of the waves felt, of u, v, r, and ``FilterSettings.waves``."""
+    n = N_STATES + kit[0].shape[1]
+    first = n + n * n + N_ACT + 2
+    return memory[first : first + 3], constants[constants.shape[0] - 3 :]
+
+
+@inlined
 def rooms(scratch, kit):
     """Return room for Q, q_xi, R, terms, four numbers, six numbers and a roll-out as views."""
     square = N_STATES * N_STATES
@@ -235,10 +254,14 @@ def rooms(scratch, kit):
 
 
 @inlined
-def _process_noise(h, q, q_xi, Q, qx):
+def _process_noise(h, memory, constants, kit, Q, qx):
     """Write the process noise of a step of h: Q (6, 6) of the states, qx (p,) of the parameters."""
+    _, _, _, _, q, q_xi, _, _, _, _, _, _ = parts(memory, constants, kit)
+    felt, waves = wave_parts(memory, constants, kit)
     for i in range(N_STATES):
         Q[i, i] = q[i] * h
+    for i in range(3):
+        Q[3 + i, 3 + i] += waves[2] * felt[i] * h
     for k in range(q_xi.shape[0]):
         qx[k] = q_xi[k] * h
 
@@ -265,12 +288,12 @@ def advance(dt, cmd, memory, constants, scratch, work, kit):
     memory, constants, scratch, work, kit
         Of a :class:`JointUKF`; the memory is advanced in place.
     """
-    x, P, act, wind, q, q_xi, _, _, lags, _, weights, n_unit = parts(memory, constants, kit)
+    x, P, act, wind, _, _, _, _, lags, _, weights, n_unit = parts(memory, constants, kit)
     Q, _, terms, _, _, _, qx = rooms(scratch, kit)
     dt = min(dt, GAP_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
-    _process_noise(h, q, q_xi, Q, qx)
+    _process_noise(h, memory, constants, kit, Q, qx)
     for _ in range(steps):
         follow_all(act, cmd, lags, n_unit, 0.5 * h)
         joint_predict(x, P, act, wind, kit, h, Q, qx, weights, terms, work)
@@ -292,7 +315,7 @@ def see(dt, terms, memory, kit):
         seen (s), and a Gram matrix for each of surge, sway and yaw.
     """
     n = N_STATES + kit[0].shape[1]
-    seen = memory[n + n * n + N_ACT + 2 :]
+    seen = memory[n + n * n + N_ACT + 5 :]
     seen[0] += dt
     if seen[0] < SEE_EVERY - 1e-9:
         return
@@ -343,6 +366,7 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
     status = nav[_STATUS:_SINCE_AID]
     x, P, act, wind, _, _, r, p0, lags, envelope, _, n_unit = parts(memory, constants, kit)
     _, R, terms, model, mask, _, _ = rooms(scratch, kit)
+    felt, waves = wave_parts(memory, constants, kit)
 
     feel_wind(z, wind)
     for k in range(4):
@@ -374,7 +398,8 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         off = n[i] - x[i]
         if i == PSI:
             off = wrap(off)
-        astray = astray or off * off > ASTRAY**2 * (P[i, i] + P_nav[i, i] + r[i])
+        wavy = felt[i - PSI - 1] if i > PSI else 0.0
+        astray = astray or off * off > ASTRAY**2 * (P[i, i] + P_nav[i, i] + r[i] + wavy)
     if astray:
         for i in range(N_STATES):
             for k in range(x.shape[0]):
@@ -399,6 +424,14 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
         R[4, 4] *= ECHO
     if no_imu:
         mask[5] = 0.0
+    if waves[0] > 0.0:
+        for k in range(3):
+            i = PSI + 1 + k
+            # held while the sensor that would feel them is gone
+            if not (no_imu if k == 2 else no_gps):
+                more = (n[i] - x[i]) ** 2 - P[i, i] - R[i, i]
+                felt[k] = max(felt[k] + min(row / waves[0], 1.0) * (more - felt[k]), 0.0)
+            R[i, i] += waves[1] * felt[k] / row
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)
     nav[_SINCE_AID] += dt
@@ -441,9 +474,9 @@ def _bands(acts, dt, every, memory, constants, scratch, work, kit, copy, out):
     h = dt * every / steps
     for k in range(memory.shape[0]):
         copy[k] = memory[k]
-    x, P, _, wind, q, q_xi, _, _, _, envelope, weights, _ = parts(copy, constants, kit)
+    x, P, _, wind, _, _, _, _, _, envelope, weights, _ = parts(copy, constants, kit)
     Q, _, terms, _, _, _, qx = rooms(scratch, kit)
-    _process_noise(h, q, q_xi, Q, qx)
+    _process_noise(h, copy, constants, kit, Q, qx)
     for j in range(out.shape[0]):
         last = min((j + 1) * every, acts.shape[0]) - 1
         for _ in range(steps):
@@ -499,9 +532,9 @@ def spread_ahead(command, gps_var, P_nav, memory, constants, scratch, work, kit,
     """
     for k in range(memory.shape[0]):
         copy[k] = memory[k]
-    x, P, act, wind, q, q_xi, _, _, lags, envelope, weights, _ = parts(copy, constants, kit)
+    x, P, act, wind, _, _, _, _, lags, envelope, weights, _ = parts(copy, constants, kit)
     Q, _, terms, _, _, _, qx = rooms(scratch, kit)
-    _process_noise(BAND_STEP, q, q_xi, Q, qx)
+    _process_noise(BAND_STEP, copy, constants, kit, Q, qx)
     before = 0.0
     for j in range(LOOK_AHEAD.shape[0]):
         after = LOOK_AHEAD[j]
@@ -561,8 +594,8 @@ class JointUKF:
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
         self.weights = scaled_weights(n, settings.alpha, settings.beta, settings.kappa)
         sizes = [b - a for a, b in settings.structure.blocks.values()]
-        self.memory = np.zeros(n + n * n + N_ACT + 4 + sum(k * k for k in sizes))
-        self.seen = self.memory[n + n * n + N_ACT + 3 :]
+        self.memory = np.zeros(n + n * n + N_ACT + 7 + sum(k * k for k in sizes))
+        self.seen = self.memory[n + n * n + N_ACT + 6 :]
         ends = np.cumsum([1, *(k * k for k in sizes)])
         self.grams = [
             self.seen[end - k * k : end].reshape(k, k)
@@ -572,7 +605,7 @@ class JointUKF:
             [
                 *(settings.q, settings.q_xi, settings.r, settings.p0),
                 *(self.lags, self.envelope, self.weights),
-                [settings.n_unit],
+                *([settings.n_unit], settings.waves),
             ]
         )
         views = in_python(parts)(self.memory, self.constants, self.kit)
