@@ -71,11 +71,6 @@ _JUMP, _FAST = 50.0, 30.0
 _LOST = 0.1
 """More than this share of the fixes is no slip of a receiver."""
 _PIECES = 1000
-_ALIKE = 3e-6
-"""Changes of a rounded heading are of one size to within so much, rad: the sixth decimal."""
-_STAYING, _ROUNDED = 0.1, 0.9
-"""A heading is rounded if of its changes more than the one share come after it has stayed, and of
-these more than the other are as large as one beside them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,8 +236,6 @@ class Log:
         - A fix bit-equal to the last one is no new sample but a receiver slower than the
           log, and becomes NaN, its velocity too if that repeats as well; so does a
           repeated compass value.
-        - A heading that was rounded (to whole degrees, say) is read as it changes, as halfway
-          between both values: half a step nearer to the truth than either.
         - Fixes that no boat can reach from the others (a jump of 500 m and back) become NaN.
         - A step of time above 5 times the median is a gap: missing data.
         - Rows of equal time that do not contradict each other become one.
@@ -693,7 +686,6 @@ def drop_repeats(t: Array, z: Array, notes: list[str]) -> None:
         (velocity, stale & _repeated(z[:, velocity]), "velocities of repeated fixes"),
         (compass, _repeated(z[:, compass]), "values"),
     ]
-    _read_halfway(z[:, compass.start], parts[-1][1], notes)
     for part, repeated, what in parts:
         if repeated.any():
             total = int((~np.isnan(z[:, part]).any(axis=1)).sum())
@@ -703,30 +695,6 @@ def drop_repeats(t: Array, z: Array, notes: list[str]) -> None:
                 f"{', '.join(MEASUREMENTS[part])}: {repeated.sum()} of {total} {what} repeat the "
                 f"last one, taken as no new sample ({gap})"
             )
-
-
-def _read_halfway(psi: Array, repeated: npt.NDArray[np.bool_], notes: list[str]) -> None:
-    """Read a heading (N,) that was rounded as it changes, in place; ``repeated`` marks its repeats.
-
-    What a slow sensor holds until its next sample also repeats, but changes by another amount
-    each time.
-    """
-    given = np.flatnonzero(np.isfinite(psi))
-    with np.errstate(over="ignore", invalid="ignore"):  # of any numbers
-        change = np.remainder(np.diff(psi[given]) + math.pi, 2.0 * math.pi) - math.pi
-    before = np.flatnonzero(change)
-    size = np.abs(change[before])
-    same = np.abs(np.diff(size)) < _ALIKE
-    alike = np.append(same, False) | np.insert(same, 0, False)
-    stayed = repeated[given[before]]
-    steps = before[stayed & alike]
-    if stayed.sum() > _STAYING * len(before) and len(steps) > _ROUNDED * stayed.sum():
-        psi[given[steps + 1]] -= 0.5 * change[steps]
-        notes.append(
-            f"compass_rad: rounded, {len(steps)} of {len(before)} changes are one step "
-            f"(usually {math.degrees(float(np.median(size))):.2g} degrees) after it had stayed, "
-            "read as halfway"
-        )
 
 
 def _longest_gap(t: Array, valid: npt.NDArray[np.bool_]) -> str:

@@ -542,29 +542,6 @@ def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:
     assert "the position jumps by" in refused(save(tmp_path / "a.csv", as_text(table)))
 
 
-@pytest.mark.parametrize("step", [math.radians(1.0), math.radians(0.1)])
-def test_a_rounded_heading_is_read_as_it_changes(tmp_path: Path, step: float) -> None:
-    table = sailing(3000, 0.004)
-    true = 1.2 + 0.004 * table["t_s"] + 0.02 * np.sin(0.2 * table["t_s"])
-    table["compass_rad"] = np.round(np.round(true / step) * step, 6)
-    log = Log.read(save(tmp_path / "a.csv", as_text(table)))
-    new = np.flatnonzero(np.isfinite(log.z[:, 4]))[1:]
-    off = np.abs(log.z[new, 4] - true[new])
-    # printed: 0.5 steps off; a row turns it by 0.05 steps of a degree, and by 0.5 of a tenth
-    turned = np.abs(np.gradient(true)).max()
-    assert np.abs(table["compass_rad"][new] - true[new]).mean() > 0.4 * step - turned
-    assert off.mean() < 0.6 * turned
-    assert any("compass_rad: rounded, " in note for note in log.notes)
-
-
-def test_a_slow_compass_is_not_taken_for_a_rounded_one(tmp_path: Path) -> None:
-    table = sailing(3000)
-    table["compass_rad"] = np.repeat(table["compass_rad"][::5], 5)
-    log = Log.read(save(tmp_path / "a.csv", as_text(table)))
-    np.testing.assert_array_equal(log.z[::5, 4], table["compass_rad"][::5])
-    assert not any("rounded" in note for note in log.notes)
-
-
 def test_rows_of_equal_time_are_merged_unless_they_contradict(tmp_path: Path) -> None:
     table = sailing()
     twice = {name: np.repeat(values, 2) for name, values in table.items()}
