@@ -84,6 +84,16 @@ def test_study_tables_are_those_of_the_checked_in_results(script, function, rows
     assert not missing
 
 
+def test_tables_of_the_speed_run_are_those_of_its_measurements():
+    import runpy
+
+    page = (ROOT / "examples/speed/README.md").read_text(encoding="utf-8").splitlines()
+    tables = runpy.run_path(str(ROOT / "examples/speed/tables.py"))
+    lines = [*tables["beside_peers"](), *tables["growing"]()]
+    assert len(lines) > 50
+    assert not [line for line in lines if line not in page]
+
+
 def test_a_small_part_of_the_checked_in_benchmark_is_what_the_command_gives(tmp_path):
     import json
 
