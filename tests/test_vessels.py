@@ -223,6 +223,7 @@ def test_another_boat_is_of_the_same_kind(boat: Vessel) -> None:
         assert dict(other.values) == dict(again.values)
         assert other.resistance_force == again.resistance_force
         assert (other.name, other.kind) == (boat.name, boat.kind)
+        assert other.design == boat.design == boat.name
         for key, value in boat.values.items():
             assert math.copysign(1.0, other.values[key]) == math.copysign(1.0, value)
             kept = key.startswith(("shaft_", "steer_")) or key in ("units", "water_density")
@@ -231,6 +232,15 @@ def test_another_boat_is_of_the_same_kind(boat: Vessel) -> None:
         assert growth(other) <= max(growth(boat), 0.0)
         assert 0.75 <= other.straight_speed(n) / boat.straight_speed(n) <= 4.0 / 3.0
         assert other.length_waterline <= other.length_overall
+
+
+def test_a_file_of_ones_own_is_of_no_class_whatever_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "usv75.toml"
+    path.write_bytes((FOLDER / "usv75.toml").read_bytes())
+    own = Vessel.load(path)
+    assert (own.name, own.design) == ("usv75", "")
+    assert own.varied(np.random.default_rng(0)).design == ""
+    assert pickle.loads(pickle.dumps(Vessel.load("usv75"))).design == "usv75"
 
 
 def test_other_boats_differ_by_as_much_as_asked() -> None:

@@ -19,7 +19,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["GRAVITY", "STEERING", "Instruments", "Particulars"]
+__all__ = ["DESIGNS", "GRAVITY", "STEERING", "Instruments", "Particulars"]
 
 GRAVITY = 9.81
 """Gravity, m/s2."""
@@ -39,6 +39,9 @@ STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
 ``differential``: the units are fixed and steer by unequal thrust."""
 
+
+DESIGNS = ("usv75",)
+"""Classes of boats of which a model is known: a prior of theirs comes with the package."""
 
 STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
 """Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for (twin.md)."""
@@ -164,6 +167,9 @@ class Particulars:
         Time constants of the shaft speed and of the drive angle, s.
     steer_rate : float
         Largest turning speed of the drive, rad/s.
+    design : str
+        The boat's class, one of :data:`DESIGNS`, if she is known to be of one: her sisters tell
+        ``dsw-ukf-plus`` more than main particulars do (:mod:`twin.prior`). Empty: of none.
     instruments : Instruments
         Sensors on board.
     """
@@ -179,6 +185,7 @@ class Particulars:
     shaft_lag: float = 0.6
     steer_lag: float = 0.1
     steer_rate: float = 0.35
+    design: str = ""
     instruments: Instruments = field(default_factory=Instruments)
 
     def __post_init__(self) -> None:
@@ -199,6 +206,12 @@ class Particulars:
         if self.steering not in STEERING:
             raise ParticularsError(
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
+            )
+        if self.design and self.design not in DESIGNS:
+            raise ParticularsError(
+                f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
+                f"{', '.join(DESIGNS)}, leave it out, or hand one of your own to the twin "
+                "(twin.population.sister)"
             )
 
     @classmethod
@@ -315,7 +328,7 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
             raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
         if key.endswith("_arm"):
             continue  # told by the class itself
-        text = key in ("name", "steering")
+        text = key in ("name", "steering", "design")
         wanted = str if text else (int, float)
         if not isinstance(value, wanted) or isinstance(value, bool):
             raise ParticularsError(f"{key} = {value!r} must be a {'text' if text else 'number'}")

@@ -22,7 +22,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from twin.model import ROOM, model_of, roll_out
-from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.particulars import DESIGNS, STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, WIND, RefitSettings, Segments
 from twin.prior import KINDS, TANKER, Prior, PriorError
 from twin.simulated import TRUE_STATE, particulars_of
@@ -49,6 +49,7 @@ __all__ = [
     "boat_like",
     "make_prior",
     "member",
+    "nominal",
     "project",
     "random_boat",
     "rolled",
@@ -86,6 +87,8 @@ SPREAD, BUILT = 0.30, 0.05
 """Standard deviation of the boats' coefficients, and of their geometry and inertia."""
 CLASS = 0.15
 """The same of the coefficients of one class."""
+BIAS = 0.20
+"""How far the coefficients of the model of a class are off, as a standard deviation."""
 MEASURED = "kvlcc2_l7"
 """Whose sisters tankers are taken for."""
 LARGEST_HELM = math.radians(25.0)
@@ -316,14 +319,18 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
     Parameters
     ----------
     kind : str
-        One of ``twin.prior.KINDS``, or ``twin.prior.TANKER``.
+        One of ``twin.prior.KINDS``, ``twin.prior.TANKER``, or a class of
+        ``twin.particulars.DESIGNS``.
     rng : numpy.random.Generator
         Draws main particulars and coefficients.
     """
     if kind == TANKER:
         return sister(Vessel.load(MEASURED), rng, SPREAD)
+    if kind in DESIGNS:
+        return sister(nominal(kind), rng, SPREAD)
     if kind not in KINDS:
-        raise PriorError(f"kind = {kind!r}: must be one of {', '.join(KINDS)}")
+        known = ", ".join((*KINDS, TANKER, *DESIGNS))
+        raise PriorError(f"kind = {kind!r}: must be one of {known}")
     (small, large), *shares = _RANGES[kind]
     length = small * (large / small) ** rng.random()
     slender, flat, block, froude = (rng.uniform(*share) for share in shares)
@@ -357,12 +364,31 @@ def boat_like(
     return _drafted(kind, rng, **{key: getattr(particulars, key) for key in keys})
 
 
+@functools.cache
+def nominal(name: str) -> Vessel:
+    """Return what is known of a class before any of its boats has sailed: a model that is off.
+
+    A vessel of the package is what its simulated boats truly vary around, which nobody knows of
+    a real class. So each of its coefficients is drawn anew, by :data:`BIAS`.
+
+    Parameters
+    ----------
+    name : str
+        Of a vessel that comes with the package.
+
+    Source: twin.md, sections 4 and 13.
+    """
+    # the number after those of the boats, so that none is like it by chance
+    return Vessel.load(name).varied(np.random.default_rng((SEED, DRAWN)), BIAS, BUILT)
+
+
 def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> tuple[Vessel, float]:
     """Return a random boat of a vessel's class, and its usual shaft speed in rev/s.
 
-    Whoever has a model of the class knows more than main particulars tell::
+    Whoever has a model of the class knows more than main particulars tell. For a class of one's
+    own::
 
-        draw = functools.partial(sister, Vessel.load("usv75"))
+        draw = functools.partial(sister, Vessel.load("my_class.toml"))
         prior = make_prior("mmg", "drives", draw).of(model_of(particulars, "mmg", biased=True))
         twin = Twin(particulars, prior=prior)
 
@@ -426,7 +452,7 @@ def make_prior(
     Parameters
     ----------
     model, kind : str
-        Model structure, and kind of boats.
+        Model structure, and kind of boats as for :func:`random_boat`.
     draw : callable, optional
         From a generator to a boat and its usual shaft speed; :func:`random_boat` of the
         kind if left out.
@@ -450,8 +476,11 @@ def make_prior(
             f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "
             "other boats"
         )
+    what = f"kind {kind}"
+    if kind in DESIGNS:
+        what = f"class {kind}, sisters of a model that is itself {BIAS:.0%} off"
     return Prior(
-        about=f"model {model}, kind {kind}, seed {seed}, {drawn} boats drawn; twin.population",
+        about=f"model {model}, {what}, seed {seed}, {drawn} boats drawn; twin.population",
         parameters=members[0][2],
         boats=np.array(fitted),
         members=np.array([members[i][0] for i in fitted]),

@@ -2,7 +2,8 @@
 
 The files in ``twin/priors`` hold, for each model structure and kind of boat, the dimensionless
 parameters that random boats were found to have (:mod:`twin.population`), one boat a row. One
-file serves boats of every size.
+file serves boats of every size. For a class of boats (:data:`twin.particulars.DESIGNS`) the boats
+are sisters of a model of the class, which like every model is not the truth: it is 20 % off.
 
 Source: twin.md, sections 10 B2 and 13.
 """
@@ -154,7 +155,8 @@ def shipped_prior(model: str, kind: str) -> Prior:
     Parameters
     ----------
     model, kind : str
-        Model structure, and one of :data:`KINDS` or :data:`TANKER`.
+        Model structure, and one of :data:`KINDS`, :data:`TANKER`, or a class of
+        :data:`twin.particulars.DESIGNS`.
     """
     return Prior.load(Path(str(resources.files("twin") / "priors" / f"{model}_{kind}.csv")))
 
@@ -162,8 +164,9 @@ def shipped_prior(model: str, kind: str) -> Prior:
 def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
     """Return mean and covariance of a boat's parameters before any data, in SI units.
 
-    Boats with a fixed pair of thrusters get the structure's own prior: the population of drafted
-    hulls does not hold catamarans, and was the worse guess for Otter and for a recorded boat.
+    They are those of her class, if it was told, else those of her kind. Boats with a fixed pair of
+    thrusters get the structure's own prior: the population of drafted hulls does not hold
+    catamarans, and was the worse guess for Otter and for a recorded boat.
 
     Parameters
     ----------
@@ -177,7 +180,7 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
     mean : ndarray, shape (p,)
     covariance : ndarray, shape (p, p)
     """
-    kind = kind_of(particulars)
+    kind = particulars.design or kind_of(particulars)
     if kind == "differential":
         return structure.mean.copy(), np.diag(structure.sd**2)
     return shipped_prior(structure.name, kind).of(structure)

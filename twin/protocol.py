@@ -5,6 +5,7 @@ The full protocol is data: :data:`FULL_CASES` changes one thing at a time around
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -377,7 +378,7 @@ def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Parti
     """Return the particulars for a log, and whether any were given for it.
 
     They are those of ``ship``, else those in ``<log>.toml`` beside the log, else those of an
-    archive's boat, else the usv75's.
+    archive's boat, else the usv75's, of whose class nobody says that the boat is.
 
     Parameters
     ----------
@@ -399,7 +400,7 @@ def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Parti
             return Particulars.load(file), True
         if archive.known(path):
             return archive.ship(path), True
-        return particulars_of(Vessel.load("usv75")), False
+        return dataclasses.replace(particulars_of(Vessel.load("usv75")), design=""), False
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
         return Particulars.load(ship, log=path), True

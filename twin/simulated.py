@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.log import MEASUREMENTS, Log
-from twin.particulars import Instruments, Particulars
+from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym import sensors
 from usv_gym.manoeuvres import commands
 from usv_gym.physics import frames as fr
@@ -40,7 +40,8 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
     Parameters
     ----------
     vessel : Vessel
-        The vessel; only main particulars, actuators and the usual speed are passed on.
+        The vessel; only main particulars, actuators, the usual speed and, if a prior of it comes
+        with the package, the class are passed on.
     suite : SensorSuite, optional
         Its sensors, as their data sheets describe them; the default suite if left out.
     dof : int
@@ -66,6 +67,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
         # a fixed pair has no drives to turn
         steer_lag=v.get("steer_lag", 0.1),
         steer_rate=v.get("steer_rate", 1.0),
+        design=vessel.design if vessel.design in DESIGNS else "",
         instruments=Instruments(
             gps_sd=max(suite.gps_white, 0.02),
             gps_bias_sd=suite.gps_bias,

@@ -226,6 +226,9 @@ class Vessel:
         Mesh file that replaces the hull and superstructure drawn from the particulars; see
         :mod:`usv_gym.geometry`. In m, origin amidships on the water line. A .glb file has y up,
         z forward and x to port (glTF); the others have z up, x forward and y to port.
+    design : str
+        The vessel of the package that this one is, or was drawn from by :meth:`varied`: her
+        class. Empty for a file of one's own, whatever its name.
     """
 
     name: str
@@ -236,6 +239,7 @@ class Vessel:
     resistance_force: tuple[float, ...] = ()
     guesses: frozenset[str] = field(default=frozenset())
     mesh: Path | None = None
+    design: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -275,8 +279,9 @@ class Vessel:
             return source
         if not isinstance(source, (str, Path)):
             raise VesselError(f"vessel = {source!r}: give a name, the path of a file, or a Vessel")
-        path = Path(source)
+        path, design = Path(source), ""
         if str(source) in vessel_names():
+            design = str(source)
             path = Path(str(resources.files("usv_gym") / "vessels" / f"{source}.toml"))
         elif path.suffix != ".toml":
             raise VesselError(
@@ -290,12 +295,12 @@ class Vessel:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise VesselError(f"{path}: is not valid TOML: {error}") from None
         try:
-            return cls._from_table(table, path)
+            return cls._from_table(table, path, design)
         except VesselError as error:
             raise VesselError(f"{path}: {error}") from None
 
     @classmethod
-    def _from_table(cls, table: dict[str, Any], path: Path) -> Vessel:
+    def _from_table(cls, table: dict[str, Any], path: Path, design: str) -> Vessel:
         known = {"vessel", *SCHEMA}
         for name in table:
             if name not in known:
@@ -352,6 +357,7 @@ class Vessel:
             resistance_force=curve["force"],
             guesses=frozenset(guesses),
             mesh=mesh,
+            design=design,
         )
 
     def _check(self) -> None:
@@ -526,7 +532,7 @@ class Vessel:
         normal number, and geometry and inertia by 1 + ``built`` times one; no factor leaves
         0.1 to 1.9, so that all signs are kept. The resistance curve gets one factor for its
         forces and one (as geometry) for its speeds; the length overall follows the length, the
-        water plane length and beam. Actuators, shaft speeds and the name stay. A boat is drawn
+        water plane length and beam. Actuators, shaft speeds, name and class stay. A boat is drawn
         again if it breaks a rule of the schema, is less stable on a straight course than
         neutral (or than this vessel, where that is unstable), or does not keep its way: if
         at the manoeuvring shaft speed it is faster or slower than this vessel by more than

@@ -5,7 +5,9 @@ They were made by::
     usv-twin benchmark --scenarios turn,zigzag,turn-zigzag,random --faults none \
         --seeds 200-223 --plans known --out confirmation
 
-of whose ``results.json`` only what the tables need is kept.
+of whose ``results.json`` only what the tables need is kept. In ``class_unknown.json`` are
+the numbers of ``dsw-ukf-plus`` where it is told the main particulars alone: the same command, with
+``--vessel`` naming a copy of the file of ``usv75``, which is of no class.
 """
 
 from __future__ import annotations
@@ -25,7 +27,12 @@ def row(first: str, cells: list[str]) -> str:
 
 def lines() -> list[str]:
     """Return every line of the tables but their heads."""
-    results = json.loads((HERE / "results.json").read_text(encoding="utf-8"))
+    results, other = (
+        json.loads((HERE / f"{name}.json").read_text(encoding="utf-8"))
+        for name in ("results", "class_unknown")
+    )
+    for key in ("predictors", "summary", "paired"):
+        results[key] += other[key]
     value = {(i["scenario"], i["predictor"], i["metric"]): i for i in results["summary"]}
     out = []
     for predictor in results["predictors"]:

@@ -217,7 +217,10 @@ def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
     assert boat == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    assert not bench.particulars_beside(other)[1]
+    assumed, found = bench.particulars_beside(other)
+    assert not found
+    # nobody says of what class she is
+    assert (boat.design, assumed.design) == ("usv75", "")
 
 
 def test_two_runs_of_one_name_are_refused():

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from twin.particulars import STEERING, Instruments, Particulars, ParticularsError
+from twin.particulars import DESIGNS, STEERING, Instruments, Particulars, ParticularsError
 
 BOAT = Particulars(
     name="boat", length=7.5, beam=2.5, draft=0.4, mass=2300.0, speed=5.0, shaft_speed=17.0
@@ -74,6 +74,7 @@ def test_round_trip(tmp_path: Path, data: st.DataObject) -> None:
     boat = Particulars(
         name=data.draw(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)),
         steering=data.draw(st.sampled_from(STEERING)),
+        design=data.draw(st.sampled_from(("", *DESIGNS))),
         instruments=instruments,
         **{name: data.draw(above_zero) for name in POSITIVE},
     )
@@ -132,6 +133,8 @@ def test_values_that_no_instrument_has(name: str) -> None:
         ("mass = 2300", "mas = 2300", "unknown key 'mas'; known keys: name, length, beam"),
         ("mass = 2300\n", "", "missing key(s): mass"),
         ("speed = 5.0", "speed = 5.0\nsteering = 'oars'", "steering = 'oars' is unknown; use one"),
+        ("speed = 5.0", "speed = 5.0\ndesign = 75", "design = 75 must be a text"),
+        ("speed = 5.0", "speed = 5.0\ndesign = 'otter'", "'otter': no prior of this class comes"),
         ("[particulars]", "[boat]", "expected the tables [particulars]"),
         ("[particulars]", "[extra]\n[particulars]", "found extra, particulars"),
         ("mass = 2300", "mass = 2300\nmass = 1", "is not valid TOML"),

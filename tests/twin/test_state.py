@@ -104,6 +104,35 @@ def test_options_are_kept(boat, losses, tmp_path, name, options):
     same(twin, again)
 
 
+@pytest.mark.parametrize("design", ["", "usv75"])
+def test_the_class_is_kept(boat, losses, tmp_path, design):
+    twin = Twin(dataclasses.replace(boat, design=design))
+    feed(twin, losses, 0, 200)
+    twin.save(tmp_path / "a")
+    again = Twin.load(tmp_path / "a")
+    assert again.particulars.design == design
+    assert again.predictor.particulars == twin.particulars
+    for one in (twin, again):
+        feed(one, losses, 200, 400)
+    same(twin, again)
+
+
+def test_a_boat_that_was_saved_before_there_were_classes_is_of_none(boat, losses, tmp_path):
+    """Its file has no such attribute."""
+    twin = Twin(dataclasses.replace(boat, design=""))
+    feed(twin, losses, 0, 200)
+    twin.save(tmp_path / "a")
+
+    def without(header):
+        (node,) = (n for n in header["nodes"] if n[1] == "twin.particulars:Particulars")
+        node[2] = [field for field in node[2] if field[0] != "design"]
+
+    rewrite(tmp_path / "a", without)
+    again = Twin.load(tmp_path / "a")
+    assert again.particulars == twin.particulars
+    same(twin, again)
+
+
 def test_settings_are_kept(boat, losses, tmp_path):
     twin = Twin(boat, "ukf", settings=dataclasses.replace(plain_settings(boat), alpha=0.5))
     feed(twin, losses, 0, 100)

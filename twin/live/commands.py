@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import signal
 import time
@@ -213,6 +214,7 @@ def _fed(
         raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")
     particulars, _ = particulars_beside(Path("feed"), ship or "usv75")
     if ship is None:
+        particulars = dataclasses.replace(particulars, design="")
         note("the boat is taken to be the usv75; --vessel names another")
     twin = Twin(particulars, predictor)
     if nmea is not None:
