@@ -42,6 +42,14 @@ _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name i
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
     """LLVM code to put into others: not optimised as a whole, not translated."""
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+        # numba makes the passes anew for each function, and for all that are only declared
+        passes, builder = self._codegen._function_pass_manager()
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
     def _optimize_final_module(self) -> None:
         pass
 
