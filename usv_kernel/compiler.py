@@ -19,7 +19,13 @@ from llvmlite.binding import parse_bitcode
 from numba.core import types
 from numba.core.caching import Cache, CompileResultCacheImpl
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, compile_result
+from numba.core.compiler import (
+    CompilerBase,
+    CompileResult,
+    DefaultPassBuilder,
+    Flags,
+    compile_result,
+)
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
@@ -124,13 +130,31 @@ class _PartCache(Cache):  # type: ignore[misc]
     _impl_class = _PartCacheImpl
 
 
-class _Dispatcher(CPUDispatcher):  # type: ignore[misc]
-    """numba's dispatcher for types without the values of literals.
+class _Flags(Flags):  # type: ignore[misc]
+    """Flags that compare by what was set.
 
-    A number written out in a call would have the kernel compiled once more for that number.
+    numba looks its overloads up by type and flags, many times for every operator, and compares
+    all options with their defaults each time: a tenth of the compiling.
     """
 
+    __slots__ = ()
+
+    def __hash__(self) -> int:
+        return len(self._values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Flags) and self._values == other._values
+
+
+class _Dispatcher(CPUDispatcher):  # type: ignore[misc]
+    """numba's dispatcher for types without the values of literals, and with quick flags."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._compiler._customize_flags = _Flags
+
     def compile(self, sig: Any) -> Any:
+        # a number written out in a call would have the kernel compiled once more for that number
         return super().compile(tuple(map(unliteral, sig)))
 
 
