@@ -49,9 +49,13 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
     """LLVM code to put into others: not optimised as a whole, not translated."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
         # numba makes the passes anew for each function, and for all that are only declared
-        passes, builder = self._codegen._function_pass_manager()
+        try:
+            passes, builder = self._codegen._function_pass_manager()
+        except TypeError:  # numba before 0.62 makes them for a module
+            super()._optimize_functions(ll_module)
+            return
+        ll_module.data_layout = self._codegen._data_layout
         for function in ll_module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
@@ -182,9 +186,10 @@ class Kernel(_Dispatcher):
     """
 
     def __init__(self, function: Any, locals: Any = None, targetoptions: Any = None) -> None:
-        super().__init__(function, locals, targetoptions)
+        given = locals or {}  # numba before 0.62 wants a dictionary
+        super().__init__(function, given, targetoptions)
         options = {**(targetoptions or {}), "no_cpython_wrapper": True}
-        self.part = _Part(function, locals, options, _PartCompiler) if _PARTS else self
+        self.part = _Part(function, given, options, _PartCompiler) if _PARTS else self
 
     def enable_caching(self) -> None:
         """Keep what is compiled on disk."""
