@@ -24,9 +24,9 @@ from typing import Any, TypeVar
 import numba
 import platformdirs
 from numba.core import event, types
-from numba.core.types import unliteral  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
+from usv_kernel.compiler import Kernel
 from usv_kernel.first_use import Compiling
 from usv_kernel.views import reshaped
 
@@ -180,6 +180,16 @@ _MODULES: set[str] = set()
 event.register("numba:compile", Compiling(_MODULES))
 
 
+_OPTIONS = {
+    "nopython": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "boundscheck": None,
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
+
+
 def kernel(function: F, inline: bool = False) -> F:
     """Compile a function to machine code on its first call, and keep the code on disk.
 
@@ -208,13 +218,11 @@ def kernel(function: F, inline: bool = False) -> F:
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     numba.config.CACHE_DIR = str(folder) if folder else before  # type: ignore[attr-defined]
     try:
-        options = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
-        compiled = numba.njit(cache=folder is not None, forceinline=inline, **options)(function)
+        compiled = Kernel(function, targetoptions={**_OPTIONS, "forceinline": inline})
+        if folder is not None:
+            compiled.enable_caching()
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
-    # A number written out in a call would have the kernel compiled once more for that number.
-    compile_for = compiled.compile
-    compiled.compile = lambda types: compile_for(tuple(map(unliteral, types)))
     return compiled  # type: ignore[no-any-return]
 
 

@@ -16,7 +16,7 @@ import numba
 import pytest
 
 import usv_kernel
-from usv_kernel import first_use
+from usv_kernel import compiler, first_use
 
 ROOT = Path(usv_kernel.__file__).resolve().parent.parent
 PACKAGES = ("usv_kernel", "usv_gym", "twin")
@@ -245,7 +245,39 @@ def test_a_number_in_a_call_costs_no_specialisation(fresh: None) -> None:
         return power(x, 2) + power(x, 3)
 
     assert both(2.0) == 12.0
-    assert len(power.signatures) == 1
+    assert len(power.part.signatures) == 1
+
+
+def test_what_only_kernels_call_is_no_machine_code_until_python_calls_it(fresh: None) -> None:
+    def pair():
+        inner = usv_kernel.kernel(twice)
+        return inner, usv_kernel.kernel(lambda x: inner(x) + 1.0)
+
+    inner, outer = pair()
+    assert outer(3.0) == 7.0
+    assert not inner.signatures
+    (part,) = inner.part.overloads.values()
+    assert not part.library._codegen._engine.is_symbol_defined(part.fndesc.mangled_name)
+    assert inner(3.0) == 6.0
+    assert not inner.stats.cache_hits
+    # as in a new process: both are on disk
+    inner, outer = pair()
+    assert (inner(3.0), outer(3.0)) == (6.0, 7.0)
+    assert inner.stats.cache_hits
+    assert inner.part.stats.cache_hits
+
+
+def test_without_parts_kernels_give_the_same(fresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler, "_PARTS", False)
+    inner = usv_kernel.kernel(twice)
+    assert inner.part is inner
+
+    @usv_kernel.kernel
+    def outer(x):
+        return inner(x) + 1.0
+
+    assert outer(3.0) == 7.0
+    assert len(inner.signatures) == 1
 
 
 class Terminal(io.StringIO):
@@ -304,7 +336,7 @@ def test_others_kernels_and_short_waits_are_not_worth_a_word(
 def test_a_plain_script_says_that_it_compiles_the_first_time_only(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     environment.pop(first_use.QUIET, None)
-    impatient = "from usv_kernel import first_use\nfirst_use.PATIENCE = 0.0\n"
+    impatient = "from usv_kernel import compiler, first_use\nfirst_use.PATIENCE = 0.0\n"
     said = [
         subprocess.run(
             [sys.executable, "-c", impatient + CALLS["wrap"]],
