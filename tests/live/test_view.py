@@ -397,7 +397,11 @@ def test_a_log_shows_no_curve_of_what_comes_later(served, tmp_path):
     session.order(session.set_paused, True)
     for t in (50.0, 20.0, 0.0):
         session.order(session.seek, t)
-        wait(lambda t=t: session.at == pytest.approx(t) and viewer._shown.t <= t + 0.1)
+        wait(
+            lambda t=t: (
+                session.at == pytest.approx(t) and viewer._shown and viewer._shown.t <= t + 0.1
+            )
+        )
         time.sleep(0.7)
         for curve in (viewer.curves.error, viewer.curves.nis):
             times = curve.data[0]
