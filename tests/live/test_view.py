@@ -402,7 +402,7 @@ def test_a_log_shows_no_curve_of_what_comes_later(served, tmp_path):
                 session.at == pytest.approx(t) and viewer._shown and viewer._shown.t <= t + 0.1
             )
         )
-        time.sleep(0.7)
+        time.sleep(1.7)
         for curve in (viewer.curves.error, viewer.curves.nis):
             times = curve.data[0]
             assert len(times) == 0 or times.max() <= t + 0.1

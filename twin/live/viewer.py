@@ -54,7 +54,7 @@ class Viewer:
         self.curves = Curves(self.server, session)
         self._changed = session.changed
         self._shown: Snapshot | None = None
-        self._curves_due = 0.0
+        self._curves_due, self._curves_behind = 0.0, False
 
     @property
     def url(self) -> str:
@@ -81,7 +81,7 @@ class Viewer:
             fresh = self.session.fresh.wait(UNWATCHED)
             self.session.fresh.clear()
             now = time.monotonic()
-            if fresh and (now >= due or self.server.get_clients()):
+            if (fresh or self._curves_behind) and (now >= due or self.server.get_clients()):
                 due = now + UNWATCHED
                 self.step(now)
         raise self.session.error
@@ -91,15 +91,17 @@ class Viewer:
         if self.session.changed != self._changed:
             self._rebuild()
         snapshot = self.session.snapshot
-        if snapshot is None or snapshot is self._shown:
-            return
-        self._shown = snapshot
-        self.frames += 1
-        with self.server.atomic():
-            self.scene.show(snapshot)
-            self.controls.show(snapshot)
-        if now >= self._curves_due:
+        if snapshot is not None and snapshot is not self._shown:
+            self._shown = snapshot
+            self.frames += 1
+            with self.server.atomic():
+                self.scene.show(snapshot)
+                self.controls.show(snapshot)
+            self._curves_behind = True
+        # also of a session that pauses: its last moment may have come too soon for a picture
+        if self._curves_behind and now >= self._curves_due:
             self._curves_due = now + CURVES
+            self._curves_behind = False
             self.curves.show()
 
     def close(self) -> None:
