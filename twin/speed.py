@@ -574,16 +574,15 @@ def _shipmmg() -> Burst:
     from shipmmg import mmg_3dof
 
     v = Vessel.load("kvlcc2_l7").values
-    L, d, rho = v["length_waterline"], v["draft"], v["water_density"]
-    per_mass, per_inertia = 0.5 * rho * L**2 * d, 0.5 * rho * L**4 * d
+    L = v["length_waterline"]
     basic = mmg_3dof.Mmg3DofBasicParams(
-        **{"L_pp": L, "B": v["beam"], "d": d, "x_G": v["x_G"] / L, "D_p": v["propeller_diameter"]},
-        **{"m": v["mass"] / per_mass, "I_zG": v["I_zz"] / per_inertia, "A_R": v["A_R"] / (L * d)},
-        **{"m_x": v["m_x"] / per_mass, "m_y": v["m_y"] / per_mass, "J_z": v["J_zz"] / per_inertia},
+        **{"L_pp": L, "B": v["beam"], "d": v["draft"], "D_p": v["propeller_diameter"]},
+        **{"m": v["mass"], "I_zG": v["I_zz"], "x_G": v["x_G"], "A_R": v["A_R"]},
+        **{"m_x": v["m_x"], "m_y": v["m_y"], "J_z": v["J_zz"]},
         **{"\u03b7": v["propeller_diameter"] / v["rudder_height"], "f_\u03b1": v["f_alpha"]},
-        **{"\u03b5": v["epsilon"], "t_R": v["t_R"], "a_H": v["a_H"], "x_H": v["x_H_prime"]},
+        **{"\u03b5": v["epsilon"], "t_R": v["t_R"], "a_H": v["a_H"], "x_H": L * v["x_H_prime"]},
         **{f"\u03b3_R_{side}": v[f"gamma_R_{side}"] for side in ("plus", "minus")},
-        **{"x_R": v["x_R_prime"], "x_P": v["x_P_prime"], "l_R": v["l_R_prime"]},
+        **{"x_R": L * v["x_R_prime"], "x_P": v["x_P_prime"], "l_R": v["l_R_prime"]},
         **{"\u03ba": v["kappa"]},
         **{"t_P": v["thrust_deduction"], "w_P0": v["wake_fraction"]},
     )
@@ -595,8 +594,8 @@ def _shipmmg() -> Burst:
     times = H * np.arange(SHIP_STEPS + 1)
     rudder, shaft = np.full(times.shape, 0.1), np.full(times.shape, 10.4)
     arguments = (basic, manoeuvring, times, rudder, shaft)
-    sail = mmg_3dof.simulate_mmg_3dof
-    return lambda: sail(*arguments, u0=1.179, t_eval=times), SHIP_STEPS
+    start = {"u0": 1.179, "\u03c1": v["water_density"]}
+    return lambda: mmg_3dof.simulate_mmg_3dof(*arguments, **start, t_eval=times), SHIP_STEPS
 
 
 # learning
