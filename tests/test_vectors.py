@@ -1,5 +1,7 @@
 """Sums of rows and views, which kernels write out by hand."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -143,6 +145,15 @@ def test_a_matrix_of_rows_is_added_as_row_by_row(size, count, many, sign, gaps, 
     add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many)
     # to the bit: each number's terms are fused in the same order
     np.testing.assert_array_equal(to, singly)
+
+
+def test_infinity_stays_in_its_column():
+    rows, to = np.ones(9), np.zeros((2, 9))
+    rows[1] = math.inf  # seen twice: by the first eight columns, and by the last
+    add_matrix(to, 0, 9, 2, 9, np.ones(2), 0, 1, 1.0, rows, 0, 9, 1)
+    expected = np.ones((2, 9))
+    expected[:, 1] = math.inf
+    np.testing.assert_array_equal(to, expected)
 
 
 @settings(deadline=None)  # the first call compiles

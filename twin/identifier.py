@@ -429,8 +429,11 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
             i = PSI + 1 + k
             # held while the sensor that would feel them is gone
             if not (no_imu if k == 2 else no_gps):
-                more = (n[i] - x[i]) ** 2 - P[i, i] - R[i, i]
-                felt[k] = max(felt[k] + min(row / waves[0], 1.0) * (more - felt[k]), 0.0)
+                # a prediction gone wild is no wave: none moves her faster than she sails
+                off = min(abs(n[i] - x[i]), 0.25 * envelope[k])
+                more = off * off - P[i, i] - R[i, i]
+                share = min(min(row, STEP_MAX) / waves[0], 1.0)
+                felt[k] = max(felt[k] + share * (more - felt[k]), 0.0)
             R[i, i] += waves[1] * felt[k] / row
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
     hold_inside(x, envelope)

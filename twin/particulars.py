@@ -207,11 +207,16 @@ class Particulars:
             raise ParticularsError(
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
             )
-        if self.design and self.design not in DESIGNS:
+        if self.design != "" and self.design not in DESIGNS:
             raise ParticularsError(
                 f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
                 f"{', '.join(DESIGNS)}, leave it out, or hand one of your own to the twin "
                 "(twin.population.sister)"
+            )
+        if self.design and (self.steering != "drives" or self.tanker):
+            raise ParticularsError(
+                f"design = {self.design!r} is a class of boats with drives, and the other "
+                "particulars are not of such a boat: correct them, or leave the class out"
             )
 
     @classmethod

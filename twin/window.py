@@ -46,6 +46,8 @@ __all__ = [
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
+ACCEL_MAX = 1e6
+"""What an accelerometer says beyond this, m/s2, is not taken for a motion."""
 """Acceleration of gravity, m/s2."""
 
 ENVIRONMENT_FORMS = ("third", "half", "product", "off")
@@ -351,7 +353,7 @@ class WaveProxy:
         """
         if not (math.isfinite(dt) and dt >= 0.0):
             raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
-        if not math.isfinite(accel):
+        if not abs(accel) < ACCEL_MAX:
             return self.value
         if math.isnan(self.value):
             self._mean = accel

@@ -285,7 +285,9 @@ def sincos(x: float) -> tuple[float, float]:
     c = fma(z, fma(z, c, -2.75573192239858906526e-07), 2.48015873015873015873e-05)
     c = fma(z, fma(z, c, -1.38888888888888888889e-03), 4.16666666666666666667e-02)
     c = fma(z, fma(z, c, -0.5), 1.0)
-    return sign * fma(odd, c - s, s), sign * fma(-odd, c + s, c)
+    # one of two terms is 0, so that sin(-x) = -sin(x) and cos(-x) = cos(x) to the bit
+    even = 1.0 - odd
+    return sign * fma(odd, c, even * s), sign * fma(-odd, s, even * c)
 
 
 @inlined

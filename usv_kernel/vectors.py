@@ -184,14 +184,13 @@ def accumulate_rows(
 
             numbers = [builder.add(begin, index(k)) for k in range(block)]
             with_sign = _alike(builder, sign, lanes)
-            if seen is not None:
-                new = _from(builder, seen, lanes)
-                none = ir.Constant(kind, [0.0] * lanes)
-                with_sign = builder.select(new, with_sign, none)
             held = [
                 builder.fmul(with_sign, builder.load(place(source, j, width), align=8))
                 for j in numbers
             ]
+            if seen is not None:
+                new, none = _from(builder, seen, lanes), ir.Constant(kind, [0.0] * lanes)
+                held = [builder.select(new, row, none) for row in held]
             with cgutils.for_range(builder, size) as loop:
                 where = place(target, loop.index, apart)
                 total = builder.load(where, align=8)

@@ -82,6 +82,13 @@ def test_sincos_equals_math(x: float) -> None:
     assert c == pytest.approx(math.cos(x), rel=0, abs=2e-15)
 
 
+@given(st.floats(-1e6, 1e6))
+@settings(deadline=None)
+def test_sine_is_odd_and_cosine_even_to_the_bit(x: float) -> None:
+    s, c = waves.sincos(x)
+    assert waves.sincos(-x) == (-s, c)
+
+
 def test_sincos_at_the_seams_of_its_reduction() -> None:
     seams = np.concatenate([np.arange(-9, 10), [101, 4_001, 123_457, 636_000]]) * (math.pi / 4)
     for x in np.concatenate([seams, np.nextafter(seams, 1e9), np.nextafter(seams, -1e9)]):

@@ -74,10 +74,11 @@ def test_round_trip(tmp_path: Path, data: st.DataObject) -> None:
     boat = Particulars(
         name=data.draw(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)),
         steering=data.draw(st.sampled_from(STEERING)),
-        design=data.draw(st.sampled_from(("", *DESIGNS))),
         instruments=instruments,
         **{name: data.draw(above_zero) for name in POSITIVE},
     )
+    if boat.steering == "drives" and not boat.tanker:
+        boat = dataclasses.replace(boat, design=data.draw(st.sampled_from(("", *DESIGNS))))
     path = tmp_path / "boat.toml"
     path.write_text(boat.to_toml(), encoding="utf-8")
     assert Particulars.load(path) == boat
@@ -90,6 +91,16 @@ def test_values_that_no_boat_has(name: str, value: float) -> None:
     change: dict[str, Any] = {name: value}
     with pytest.raises(ParticularsError, match=f"^{name} = {value} {words}"):
         dataclasses.replace(BOAT, **change)
+
+
+def test_a_class_that_the_other_particulars_contradict_is_refused():
+    for change in ({"steering": "differential"}, {"speed": 1.0, "mass": 1025.0 * 8.0}):
+        odd = {"length": 10.0, "beam": 1.0, "draft": 1.0, **change}
+        other = dataclasses.replace(BOAT, **odd)
+        with pytest.raises(ParticularsError, match="design = 'usv75' is a class of boats with"):
+            dataclasses.replace(other, design="usv75")
+    with pytest.raises(ParticularsError, match="design = None"):
+        dataclasses.replace(BOAT, design=None)
 
 
 @pytest.mark.parametrize("name", ARMS)

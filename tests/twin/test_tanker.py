@@ -146,3 +146,14 @@ def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
         off.append(math.dist(twin.estimate().s[:2], log.truth[row, :2]))
     # measured: 1.1 and 1.7 m; with noises for calm water in every sea 11 and 14 m
     assert max(off[1200:]) < 5.0
+
+
+def test_a_wild_prediction_is_no_wave() -> None:
+    """After a gap the model that is hardly known may predict anything: nothing of it is felt."""
+    ship = Vessel.load("kvlcc2_l7")
+    log = simulate("random", vessel=ship, sea=SeaState.named("3"), duration=30.0, seed=1)
+    twin = Twin(particulars_of(ship), "ukf")
+    for row, (t, z, cmd) in enumerate(log):
+        twin.step(t + (10.0 if row >= 200 else 0.0), z, cmd)
+        if row >= 201:
+            assert twin.estimate().sd[3] < 1.0, row

@@ -360,3 +360,11 @@ def test_adapted_noise_stays_positive_definite_and_bounded(
             assert (noise.diagonal() >= 0.0099 * start.diagonal()).all()
             assert (noise.diagonal() <= 100.01 * start.diagonal()).all()
             assert noise[0, 1] / math.sqrt(noise[0, 0] * noise[1, 1]) == pytest.approx(correlation)
+
+
+@pytest.mark.parametrize("accel", [math.nan, math.inf, -math.inf, 1e160, -1e9])
+def test_an_accelerometer_gone_wild_is_no_wave(accel):
+    proxy = WaveProxy()
+    for k in range(100):
+        before = proxy.update(0.05, math.sin(k))
+    assert proxy.update(0.05, accel) == before
