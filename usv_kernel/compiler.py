@@ -4,8 +4,8 @@ numba compiles every function to optimised machine code of its own, and then put
 LLVM code into each caller, where it is translated again; with a hundred kernels that call each
 other, half of the time went into code that nobody runs. So a kernel has two dispatchers here: its
 own answers Python, as ever, and that of its ``part`` answers other kernels. A part stays LLVM
-code, and is translated once, with the kernel that Python calls. It is optimised all the same:
-without, waves and refits took a tenth longer to run. Both are kept on disk.
+code, and is optimised and translated once, with the kernel that Python calls. Both are kept on
+disk.
 
 What this needs of numba beyond its documented pipeline is named in ``_NEEDED``; where an
 attribute of these is missing, kernels are compiled in numba's way, to the same results.
@@ -13,10 +13,10 @@ attribute of these is missing, kernels are compiled in numba's way, to the same 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from llvmlite.binding import parse_bitcode
-from numba.core import types
+from numba.core import config, types
 from numba.core.caching import Cache, CompileResultCacheImpl
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import (
@@ -30,18 +30,76 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.types import unliteral  # type: ignore[attr-defined]
+from numba.core.typing import Context
+
+try:
+    from llvmlite.binding import PassBuilder, PipelineTuningOptions
+except ImportError:  # before 0.45
+    PassBuilder = PipelineTuningOptions = None
 
 __all__ = ["Kernel"]
 
 _NEEDED = {
-    JITCodeLibrary: ("_finalize_final_module", "_finalize_dynamic_globals"),
+    JITCodeLibrary: (
+        "_optimize_functions",
+        "_optimize_final_module",
+        "_finalize_final_module",
+        "_finalize_dynamic_globals",
+    ),
+    Context: ("resolve_function_type",),
     CPUDispatcher: ("_numba_type_", "add_overload", "compile"),
     NativeLowering: ("run_pass",),
 }
 _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name in names)
 
 
-class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _Typing(Context):  # type: ignore[misc]
+    """numba's knowledge of types, with a memory of what its operators and functions give.
+
+    numba looks through its candidates anew for every sum: an eighth of the compiling.
+    """
+
+    _known: ClassVar[dict[tuple[Any, ...], Any]] = {}
+
+    def __init__(self, context: Context) -> None:
+        self.__dict__ = context.__dict__
+
+    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+        """Return the signature of a call."""
+        call = func, tuple(args)
+        try:
+            remember = not kws and not isinstance(func, types.Dispatcher) and hash(call) is not None
+        except TypeError:  # a slice with literal limits
+            remember = False
+        if not remember:
+            return super().resolve_function_type(func, args, kws)
+        if call not in self._known:
+            self._known[call] = super().resolve_function_type(func, args, kws)
+        return self._known[call]
+
+
+class _Library(JITCodeLibrary):  # type: ignore[misc]
+    """The code of a kernel that Python calls."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        if PipelineTuningOptions is None:
+            super()._optimize_functions(ll_module)
+        else:  # all at once, below
+            ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        if PipelineTuningOptions is None:
+            super()._optimize_final_module()
+            return
+        tuning = PipelineTuningOptions(config.OPT)
+        tuning.loop_vectorization = tuning.slp_vectorization = True
+        # what gains by it is unrolled by hand: of the rest it only made twice as much code
+        tuning.loop_unrolling = tuning.loop_interleaving = False
+        builder = PassBuilder(self._codegen._tm, tuning)
+        builder.getModulePassManager().run(self._final_module, builder)
+
+
+class _PartLibrary(_Library):
     """LLVM code to put into others: not translated."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -56,40 +114,70 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
             if not function.is_declaration:
                 passes.run(function, builder)
 
+    def _optimize_final_module(self) -> None:
+        # sums and the like become vectors before they are inlined: in a long kernel LLVM gives up
+        if not self._linking_libraries:
+            super()._optimize_final_module()
+
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         self._finalized = True
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _PartLowering(NativeLowering):  # type: ignore[misc]
+class _Lowering(NativeLowering):  # type: ignore[misc]
+    """Lower to LLVM code, optimised in our way."""
+
+    _name = "kernel_lowering"
+    _library = _Library
+
+    def run_pass(self, state: Any) -> bool:
+        """Do as numba does, with a library of ours."""
+        name = state.func_id.func_qualname
+        state.library = self._library(state.targetctx.codegen(), name)
+        state.library.enable_object_caching()
+        return bool(super().run_pass(state))
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(_Lowering):
     """Lower to LLVM code, and let other functions call it by that."""
 
     _name = "part_lowering"
+    _library = _PartLibrary
 
     def run_pass(self, state: Any) -> bool:
         """Do as numba does for what is executed, but for the executing."""
-        context = state.targetctx
-        state.library = _PartLibrary(context.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
         lowered, key = state["cr"], object()
-        context.insert_user_function(key, lowered.fndesc, [state.library])
+        state.targetctx.insert_user_function(key, lowered.fndesc, [state.library])
         state["cr"] = lowered._replace(cfunc=key)
         return True
 
 
-class _PartCompiler(CompilerBase):  # type: ignore[misc]
-    """numba's pipeline with a lowering of our own."""
+class _Compiler(CompilerBase):  # type: ignore[misc]
+    """numba's pipeline with a lowering and a typing of our own."""
+
+    _lowering = _Lowering
+
+    def __init__(self, typing_context: Any, *arguments: Any) -> None:
+        super().__init__(_Typing(typing_context), *arguments)
 
     def define_pipelines(self) -> list[PassManager]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
-            (_PartLowering if step is NativeLowering else step, text)
+            (self._lowering if step is NativeLowering else step, text)
             for step, text in passes.passes
         ]
         passes.finalize()
         return [passes]
+
+
+class _PartCompiler(_Compiler):
+    """The same for parts."""
+
+    _lowering = _PartLowering
 
 
 class _PartCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
@@ -180,7 +268,7 @@ class Kernel(_Dispatcher):
 
     def __init__(self, function: Any, locals: Any = None, targetoptions: Any = None) -> None:
         given = locals or {}  # numba before 0.62 wants a dictionary
-        super().__init__(function, given, targetoptions)
+        super().__init__(function, given, targetoptions, *((_Compiler,) if _PARTS else ()))
         options = {**(targetoptions or {}), "no_cpython_wrapper": True}
         self.part = _Part(function, given, options, _PartCompiler) if _PARTS else self
 

@@ -280,6 +280,30 @@ def test_without_parts_kernels_give_the_same(fresh: None, monkeypatch: pytest.Mo
     assert len(inner.signatures) == 1
 
 
+def test_without_tuning_of_passes_kernels_give_the_same(
+    fresh: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler, "PipelineTuningOptions", None)  # as llvmlite had it before 0.45
+    inner = usv_kernel.kernel(twice)
+
+    @usv_kernel.kernel
+    def outer(x):
+        return inner(x) + 1.0
+
+    assert outer(3.0) == 7.0
+
+
+def test_remembered_types_are_those_of_the_arguments(fresh: None) -> None:
+    @usv_kernel.kernel
+    def added(x, y):
+        return x + y
+
+    assert type(added(1, 2)) is int
+    assert type(added(1, 2.0)) is float
+    assert type(added(1.0, 2.0)) is float
+    assert type(added(3, 4)) is int
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
