@@ -51,10 +51,14 @@ METRICS = {
     "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),
     "J": (
         "J",
-        "MAE over that of the oracle on the same run, mean of u, v, r, heading and displacement, "
+        "MAE over all runs over that of the oracle, mean of u, v, r, heading and displacement, "
         "each the mean of every half second up to 10 s",
     ),
     "E": ("E", "J - 1, the excess over the oracle"),
+    "E_runs": (
+        "mean E of runs",
+        "the same for each run by itself, mean over runs: few of them can make most of it",
+    ),
     "crps": ("CRPS", "score of the whole distribution, pooled as the MAE; of a sure one, its MAE"),
     "start_error": (
         "start error (m)",

@@ -341,15 +341,35 @@ def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
     assert row["J"] == pytest.approx(np.mean(ratios))
 
 
+def test_over_runs_j_is_of_mean_errors():
+    """A run on which the oracle is nearly perfect counts by its error, not by its ratio."""
+    base = dict.fromkeys(bench.KEY, "x") | {name: 1.0 for name in bench.METRICS}
+    errors = {"oracle": (0.01, 1.0, 1.0), "ukf": (0.1, 1.1, 1.2)}
+    rows = [
+        base
+        | {"seed": seed, "predictor": name, "curves": {"u": [error] * 20}}
+        | {"J": error / floor, "E": error / floor - 1.0}
+        for name, each in errors.items()
+        for seed, (error, floor) in enumerate(zip(each, errors["oracle"], strict=True))
+    ]
+    found = {item["metric"]: item for item in bench.summarise(rows) if item["predictor"] == "ukf"}
+    assert found["E"]["value"] == pytest.approx(2.4 / 2.01 - 1.0)
+    assert found["J"]["value"] == pytest.approx(found["E"]["value"] + 1.0)
+    assert found["E"]["median"] == found["E_runs"]["median"] == pytest.approx(0.2)
+    assert found["E_runs"]["value"] == pytest.approx((9.0 + 0.1 + 0.2) / 3.0)
+    assert found["E"]["low"] == pytest.approx(0.1)
+    assert found["E"]["high"] == pytest.approx(9.0)
+
+
 def test_without_the_oracle_there_is_no_j(small):
     _, results = small
     alone = dataclasses.replace(SMALL, predictors=("persistence", "ukf"))
     done = [r for r in results["runs"] if r["predictor"] in alone.predictors]
     for row in done:
-        assert set(bench.METRICS) - {"mae_median"} <= set(row)
+        assert set(bench.METRICS) - {"mae_median", "E_runs"} <= set(row)
     stripped = [{k: v for k, v in row.items() if k not in ("J", "E")} for row in done]
     metrics = {item["metric"] for item in bench.summarise(stripped)}
-    assert metrics == set(bench.METRICS) - {"J", "E"}
+    assert metrics == set(bench.METRICS) - {"J", "E", "E_runs"}
 
 
 def test_paired_comparison():
