@@ -407,7 +407,9 @@ def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> t
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 
 
-def member(model: str, kind: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tuple[str, ...]]:
+def member(
+    model: str, kind: str, draw: Draw, seed: int, i: int
+) -> tuple[Array, Array, tuple[str, ...]]:
     """Return one boat of a population.
 
     Parameters
@@ -470,7 +472,9 @@ def make_prior(
         If the model does not fit half of them.
     """
     draw = draw or functools.partial(random_boat, kind)
-    members = Parallel(n_jobs=workers)(delayed(member)(model, kind, draw, seed, i) for i in range(drawn))
+    members = Parallel(n_jobs=workers)(
+        delayed(member)(model, kind, draw, seed, i) for i in range(drawn)
+    )
     fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
     if len(fitted) < max(2, drawn // 2):
         raise PriorError(
