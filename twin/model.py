@@ -139,7 +139,9 @@ PAPER_TABLE_3 = np.concatenate(
 """Table 3, identified in a 20/-20 degree zigzag. No boat either: it speeds up in turns."""
 
 
-def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> Structure:
+def model_of(
+    particulars: Particulars, name: str, *, biased: bool = False, tanker: bool | None = None
+) -> Structure:
     """Return the model structure of a boat.
 
     Parameters
@@ -150,6 +152,8 @@ def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> St
         One of ``twin.structure.MODELS``.
     biased : bool
         Add two earth-fixed accelerations where the structure has none.
+    tanker : bool, optional
+        Whether she is one; what the particulars say if left out.
 
     Raises
     ------
@@ -162,7 +166,7 @@ def model_of(particulars: Particulars, name: str, *, biased: bool = False) -> St
         particulars.speed,
         particulars.shaft_speed,
         differential=particulars.steering == "differential",
-        tanker=particulars.tanker,
+        tanker=particulars.tanker if tanker is None else tanker,
         biased=biased,
     )
 
@@ -198,7 +202,7 @@ def derivative(s, xi, act, wind, kit, terms, out):
         True wind to north and east, m/s; zeros where it is not known.
     kit : tuple
         Of the structure.
-    terms : (49,) array
+    terms : (50,) array
         Room for the terms; they are left there.
     out : (6,) array
         The derivative.

@@ -407,13 +407,15 @@ def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> t
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 
 
-def member(model: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tuple[str, ...]]:
+def member(
+    model: str, kind: str, draw: Draw, seed: int, i: int
+) -> tuple[Array, Array, tuple[str, ...]]:
     """Return one boat of a population.
 
     Parameters
     ----------
-    model : str
-        Model structure.
+    model, kind : str
+        Model structure, and kind of boats as for :func:`random_boat`.
     draw : callable
         From a generator to a boat and its usual shaft speed.
     seed, i : int
@@ -431,7 +433,8 @@ def member(model: str, draw: Draw, seed: int, i: int) -> tuple[Array, Array, tup
     rng = np.random.default_rng((seed, i))
     vessel, n = draw(rng)
     run = sail_calm(vessel, rng, n)
-    structure = model_of(run.particulars, model)
+    # by the clock of the run no ship is slow
+    structure = model_of(run.particulars, model, tanker=kind == TANKER)
     xi, error = project(structure, [run])
     shown = _shown(structure)
     names = tuple(np.array(structure.parameters)[shown].tolist())
@@ -469,7 +472,9 @@ def make_prior(
         If the model does not fit half of them.
     """
     draw = draw or functools.partial(random_boat, kind)
-    members = Parallel(n_jobs=workers)(delayed(member)(model, draw, seed, i) for i in range(drawn))
+    members = Parallel(n_jobs=workers)(
+        delayed(member)(model, kind, draw, seed, i) for i in range(drawn)
+    )
     fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
     if len(fitted) < max(2, drawn // 2):
         raise PriorError(

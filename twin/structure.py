@@ -22,6 +22,8 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     nobody measures must be learned. Left and right propeller enter
     as their mean and difference, because nothing tells them apart when they turn alike. A tanker
     has one propeller: in the place of the difference, N_dn is the turning of one that runs astern.
+    Behind it, flow from port is not straightened as flow from starboard is: Y_S and N_S, of tankers
+    alone, are what the rudder's lift gains from one side and loses from the other.
 
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
 current do and the model does not know; they enter surge and sway together.
@@ -72,20 +74,20 @@ N_STATES = 6
 (
     U_U, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, COS, SIN, MINUS_SIN,
     UUU, UV, AU_V, AU_R, AV_R, ONE, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N,
-    ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT,
+    ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT, FIN_SIDE,
     LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
     MEAN_COS, MEAN_SIN, DIFFERENCE, ASTERN_RACE,
     _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
     _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
-) = range(49)  # fmt: skip
-N_TERMS = 49
+) = range(50)  # fmt: skip
+N_TERMS = 50
 """Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
 before UUU are in every structure, the others of the state where all terms are needed."""
 
-_SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT)
+_SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT, FIN_SIDE)
 BY_U = np.array([U_U, UUU, U, UR, UV, AU_V, AU_R, ADVANCE_COS, ADVANCE_SIN, *_SHIP])
 BY_V = np.array([VV, VR, V, V_V, V_R, VVR, VRR, UV, AU_V, AV_R, *_SHIP])
-BY_R = np.array([VR, RR, R, V_R, R_R, UR, VVR, VRR, AU_R, AV_R, FIN_DRAG, FIN_LIFT])
+BY_R = np.array([VR, RR, R, V_R, R_R, UR, VVR, VRR, AU_R, AV_R, *_SHIP[3:]])
 BY_PSI = np.array([COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N])
 """Terms that change with u, v, r and psi: those whose slopes :func:`term_slopes` writes."""
 
@@ -108,7 +110,7 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
         Shaft speeds in the unit of the structure.
     cos_left, sin_left, cos_right, sin_right : float
         Of the drive angles.
-    terms : (49,) array
+    terms : (50,) array
         Those from LEFT_COS on are written.
     """
     left, right = n_left * abs(n_left), n_right * abs(n_right)
@@ -150,7 +152,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         Velocity of the true wind to north and east, m/s; zeros where it is not known.
     hull : (4,) array
         Constants of the structure.
-    terms : (49,) array
+    terms : (50,) array
         Those before LEFT_COS are written.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
@@ -173,14 +175,16 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         terms[WIND_X], terms[WIND_Y], terms[WIND_N] = speed * ahead, speed * aside, ahead * aside
     terms[ADVANCE_COS], terms[ADVANCE_SIN] = u * terms[_SHAFT_COS], u * terms[_SHAFT_SIN]
     aside = STRAIGHTENING * (LEVER * hull[LENGTH] * r - v)
-    drag, lift = 0.0, 0.0
+    drag, lift, side = 0.0, 0.0, 0.0
     for k in range(2):
         along = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])[0]
         c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
-        normal = math.sqrt(along * along + aside * aside) * (s * along - c * aside)
+        speed = math.sqrt(along * along + aside * aside)
+        normal = speed * (s * along - c * aside)
         drag += 0.5 * s * normal
         lift += 0.5 * c * normal
-    terms[FIN_DRAG], terms[FIN_LIFT] = drag, lift
+        side += 0.5 * c * speed * c * abs(aside)
+    terms[FIN_DRAG], terms[FIN_LIFT], terms[FIN_SIDE] = drag, lift, side
 
 
 @kernel
@@ -191,9 +195,9 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     ----------
     u, v, r, cos_psi, sin_psi, wind, hull
         See :func:`state_terms`.
-    terms : (49,) array
+    terms : (50,) array
         As :func:`state_terms` left it.
-    slopes : (4, 49) array
+    slopes : (4, 50) array
         Written where a derivative is not always 0; hand in zeros.
     """
     slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
@@ -233,7 +237,7 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
     turn = STRAIGHTENING * LEVER * hull[LENGTH]
     aside = turn * r - STRAIGHTENING * v
     for i in range(3):
-        slopes[i, FIN_DRAG] = slopes[i, FIN_LIFT] = 0.0
+        slopes[i, FIN_DRAG] = slopes[i, FIN_LIFT] = slopes[i, FIN_SIDE] = 0.0
     for k in range(2):
         along, steep = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])
         c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
@@ -241,10 +245,14 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
         attack = s * along - c * aside
         by_along = along / speed * attack + speed * s
         by_aside = aside / speed * attack - speed * c
+        side_along = along / speed * c * abs(aside)
+        side_aside = math.copysign(aside / speed * aside + speed, aside) * c
         for i in range(3):
-            slope = by_along * steep if i == 0 else by_aside * (-STRAIGHTENING if i == 1 else turn)
+            inner = steep if i == 0 else (-STRAIGHTENING if i == 1 else turn)
+            slope = (by_along if i == 0 else by_aside) * inner
             slopes[i, FIN_DRAG] += 0.5 * s * slope
             slopes[i, FIN_LIFT] += 0.5 * c * slope
+            slopes[i, FIN_SIDE] += 0.5 * c * (side_along if i == 0 else side_aside) * inner
 
 
 @inlined
@@ -253,7 +261,7 @@ def accelerations(terms, kit, xi, first):
 
     Parameters
     ----------
-    terms : (49,) array
+    terms : (50,) array
         All terms.
     kit : tuple
         Of the structure.
@@ -298,7 +306,7 @@ def gather(kit, xi, shares):
         Of the structure.
     xi : (p,) array
         Parameters.
-    shares : (49, 4) array
+    shares : (50, 4) array
         Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
     """
     which, limits, _ = kit
@@ -436,6 +444,7 @@ _MMG = (
     ("Y_nn", "1/m", "Y", MEAN_SIN, (-1, 0, 0), -0.15, 0.12),
     ("Y_nu", "1/m", "Y", ADVANCE_SIN, (-1, 0, 0), 0.0, 0.08),
     ("Y_F", "1/m", "Y", FIN_LIFT, (-1, 0, 0), -0.06, 0.15),
+    ("Y_S", "1/m", "Y", FIN_SIDE, (-1, 0, 0), 0.0, 0.06),
     ("Y_w", "1/m", "Y", WIND_Y, (-1, 0, 0), 0.006, 0.006),
     ("N_uv", "rad/m2", "N", UV, (-2, 0, 0), -1.5, 2.2),
     ("N_|u|r", "1/m", "N", AU_R, (-1, 0, 0), -2.4, 1.2),
@@ -446,6 +455,7 @@ _MMG = (
     ("N_nn", "rad/m2", "N", MEAN_SIN, (-2, 0, 0), 0.8, 0.6),
     ("N_nu", "rad/m2", "N", ADVANCE_SIN, (-2, 0, 0), 0.0, 0.4),
     ("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
+    ("N_S", "rad/m2", "N", FIN_SIDE, (-2, 0, 0), 0.0, 0.3),
     ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.05, 0.1),
     ("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
     ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01),
@@ -517,7 +527,7 @@ def structure_of(
     """
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
-    rows = list(_TABLES[name])
+    rows = [row for row in _TABLES[name] if tanker or row[3] != FIN_SIDE]
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
         rows[sway:sway] = _BIASES

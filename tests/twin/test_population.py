@@ -75,7 +75,7 @@ def test_shipped_boats_are_what_the_function_makes(model: str, kind: str) -> Non
     prior = shipped_prior(model, kind)
     draw = functools.partial(pop.random_boat, kind)
     for row, boat in enumerate(prior.boats[:2]):
-        xi, error, names = pop.member(model, draw, pop.SEED, int(boat))
+        xi, error, names = pop.member(model, kind, draw, pop.SEED, int(boat))
         assert names == prior.parameters
         assert np.all(error <= pop.LARGEST_ERROR)
         assert np.all(np.abs(xi - prior.members[row]) < apart(prior))

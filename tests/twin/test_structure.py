@@ -29,16 +29,17 @@ CALM = np.zeros(2)
 finite = st.floats(-10.0, 10.0)
 angle = st.floats(-0.7, 0.7)
 CASES = [
-    pytest.param((name, differential, biased), id=f"{name}-{differential:d}-{biased:d}")
+    pytest.param((name, kind, biased), id=f"{name}-{kind}-{biased:d}")
     for name in MODELS
-    for differential in (False, True)
+    for kind in ("drives", "differential", "tanker")
     for biased in (False, True)
 ]
 
 
-def boat(case: tuple[str, bool, bool]) -> Structure:
-    name, differential, biased = case
-    return structure_of(name, LENGTH, SPEED, SHAFT, differential=differential, biased=biased)
+def boat(case: tuple[str, str, bool]) -> Structure:
+    name, kind, biased = case
+    told = {} if kind == "drives" else {kind: True}
+    return structure_of(name, LENGTH, SPEED, SHAFT, **told, biased=biased)
 
 
 def terms_of(
@@ -56,7 +57,7 @@ def terms_of(
 
 
 def printed(
-    differential: bool,
+    kind: str,
     nu: tuple[float, float, float],
     psi: float,
     wind: np.ndarray,
@@ -91,21 +92,26 @@ def printed(
         **{"N_vvr": v**2 * r, "N_vrr": v * r**2, "N_0": 1.0},
         **{"N_cos": math.cos(psi), "N_sin": math.sin(psi)},
         **{"N_cos2": math.cos(2 * psi), "N_sin2": math.sin(2 * psi)},
-        "T_rL": left if differential else left * sin_l,
-        "T_rR": -right if differential else right * sin_r,
+        "T_rL": left if kind == "differential" else left * sin_l,
+        "T_rR": -right if kind == "differential" else right * sin_r,
         **{"N_nn": sway["Y_nn"], "N_nu": sway["Y_nu"]},
-        "N_dn": (left * cos_l - right * cos_r) / 2,
+        "N_dn": (min(n_l, 0) ** 2 + min(n_r, 0) ** 2) / 2
+        if kind == "tanker"
+        else (left * cos_l - right * cos_r) / 2,
     }
     # a rudder or drive feels hull wake, slipstream (a tenth of it astern), and the turning stern
     across = 0.5 * (0.71 * LENGTH * r - v)
-    fin_x, fin_y = 0.0, 0.0
+    fin_x, fin_y, side = 0.0, 0.0, 0.0
     for n, d in ((n_l, d_l), (n_r, d_r)):
         square = 0.4 * u * abs(u) + (0.6 if n > 0 else 0.06) * n * abs(n)
         along = square / math.sqrt(abs(square) + (0.05 * SPEED) ** 2)
         force = (along**2 + across**2) * math.sin(d - math.atan2(across, along))
         fin_x += force * math.sin(d) / 2
         fin_y += force * math.cos(d) / 2
+        # the part of the force that cross flow alone gives, whatever side it comes from
+        side += math.hypot(along, across) * abs(across) * math.cos(d) ** 2 / 2
     surge["X_F"], sway["Y_F"], yaw["N_F"] = fin_x, fin_y, fin_y
+    sway["Y_S"] = yaw["N_S"] = side
     if wind.any():
         north = wind[0] - (u * math.cos(psi) - v * math.sin(psi))
         east = wind[1] - (u * math.sin(psi) + v * math.cos(psi))
@@ -170,8 +176,9 @@ def away_from_kinks(*values: float) -> None:
 def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
     u, v, r = nu
     away_from_kinks(u, v, r)
+    away_from_kinks(0.71 * LENGTH * r - v)
     wind = np.array(wind)
-    structure = structure_of(name, LENGTH, SPEED, SHAFT)
+    structure = structure_of(name, LENGTH, SPEED, SHAFT, tanker=True)  # she has all terms
     hull = structure.kit[2]
     for n in act[:2]:  # where the flow at a drive turns round
         away_from_kinks(0.4 * u * abs(u) + (0.6 if n > 0.0 else 0.06) * n * abs(n))
@@ -207,7 +214,7 @@ def test_limits_and_blocks_frame_what_enters_each_equation(case) -> None:
     assert len(structure.units) == len(structure.scales) == p
     assert len(set(structure.parameters)) == p
     assert (limits[:3] == N_STATES).all()  # place and heading depend on no parameter at once
-    terms = terms_of(structure, (4.0, -0.5, 0.2), 0.8, np.array([3.0, 2.0]), (5.0, 6.0, 0.1, 0.3))
+    terms = terms_of(structure, (4.0, -0.5, 0.2), 0.8, np.array([3.0, 2.0]), (5.0, -6.0, 0.1, 0.3))
     for i, (letters, block) in enumerate(
         zip(("XTE", "YTE", "NT"), ("surge", "sway", "yaw"), strict=True)
     ):
@@ -277,12 +284,13 @@ def test_wind_acts_by_its_speed_past_the_boat() -> None:
 
 
 # Those whose sign a mirror does not turn, though they stand in sway or yaw.
-LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2"}
+LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "Y_S", "N_S"}
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_terms_mirror_port_and_starboard(case) -> None:
     structure, rng = boat(case), np.random.default_rng(1)
+    lopsided = LOPSIDED | ({"N_dn"} if case[1] == "tanker" else set())  # one screw turns one way
     p = len(structure)
     swap = list(range(p))
     for k, name in enumerate(structure.parameters):
@@ -297,7 +305,7 @@ def test_terms_mirror_port_and_starboard(case) -> None:
         for k, name in enumerate(structure.parameters):
             one = np.array(accelerations(phi, structure.kit, np.eye(p)[k], 0))
             two = np.array(accelerations(image, structure.kit, np.eye(p)[swap[k]], 0))
-            sign = -1.0 if name in LOPSIDED else 1.0
+            sign = -1.0 if name in lopsided else 1.0
             np.testing.assert_allclose(two, sign * one * [1, -1, -1], atol=1e-14, err_msg=name)
 
 

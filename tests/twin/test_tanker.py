@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
 import pytest
 
 from twin import Twin
+from twin import population as pop
 from twin.archive import ESSO as TANKER
 from twin.identifier import plain_settings, wave_parts
 from twin.model import all_terms, model_of
 from twin.particulars import GRAVITY, Particulars
+from twin.prior import TANKER as KIND
 from twin.prior import population_prior
 from twin.simulated import particulars_of, simulate
 from twin.structure import N_TERMS, accelerations
@@ -60,9 +63,33 @@ def test_wind_takes_less_hold_of_a_laden_ship() -> None:
     boats = (TANKER, dataclasses.replace(TANKER, mass=0.85 * TANKER.mass))
     laden, slender = (model_of(boat, "mmg", biased=True) for boat in boats)
     for name in ("X_w", "Y_w"):
-        k = laden.parameters.index(name)
-        assert 0.0 < laden.mean[k] < 0.5 * slender.mean[k]
-    assert laden.parameters == slender.parameters
+        held, free = (boat.mean[boat.parameters.index(name)] for boat in (laden, slender))
+        assert 0.0 < held < 0.5 * free
+    assert set(laden.parameters) - set(slender.parameters) == {"Y_S", "N_S"}
+
+
+def test_she_turns_to_port_as_she_does_not_turn_to_starboard() -> None:
+    structure = model_of(TANKER, "mmg", biased=True)
+    mean, _ = population_prior(structure, TANKER)
+    turned = []
+    for side in (1.0, -1.0):
+        terms, act = np.zeros(N_TERMS), np.array([0.36, 0.36, 0.3 * side, 0.3 * side])
+        state = np.array([0.0, 0.0, 0.0, 0.3, -0.05 * side, 0.05 * side])
+        all_terms(state, act, np.zeros(2), structure.kit, terms)
+        turned.append(side * accelerations(terms, structure.kit, mean, 0)[2])
+    # behind a right-handed screw a turn to port is the tighter one
+    assert turned[0] < turned[1]
+
+
+def test_her_sisters_are_fitted_better_where_sides_may_differ() -> None:
+    """Against the same boats, fitted as ships whose sides are alike."""
+    draw = functools.partial(pop.random_boat, KIND)
+    errors = {
+        kind: [pop.member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
+        for kind in (KIND, "rudder")
+    }
+    # measured: 0.5 of the yaw rate's error
+    assert np.median(errors[KIND]) < 0.75 * np.median(errors["rudder"])
 
 
 def test_what_disturbs_her_goes_by_her_length_not_by_her_speed() -> None:
@@ -105,7 +132,7 @@ def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> Non
                 turned = log.truth[later, 2] - log.truth[row, 2]
                 off.append(mean[-1, 2] - twin.predictor.estimate().s[2] - turned)
         errors[model] = float(np.sqrt(np.mean(np.square(off))))
-    # measured: 0.55; 0.75 and 0.67 with other seeds
+    # measured: 0.36; 0.71 and 0.59 with other seeds
     assert errors[None] < 0.75 * errors["paper"]
 
 
