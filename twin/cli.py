@@ -887,7 +887,8 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
 
     cases = speed.chosen(only, quick=quick)
     memory = {n: m for n, m in speed.MEMORY.items() if only.lower() in n.lower()}
-    if not cases and not memory:
+    first = {n: m for n, m in speed.FIRST_USES.items() if only.lower() in n.lower() and not quick}
+    if not cases and not memory and not first:
         raise bench.BenchmarkError(f"--only {only!r}: no such case; leave it out to see them all")
     measured = _timed(cases, rounds)
     rows = measured.rows(cases)
@@ -919,8 +920,19 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
         "machine where Pendulum makes 94 k steps/s, or ratio; reached: part of it, 1 is enough.",
         highlight=False,
     )
-    if measured.interrupted:
-        note("interrupted: the medians are those of the rounds so far; sizes were not measured")
+    for name, (options, longest) in first.items():
+        if measured.interrupted:
+            break
+        try:
+            with errors.status(f"{name}: compiling"):
+                seconds = speed.first_use(options)
+        except KeyboardInterrupt:
+            measured.interrupted = True
+            break
+        timed = {"rate_per_s": 1.0 / seconds, "median_us": 1e6 * seconds}
+        rows.append({"name": name, **timed, "relative_to": None, "ratio": None})
+        at_most = "" if longest is None else f"; at most {longest:g} s"
+        console.print(f"{name}, compiling: {seconds:.1f} s of one core{at_most}", highlight=False)
     for name, (twin, most) in memory.items():
         if measured.interrupted:
             break
@@ -929,6 +941,8 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
         rows.append({"name": name, **nothing, "bytes": size})
         limit = "" if most is None else f"; at most {most / 1e3:g} kB"
         console.print(f"{name}: {size / 1e3:.1f} kB{limit}", highlight=False)
+    if measured.interrupted:
+        note("interrupted: the medians are those of the rounds so far; sizes were not measured")
     for why in dict.fromkeys(measured.absent.values()):
         names = [name for name, reason in measured.absent.items() if reason == why]
         note(f"left out: {', '.join(names)}: {why}")

@@ -17,7 +17,11 @@ from __future__ import annotations
 import gc
 import importlib.util
 import math
+import os
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Sequence
@@ -40,12 +44,14 @@ from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
 from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_kernel import kernel
+from usv_kernel.first_use import QUIET
 from usv_kernel.vectors import filled
 
 __all__ = [
     "BOATS",
     "CASES",
     "CURVES",
+    "FIRST_USES",
     "FLOOR",
     "MEMORY",
     "REFERENCE_FLOOR",
@@ -54,6 +60,7 @@ __all__ = [
     "Line",
     "Measured",
     "chosen",
+    "first_use",
     "fit",
     "growth_cases",
     "growth_rows",
@@ -646,6 +653,45 @@ MEMORY: dict[str, tuple[str | None, float | None]] = {
     f"memory of a boat with ukf in a batch of {BOATS}": ("ukf", 64e3),
 }
 """Batches whose memory is measured: their twin, and how much a boat may take at most, byte."""
+
+_FIRST_USE = """
+import time
+import gymnasium as gym
+import usv_gym
+
+for options in {options}:
+    env = gym.make("USVTwin-v0", **options)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.step(env.action_space.sample())
+print(time.process_time())
+"""
+
+
+def first_use(options: Sequence[dict[str, Any]]) -> float:
+    """Return how long a process computes that finds no compiled kernels, s of one core.
+
+    Parameters
+    ----------
+    options : sequence of dict
+        Of ``gym.make``, for the environments that it steps, one after the other.
+    """
+    with tempfile.TemporaryDirectory() as empty:
+        done = subprocess.run(
+            [sys.executable, "-c", _FIRST_USE.format(options=list(options))],
+            env={**os.environ, "NUMBA_CACHE_DIR": empty, QUIET: "1"},
+            stdout=subprocess.PIPE,
+            check=True,
+        )
+    return float(done.stdout)
+
+
+FIRST_USES: dict[str, tuple[tuple[dict[str, Any], ...], float | None]] = {
+    "first use of the environment": (({},), None),
+    "first use of everything": (({}, {"twin": "ukf"}, {"twin": "dsw-ukf"}, {"dof": 6}), 30.0),
+}
+"""Environments, and how long their first use may take at most with all compiling, s."""
 
 _UKF_PEER, _WINDOW_PEER = "filterpy UKF 6 + 25", f"filterpy window W = {WINDOW}"
 _CART_POLES, _KVLCC2 = f"CartPole x {BATCH}", "ShipMMG KVLCC2"

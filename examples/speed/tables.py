@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from twin.speed import CASES, fit
+from twin.speed import CASES, FIRST_USES, fit
 
 HERE = Path(__file__).parent
 
@@ -38,6 +38,11 @@ def beside_peers() -> list[str]:
         if item["median_us"] is None:
             kilobytes = f"{item['bytes'] / 1000:.0f} kB"
             lines.append(row([item["name"], kilobytes, "", "", "", ""]))
+            continue
+        if item["name"] in FIRST_USES:
+            limit = FIRST_USES[item["name"]][1]
+            most = "" if limit is None else f"at most {limit:g} s"
+            lines.append(row([item["name"], f"{item['median_us'] / 1e6:.1f} s", "", "", "", most]))
             continue
         ratio = "" if item["ratio"] is None else f"{item['ratio']:.3g}"
         rate = number(item["rate_per_s"])

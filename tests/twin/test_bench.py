@@ -155,6 +155,38 @@ def test_growth_of_the_command(tmp_path):
     assert "us times wave components" in " ".join(result.output.split())
 
 
+def test_first_use_is_of_a_process_that_finds_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert 0.1 < speed.first_use(()) < 30.0  # nothing but the imports
+    assert not list(tmp_path.rglob("*.nbi"))
+
+
+def test_first_use_of_the_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(speed, "FIRST_USES", {"first use of nothing": ((), 30.0)})
+    out = tmp_path / "rows.json"
+    result = CliRunner().invoke(app, ["bench", "--only", "first use", "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(out.read_text())
+    assert list(row) == KEYS
+    assert row["median_us"] == pytest.approx(1e6 / row["rate_per_s"])
+    assert "at most 30 s" in result.output
+    # a minute of compiling is not for --quick
+    assert CliRunner().invoke(app, ["bench", "--quick", "--only", "first use"]).exit_code == 2
+
+
+def test_ctrl_c_while_compiling_keeps_what_is_there(tmp_path, monkeypatch):
+    def interrupted(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(speed, "CASES", (Case("first", busy(10)),))
+    monkeypatch.setattr(speed, "first_use", interrupted)
+    out = tmp_path / "rows.json"
+    result = CliRunner().invoke(app, ["bench", "--json", str(out), "--rounds", "1"])
+    assert result.exit_code == 130, result.output
+    assert [row["name"] for row in json.loads(out.read_text())] == ["first"]
+    assert "interrupted" in result.output and "memory" not in result.output
+
+
 def test_unknown_case_is_an_error():
     result = CliRunner().invoke(app, ["bench", "--only", "xyz"])
     assert result.exit_code == 2
