@@ -63,7 +63,7 @@ from twin.pem import (
 )
 from twin.predictor import GAP_MAX, Prediction, finer
 from twin.prior import population_prior
-from twin.residual import ORDER, ROOT_MAX, between, fit_waves, simulate_waves
+from twin.residual import ORDER, between, fit_waves, simulate_waves
 from twin.rivals import Rivals, judge, note, record_size, settle
 from twin.structure import accelerations, state_terms, thrust_terms
 from usv_kernel import in_python, kernel
@@ -90,9 +90,9 @@ DRAWS_MIN = 20
 """Fewer draws give no 5 % point."""
 WAVE_SPAN = 80.0
 """The waves of this many seconds are described."""
-ALIKE, ROOT_HERE = math.radians(20.0), 0.9
+ALIKE = math.radians(20.0)
 """How often and how hard waves strike hangs on the heading: what is foretold of those of the moment
-is learned on headings that are as near as this (standard deviation), and soon dies out."""
+is learned on headings as near as this (standard deviation), and fades as the boat turns away."""
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""
 
@@ -257,7 +257,7 @@ def _describe_waves(rows, rules, track, room):
         return
     w, rest = shaped(room, 0, (count, 3)), room[3 * count :]
     coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
-    fit_waves(w, ROOT_MAX, coefficients, track[_NOISE:_COEFFICIENTS], rest)
+    fit_waves(w, coefficients, track[_NOISE:_COEFFICIENTS], rest)
     for i in range(3):
         mean, square = 0.0, 0.0
         for k in range(count):
@@ -276,7 +276,7 @@ def _describe_waves(rows, rules, track, room):
                 w[count, i] *= alike
                 track[_SEEN + i] = max(track[_SEEN + i], abs(row[LOW + i]))
             count += 1
-    fit_waves(w, ROOT_HERE, shaped(track, _HERE, (ORDER, 3)), rest[:3], rest[3:])
+    fit_waves(w, shaped(track, _HERE, (ORDER, 3)), rest[:3], rest[3:])
 
 
 @kernel
@@ -427,26 +427,26 @@ _PATH = round(float(LOOK_AHEAD[-1]) / GRID) + 1
 
 
 @kernel
-def _waves_ahead(past, coefficients, noise, shocks, path, ends, means):
-    """Write one path of the waves at LOOK_AHEAD, and its means between those times.
+def _foretell(past, track, calm, path):
+    """Write the waves that are foretold, from now on.
 
     Parameters
     ----------
     past : (6, 3) array
         Last wave velocities, newest first.
-    coefficients, noise : (6, 3), (3,) arrays
-        Of the autoregression.
-    shocks : (1, 40, 3) array
-        Standard normal numbers; zeros give the mean path.
-    path : (1, 41, 3) array
-        Room.
-    ends, means : (1, 4, 3) arrays
+    track : array
+        Holds the autoregression, and how fast the boat turns.
+    calm : (1, K, 3) array
+        Zeros.
+    path : (1, K + 1, 3) array
         Written.
     """
-    for j in range(3):
-        path[0, 0, j] = past[0, j]
-    simulate_waves(past, coefficients, noise, shocks, path[:, 1:])
-    between(path, GRID, LOOK_AHEAD, ends, means)
+    here, noise = shaped(track, _HERE, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
+    simulate_waves(past, here, noise, calm, path[:, 1:])
+    for k in range(path.shape[1]):
+        alike = math.exp((math.cos(GRID * k * track[_SLOW + 2]) - 1.0) / ALIKE**2)
+        for j in range(3):
+            path[0, k, j] = alike * path[0, k, j] if k > 0 else past[0, j]
 
 
 @kernel
@@ -511,8 +511,8 @@ def plus_look(
     theta, _, start, _, past, path, ends, means, _, _, _, acts, _, _, _, roll = _look_parts(room, p)
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
-    here, noise = shaped(track, _HERE, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
-    _waves_ahead(past, here, noise, shocks[2][:1], path, ends, means)
+    _foretell(past, track, shocks[2][:1], path)
+    between(path, GRID, LOOK_AHEAD, ends, means)
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
         look_ahead(
@@ -574,6 +574,7 @@ def plus_spread(
     cholesky(small, small, work)
     covs[:] = 0.0
     past[:] = 0.0  # the waves of the draws come on top of those foretold
+    path[:] = 0.0
     for d in range(D):
         for k in range(p):
             drawn[k] = theta[k]
@@ -582,9 +583,8 @@ def plus_spread(
         _add_drawn(root, by_theta[d], drawn)
         _add_drawn(small, by_start[d], begun)
         begun[0], begun[1] = start[0], start[1]
-        _waves_ahead(
-            past, coefficients, noise, by_waves[d + 1 : d + 2], path, more_ends, more_means
-        )
+        simulate_waves(past, coefficients, noise, by_waves[d + 1 : d + 2], path[:, 1:])
+        between(path, GRID, LOOK_AHEAD, more_ends, more_means)
         for m in range(out.shape[0]):
             for k in range(3):
                 more_means[0, m, k] += means[0, m, k]
@@ -822,8 +822,7 @@ class PlusPredictor(UKFPredictor):
         many = shocks[:, :K] if times == 1 else np.concatenate([shocks] * times, axis=1)[:, :K]
         # what is foretold, and what comes on top of it
         told, path, past = np.empty((1, K + 1, 3)), np.zeros((D, K + 1, 3)), self._past()
-        told[:, 0] = past[0]
-        simulate_waves(past, self._here, self._noise, np.zeros((1, K, 3)), told[:, 1:])
+        _foretell(past, self.track, np.zeros((1, K, 3)), told)
         simulate_waves(np.zeros_like(past), self._coefficients, self._noise, many, path[:, 1:])
         path += told
         ends, means = np.empty((2, D, len(after), 3))

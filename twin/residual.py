@@ -55,20 +55,18 @@ def fit_autoregression(w: Array) -> tuple[Array, Array]:
         Standard deviation of what cannot be foretold.
     """
     coefficients, noise = np.zeros((ORDER, w.shape[1])), np.zeros(w.shape[1])
-    fit_waves(np.ascontiguousarray(w), ROOT_MAX, coefficients, noise, np.empty(WAVE_ROOM))
+    fit_waves(np.ascontiguousarray(w), coefficients, noise, np.empty(WAVE_ROOM))
     return coefficients, noise
 
 
 @kernel
-def fit_waves(w, root_max, coefficients, noise, room):
+def fit_waves(w, coefficients, noise, room):
     """Write what :func:`fit_autoregression` returns.
 
     Parameters
     ----------
     w : (N, c) array
         Residuals.
-    root_max : float
-        Largest root that is let pass, below 1.
     coefficients, noise : (6, c), (c,) arrays
         Written.
     room : (WAVE_ROOM,) array
@@ -104,8 +102,8 @@ def fit_waves(w, root_max, coefficients, noise, room):
             a[:] = 0.0
         else:
             solve_factored(G, a, a)
-        if not decays(a, root_max, b):
-            shrink, part = root_max / largest_root(a, b), 1.0
+        if not decays(a, ROOT_MAX, b):
+            shrink, part = ROOT_MAX / largest_root(a, b), 1.0
             for i in range(ORDER):
                 part *= shrink
                 a[i] *= part
