@@ -122,14 +122,13 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
     Source: twin.md section 10 B3.
     """
     L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
-    waves = np.array([0.2 * U, 0.2 * U, 0.025 * U / L])  # in the start as in what follows
     return RefitSettings(
         span=110.0,
         spacing=2.0,
         horizon=7.0,
         every=2,
-        sd=np.array([0.175 * L, 0.175 * L, 0.04, *waves]),
-        offset_sd=waves,
+        sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
+        offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
         scale=0.15 * min(1.0, UNHURRIED / particulars.slowness),
         knee=0.015,
     )
