@@ -92,7 +92,7 @@ WAVE_SPAN = 80.0
 """The waves of this many seconds are described."""
 ALIKE = math.radians(20.0)
 """How often and how hard waves strike hangs on the heading: what is foretold of those of the moment
-is learned on headings as near as this (standard deviation), and fades as the boat turns away."""
+is learned on headings as near to that of now as this (standard deviation)."""
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""
 
@@ -434,7 +434,7 @@ def _foretell(past, track, calm, path):
     past : (6, 3) array
         Last wave velocities, newest first.
     track : array
-        Holds the autoregression, and how fast the boat turns.
+        Holds the autoregression.
     calm : (1, K, 3) array
         Zeros.
     path : (1, K + 1, 3) array
@@ -442,10 +442,8 @@ def _foretell(past, track, calm, path):
     """
     here, noise = shaped(track, _HERE, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
     simulate_waves(past, here, noise, calm, path[:, 1:])
-    for k in range(path.shape[1]):
-        alike = math.exp((math.cos(GRID * k * track[_SLOW + 2]) - 1.0) / ALIKE**2)
-        for j in range(3):
-            path[0, k, j] = alike * path[0, k, j] if k > 0 else past[0, j]
+    for j in range(3):
+        path[0, 0, j] = past[0, j]
 
 
 @kernel

@@ -16,7 +16,7 @@ from twin.log import MEASUREMENTS, Log
 from twin.model import N_STATES
 from twin.particulars import Particulars
 from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND
-from twin.plus import _HALVES, ALIKE, PlusPredictor, _describe_waves, plus_step, take_segments
+from twin.plus import _HALVES, PlusPredictor, _describe_waves, plus_step, take_segments
 from twin.residual import simulate_waves
 from twin.simulated import particulars_of, simulate
 from twin.structure import MODELS
@@ -389,9 +389,6 @@ def test_draws_come_on_top_of_the_waves_foretold(boat: Particulars, zigzag: Log)
     past = predictor._past()
     calm = np.zeros((1, 40, 3))
     simulate_waves(past, predictor._here, predictor._noise, calm, told)
-    # a turn of 20 degrees leaves exp(-1/2) of them, nearly
-    turned = predictor._start()[5] * after[None, :, None]
-    told *= np.exp((np.cos(turned) - 1.0) / ALIKE**2)
     simulate_waves(
         *(np.zeros_like(past), predictor._coefficients, predictor._noise),
         *(predictor._wave_shocks[1:], new),
