@@ -88,19 +88,23 @@ START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
 DRAWS_MIN = 20
 """Fewer draws give no 5 % point."""
-WAVE_SPAN = 60.0
+WAVE_SPAN = 80.0
 """The waves of this many seconds are described."""
+ALIKE = math.radians(20.0)
+"""How often and how hard waves strike hangs on the heading: what is foretold of those of the moment
+is learned on headings as near to that of now as this (standard deviation)."""
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""
 
 # the track between rows: time of the grid's origin, half steps since then, last state,
 # last actuators, low-frequency velocities; first row of the next segment, time of the next refit;
-# largest velocities seen; height, noise and autoregression of the waves
+# largest velocities seen; height, noise and autoregression of the waves, then that of their means
 _ORIGIN, _HALVES, _LAST, _LAST_ACT = 0, 1, 2, 2 + N_STATES
 _SLOW = _LAST_ACT + N_ACT
 _NEXT_START, _REFIT_AT, _SEEN = _SLOW + 3, _SLOW + 4, _SLOW + 5
 _WAVE_SD, _NOISE, _COEFFICIENTS = _SEEN + 3, _SEEN + 6, _SEEN + 9
-TRACK_SIZE = _COEFFICIENTS + 3 * ORDER
+_HERE = _COEFFICIENTS + 3 * ORDER
+TRACK_SIZE = _HERE + 3 * ORDER
 
 _PERIOD, _RENEWED, _SPACING, _SPAN = range(4)
 _RULES = 4
@@ -234,10 +238,15 @@ def take_segments(rows, book, rules, kit, room):
 
 
 @kernel
-def _describe_waves(rows, track, room):
-    """Fit the autoregression to what the model left of the last minute's velocities."""
+def _describe_waves(rows, rules, track, room):
+    """Fit autoregressions to what the model left of the last velocities.
+
+    One is that of all headings, which the draws follow. The other is that of headings as they
+    will be until the next refit, and foretells the waves of the moment.
+    """
     newest, count = _last_row(track), 0
-    for k in range(max(newest - round(WAVE_SPAN / GRID), 0), newest + 1):
+    first = max(newest - min(round(WAVE_SPAN / GRID), int(rules[_SPAN])), 0)
+    for k in range(first, newest + 1):
         row = rows[k % rows.shape[0]]
         if row[GOOD] > 0.0:
             for i in range(3):
@@ -245,9 +254,9 @@ def _describe_waves(rows, track, room):
             count += 1
     if count <= 5 * ORDER:
         return
-    w = shaped(room, 0, (count, 3))
+    w, rest = shaped(room, 0, (count, 3)), room[3 * count :]
     coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
-    fit_waves(w, coefficients, track[_NOISE:_COEFFICIENTS], room[3 * count :])
+    fit_waves(w, coefficients, track[_NOISE:_COEFFICIENTS], rest)
     for i in range(3):
         mean, square = 0.0, 0.0
         for k in range(count):
@@ -255,11 +264,18 @@ def _describe_waves(rows, track, room):
         for k in range(count):
             square += (w[k, i] - mean) ** 2 / count
         track[_WAVE_SD + i] = math.sqrt(square)
-    for k in range(max(newest - round(WAVE_SPAN / GRID), 0), newest + 1):
+    heading = rows[newest % rows.shape[0], STATE + 2] + 0.5 * rules[_PERIOD] * track[_SLOW + 2]
+    count = 0
+    for k in range(first, newest + 1):
         row = rows[k % rows.shape[0]]
         if row[GOOD] > 0.0:
+            # the root of a weight, as both factors of the products that are fitted have it
+            alike = math.exp(0.5 * (math.cos(row[STATE + 2] - heading) - 1.0) / ALIKE**2)
             for i in range(3):
+                w[count, i] *= alike
                 track[_SEEN + i] = max(track[_SEEN + i], abs(row[LOW + i]))
+            count += 1
+    fit_waves(w, shaped(track, _HERE, (ORDER, 3)), rest[:3], rest[3:])
 
 
 @kernel
@@ -271,7 +287,7 @@ def _refit(rows, book, rules, memory, constants, kit, room):
     take_segments(rows, book, rules, kit, room)
     newest = _last_row(track)
     count = drop(newest - int(rules[_SPAN]), window, p)
-    _describe_waves(rows, track, room[roll_room(p) :])
+    _describe_waves(rows, rules, track, room[roll_room(p) :])
     for start in range(int(track[_NEXT_START]), newest + 1, spacing):
         note(start, spacing, record, p)
     if count < SEGMENTS_MIN:
@@ -410,27 +426,24 @@ _PATH = round(float(LOOK_AHEAD[-1]) / GRID) + 1
 
 
 @kernel
-def _waves_ahead(past, track, shocks, path, ends, means):
-    """Write one path of the waves at LOOK_AHEAD, and its means between those times.
+def _foretell(past, track, calm, path):
+    """Write the waves that are foretold, from now on.
 
     Parameters
     ----------
     past : (6, 3) array
         Last wave velocities, newest first.
     track : array
-        Holds noise and coefficients.
-    shocks : (1, 40, 3) array
-        Standard normal numbers; zeros give the mean path.
-    path : (1, 41, 3) array
-        Room.
-    ends, means : (1, 4, 3) arrays
+        Holds the autoregression.
+    calm : (1, K, 3) array
+        Zeros.
+    path : (1, K + 1, 3) array
         Written.
     """
-    coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
+    here, noise = shaped(track, _HERE, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
+    simulate_waves(past, here, noise, calm, path[:, 1:])
     for j in range(3):
         path[0, 0, j] = past[0, j]
-    simulate_waves(past, coefficients, track[_NOISE:_COEFFICIENTS], shocks, path[:, 1:])
-    between(path, GRID, LOOK_AHEAD, ends, means)
 
 
 @kernel
@@ -441,14 +454,16 @@ def _look_parts(room, p):
     start, begun, rest = rest[:N_STATES], rest[N_STATES:][:N_STATES], rest[2 * N_STATES :]
     past, rest = shaped(rest, 0, (ORDER, 3)), rest[3 * ORDER :]
     path, rest = shaped(rest, 0, (1, _PATH, 3)), rest[3 * _PATH :]
-    ends, means = shaped(rest, 0, (1, many, 3)), rest[3 * many :][: 3 * many]
+    ends, means = shaped(rest, 0, (1, many, 3)), shaped(rest, 3 * many, (1, many, 3))
+    rest = rest[6 * many :]
+    more_ends, more_means = shaped(rest, 0, (1, many, 3)), shaped(rest, 3 * many, (1, many, 3))
     rest = rest[6 * many :]
     other, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
     acts, rest = shaped(rest, 0, (many, N_ACT)), rest[N_ACT * many :]
     root, rest = shaped(rest, 0, (p, p)), rest[p * p :]
     small, rest = shaped(rest, 0, (N_STATES, N_STATES)), rest[N_STATES**2 :]
     return (
-        *(theta, drawn, start, begun, past, path, ends, means.reshape((1, many, 3))),
+        *(theta, drawn, start, begun, past, path, ends, means, more_ends, more_means),
         *(other, acts, root, small, shaped(rest, 0, (1, p)), rest[p:]),
     )
 
@@ -456,7 +471,7 @@ def _look_parts(room, p):
 def _look_size(p: int) -> int:
     """Return the length of the room of :func:`plus_look`: that of its parts, and of a roll-out."""
     many = len(LOOK_AHEAD)
-    waves = 3 * (ORDER + _PATH + 2 * many)
+    waves = 3 * (ORDER + _PATH + 4 * many)
     return 3 * p + p * p + 2 * N_STATES + N_STATES**2 + waves + (N_STATES + N_ACT) * many + ROOM
 
 
@@ -484,16 +499,17 @@ def plus_look(
     ahead : (4, 6) array
         Written.
     room : array
-        As long as :func:`_look_size` says; the parameters in use are left there, for
-        :func:`plus_spread`.
+        As long as :func:`_look_size` says; the parameters in use and the waves foretold are left
+        there, for :func:`plus_spread`.
     """
     p = kit[0].shape[1]
     x, _, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
-    theta, _, start, _, past, path, ends, means, _, acts, _, _, _, roll = _look_parts(room, p)
+    theta, _, start, _, past, path, ends, means, _, _, _, acts, _, _, _, roll = _look_parts(room, p)
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
-    _waves_ahead(past, track, shocks[2][:1], path, ends, means)
+    _foretell(past, track, shocks[2][:1], path)
+    between(path, GRID, LOOK_AHEAD, ends, means)
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
         look_ahead(
@@ -543,7 +559,9 @@ def plus_spread(
     _, P, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
-    theta, drawn, start, begun, past, path, ends, means, out, acts, root, small, work, roll = own
+    theta, drawn, start, begun, past, path, ends, means, more_ends, more_means = own[:10]
+    out, acts, root, small, work, roll = own[10:]
+    coefficients, noise = shaped(track, _COEFFICIENTS, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
     cholesky(P[N_STATES:, N_STATES:], root, work)
     for i in range(N_STATES):
         for k in range(N_STATES):
@@ -552,6 +570,8 @@ def plus_spread(
             small[i, i] += (START_WAVE * track[_WAVE_SD + i - 3]) ** 2
     cholesky(small, small, work)
     covs[:] = 0.0
+    past[:] = 0.0  # the waves of the draws come on top of those foretold
+    path[:] = 0.0
     for d in range(D):
         for k in range(p):
             drawn[k] = theta[k]
@@ -560,14 +580,18 @@ def plus_spread(
         _add_drawn(root, by_theta[d], drawn)
         _add_drawn(small, by_start[d], begun)
         begun[0], begun[1] = start[0], start[1]
-        _waves_ahead(past, track, by_waves[d + 1 : d + 2], path, ends, means)
+        simulate_waves(past, coefficients, noise, by_waves[d + 1 : d + 2], path[:, 1:])
+        between(path, GRID, LOOK_AHEAD, more_ends, more_means)
+        for m in range(out.shape[0]):
+            for k in range(3):
+                more_means[0, m, k] += means[0, m, k]
         look_ahead(
             *(begun, drawn, act, command, lags, envelope, wind, kit, slowness),
-            *(means[0], out, acts, roll),
+            *(more_means[0], out, acts, roll),
         )
         for m in range(out.shape[0]):
             for k in range(3):
-                out[m, 3 + k] += ends[0, m, k]
+                out[m, 3 + k] += ends[0, m, k] + more_ends[0, m, k]
             for k in range(N_STATES):
                 out[m, k] = WIDER * (out[m, k] - ahead[m, k])
             for i in range(N_STATES):
@@ -666,7 +690,8 @@ class PlusPredictor(UKFPredictor):
         self.track, record, window = in_python(book_parts)(self.book, rules, p)
         self._seen, self._wave_sd = self.track[_SEEN:_WAVE_SD], self.track[_WAVE_SD:_NOISE]
         self._noise = self.track[_NOISE:_COEFFICIENTS]
-        self._coefficients = self.track[_COEFFICIENTS:].reshape(ORDER, 3)
+        self._coefficients = self.track[_COEFFICIENTS:_HERE].reshape(ORDER, 3)
+        self._here = self.track[_HERE:].reshape(ORDER, 3)
         self.segments = Segments(structure.kit, mean, cov, self.refit, capacity, window)
         self.rules = np.concatenate([rules[:_RULES], self.segments.rules])
         self.rivals = Rivals(self.segments, self.spacing, record)
@@ -792,9 +817,11 @@ class PlusPredictor(UKFPredictor):
         D = len(shocks)
         times = math.ceil(K / shocks.shape[1])
         many = shocks[:, :K] if times == 1 else np.concatenate([shocks] * times, axis=1)[:, :K]
-        path, past = np.empty((D, K + 1, 3)), self._past()
-        path[:, 0] = past[0]
-        simulate_waves(past, self._coefficients, self._noise, many, path[:, 1:])
+        # what is foretold, and what comes on top of it
+        told, path, past = np.empty((1, K + 1, 3)), np.zeros((D, K + 1, 3)), self._past()
+        _foretell(past, self.track, np.zeros((1, K, 3)), told)
+        simulate_waves(np.zeros_like(past), self._coefficients, self._noise, many, path[:, 1:])
+        path += told
         ends, means = np.empty((2, D, len(after), 3))
         between(path, GRID, after, ends, means)
         return ends, means

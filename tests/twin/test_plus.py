@@ -9,13 +9,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from twin.identifier import BEGUN
 from twin.log import MEASUREMENTS, Log
 from twin.model import N_STATES
 from twin.particulars import Particulars
 from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND
-from twin.plus import PlusPredictor, plus_step, take_segments
+from twin.plus import _HALVES, PlusPredictor, _describe_waves, plus_step, take_segments
+from twin.residual import simulate_waves
 from twin.simulated import particulars_of, simulate
 from twin.structure import MODELS
 from usv_gym import SeaState, Vessel
@@ -74,7 +76,10 @@ def memory(predictor: PlusPredictor) -> dict[str, object]:
             **{name: getattr(predictor, name) for name in ("t", "nav", "rows", "track")},
             **{name: getattr(segments, name)[used] for name in ("first", "H", "b", "c", "at")},
             **{"xi": segments.xi, "cov": segments.cov, "ukf": predictor.ukf.memory},
-            "waves": (predictor._coefficients, predictor._noise, predictor._wave_sd),
+            "waves": (
+                *(predictor._coefficients, predictor._here),
+                *(predictor._noise, predictor._wave_sd),
+            ),
             "rest": (predictor._seen, predictor._next_start, predictor._refit_at),
         }
     )
@@ -343,6 +348,54 @@ def test_what_bridges_a_gap_is_no_wave(boat: Particulars, zigzag: Log) -> None:
         if log.t[k] < 36.0:
             assert not predictor._past().any()
     assert (np.abs(predictor._past()) > 0.0).all()
+
+
+def lasting(period: float, N: int, rng: np.random.Generator) -> np.ndarray:
+    """Return waves (N, 3) on the grid that keep a period (s) for a while."""
+    root = 0.85 * np.exp(2j * math.pi * GRID / period)
+    return lfilter([1.0], [1.0, -2.0 * root.real, abs(root) ** 2], rng.normal(size=(N, 3)), axis=0)
+
+
+@pytest.mark.parametrize(("heading", "period"), [(1.0, 2.0), (1.0 + math.pi, 6.0)])
+def test_the_waves_foretold_are_those_of_the_heading(
+    boat: Particulars, heading: float, period: float
+) -> None:
+    predictor, rng = PlusPredictor(boat), np.random.default_rng(1)
+    N = 320
+    rows = predictor.rows[:N]
+    # 40 s on one course, 40 s on the other, where waves are longer and twice as high
+    there = np.arange(N) >= 160
+    rows[:, STATE + 2] = np.where(there, 1.0 + math.pi, 1.0)
+    rows[:, STATE + 3 : LOW] = np.where(
+        there[:, None], 2.0 * lasting(6.0, N, rng), lasting(2.0, N, rng)
+    )
+    rows[:, GOOD] = 1.0
+    rows[-1, STATE + 2] = heading
+    predictor.track[_HALVES] = 2.0 * N
+    _describe_waves(rows, predictor.rules, predictor.track, predictor.segments.room)
+    for a in predictor._here.T:
+        roots = np.roots([1.0, *-a])
+        found = 2.0 * math.pi * GRID / abs(np.angle(roots[np.abs(roots).argmax()]))
+        # of some ten waves, that do not last
+        assert found == pytest.approx(period, rel=0.3)
+
+
+def test_draws_come_on_top_of_the_waves_foretold(boat: Particulars, zigzag: Log) -> None:
+    predictor = PlusPredictor(boat)
+    feed(predictor, zigzag.slice(0.0, 40.0))
+    after = GRID * np.arange(1, 41)
+    ends, _ = predictor._wave_paths(predictor._wave_shocks, after)
+    told, new = np.empty((1, 40, 3)), np.empty((100, 40, 3))
+    past = predictor._past()
+    calm = np.zeros((1, 40, 3))
+    simulate_waves(past, predictor._here, predictor._noise, calm, told)
+    simulate_waves(
+        *(np.zeros_like(past), predictor._coefficients, predictor._noise),
+        *(predictor._wave_shocks[1:], new),
+    )
+    assert np.abs(told[0, :4]).max() > 0.01
+    np.testing.assert_allclose(ends[0], told[0], atol=1e-12)
+    np.testing.assert_allclose(ends[1:], told + new, atol=1e-12)
 
 
 # Bits
