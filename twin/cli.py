@@ -929,6 +929,9 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
         except KeyboardInterrupt:
             measured.interrupted = True
             break
+        except RuntimeError as error:
+            measured.absent[name] = str(error)
+            continue
         timed = {"rate_per_s": 1.0 / seconds, "median_us": 1e6 * seconds}
         rows.append({"name": name, **timed, "relative_to": None, "ratio": None})
         at_most = "" if longest is None else f"; at most {longest:g} s"
@@ -1276,8 +1279,8 @@ def _print_benchmark(results: dict[str, Any], left_out: list[str]) -> None:
         "2, 5 and 10 s, units mixed; CRPS: the same of the whole distribution. norm. (error over "
         "the true change) and skill (1 - error / error of raw persistence) are means over channels "
         "and horizons. start (m): distance of the believed from the true position when a "
-        "prediction is made. band: share of errors inside the 90 % bands. J: MAE over that of the "
-        "oracle on the same run, mean of u, v, r, heading and displacement over every half second "
+        "prediction is made. band: share of errors inside the 90 % bands. J: mean of MAE over "
+        "that of the oracle, of u, v, r, heading and displacement over every half second "
         "up to 10 s; E is J - 1. Below the MAE: its 95 % interval over seeds; med.: its median. "
         "results.json and the report have the other intervals and medians, every case, and "
         "errors, CRPS and coverage by channel and horizon.",

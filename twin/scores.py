@@ -371,7 +371,7 @@ def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     order = {tuple(row[key] for key in _CELL): None for row in runs}
     groups = _groups(runs, *_CELL)
     error = {
-        tuple(row[key] for key in KEY): [np.mean(curve) for curve in row["curves"].values()]
+        tuple(row[key] for key in KEY): [np.mean(row["curves"][c]) for c in STUDY_CHANNELS]
         for row in runs
         if "J" in row
     }

@@ -676,13 +676,22 @@ def first_use(options: Sequence[dict[str, Any]]) -> float:
     ----------
     options : sequence of dict
         Of ``gym.make``, for the environments that it steps, one after the other.
+
+    Raises
+    ------
+    RuntimeError
+        With the last line that the process wrote, if it failed.
     """
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(
             [sys.executable, "-c", _FIRST_USE.format(options=list(options))],
             env={**os.environ, "NUMBA_CACHE_DIR": empty, QUIET: "1"},
-            stdout=subprocess.PIPE,
-            check=True,
+            capture_output=True,
+            text=True,
+        )
+    if done.returncode:
+        raise RuntimeError(
+            done.stderr.strip().rpartition("\n")[2] or f"ended with {done.returncode}"
         )
     return float(done.stdout)
 

@@ -10,11 +10,15 @@ The file is a zip archive in numpy's npz format with two entries: ``header`` (JS
 ``memory`` (the bytes of all arrays, one after the other). It holds no code and no pickles:
 classes are looked up by name in the packages of :data:`PACKAGES` or in the object that is
 restored into, their constructors do not run, and functions stay those of that object.
+
+Compiled code finds what it needs by places that are fixed in the program. So a file is read by the
+very program that wrote it, known by a digest of its sources; another may have moved them.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
 import io
 import json
 import os
@@ -29,12 +33,12 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_kernel import __version__
+from usv_kernel import __version__, sources_digest
 
 __all__ = ["VERSION", "Reader", "StateError", "read", "write"]
 
 FORMAT = "usv-twin state"
-VERSION = 1
+VERSION = 2
 """Version of the format; a file of another one is refused."""
 
 PACKAGES = ("twin", "filterpy", "usv_gym", "usv_kernel")
@@ -87,7 +91,7 @@ def pack(parts: dict[str, Any]) -> bytes:
     values = {name: walk.value(part, name) for name, part in parts.items()}
     memory, blocks, places = walk.memory()
     header = {
-        **{"format": FORMAT, "version": VERSION, "software": __version__},
+        **{"format": FORMAT, "version": VERSION, "software": __version__, "program": _program()},
         **{"parts": values, "nodes": walk.nodes, "blocks": blocks, "arrays": places},
     }
     text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
@@ -148,7 +152,19 @@ def unpack(content: bytes, path: Path) -> Reader:
             f"{path}: has format {header.get('version')}, and this usv-twin reads {VERSION}; "
             f"load it with usv-twin {header.get('software')}, which wrote it"
         )
+    if header.get("program") != _program():
+        raise StateError(
+            f"{path}: was saved by another version of usv-twin ({header.get('software')}, program "
+            f"{header.get('program')}; this is {__version__}, {_program()}), which may lay out its "
+            "memory otherwise; load it with that one, or begin anew"
+        )
     return Reader(path, header, memory)
+
+
+@functools.cache
+def _program() -> str:
+    """Return the digest of the running program."""
+    return sources_digest()
 
 
 class _Walk:

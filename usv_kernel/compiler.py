@@ -69,13 +69,14 @@ class _Typing(Context):  # type: ignore[misc]
         call = func, tuple(args)
         try:
             remember = not kws and not isinstance(func, types.Dispatcher) and hash(call) is not None
-        except TypeError:  # a slice with literal limits
+        except TypeError:  # a slice with literal limits, before Python 3.12
             remember = False
         if not remember:
             return super().resolve_function_type(func, args, kws)
-        if call not in self._known:
-            self._known[call] = super().resolve_function_type(func, args, kws)
-        return self._known[call]
+        signature = self._known.get(call) or super().resolve_function_type(func, args, kws)
+        if signature is not None:
+            self._known[call] = signature
+        return signature
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
@@ -92,7 +93,8 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
             super()._optimize_final_module()
             return
         tuning = PipelineTuningOptions(config.OPT)
-        tuning.loop_vectorization = tuning.slp_vectorization = True
+        tuning.loop_vectorization = bool(config.LOOP_VECTORIZE)
+        tuning.slp_vectorization = bool(config.SLP_VECTORIZE)
         # what gains by it is unrolled by hand: of the rest it only made twice as much code
         tuning.loop_unrolling = tuning.loop_interleaving = False
         builder = PassBuilder(self._codegen._tm, tuning)

@@ -156,9 +156,24 @@ def test_growth_of_the_command(tmp_path):
 
 
 def test_first_use_is_of_a_process_that_finds_nothing(tmp_path, monkeypatch):
+    (tmp_path / "kernel").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert 0.1 < speed.first_use(()) < 30.0  # nothing but the imports
-    assert not list(tmp_path.rglob("*.nbi"))
+    monkeypatch.setattr(
+        speed, "_FIRST_USE", 'import os; print(len(os.listdir(os.environ["NUMBA_CACHE_DIR"])))'
+    )
+    assert speed.first_use(()) == 0.0
+
+
+def test_a_first_use_that_fails_is_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(speed, "CASES", (Case("first", busy(10)),))
+    monkeypatch.setattr(speed, "MEMORY", {})
+    monkeypatch.setattr(speed, "_FIRST_USE", "raise ValueError('no such vessel')")
+    out = tmp_path / "rows.json"
+    result = CliRunner().invoke(app, ["bench", "--json", str(out), "--rounds", "1"])
+    assert result.exit_code == 0, result.output
+    assert [row["name"] for row in json.loads(out.read_text())] == ["first"]
+    assert "ValueError: no such vessel" in " ".join(result.output.split())
 
 
 def test_first_use_of_the_command(tmp_path, monkeypatch):

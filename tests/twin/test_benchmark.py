@@ -347,7 +347,11 @@ def test_over_runs_j_is_of_mean_errors():
     errors = {"oracle": (0.01, 1.0, 1.0), "ukf": (0.1, 1.1, 1.2)}
     rows = [
         base
-        | {"seed": seed, "predictor": name, "curves": {"u": [error] * 20}}
+        | {
+            "seed": seed,
+            "predictor": name,
+            "curves": dict.fromkeys(bench.STUDY_CHANNELS, [error] * 20),
+        }
         | {"J": error / floor, "E": error / floor - 1.0}
         for name, each in errors.items()
         for seed, (error, floor) in enumerate(zip(each, errors["oracle"], strict=True))

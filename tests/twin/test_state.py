@@ -323,7 +323,14 @@ def test_cut_off_or_damaged(saved):
 
 def test_other_format(saved):
     rewrite(saved, lambda header: header.update(version=99, software="9.9"))
-    with pytest.raises(StateError, match=r"has format 99, and this usv-twin reads 1; .*9\.9"):
+    with pytest.raises(StateError, match=r"has format 99, and this usv-twin reads 2; .*9\.9"):
+        Twin.load(saved)
+
+
+def test_other_program(saved):
+    """Of the same version even: compiled code reads memory by places that a change may move."""
+    rewrite(saved, lambda header: header.update(program="0" * 20))
+    with pytest.raises(StateError, match=r"another version of usv-twin .*program 0{20}; .*anew"):
         Twin.load(saved)
 
 
