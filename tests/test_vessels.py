@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
@@ -419,6 +419,7 @@ hulls = {
 
 
 @given(**hulls)
+@example(length=1.0, slender=8.0, flat=2.0, block=0.5, froude=0.35, kind="propeller_rudder")
 @settings(max_examples=40, deadline=None)
 def test_a_first_file_loads_passes_and_sails(
     tmp_path_factory: pytest.TempPathFactory,

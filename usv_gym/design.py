@@ -262,7 +262,8 @@ def _seakeeping(
     notes += water.notes
     KG = particulars["KG"].value
     metacentre = water["KB"] + water["BM_T"]
-    least = (0.1 if boat else 0.05) * form.beam
+    # a narrow model of a ship rolls over in waves to her size with less than a tenth
+    least = (0.1 if boat or form.length < 5.0 else 0.05) * form.beam
     if metacentre - KG < least:
         KG = max(metacentre - least, 0.4 * d)
         notes.append(f"KG is lowered to {KG:.3g} m for a GM_T of {least:.3g} m")
