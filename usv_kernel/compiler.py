@@ -13,6 +13,7 @@ attribute of these is missing, kernels are compiled in numba's way, to the same 
 
 from __future__ import annotations
 
+import functools
 from typing import Any, ClassVar
 
 from llvmlite.binding import parse_bitcode
@@ -54,9 +55,10 @@ _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name i
 
 
 class _Typing(Context):  # type: ignore[misc]
-    """numba's knowledge of types, with a memory of what its operators and functions give.
+    """numba's knowledge of types, with a memory of what operators give.
 
-    numba looks through its candidates anew for every sum: an eighth of the compiling.
+    numba looks through its candidates anew for every sum: an eighth of the compiling. Functions are
+    looked up anew: what numba keeps of them, another target (CUDA) may have changed meanwhile.
     """
 
     _known: ClassVar[dict[tuple[Any, ...], Any]] = {}
@@ -66,17 +68,22 @@ class _Typing(Context):  # type: ignore[misc]
 
     def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
         """Return the signature of a call."""
+        name = getattr(getattr(func, "typing_key", None), "__module__", None)
         call = func, tuple(args)
         try:
-            remember = not kws and not isinstance(func, types.Dispatcher) and hash(call) is not None
+            remember = name == "_operator" and not kws and hash(call) is not None
         except TypeError:  # a slice with literal limits, before Python 3.12
             remember = False
-        if not remember:
-            return super().resolve_function_type(func, args, kws)
-        signature = self._known.get(call) or super().resolve_function_type(func, args, kws)
-        if signature is not None:
-            self._known[call] = signature
+        signature = self._known.get(call) if remember else None
+        if signature is None:
+            signature = super().resolve_function_type(func, args, kws)
+            if remember and signature is not None:
+                self._known[call] = signature
         return signature
+
+
+# numba keeps what it has compiled of its functions by the context that asked
+_typing = functools.cache(_Typing)
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
@@ -164,7 +171,7 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
     _lowering = _Lowering
 
     def __init__(self, typing_context: Any, *arguments: Any) -> None:
-        super().__init__(_Typing(typing_context), *arguments)
+        super().__init__(_typing(typing_context), *arguments)
 
     def define_pipelines(self) -> list[PassManager]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
