@@ -166,7 +166,7 @@ def _introduction(results: Mapping[str, Any], runs: Sequence[RunFigure]) -> list
             "while predictions go on), and what a predictor does then without them is scored "
             "in the same way."
             if lost
-            else "No sensor was lost in these runs: GPS was there all the time."
+            else "No loss of a sensor was added to these runs."
         )
         + "</p>",
     ]
