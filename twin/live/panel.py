@@ -125,13 +125,11 @@ class SimulatedControls(Controls):
             self.throttle = self.gui.add_slider(
                 "throttle", -1.0, 1.2, 0.05, session.helm.throttle, hint="keys: arrows up and down"
             )
-            self.throttle.on_update(
-                lambda _: setattr(session.helm, "throttle", self.throttle.value)
-            )
+            self.throttle.on_update(self._push)
             self.helm = self.gui.add_slider(
                 "rudder (deg)", -35.0, 35.0, 0.5, 0.0, hint="keys: arrows left and right"
             )
-            self.helm.on_update(lambda _: self._turn())
+            self.helm.on_update(self._turn)
         for key, slider, step in (
             ("arrowup", self.throttle, THROTTLE_STEP),
             ("arrowdown", self.throttle, -THROTTLE_STEP),
@@ -179,7 +177,13 @@ class SimulatedControls(Controls):
             restart.on_click(lambda _: self._restart())
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
 
-    def _turn(self) -> None:
+    # The helm's callbacks are coroutines: viser runs those in turn, and functions side by side,
+    # where two quick presses of a key would both move the slider from where it was.
+
+    async def _push(self, _: Any) -> None:
+        self.session.helm.throttle = self.throttle.value
+
+    async def _turn(self, _: Any) -> None:
         """Take the helm: a hand on it counts more than an autopilot."""
         if self.autopilot.value != "off":
             self.autopilot.value = "off"
@@ -189,7 +193,7 @@ class SimulatedControls(Controls):
         """Let a key move a slider."""
         command = self.gui.add_command(f"{slider.label} {step:+g}", hotkey=key)
 
-        def move(_: Any) -> None:
+        async def move(_: Any) -> None:
             slider.value = min(max(round(slider.value + step, 2), slider.min), slider.max)
 
         command.on_trigger(move)
