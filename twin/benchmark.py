@@ -76,7 +76,7 @@ from usv_gym.sensors import (
     parse_faults,
     spoiled,
 )
-from usv_kernel import __version__, sources_digest
+from usv_kernel import __version__, running_program
 
 __all__ = [
     "AGAINST",
@@ -314,18 +314,14 @@ def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
     partial.replace(beside(path, ".toml"))
 
 
-@functools.cache
-def _program() -> str:
-    """Return the digest of the running program; every piece of work asks for it."""
-    return sources_digest()
-
-
 def digest(settings: Settings, unit: Unit) -> str:
     """Return what a result hangs on besides its unit: programs, settings and recorded file."""
     kept = dataclasses.asdict(settings)
     for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
         del kept[key]
-    text = json.dumps([__version__, _program(), kept, dataclasses.asdict(unit)], sort_keys=True)
+    text = json.dumps(
+        [__version__, running_program(), kept, dataclasses.asdict(unit)], sort_keys=True
+    )
     value = hashlib.sha256(text.encode())
     value.update(_foreign(unit.predictor))
     ship = settings.ship if unit.log else settings.vessel

@@ -324,11 +324,19 @@ def run_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         if base in rows:
             row["skill"] = 1.0 - float(np.mean(tables[key] / np.maximum(tables[base], 1e-12)))
         if floor in rows:
-            lowest = rows[floor]["curves"]
-            shares = [np.mean(v) / max(np.mean(lowest[c]), 1e-12) for c, v in row["curves"].items()]
-            row["J"] = float(np.mean(shares))
+            row["J"] = float(_over_floor(_study_errors(row), _study_errors(rows[floor])))
             row["E"] = row["J"] - 1.0
     return list(rows.values())
+
+
+def _study_errors(row: dict[str, Any]) -> Array:
+    """Return the mean error of each of the study's channels."""
+    return np.array([np.mean(row["curves"][channel]) for channel in STUDY_CHANNELS])
+
+
+def _over_floor(own: Array, floor: Array) -> Array:
+    """Return the mean over channels (last axis) of errors over those of the oracle."""
+    return np.asarray(np.mean(own / np.maximum(floor, 1e-12), axis=-1))
 
 
 def _of(key: tuple[Any, ...], predictor: str) -> tuple[Any, ...]:
@@ -350,11 +358,6 @@ _CELL = tuple(key for key in KEY if key != "seed")
 _SOURCES = {"mae_median": "mae", "E_runs": "E"}
 
 
-def _over_floor(own: Array, floor: Array) -> Array:
-    """Return the mean over channels (last axis) of mean errors over those of the oracle."""
-    return np.asarray(np.mean(own / np.maximum(floor, 1e-12), axis=-1))
-
-
 def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the summary over seeds: means with 95 % bootstrap intervals, and medians.
 
@@ -370,19 +373,18 @@ def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """
     order = {tuple(row[key] for key in _CELL): None for row in runs}
     groups = _groups(runs, *_CELL)
-    error = {
-        tuple(row[key] for key in KEY): [np.mean(row["curves"][c]) for c in STUDY_CHANNELS]
-        for row in runs
-        if "J" in row
-    }
+    errors = {tuple(row[key] for key in KEY): _study_errors(row) for row in runs if "J" in row}
     summary = []
     for cell in order:
         members = groups[cell]
+        keys = [tuple(row[key] for key in KEY) for row in members]
+        floors = [_of(key, FLOOR) for key in keys]
+        over_floor = all(key in errors for key in (*keys, *floors))
         for metric in METRICS:
             source = _SOURCES.get(metric, metric)
-            keys = [tuple(row[key] for key in KEY) for row in members]
-            floors = [_of(key, FLOOR) for key in keys] if source in ("J", "E") else []
-            if any(source not in row for row in members) or any(k not in error for k in floors):
+            if any(source not in row for row in members):
+                continue
+            if source in ("J", "E") and not over_floor:
                 continue
             values = np.array([row[source] for row in members])
             value, low, high = float(np.median(values)), None, None
@@ -390,7 +392,7 @@ def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 means = _resampled(values)
                 value = float(values.mean())
                 if metric in ("J", "E"):
-                    own, floor = (np.array([error[k] for k in each]) for each in (keys, floors))
+                    own, floor = (np.array([errors[k] for k in each]) for each in (keys, floors))
                     less = 1.0 if metric == "E" else 0.0
                     means = _over_floor(_resampled(own), _resampled(floor)) - less
                     value = float(_over_floor(own.mean(axis=0), floor.mean(axis=0))) - less

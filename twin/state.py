@@ -18,7 +18,6 @@ very program that wrote it, known by a digest of its sources; another may have m
 from __future__ import annotations
 
 import ctypes
-import functools
 import io
 import json
 import os
@@ -33,7 +32,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_kernel import __version__, sources_digest
+from usv_kernel import __version__, running_program
 
 __all__ = ["VERSION", "Reader", "StateError", "read", "write"]
 
@@ -91,7 +90,8 @@ def pack(parts: dict[str, Any]) -> bytes:
     values = {name: walk.value(part, name) for name, part in parts.items()}
     memory, blocks, places = walk.memory()
     header = {
-        **{"format": FORMAT, "version": VERSION, "software": __version__, "program": _program()},
+        **{"format": FORMAT, "version": VERSION, "software": __version__},
+        **{"program": running_program()},
         **{"parts": values, "nodes": walk.nodes, "blocks": blocks, "arrays": places},
     }
     text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
@@ -152,19 +152,13 @@ def unpack(content: bytes, path: Path) -> Reader:
             f"{path}: has format {header.get('version')}, and this usv-twin reads {VERSION}; "
             f"load it with usv-twin {header.get('software')}, which wrote it"
         )
-    if header.get("program") != _program():
+    if header.get("program") != running_program():
         raise StateError(
             f"{path}: was saved by another version of usv-twin ({header.get('software')}, program "
-            f"{header.get('program')}; this is {__version__}, {_program()}), which may lay out its "
-            "memory otherwise; load it with that one, or begin anew"
+            f"{header.get('program')}; this is {__version__}, {running_program()}), which may lay "
+            "out its memory otherwise; load it with that one, or begin anew"
         )
     return Reader(path, header, memory)
-
-
-@functools.cache
-def _program() -> str:
-    """Return the digest of the running program."""
-    return sources_digest()
 
 
 class _Walk:

@@ -41,6 +41,7 @@ __all__ = [
     "inlined",
     "kernel",
     "module_digest",
+    "running_program",
     "sincos",
     "sources_digest",
     "wrap",
@@ -75,6 +76,12 @@ def sources_digest(root: Path = _ROOT) -> str:
                     path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes()
                 )
     return digest.hexdigest()[:20]
+
+
+@functools.cache
+def running_program() -> str:
+    """Return :func:`sources_digest` of the running program, as it was when first asked for."""
+    return sources_digest()
 
 
 def module_digest(module: str, root: Path = _ROOT) -> str:
