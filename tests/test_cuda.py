@@ -71,7 +71,7 @@ def foretell(s, xi, act, command, lags, envelope, wind, kit, slowness, ripple, o
     if i < s.shape[0]:
         look_ahead(
             *(s[i], xi[i], act[i], command[i], lags, envelope, wind[i], kit, slowness),
-            *(ripple[i], out[i], out_act[i], room[i]),
+            *(ripple[i], 0.0, out[i], out_act[i], room[i]),
         )
 
 

@@ -497,7 +497,7 @@ def _roll(plan, dt, memory, constants, scratch, kit, ripple, scaled, out, acts):
     room = rooms(scratch, kit)[5]
     scale_plan(plan, n_unit, scaled)
     s, xi = x[:N_STATES], x[N_STATES:]
-    roll_out(s, xi, act, scaled, dt, lags, envelope, wind, kit, ripple, out, acts, room)
+    roll_out(s, xi, act, scaled, dt, lags, envelope, wind, kit, ripple, 0.0, out, acts, room)
 
 
 @kernel

@@ -464,7 +464,9 @@ def _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms):
 
 
 @kernel
-def roll_out(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out, out_act, room):
+def roll_out(
+    s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain, out, out_act, room
+):
     """Predict the motion under a plan of commands, actuators included.
 
     Runge-Kutta of fourth order at steps of at most :data:`STEP_MAX`. The velocities are held
@@ -492,6 +494,9 @@ def roll_out(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, o
     ripple : (K, 3) or (0, 3) array
         Velocities that carry the boat along without acting on it (waves), on average over
         each row, m/s and rad/s; they are not in ``out[:, 3:]``.
+    gain : float
+        How much of them the boat's own velocities take on, 1/s: that of an observer which counts
+        as ripple what it leaves of the measured ones.
     out : (K, 6) array
         Row k is the state at the end of row k of the plan ...
     out_act : (K, 4) array
@@ -508,25 +513,30 @@ def roll_out(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, o
     _roll(
         *(shaped(start, 0, (many, N_STATES)), shaped(xi, 0, (many, xi.shape[0]))),
         *(act_0, plan, dt_plan),
-        *(lags, envelope, wind, kit, shaped(ripple, 0, (many, ripple.shape[0], 3))),
+        *(lags, envelope, wind, kit, shaped(ripple, 0, (many, ripple.shape[0], 3)), gain),
         *(shaped(out, 0, (many, K, N_STATES)), out_act, room),
     )
 
 
 @kernel
-def roll_outs(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out, out_act, room):
+def roll_outs(
+    s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain, out, out_act, room
+):
     """Predict several motions under one plan; the actuators are followed once.
 
     Parameters
     ----------
     s_0, xi, ripple, out : (D, ...) arrays
         Those of :func:`roll_out`, one motion's after the other.
-    act_0, plan, dt_plan, lags, envelope, wind, kit, out_act
+    act_0, plan, dt_plan, lags, envelope, wind, kit, gain, out_act
         See :func:`roll_out`.
     room : (ROOM D,) array
         Scratch.
     """
-    _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out, out_act, room)
+    _roll(
+        *(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain),
+        *(out, out_act, room),
+    )
 
 
 @inlined
@@ -571,7 +581,7 @@ def _begin(s_0, xi, act_0, envelope, kit, room):
 
 
 @kernel
-def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, row, moved, room):
+def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, gain, row, moved, room):
     """Advance all motions by ``span`` in so many steps; return whether actuators moved in the last.
 
     ``moved`` is what the span before returned, True at the start.
@@ -601,12 +611,18 @@ def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, row, mo
             if ripple.shape[1] > 0:
                 a, b, w = ripple[d, row, 0], ripple[d, row, 1], ripple[d, row, 2]
             _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms)
+            if ripple.shape[1] > 0:
+                now[3] = _bounded(now[3] + gain * h * a, envelope[0])
+                now[4] = _bounded(now[4] + gain * h * b, envelope[1])
+                now[5] = _bounded(now[5] + gain * h * w, envelope[2])
         moved = moves
     return moved
 
 
 @kernel
-def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out, out_act, room):
+def _roll(
+    s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain, out, out_act, room
+):
     """Roll out as :func:`roll_outs` does."""
     D, moved = s_0.shape[0], True
     motions = _rooms(room, D)[2]
@@ -617,8 +633,8 @@ def _roll(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, out,
         for k in range(N_ACT):
             act[k] = out_act[row - 1, k] if row > 0 else act_0[k]
         moved = _sail(
-            *(act, plan[row], dt_plan, steps, lags, envelope, wind, kit[2], ripple, row, moved),
-            room,
+            *(act, plan[row], dt_plan, steps, lags, envelope, wind, kit[2], ripple, gain, row),
+            *(moved, room),
         )
         for d in range(D):
             for k in range(N_STATES):
@@ -657,7 +673,7 @@ def _stiffness(now, shares, thrust, slowness, wind, hull, terms):
 
 @kernel
 def look_ahead(
-    s, xi, act, command, lags, envelope, wind, kit, slowness, ripple, out, out_act, room
+    s, xi, act, command, lags, envelope, wind, kit, slowness, ripple, gain, out, out_act, room
 ):
     """Predict the motion under a held command at a few times, cheaply.
 
@@ -675,6 +691,8 @@ def look_ahead(
         Time to sail a length, s.
     ripple : (4, 3) or (0, 3) array
         Velocities of the waves, on average from each of the times to the next.
+    gain : float
+        See :func:`roll_out`.
     out, out_act : (4, 6), (4, 4) arrays
         States and actuators at :data:`LOOK_AHEAD` are written there.
     """
@@ -699,7 +717,8 @@ def look_ahead(
         step = slowness * min(_LONGEST, _STIFFEST / max(fast * slowness, 1e-9))
         steps = max(math.ceil(min(span / step, _STEPS_MAX)), 1)
         moved = _sail(
-            *(now, command, span, steps, lags, envelope, wind, kit[2], waves, j, moved, room)
+            *(now, command, span, steps, lags, envelope, wind, kit[2], waves, gain, j),
+            *(moved, room),
         )
         for k in range(N_STATES):
             out[j, k] = motions[0, k]

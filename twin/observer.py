@@ -193,7 +193,7 @@ def _ukf_all(
         scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
         look_ahead(
             *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[SLOWNESS]),
-            *(_CALM, ahead, acts, rooms(scratch, kit)[5]),
+            *(_CALM, 0.0, ahead, acts, rooms(scratch, kit)[5]),
         )
         spread_now(told[GPS_VAR], nav_parts(nav[i])[1], memory[i], kit, now)
         if note[LAST] >= note[RENEW_AT]:

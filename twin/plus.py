@@ -66,7 +66,7 @@ from twin.prior import population_prior
 from twin.residual import ORDER, between, fit_waves, simulate_waves
 from twin.rivals import Rivals, judge, note, record_size, settle
 from twin.structure import accelerations, state_terms, thrust_terms
-from usv_kernel import in_python, kernel
+from usv_kernel import in_python, inlined, kernel
 from usv_kernel.views import shaped
 
 __all__ = ["PlusPredictor", "refit_settings"]
@@ -74,7 +74,10 @@ __all__ = ["PlusPredictor", "refit_settings"]
 Array = NDArray[Any]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s."""
+"""Of the low-frequency observer, 1/s. By it, too, the velocities of a draw take on the waves of that
+draw: what was measured is the observer's motion and what it left, and so will be what comes."""
+TOLD_GAIN = 0.25
+"""The same for the waves foretold, 1/s: half of them carry the boat to and fro, and pass."""
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
 """A row may be fitted if the navigation is as sure as this of velocity (usual speeds) and
 heading (rad), and if the row before it is not older (s)."""
@@ -82,29 +85,34 @@ UNHURRIED = 1.5
 """Time to sail a length, in units of the study boat's, from which on segments are too alike."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
-WIDER = 1.3
-"""What the draws leave out (gusts, the model's own shortcomings): bands are wider by this."""
+WIDER = 1.07
+"""What the draws leave out (gusts to come, headings never sailed): bands are wider by this."""
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
 DRAWS_MIN = 20
 """Fewer draws give no 5 % point."""
-WAVE_SPAN = 80.0
-"""The waves of this many seconds are described."""
+WAVE_SPAN, LATE_SPAN = 80.0, 40.0
+"""Waves are foretold from what was left of this many seconds, and drawn from the last part: before,
+it is also what was not yet learned."""
 ALIKE = math.radians(20.0)
 """How often and how hard waves strike hangs on the heading: what is foretold of those of the moment
 is learned on headings as near to that of now as this (standard deviation)."""
+SECTORS, STRANGERS = 24, 10.0
+"""Sectors of headings whose roughness is kept; rows of all headings that each counts as its own."""
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""
 
 # the track between rows: time of the grid's origin, half steps since then, last state,
 # last actuators, low-frequency velocities; first row of the next segment, time of the next refit;
-# largest velocities seen; height, noise and autoregression of the waves, then that of their means
+# largest velocities seen; height, noise and autoregression of the waves, then that of those foretold;
+# how much rougher than all the waves of each sector of headings are
 _ORIGIN, _HALVES, _LAST, _LAST_ACT = 0, 1, 2, 2 + N_STATES
 _SLOW = _LAST_ACT + N_ACT
 _NEXT_START, _REFIT_AT, _SEEN = _SLOW + 3, _SLOW + 4, _SLOW + 5
 _WAVE_SD, _NOISE, _COEFFICIENTS = _SEEN + 3, _SEEN + 6, _SEEN + 9
 _HERE = _COEFFICIENTS + 3 * ORDER
-TRACK_SIZE = _HERE + 3 * ORDER
+_ROUGH = _HERE + 3 * ORDER
+TRACK_SIZE = _ROUGH + 3 * SECTORS
 
 _PERIOD, _RENEWED, _SPACING, _SPAN = range(4)
 _RULES = 4
@@ -237,6 +245,48 @@ def take_segments(rows, book, rules, kit, room):
     return looks
 
 
+@inlined
+def _sector(psi):
+    """Return the sector of a heading."""
+    return round(psi * (SECTORS / (2.0 * math.pi))) % SECTORS
+
+
+@kernel
+def _describe_sectors(newest, first, late, rows, rough, room):
+    """Write how much rougher (root mean square) than all the late waves those of a sector are.
+
+    ``late`` holds the waves of the last good rows from ``first`` to ``newest``.
+    """
+    sums = shaped(room, 0, (SECTORS, 4))
+    total = room[4 * SECTORS :][:4]
+    sums[:] = 0.0
+    total[:] = 0.0
+    at = late.shape[0]
+    for k in range(newest, first - 1, -1):
+        row = rows[k % rows.shape[0]]
+        if at > 0 and row[GOOD] > 0.0:
+            at -= 1
+            one = sums[_sector(row[STATE + 2])]
+            one[3] += 1.0
+            total[3] += 1.0
+            for i in range(3):
+                one[i] += late[at, i] ** 2
+                total[i] += late[at, i] ** 2
+    for m in range(SECTORS):
+        own = rough[m]
+        own[:] = 0.0
+        many = STRANGERS
+        for n in range(SECTORS):
+            away = (n - m) * (2.0 * math.pi / SECTORS)
+            alike = math.exp((math.cos(away) - 1.0) / ALIKE**2)
+            many += alike * sums[n, 3]
+            for i in range(3):
+                own[i] += alike * sums[n, i]
+        for i in range(3):
+            mean = total[i] / total[3]
+            own[i] = math.sqrt((own[i] + STRANGERS * mean) / (many * mean)) if mean > 0.0 else 1.0
+
+
 @kernel
 def _describe_waves(rows, rules, track, room):
     """Fit autoregressions to what the model left of the last velocities.
@@ -256,7 +306,9 @@ def _describe_waves(rows, rules, track, room):
         return
     w, rest = shaped(room, 0, (count, 3)), room[3 * count :]
     coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
-    fit_waves(w, coefficients, track[_NOISE:_COEFFICIENTS], rest)
+    late = w[max(count - round(LATE_SPAN / GRID), 0) :]
+    fit_waves(late, coefficients, track[_NOISE:_COEFFICIENTS], rest)
+    _describe_sectors(newest, first, late, rows, shaped(track, _ROUGH, (SECTORS, 3)), rest)
     for i in range(3):
         mean, square = 0.0, 0.0
         for k in range(count):
@@ -415,7 +467,8 @@ def _roll_guarded(
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
         roll_out(
-            *(start, theta, act, scaled, dt, lags, envelope, wind, kit, ripple, out, acts, room),
+            *(start, theta, act, scaled, dt, lags, envelope, wind, kit, ripple, TOLD_GAIN),
+            *(out, acts, room),
         )
         if _inside(out, track, usual):
             return
@@ -441,7 +494,7 @@ def _foretell(past, track, calm, path):
         Written.
     """
     here, noise = shaped(track, _HERE, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
-    simulate_waves(past, here, noise, calm, path[:, 1:])
+    simulate_waves(past, here, noise, calm[0], calm, path[:, 1:])
     for j in range(3):
         path[0, 0, j] = past[0, j]
 
@@ -460,18 +513,19 @@ def _look_parts(room, p):
     rest = rest[6 * many :]
     other, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
     acts, rest = shaped(rest, 0, (many, N_ACT)), rest[N_ACT * many :]
+    rough, rest = shaped(rest, 0, (_PATH - 1, 3)), rest[3 * (_PATH - 1) :]
     root, rest = shaped(rest, 0, (p, p)), rest[p * p :]
     small, rest = shaped(rest, 0, (N_STATES, N_STATES)), rest[N_STATES**2 :]
     return (
         *(theta, drawn, start, begun, past, path, ends, means, more_ends, more_means),
-        *(other, acts, root, small, shaped(rest, 0, (1, p)), rest[p:]),
+        *(other, acts, rough, root, small, shaped(rest, 0, (1, p)), rest[p:]),
     )
 
 
 def _look_size(p: int) -> int:
     """Return the length of the room of :func:`plus_look`: that of its parts, and of a roll-out."""
     many = len(LOOK_AHEAD)
-    waves = 3 * (ORDER + _PATH + 4 * many)
+    waves = 3 * (ORDER + 2 * _PATH - 1 + 4 * many)
     return 3 * p + p * p + 2 * N_STATES + N_STATES**2 + waves + (N_STATES + N_ACT) * many + ROOM
 
 
@@ -505,7 +559,9 @@ def plus_look(
     p = kit[0].shape[1]
     x, _, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
-    theta, _, start, _, past, path, ends, means, _, _, _, acts, _, _, _, roll = _look_parts(room, p)
+    own = _look_parts(room, p)
+    theta, start, past, path, ends, means = own[0], own[2], own[4], own[5], own[6], own[7]
+    acts, roll = own[11], own[16]
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
     _foretell(past, track, shocks[2][:1], path)
@@ -514,7 +570,7 @@ def plus_look(
         _draw_back(part, x, rules, theta)
         look_ahead(
             *(start, theta, act, command, lags, envelope, wind, kit, slowness),
-            *(means[0], ahead, acts, roll),
+            *(means[0], TOLD_GAIN, ahead, acts, roll),
         )
         if _inside(ahead, track, usual):
             break
@@ -531,6 +587,20 @@ def _add_drawn(root, shocks, out):
         to = out[j:]
         for k in range(row.shape[0]):
             to[k] += row[k] * shocks[j]
+
+
+@kernel
+def _roughness(psi, ahead, by_sector, rough):
+    """Write how rough (K, 3) it will be on the headings from ``psi`` to those of LOOK_AHEAD."""
+    m, before = 0, 0.0
+    for k in range(rough.shape[0]):
+        t = GRID * (k + 1)
+        while m + 1 < ahead.shape[0] and t > LOOK_AHEAD[m] + 1e-9:
+            psi, before, m = ahead[m, 2], LOOK_AHEAD[m], m + 1
+        share = (t - before) / (LOOK_AHEAD[m] - before)
+        own = by_sector[_sector(psi + share * (ahead[m, 2] - psi))]
+        for i in range(3):
+            rough[k, i] = own[i]
 
 
 @kernel
@@ -560,7 +630,7 @@ def plus_spread(
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
     theta, drawn, start, begun, past, path, ends, means, more_ends, more_means = own[:10]
-    out, acts, root, small, work, roll = own[10:]
+    out, acts, rough, root, small, work, roll = own[10:]
     coefficients, noise = shaped(track, _COEFFICIENTS, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
     cholesky(P[N_STATES:, N_STATES:], root, work)
     for i in range(N_STATES):
@@ -570,6 +640,7 @@ def plus_spread(
             small[i, i] += (START_WAVE * track[_WAVE_SD + i - 3]) ** 2
     cholesky(small, small, work)
     covs[:] = 0.0
+    _roughness(start[2], ahead, shaped(track, _ROUGH, (SECTORS, 3)), rough)
     past[:] = 0.0  # the waves of the draws come on top of those foretold
     path[:] = 0.0
     for d in range(D):
@@ -580,14 +651,14 @@ def plus_spread(
         _add_drawn(root, by_theta[d], drawn)
         _add_drawn(small, by_start[d], begun)
         begun[0], begun[1] = start[0], start[1]
-        simulate_waves(past, coefficients, noise, by_waves[d + 1 : d + 2], path[:, 1:])
+        simulate_waves(past, coefficients, noise, rough, by_waves[d + 1 : d + 2], path[:, 1:])
         between(path, GRID, LOOK_AHEAD, more_ends, more_means)
         for m in range(out.shape[0]):
             for k in range(3):
                 more_means[0, m, k] += means[0, m, k]
         look_ahead(
             *(begun, drawn, act, command, lags, envelope, wind, kit, slowness),
-            *(more_means[0], out, acts, roll),
+            *(more_means[0], OBSERVER_GAIN, out, acts, roll),
         )
         for m in range(out.shape[0]):
             for k in range(3):
@@ -691,7 +762,8 @@ class PlusPredictor(UKFPredictor):
         self._seen, self._wave_sd = self.track[_SEEN:_WAVE_SD], self.track[_WAVE_SD:_NOISE]
         self._noise = self.track[_NOISE:_COEFFICIENTS]
         self._coefficients = self.track[_COEFFICIENTS:_HERE].reshape(ORDER, 3)
-        self._here = self.track[_HERE:].reshape(ORDER, 3)
+        self._here = self.track[_HERE:_ROUGH].reshape(ORDER, 3)
+        self._rough = self.track[_ROUGH:].reshape(SECTORS, 3)
         self.segments = Segments(structure.kit, mean, cov, self.refit, capacity, window)
         self.rules = np.concatenate([rules[:_RULES], self.segments.rules])
         self.rivals = Rivals(self.segments, self.spacing, record)
@@ -726,6 +798,7 @@ class PlusPredictor(UKFPredictor):
         self.track[_REFIT_AT] = -math.inf
         # until the waves have been seen: as high as a refit takes them to be, and without memory
         self._wave_sd[:] = self._noise[:] = self.refit.sd[3:]
+        self._rough[:] = 1.0
 
     @property
     def remembered(self) -> tuple[Array, ...]:
@@ -803,7 +876,7 @@ class PlusPredictor(UKFPredictor):
         )
         return theta, out
 
-    def _wave_paths(self, shocks: Array, after: Array) -> tuple[Array, Array]:
+    def _wave_paths(self, shocks: Array, after: Array, rough: Array) -> tuple[Array, Array]:
         """Return wave velocities at times, and on average between them.
 
         Parameters
@@ -812,24 +885,39 @@ class PlusPredictor(UKFPredictor):
             Standard normal numbers, used again where they do not reach.
         after : ndarray, shape (K,)
             Times after now, s, from the first step on.
+        rough : ndarray, shape (K, 3)
+            See :func:`twin.residual.simulate_waves`; a row for every :data:`GRID` seconds.
         """
-        K = math.ceil(after[-1] / GRID - 1e-9)
+        K = len(rough)
         D = len(shocks)
         times = math.ceil(K / shocks.shape[1])
         many = shocks[:, :K] if times == 1 else np.concatenate([shocks] * times, axis=1)[:, :K]
         # what is foretold, and what comes on top of it
         told, path, past = np.empty((1, K + 1, 3)), np.zeros((D, K + 1, 3)), self._past()
         _foretell(past, self.track, np.zeros((1, K, 3)), told)
-        simulate_waves(np.zeros_like(past), self._coefficients, self._noise, many, path[:, 1:])
+        simulate_waves(
+            *(np.zeros_like(past), self._coefficients, self._noise, rough, many, path[:, 1:]),
+        )
         path += told
         ends, means = np.empty((2, D, len(after), 3))
         between(path, GRID, after, ends, means)
         return ends, means
 
+    def _rough_ahead(self, mean: Array, dt: float, span: float) -> Array:
+        """Return how rough it will be, every :data:`GRID` seconds, on the way (K, 6) foretold."""
+        times = dt * np.arange(len(mean) + 1)
+        K = math.ceil(span / GRID - 1e-9)
+        psi = np.interp(GRID * np.arange(1, K + 1), times, [self.n[2], *mean[:, 2]])
+        rough: Array = self._rough[
+            np.round(psi * (SECTORS / (2.0 * math.pi))).astype(int) % SECTORS
+        ]
+        return rough
+
     def _central(self, plan: Array, dt: float) -> tuple[Array, Array]:
         """Return the parameters in use and the states (K, 6) most to be expected."""
         after = dt * np.arange(1, len(plan) + 1)
-        ends, ripple = self._wave_paths(self._calm, after)
+        K = math.ceil(after[-1] / GRID - 1e-9)
+        ends, ripple = self._wave_paths(self._calm, after, np.zeros((K, 3)))
         theta, out = self._guarded(plan, dt, ripple[0])
         out[:, 3:] += ends[0]
         return theta, out
@@ -859,12 +947,13 @@ class PlusPredictor(UKFPredictor):
         shocks = self._start_shocks @ _root(P).T
         starts[1:] = starts[0] + shocks
         starts[1:, :2] = starts[0, :2]
-        ends, ripples = self._wave_paths(self._wave_shocks, after)
+        rough = self._rough_ahead(mean, dt, after[-1])
+        ends, ripples = self._wave_paths(self._wave_shocks, after, rough)
         out, acts = np.empty((D + 1, K, N_STATES)), np.empty((K, N_ACT))
         ukf = self.ukf
         roll_outs(
             *(starts, thetas, ukf.act, coarse, h, ukf.lags, ukf.envelope, ukf.wind, ukf.kit),
-            *(ripples, out, acts, self._room),
+            *(ripples, OBSERVER_GAIN, out, acts, self._room),
         )
         out[..., 3:] += ends
         away = np.concatenate([np.zeros((D, 1, N_STATES)), out[1:] - out[0]], axis=1)

@@ -210,7 +210,7 @@ def rolled(
     for out, k in zip(errors, starts, strict=True):
         roll_out(
             *(run.states[k], xi, actuators[k], plan[k : k + horizon], ROW, lags, envelope),
-            *(still, structure.kit, ripple, out, out_act, room),
+            *(still, structure.kit, ripple, 0.0, out, out_act, room),
         )
         out -= run.states[k + 1 : k + 1 + horizon]
     errors /= np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])

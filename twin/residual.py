@@ -173,7 +173,7 @@ def largest_root(a, b):
 
 
 @kernel
-def simulate_waves(past, coefficients, noise, shocks, out):
+def simulate_waves(past, coefficients, noise, rough, shocks, out):
     """Write paths of the autoregression after a past.
 
     Parameters
@@ -182,6 +182,8 @@ def simulate_waves(past, coefficients, noise, shocks, out):
         Last values, newest first.
     coefficients, noise : (6, c), (c,) arrays
         From :func:`fit_autoregression`.
+    rough : (K, c) array
+        Times as large as that is the noise of each step.
     shocks : (D, K, c) array
         Standard normal numbers; zeros give the mean path.
     out : (D, K, c) array
@@ -190,7 +192,7 @@ def simulate_waves(past, coefficients, noise, shocks, out):
     for d in range(out.shape[0]):
         for k in range(out.shape[1]):
             for j in range(out.shape[2]):
-                value = noise[j] * shocks[d, k, j]
+                value = noise[j] * rough[k, j] * shocks[d, k, j]
                 for i in range(past.shape[0]):
                     value += coefficients[i, j] * (
                         out[d, k - 1 - i, j] if i < k else past[i - k, j]

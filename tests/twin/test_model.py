@@ -71,6 +71,7 @@ def roll_out(
     structure: Structure = PAPER,
     wind: np.ndarray = CALM,
     ripple: np.ndarray | None = None,
+    gain: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Roll out; shaft speeds of ``plan`` and ``act_0`` are rev/s, those returned too."""
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
@@ -79,7 +80,7 @@ def roll_out(
         *(np.array(s_0), xi, np.array(act_0) * unit, plan * unit, dt),
         *(np.array(lags), np.array(envelope), wind, structure.kit),
         np.empty((0, 3)) if ripple is None else ripple,
-        *(out, out_act, np.full(model.ROOM, np.nan)),
+        *(gain, out, out_act, np.full(model.ROOM, np.nan)),
     )
     return out, out_act / unit
 
@@ -352,6 +353,15 @@ def test_ripple_carries_the_boat_along_and_does_nothing_else() -> None:
     )
 
 
+def test_velocities_take_on_of_the_ripple_what_the_gain_says_within_the_envelope() -> None:
+    ripple = np.tile([0.3, -0.2, 0.02], (40, 1))
+    out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
+    np.testing.assert_allclose(out[-1, 3:], 0.5 * 4.0 * ripple[0], rtol=1e-12)
+    ripple *= 1e6
+    out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
+    np.testing.assert_array_equal(np.abs(out[-1, 3:]), [50.0, 50.0, 10.0])
+
+
 @BOATS
 @pytest.mark.parametrize(
     ("scale", "seed"),
@@ -410,7 +420,7 @@ def look_ahead(
     model.look_ahead(
         *(np.array([0.0, 0.0, 0.5, 5.0, 0.2, 0.05]), xi, unit * act, unit * command),
         *(np.array([0.6, 0.1, 0.35]), np.array([50.0, 50.0, 10.0]), CALM, structure.kit, slowness),
-        *(np.empty((0, 3)), out, out_act, np.empty(model.ROOM)),
+        *(np.empty((0, 3)), 0.0, out, out_act, np.empty(model.ROOM)),
     )
     return out
 

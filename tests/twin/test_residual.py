@@ -32,7 +32,7 @@ def largest_root(a: np.ndarray) -> float:
 
 def simulated(past, coefficients, noise, shocks) -> np.ndarray:
     out = np.full(shocks.shape, math.nan)
-    simulate_waves(past, coefficients, noise, shocks, out)
+    simulate_waves(past, coefficients, noise, np.ones(shocks.shape[1:]), shocks, out)
     return out
 
 

@@ -34,7 +34,7 @@ def window(structure, xi, rng, noise=0.0, rows=500):
     envelope = np.full(3, 1e3)
     roll_out(
         *(start, xi, act[0], act, GRID, lags, envelope, np.zeros(2), structure.kit),
-        *(np.zeros((0, 3)), out, out_act, room),
+        *(np.zeros((0, 3)), 0.0, out, out_act, room),
     )
     table = np.zeros((rows, COLUMNS))
     table[0, STATE : STATE + N_STATES] = start

@@ -153,7 +153,8 @@ def rate(knots, free, sources, model, goal, motion, out):
     plan, states, acts, scratch, errors, legs = motion
     commands(knots, basis, mixing, limits, plan)
     roll_out(
-        *(s, theta, act, plan, told[ROW], lags, envelope, wind, kit, _CALM, states, acts, scratch),
+        *(s, theta, act, plan, told[ROW], lags, envelope, wind, kit, _CALM, 0.0),
+        *(states, acts, scratch),
     )
     return misses(knots, last, states, points, leg, free, told, errors, legs, out)
 
