@@ -10,7 +10,8 @@ Four things work together:
 3. a low-frequency observer, the model held to the navigation's velocities by a gain of 0.5 /s:
    predictions start from it, because waves are no part of the model, and what it leaves of the
    measured velocities is taken for waves (:mod:`twin.residual`);
-4. bands from draws: of the parameters, of the start, and of the waves to come.
+4. bands from draws: of the parameters, of the start, and of the waves to come, which are as rough
+   as the headings ahead were of late, and move the low-frequency motion as the observer would.
 
 Where the predicted motion leaves what the boat was ever seen to do, the parameters are drawn back
 to the prior until it does not (:data:`SHRINK`).
@@ -74,8 +75,8 @@ __all__ = ["PlusPredictor", "refit_settings"]
 Array = NDArray[Any]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s. By it, too, the velocities of a draw take on the waves of that
-draw: what was measured is the observer's motion and what it left, and so will be what comes."""
+"""Of the low-frequency observer, 1/s. By it, too, the velocities of a draw take on its waves: what
+was measured is the observer's motion and what that left, and so will be what comes."""
 TOLD_GAIN = 0.25
 """The same for the waves foretold, 1/s: half of them carry the boat to and fro, and pass."""
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
@@ -104,8 +105,8 @@ SEGMENTS_MIN = 3
 
 # the track between rows: time of the grid's origin, half steps since then, last state,
 # last actuators, low-frequency velocities; first row of the next segment, time of the next refit;
-# largest velocities seen; height, noise and autoregression of the waves, then that of those foretold;
-# how much rougher than all the waves of each sector of headings are
+# largest velocities seen; height, noise and autoregression of the waves, then that of those
+# foretold; how much rougher than all the waves of each sector of headings are
 _ORIGIN, _HALVES, _LAST, _LAST_ACT = 0, 1, 2, 2 + N_STATES
 _SLOW = _LAST_ACT + N_ACT
 _NEXT_START, _REFIT_AT, _SEEN = _SLOW + 3, _SLOW + 4, _SLOW + 5

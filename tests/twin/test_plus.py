@@ -384,18 +384,51 @@ def test_draws_come_on_top_of_the_waves_foretold(boat: Particulars, zigzag: Log)
     predictor = PlusPredictor(boat)
     feed(predictor, zigzag.slice(0.0, 40.0))
     after = GRID * np.arange(1, 41)
-    ends, _ = predictor._wave_paths(predictor._wave_shocks, after)
+    rough = np.random.default_rng(0).uniform(0.5, 2.0, (40, 3))
+    ends, _ = predictor._wave_paths(predictor._wave_shocks, after, rough)
     told, new = np.empty((1, 40, 3)), np.empty((100, 40, 3))
     past = predictor._past()
     calm = np.zeros((1, 40, 3))
-    simulate_waves(past, predictor._here, predictor._noise, calm, told)
+    simulate_waves(past, predictor._here, predictor._noise, calm[0], calm, told)
     simulate_waves(
-        *(np.zeros_like(past), predictor._coefficients, predictor._noise),
+        *(np.zeros_like(past), predictor._coefficients, predictor._noise, rough),
         *(predictor._wave_shocks[1:], new),
     )
     assert np.abs(told[0, :4]).max() > 0.01
     np.testing.assert_allclose(ends[0], told[0], atol=1e-12)
     np.testing.assert_allclose(ends[1:], told + new, atol=1e-12)
+
+
+def test_waves_are_drawn_as_rough_as_they_were_of_late_on_the_headings_ahead(
+    boat: Particulars, zigzag: Log
+) -> None:
+    predictor = PlusPredictor(boat)
+    assert (predictor._rough == 1.0).all()
+    N, rng = 320, np.random.default_rng(1)
+    rows = predictor.rows[:N]
+    rows[:, GOOD] = 1.0
+    # to and fro between north and south; what was left long ago is rougher still, and not counted
+    psi = np.where(np.arange(N) // 20 % 2 == 0, 0.0, math.pi)
+    rows[:, STATE + 2] = psi
+    size = np.where(psi == 0.0, 0.1, 0.3) * np.where(np.arange(N) < N // 2, 10.0, 1.0)
+    rows[:, STATE + 3 : STATE + 6] = size[:, None] * rng.standard_normal((N, 3))
+    predictor.track[_HALVES] = 2.0 * N
+    _describe_waves(rows, predictor.rules, predictor.track, predictor.segments.room)
+    mean = math.sqrt(0.5 * (0.1**2 + 0.3**2))
+    north, east, south = predictor._rough[0], predictor._rough[6], predictor._rough[12]
+    np.testing.assert_allclose(north, 0.1 / mean, rtol=0.25)  # ten strangers among eighty
+    np.testing.assert_allclose(south, 0.3 / mean, rtol=0.15)
+    np.testing.assert_allclose(east, 1.0, rtol=0.05)  # never sailed
+    assert predictor._noise == pytest.approx(mean, rel=0.2)
+    # a turn from north to south under way, every quarter of a second
+    predictor.nav[2] = 0.0
+    way = np.zeros((20, 6))
+    way[:, 2] = np.linspace(math.pi / 20, math.pi, 20)
+    rough = predictor._rough_ahead(way, 0.5, 10.0)
+    assert rough.shape == (40, 3)
+    np.testing.assert_array_equal(rough[-1], south)
+    np.testing.assert_array_equal(rough[19], east)
+    np.testing.assert_array_equal(rough[0], north)
 
 
 # Bits
