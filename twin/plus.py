@@ -561,8 +561,8 @@ def plus_look(
     x, _, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
-    theta, start, past, path, ends, means = own[0], own[2], own[4], own[5], own[6], own[7]
-    acts, roll = own[11], own[16]
+    theta, _, start, _, past, path, ends, means, _, _ = own[:10]
+    _, acts, _, _, _, _, roll = own[10:]
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
     _foretell(past, track, shocks[2][:1], path)
