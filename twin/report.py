@@ -443,7 +443,8 @@ def _recorded_tables(results: Mapping[str, Any]) -> list[str]:
                 )
             lines.append(f"<tr>{line}</tr>")
         most = max(int(number_of(row, "runs")) for row in rows)
-        body.append(f"<h3>{_escape(folder)}, {most} runs, fault {fault}, plan {plan}</h3>")
+        many = "1 run" if most == 1 else f"{most} runs"
+        body.append(f"<h3>{_escape(folder)}, {many}, fault {fault}, plan {plan}</h3>")
         body.append(_html_table(head, lines))
     return body
 
