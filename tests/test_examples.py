@@ -68,6 +68,9 @@ def test_readme_results_are_those_of_the_checked_in_benchmark():
         for cell, (scenario, fault) in zip(cells, runs, strict=False):
             item = value[scenario, fault, name]
             assert cell == f"{item['value']:.2f} [{item['low']:.2f}, {item['high']:.2f}]"
+        for cell, fault in zip(cells[4:6], ("none", "gps10"), strict=True):
+            item = value.get(("boat1_usv_circle", fault, name))
+            assert cell == (f"{item['value']:.3f}" if item else "-")
 
 
 @pytest.mark.parametrize(
