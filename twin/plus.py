@@ -93,8 +93,8 @@ START_WAVE = 0.3
 DRAWS_MIN = 20
 """Fewer draws give no 5 % point."""
 WAVE_SPAN, LATE_SPAN = 80.0, 40.0
-"""Waves are foretold from what was left of this many seconds, and drawn from the last part: before,
-it is also what was not yet learned."""
+"""Waves are foretold from what was left of this many seconds, and drawn from so many of the last of
+them that are any good: before, it is also what was not yet learned."""
 ALIKE = math.radians(20.0)
 """How often and how hard waves strike hangs on the heading: what is foretold of those of the moment
 is learned on headings as near to that of now as this (standard deviation)."""
@@ -513,13 +513,14 @@ def _look_parts(room, p):
     more_ends, more_means = shaped(rest, 0, (1, many, 3)), shaped(rest, 3 * many, (1, many, 3))
     rest = rest[6 * many :]
     other, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
+    centre, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
     acts, rest = shaped(rest, 0, (many, N_ACT)), rest[N_ACT * many :]
     rough, rest = shaped(rest, 0, (_PATH - 1, 3)), rest[3 * (_PATH - 1) :]
     root, rest = shaped(rest, 0, (p, p)), rest[p * p :]
     small, rest = shaped(rest, 0, (N_STATES, N_STATES)), rest[N_STATES**2 :]
     return (
         *(theta, drawn, start, begun, past, path, ends, means, more_ends, more_means),
-        *(other, acts, rough, root, small, shaped(rest, 0, (1, p)), rest[p:]),
+        *(other, centre, acts, rough, root, small, shaped(rest, 0, (1, p)), rest[p:]),
     )
 
 
@@ -527,7 +528,7 @@ def _look_size(p: int) -> int:
     """Return the length of the room of :func:`plus_look`: that of its parts, and of a roll-out."""
     many = len(LOOK_AHEAD)
     waves = 3 * (ORDER + 2 * _PATH - 1 + 4 * many)
-    return 3 * p + p * p + 2 * N_STATES + N_STATES**2 + waves + (N_STATES + N_ACT) * many + ROOM
+    return 3 * p + p * p + 2 * N_STATES + N_STATES**2 + waves + (2 * N_STATES + N_ACT) * many + ROOM
 
 
 @kernel
@@ -536,7 +537,7 @@ def plus_look(
 ):
     """Write the motion most to be expected at LOOK_AHEAD under a held command.
 
-    What :meth:`PlusPredictor.mean` says of the same times, to within about 1e-3 of the way made.
+    What :meth:`PlusPredictor.mean` says of the same times, to within a few 1e-3 of the way made.
 
     Parameters
     ----------
@@ -562,7 +563,7 @@ def plus_look(
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
     theta, _, start, _, past, path, ends, means, _, _ = own[:10]
-    _, acts, _, _, _, _, roll = own[10:]
+    _, _, acts, _, _, _, _, roll = own[10:]
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
     _foretell(past, track, shocks[2][:1], path)
@@ -610,7 +611,8 @@ def plus_spread(
 ):
     """Write how unsure the state will be at LOOK_AHEAD; call after :func:`plus_look`.
 
-    The draws are those of :meth:`PlusPredictor.predict`, rolled at coarser steps.
+    The draws are those of :meth:`PlusPredictor.predict`, rolled at coarser steps: waves act on the
+    velocities by their means between the times, which makes sway and yaw up to a tenth surer.
 
     Parameters
     ----------
@@ -631,7 +633,7 @@ def plus_spread(
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
     theta, drawn, start, begun, past, path, ends, means, more_ends, more_means = own[:10]
-    out, acts, rough, root, small, work, roll = own[10:]
+    out, centre, acts, rough, root, small, work, roll = own[10:]
     coefficients, noise = shaped(track, _COEFFICIENTS, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
     cholesky(P[N_STATES:, N_STATES:], root, work)
     for i in range(N_STATES):
@@ -641,6 +643,14 @@ def plus_spread(
             small[i, i] += (START_WAVE * track[_WAVE_SD + i - 3]) ** 2
     cholesky(small, small, work)
     covs[:] = 0.0
+    # what every draw makes of the waves foretold is not how far they part
+    look_ahead(
+        *(start, theta, act, command, lags, envelope, wind, kit, slowness),
+        *(means[0], OBSERVER_GAIN, centre, acts, roll),
+    )
+    for m in range(out.shape[0]):
+        for k in range(3):
+            centre[m, 3 + k] += ends[0, m, k]
     _roughness(start[2], ahead, shaped(track, _ROUGH, (SECTORS, 3)), rough)
     past[:] = 0.0  # the waves of the draws come on top of those foretold
     path[:] = 0.0
@@ -665,7 +675,7 @@ def plus_spread(
             for k in range(3):
                 out[m, 3 + k] += ends[0, m, k] + more_ends[0, m, k]
             for k in range(N_STATES):
-                out[m, k] = WIDER * (out[m, k] - ahead[m, k])
+                out[m, k] = WIDER * (out[m, k] - centre[m, k])
             for i in range(N_STATES):
                 for k in range(N_STATES):
                     covs[m, i, k] += out[m, i] * out[m, k] / D
@@ -716,7 +726,7 @@ class PlusPredictor(UKFPredictor):
         Of the draws.
     """
 
-    tuning = "about 95 configurations on 4 to 12 tuning seeds, 20 of the navigation"
+    tuning = "about 190 configurations on 4 to 48 tuning seeds, 20 of the navigation"
 
     def __init__(
         self,
