@@ -612,7 +612,7 @@ def plus_spread(
     """Write how unsure the state will be at LOOK_AHEAD; call after :func:`plus_look`.
 
     The draws are those of :meth:`PlusPredictor.predict`, rolled at coarser steps: waves act on the
-    velocities by their means between the times, which makes sway and yaw up to a tenth surer.
+    velocities by their means between the times, which makes sway after 10 s up to a fifth surer.
 
     Parameters
     ----------
