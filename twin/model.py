@@ -492,8 +492,8 @@ def roll_out(
     wind, kit
         See :func:`derivative`; the wind stays.
     ripple : (K, 3) or (0, 3) array
-        Velocities that carry the boat along without acting on it (waves), on average over
-        each row, m/s and rad/s; they are not in ``out[:, 3:]``.
+        Velocities that carry the boat along and act on her by ``gain`` alone (waves), on average
+        over each row, m/s and rad/s; they are not in ``out[:, 3:]``.
     gain : float
         How much of them the boat's own velocities take on, 1/s: that of an observer which counts
         as ripple what it leaves of the measured ones.

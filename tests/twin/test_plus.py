@@ -400,7 +400,7 @@ def test_draws_come_on_top_of_the_waves_foretold(boat: Particulars, zigzag: Log)
 
 
 def test_waves_are_drawn_as_rough_as_they_were_of_late_on_the_headings_ahead(
-    boat: Particulars, zigzag: Log
+    boat: Particulars,
 ) -> None:
     predictor = PlusPredictor(boat)
     assert (predictor._rough == 1.0).all()
