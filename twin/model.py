@@ -492,11 +492,13 @@ def roll_out(
     wind, kit
         See :func:`derivative`; the wind stays.
     ripple : (K, 3) or (0, 3) array
-        Velocities that carry the boat along and act on her by ``gain`` alone (waves), on average
+        Velocities that carry the boat along and act on her as ``gain`` says (waves), on average
         over each row, m/s and rad/s; they are not in ``out[:, 3:]``.
     gain : float
         How much of them the boat's own velocities take on, 1/s: that of an observer which counts
-        as ripple what it leaves of the measured ones.
+        as ripple what it leaves of the measured ones. Above 0, she also keeps her way over ground
+        while they turn her: u and v turn against the ripple's yaw rate. At 0 they carry her, no
+        more.
     out : (K, 6) array
         Row k is the state at the end of row k of the plan ...
     out_act : (K, 4) array
@@ -611,9 +613,10 @@ def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, gain, r
             if ripple.shape[1] > 0:
                 a, b, w = ripple[d, row, 0], ripple[d, row, 1], ripple[d, row, 2]
             _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms)
-            if ripple.shape[1] > 0:
-                now[3] = _bounded(now[3] + gain * h * a, envelope[0])
-                now[4] = _bounded(now[4] + gain * h * b, envelope[1])
+            if ripple.shape[1] > 0 and gain > 0.0:
+                u, v = now[3], now[4]
+                now[3] = _bounded(u + h * (gain * a + v * w), envelope[0])
+                now[4] = _bounded(v + h * (gain * b - u * w), envelope[1])
                 now[5] = _bounded(now[5] + gain * h * w, envelope[2])
         moved = moves
     return moved

@@ -229,7 +229,7 @@ def _plus_all(
         scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
         plus_look(
             *(held, n, usual, told[SLOWNESS], rows[i], book[i], refit_rules, memory[i]),
-            *(constants, kit, shocks, ahead, look_room),
+            *(constants, kit, ahead, look_room),
         )
         spread_now(told[GPS_VAR], P_nav, memory[i], kit, now)
         if note[LAST] >= note[RENEW_AT]:

@@ -583,7 +583,7 @@ def keep_factor(room, p, out):
     U = _solving(room, p)[3]
     for i in range(p):
         for k in range(p):
-            out[i, k] = U[i, k]
+            out[i, k] = U[i, k] if k >= i else 0.0  # below, the room holds anything
 
 
 @kernel

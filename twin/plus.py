@@ -10,8 +10,8 @@ Four things work together:
 3. a low-frequency observer, the model held to the navigation's velocities by a gain of 0.5 /s:
    predictions start from it, because waves are no part of the model, and what it leaves of the
    measured velocities is taken for waves (:mod:`twin.residual`);
-4. bands from draws: of the parameters, of the start, and of the waves to come, which are as rough
-   as the headings ahead were of late, and move the low-frequency motion as the observer would.
+4. bands from draws: of the parameters, of the start, and of the waves to come, which are those of
+   the headings ahead, and move the low-frequency motion as the observer would.
 
 Where the predicted motion leaves what the boat was ever seen to do, the parameters are drawn back
 to the prior until it does not (:data:`SHRINK`).
@@ -64,10 +64,22 @@ from twin.pem import (
 )
 from twin.predictor import GAP_MAX, Prediction, finer
 from twin.prior import population_prior
-from twin.residual import ORDER, between, fit_waves, simulate_waves
+from twin.residual import (
+    ALIKE,
+    FACTOR,
+    ORDER,
+    SECTOR_SIZE,
+    SECTORS,
+    between,
+    describe_sectors,
+    fit_waves,
+    foretell_waves,
+    sector_room,
+    simulate_waves,
+)
 from twin.rivals import Rivals, judge, note, record_size, settle
 from twin.structure import accelerations, state_terms, thrust_terms
-from usv_kernel import in_python, inlined, kernel
+from usv_kernel import in_python, kernel
 from usv_kernel.views import shaped
 
 __all__ = ["PlusPredictor", "refit_settings"]
@@ -86,34 +98,26 @@ UNHURRIED = 1.5
 """Time to sail a length, in units of the study boat's, from which on segments are too alike."""
 SHRINK = (1.0, 0.5, 0.25, 0.0)
 """Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
-WIDER = 1.07
-"""What the draws leave out (gusts to come, headings never sailed): bands are wider by this."""
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
 DRAWS_MIN = 20
 """Fewer draws give no 5 % point."""
-WAVE_SPAN, LATE_SPAN = 80.0, 40.0
+WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are foretold from what was left of this many seconds, and drawn from so many of the last of
 them that are any good: before, it is also what was not yet learned."""
-ALIKE = math.radians(20.0)
-"""How often and how hard waves strike hangs on the heading: what is foretold of those of the moment
-is learned on headings as near to that of now as this (standard deviation)."""
-SECTORS, STRANGERS = 24, 10.0
-"""Sectors of headings whose roughness is kept; rows of all headings that each counts as its own."""
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""
 
 # the track between rows: time of the grid's origin, half steps since then, last state,
 # last actuators, low-frequency velocities; first row of the next segment, time of the next refit;
-# largest velocities seen; height, noise and autoregression of the waves, then that of those
-# foretold; how much rougher than all the waves of each sector of headings are
+# largest velocities seen; height of the waves; autoregression of those foretold; sectors of those
+# drawn
 _ORIGIN, _HALVES, _LAST, _LAST_ACT = 0, 1, 2, 2 + N_STATES
 _SLOW = _LAST_ACT + N_ACT
 _NEXT_START, _REFIT_AT, _SEEN = _SLOW + 3, _SLOW + 4, _SLOW + 5
-_WAVE_SD, _NOISE, _COEFFICIENTS = _SEEN + 3, _SEEN + 6, _SEEN + 9
-_HERE = _COEFFICIENTS + 3 * ORDER
-_ROUGH = _HERE + 3 * ORDER
-TRACK_SIZE = _ROUGH + 3 * SECTORS
+_WAVE_SD, _HERE = _SEEN + 3, _SEEN + 6
+_SECTORS = _HERE + 3 * ORDER
+TRACK_SIZE = _SECTORS + SECTORS * SECTOR_SIZE
 
 _PERIOD, _RENEWED, _SPACING, _SPAN = range(4)
 _RULES = 4
@@ -159,6 +163,10 @@ def _slow_step(dt, n, track, memory, constants, scratch, kit):
     for _ in range(steps):
         state_terms(slow[0], slow[1], slow[2], c, s, wind, kit[2], terms)
         rates = accelerations(terms, kit, x, N_STATES)
+        # she keeps her way over ground while a wave turns her
+        u, v, turn = slow[0], slow[1], n[5] - slow[2]
+        slow[0] += h * v * turn
+        slow[1] -= h * u * turn
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
             slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
@@ -246,89 +254,52 @@ def take_segments(rows, book, rules, kit, room):
     return looks
 
 
-@inlined
-def _sector(psi):
-    """Return the sector of a heading."""
-    return round(psi * (SECTORS / (2.0 * math.pi))) % SECTORS
-
-
-@kernel
-def _describe_sectors(newest, first, late, rows, rough, room):
-    """Write how much rougher (root mean square) than all the late waves those of a sector are.
-
-    ``late`` holds the waves of the last good rows from ``first`` to ``newest``.
-    """
-    sums = shaped(room, 0, (SECTORS, 4))
-    total = room[4 * SECTORS :][:4]
-    sums[:] = 0.0
-    total[:] = 0.0
-    at = late.shape[0]
-    for k in range(newest, first - 1, -1):
-        row = rows[k % rows.shape[0]]
-        if at > 0 and row[GOOD] > 0.0:
-            at -= 1
-            one = sums[_sector(row[STATE + 2])]
-            one[3] += 1.0
-            total[3] += 1.0
-            for i in range(3):
-                one[i] += late[at, i] ** 2
-                total[i] += late[at, i] ** 2
-    for m in range(SECTORS):
-        own = rough[m]
-        own[:] = 0.0
-        many = STRANGERS
-        for n in range(SECTORS):
-            away = (n - m) * (2.0 * math.pi / SECTORS)
-            alike = math.exp((math.cos(away) - 1.0) / ALIKE**2)
-            many += alike * sums[n, 3]
-            for i in range(3):
-                own[i] += alike * sums[n, i]
-        for i in range(3):
-            mean = total[i] / total[3]
-            own[i] = math.sqrt((own[i] + STRANGERS * mean) / (many * mean)) if mean > 0.0 else 1.0
+_WAVE_ROWS = round(WAVE_SPAN / GRID) + 1
+_WAVE_ROOM = 5 * _WAVE_ROWS + sector_room(_WAVE_ROWS)
+"""Length of the room of :func:`_describe_waves`."""
 
 
 @kernel
 def _describe_waves(rows, rules, track, room):
     """Fit autoregressions to what the model left of the last velocities.
 
-    One is that of all headings, which the draws follow. The other is that of headings as they
-    will be until the next refit, and foretells the waves of the moment.
+    Those of the sectors of headings are for the draws. Another is that of headings as they will be
+    until the next refit, and foretells the waves of the moment.
     """
     newest, count = _last_row(track), 0
     first = max(newest - min(round(WAVE_SPAN / GRID), int(rules[_SPAN])), 0)
-    for k in range(first, newest + 1):
-        row = rows[k % rows.shape[0]]
-        if row[GOOD] > 0.0:
-            for i in range(3):
-                room[3 * count + i] = row[3 + i] - row[LOW + i]
+    N, late = newest + 1 - first, 0
+    w, psi, good = shaped(room, 0, (N, 3)), room[3 * N : 4 * N], room[4 * N : 5 * N]
+    rest = room[5 * N :]
+    for k in range(N - 1, -1, -1):
+        row = rows[(first + k) % rows.shape[0]]
+        psi[k], good[k] = row[STATE + 2], row[GOOD]
+        for i in range(3):
+            w[k, i] = row[3 + i] - row[LOW + i] if good[k] > 0.0 else 0.0
+        if good[k] > 0.0:
             count += 1
+            if count <= round(LATE_SPAN / GRID):
+                late = k
+            for i in range(3):
+                track[_SEEN + i] = max(track[_SEEN + i], abs(row[LOW + i]))
     if count <= 5 * ORDER:
         return
-    w, rest = shaped(room, 0, (count, 3)), room[3 * count :]
-    coefficients = shaped(track, _COEFFICIENTS, (ORDER, 3))
-    late = w[max(count - round(LATE_SPAN / GRID), 0) :]
-    fit_waves(late, coefficients, track[_NOISE:_COEFFICIENTS], rest)
-    _describe_sectors(newest, first, late, rows, shaped(track, _ROUGH, (SECTORS, 3)), rest)
+    sectors = shaped(track, _SECTORS, (SECTORS, SECTOR_SIZE))
+    describe_sectors(w[late:], psi[late:], good[late:], sectors, rest)
     for i in range(3):
         mean, square = 0.0, 0.0
-        for k in range(count):
+        for k in range(N):
             mean += w[k, i] / count
-        for k in range(count):
-            square += (w[k, i] - mean) ** 2 / count
+        for k in range(N):
+            square += (w[k, i] - mean) ** 2 / count if good[k] > 0.0 else 0.0
         track[_WAVE_SD + i] = math.sqrt(square)
-    heading = rows[newest % rows.shape[0], STATE + 2] + 0.5 * rules[_PERIOD] * track[_SLOW + 2]
-    count = 0
-    for k in range(first, newest + 1):
-        row = rows[k % rows.shape[0]]
-        if row[GOOD] > 0.0:
-            # the root of a weight, as both factors of the products that are fitted have it
-            alike = math.exp(0.5 * (math.cos(row[STATE + 2] - heading) - 1.0) / ALIKE**2)
-            for i in range(3):
-                w[count, i] *= alike
-                track[_SEEN + i] = max(track[_SEEN + i], abs(row[LOW + i]))
-            count += 1
-    fit_waves(w, shaped(track, _HERE, (ORDER, 3)), rest[:3], rest[3:])
+    heading = psi[N - 1] + 0.5 * rules[_PERIOD] * track[_SLOW + 2]
+    for k in range(N):
+        # the root of a weight, as both factors of the products that are fitted have it
+        alike = math.exp(0.5 * (math.cos(psi[k] - heading) - 1.0) / ALIKE**2)
+        for i in range(3):
+            w[k, i] *= alike
+    fit_waves(w, shaped(track, _HERE, (ORDER, 3)), rest)
 
 
 @kernel
@@ -480,27 +451,6 @@ _PATH = round(float(LOOK_AHEAD[-1]) / GRID) + 1
 
 
 @kernel
-def _foretell(past, track, calm, path):
-    """Write the waves that are foretold, from now on.
-
-    Parameters
-    ----------
-    past : (6, 3) array
-        Last wave velocities, newest first.
-    track : array
-        Holds the autoregression.
-    calm : (1, K, 3) array
-        Zeros.
-    path : (1, K + 1, 3) array
-        Written.
-    """
-    here, noise = shaped(track, _HERE, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
-    simulate_waves(past, here, noise, calm[0], calm, path[:, 1:])
-    for j in range(3):
-        path[0, 0, j] = past[0, j]
-
-
-@kernel
 def _look_parts(room, p):
     """Return room for parameters, starts, waves, motions and factors as views."""
     many = LOOK_AHEAD.shape[0]
@@ -515,29 +465,28 @@ def _look_parts(room, p):
     other, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
     centre, rest = shaped(rest, 0, (many, N_STATES)), rest[N_STATES * many :]
     acts, rest = shaped(rest, 0, (many, N_ACT)), rest[N_ACT * many :]
-    rough, rest = shaped(rest, 0, (_PATH - 1, 3)), rest[3 * (_PATH - 1) :]
+    way, rest = rest[: _PATH - 1], rest[_PATH - 1 :]
     root, rest = shaped(rest, 0, (p, p)), rest[p * p :]
     small, rest = shaped(rest, 0, (N_STATES, N_STATES)), rest[N_STATES**2 :]
     return (
         *(theta, drawn, start, begun, past, path, ends, means, more_ends, more_means),
-        *(other, centre, acts, rough, root, small, shaped(rest, 0, (1, p)), rest[p:]),
+        *(other, centre, acts, way, root, small, shaped(rest, 0, (1, p)), rest[p:]),
     )
 
 
 def _look_size(p: int) -> int:
     """Return the length of the room of :func:`plus_look`: that of its parts, and of a roll-out."""
     many = len(LOOK_AHEAD)
-    waves = 3 * (ORDER + 2 * _PATH - 1 + 4 * many)
+    waves = 3 * (ORDER + _PATH + 4 * many) + _PATH - 1
     return 3 * p + p * p + 2 * N_STATES + N_STATES**2 + waves + (2 * N_STATES + N_ACT) * many + ROOM
 
 
 @kernel
-def plus_look(
-    command, n, usual, slowness, rows, book, rules, memory, constants, kit, shocks, ahead, room
-):
+def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants, kit, ahead, room):
     """Write the motion most to be expected at LOOK_AHEAD under a held command.
 
-    What :meth:`PlusPredictor.mean` says of the same times, to within a few 1e-3 of the way made.
+    What :meth:`PlusPredictor.mean` says of the same times, to within a few 1e-3 of the way made;
+    waves count by their means between the times, which can put sway off by a hundredth of the speed.
 
     Parameters
     ----------
@@ -549,9 +498,6 @@ def plus_look(
         Largest usual velocities, and the time to sail a length, s.
     rows, book, rules, memory, constants, kit
         Of a :class:`PlusPredictor`.
-    shocks : tuple
-        Standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3); the
-        first of the waves are zeros, and all that is used here.
     ahead : (4, 6) array
         Written.
     room : array
@@ -566,7 +512,7 @@ def plus_look(
     _, _, acts, _, _, _, _, roll = own[10:]
     _start_at(n, track, start)
     _past_waves(n, rows, track, past)
-    _foretell(past, track, shocks[2][:1], path)
+    foretell_waves(past, shaped(track, _HERE, (ORDER, 3)), path[0])
     between(path, GRID, LOOK_AHEAD, ends, means)
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
@@ -592,17 +538,14 @@ def _add_drawn(root, shocks, out):
 
 
 @kernel
-def _roughness(psi, ahead, by_sector, rough):
-    """Write how rough (K, 3) it will be on the headings from ``psi`` to those of LOOK_AHEAD."""
+def _way(psi, ahead, way):
+    """Write headings (K,), every GRID seconds, from ``psi`` to those of LOOK_AHEAD."""
     m, before = 0, 0.0
-    for k in range(rough.shape[0]):
+    for k in range(way.shape[0]):
         t = GRID * (k + 1)
         while m + 1 < ahead.shape[0] and t > LOOK_AHEAD[m] + 1e-9:
             psi, before, m = ahead[m, 2], LOOK_AHEAD[m], m + 1
-        share = (t - before) / (LOOK_AHEAD[m] - before)
-        own = by_sector[_sector(psi + share * (ahead[m, 2] - psi))]
-        for i in range(3):
-            rough[k, i] = own[i]
+        way[k] = psi + (t - before) / (LOOK_AHEAD[m] - before) * (ahead[m, 2] - psi)
 
 
 @kernel
@@ -612,11 +555,11 @@ def plus_spread(
     """Write how unsure the state will be at LOOK_AHEAD; call after :func:`plus_look`.
 
     The draws are those of :meth:`PlusPredictor.predict`, rolled at coarser steps: waves act on the
-    velocities by their means between the times, which makes sway after 10 s up to a fifth surer.
+    velocities by their means between the times, which makes them 1 to 5 % surer after 5 and 10 s.
 
     Parameters
     ----------
-    command, slowness, book, memory, constants, kit, shocks, room
+    command, slowness, book, memory, constants, kit, room
         As for :func:`plus_look`.
     gps_var : float
         Variance of the drifting part of a fix, m2.
@@ -624,6 +567,9 @@ def plus_spread(
         Covariance of the navigation.
     ahead : (4, 6) array
         From :func:`plus_look`.
+    shocks : tuple
+        Standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3); the
+        first of the waves are zeros.
     covs : (4, 6, 6) array
         Covariances ahead are written there.
     """
@@ -632,9 +578,9 @@ def plus_spread(
     _, P, act, wind, _, _, _, _, lags, envelope, _, _ = parts(memory, constants, kit)
     track = book[:TRACK_SIZE]
     own = _look_parts(room, p)
-    theta, drawn, start, begun, past, path, ends, means, more_ends, more_means = own[:10]
-    out, centre, acts, rough, root, small, work, roll = own[10:]
-    coefficients, noise = shaped(track, _COEFFICIENTS, (ORDER, 3)), track[_NOISE:_COEFFICIENTS]
+    theta, drawn, start, begun, _, path, ends, means, more_ends, more_means = own[:10]
+    out, centre, acts, way, root, small, work, roll = own[10:]
+    sectors = shaped(track, _SECTORS, (SECTORS, SECTOR_SIZE))
     cholesky(P[N_STATES:, N_STATES:], root, work)
     for i in range(N_STATES):
         for k in range(N_STATES):
@@ -651,9 +597,8 @@ def plus_spread(
     for m in range(out.shape[0]):
         for k in range(3):
             centre[m, 3 + k] += ends[0, m, k]
-    _roughness(start[2], ahead, shaped(track, _ROUGH, (SECTORS, 3)), rough)
-    past[:] = 0.0  # the waves of the draws come on top of those foretold
-    path[:] = 0.0
+    _way(start[2], ahead, way)
+    path[:] = 0.0  # the waves of the draws come on top of those foretold
     for d in range(D):
         for k in range(p):
             drawn[k] = theta[k]
@@ -662,7 +607,7 @@ def plus_spread(
         _add_drawn(root, by_theta[d], drawn)
         _add_drawn(small, by_start[d], begun)
         begun[0], begun[1] = start[0], start[1]
-        simulate_waves(past, coefficients, noise, rough, by_waves[d + 1 : d + 2], path[:, 1:])
+        simulate_waves(sectors, way, by_waves[d + 1 : d + 2], path[:, 1:])
         between(path, GRID, LOOK_AHEAD, more_ends, more_means)
         for m in range(out.shape[0]):
             for k in range(3):
@@ -675,7 +620,7 @@ def plus_spread(
             for k in range(3):
                 out[m, 3 + k] += ends[0, m, k] + more_ends[0, m, k]
             for k in range(N_STATES):
-                out[m, k] = WIDER * (out[m, k] - centre[m, k])
+                out[m, k] -= centre[m, k]
             for i in range(N_STATES):
                 for k in range(N_STATES):
                     covs[m, i, k] += out[m, i] * out[m, k] / D
@@ -770,12 +715,12 @@ class PlusPredictor(UKFPredictor):
         # as long as the rules will be, so that the book can be opened
         rules = np.array([period, renewed, self.spacing, span, *np.zeros(STEPS), steps])
         self.track, record, window = in_python(book_parts)(self.book, rules, p)
-        self._seen, self._wave_sd = self.track[_SEEN:_WAVE_SD], self.track[_WAVE_SD:_NOISE]
-        self._noise = self.track[_NOISE:_COEFFICIENTS]
-        self._coefficients = self.track[_COEFFICIENTS:_HERE].reshape(ORDER, 3)
-        self._here = self.track[_HERE:_ROUGH].reshape(ORDER, 3)
-        self._rough = self.track[_ROUGH:].reshape(SECTORS, 3)
+        self._seen, self._wave_sd = self.track[_SEEN:_WAVE_SD], self.track[_WAVE_SD:_HERE]
+        self._here = self.track[_HERE:_SECTORS].reshape(ORDER, 3)
+        self._sectors = self.track[_SECTORS:].reshape(SECTORS, SECTOR_SIZE)
         self.segments = Segments(structure.kit, mean, cov, self.refit, capacity, window)
+        if len(self.segments.room) < roll_room(p) + _WAVE_ROOM:
+            self.segments.room = np.zeros(roll_room(p) + _WAVE_ROOM)
         self.rules = np.concatenate([rules[:_RULES], self.segments.rules])
         self.rivals = Rivals(self.segments, self.spacing, record)
         rng = np.random.default_rng(seed)
@@ -784,7 +729,6 @@ class PlusPredictor(UKFPredictor):
         # the first path is the mean
         self._wave_shocks = rng.standard_normal((draws + 1, round(10.0 / GRID), 3))
         self._wave_shocks[0] = 0.0
-        self._calm = self._wave_shocks[:1]
         self._room = np.empty(ROOM * (draws + 1))
         U = particulars.speed
         self._usual = np.array([1.5 * U, 0.8 * U, 1.2 * U / particulars.length])
@@ -808,8 +752,7 @@ class PlusPredictor(UKFPredictor):
         self.rivals.reset()
         self.track[_REFIT_AT] = -math.inf
         # until the waves have been seen: as high as a refit takes them to be, and without memory
-        self._wave_sd[:] = self._noise[:] = self.refit.sd[3:]
-        self._rough[:] = 1.0
+        self._wave_sd[:] = self._sectors[:, FACTOR::4] = self.refit.sd[3:]
 
     @property
     def remembered(self) -> tuple[Array, ...]:
@@ -887,48 +830,42 @@ class PlusPredictor(UKFPredictor):
         )
         return theta, out
 
-    def _wave_paths(self, shocks: Array, after: Array, rough: Array) -> tuple[Array, Array]:
-        """Return wave velocities at times, and on average between them.
-
-        Parameters
-        ----------
-        shocks : ndarray, shape (D, 40, 3)
-            Standard normal numbers, used again where they do not reach.
-        after : ndarray, shape (K,)
-            Times after now, s, from the first step on.
-        rough : ndarray, shape (K, 3)
-            See :func:`twin.residual.simulate_waves`; a row for every :data:`GRID` seconds.
-        """
-        K = len(rough)
-        D = len(shocks)
-        times = math.ceil(K / shocks.shape[1])
-        many = shocks[:, :K] if times == 1 else np.concatenate([shocks] * times, axis=1)[:, :K]
-        # what is foretold, and what comes on top of it
-        told, path, past = np.empty((1, K + 1, 3)), np.zeros((D, K + 1, 3)), self._past()
-        _foretell(past, self.track, np.zeros((1, K, 3)), told)
-        simulate_waves(
-            *(np.zeros_like(past), self._coefficients, self._noise, rough, many, path[:, 1:]),
-        )
-        path += told
-        ends, means = np.empty((2, D, len(after), 3))
+    def _told(self, after: Array) -> tuple[Array, Array]:
+        """Return the waves foretold (1, K, 3) at times (K,), and on average between them."""
+        path = np.empty((1, math.ceil(after[-1] / GRID - 1e-9) + 1, 3))
+        foretell_waves(self._past(), self._here, path[0])
+        ends, means = np.empty((2, 1, len(after), 3))
         between(path, GRID, after, ends, means)
         return ends, means
 
-    def _rough_ahead(self, mean: Array, dt: float, span: float) -> Array:
-        """Return how rough it will be, every :data:`GRID` seconds, on the way (K, 6) foretold."""
-        times = dt * np.arange(len(mean) + 1)
-        K = math.ceil(span / GRID - 1e-9)
-        psi = np.interp(GRID * np.arange(1, K + 1), times, [self.n[2], *mean[:, 2]])
-        rough: Array = self._rough[
-            np.round(psi * (SECTORS / (2.0 * math.pi))).astype(int) % SECTORS
-        ]
-        return rough
+    def _drawn(self, after: Array, psi: Array) -> tuple[Array, Array]:
+        """Return the waves (D, K, 3) of the draws, without those foretold, as :meth:`_told` does.
+
+        Parameters
+        ----------
+        after : ndarray, shape (K,)
+            Times after now, s, from the first step on.
+        psi : ndarray
+            Headings on the way, every :data:`GRID` seconds, rad.
+        """
+        shocks = self._wave_shocks
+        times = math.ceil(len(psi) / shocks.shape[1])  # used again where they do not reach
+        shocks = np.concatenate([shocks] * times, axis=1)[:, : len(psi)] if times > 1 else shocks
+        path = np.zeros((len(shocks), len(psi) + 1, 3))
+        simulate_waves(self._sectors, psi, shocks, path[:, 1:])
+        ends, means = np.empty((2, len(shocks), len(after), 3))
+        between(path, GRID, after, ends, means)
+        return ends, means
+
+    def _way(self, mean: Array, dt: float, span: float) -> Array:
+        """Return headings every :data:`GRID` seconds on the way (K, 6) foretold."""
+        after = GRID * np.arange(1, math.ceil(span / GRID - 1e-9) + 1)
+        way: Array = np.interp(after, dt * np.arange(len(mean) + 1), [self.n[2], *mean[:, 2]])
+        return way
 
     def _central(self, plan: Array, dt: float) -> tuple[Array, Array]:
         """Return the parameters in use and the states (K, 6) most to be expected."""
-        after = dt * np.arange(1, len(plan) + 1)
-        K = math.ceil(after[-1] / GRID - 1e-9)
-        ends, ripple = self._wave_paths(self._calm, after, np.zeros((K, 3)))
+        ends, ripple = self._told(dt * np.arange(1, len(plan) + 1))
         theta, out = self._guarded(plan, dt, ripple[0])
         out[:, 3:] += ends[0]
         return theta, out
@@ -958,8 +895,8 @@ class PlusPredictor(UKFPredictor):
         shocks = self._start_shocks @ _root(P).T
         starts[1:] = starts[0] + shocks
         starts[1:, :2] = starts[0, :2]
-        rough = self._rough_ahead(mean, dt, after[-1])
-        ends, ripples = self._wave_paths(self._wave_shocks, after, rough)
+        ends, ripples = self._drawn(after, self._way(mean, dt, after[-1]))
+        ripples += self._told(after)[1]
         out, acts = np.empty((D + 1, K, N_STATES)), np.empty((K, N_ACT))
         ukf = self.ukf
         roll_outs(
@@ -969,7 +906,6 @@ class PlusPredictor(UKFPredictor):
         out[..., 3:] += ends
         away = np.concatenate([np.zeros((D, 1, N_STATES)), out[1:] - out[0]], axis=1)
         away[:, 0, 2:] = shocks[:, 2:]
-        away *= WIDER
         start_cov = self.with_common_error(np.zeros((N_STATES, N_STATES)))
         covs = np.empty((K + 1, N_STATES, N_STATES))
         _mean_products(away, covs)

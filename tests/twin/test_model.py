@@ -354,12 +354,29 @@ def test_ripple_carries_the_boat_along_and_does_nothing_else() -> None:
 
 
 def test_velocities_take_on_of_the_ripple_what_the_gain_says_within_the_envelope() -> None:
-    ripple = np.tile([0.3, -0.2, 0.02], (40, 1))
-    out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
-    np.testing.assert_allclose(out[-1, 3:], 0.5 * 4.0 * ripple[0], rtol=1e-12)
-    ripple *= 1e6
+    for ripple in np.tile([[0.3, -0.2, 0.0]], (40, 1)), np.tile([[0.0, 0.0, 0.02]], (40, 1)):
+        out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
+        np.testing.assert_allclose(out[-1, 3:], 0.5 * 4.0 * ripple[0], rtol=1e-12)
+    ripple = np.tile([0.3e6, -0.2e6, 0.02e6], (40, 1))
     out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
     np.testing.assert_array_equal(np.abs(out[-1, 3:]), [50.0, 50.0, 10.0])
+
+
+def test_she_keeps_her_way_over_ground_while_a_wave_turns_her() -> None:
+    # no forces; the least of gains: the heading comes round by half a right angle, her way does not
+    ripple = np.tile([0.0, 0.0, math.pi / 40.0], (100, 1))
+    s_0 = (0.0, 0.0, 0.4, 3.0, -1.0, 0.0)
+    out, _ = roll_out(np.zeros(25), np.zeros((100, 4)), s_0=s_0, ripple=ripple, gain=1e-12)
+    np.testing.assert_allclose(out[-1, 2], 0.4 + math.pi / 4.0, rtol=1e-9)
+
+    def over_ground(psi: float, u: float, v: float) -> list[float]:
+        c, n = math.cos(psi), math.sin(psi)
+        return [u * c - v * n, u * n + v * c]
+
+    np.testing.assert_allclose(over_ground(*out[-1, 2:5]), over_ground(0.4, 3.0, -1.0), atol=0.02)
+    # where ripple only carries, they turn with her
+    out, _ = roll_out(np.zeros(25), np.zeros((100, 4)), s_0=s_0, ripple=ripple)
+    np.testing.assert_array_equal(out[-1, 3:], [3.0, -1.0, 0.0])
 
 
 @BOATS

@@ -36,7 +36,10 @@ def test_compiled_twins_are_those_asked_one_by_one(twin, monkeypatch):
     spread = np.array(["sd" in name for name in TWIN_OBSERVATION])
     now = np.array([not name.startswith("ahead") for name in TWIN_OBSERVATION])
     np.testing.assert_array_equal(a[:, now], b[:, now])
-    assert np.abs(a - b)[:, ~spread].max() < 0.02
+    # waves foretold are averaged over 3 and 5 s: where they are high, sway is the worst
+    assert np.abs(a - b)[:, ~spread].max() < 0.04
+    assert np.quantile(np.abs(a - b)[:, ~spread], 0.99) < 0.01
+    assert np.median(np.abs(a - b)[:, ~spread & ~now], axis=0).max() < 0.002
     off = np.abs(a - b)[:, spread] / np.maximum(b[:, spread], 1e-3)
     assert np.median(off) < 0.05
     assert np.quantile(off, 0.99) < 0.3

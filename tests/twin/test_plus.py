@@ -16,8 +16,17 @@ from twin.log import MEASUREMENTS, Log
 from twin.model import N_STATES
 from twin.particulars import Particulars
 from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND
-from twin.plus import _HALVES, PlusPredictor, _describe_waves, plus_step, take_segments
-from twin.residual import simulate_waves
+from twin.plus import (
+    _HALVES,
+    _SLOW,
+    OBSERVER_GAIN,
+    PlusPredictor,
+    _describe_waves,
+    _slow_step,
+    plus_step,
+    take_segments,
+)
+from twin.residual import FACTOR, SECTORS, simulate_waves
 from twin.simulated import particulars_of, simulate
 from twin.structure import MODELS
 from usv_gym import SeaState, Vessel
@@ -76,10 +85,7 @@ def memory(predictor: PlusPredictor) -> dict[str, object]:
             **{name: getattr(predictor, name) for name in ("t", "nav", "rows", "track")},
             **{name: getattr(segments, name)[used] for name in ("first", "H", "b", "c", "at")},
             **{"xi": segments.xi, "cov": segments.cov, "ukf": predictor.ukf.memory},
-            "waves": (
-                *(predictor._coefficients, predictor._here),
-                *(predictor._noise, predictor._wave_sd),
-            ),
+            "waves": (predictor._sectors, predictor._here, predictor._wave_sd),
             "rest": (predictor._seen, predictor._next_start, predictor._refit_at),
         }
     )
@@ -380,55 +386,65 @@ def test_the_waves_foretold_are_those_of_the_heading(
         assert found == pytest.approx(period, rel=0.3)
 
 
-def test_draws_come_on_top_of_the_waves_foretold(boat: Particulars, zigzag: Log) -> None:
-    predictor = PlusPredictor(boat)
-    feed(predictor, zigzag.slice(0.0, 40.0))
-    after = GRID * np.arange(1, 41)
-    rough = np.random.default_rng(0).uniform(0.5, 2.0, (40, 3))
-    ends, _ = predictor._wave_paths(predictor._wave_shocks, after, rough)
-    told, new = np.empty((1, 40, 3)), np.empty((100, 40, 3))
-    past = predictor._past()
-    calm = np.zeros((1, 40, 3))
-    simulate_waves(past, predictor._here, predictor._noise, calm[0], calm, told)
-    simulate_waves(
-        *(np.zeros_like(past), predictor._coefficients, predictor._noise, rough),
-        *(predictor._wave_shocks[1:], new),
-    )
-    assert np.abs(told[0, :4]).max() > 0.01
-    np.testing.assert_allclose(ends[0], told[0], atol=1e-12)
-    np.testing.assert_allclose(ends[1:], told + new, atol=1e-12)
-
-
-def test_waves_are_drawn_as_rough_as_they_were_of_late_on_the_headings_ahead(
-    boat: Particulars,
+def test_the_waves_of_the_draws_are_those_of_the_headings_ahead(
+    boat: Particulars, zigzag: Log
 ) -> None:
     predictor = PlusPredictor(boat)
-    assert (predictor._rough == 1.0).all()
+    # until waves are seen: as a refit takes them to be, and without memory
+    assert not predictor._sectors[:, :FACTOR].any()
+    np.testing.assert_array_equal(
+        predictor._sectors[:, FACTOR:].reshape(-1, 3, 3),
+        np.tile(np.diag(predictor.refit.sd[3:]), (SECTORS, 1, 1)),
+    )
+    feed(predictor, zigzag.slice(0.0, 40.0))
+    after = GRID * np.arange(1, 41)
+    mean = predictor.mean(PLAN, 0.25)
+    way = predictor._way(mean, 0.25, 10.0)
+    np.testing.assert_allclose(way, mean[:, 2], atol=1e-12)
+    ends, between = predictor._drawn(after, way)
+    new = np.empty((100, 40, 3))
+    simulate_waves(predictor._sectors, way, predictor._wave_shocks[1:], new)
+    np.testing.assert_array_equal(ends[0], 0.0)
+    np.testing.assert_allclose(ends[1:], new, atol=1e-12)
+    np.testing.assert_allclose(between[1:, 0], 0.5 * new[:, 0], atol=1e-12)
+    told, _ = predictor._told(after)
+    assert np.abs(told[0, :4]).max() > 0.01
+    # another way, other waves
+    assert (predictor._drawn(after, way + math.pi)[0][1:] != ends[1:]).any()
+
+
+def test_the_waves_drawn_are_of_the_last_minute(boat: Particulars) -> None:
+    predictor = PlusPredictor(boat)
     N, rng = 320, np.random.default_rng(1)
     rows = predictor.rows[:N]
     rows[:, GOOD] = 1.0
-    # to and fro between north and south; what was left long ago is rougher still, and not counted
-    psi = np.where(np.arange(N) // 20 % 2 == 0, 0.0, math.pi)
-    rows[:, STATE + 2] = psi
-    size = np.where(psi == 0.0, 0.1, 0.3) * np.where(np.arange(N) < N // 2, 10.0, 1.0)
+    # what was left before is rougher, and not counted; nor is what was no good
+    size = np.where(np.arange(N) < N - 240, 1.0, 0.1)
     rows[:, STATE + 3 : STATE + 6] = size[:, None] * rng.standard_normal((N, 3))
+    rows[200:210, GOOD], rows[200:210, STATE + 3] = 0.0, 50.0
+    rows[:10, GOOD] = 0.0
     predictor.track[_HALVES] = 2.0 * N
     _describe_waves(rows, predictor.rules, predictor.track, predictor.segments.room)
-    mean = math.sqrt(0.5 * (0.1**2 + 0.3**2))
-    north, east, south = predictor._rough[0], predictor._rough[6], predictor._rough[12]
-    np.testing.assert_allclose(north, 0.1 / mean, rtol=0.25)  # ten strangers among eighty
-    np.testing.assert_allclose(south, 0.3 / mean, rtol=0.15)
-    np.testing.assert_allclose(east, 1.0, rtol=0.05)  # never sailed
-    assert predictor._noise == pytest.approx(mean, rel=0.2)
-    # a turn from north to south under way, every quarter of a second
-    predictor.nav[2] = 0.0
-    way = np.zeros((20, 6))
-    way[:, 2] = np.linspace(math.pi / 20, math.pi, 20)
-    rough = predictor._rough_ahead(way, 0.5, 10.0)
-    assert rough.shape == (40, 3)
-    np.testing.assert_array_equal(rough[-1], south)
-    np.testing.assert_array_equal(rough[19], east)
-    np.testing.assert_array_equal(rough[0], north)
+    heights = np.sqrt((predictor._sectors[0, FACTOR:].reshape(3, 3) ** 2).sum(axis=1))
+    counted = [*range(70, 200), *range(210, N)]  # as many as a minute has
+    np.testing.assert_allclose(
+        heights, np.sqrt((rows[counted, STATE + 3 : STATE + 6] ** 2).mean(axis=0)), rtol=0.1
+    )
+
+
+def test_the_observer_keeps_the_way_over_ground_while_a_wave_turns_her(boat: Particulars) -> None:
+    predictor = PlusPredictor(boat)
+    ukf, after = predictor.ukf, []
+    for turn in (0.0, 0.2):
+        predictor.track[_SLOW : _SLOW + 3] = 3.0, -1.0, 0.1
+        n = np.zeros(12)
+        n[3:6] = 3.0, -1.0, 0.1 + turn
+        _slow_step(GRID, n, predictor.track, ukf.memory, ukf.constants, ukf.scratch, ukf.kit)
+        after.append(predictor.track[_SLOW : _SLOW + 3].copy())
+    turned = np.array([0.2 * -1.0, -0.2 * 3.0, 0.0]) * GRID
+    pulled = OBSERVER_GAIN * GRID * np.array([0.0, 0.0, 0.2])
+    expected = (1.0 - OBSERVER_GAIN * GRID) * turned + pulled  # as measured, she did not turn
+    np.testing.assert_allclose(after[1] - after[0], expected, rtol=1e-9)
 
 
 # Bits
