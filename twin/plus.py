@@ -486,7 +486,7 @@ def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants,
     """Write the motion most to be expected at LOOK_AHEAD under a held command.
 
     What :meth:`PlusPredictor.mean` says of the same times, to within a few 1e-3 of the way made;
-    waves count by their means between the times, which can put sway off by a hundredth of the speed.
+    waves count by their means between the times, which can put sway off by .01 of the speed.
 
     Parameters
     ----------
