@@ -68,6 +68,8 @@ ARRIVED = 1e-7
 
 STEP_MAX = 0.25
 """Longest integration step of :func:`roll_out`, s."""
+SWAY_SLIP = 0.5
+"""Inertia in surge over that in sway, added mass included: .5 to .6 of most hulls."""
 
 _THRUST = N_STATES + 2
 _SHARES = _THRUST + 9
@@ -496,9 +498,8 @@ def roll_out(
         over each row, m/s and rad/s; they are not in ``out[:, 3:]``.
     gain : float
         How much of them the boat's own velocities take on, 1/s: that of an observer which counts
-        as ripple what it leaves of the measured ones. Above 0, she also keeps her way over ground
-        while they turn her: u and v turn against the ripple's yaw rate. At 0 they carry her, no
-        more.
+        as ripple what it leaves of the measured ones. Above 0, u and v also turn against the
+        ripple's yaw rate, see :func:`slip`. At 0 ripple carries her, no more.
     out : (K, 6) array
         Row k is the state at the end of row k of the plan ...
     out_act : (K, 4) array
@@ -582,6 +583,24 @@ def _begin(s_0, xi, act_0, envelope, kit, room):
     _thrust(act_0, turned, terms[2])
 
 
+@inlined
+def slip(w, h, s, at):
+    """Let her keep way over ground while a wave turns her at a rate w for h seconds.
+
+    What turns her alone leaves the velocity over ground: u and v turn the other way. The water that
+    moves with her sides makes her near twice as heavy in sway, and v by :data:`SWAY_SLIP` slower.
+
+    Parameters
+    ----------
+    w, h : float
+        Yaw rate of the wave, rad/s, and time, s.
+    s : array
+        u and v, m/s, stand at ``at``.
+    """
+    s[at] += h * w * s[at + 1]
+    s[at + 1] -= SWAY_SLIP * h * w * s[at]
+
+
 @kernel
 def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, gain, row, moved, room):
     """Advance all motions by ``span`` in so many steps; return whether actuators moved in the last.
@@ -614,9 +633,9 @@ def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, gain, r
                 a, b, w = ripple[d, row, 0], ripple[d, row, 1], ripple[d, row, 2]
             _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms)
             if ripple.shape[1] > 0 and gain > 0.0:
-                u, v = now[3], now[4]
-                now[3] = _bounded(u + h * (gain * a + v * w), envelope[0])
-                now[4] = _bounded(v + h * (gain * b - u * w), envelope[1])
+                slip(w, h, now, 3)
+                now[3] = _bounded(now[3] + gain * h * a, envelope[0])
+                now[4] = _bounded(now[4] + gain * h * b, envelope[1])
                 now[5] = _bounded(now[5] + gain * h * w, envelope[2])
         moved = moves
     return moved

@@ -40,7 +40,17 @@ from twin.identifier import (
     scale_plan,
     tight_step,
 )
-from twin.model import LOOK_AHEAD, N_ACT, N_STATES, ROOM, look_ahead, model_of, roll_out, roll_outs
+from twin.model import (
+    LOOK_AHEAD,
+    N_ACT,
+    N_STATES,
+    ROOM,
+    look_ahead,
+    model_of,
+    roll_out,
+    roll_outs,
+    slip,
+)
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.pem import (
     ACT,
@@ -163,10 +173,7 @@ def _slow_step(dt, n, track, memory, constants, scratch, kit):
     for _ in range(steps):
         state_terms(slow[0], slow[1], slow[2], c, s, wind, kit[2], terms)
         rates = accelerations(terms, kit, x, N_STATES)
-        # she keeps her way over ground while a wave turns her
-        u, v, turn = slow[0], slow[1], n[5] - slow[2]
-        slow[0] += h * v * turn
-        slow[1] -= h * u * turn
+        slip(n[5] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
             slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
@@ -485,8 +492,9 @@ def _look_size(p: int) -> int:
 def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants, kit, ahead, room):
     """Write the motion most to be expected at LOOK_AHEAD under a held command.
 
-    What :meth:`PlusPredictor.mean` says of the same times, to within a few 1e-3 of the way made;
-    waves count by their means between the times, which can put sway off by .01 of the speed.
+    What :meth:`PlusPredictor.mean` says of the same times, of `usv75` to within a few 1e-3 of the
+    way made. Waves count by their means between the times: small boats in high waves are off by
+    some .01 in place and .03 in sway.
 
     Parameters
     ----------
@@ -555,7 +563,7 @@ def plus_spread(
     """Write how unsure the state will be at LOOK_AHEAD; call after :func:`plus_look`.
 
     The draws are those of :meth:`PlusPredictor.predict`, rolled at coarser steps: waves act on the
-    velocities by their means between the times, which makes them 1 to 5 % surer after 5 and 10 s.
+    velocities by their means between the times, by which these are up to a sixth surer later on.
 
     Parameters
     ----------
@@ -671,7 +679,7 @@ class PlusPredictor(UKFPredictor):
         Of the draws.
     """
 
-    tuning = "about 190 configurations on 4 to 48 tuning seeds, 20 of the navigation"
+    tuning = "about 290 configurations on 4 to 96 tuning seeds, 20 of the navigation"
 
     def __init__(
         self,

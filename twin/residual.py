@@ -17,35 +17,35 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from twin.dense import cholesky, solve_factored
 from usv_kernel import inlined, kernel
 from usv_kernel.views import shaped
 
 __all__ = [
+    "ALIKE",
+    "FACTOR",
     "ORDER",
+    "SECTORS",
+    "SECTOR_SIZE",
+    "WAVE_ROOM",
     "between",
     "describe_sectors",
-    "fit_autoregression",
     "fit_waves",
     "foretell_waves",
     "sector_room",
     "simulate_waves",
 ]
 
-Array = NDArray[np.float64]
-
 ORDER = 6
 RIDGE = 1e-3
 """Part of the variance that is taken for white noise of the estimate."""
 ROOT_MAX = 0.98
-"""Largest root of the characteristic polynomial: waves die out, and never grow."""
+"""Largest root of what foretells, and largest reflection coefficient of what is drawn: waves die
+out, and never grow."""
 ALIKE = math.radians(20.0)
 """How often and how hard waves strike hangs on the heading: what was left counts for headings as
 near to its own as this (standard deviation)."""
-SECTORS, STRANGERS = 24, 5.0
+SECTORS, STRANGERS = 24, 3.0
 """Sectors of headings that are described; rows of all headings that each counts as its own."""
 FACTOR = 3 * ORDER
 """Numbers of a sector before the lower triangular factor (3, 3) of its noise: coefficients."""
@@ -56,27 +56,14 @@ WAVE_ROOM = ORDER * ORDER + 2 * ORDER
 """Length of the scratch of :func:`fit_waves`."""
 
 
-def fit_autoregression(w: Array) -> Array:
-    """Return the coefficients (6, c) of the autoregression of each column, stable.
-
-    Parameters
-    ----------
-    w : ndarray, shape (N, c)
-        Evenly sampled residuals, about zero; more than twice :data:`ORDER` rows.
-    """
-    coefficients = np.zeros((ORDER, w.shape[1]))
-    fit_waves(np.ascontiguousarray(w), coefficients, np.empty(WAVE_ROOM))
-    return coefficients
-
-
 @kernel
 def fit_waves(w, coefficients, room):
-    """Write what :func:`fit_autoregression` returns.
+    """Fit an autoregression to each column, by least squares with a ridge; it is stable.
 
     Parameters
     ----------
     w : (N, c) array
-        Residuals.
+        Evenly sampled residuals, about zero; more than twice :data:`ORDER` rows.
     coefficients : (6, c) array
         Of the last value first; written.
     room : (WAVE_ROOM,) array
@@ -248,7 +235,7 @@ def describe_sectors(w, psi, good, sectors, room):
     """Describe the waves of each sector of headings.
 
     Autoregressions of autocovariances that are weighted by how near the heading was, both rows of
-    a product by the root of that: so all are stable.
+    a product by the root of that: so each is stable.
 
     Parameters
     ----------

@@ -363,19 +363,23 @@ def test_velocities_take_on_of_the_ripple_what_the_gain_says_within_the_envelope
 
 
 def test_she_keeps_her_way_over_ground_while_a_wave_turns_her() -> None:
-    # no forces; the least of gains: the heading comes round by half a right angle, her way does not
-    ripple = np.tile([0.0, 0.0, math.pi / 40.0], (100, 1))
+    # no forces; the least of gains: u' = w v, v' = -w u / 2, for sway has twice the inertia
+    rate, k = math.pi / 10.0, math.sqrt(model.SWAY_SLIP)
+    ripple = np.tile([0.0, 0.0, rate], (3000, 1))
     s_0 = (0.0, 0.0, 0.4, 3.0, -1.0, 0.0)
-    out, _ = roll_out(np.zeros(25), np.zeros((100, 4)), s_0=s_0, ripple=ripple, gain=1e-12)
-    np.testing.assert_allclose(out[-1, 2], 0.4 + math.pi / 4.0, rtol=1e-9)
-
-    def over_ground(psi: float, u: float, v: float) -> list[float]:
-        c, n = math.cos(psi), math.sin(psi)
-        return [u * c - v * n, u * n + v * c]
-
-    np.testing.assert_allclose(over_ground(*out[-1, 2:5]), over_ground(0.4, 3.0, -1.0), atol=0.02)
-    # where ripple only carries, they turn with her
-    out, _ = roll_out(np.zeros(25), np.zeros((100, 4)), s_0=s_0, ripple=ripple)
+    out, _ = roll_out(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, ripple=ripple, gain=1e-12)
+    angle = k * rate * 0.1 * np.arange(1, 3001)
+    expected = np.column_stack(
+        [
+            3.0 * np.cos(angle) - 1.0 / k * np.sin(angle),
+            -np.cos(angle) - 3.0 * k * np.sin(angle),
+        ]
+    )
+    np.testing.assert_allclose(out[:100, 3:5], expected[:100], atol=0.05)
+    # and never faster, however long it goes on
+    assert np.hypot(out[:, 3], out[:, 4] / k).max() < 1.02 * np.hypot(3.0, 1.0 / k)
+    # where ripple only carries, u and v turn with her
+    out, _ = roll_out(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, ripple=ripple)
     np.testing.assert_array_equal(out[-1, 3:], [3.0, -1.0, 0.0])
 
 

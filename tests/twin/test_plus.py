@@ -13,9 +13,9 @@ from scipy.signal import lfilter
 
 from twin.identifier import BEGUN
 from twin.log import MEASUREMENTS, Log
-from twin.model import N_STATES
+from twin.model import N_STATES, SWAY_SLIP
 from twin.particulars import Particulars
-from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND
+from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND, roll_room
 from twin.plus import (
     _HALVES,
     _SLOW,
@@ -356,6 +356,11 @@ def test_what_bridges_a_gap_is_no_wave(boat: Particulars, zigzag: Log) -> None:
     assert (np.abs(predictor._past()) > 0.0).all()
 
 
+def describe_waves(predictor: PlusPredictor, rows: np.ndarray) -> None:
+    room = predictor.segments.room[roll_room(len(predictor.segments.prior)) :]
+    _describe_waves(rows, predictor.rules, predictor.track, room)
+
+
 def lasting(period: float, N: int, rng: np.random.Generator) -> np.ndarray:
     """Return waves (N, 3) on the grid that keep a period (s) for a while."""
     root = 0.85 * np.exp(2j * math.pi * GRID / period)
@@ -378,7 +383,7 @@ def test_the_waves_foretold_are_those_of_the_heading(
     rows[:, GOOD] = 1.0
     rows[-1, STATE + 2] = heading
     predictor.track[_HALVES] = 2.0 * N
-    _describe_waves(rows, predictor.rules, predictor.track, predictor.segments.room)
+    describe_waves(predictor, rows)
     for a in predictor._here.T:
         roots = np.roots([1.0, *-a])
         found = 2.0 * math.pi * GRID / abs(np.angle(roots[np.abs(roots).argmax()]))
@@ -424,7 +429,7 @@ def test_the_waves_drawn_are_of_the_last_minute(boat: Particulars) -> None:
     rows[200:210, GOOD], rows[200:210, STATE + 3] = 0.0, 50.0
     rows[:10, GOOD] = 0.0
     predictor.track[_HALVES] = 2.0 * N
-    _describe_waves(rows, predictor.rules, predictor.track, predictor.segments.room)
+    describe_waves(predictor, rows)
     heights = np.sqrt((predictor._sectors[0, FACTOR:].reshape(3, 3) ** 2).sum(axis=1))
     counted = [*range(70, 200), *range(210, N)]  # as many as a minute has
     np.testing.assert_allclose(
@@ -441,7 +446,7 @@ def test_the_observer_keeps_the_way_over_ground_while_a_wave_turns_her(boat: Par
         n[3:6] = 3.0, -1.0, 0.1 + turn
         _slow_step(GRID, n, predictor.track, ukf.memory, ukf.constants, ukf.scratch, ukf.kit)
         after.append(predictor.track[_SLOW : _SLOW + 3].copy())
-    turned = np.array([0.2 * -1.0, -0.2 * 3.0, 0.0]) * GRID
+    turned = np.array([0.2 * -1.0, -0.2 * SWAY_SLIP * (3.0 - 0.2 * GRID), 0.0]) * GRID
     pulled = OBSERVER_GAIN * GRID * np.array([0.0, 0.0, 0.2])
     expected = (1.0 - OBSERVER_GAIN * GRID) * turned + pulled  # as measured, she did not turn
     np.testing.assert_allclose(after[1] - after[0], expected, rtol=1e-9)

@@ -18,8 +18,9 @@ from twin.residual import (
     ROOT_MAX,
     SECTOR_SIZE,
     SECTORS,
+    WAVE_ROOM,
     describe_sectors,
-    fit_autoregression,
+    fit_waves,
     foretell_waves,
     sector_room,
     simulate_waves,
@@ -41,6 +42,13 @@ def process(N: int, seed: int = 0) -> np.ndarray:
 
 def largest_root(a: np.ndarray) -> float:
     return float(np.abs(np.roots(np.concatenate([[1.0], -a]))).max())
+
+
+def fit_autoregression(w: np.ndarray) -> np.ndarray:
+    """Return the coefficients (6, c) of what foretells."""
+    coefficients = np.full((ORDER, w.shape[1]), math.nan)
+    fit_waves(np.ascontiguousarray(w), coefficients, np.full(WAVE_ROOM, math.nan))
+    return coefficients
 
 
 def told(past: np.ndarray, coefficients: np.ndarray, K: int) -> np.ndarray:
