@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from usv_gym import Vessel
@@ -122,6 +123,11 @@ EVERY: tuple[Callable[[Form], Estimate], ...] = (
 )
 
 
+NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
+
+
+# the last digit of a note falls the other way
+@example(scale=7.408972276097856, slender=2.0, flat=2.0, block=0.9499999999999998)
 @given(
     scale=st.floats(0.01, 50.0),
     slender=st.floats(2.0, 9.0),
@@ -138,7 +144,14 @@ def test_dimensionless_numbers_do_not_hang_on_the_scale(
     for estimate in EVERY:
         a, b = estimate(one), estimate(other)
         assert all(math.isfinite(value) for value in a.values.values())
-        assert a.notes == b.notes or a.source.startswith(("Zhou", "Jensen"))
+        if not a.source.startswith(("Zhou", "Jensen")):
+            assert len(a.notes) == len(b.notes)
+            for first, second in zip(a.notes, b.notes, strict=True):
+                assert NUMBER.split(first) == NUMBER.split(second)
+                found, expected = (
+                    [float(number) for number in NUMBER.findall(note)] for note in (second, first)
+                )
+                assert found == pytest.approx(expected, rel=0.01)
     for key, power in (("m_x", 3), ("m_y", 3), ("J_zz", 5)):
         # rounding only
         assert reg.zhou(other)[key] == pytest.approx(reg.zhou(one)[key] * scale**power, rel=1e-9)
