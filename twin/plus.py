@@ -75,7 +75,6 @@ from twin.pem import (
 from twin.predictor import GAP_MAX, Prediction, finer
 from twin.prior import population_prior
 from twin.residual import (
-    ALIKE,
     FACTOR,
     ORDER,
     SECTOR_SIZE,
@@ -84,6 +83,7 @@ from twin.residual import (
     describe_sectors,
     fit_waves,
     foretell_waves,
+    likeness,
     sector_room,
     simulate_waves,
 )
@@ -302,8 +302,8 @@ def _describe_waves(rows, rules, track, room):
         track[_WAVE_SD + i] = math.sqrt(square)
     heading = psi[N - 1] + 0.5 * rules[_PERIOD] * track[_SLOW + 2]
     for k in range(N):
-        # the root of a weight, as both factors of the products that are fitted have it
-        alike = math.exp(0.5 * (math.cos(psi[k] - heading) - 1.0) / ALIKE**2)
+        # both factors of the products that are fitted have it
+        alike = likeness(psi[k] - heading)
         for i in range(3):
             w[k, i] *= alike
     fit_waves(w, shaped(track, _HERE, (ORDER, 3)), rest)

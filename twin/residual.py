@@ -22,7 +22,6 @@ from usv_kernel import inlined, kernel
 from usv_kernel.views import shaped
 
 __all__ = [
-    "ALIKE",
     "FACTOR",
     "ORDER",
     "SECTORS",
@@ -32,6 +31,7 @@ __all__ = [
     "describe_sectors",
     "fit_waves",
     "foretell_waves",
+    "likeness",
     "sector_room",
     "simulate_waves",
 ]
@@ -173,6 +173,12 @@ def foretell_waves(past, coefficients, path):
 
 
 @inlined
+def likeness(away):
+    """Return the root of what a row counts whose heading is ``away`` (rad) from that described."""
+    return math.exp(0.5 * (math.cos(away) - 1.0) / ALIKE**2)
+
+
+@inlined
 def _sector(psi):
     """Return the sector of a heading."""
     return round(psi * (SECTORS / (2.0 * math.pi))) % SECTORS
@@ -227,7 +233,7 @@ def _join(own, many, row):
 
 def sector_room(N: int) -> int:
     """Return the length of the scratch of :func:`describe_sectors` for N rows."""
-    return 3 * N + 6 * (ORDER + 1) + SECTORS + 9 * SECTORS + 12
+    return 4 * N + 6 * (ORDER + 1) + SECTORS + 9 * SECTORS + 12
 
 
 @kernel
@@ -252,7 +258,7 @@ def describe_sectors(w, psi, good, sectors, room):
         Scratch, as long as :func:`sector_room` says.
     """
     N = w.shape[0]
-    near, rest = shaped(room, 0, (N, 3)), room[3 * N :]
+    near, at, rest = shaped(room, 0, (N, 3)), room[3 * N :][:N], room[4 * N :]
     all_, R = shaped(rest, 0, (3, ORDER + 1)), shaped(rest, 3 * ORDER + 3, (3, ORDER + 1))
     rest = rest[6 * ORDER + 6 :]
     alike, seen = rest[:SECTORS], shaped(rest, SECTORS, (SECTORS, 9))
@@ -262,16 +268,16 @@ def describe_sectors(w, psi, good, sectors, room):
     count = 0.0
     for k in range(N):
         count += 1.0 if good[k] > 0.0 else 0.0
+        at[k] = _sector(psi[k])
     count = max(count, 1.0)
     for m in range(SECTORS):
-        away = m * (2.0 * math.pi / SECTORS)
-        alike[m] = math.exp(0.5 * (math.cos(away) - 1.0) / ALIKE**2)
+        alike[m] = likeness(m * (2.0 * math.pi / SECTORS))
     all_[:] = 0.0
     _add_covariances(w, all_)
     for m in range(SECTORS):
         weight = STRANGERS
         for k in range(N):
-            share = alike[m - _sector(psi[k])] if good[k] > 0.0 else 0.0
+            share = alike[m - int(at[k])] if good[k] > 0.0 else 0.0
             weight += share * share
             for j in range(3):
                 near[k, j] = share * w[k, j]
@@ -297,7 +303,7 @@ def describe_sectors(w, psi, good, sectors, room):
         run = run + 1 if good[k] > 0.0 else 0
         if run <= ORDER:
             continue
-        m = _sector(psi[k])
+        m = int(at[k])
         for j in range(3):
             sums[j] = w[k, j]
             for i in range(ORDER):
