@@ -4,8 +4,8 @@ import gymnasium as gym
 import numpy as np
 
 import usv_gym
-from twin.wrapper import TWIN_OBSERVATION
-from usv_gym.env import OBSERVATION
+from twin.sim.batched_twins import TWIN_OBSERVATION
+from usv_gym.envs.episodes import OBSERVATION
 
 names = (*OBSERVATION, *TWIN_OBSERVATION)
 faults = [usv_gym.Fault("gps", start=20.0, duration=10.0)]

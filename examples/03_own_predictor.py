@@ -3,9 +3,9 @@
 import numpy as np
 
 from twin import PREDICTORS, Twin
-from twin.predictor import GRID, HistoryPredictor, hold_velocity
-from twin.simulated import particulars_of, simulate
-from twin.twin import known_plan
+from twin.digital_twin import known_plan
+from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 
 

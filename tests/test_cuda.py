@@ -8,16 +8,20 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
+from twin.model.rollout.augmented import joint_predict
+from twin.model.rollout.dynamics import N_ACT
+from twin.model.rollout.rollout import LOOK_AHEAD, ROOM, look_ahead
+from twin.model.rollout.structure import N_STATES, N_TERMS
 
-from twin.identifier import JointUKF, UKFPredictor, plain_settings, tight_step
-from twin.log import MEASUREMENTS
-from twin.model import LOOK_AHEAD, N_ACT, N_STATES, ROOM, joint_predict, look_ahead
-from twin.simulated import particulars_of
-from twin.structure import N_TERMS
-from twin.ukf import measurement_update
+from twin.channels import MEASUREMENTS
+from twin.filters.ukf import measurement_update
+from twin.identification.filter_settings import plain_settings
+from twin.identification.joint_ukf import JointUKF
+from twin.predictors.ukf import UKFPredictor, tight_step
+from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 from usv_gym.physics import ship
-from usv_gym.simulation import Simulation, advance
+from usv_gym.world.simulation import Simulation, advance
 
 pytest.importorskip("numba_cuda", reason="needs numba-cuda: pip install 'usv-twin[cuda]'")
 from numba import cuda

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usv_kernel import in_python, kernel
-from usv_kernel.vectors import (
+from usv_kernel.arrays import shaped, stack
+from usv_kernel.jit import in_python, kernel
+from usv_kernel.simd import (
     LANES,
     accumulate,
     accumulate_rows,
@@ -18,7 +19,6 @@ from usv_kernel.vectors import (
     inner,
     transpose,
 )
-from usv_kernel.views import shaped, stack
 
 GUARD = 12345.0
 

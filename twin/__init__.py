@@ -3,12 +3,13 @@
 >>> from twin import Log, Particulars, Twin
 """
 
-from twin.log import Log, LogError, recorded_runs
+from twin.checkpoint import StateError
+from twin.digital_twin import Twin, TwinError, known_plan
+from twin.logs.columns import LogError
+from twin.logs.log import Log, recorded_runs
 from twin.particulars import Instruments, Particulars
-from twin.predictor import Estimate, Prediction, Predictor
-from twin.registry import PREDICTORS, make_predictor
-from twin.state import StateError
-from twin.twin import Twin, TwinError, known_plan
+from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.registry import PREDICTORS, make_predictor
 
 __all__ = [
     "PREDICTORS",

@@ -14,12 +14,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+__all__ = [
+    "DESIGNS",
+    "GRAVITY",
+    "STEERING",
+    "Instruments",
+    "Particulars",
+]
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-__all__ = ["DESIGNS", "GRAVITY", "STEERING", "Instruments", "Particulars"]
 
 GRAVITY = 9.81
 """Gravity, m/s2."""
@@ -29,6 +35,7 @@ SEA_WATER = 1025.0
 
 FAST = 0.35
 """Froude number of the usual speed above which a boat is taken to have drives, not rudders."""
+
 FULL_FORM = 0.75
 """Block coefficient from which on a ship is a tanker or a bulk carrier."""
 
@@ -38,7 +45,6 @@ LATENCY_MAX = 10.0
 STEERING = ("drives", "differential")
 """``drives``: the thrust is turned by the drive (or rudder) angle.
 ``differential``: the units are fixed and steer by unequal thrust."""
-
 
 DESIGNS = ("usv75",)
 """Classes of boats of which a model is known: a prior of theirs comes with the package."""
@@ -169,7 +175,7 @@ class Particulars:
         Largest turning speed of the drive, rad/s.
     design : str
         The boat's class, one of :data:`DESIGNS`, if she is known to be of one: her sisters tell
-        ``dsw-ukf-plus`` more than main particulars do (:mod:`twin.prior`). Empty: of none.
+        ``dsw-ukf-plus`` more than main particulars do (:mod:`twin.model.priors`). Empty: of none.
     instruments : Instruments
         Sensors on board.
     """
@@ -211,7 +217,7 @@ class Particulars:
             raise ParticularsError(
                 f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
                 f"{', '.join(DESIGNS)}, leave it out, or hand one of your own to the twin "
-                "(twin.population.sister)"
+                "(twin.training.prior_population.sister)"
             )
         if self.design and (self.steering != "drives" or self.tanker):
             raise ParticularsError(

@@ -33,12 +33,14 @@ from numba.core.typed_passes import NativeLowering
 from numba.core.types import unliteral  # type: ignore[attr-defined]
 from numba.core.typing import Context
 
+__all__ = [
+    "Kernel",
+]
+
 try:
     from llvmlite.binding import PassBuilder, PipelineTuningOptions
 except ImportError:  # before 0.45
     PassBuilder = PipelineTuningOptions = None
-
-__all__ = ["Kernel"]
 
 _NEEDED = {
     JITCodeLibrary: (
@@ -51,6 +53,7 @@ _NEEDED = {
     CPUDispatcher: ("_numba_type_", "add_overload", "compile"),
     NativeLowering: ("run_pass",),
 }
+
 _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name in names)
 
 

@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from twin.speed import CASES, FIRST_USES, fit
+from twin.performance.cases import CASES, FIRST_USES, fit
 
 HERE = Path(__file__).parent
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
-from twin.agents.controllers import CONTROLLERS, ControllerError, make_controller
+from twin.agents.agent import ControllerError
+from twin.agents.controllers import CONTROLLERS, make_controller
 from twin.agents.mpc import ModelPredictive
-from usv_gym.sensors import Fault, SensorSuite
+from usv_gym.world.sensors import Fault, SensorSuite
 
 
 def boats(agent, n=8, **options):

@@ -12,7 +12,7 @@ from twin.agents import evaluation
 from twin.agents.controllers import CONTROLLERS
 from twin.agents.evaluation import evaluate, make_envs
 from twin.agents.policy import AgentError
-from twin.workers import BACKENDS, results_of
+from twin.parallel import BACKENDS, results_of
 
 
 class Fixed:

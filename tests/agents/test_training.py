@@ -106,7 +106,7 @@ def test_a_run_that_is_done_stays_as_it_is_and_another_one_is_refused(tmp_path):
 def test_a_policy_file_is_what_stable_baselines3_predicts(tmp_path, algo):
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from usv_gym.sb3 import SB3VecEnv
+    from usv_gym.envs.sb3 import SB3VecEnv
 
     small = hyperparameters(algo) | SMALL[algo]
     learner = training._Learner(plan(algo), tmp_path, small, (1,))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from twin import speed
+from twin.performance import cases, harness
 
 pytestmark = pytest.mark.bench
-CASES = speed.chosen(quick=True)
+CASES = cases.chosen(quick=True)
 
 
 @pytest.fixture(scope="module")
 def measured():
-    return speed.measure(CASES, 5)
+    return harness.measure(CASES, 5)
 
 
 @pytest.mark.parametrize(

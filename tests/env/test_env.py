@@ -14,21 +14,23 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from usv_gym.vessel.vessel.vessel import VesselError
 
 import usv_gym
 from twin import Log, Twin
-from twin.registry import PREDICTORS, PredictorError
-from twin.simulated import particulars_of
-from twin.wrapper import HORIZONS, TWIN_OBSERVATION, TwinObservation, USVTwinEnv, log_of, make_env
+from twin.predictors.registry import PREDICTORS, PredictorError
+from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION
+from twin.sim.bridge import particulars_of
+from twin.sim.wrapper import TwinObservation, USVTwinEnv, log_of, make_env
 from usv_gym import Fault, SeaState, SensorSuite
-from usv_gym.env import OBSERVATION, USVEnv
+from usv_gym.envs.env import USVEnv
+from usv_gym.envs.episodes import OBSERVATION
+from usv_gym.envs.tasks import TaskError
 from usv_gym.physics import frames as fr
 from usv_gym.physics.weather import WIND_SPEED
-from usv_gym.sea import SeaError
-from usv_gym.sensors import FaultError
-from usv_gym.simulation import SimulationError
-from usv_gym.tasks import TaskError
-from usv_gym.vessel import VesselError
+from usv_gym.world.sea import SeaError
+from usv_gym.world.sensors import FaultError
+from usv_gym.world.simulation import SimulationError
 
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
 INDEX = {name: i for i, name in enumerate((*OBSERVATION, *TWIN_OBSERVATION))}
@@ -185,7 +187,7 @@ def test_make_by_module_and_id_in_a_fresh_process() -> None:
 def test_the_world_does_not_import_the_belief() -> None:
     out = fresh(
         "import sys, usv_gym, gymnasium as gym\n"
-        "import usv_gym.env\n"
+        "import usv_gym.envs.env\n"
         "known = 'USVTwin-v0' in gym.registry\n"
         "print(known, any(m.split('.')[0] == 'twin' for m in sys.modules))\n"
         "gym.make('USVTwin-v0', twin=None)\n"
@@ -196,7 +198,7 @@ def test_the_world_does_not_import_the_belief() -> None:
 
 def test_the_belief_does_not_import_the_world() -> None:
     out = fresh(
-        "import sys, twin, twin.identifier\n"
+        "import sys, twin, twin.predictors.ukf\n"
         "print(sorted({'usv_gym', 'gymnasium'} & set(sys.modules)))"
     )
     assert out.strip() == "[]"
@@ -628,7 +630,7 @@ def believes_the_same(env: Any, log: Log, estimates: list[Any], states: list[np.
     assert len(log) == len(estimates) == 801
     for row, estimate, state in zip(log, estimates, states, strict=True):
         twin.step(*row)
-        np.testing.assert_array_equal(twin.predictor.s, state)
+        np.testing.assert_array_equal(twin.predictors.base.s, state)
         other = twin.estimate()
         assert (other.t, other.ready) == (estimate.t, estimate.ready)
         for name in ("s", "sd", "xi", "xi_sd"):

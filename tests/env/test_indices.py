@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usv_gym import indices
-from usv_gym.indices import Stopping, Track, TrackError, Turning, Zigzag, imo
+from usv_gym.manoeuvring import indices
+from usv_gym.manoeuvring.indices import Stopping, Track, TrackError, Turning, Zigzag, imo
 
 SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[3] / "shared"))
 KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from usv_gym import Vessel
-from usv_gym.manoeuvres import ANGLE, APPROACH, LEG, MANOEUVRES, SWITCH, ManoeuvreError, commands
+from usv_gym.manoeuvring.manoeuvres import (
+    ANGLE,
+    APPROACH,
+    LEG,
+    MANOEUVRES,
+    SWITCH,
+    ManoeuvreError,
+    commands,
+)
 
 T = 0.05 * np.arange(4000)
 BOAT = Vessel.load("usv75")

@@ -14,14 +14,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from usv_gym.vessel.vessel.vessel import Vessel
 
 import usv_gym
-from twin.wrapper import TwinObservation
+from twin.sim.wrapper import TwinObservation
 from usv_gym import Fault, SensorSuite
-from usv_gym.env import USVEnv
+from usv_gym.envs.env import USVEnv
+from usv_gym.envs.render import Belief, Painter, Renderer, Scene, Trail, drives, ellipses
 from usv_gym.physics import frames as fr
-from usv_gym.render import Belief, Painter, Renderer, Scene, Trail, drives, ellipses
-from usv_gym.vessel import Vessel
 
 pygame = pytest.importorskip("pygame", reason="needs the extra render")
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -398,7 +398,7 @@ def test_tracks_begin_anew_where_boats_reset_themselves(mode: str) -> None:
 
 def test_stable_baselines_gets_the_pictures() -> None:
     pytest.importorskip("stable_baselines3")
-    from usv_gym.sb3 import SB3VecEnv
+    from usv_gym.envs.sb3 import SB3VecEnv
 
     envs = SB3VecEnv(2, twin=None, render_mode="rgb_array", render_size=(400, 400))
     envs.reset()

@@ -14,7 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from usv_gym.sb3 import SB3VecEnv
+from usv_gym.envs.sb3 import SB3VecEnv
 
 OPTIONS = {"twin": "ukf", "faults": "gps3@2", "max_episode_steps": 60}
 

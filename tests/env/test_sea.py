@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.validation_study import an_hour, peak_period
 from usv_gym import SEA_STATES, SeaState, Vessel
 from usv_gym.physics import GRAVITY, spectra, waves, wind
 from usv_gym.physics import weather as wx
-from usv_gym.sea import DISCRETISATIONS, GUSTS, Sea, SeaError, Spectrum, Stage
-from usv_gym.simulation import Simulation
+from usv_gym.validation.study import an_hour, peak_period
+from usv_gym.world.sea import DISCRETISATIONS, GUSTS, Sea, SeaError, Spectrum, Stage
+from usv_gym.world.simulation import Simulation
 
 BOAT = Vessel.load("usv75")
 RHO_G = BOAT.values["water_density"] * GRAVITY

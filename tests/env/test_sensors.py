@@ -11,13 +11,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from twin.simulated import particulars_of
-from twin.wrapper import make_env
-from usv_gym import Bursts, Fault, RandomFaults, SeaState, SensorSuite, Vessel, sensors
-from usv_gym.env import USVEnv
+from twin.sim.bridge import particulars_of
+from twin.sim.wrapper import make_env
+from usv_gym import Bursts, Fault, RandomFaults, SeaState, SensorSuite, Vessel
+from usv_gym.envs.env import USVEnv
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
-from usv_gym.sensors import (
+from usv_gym.world import sensors
+from usv_gym.world.sensors import (
     CHANNELS,
     COMPASS_BIT,
     EFFECTS,
@@ -31,7 +32,7 @@ from usv_gym.sensors import (
     FaultError,
     parse_faults,
 )
-from usv_gym.simulation import NOISE_ROWS, Simulation
+from usv_gym.world.simulation import NOISE_ROWS, Simulation
 
 DT = 0.05
 BOAT = Vessel.load("usv75")

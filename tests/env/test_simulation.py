@@ -11,8 +11,8 @@ import pytest
 
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.sensors import COMPASS, GPS, IMU
-from usv_gym.simulation import MEAN_RATE, NOISE_ROWS, Simulation, SimulationError
+from usv_gym.world.sensors import COMPASS, GPS, IMU
+from usv_gym.world.simulation import MEAN_RATE, NOISE_ROWS, Simulation, SimulationError
 
 BOAT = Vessel.load("usv75")
 SEA = SeaState.named("2").replace(current=0.4, current_to=1.0)

@@ -15,9 +15,9 @@ from gymnasium.wrappers import (
     TimeLimit,
 )
 
-from twin.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
-from usv_gym.episodes import OBSERVATION
-from usv_gym.tasks import FAILURE, TASKS, TaskError, make_task
+from twin.sim.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
+from usv_gym.envs.episodes import OBSERVATION
+from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
 
 RATED = ("path", "curves", "lawnmower", "waypoints")
 SPEED, LENGTH = 5.0, 7.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from wire import RUN
 
-from twin.log import Log
+from twin.logs.log import Log
 from twin.particulars import Particulars
 
 

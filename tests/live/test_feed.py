@@ -9,9 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wire import Wire
 
-from twin.live.feed import BYTES_MAX, FeedError, Message, Plane, open_socket, parse_address
-from twin.live.mavlink import MavlinkFeed, MavlinkWriter, Servos
-from twin.live.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.feed import (
+    BYTES_MAX,
+    FeedError,
+    Message,
+    Plane,
+    open_socket,
+    parse_address,
+)
+from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
 from twin.particulars import Particulars
 
 pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")

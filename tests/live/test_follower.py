@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from twin import Log, Twin
-from twin.live.follower import HISTORY_ROWS, HORIZON, PLAN_STEP, Follower, belief_of
-from twin.predictor import hold_velocity
-from twin.simulated import particulars_of, simulate
+from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON, PLAN_STEP, Follower, belief_of
+from twin.predictors.baselines import hold_velocity
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 
 VESSEL = Vessel.load("usv75")

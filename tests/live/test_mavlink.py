@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from wire import Wire, estimate_of
 
-from twin.live.feed import FeedError
-from twin.live.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.live.protocols.feed import FeedError
+from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.particulars import Particulars
 
 common = pytest.importorskip(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wire import Wire, estimate_of
 
-from twin.live.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
 from twin.particulars import Particulars
 
 pynmea2 = pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")

@@ -8,18 +8,18 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from twin.cli.main.common import app
 from typer.testing import CliRunner
 from wire import RUN, Wire
 
 from twin import Twin
-from twin.cli import app
-from twin.live.feed import Feed, FeedError, needed
-from twin.live.mavlink import MavlinkFeed, Servos
-from twin.live.nmea import NmeaFeed
-from twin.live.replay import Disturb, MavlinkStream, NmeaStream, Stream, replay
-from twin.log import Log
+from twin.live.protocols.feed import Feed, FeedError, needed
+from twin.live.protocols.mavlink import MavlinkFeed, Servos
+from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.replay import Disturb, MavlinkStream, NmeaStream, Stream, replay
+from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.simulated import particulars_of, simulate
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 
 pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
@@ -228,7 +228,7 @@ def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("twin.live.commands.replay", interrupted)
+    monkeypatch.setattr("twin.cli.live.replay", interrupted)
     result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{_free()}"])
     assert result.exit_code == 130
 
@@ -237,7 +237,7 @@ def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch, usv: Particu
     def without(module: str) -> object:
         raise ModuleNotFoundError(module)
 
-    monkeypatch.setattr("twin.live.feed.importlib.import_module", without)
+    monkeypatch.setattr("twin.live.protocols.feed.importlib.import_module", without)
     for module in ("pynmea2", "pymavlink.dialects.v20.common"):
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from twin import Log, Particulars, Twin
-from twin.live.fed import FeedSession
-from twin.live.feed import COUNTS, Feed
-from twin.live.follower import HORIZON, PLAN_STEP
-from twin.live.helm import AUTOPILOTS
-from twin.live.recorded import LogSession
-from twin.live.sailing import SimulatedSession, World
-from twin.live.session import Session
-from twin.simulated import particulars_of, simulate
+from twin.live.protocols.feed import COUNTS, Feed
+from twin.live.sessions.autopilot import AUTOPILOTS
+from twin.live.sessions.feed import FeedSession
+from twin.live.sessions.log import LogSession
+from twin.live.sessions.session import Session
+from twin.live.sessions.simulated import SimulatedSession, World
+from twin.live.sessions.tracker import HORIZON, PLAN_STEP
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
 from usv_gym.physics import weather as wx
@@ -334,7 +334,7 @@ def twin_row(log: Log, t: float) -> np.ndarray:
 
 
 def test_a_long_log_is_shown_smoothly(tmp_path, monkeypatch):
-    monkeypatch.setattr("twin.live.recorded.MOMENTS", 20)
+    monkeypatch.setattr("twin.live.sessions.log.MOMENTS", 20)
     log = simulate("turn", vessel=VESSEL, sea=SeaState(), duration=40.0, seed=2)
     session = through(log, tmp_path)
     session.stop()
@@ -428,7 +428,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
 
 
 def test_a_feed_that_falls_silent_is_told_and_answered_no_more(log, tmp_path, monkeypatch):
-    monkeypatch.setattr("twin.live.fed.SILENT", 0.4)
+    monkeypatch.setattr("twin.live.sessions.feed.SILENT", 0.4)
     feed = Told(log.slice(t1=20.0))
     session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
     session.start()

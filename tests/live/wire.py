@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.live.feed import Feed
-from twin.live.replay import Datagram, Stream, schedule
-from twin.log import Log, recorded_runs
+from twin.live.protocols.feed import Feed
+from twin.live.protocols.replay import Datagram, Stream, schedule
+from twin.logs.log import Log, recorded_runs
 from twin.particulars import Particulars
-from twin.predictor import Estimate, Prediction
+from twin.predictors.base import Estimate, Prediction
 
 RUN = recorded_runs()["boat1_usv_circle"]
 

@@ -16,7 +16,8 @@ import numba
 import pytest
 
 import usv_kernel
-from usv_kernel import compiler, first_use
+from usv_kernel import cache, compiler, jit
+from usv_kernel import warmup as first_use
 
 ROOT = Path(usv_kernel.__file__).resolve().parent.parent
 PACKAGES = ("usv_kernel", "usv_gym", "twin")
@@ -40,31 +41,31 @@ def edit(path: Path, old: str, new: str) -> None:
 
 
 def test_the_digest_sees_every_source(tree: Path) -> None:
-    seen = {usv_kernel.sources_digest(tree)}
-    assert seen == {usv_kernel.sources_digest(tree)}
-    assert seen == {usv_kernel.sources_digest()}  # where the tree lies does not matter
+    seen = {cache.sources_digest(tree)}
+    assert seen == {cache.sources_digest(tree)}
+    assert seen == {cache.sources_digest()}  # where the tree lies does not matter
     sources = sorted(path for package in PACKAGES for path in (tree / package).rglob("*.py"))
     assert len(sources) > 20
     for number, path in enumerate(sources, start=1):
         path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
-        seen.add(usv_kernel.sources_digest(tree))
+        seen.add(cache.sources_digest(tree))
         assert len(seen) == number + 1, f"an edit of {path.relative_to(tree)} was not seen"
 
 
 def test_the_digest_sees_a_file_moved_renamed_or_added(tree: Path) -> None:
-    seen = {usv_kernel.sources_digest(tree)}
+    seen = {cache.sources_digest(tree)}
     (tree / "usv_gym" / "physics" / "hull.py").rename(tree / "usv_gym" / "physics" / "body.py")
-    seen.add(usv_kernel.sources_digest(tree))
+    seen.add(cache.sources_digest(tree))
     (tree / "twin" / "new.py").write_text("", encoding="utf-8")
-    seen.add(usv_kernel.sources_digest(tree))
+    seen.add(cache.sources_digest(tree))
     assert len(seen) == 3
 
 
 CALLS = {
-    # usv_gym/tasks.py calls usv_kernel.wrap, which numba compiles into it
+    # usv_gym/envs/tasks.py calls usv_kernel.scalar.wrap, which numba compiles into it
     "wrap": """
 import numpy as np
-from usv_gym.tasks import path_errors
+from usv_gym.envs.tasks import path_errors
 errors = np.zeros(4)
 path_errors(0.0, 0.0, 0.5, np.array([[0.0, 0.0], [10.0, 0.0]]), 0, errors)
 print(repr(float(errors[2])))
@@ -131,11 +132,11 @@ def test_stale_machine_code_cannot_run(
 
 def test_a_module_sees_what_it_imports_and_nothing_else(tree: Path) -> None:
     def digest() -> str:
-        usv_kernel._source.cache_clear()
-        return usv_kernel.module_digest("usv_gym.physics.ship", tree)
+        cache._source.cache_clear()
+        return cache.module_digest("usv_gym.physics.ship", tree)
 
     before = digest()
-    assert usv_kernel.module_digest("usv_gym.physics.ship") == before
+    assert cache.module_digest("usv_gym.physics.ship") == before
     for source in (
         "usv_gym/physics/frames.py",
         "usv_gym/physics/__init__.py",
@@ -146,7 +147,7 @@ def test_a_module_sees_what_it_imports_and_nothing_else(tree: Path) -> None:
         after = digest()
         assert after != before, f"an edit of {source} was not seen"
         before = after
-    for source in ("twin/ukf.py", "usv_gym/env.py"):
+    for source in ("twin/filters/ukf.py", "usv_gym/envs/env.py"):
         path = tree / source
         path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
     assert digest() == before
@@ -155,12 +156,12 @@ def test_a_module_sees_what_it_imports_and_nothing_else(tree: Path) -> None:
 def test_imports_are_found_in_every_form(tmp_path: Path) -> None:
     path = tmp_path / "some.py"
     path.write_text(
-        "import usv_gym.rao, math\nfrom twin import (\n    ukf as u,  # (one)\n    model,\n)\n"
+        "import usv_gym.manoeuvring.rao, math\nfrom twin import (\n    ukf as u,  # (one)\n    model,\n)\n"
         "def f():\n    from usv_gym.physics import hull  # late\n",
         encoding="utf-8",
     )
-    assert usv_kernel._source(path)[1] == {
-        *("usv_gym.rao", "math", "twin", "twin.ukf", "twin.model"),
+    assert cache._source(path)[1] == {
+        *("usv_gym.manoeuvring.rao", "math", "twin", "twin.filters.ukf", "twin.model.rollout"),
         *("usv_gym.physics", "usv_gym.physics.hull"),
     }
 
@@ -168,7 +169,7 @@ def test_imports_are_found_in_every_form(tmp_path: Path) -> None:
 def test_no_import_of_ours_is_overlooked() -> None:
     """A name that the pattern misses would be a source whose edits are not seen."""
     for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
-        found = usv_kernel._source(path)[1]
+        found = cache._source(path)[1]
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 wanted = {alias.name for alias in node.names}
@@ -212,9 +213,9 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have kernels of this file kept in an empty folder."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(usv_kernel, "_MODULES", set())
-    usv_kernel.cache_directory.cache_clear()
+    cache.cache_directory.cache_clear()
     yield
-    usv_kernel.cache_directory.cache_clear()
+    cache.cache_directory.cache_clear()
 
 
 def twice(x: float) -> float:
@@ -223,7 +224,7 @@ def twice(x: float) -> float:
 
 def test_another_numba_compiles_anew(fresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
     def hits() -> int:
-        compiled = usv_kernel.kernel(twice)
+        compiled = jit.kernel(twice)
         assert compiled(3.0) == 6.0
         return sum(compiled.stats.cache_hits.values())
 
@@ -233,14 +234,14 @@ def test_another_numba_compiles_anew(fresh: None, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_number_in_a_call_costs_no_specialisation(fresh: None) -> None:
-    @usv_kernel.kernel
+    @jit.kernel
     def power(x, n):
         result = 1.0
         for _ in range(n):
             result *= x
         return result
 
-    @usv_kernel.kernel
+    @jit.kernel
     def both(x):
         return power(x, 2) + power(x, 3)
 
@@ -250,8 +251,8 @@ def test_a_number_in_a_call_costs_no_specialisation(fresh: None) -> None:
 
 def test_what_only_kernels_call_is_no_machine_code_until_python_calls_it(fresh: None) -> None:
     def pair():
-        inner = usv_kernel.kernel(twice)
-        return inner, usv_kernel.kernel(lambda x: inner(x) + 1.0)
+        inner = jit.kernel(twice)
+        return inner, jit.kernel(lambda x: inner(x) + 1.0)
 
     inner, outer = pair()
     assert outer(3.0) == 7.0
@@ -269,10 +270,10 @@ def test_what_only_kernels_call_is_no_machine_code_until_python_calls_it(fresh: 
 
 def test_without_parts_kernels_give_the_same(fresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "_PARTS", False)
-    inner = usv_kernel.kernel(twice)
+    inner = jit.kernel(twice)
     assert inner.part is inner
 
-    @usv_kernel.kernel
+    @jit.kernel
     def outer(x):
         return inner(x) + 1.0
 
@@ -284,9 +285,9 @@ def test_without_tuning_of_passes_kernels_give_the_same(
     fresh: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiler, "PipelineTuningOptions", None)  # as llvmlite had it before 0.45
-    inner = usv_kernel.kernel(twice)
+    inner = jit.kernel(twice)
 
-    @usv_kernel.kernel
+    @jit.kernel
     def outer(x):
         return inner(x) + 1.0
 
@@ -294,7 +295,7 @@ def test_without_tuning_of_passes_kernels_give_the_same(
 
 
 def test_remembered_types_are_those_of_the_arguments(fresh: None) -> None:
-    @usv_kernel.kernel
+    @jit.kernel
     def added(x, y):
         return x + y
 
@@ -376,19 +377,19 @@ def test_a_plain_script_says_that_it_compiles_the_first_time_only(tmp_path: Path
 
 def test_only_the_newest_folders_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    usv_kernel.cache_directory.cache_clear()
+    cache.cache_directory.cache_clear()
     for age in range(1, 7):
-        folder = tmp_path / f"twin.ukf-{age}"
+        folder = tmp_path / f"twin.filters.ukf-{age}"
         folder.mkdir()
         os.utime(folder, (1e9 - age, 1e9 - age))
-    mine = usv_kernel.cache_directory("twin.ukf")
-    usv_kernel.cache_directory.cache_clear()
-    assert mine == tmp_path / f"twin.ukf-{usv_kernel.module_digest('twin.ukf')}"
+    mine = cache.cache_directory("twin.filters.ukf")
+    cache.cache_directory.cache_clear()
+    assert mine == tmp_path / f"twin.filters.ukf-{cache.module_digest('twin.filters.ukf')}"
     assert {path.name for path in tmp_path.iterdir()} == {
         mine.name,
-        "twin.ukf-1",
-        "twin.ukf-2",
-        "twin.ukf-3",
+        "twin.filters.ukf-1",
+        "twin.filters.ukf-2",
+        "twin.filters.ukf-3",
     }
 
 
@@ -396,18 +397,18 @@ def test_an_edited_module_counts_as_not_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(usv_kernel, "_MODULES", {"twin.ukf", "twin.dsw"})
-    usv_kernel.cache_directory.cache_clear()
-    assert not usv_kernel.cached()
-    folder = usv_kernel.cache_directory("twin.ukf")
+    monkeypatch.setattr(usv_kernel, "_MODULES", {"twin.filters.ukf", "twin.predictors.dsw_ukf"})
+    cache.cache_directory.cache_clear()
+    assert not cache.cached()
+    folder = cache.cache_directory("twin.filters.ukf")
     assert folder is not None
     (folder / "f.nbi").write_bytes(b"")
-    assert usv_kernel.cached()  # twin.dsw was never needed
-    old = tmp_path / "twin.dsw-0"
+    assert cache.cached()  # twin.predictors.dsw_ukf was never needed
+    old = tmp_path / "twin.predictors.dsw_ukf-0"
     old.mkdir()
     (old / "f.nbi").write_bytes(b"")
-    assert not usv_kernel.cached()
-    usv_kernel.cache_directory.cache_clear()
+    assert not cache.cached()
+    cache.cache_directory.cache_clear()
 
 
 def test_without_a_writable_folder_kernels_are_still_compiled(
@@ -417,22 +418,22 @@ def test_without_a_writable_folder_kernels_are_still_compiled(
     blocked.write_text("", encoding="utf-8")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocked))
     monkeypatch.setattr(usv_kernel, "_MODULES", set())
-    usv_kernel.cache_directory.cache_clear()
-    assert usv_kernel.cache_directory("twin.ukf") is None
-    assert not usv_kernel.cached()
+    cache.cache_directory.cache_clear()
+    assert cache.cache_directory("twin.filters.ukf") is None
+    assert not cache.cached()
 
     def double(x: float) -> float:
         return 2.0 * x
 
-    assert usv_kernel.kernel(double)(3.0) == 6.0
-    usv_kernel.cache_directory.cache_clear()
+    assert jit.kernel(double)(3.0) == 6.0
+    cache.cache_directory.cache_clear()
 
 
 SAIL = """
 import numpy as np
-from usv_gym.sea import SeaState
-from usv_gym.simulation import Simulation
-from usv_gym.vessel import Vessel
+from usv_gym.world.sea import SeaState
+from usv_gym.world.simulation import Simulation
+from usv_gym.vessel.vessel import Vessel
 simulation = Simulation(1, Vessel.load("usv75"), SeaState(hs=0.5, wind=4.5))
 simulation.reset([0], [np.random.default_rng(0)])
 for _ in range(200):

@@ -19,15 +19,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from twin.validation import energy, mirrored
 from usv_gym import SeaState, SensorSuite, Vessel, vessel_names
-from usv_gym.manoeuvres import commands
+from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import GRAVITY, hull, propulsion, ship, waves
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import weather as wx
-from usv_gym.sea import Sea
-from usv_gym.simulation import Simulation
+from usv_gym.validation.numerics import energy, mirrored
+from usv_gym.world.sea import Sea
+from usv_gym.world.simulation import Simulation
 
 GOLDEN = Path(__file__).parent / "golden" / "usv75_zigzag.json"
 KNOT = 1852.0 / 3600.0

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym import SeaState, Vessel
+from usv_gym.manoeuvring.rao import box_loads
 from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import parameters as par
 from usv_gym.physics.weather import DRIFT, DRIFT_END
-from usv_gym.rao import box_loads
 
 BOAT = Vessel.load("usv75")
 RHO_G = BOAT.values["water_density"] * GRAVITY

@@ -8,10 +8,10 @@ from importlib.util import find_spec
 import pytest
 
 from twin import PREDICTORS, Twin
-from twin.log import Log
+from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.registry import EXTRAS, predictor_class
-from twin.simulated import particulars_of, simulate
+from twin.predictors.registry import EXTRAS, predictor_class
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 
 

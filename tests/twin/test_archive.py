@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin import Twin, archive
-from twin.archive import ArchiveError
-from twin.log import COMMANDS, MEASUREMENTS, Log, recorded_runs
+from twin import Twin
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs import datasets as archive
+from twin.logs.datasets import ArchiveError
+from twin.logs.log import Log, recorded_runs
 from twin.particulars import Particulars
 
 SHARED = Path(

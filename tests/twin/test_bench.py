@@ -7,15 +7,16 @@ import json
 
 import numpy as np
 import pytest
+from twin.cli.main.common import app
+from twin.model.rollout.augmented import joint_predict
 from typer.testing import CliRunner
 
-from twin import speed
-from twin.cli import app
-from twin.model import joint_predict
-from twin.speed import FLOOR, REFERENCE_FLOOR, Case, Measured, chosen, fit, measure
-from twin.ukf import measurement_update
+from twin.filters.ukf import measurement_update
+from twin.performance import cases
+from twin.performance.cases import chosen, fit
+from twin.performance.harness import FLOOR, REFERENCE_FLOOR, Case, Measured, measure
 
-OWN = [case for case in speed.CASES if not case.needs and not case.slow]
+OWN = [case for case in cases.CASES if not case.needs and not case.slow]
 KEYS = ["name", "rate_per_s", "median_us", "relative_to", "ratio"]
 
 
@@ -32,13 +33,13 @@ def test_every_case_runs(case):
 
 
 def test_names_are_unique_and_references_known():
-    names = [case.name for case in speed.CASES]
+    names = [case.name for case in cases.CASES]
     assert len(set(names)) == len(names)
-    assert {case.relative_to for case in speed.CASES} - {None} <= set(names)
+    assert {case.relative_to for case in cases.CASES} - {None} <= set(names)
 
 
 def test_both_filters_do_the_same():
-    problem = speed.Problem()
+    problem = cases.Problem()
     predict, correct = problem.arguments()
     theirs = problem.filterpy()
     for _ in range(5):
@@ -150,7 +151,7 @@ def test_growth_of_the_command(tmp_path):
     result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
     assert result.exit_code == 0, result.output
     rows = json.loads(out.read_text())
-    assert [row["size"] for row in rows] == list(speed.CURVES[0].sizes)
+    assert [row["size"] for row in rows] == list(cases.CURVES[0].sizes)
     assert rows[-1]["median_us"] > rows[0]["median_us"]
     assert "us times wave components" in " ".join(result.output.split())
 
@@ -158,11 +159,11 @@ def test_growth_of_the_command(tmp_path):
 def test_first_use_is_of_a_process_that_finds_nothing(tmp_path, monkeypatch):
     (tmp_path / "kernel").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert 0.1 < speed.first_use(()) < 30.0  # nothing but the imports
+    assert 0.1 < cases.first_use(()) < 30.0  # nothing but the imports
     monkeypatch.setattr(
         speed, "_FIRST_USE", 'import os; print(len(os.listdir(os.environ["NUMBA_CACHE_DIR"])))'
     )
-    assert speed.first_use(()) == 0.0
+    assert cases.first_use(()) == 0.0
 
 
 def test_a_first_use_that_fails_is_left_out(tmp_path, monkeypatch):
@@ -223,8 +224,8 @@ def test_a_bend_is_found():
     assert "bends at 64" in line.told("boats")
 
 
-@pytest.mark.parametrize(("twin", "most"), speed.MEMORY.values())
+@pytest.mark.parametrize(("twin", "most"), cases.MEMORY.values())
 def test_memory_of_a_boat(twin, most):
-    boats = speed._boats(twin, speed.BOATS)
-    arrays = boats.simulation.boats.nbytes / speed.BOATS
-    assert arrays < speed.memory_per_boat(twin) < (most or 64e3)
+    boats = cases._boats(twin, cases.BOATS)
+    arrays = boats.simulation.boats.nbytes / cases.BOATS
+    assert arrays < cases.memory_per_boat(twin) < (most or 64e3)

@@ -9,17 +9,18 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from usv_gym.vessel.vessel.vessel import Vessel
 
-from twin import benchmark as bench
-from twin import protocol, scores
-from twin.log import Log, recorded_runs
-from twin.predictor import Persistence, Prediction
-from twin.registry import PREDICTORS, PredictorError
-from twin.simulated import particulars_of
-from usv_gym.manoeuvres import ManoeuvreError
-from usv_gym.sea import SeaError
-from usv_gym.sensors import Fault, FaultError
-from usv_gym.vessel import Vessel
+from twin.benchmark.runner import metrics as scores
+from twin.benchmark.runner import runner as bench
+from twin.logs.log import Log, recorded_runs
+from twin.predictors.base import Prediction
+from twin.predictors.baselines import Persistence
+from twin.predictors.registry import PREDICTORS, PredictorError
+from twin.sim.bridge import particulars_of
+from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
+from usv_gym.world.sea import SeaError
+from usv_gym.world.sensors import Fault, FaultError
 
 SMALL = bench.Settings(
     scenarios=("zigzag",),

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from twin import Twin
-from twin.predictor import Predictor
-from twin.registry import PREDICTORS
-from twin.twin import known_plan
+from twin.digital_twin import known_plan
+from twin.predictors.base import Predictor
+from twin.predictors.registry import PREDICTORS
 
 SPLITS = (90, 433, 655)
 """Rows after which the two logs differ: early, and within a window and a grid step."""
@@ -26,7 +26,11 @@ def answers(twin, plan):
     said = [estimate.t, estimate.s, estimate.sd, estimate.xi, estimate.xi_sd, estimate.ready]
     for prediction in (twin.predict(plan, dt=0.1), twin.predict("hold", dt=0.25)):
         said += [getattr(prediction, item.name) for item in dataclasses.fields(prediction)]
-    return [*said, twin.predictor.mean(plan, 0.1), str(twin.predictor.identifiability())]
+    return [
+        *said,
+        twin.predictors.base.mean(plan, 0.1),
+        str(twin.predictors.base.identifiability()),
+    ]
 
 
 def same(one, other):
@@ -175,12 +179,12 @@ class Peeping(Predictor):
         return np.nan_to_num(self.rows[-1][1][:6]) if self.rows else np.zeros(6)
 
     def estimate(self):
-        from twin.predictor import Estimate
+        from twin.predictors.base import Estimate
 
         return Estimate(0.0, self.s, np.ones(6), np.zeros(0), np.zeros(0), True)
 
     def predict(self, plan, dt):
-        from twin.predictor import Prediction
+        from twin.predictors.base import Prediction
 
         self.asked += 1
         mean = np.tile(self.s + self.asked, (len(plan), 1))

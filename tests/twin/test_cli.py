@@ -15,20 +15,22 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from twin.cli.main.benchmark import _matching
+from twin.cli.main.common import seeds_of
+from twin.cli.main.main import _expand
 
 import usv_gym
 from twin import Log, Twin, recorded_runs
-from twin.cli import _expand, _matching
-from twin.predictor import CHANNELS
-from twin.simulated import particulars_of
-from twin.terminal import seeds_of
-from twin.wrapper import log_of
+from twin.channels import CHANNELS
+from twin.cli.main import benchmark, main
+from twin.sim.bridge import particulars_of
+from twin.sim.wrapper import log_of
 from usv_gym import Vessel
 
 
 def run(*arguments: str, cwd=None, check: int | None = 0) -> subprocess.CompletedProcess[str]:
     result = subprocess.run(
-        [sys.executable, "-m", "twin.cli", *arguments],
+        [sys.executable, "-m", "twin.cli.main", *arguments],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -75,7 +77,7 @@ def test_identify_equals_the_twin_in_python(folder):
     assert "\u2026" not in out.stdout
     last = json.loads((folder / "last.json").read_text())
     assert list(last["state"].values()) == estimate.s.tolist()
-    assert tuple(last["parameters"]) == twin.predictor.parameter_names
+    assert tuple(last["parameters"]) == twin.predictors.base.parameter_names
     assert list(last["parameters"].values()) == estimate.xi.tolist()
     with (folder / "all.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -278,7 +280,7 @@ def test_the_full_protocol_can_be_thinned(tmp_path):
 
 
 def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):
-    from twin.cli import _print_benchmark
+    from twin.cli.main.benchmark import _print_benchmark
 
     item = {"scenario": "turn", "fault": "none", "predictor": "ukf", "plan": "known"}
     item |= {"metric": "mae", "value": 0.2, "low": None, "high": None}
@@ -289,19 +291,18 @@ def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):
 
 
 def test_the_table_fits_into_80_columns(capsys, monkeypatch):
-    from twin import cli
 
-    monkeypatch.setattr(cli.console, "_width", 80)
+    monkeypatch.setattr(main.console, "_width", 80)
     cell = {"scenario": "turn-zigzag", "fault": "gps10", "plan": "known"}
     cell |= {"predictor": "persistence-8s", "case": "gps10"}
     worst = {"mae": 13.15, "mse": 88.45, "skill": -1.516, "J": 27.84, "E": 26.84}
     summary = [
         {**cell, "metric": metric, "value": worst.get(metric, 1.212), "low": 10.4, "high": 153.5}
-        for metric in cli.bench.METRICS
+        for metric in main.bench.METRICS
     ]
     pair = {**cell, "against": "dsw-ukf-plus", "change_percent": 1801.2, "median_percent": 1.0}
     pair |= {"low": 1364.3, "high": 2403.3, "wins": 0, "seeds": 24}
-    cli._print_benchmark({"summary": summary, "paired": [pair], "notes": []}, [])
+    benchmark._print_benchmark({"summary": summary, "paired": [pair], "notes": []}, [])
     out = capsys.readouterr().out
     assert "\u2026" not in out
     assert "+1801.2" in out and "0 of 24" in out and "10.4..154" in out and "persistence-8s" in out
@@ -310,7 +311,7 @@ def test_the_table_fits_into_80_columns(capsys, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="signals are POSIX")
 def test_ctrl_c_keeps_what_is_finished(tmp_path):
     arguments = [
-        *(sys.executable, "-m", "twin.cli", "benchmark", "--scenarios", "turn,zigzag"),
+        *(sys.executable, "-m", "twin.cli.main", "benchmark", "--scenarios", "turn,zigzag"),
         *("--seeds", "0:20", "--predictors", "persistence,ukf", "--jobs", "1", "--out", "out"),
     ]
     process = subprocess.Popen(

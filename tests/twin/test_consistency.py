@@ -13,10 +13,11 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from twin.model.rollout.structure import N_TERMS
 
-from twin import model, ukf
+from twin.filters import ukf
+from twin.model.rollout import augmented, dynamics
 from twin.particulars import Particulars
-from twin.structure import N_TERMS
 
 RUNS = 50
 BOAT = Particulars(
@@ -66,7 +67,7 @@ def twin_run(rng: np.random.Generator, told: float) -> tuple[float, float, float
     told
         Factor on the variance of the sensors as the filter is told it.
     """
-    structure = model.model_of(BOAT, "paper")
+    structure = dynamics.model_of(BOAT, "paper")
     xi0, sd0, kit = structure.mean, structure.sd, structure.kit
     # A third of the prior's spread: the filter is exact for what is linear, and a boat that
     # doubles its speed within the run is not.
@@ -82,10 +83,10 @@ def twin_run(rng: np.random.Generator, told: float) -> tuple[float, float, float
     for k in range(STEPS):
         angle = 0.2 * math.copysign(1.0, math.sin(0.05 * k))
         act = np.array([unit, unit, angle, angle])
-        model.step(s, xi, act, calm, kit, H, terms, after)
+        dynamics.step(s, xi, act, calm, kit, H, terms, after)
         s = after + STEP_SD * rng.normal(size=6)
         z = s + SENSOR_SD * rng.normal(size=6)
-        repairs = model.joint_predict(
+        repairs = augmented.joint_predict(
             x, P, act, calm, kit, H, Q, np.zeros(25), weights, terms, work
         )
         assert repairs == 0

@@ -7,14 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from twin.benchmark.runner.conformance import CHECKS, check
 
-from twin import registry
-from twin.contract import CHECKS, check
-from twin.predictor import Estimate, Persistence, Prediction, Predictor
-from twin.registry import PREDICTORS, PredictorError, predictor_class
+from twin.predictors import registry
+from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.baselines import Persistence
+from twin.predictors.registry import PREDICTORS, PredictorError, predictor_class
 
 OWN = """
-from twin.predictor import Persistence
+from twin.predictors.base import Persistence
 
 class Mine(Persistence):
     tuning = "one configuration, by judgement"
@@ -237,13 +238,13 @@ def test_entry_points_join_the_registry(own):
         f"[{registry.GROUP}]\nmine = some_body:Mine\nukf = some_body:Mine\n"
     )
     code = (
-        "from twin.registry import PREDICTORS, predictor_class;"
+        "from twin.predictors.registry import PREDICTORS, predictor_class;"
         "print(predictor_class('mine').__module__, predictor_class('ukf').__module__)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=own, capture_output=True, text=True, check=True
     )
-    assert done.stdout.split() == ["some_body", "twin.identifier"]
+    assert done.stdout.split() == ["some_body", "twin.predictors.ukf"]
 
 
 def test_the_command(own):
@@ -253,7 +254,7 @@ def test_the_command(own):
         ("some_body:Nobody", 1, "FAIL"),
     ):
         done = subprocess.run(
-            [sys.executable, "-m", "twin.cli", "benchmark", "--check", name],
+            [sys.executable, "-m", "twin.cli.main", "benchmark", "--check", name],
             cwd=own,
             capture_output=True,
             text=True,
@@ -265,7 +266,7 @@ def test_the_command(own):
 
 def test_only_the_oracle_is_told_of_the_world(own):
     (own / "peeking.py").write_text(
-        "from twin.oracle import Oracle\n\nclass Peek(Oracle):\n    pass\n"
+        "from twin.sim.oracle import Oracle\n\nclass Peek(Oracle):\n    pass\n"
     )
     with pytest.raises(PredictorError, match="only the oracle is told of the true world"):
         predictor_class("peeking:Peek")

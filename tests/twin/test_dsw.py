@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.dsw import DSWPredictor, paper_settings
-from twin.log import MEASUREMENTS, Log
+from twin.channels import MEASUREMENTS
+from twin.logs.log import Log
 from twin.particulars import Particulars
+from twin.predictors.dsw_ukf import DSWPredictor, paper_settings
 
 ACCEL_Y, WIND = MEASUREMENTS.index("accel_y_mps2"), MEASUREMENTS.index("wind_mps")
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin import PREDICTORS, Twin, fleet, pretrained
-from twin.fleet import FleetError, FleetSettings, Run
+from twin import PREDICTORS, Twin
 from twin.particulars import Particulars
-from twin.pretrained import (
+from twin.predictors.learned import pretrained
+from twin.predictors.learned.pretrained import (
     AHEAD,
     PAST,
     PATCH,
@@ -24,7 +24,9 @@ from twin.pretrained import (
     WeightsError,
     tokens,
 )
-from twin.registry import predictor_class
+from twin.predictors.registry import predictor_class
+from twin.training import fleet
+from twin.training.fleet import FleetError, FleetSettings, Run
 from usv_gym import Vessel
 
 NAMES = ("fleet-lstm", "transformer")
@@ -320,13 +322,13 @@ def test_no_torch_is_needed() -> None:
     """Predictors with shipped weights work where torch cannot be imported."""
     code = (
         "import sys; sys.modules['torch'] = None\n"
-        "import numpy as np; from twin import Twin; from twin.simulated import particulars_of\n"
+        "import numpy as np; from twin import Twin; from twin.sim.bridge import particulars_of\n"
         "from usv_gym import Vessel\n"
         "boat = particulars_of(Vessel.load('usv75'))\n"
         f"for name in {NAMES}:\n"
         "    twin = Twin(boat, name)\n"
         "    assert np.isfinite(twin.predict('hold').mean).all()\n"
-        "assert 'twin.fleet' not in sys.modules\n"
+        "assert 'twin.training.fleet' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin import fleet, fleet_search
-from twin.fleet import FleetSettings, Run
-from twin.pretrained import Weights
+from twin.predictors.learned.pretrained import Weights
+from twin.training import fleet
+from twin.training import hyperparameter_search as fleet_search
+from twin.training.fleet import FleetSettings, Run
 
 pytest.importorskip("torch")
 

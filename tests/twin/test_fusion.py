@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.fusion import LateFusion, fuse
-from twin.log import MEASUREMENTS
+from twin.channels import MEASUREMENTS
+from twin.filters.late_fusion import LateFusion, fuse
 from twin.particulars import Instruments
 
 DT = 0.05

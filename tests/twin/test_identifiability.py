@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin import Twin
-from twin.identifiability import COLLINEAR, INFORMED, accumulate, judge
+from twin.identification.identifiability import COLLINEAR, INFORMED, accumulate, judge
 
 Q = 0.04
 
@@ -124,12 +124,12 @@ def test_another_submodel_may_tell_apart():
 @pytest.mark.parametrize("model", ["paper", "mmg"])
 def test_of_a_run(zigzag, boat, model):
     twin = Twin(boat, "ukf", model=model)
-    before = twin.predictor.identifiability()
+    before = twin.predictors.base.identifiability()
     assert before.seconds == 0.0 and before.informed == ()
     twin.run(zigzag)
-    found = twin.predictor.identifiability()
+    found = twin.predictors.base.identifiability()
     assert found.seconds == pytest.approx(59.75, abs=0.5)
-    assert tuple(item.name for item in found.parameters) == twin.predictor.parameter_names
+    assert tuple(item.name for item in found.parameters) == twin.predictors.base.parameter_names
     assert 3 <= len(found.informed) < len(found.parameters)
     merged = {name for item in found.sums for name in item.members}
     assert not merged & set(found.informed)
@@ -143,7 +143,7 @@ def test_of_a_run(zigzag, boat, model):
         np.testing.assert_allclose(ranks, [2.2, 4.3, 6.0], atol=1.0)
     assert "T_uL" in str(found) if model == "paper" else "E_north" in str(found)
     twin.reset()
-    assert twin.predictor.identifiability() == before
+    assert twin.predictors.base.identifiability() == before
 
 
 def test_no_model_no_report(boat):

@@ -14,7 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from twin.log import COMMANDS, MEASUREMENTS, REQUIRED, TRUTH, Log, LogError, recorded_runs
+from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.logs.columns import REQUIRED, LogError
+from twin.logs.log import Log, recorded_runs
 from twin.particulars import Particulars
 
 Columns = dict[str, list[str]]

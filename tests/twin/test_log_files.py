@@ -13,13 +13,16 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from twin.cli.main.common import app
 from typer.testing import CliRunner
 
-from twin import Twin, table
-from twin.cli import app
-from twin.log import COMMANDS, MEASUREMENTS, TRUTH, Log, LogError, beside
-from twin.mapping import Layout
-from twin.simulated import particulars_of
+from twin import Twin
+from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.logs import readers as table
+from twin.logs.columns import LogError
+from twin.logs.log import Log, beside
+from twin.logs.mapping import Layout
+from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 
 SHARED = Path(

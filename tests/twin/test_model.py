@@ -9,12 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from twin.benchmark.runner.paper_checks import RATED, paper_run
+from twin.model.rollout.structure import MODELS, N_TERMS, Structure, accelerations
 
-from twin import model, ukf
+from twin.benchmark.runner import paper_checks
+from twin.filters import ukf
+from twin.model.rollout import actuators, augmented, dynamics, rollout
 from twin.particulars import Particulars
-from twin.structure import MODELS, N_TERMS, Structure, accelerations
-from twin.validation import RATED, paper_run
-from usv_kernel import actuate
+from usv_kernel.scalar import actuate
 
 STUDY = {
     "name": "study boat",
@@ -26,7 +28,7 @@ STUDY = {
     "shaft_speed": 6.33,
 }
 BOAT = Particulars(**STUDY)  # type: ignore[arg-type]
-PAPER = model.model_of(BOAT, "paper")
+PAPER = dynamics.model_of(BOAT, "paper")
 XI = PAPER.mean
 CALM, WINDY = np.zeros(2), np.array([-6.0, 8.0])
 
@@ -38,7 +40,7 @@ BOATS = pytest.mark.parametrize(
 def structure_for(name: str, steering: str = "drives", **size: float) -> Structure:
     """Return a structure with biases, of the study boat or one of another size."""
     boat = Particulars(**{**STUDY, **size}, steering=steering)  # type: ignore[arg-type]
-    return model.model_of(boat, name, biased=True)
+    return dynamics.model_of(boat, name, biased=True)
 
 
 def lively(structure: Structure) -> np.ndarray:
@@ -56,7 +58,7 @@ def derivative(
 ) -> np.ndarray:
     out = np.empty(6)
     s = np.ascontiguousarray(s)
-    model.derivative(s, xi, act, wind, structure.kit, np.empty(N_TERMS), out)
+    dynamics.derivative(s, xi, act, wind, structure.kit, np.empty(N_TERMS), out)
     return out
 
 
@@ -76,11 +78,11 @@ def roll_out(
     """Roll out; shaft speeds of ``plan`` and ``act_0`` are rev/s, those returned too."""
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     out, out_act = np.full((len(plan), 6), np.nan), np.full((len(plan), 4), np.nan)
-    model.roll_out(
+    rollout.roll_out(
         *(np.array(s_0), xi, np.array(act_0) * unit, plan * unit, dt),
         *(np.array(lags), np.array(envelope), wind, structure.kit),
         np.empty((0, 3)) if ripple is None else ripple,
-        *(gain, out, out_act, np.full(model.ROOM, np.nan)),
+        *(gain, out, out_act, np.full(rollout.ROOM, np.nan)),
     )
     return out, out_act / unit
 
@@ -108,7 +110,7 @@ def test_derivative_turns_velocities_to_the_earth_and_adds_accelerations(
         act = np.array([*rng.normal(size=2), *rng.uniform(-0.5, 0.5, 2)])
         xi = rng.normal(size=len(structure))
         s, out = np.array([3.0, -4.0, psi, u, v, r]), np.empty(6)
-        model.derivative(s, xi, act, WINDY, structure.kit, terms, out)
+        dynamics.derivative(s, xi, act, WINDY, structure.kit, terms, out)
         c, n = math.cos(psi), math.sin(psi)
         np.testing.assert_allclose(out[:3], [u * c - v * n, u * n + v * c, r], rtol=1e-14)
         # the terms that it leaves are those of the accelerations (tests/twin/test_structure.py)
@@ -154,7 +156,7 @@ def test_step_is_one_euler_step(name: str, steering: str) -> None:
     structure = structure_for(name, steering)
     s, act = np.array([1.0, 2.0, 0.3, 4.0, 0.5, -0.1]), np.array([5.0, 6, 0.1, 0.2])
     xi, after = lively(structure), np.empty(6)
-    model.step(s, xi, act, WINDY, structure.kit, 0.05, np.empty(N_TERMS), after)
+    dynamics.step(s, xi, act, WINDY, structure.kit, 0.05, np.empty(N_TERMS), after)
     np.testing.assert_array_equal(after, s + 0.05 * derivative(s, xi, act, structure, WINDY))
 
 
@@ -170,10 +172,10 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
     points += 0.1 * rng.normal(size=(13, 6 + p))
     points[4:, 2] = points[0, 2]
     before, act = points.copy(), np.array([5.0, 6.0, 0.1, -0.3])
-    model.propagate_points(act, WINDY, kit, 0.05, terms, work)
+    augmented.propagate_points(act, WINDY, kit, 0.05, terms, work)
     after = np.empty(6)
     for row, point in zip(points, before, strict=True):
-        model.step(point[:6].copy(), point[6:].copy(), act, WINDY, kit, 0.05, terms, after)
+        dynamics.step(point[:6].copy(), point[6:].copy(), act, WINDY, kit, 0.05, terms, after)
         np.testing.assert_allclose(row[:6], after, rtol=1e-14, atol=1e-15)
         np.testing.assert_array_equal(row[6:], point[6:])
     s, xi, moved = before[0, :6].copy(), before[0, 6:].copy(), rng.normal(size=p)
@@ -190,7 +192,7 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
 
 
 @pytest.mark.parametrize(
-    ("table", "speed"), [(model.PAPER_TABLE_2, 5.58), (model.PAPER_TABLE_3, 7.76)]
+    ("table", "speed"), [(paper_checks.PAPER_TABLE_2, 5.58), (paper_checks.PAPER_TABLE_3, 7.76)]
 )
 def test_straight_speed_of_the_paper_models(table: np.ndarray, speed: float) -> None:
     act = np.array([RATED, RATED, 0.0, 0.0])
@@ -205,7 +207,7 @@ def test_straight_speed_of_the_paper_models(table: np.ndarray, speed: float) -> 
 
 @pytest.mark.parametrize(("angle_deg", "escape"), [(20.0, 7.3), (0.0, 12.9)])
 def test_table_2_escapes_to_infinity(angle_deg: float, escape: float) -> None:
-    end, state = paper_run(model.PAPER_TABLE_2, math.radians(angle_deg), 30.0)
+    end, state = paper_run(paper_checks.PAPER_TABLE_2, math.radians(angle_deg), 30.0)
     assert end == pytest.approx(escape, abs=0.2)
     assert np.hypot(state[3], state[4]) == pytest.approx(1000.0, rel=1e-3)
 
@@ -214,7 +216,7 @@ def test_table_2_escapes_to_infinity(angle_deg: float, escape: float) -> None:
     ("angle_deg", "u", "r_degps"), [(20.0, 10.35, 4.26), (-20.0, 11.51, -2.23)]
 )
 def test_table_3_turns(angle_deg: float, u: float, r_degps: float) -> None:
-    _, state = paper_run(model.PAPER_TABLE_3, math.radians(angle_deg), 300.0)
+    _, state = paper_run(paper_checks.PAPER_TABLE_3, math.radians(angle_deg), 300.0)
     assert state[3] == pytest.approx(u, rel=0.01)
     assert math.degrees(state[5]) == pytest.approx(r_degps, rel=0.01)
 
@@ -244,7 +246,7 @@ def test_prior_of_the_study_boat() -> None:
 
 def test_prior_for_fixed_propellers() -> None:
     boat = Particulars(**{**STUDY, "shaft_speed": 80.0}, steering="differential")  # type: ignore[arg-type]
-    fixed = model.model_of(boat, "paper")
+    fixed = dynamics.model_of(boat, "paper")
     unit = 5.4**2 / (6.336 * 80.0) ** 2
     np.testing.assert_allclose(fixed.mean[23:], 0.24 * unit)
     np.testing.assert_allclose(fixed.sd[23:], 0.14 * unit)
@@ -364,7 +366,7 @@ def test_velocities_take_on_of_the_ripple_what_the_gain_says_within_the_envelope
 
 def test_she_keeps_her_way_over_ground_while_a_wave_turns_her() -> None:
     # no forces; the least of gains: u' = w v, v' = -w u / 2, for sway has twice the inertia
-    rate, k = math.pi / 10.0, math.sqrt(model.SWAY_SLIP)
+    rate, k = math.pi / 10.0, math.sqrt(rollout.SWAY_SLIP)
     ripple = np.tile([0.0, 0.0, rate], (3000, 1))
     s_0 = (0.0, 0.0, 0.4, 3.0, -1.0, 0.0)
     out, _ = roll_out(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, ripple=ripple, gain=1e-12)
@@ -397,10 +399,10 @@ def test_roll_out_of_an_explosive_set_stays_in_the_envelope(
     name: str, steering: str, scale: float, seed: int
 ) -> None:
     boat = Particulars(**STUDY, steering=steering)  # type: ignore[arg-type]
-    structure = model.model_of(boat, name)
+    structure = dynamics.model_of(boat, name)
     xi = scale * np.random.default_rng(seed).normal(size=len(structure))
     if scale == 1.0 and (name, steering) == ("paper", "drives"):
-        xi = model.PAPER_TABLE_2
+        xi = paper_checks.PAPER_TABLE_2
     plan = np.tile([RATED, RATED, 0.35, 0.35], (300, 1))
     out, out_act = roll_out(xi, plan, envelope=(12.0, 11.0, 1.5), structure=structure, wind=WINDY)
     assert np.isfinite(out).all() and np.isfinite(out_act).all()
@@ -424,11 +426,11 @@ def test_follow_solves_the_actuator_law(
     for _ in range(parts):
         slow += h / parts * actuate(slow, target, lag, rate)
     for _ in range(7):
-        once = model.follow(once, target, lag, rate, h / 7)
+        once = actuators.follow(once, target, lag, rate, h / 7)
     assert once == pytest.approx(slow, abs=1e-3 + 0.01 * h / parts * abs(target - value) / lag)
     # one that is next to its target is taken as there
-    close = 1e-12 + 2.0 * model.ARRIVED * abs(target)
-    assert model.follow(value, target, lag, rate, h) == pytest.approx(once, abs=close)
+    close = 1e-12 + 2.0 * actuators.ARRIVED * abs(target)
+    assert actuators.follow(value, target, lag, rate, h) == pytest.approx(once, abs=close)
     assert min(value, target) <= once <= max(value, target)
 
 
@@ -438,10 +440,10 @@ def look_ahead(
     """Look ahead from usual speed; shaft speeds are rev/s."""
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     out, out_act = np.empty((4, 6)), np.empty((4, 4))
-    model.look_ahead(
+    rollout.look_ahead(
         *(np.array([0.0, 0.0, 0.5, 5.0, 0.2, 0.05]), xi, unit * act, unit * command),
         *(np.array([0.6, 0.1, 0.35]), np.array([50.0, 50.0, 10.0]), CALM, structure.kit, slowness),
-        *(np.empty((0, 3)), 0.0, out, out_act, np.empty(model.ROOM)),
+        *(np.empty((0, 3)), 0.0, out, out_act, np.empty(rollout.ROOM)),
     )
     return out
 

@@ -10,14 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.identifier import UKFPredictor
-from twin.log import MEASUREMENTS, Log
-from twin.navigation import Navigator, aid
+from twin.channels import MEASUREMENTS
+from twin.filters.navigation_ekf import Navigator, aid
+from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.plus import PlusPredictor
-from twin.simulated import particulars_of, simulate
+from twin.predictors.dsw_ukf_plus import PlusPredictor
+from twin.predictors.ukf import UKFPredictor
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
-from usv_gym.sensors import SensorSuite
+from usv_gym.world.sensors import SensorSuite
 
 
 def run(log: Log, boat: Particulars, z: np.ndarray | None = None) -> tuple[np.ndarray, Navigator]:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.log import MEASUREMENTS
-from twin.neural import LSTMPredictor, MissingTorch
+from twin.channels import MEASUREMENTS
 from twin.particulars import Particulars
-from twin.predictor import GRID, Persistence, hold_velocity
+from twin.predictors.baselines import GRID, Persistence, hold_velocity
+from twin.predictors.learned.lstm import LSTMPredictor, MissingTorch
 
 BOAT = Particulars(
     name="test", length=6.0, beam=2.5, draft=0.5, mass=3000.0, speed=5.0, shaft_speed=20.0
@@ -249,5 +249,5 @@ def test_missing_torch_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_module_does_not_import_torch() -> None:
     """Importing the module costs no torch."""
-    code = "import sys, twin.neural; sys.exit('torch' in sys.modules)"
+    code = "import sys, twin.predictors.learned.lstm; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

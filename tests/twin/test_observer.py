@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
-from twin import observer
-from twin.observer import TWIN_OBSERVATION, CompiledTwins, SeparateTwins
-from usv_gym.episodes import BOUND, OBSERVATION
+from twin.sim import batched_twins as observer
+from twin.sim.batched_twins import TWIN_OBSERVATION, CompiledTwins, SeparateTwins
+from usv_gym.envs.episodes import BOUND, OBSERVATION
 
 OPTIONS = {"task": "free", "faults": "gps5@15", "sea": "2"}
 
@@ -50,7 +50,7 @@ def test_the_twin_of_an_environment_is_the_one_that_lives():
     twin = env.unwrapped.twin
     sail(env, 30)
     assert twin.t == pytest.approx(1.5)
-    assert twin.predictor.ready
+    assert twin.predictors.base.ready
     assert twin.cmd[0] > 0.0
     np.testing.assert_array_equal(twin.predict("hold").start, twin.estimate().s)
 

@@ -9,14 +9,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import twin.wrapper  # noqa: F401 - registers USVTwin-v0
 from twin import Twin, make_predictor, recorded_runs
-from twin.log import Log
-from twin.oracle import GAIN, Oracle, check_world, known_vessel, world_options
+from twin.digital_twin import known_plan
+from twin.logs.log import Log
 from twin.particulars import Instruments
-from twin.registry import PredictorError
-from twin.simulated import particulars_of, simulate
-from twin.twin import known_plan
+from twin.predictors.registry import PredictorError
+from twin.sim.bridge import particulars_of, simulate
+from twin.sim.oracle import GAIN, Oracle, check_world, known_vessel, world_options
 from usv_gym import SeaState, SensorSuite, Vessel
 
 CALM, WINDY = SeaState(), SeaState(wind=6.0, current=0.4, current_to=1.0, gusts="none")

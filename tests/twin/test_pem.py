@@ -9,9 +9,9 @@ import numba
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
+from twin.model.rollout.structure import MODELS, N_TERMS, Structure, structure_of
 
-from twin import model
-from twin.pem import (
+from twin.identification.prediction_error import (
     ACT,
     COLUMNS,
     GOOD,
@@ -23,7 +23,7 @@ from twin.pem import (
     linearise,
     room,
 )
-from twin.structure import MODELS, N_TERMS, Structure, structure_of
+from twin.model.rollout import dynamics
 
 LENGTH, SPEED, SHAFT = 6.336, 5.4, 6.33
 STEPS, EVERY = 20, 2
@@ -49,7 +49,7 @@ STRUCTURES = [
 ]
 each_structure = pytest.mark.parametrize("structure", STRUCTURES)
 
-derivative = model.derivative
+derivative = dynamics.derivative
 
 
 @numba.njit

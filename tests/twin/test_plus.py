@@ -10,25 +10,35 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from twin.model.rollout.rollout import SWAY_SLIP
+from twin.model.rollout.structure import MODELS, N_STATES
 
-from twin.identifier import BEGUN
-from twin.log import MEASUREMENTS, Log
-from twin.model import N_STATES, SWAY_SLIP
+from twin.channels import MEASUREMENTS
+from twin.identification.prediction_error import (
+    ACT,
+    GOOD,
+    GRID,
+    LOW,
+    MIDDLE,
+    STATE,
+    WIND,
+    roll_room,
+)
+from twin.identification.wave_residual import FACTOR, SECTORS, simulate_waves
+from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.pem import ACT, GOOD, GRID, LOW, MIDDLE, STATE, WIND, roll_room
-from twin.plus import (
+from twin.predictors.dsw_ukf_plus import PlusPredictor
+from twin.predictors.plus_update import (
     _HALVES,
     _SLOW,
     OBSERVER_GAIN,
-    PlusPredictor,
     _describe_waves,
     _slow_step,
     plus_step,
     take_segments,
 )
-from twin.residual import FACTOR, SECTORS, simulate_waves
-from twin.simulated import particulars_of, simulate
-from twin.structure import MODELS
+from twin.predictors.ukf import BEGUN
+from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 
 NOTHING = np.full(len(MEASUREMENTS), math.nan)

@@ -10,16 +10,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twin.model.rollout.dynamics import model_of
+from twin.model.rollout.priors import (
+    KINDS,
+    TANKER,
+    Prior,
+    PriorError,
+    kind_of,
+    population_prior,
+    shipped_prior,
+)
+from twin.model.rollout.structure import MODELS, Structure
+from usv_gym.vessel.vessel.vessel import course_eigenvalues
 
-from twin import population as pop
-from twin.model import model_of
 from twin.particulars import DESIGNS, Particulars
-from twin.plus import PlusPredictor
-from twin.prior import KINDS, TANKER, Prior, PriorError, kind_of, population_prior, shipped_prior
-from twin.simulated import particulars_of
-from twin.structure import MODELS, Structure
+from twin.predictors.dsw_ukf_plus import PlusPredictor
+from twin.sim.bridge import particulars_of
+from twin.training import prior_population as pop
 from usv_gym import Vessel
-from usv_gym.inspection import course_eigenvalues
 
 EACH = pytest.mark.parametrize(
     ("model", "kind"), [(m, k) for m in MODELS for k in (*KINDS, TANKER, *DESIGNS)]

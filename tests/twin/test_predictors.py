@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from twin import PREDICTORS, Log, Twin, TwinError, make_predictor
-from twin.log import MEASUREMENTS
-from twin.predictor import Prediction, Predictor, hold_velocity
-from twin.registry import EXTRAS, PredictorError
-from twin.twin import known_plan
+from twin.channels import MEASUREMENTS
+from twin.digital_twin import known_plan
+from twin.predictors.base import Prediction, Predictor
+from twin.predictors.baselines import hold_velocity
+from twin.predictors.registry import EXTRAS, PredictorError
 
 NAMES = [
     pytest.param(
@@ -58,7 +59,7 @@ def test_contract(name, zigzag, boat):
     assert error[1] < 5.0
     assert error[3] < 0.8
     assert error[5] < 0.15
-    frozen = copy.deepcopy(twin.predictor.s)
+    frozen = copy.deepcopy(twin.predictors.base.s)
     plan = known_plan(zigzag, 799, 10.0, 0.1)
     prediction = twin.predict(plan, dt=0.1)
     assert prediction.mean.shape == (100, 6)
@@ -68,11 +69,11 @@ def test_contract(name, zigzag, boat):
     assert np.isfinite(prediction.cov).all()
     assert (np.linalg.eigvalsh(prediction.cov)[:, 0] > -1e-9).all()
     assert prediction.sd[-1, 0] > prediction.sd[0, 0]
-    np.testing.assert_array_equal(twin.predictor.s, frozen)
+    np.testing.assert_array_equal(twin.predictors.base.s, frozen)
     again = twin.predict(plan, dt=0.1)
     np.testing.assert_array_equal(prediction.mean, again.mean)
     np.testing.assert_array_equal(prediction.cov, again.cov)
-    np.testing.assert_allclose(twin.predictor.mean(plan, 0.1), prediction.mean, atol=1e-9)
+    np.testing.assert_allclose(twin.predictors.base.mean(plan, 0.1), prediction.mean, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -153,7 +154,7 @@ def test_ukf_identifies_the_boat(zigzag, boat):
     prior = twin.estimate()
     feed(twin, zigzag, len(zigzag))
     last = twin.estimate()
-    named = dict(zip(twin.predictor.parameter_names, last.xi, strict=True))
+    named = dict(zip(twin.predictors.base.parameter_names, last.xi, strict=True))
     assert named["X_uu"] < 0
     assert named["T_uL"] > 0
     assert named["Y_v"] < 0

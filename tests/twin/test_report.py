@@ -10,13 +10,15 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from twin.benchmark.runner.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
+from twin.benchmark.runner.report import write_report
+from twin.model.rollout.structure import structure_of
 
-from twin import PREDICTORS, figures
-from twin.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
-from twin.log import MEASUREMENTS, Log
-from twin.predictor import Z90, Prediction
-from twin.report import write_report
-from twin.structure import structure_of
+from twin import PREDICTORS
+from twin.benchmark.runner import figures
+from twin.channels import MEASUREMENTS
+from twin.logs.log import Log
+from twin.predictors.base import Z90, Prediction
 
 PNG = b"\x89PNG\r\n\x1a\n"
 MODEL = structure_of("paper", 6.3, 5.4, 20.0)
@@ -399,7 +401,7 @@ def test_picture_of_log(tmp_path, kind):
 
 def test_matplotlib_comes_late_and_without_pyplot(tmp_path):
     code = (
-        "import sys, numpy as np, twin.figures as r; from pathlib import Path\n"
+        "import sys, numpy as np, twin.benchmark.figures as r; from pathlib import Path\n"
         "assert 'matplotlib' not in sys.modules\n"
         "log = r.Log(np.arange(3.), np.zeros((3, len(r.MEASUREMENTS))), np.zeros((3, 4)))\n"
         f"r.picture_of_log(log, Path({str(tmp_path / 'p.png')!r}))\n"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
-from twin.residual import (
+from twin.identification.wave_residual import (
     FACTOR,
     ORDER,
     RIDGE,

@@ -4,15 +4,25 @@ import dataclasses
 
 import numpy as np
 import pytest
+from twin.model.rollout.dynamics import model_of
+from twin.model.rollout.rollout import roll_out
+from twin.model.rollout.structure import N_STATES, N_TERMS
+from usv_gym.vessel.vessel.vessel import Vessel
 
-from twin.model import model_of, roll_out
+from twin.identification.data_weight import ENOUGH, TRUSTS, Rivals, miss
+from twin.identification.prediction_error import (
+    ACT,
+    COLUMNS,
+    GOOD,
+    GRID,
+    LOW,
+    MIDDLE,
+    STATE,
+    Segments,
+)
 from twin.particulars import Particulars
-from twin.pem import ACT, COLUMNS, GOOD, GRID, LOW, MIDDLE, STATE, Segments
-from twin.plus import refit_settings
-from twin.rivals import ENOUGH, TRUSTS, Rivals, miss
-from twin.simulated import particulars_of
-from twin.structure import N_STATES, N_TERMS
-from usv_gym.vessel import Vessel
+from twin.predictors.dsw_ukf_plus import refit_settings
+from twin.sim.bridge import particulars_of
 
 PARTICULARS: Particulars = particulars_of(Vessel.load("usv75"))
 SETTINGS = refit_settings(PARTICULARS)

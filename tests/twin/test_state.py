@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from twin import StateError, Twin
-from twin.identifier import UKFPredictor, plain_settings
-from twin.log import Log
-from twin.predictor import Persistence
-from twin.state import read, write
+from twin.checkpoint import read, write
+from twin.identification.filter_settings import plain_settings
+from twin.logs.log import Log
+from twin.predictors.baselines import Persistence
+from twin.predictors.ukf import UKFPredictor
 from usv_gym import SeaState, Vessel
 
 STOPS = (0, 7, 430, 533, 650)
@@ -64,7 +65,7 @@ def test_same_bits_as_without_a_stop(name, make_twin, losses, tmp_path):
     feed(whole, losses, fed, END)
     for stop in STOPS:
         twin = Twin.load(tmp_path / f"{stop}.twin")
-        assert type(twin.predictor) is type(whole.predictor)
+        assert type(twin.predictors.base) is type(whole.predictor)
         feed(twin, losses, stop, END)
         same(whole, twin)
 
@@ -166,7 +167,7 @@ def test_predictor_of_ones_own(boat, losses, tmp_path):
     again = Twin.load(tmp_path / "a", Own(boat))
     for one in (twin, again):
         feed(one, losses, 300, 400)
-    assert twin.predictor.noise == again.predictor.noise
+    assert twin.predictors.base.noise == again.predictor.noise
     same(twin, again)
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-
-from twin.structure import (
+from twin.model.rollout.structure import (
     LEFT_COS,
     MODELS,
     N_STATES,

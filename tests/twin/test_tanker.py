@@ -8,22 +8,23 @@ import math
 
 import numpy as np
 import pytest
+from twin.model.rollout.dynamics import all_terms, model_of
+from twin.model.rollout.priors import TANKER as KIND
+from twin.model.rollout.priors import population_prior
+from twin.model.rollout.structure import N_TERMS, accelerations
 
 from twin import Twin
-from twin import population as pop
-from twin.archive import ESSO as TANKER
-from twin.identifier import plain_settings, wave_parts
-from twin.model import all_terms, model_of
+from twin.digital_twin import known_plan
+from twin.identification.filter_settings import plain_settings
+from twin.identification.joint_ukf import wave_parts
+from twin.logs.datasets import ESSO as TANKER
 from twin.particulars import GRAVITY, Particulars
-from twin.prior import TANKER as KIND
-from twin.prior import population_prior
-from twin.simulated import particulars_of, simulate
-from twin.structure import N_TERMS, accelerations
-from twin.twin import known_plan
+from twin.sim.bridge import particulars_of, simulate
+from twin.training import prior_population as pop
 from usv_gym import Vessel
-from usv_gym.sea import SeaState
-from usv_gym.sensors import parse_faults
-from usv_kernel import in_python
+from usv_gym.world.sea import SeaState
+from usv_gym.world.sensors import parse_faults
+from usv_kernel.jit import in_python
 
 
 def turning(boat: Particulars, n: float) -> float:
@@ -127,10 +128,10 @@ def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> Non
         for row, (t, z, cmd) in enumerate(log):
             twin.step(t, z, cmd)
             if row % 100 == 0 and 40.0 <= t <= 129.0:
-                mean = twin.predictor.mean(known_plan(log, row, 10.0, 0.1), 0.1)
+                mean = twin.predictors.base.mean(known_plan(log, row, 10.0, 0.1), 0.1)
                 later = np.searchsorted(log.t, t + 10.0 - 1e-9)
                 turned = log.truth[later, 2] - log.truth[row, 2]
-                off.append(mean[-1, 2] - twin.predictor.estimate().s[2] - turned)
+                off.append(mean[-1, 2] - twin.predictors.base.estimate().s[2] - turned)
         errors[model] = float(np.sqrt(np.mean(np.square(off))))
     # measured: 0.36; 0.71 and 0.59 with other seeds
     assert errors[None] < 0.75 * errors["paper"]
@@ -141,7 +142,7 @@ def test_her_noises_follow_the_waves_that_are_felt() -> None:
     felt = {}
     for sea in ("calm", "1", "3"):
         twin = Twin(particulars_of(vessel), "ukf")
-        ukf = twin.predictor.ukf
+        ukf = twin.predictors.base.ukf
         for t, z, cmd in simulate(
             "random", vessel=vessel, sea=SeaState.named(sea), duration=40.0, seed=1
         ):

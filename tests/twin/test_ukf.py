@@ -10,10 +10,11 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twin.model.rollout.structure import MODELS, N_TERMS, Structure
 
-from twin import model, ukf
+from twin.filters import ukf
+from twin.model.rollout import augmented, dynamics
 from twin.particulars import Particulars
-from twin.structure import MODELS, N_TERMS, Structure
 
 H = 0.05
 BOAT = Particulars(
@@ -30,7 +31,7 @@ STEP_SD = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125])
 START_SD = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05])
 
 
-PAPER = model.model_of(BOAT, "paper")
+PAPER = dynamics.model_of(BOAT, "paper")
 SHAFT = 6.33
 CALM, WINDY = np.zeros(2), np.array([-6.0, 8.0])
 
@@ -57,7 +58,7 @@ def run_of_boat(
     s, after, terms = np.array([0.0, 0.0, 6.2, 5.0, 0.0, 0.0]), np.empty(6), np.empty(N_TERMS)
     states = np.empty((steps, 6))
     for k in range(steps):
-        model.step(s, structure.mean, acts[k], wind, structure.kit, H, terms, after)
+        dynamics.step(s, structure.mean, acts[k], wind, structure.kit, H, terms, after)
         s = after + 0.3 * STEP_SD * rng.normal(size=6)
         states[k] = s + SENSOR_SD * rng.normal(size=6)
     return acts, states
@@ -81,7 +82,7 @@ class FullFilter:
 
     def move(self, x: np.ndarray, dt: float, act: np.ndarray) -> np.ndarray:
         after = x.copy()
-        model.step(
+        dynamics.step(
             *(x[:6].copy(), x[6:].copy(), act, self.wind, self.kit, dt, self.terms, after[:6])
         )
         return after
@@ -117,7 +118,7 @@ def spread_of(rng: np.random.Generator, sd: np.ndarray) -> np.ndarray:
         *(
             # the heading moves the regressors by way of biases and wind
             pytest.param(
-                model.model_of(dataclasses.replace(BOAT, steering=steering), name, biased=True),
+                dynamics.model_of(dataclasses.replace(BOAT, steering=steering), name, biased=True),
                 *(scaling, True, True),
                 id=f"all, {name}, biased, {steering}",
             )
@@ -157,7 +158,9 @@ def test_equals_the_full_filter(
         full.step(acts[k], zs[k], mask, Q, R)
         z = np.where(mask, zs[k], math.nan)
         kit = structure.kit
-        repairs = model.joint_predict(x, P, acts[k], wind, kit, H, Q_s, q_xi, weights, terms, work)
+        repairs = augmented.joint_predict(
+            x, P, acts[k], wind, kit, H, Q_s, q_xi, weights, terms, work
+        )
         assert repairs == 0
         ukf.measurement_update(x, P, z, mask, R, 2, math.inf, work)
         sd = np.sqrt(np.diag(full.f.P))
@@ -286,7 +289,7 @@ def test_a_prediction_that_overflows_is_dropped() -> None:
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     act = np.array([6.33, 6.33, 0.0, 0.0])
     how = (act, CALM, PAPER.kit, H, Q_s, q_xi, weights, np.empty(N_TERMS), work)
-    assert model.joint_predict(x, P, *how) == 1
+    assert augmented.joint_predict(x, P, *how) == 1
     assert np.array_equal(x, before_x)
     np.testing.assert_array_equal(np.diag(P - before_P)[:6] > 0.0, True)
 
@@ -311,7 +314,7 @@ def test_survives_losses_and_outliers(seed: int, loss: float, outliers: float, g
     zs = zs + np.where(wild, 1e6 * SENSOR_SD * rng.normal(size=(steps, 6)), 0.0)
     for k in range(steps):
         how = (acts[k], CALM, PAPER.kit, H, Q_s, q_xi, weights, terms, work)
-        repairs = model.joint_predict(x, P, *how)
+        repairs = augmented.joint_predict(x, P, *how)
         ukf.measurement_update(x, P, zs[k], masks[k], R, 2, gate, work)
         assert np.isfinite(x).all() and np.isfinite(P).all()
         assert np.array_equal(P, P.T)

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin import cli, validation
-from twin.validation_page import FOLDER, PAGE, compare, failures, render, to_json
-from twin.validation_study import Row, Section, Study, shared_folder
+from twin.cli.main import common
+from usv_gym.validation import manoeuvring, sea, sections
+from usv_gym.validation.page import FOLDER, PAGE, compare, failures, render, to_json
+from usv_gym.validation.study import Row, Section, Study, shared_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 SIX = {"item", "value", "reference", "tolerance", "source", "ok"}
@@ -141,12 +142,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[Row]:
     rows = [a_row()]
     sections = {"boats": lambda study: a_section(*rows)}
     monkeypatch.setattr(validation, "SECTIONS", sections)
-    monkeypatch.setattr("twin.validation_pictures.PICTURES", {"none.png": lambda study: None})
+    monkeypatch.setattr("usv_gym.validation.figures.PICTURES", {"none.png": lambda study: None})
     return rows
 
 
 def invoke(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli.app, ["validate", *arguments])
+    result = CliRunner().invoke(common.app, ["validate", *arguments])
     assert result.exception is None or isinstance(result.exception, SystemExit)
     return result.exit_code, " ".join((result.stdout + result.stderr).split())
 
@@ -185,7 +186,7 @@ def test_ctrl_c_is_clean(quick: list[Row], tmp_path: Path, monkeypatch: pytest.M
     def interrupted(study: Study) -> Section:
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(validation.SECTIONS, "wind", interrupted)  # after the first is done
+    monkeypatch.setitem(sections.SECTIONS, "wind", interrupted)  # after the first is done
     code, text = invoke("--out", str(tmp_path), "--json", str(tmp_path / "rows.json"))
     assert code == 130 and "stopped: nothing is written" in text
     assert not list(tmp_path.iterdir())
@@ -281,7 +282,7 @@ def test_nothing_on_the_page_is_out_or_missing(page: dict[str, list[str]]) -> No
 
 
 def test_every_recorded_run_is_replayed(page: dict[str, list[str]]) -> None:
-    for run in validation.RUNS.values():
+    for run in sections.RUNS.values():
         for index in ("position RMS, m", "position RMS, L", "heading RMS, deg"):
             assert float(page[f"{run.title}: {index}"][1]) > 0.0
         if run.switch:
@@ -291,7 +292,7 @@ def test_every_recorded_run_is_replayed(page: dict[str, list[str]]) -> None:
 def test_quick_sections_are_those_of_the_page() -> None:
     """The rest is checked by ``usv-twin validate --check`` in the CI."""
     text, study = (ROOT / PAGE).read_text(), Study(None)
-    sections = [validation.wind_and_drift(study), validation.tanker_replay(study)]
+    sections = [sea.wind_and_drift(study), manoeuvring.tanker_replay(study)]
     assert not failures(sections)
     assert all(row.skipped and row.ok is None for row in sections[1].rows)
     whole = render(sections, text)
@@ -319,8 +320,8 @@ def test_a_replay_of_the_models_own_run_is_the_run(tmp_path: Path) -> None:
     study, dt = Study(None), 0.05
     t = dt * np.arange(801)
     helm = np.radians(10.0) * np.sign(np.sin(0.1 * t))
-    start = validation.under_way(1.18, n=10.3)
-    states, sailor = [start], validation.Sailor(study.model)
+    start = sections.under_way(1.18, n=10.3)
+    states, sailor = [start], sections.Sailor(study.model)
     for k in range(len(t) - 1):
         cmd = np.array([10.3, 10.3, *2 * [0.5 * (helm[k] + helm[k + 1])]])
         state = states[-1].copy()

@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from twin.actuators import integrate, lagged, thrust_features
-from twin.log import MEASUREMENTS
+from twin.channels import MEASUREMENTS
 from twin.particulars import Particulars
-from twin.predictor import GRID, Persistence, hold_velocity
-from twin.var import VARPredictor
+from twin.predictors.baselines import GRID, Persistence, hold_velocity
+from twin.predictors.learned.features import integrate, lagged, thrust_features
+from twin.predictors.learned.varx import VARPredictor
 
 BOAT = Particulars(
     name="test", length=6.0, beam=2.5, draft=0.5, mass=3000.0, speed=5.0, shaft_speed=20.0

@@ -10,22 +10,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from twin.benchmark.runner.paper_checks import henon, logistic
 
-from twin.validation import henon, logistic
-from twin.window import (
+from twin.identification.dynamic_window import (
     ENVIRONMENT_FORMS,
     NOISE_FORMS,
     PERIOD_FORMS,
     DynamicWindow,
-    NoiseLimits,
     WaveProxy,
-    adapt_noise,
     adjustment_period,
     environment_index,
     nonlinearity_index,
-    rosenstein,
-    rosenstein_length,
 )
+from twin.identification.lyapunov import rosenstein, rosenstein_length
+from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
 
 DT = 0.05
 

@@ -1,1 +1,4 @@
-"""Everything that steers: classical controllers, trained policies, and how they are compared."""
+"""Controllers and trained agents, and the study that compares them.
+
+May import twin.sim and below.
+"""

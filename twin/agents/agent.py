@@ -7,10 +7,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.vector import USVVectorEnv
-from usv_gym.vessel import Vessel
+from usv_gym.envs.vector import USVVectorEnv
+from usv_gym.vessel.vessel import Vessel
 
-__all__ = ["Agent", "ControllerError", "check_actions", "shaft_speeds"]
+__all__ = [
+    "Agent",
+    "ControllerError",
+    "check_actions",
+    "shaft_speeds",
+]
 
 
 class Agent(Protocol):
@@ -21,7 +26,7 @@ class Agent(Protocol):
     name : str
         For tables.
     observation : str
-        The observation set that it needs, see :func:`twin.wrapper.make_env`.
+        The observation set that it needs, see :func:`twin.sim.wrapper.make_env`.
     """
 
     name: str

@@ -18,13 +18,18 @@ from numpy.typing import NDArray
 
 from twin.agents.agent import Agent, ControllerError, check_actions, shaft_speeds
 from twin.agents.mpc import ModelPredictive
-from usv_gym.episodes import AGE_SCALE
-from usv_gym.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
-from usv_gym.vector import USVVectorEnv
-from usv_gym.vessel import Vessel
-from usv_kernel import kernel
+from usv_gym.envs.episodes import AGE_SCALE
+from usv_gym.envs.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
+from usv_gym.envs.vector import USVVectorEnv
+from usv_gym.vessel.vessel import Vessel
+from usv_kernel.jit import kernel
 
-__all__ = ["CONTROLLERS", "LOS", "ControllerError", "DeadReckoningLOS", "make_controller"]
+__all__ = [
+    "CONTROLLERS",
+    "LOS",
+    "DeadReckoningLOS",
+    "make_controller",
+]
 
 Array = NDArray[np.float64]
 
@@ -34,6 +39,7 @@ NAMES = {
     "true_": ("true_yaw_rate", "true_surge"),
 }
 """Entries of an observation that tell the motion, by how those of the path begin."""
+
 PATH = (
     *("cross_track", "to_go", "cos_course_error", "sin_course_error"),
     *("cos_next_turn", "sin_next_turn"),
@@ -241,7 +247,7 @@ def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs,
     reach : float
         Distance at which a way point counts as reached, m.
     place, legs, errors : (n, 2), (n,), (n, 4) arrays
-        Carried on: position (m), leg, and errors as :func:`usv_gym.tasks.path_errors` has them.
+        Carried on: position (m), leg, and errors as :func:`usv_gym.envs.tasks.path_errors` has them.
     """
     for i in range(fresh.shape[0]):
         if fresh[i]:

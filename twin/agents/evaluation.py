@@ -15,24 +15,37 @@ from gymnasium.vector import AutoresetMode
 import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
 from twin.agents.policy import AgentError
-from usv_gym.sensors import BITS, END, GPS_BIT, START
-from usv_gym.tasks import AREA, STATION
-from usv_gym.vector import USVVectorEnv
+from usv_gym.envs.tasks import AREA, STATION
+from usv_gym.envs.vector import USVVectorEnv
+from usv_gym.world.sensors import BITS, END, GPS_BIT, START
 
 __all__ = [
-    "EVALUATION_SEEDS", "FIRST_TRAINING_SEED", "GRID", "OUTAGES", "SEAS", "evaluate", "make_envs",
+    "EVALUATION_SEEDS",
+    "FIRST_TRAINING_SEED",
+    "GRID",
+    "OUTAGES",
+    "SEAS",
+    "evaluate",
+    "make_envs",
     "on_grid",
-]  # fmt: skip
+]
 
 SEAS = ("0", "2", "4")
+
 OUTAGES = ("none", "gps10", "gps30", "gps60")
+
 GRID = tuple(itertools.product(SEAS, OUTAGES))
 """Sea states and losses of GPS of the study."""
+
 EVALUATION_SEEDS = tuple(range(900_000, 900_020))
+
 FIRST_TRAINING_SEED = 2**30
 """No training sees a boat with a smaller seed, so that those may serve to evaluate."""
+
 FRAME_SKIP = 10
+
 EPISODE = 240
+
 AFTER_OUTAGE = 20.0
 """The outage's own score goes on for so long after it, s."""
 
@@ -48,7 +61,7 @@ def make_envs(
     n : int
         Number of boats.
     observation : str
-        What the agent sees; see :func:`twin.wrapper.make_env`.
+        What the agent sees; see :func:`twin.sim.wrapper.make_env`.
     twin : str
         Which twin, where it sees one.
     frame_skip : int

@@ -3,7 +3,7 @@
 Every decision minimises a sum of squares over the seconds ahead: the distance off the path, all
 of whose legs the boat knows; the speed along it that is lacking; and the effort. The unknowns are
 shaft speed and angle at a few times ("knots"), straight lines between them. The motion under a
-plan is what the boat's own twin says (:func:`twin.model.roll_out`), from where the twin believes
+plan is what the boat's own twin says (:func:`twin.model.rollout.roll_out`), from where the twin believes
 the boat to be. Damped Gauss-Newton steps improve the best of a few first guesses: the plan of the
 decision before, and helms that are held. Nothing is drawn at random.
 
@@ -19,24 +19,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.agents.agent import ControllerError, check_actions, shaft_speeds
-from twin.dense import cholesky, solve_factored
-from twin.model import N_ACT, N_STATES, ROOM, roll_out
-from twin.observer import LEG, CompiledTwins
-from twin.plus import SHRINK
-from usv_gym.tasks import ERRORS, REACH, follow, path_errors
-from usv_gym.vector import USVVectorEnv
-from usv_kernel import kernel
+from twin.filters.linalg import cholesky, solve_factored
+from twin.model.dynamics import N_ACT
+from twin.model.rollout import ROOM, roll_out
+from twin.model.structure import N_STATES
+from twin.predictors.plus_ensemble import SHRINK
+from twin.sim.batched_twins import LEG, CompiledTwins
+from usv_gym.envs.tasks import ERRORS, REACH, follow, path_errors
+from usv_gym.envs.vector import USVVectorEnv
+from usv_kernel.jit import kernel
 
-__all__ = ["ModelPredictive", "plan_all"]
+__all__ = [
+    "ModelPredictive",
+    "plan_all",
+]
 
 Array = NDArray[np.float64]
 
 WIDTH = 2
 """Numbers in an action: shaft speed, angle."""
+
 NUDGE = 1e-3
 """Change of a knot that gives a slope, in parts of full throttle and helm."""
+
 DAMPINGS = (1e-3, 1e-1, 10.0)
 """Parts of the diagonal that are added to it in turn, until a step is an improvement."""
+
 _CALM = np.empty((0, 3))
 
 # what all boats are told alike
@@ -54,7 +62,7 @@ def commands(knots, basis, mixing, limits, plan):
     basis : (K, M) array
         Share of each knot in each row.
     mixing : (4, 2) array
-        See :attr:`usv_gym.vessel.Vessel.mixing`.
+        See :attr:`usv_gym.vessel.vessel.Vessel.mixing`.
     limits : (4,) array
         Full commands.
     plan : (K, 4) array
@@ -139,7 +147,7 @@ def rate(knots, free, sources, model, goal, motion, out):
         Basis, mixing and limits: see :func:`commands`.
     model : tuple
         State, parameters, actuators, wind, lags, envelope and structure: see
-        :func:`twin.model.roll_out`.
+        :func:`twin.model.rollout.roll_out`.
     goal : tuple
         Action in force, way points, leg, and what :func:`misses` is told.
     motion : tuple
@@ -223,7 +231,7 @@ def plan_all(
     ----------
     beliefs : tuple
         Places, velocities, parameters, actuators and winds of
-        :class:`twin.identifier.Beliefs`, bounds of the velocities (n, 3), and the prior.
+        :class:`twin.predictors.ukf.Beliefs`, bounds of the velocities (n, 3), and the prior.
     now : (n,) array
         Legs that the twins believe to be on.
     points : (n, P, 2) array

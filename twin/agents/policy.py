@@ -13,18 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import state
-from usv_gym.vector import USVVectorEnv
+from twin.files import write_whole
+from usv_gym.envs.vector import USVVectorEnv
 
-__all__ = ["AgentError", "Policy", "write_whole"]
+__all__ = [
+    "AgentError",
+    "Policy",
+    "write_whole",
+]
 
 Array = NDArray[Any]
+
 Layer = tuple[Array, Array]
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),
 }
+
 FORMAT = 1
 
 
@@ -194,4 +200,4 @@ def _sigmoid(x: Array) -> Array:
 def write_whole(path: Path, content: bytes) -> None:
     """Make a file's folder, and write the file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    state.write_whole(path, content)
+    write_whole(path, content)

@@ -25,13 +25,28 @@ from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, evaluate, on_grid
 from twin.agents.policy import AgentError, write_whole
 from twin.agents.training import CURVE_SEEDS, EVERY, Plan, hyperparameters, train
-from twin.terminal import results_text
-from twin.workers import results_of
-from usv_kernel import __version__, sources_digest
+from twin.files import results_text
+from twin.parallel import results_of
+from usv_kernel import __version__
+from usv_kernel.cache import sources_digest
 
 __all__ = [
-    *("ARMS", "METRICS", "Settings", "check", "collect", "controllers", "interval", "iqm"),
-    *("markdown", "pictures", "pieces", "quick", "replicates", "verdicts", "work", "write"),
+    "ARMS",
+    "METRICS",
+    "Settings",
+    "check",
+    "collect",
+    "controllers",
+    "interval",
+    "iqm",
+    "markdown",
+    "pictures",
+    "pieces",
+    "quick",
+    "replicates",
+    "verdicts",
+    "work",
+    "write",
 ]
 
 Array = NDArray[np.float64]
@@ -42,12 +57,15 @@ ARMS = (
     ("recurrent_ppo", "raw"),
 )  # fmt: skip
 """Algorithms and observation sets of the study."""
+
 METRICS = {
     "off_path_m": "distance off the path, m",
     "off_path_outage_m": "distance off the path while the GPS is gone and 20 s after, m",
     "return": "return",
 }
+
 REPLICATES = 2000
+
 LEVEL = 95.0
 
 
@@ -141,7 +159,7 @@ def work(
     jobs : int
         Workers; the results do not depend on it.
     backend : str
-        Kind of workers, see :func:`twin.workers.results_of`; the results do not depend on it.
+        Kind of workers, see :func:`twin.parallel.results_of`; the results do not depend on it.
 
     Yields
     ------

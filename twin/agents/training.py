@@ -25,19 +25,26 @@ from numpy.typing import NDArray
 
 from twin.agents.evaluation import EPISODE, FIRST_TRAINING_SEED, FRAME_SKIP, evaluate, make_envs
 from twin.agents.policy import ACTIVATIONS, AgentError, Policy, write_whole
-from twin.wrapper import OBSERVATIONS
+from twin.sim.wrapper import OBSERVATIONS
 from usv_kernel import __version__
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 
-__all__ = ["ALGORITHMS", "Plan", "Run", "hyperparameters", "policy_of", "train"]
+__all__ = [
+    "ALGORITHMS",
+    "Plan",
+    "Run",
+    "hyperparameters",
+    "policy_of",
+    "train",
+]
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ALGORITHMS = {
     "ppo": ("stable_baselines3", "PPO", "MlpPolicy"),
@@ -45,22 +52,32 @@ ALGORITHMS = {
     "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
 }
 """Module, class and policy of each algorithm."""
+
 TIMESTEPS = 131_072
 """Decisions of a training whose hyperparameters name none."""
+
 EVERY = 16_384
 """Decisions between two checkpoints."""
+
 CURVE_SEEDS = tuple(range(800_000, 800_016))
 """Episodes behind each point of a learning curve."""
+
 FILES = ("run.json", "checkpoint.pt", "curve.csv", "policy.npz")
+
 _NOTES, _CHECKPOINT, _CURVE, _POLICY = FILES
+
 SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 """Hyperparameters that may be ``"lin_X"``: X at the start, 0 at the end."""
+
 _WORDS = {"ent_coef", "target_entropy", *SCHEDULES}
+
 _OF_POLICIES = {
     *("net_arch", "activation_fn", "log_std_init", "ortho_init", "n_critics"),
     *("lstm_hidden_size", "shared_lstm", "enable_critic_lstm"),
 }
+
 _NORMALIZE = {"norm_obs", "norm_reward", "clip_obs", "clip_reward", "epsilon"}
+
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -79,7 +96,7 @@ class Plan:
     algo : str
         One of :data:`ALGORITHMS`.
     observation : str
-        What the agent sees, one of :data:`twin.wrapper.OBSERVATIONS`.
+        What the agent sees, one of :data:`twin.sim.wrapper.OBSERVATIONS`.
     steps : int
         Decisions of all boats together.
     seed : int
@@ -310,7 +327,7 @@ class _Learner:
         from stable_baselines3.common.logger import configure
         from stable_baselines3.common.vec_env import VecNormalize
 
-        from usv_gym.sb3 import SB3VecEnv
+        from usv_gym.envs.sb3 import SB3VecEnv
 
         options = dict(hyper)
         options.pop("n_timesteps", None)

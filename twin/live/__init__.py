@@ -1,1 +1,4 @@
-"""The twin of a boat that sails now: what comes over the wire, and what is shown of it."""
+"""The live view: protocols, sessions, and their page in a browser.
+
+May import twin.sim and below.
+"""

@@ -29,7 +29,7 @@ Equation numbers
 
 Order of reading: frames, parameters, hull, propulsion, spectra, wind, waves, weather,
 rigid_body, ship.
-What happens in a step is behind :mod:`~usv_gym.physics.ship`; :mod:`~usv_gym.sea` draws what
+What happens in a step is behind :mod:`~usv_gym.physics.ship`; :mod:`~usv_gym.world.sea` draws what
 it sails in.
 """
 

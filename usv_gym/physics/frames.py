@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from usv_kernel import inlined, sincos
+from usv_kernel.jit import inlined
+from usv_kernel.scalar import sincos
 
 X, Y, Z, PHI, THETA, PSI = 0, 1, 2, 3, 4, 5
+
 U, V, W, P, Q, R = 6, 7, 8, 9, 10, 11
+
 N_LEFT, N_RIGHT, DELTA_LEFT, DELTA_RIGHT = 12, 13, 14, 15
+
 STATE_SIZE = 16
+
 COMMAND_SIZE = 4
+
 UNITS = 2
 """Propulsion units; index 0 is port (left), 1 is starboard (right)."""
 

@@ -8,11 +8,13 @@ import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import parameters as par
-from usv_kernel import kernel
+from usv_kernel.jit import kernel
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
 R_PRIME_MAX = 4.0
 """Largest |r'| that the polynomial sees: turning on the spot has no r' at all."""
+
 R_0_BAND = 0.2
 """R_0 of the MMG method changes its sign with u, over this band of u / U."""
 

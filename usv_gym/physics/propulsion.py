@@ -9,7 +9,8 @@ import numpy as np
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import R_PRIME_MAX
-from usv_kernel import actuate, kernel, sincos
+from usv_kernel.jit import kernel
+from usv_kernel.scalar import actuate, sincos
 
 
 @kernel

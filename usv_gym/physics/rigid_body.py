@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from usv_gym.physics import parameters as par
-from usv_kernel import kernel
+from usv_kernel.jit import kernel
 
 
 @kernel

@@ -29,9 +29,11 @@ from usv_gym.physics.weather import (
     wave_gain,
 )
 from usv_gym.physics.wind import apparent_loads, wind_loads
-from usv_kernel import kernel, sincos
+from usv_kernel.jit import kernel
+from usv_kernel.scalar import sincos
 
 WORK_ROWS = 3
+
 LEVEL_MIN = 0.05
 """Least cosine of the pitch in the rate of the Euler angles, which have no yaw at 90 degrees."""
 

@@ -17,11 +17,15 @@ from usv_gym.physics import GRAVITY
 Array = NDArray[np.float64]
 
 PM_ALPHA = 8.1e-3
+
 PM_BETA = 0.74
+
 WIND_19 = 1.026
 """Wind speed 19.5 m above the sea over that at 10 m, as Eq (16) has it."""
+
 T1_OVER_TP = 0.8**0.25 / math.gamma(0.75)
 """Mean period m0/m1 over peak period of an ITTC or PM spectrum: .772."""
+
 TZ_OVER_TP = (0.8 / math.pi) ** 0.25
 """Zero-crossing period sqrt(m0/m2) over peak period of an ITTC or PM spectrum: .710."""
 
@@ -30,8 +34,6 @@ _DRAG = 0.0026
 
 
 # ---------------------------------------------------------------- waves
-
-
 def pm_spectrum(omega: Array, hs: float) -> Array:
     """Return the Pierson-Moskowitz spectrum in m2 s/rad for a significant wave height.
 
@@ -197,8 +199,6 @@ def _cells(x: Array, y: Array) -> Array:
 
 
 # ---------------------------------------------------------------- wind
-
-
 def npd_spectrum(f: Array, wind: float, height: float = 10.0) -> Array:
     """Return the NPD (NORSOK) gust spectrum in (m/s)^2/Hz.
 

@@ -7,18 +7,24 @@ import math
 import numpy as np
 
 from usv_gym.physics import parameters as par
-from usv_kernel import fma, kernel, sincos
-from usv_kernel.vectors import dots, filled
+from usv_kernel.jit import kernel
+from usv_kernel.scalar import fma, sincos
+from usv_kernel.simd import dots, filled
 
 # rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
 # draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
 OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE, BOTTOM = 0, 1, 2, 3, 4, 5, 6
+
 WAVE_ROWS = 7
+
 # what hull and heading make of each component: by its sine or cosine they give forces to north
 # and east, the yaw moment in two parts, the velocity of the water; then lift, trim, heel; scratch
 FORCE_NORTH, FORCE_EAST, YAW_ALONG, YAW_ACROSS, ORBIT_NORTH, ORBIT_EAST = 0, 1, 2, 3, 4, 5
+
 LIFT, TRIM, HEEL, SCRATCH = 6, 7, 8, 9
+
 FACTOR_ROWS = SCRATCH + 4
+
 DRIFT_SUMS = 6
 
 _TINY = 1e-30
@@ -80,7 +86,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 def factor_room(components: int) -> np.ndarray:
     """Return room for :func:`box_factors` of so many components, shape (13, width).
 
-    Rows are filled up with zeros, see :func:`~usv_kernel.vectors.filled`.
+    Rows are filled up with zeros, see :func:`~usv_kernel.simd.filled`.
     """
     return np.zeros((FACTOR_ROWS, filled(components)))
 
@@ -104,8 +110,6 @@ def _shape(
 
 # A loop becomes vector instructions only while few rows are in play: whether they overlap is
 # looked at before it begins. Hence the short loops below.
-
-
 @kernel
 def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
     """Write the product of two rows."""

@@ -12,24 +12,36 @@ import numpy as np
 
 from usv_gym.physics.waves import DRIFT_SUMS, elevation
 from usv_gym.physics.wind import gust
-from usv_kernel import kernel, wrap
+from usv_kernel.jit import kernel
+from usv_kernel.scalar import wrap
 
 # the first moment of the course; each further one is COURSE_COLUMNS on
 START, WAVE_GAIN, WIND_SPEED, WIND_FROM = 0, 1, 2, 3
+
 COURSE_COLUMNS = 4
+
 COURSE_ROWS = 8
+
 # how many moments follow the first
 CHANGES = COURSE_ROWS * COURSE_COLUMNS
+
 # mean wind speed (m/s) that the gusts are drawn for
 GUST_WIND = CHANGES + 1
+
 # slow wind: Gauss-Markov state, its standard deviation and time constant (s)
 SPEED_DRIFT, SPEED_SD, SPEED_TAU = GUST_WIND + 1, GUST_WIND + 2, GUST_WIND + 3
+
 FROM_DRIFT, FROM_SD, FROM_TAU = SPEED_TAU + 1, SPEED_TAU + 2, SPEED_TAU + 3
+
 CURRENT_NORTH, CURRENT_EAST = FROM_TAU + 1, FROM_TAU + 2
+
 # sums of the waves' mean drift at gain 1; see waves.mean_drift_loads
 DRIFT = CURRENT_EAST + 1
+
 DRIFT_END = DRIFT + DRIFT_SUMS
+
 WEATHER_SIZE = DRIFT_END
+
 NOISE_SIZE = 2
 """Normal numbers that :func:`drift_on` takes."""
 

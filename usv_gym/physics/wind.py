@@ -8,9 +8,10 @@ import numpy as np
 
 from usv_gym.physics import AIR_DENSITY, frames
 from usv_gym.physics import parameters as par
-from usv_kernel import kernel, sincos
-from usv_kernel.vectors import LANES
-from usv_kernel.views import stack
+from usv_kernel.arrays import stack
+from usv_kernel.jit import kernel
+from usv_kernel.scalar import sincos
+from usv_kernel.simd import LANES
 
 
 @kernel

@@ -1,0 +1,4 @@
+"""The benchmark: protocol, runner, metrics, report and figures.
+
+May import twin.sim and below.
+"""

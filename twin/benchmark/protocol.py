@@ -1,0 +1,340 @@
+"""What a benchmark measures: scenarios, cases, boats, predictors, and the work that follows.
+
+The full protocol is data: :data:`FULL_CASES` changes one thing at a time around a base case.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.digital_twin import PLANS
+from twin.model.structure import MODELS, StructureError
+from twin.particulars import ParticularsError
+from twin.predictors.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
+from twin.sim.oracle import check_world
+from twin.sim.recorded import log_name, read_run
+from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.sensors import SensorSuite, parse_faults
+
+__all__ = [
+    "FULL",
+    "FULL_CASES",
+    "HORIZONS",
+    "SPREAD",
+    "BenchmarkError",
+    "Case",
+    "Settings",
+    "Unit",
+    "available",
+    "left_out",
+    "units",
+]
+
+HORIZONS = (1.0, 2.0, 5.0, 10.0)
+
+SPREAD = 0.15
+"""How different the boats are, as a share (twin.md section 1)."""
+
+_BOATS = 1029
+"""Keeps the draws of a seed's boat apart from those of its sea."""
+
+TYPICAL = "typical"
+
+
+class BenchmarkError(ValueError):
+    """A benchmark that cannot be run; the message says why."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Circumstances of a simulated run.
+
+    Parameters
+    ----------
+    name : str
+        In results and file names.
+    fault : str
+        Losses of sensors such as ``gps10``.
+    sea : str
+        One of ``usv_gym.world.sea.SEA_STATES``; empty: that of the settings.
+    grade : str
+        One of ``usv_gym.world.sensors.GRADES``.
+    drawn : bool
+        Whether the report has pictures of single runs.
+    """
+
+    name: str
+    fault: str = "none"
+    sea: str = ""
+    grade: str = TYPICAL
+    drawn: bool = False
+
+    def __post_init__(self) -> None:
+        parse_faults(self.fault, 0.0)
+        SeaState.named(self.sea or "calm")
+        SensorSuite.grade(self.grade)
+
+
+FULL_CASES = {
+    case.name: case
+    for case in (
+        Case("base", drawn=True),
+        Case("gps5", "gps5"),
+        Case("gps10", "gps10", drawn=True),
+        Case("gps20", "gps20"),
+        Case("gps30", "gps30"),
+        Case("imu30", "imu30"),
+        Case("both30", "gps30+imu30"),
+        # in 30 % of the time, 5 s each, from the first second on
+        Case("bursts", "gps-bursts30x5"),
+        *(Case(f"sea{sea}", sea=sea) for sea in ("0", "1", "3", "4")),  # 2 is the base's
+        *(Case(grade, grade=grade) for grade in ("consumer", "best")),
+    )
+}
+"""Cases of the full protocol by name."""
+
+FULL = {
+    "scenarios": ("turn", "zigzag", "turn-zigzag", "random"),
+    "seeds": tuple(range(200, 224)),
+    "plans": ("known",),
+}
+"""The other settings of the full protocol."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What is to be measured.
+
+    Parameters
+    ----------
+    scenarios, faults, predictors : tuple of str
+        Manoeuvres, losses of sensors such as ``gps10``, and names in ``twin.PREDICTORS`` or
+        ``module:Class``.
+    cases : tuple of Case
+        Circumstances in place of the mere faults.
+    seeds : tuple of int
+        Each is a boat, a sea, a set of sensor errors and (random manoeuvre) a helmsman.
+    plans : tuple of str
+        ``known``: the future commands are given (Eq 27); ``hold``: the last one is held.
+    vessel : str
+        Name or TOML file.
+    spread : float
+        Every seed sails another boat: ``Vessel.varied`` by this share; 0: the vessel as it is.
+    dof : int
+        Degrees of freedom of the simulated ship, 3 or 6.
+    model : str or None
+        Structure of all predictors that have one; None for each one's own choice.
+    hs, wind, wind_from_deg : float
+        Sea state: wave height (m), wind speed (m/s) and direction (degrees).
+    logs : tuple of str
+        Recorded runs to score.
+    ship : str or None
+        Particulars of the recorded boat; a TOML file of the log's name beside it if None.
+    mapping : str or None
+        Mapping file of the recorded runs, as for ``Log.read``.
+    identify_s : float
+        Time before the first prediction, s; recorded runs: 60 s or 40 % of a short one.
+    duration_s : float
+        Length of a simulated run, s.
+    fault_after_s : float
+        A loss begins this long after the first prediction, s.
+    """
+
+    scenarios: tuple[str, ...] = ("turn", "zigzag")
+    faults: tuple[str, ...] = ("none", "gps10")
+    cases: tuple[Case, ...] = ()
+    seeds: tuple[int, ...] = tuple(range(6))
+    predictors: tuple[str, ...] = tuple(PREDICTORS)
+    plans: tuple[str, ...] = ("known", "hold")
+    vessel: str = "usv75"
+    spread: float = SPREAD
+    dof: int = 3
+    model: str | None = None
+    hs: float = 0.5
+    wind: float = 4.5
+    wind_from_deg: float = 135.0
+    logs: tuple[str, ...] = ()
+    ship: str | None = None
+    mapping: str | None = None
+    identify_s: float = 80.0
+    duration_s: float = 120.0
+    fault_after_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name in self.scenarios:
+            if name not in MANOEUVRES:
+                raise ManoeuvreError(
+                    f"no scenario is called {name!r}; known: {', '.join(MANOEUVRES)}"
+                )
+        for name in self.predictors:
+            predictor_class(name)
+        if self.model is not None and self.model not in MODELS:
+            raise StructureError(
+                f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"
+            )
+        for name in self.plans:
+            if name not in PLANS:
+                raise PredictorError(f"no plan is called {name!r}; known: {', '.join(PLANS)}")
+        names = [log_name(path) for path in self.logs]
+        for name in names:
+            if names.count(name) > 1 or name in self.scenarios:
+                raise BenchmarkError(f"two runs are called {name!r}; rename a log file")
+        if len({case.name for case in self.conditions}) < len(self.conditions):
+            raise BenchmarkError("two cases have the same name; rename one")
+        if not (self.identify_s > 0 and self.duration_s > self.identify_s + HORIZONS[-1]):
+            raise BenchmarkError(
+                f"duration_s = {self.duration_s} must exceed identify_s = {self.identify_s} "
+                f"by more than the horizon of {HORIZONS[-1]:g} s"
+            )
+        if self.dof not in (3, 6):
+            raise BenchmarkError(f"dof = {self.dof}: must be 3 or 6")
+        if not 0.0 <= self.spread <= 0.5:
+            raise BenchmarkError(f"spread = {self.spread}: must lie between 0 and 0.5")
+        self.sea()
+        if self.ship is not None and Path(self.ship).suffix != ".toml":
+            Vessel.load(self.ship)
+        elif self.ship is not None and not Path(self.ship).is_file():
+            raise ParticularsError(f"{self.ship}: no such file; name one with particulars")
+
+    @property
+    def conditions(self) -> tuple[Case, ...]:
+        """The cases to be simulated."""
+        return self.cases or tuple(Case(fault, fault, drawn=True) for fault in self.faults)
+
+    @property
+    def sea_name(self) -> str:
+        """Name of the settings' own sea state."""
+        for name, sea in SEA_STATES.items():
+            if (sea.hs, sea.wind) == (self.hs, self.wind) and name.isdigit():
+                return name
+        return f"hs{self.hs:g}-wind{self.wind:g}"
+
+    def sea(self, name: str = "") -> SeaState:
+        """Return a sea state by name with the settings' direction, or the settings' own."""
+        sea = SEA_STATES.get(name, SeaState(hs=self.hs, wind=self.wind))
+        return sea.replace(wind_from=math.radians(self.wind_from_deg))
+
+    def boat(self, seed: int) -> Vessel:
+        """Return the boat that a seed sails."""
+        vessel = Vessel.load(self.vessel)
+        if self.spread == 0.0:
+            return vessel
+        return vessel.varied(np.random.default_rng([seed, _BOATS]), self.spread)
+
+
+@dataclass(frozen=True, order=True)
+class Unit:
+    """One predictor on one run; ``log`` is the file of a recorded run, else empty.
+
+    ``case`` is the name of the :class:`Case` that ``fault``, ``sea`` and ``grade`` make; the
+    last two are empty for a recorded run.
+    """
+
+    scenario: str
+    fault: str
+    seed: int
+    predictor: str
+    log: str = ""
+    case: str = ""
+    sea: str = ""
+    grade: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.case:
+            object.__setattr__(self, "case", self.fault)
+
+    @property
+    def run(self) -> str:
+        """Name of the run, for files."""
+        return f"{self.scenario}_{self.case}_{self.seed}"
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """What tells its rows in the results from those of others."""
+        return {name: getattr(self, name) for name in UNIT_KEY}
+
+
+UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
+"""Of a :class:`Unit`, in the order of the results."""
+
+
+def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the predictors that can run here, and a line on each that cannot.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names in ``twin.PREDICTORS``, or ``module:Class``.
+    """
+    usable, notes = [], []
+    for name in names:
+        module, extra = EXTRAS.get(name, (None, ""))
+        if module is None or find_spec(module) is not None:
+            usable.append(name)
+        else:
+            notes.append(
+                f"{name} is left out: {module} is not installed; "
+                f"python -m pip install {module} (the extra [{extra}] of usv-twin)"
+            )
+    return tuple(usable), tuple(notes)
+
+
+def units(settings: Settings) -> list[Unit]:
+    """Return all work that the settings ask for, in a fixed order: run by run."""
+    own = settings.sea_name
+    work = [
+        Unit(scenario, case.fault, seed, predictor, "", case.name, case.sea or own, case.grade)
+        for scenario in settings.scenarios
+        for case in settings.conditions
+        for seed in settings.seeds
+        for predictor in settings.predictors
+    ]
+    # another sea or other sensors cannot be had afterwards
+    faults = dict.fromkeys(
+        case.fault for case in settings.conditions if (case.sea, case.grade) == ("", TYPICAL)
+    )
+    return work + [
+        Unit(log_name(path), fault, 0, predictor, path)
+        for path in settings.logs
+        for fault in faults
+        for predictor in settings.predictors
+        if _knows(predictor, path, settings.ship, settings.mapping)
+    ]
+
+
+@functools.cache
+def _knows(predictor: str, path: str, ship: str | None, mapping: str | None) -> bool:
+    """Return whether a predictor knows all that it needs to run on a log."""
+    if not predictor_class(predictor).world:
+        return True
+    try:
+        check_world(predictor, *read_run(path, ship, mapping))
+    except Exception:  # a file that cannot be read is told of when it is to be scored
+        return False
+    return True
+
+
+def left_out(settings: Settings) -> tuple[str, ...]:
+    """Return a line on each predictor that knows too little of recorded runs to be scored."""
+    lines = []
+    for predictor in settings.predictors:
+        runs = [
+            log_name(path)
+            for path in settings.logs
+            if not _knows(predictor, path, settings.ship, settings.mapping)
+        ]
+        if runs:
+            lines.append(
+                f"{predictor} is left out of {', '.join(runs)}: the true boat is not known"
+            )
+    return tuple(lines)

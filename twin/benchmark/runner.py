@@ -1,0 +1,556 @@
+"""The benchmark: scenarios times cases times predictors times seeds, scored against the truth.
+
+The result of each predictor on each run is a file of its own, so that an interrupted benchmark
+goes on where it stopped, and neither the number of workers nor their kind changes anything. A
+predictor is fed copies of the rows of a log without truth, and never sees another predictor.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import inspect
+import json
+import math
+import os
+import threading
+import urllib.parse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.benchmark.figures import PredictorFigure, RunFigure
+from twin.benchmark.metrics import (
+    STUDY_HORIZONS,
+    Reference,
+    Score,
+    channel_table,
+    compare,
+    recorded_table,
+    rows_of,
+    run_rows,
+    score,
+    summarise,
+    table_of,
+    trends,
+)
+from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
+from twin.digital_twin import Twin, known_plan
+from twin.logs.log import Log, beside, files_of, recorded_runs
+from twin.parallel import results_of
+from twin.particulars import Particulars
+from twin.predictors.base import Prediction
+from twin.predictors.registry import predictor_class
+from twin.sim.bridge import particulars_of, simulate
+from twin.sim.oracle import world_options
+from twin.sim.recorded import read_run
+from usv_gym.world.sensors import (
+    FAULT_KINDS,
+    GPS_BIT,
+    Disturbance,
+    Fault,
+    SensorSuite,
+    parse_faults,
+    spoiled,
+)
+from usv_kernel import __version__
+from usv_kernel.cache import running_program
+
+__all__ = [
+    "AGAINST",
+    "Run",
+    "collect",
+    "load_run",
+    "recorded_against",
+    "run_unit",
+    "runs",
+    "with_faults",
+]
+
+Array = NDArray[np.float64]
+
+AGAINST = "ukf"
+"""The reference of the paired comparison, where none is named."""
+
+AGAINST_RECORDED = "var"
+"""The reference on recorded runs, where it takes part."""
+
+
+def fault_start(settings: Settings, identify: float) -> float:
+    """Return when a loss begins, s: while the boat manoeuvres and predictions are made."""
+    return identify + settings.fault_after_s
+
+
+def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
+    """Return a log with what the faults do to its sensors; the same whenever it is asked."""
+    return dataclasses.replace(log, z=spoiled(log.t, log.z, faults, np.random.default_rng(0)))
+
+
+def _recorded_identify(log: Log) -> float:
+    """Return the time before the first prediction of a recorded run, s."""
+    return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
+
+
+class Run(NamedTuple):
+    """A run as predictors meet it.
+
+    ``seen`` is what they are fed, ``reference`` what they are scored against, ``identify`` the
+    time of the first origin, and ``world`` what an oracle is told.
+    """
+
+    seen: Log
+    reference: Log
+    particulars: Particulars
+    identify: float
+    world: tuple[Any, ...]
+
+
+def load_run(settings: Settings, unit: Unit) -> Run:
+    """Return the run of a unit; the predictor does not matter."""
+    if unit.log:
+        log, particulars = read_run(unit.log, settings.ship, settings.mapping)
+        identify = _recorded_identify(log)
+        seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
+        return Run(seen.without_truth(), log, particulars, float(log.t[0]) + identify, ())
+    vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
+    suite = SensorSuite.grade(unit.grade) if unit.grade else None
+    start = fault_start(settings, settings.identify_s)
+    log = simulate(
+        unit.scenario,
+        vessel=vessel,
+        sea=sea,
+        duration=settings.duration_s,
+        seed=unit.seed,
+        faults=parse_faults(unit.fault, start),
+        suite=suite,
+        dof=settings.dof,
+        name=unit.run,
+    )
+    particulars = particulars_of(vessel, suite, settings.dof)
+    world = (vessel, sea, settings.dof)
+    return Run(log.without_truth(), log, particulars, settings.identify_s, world)
+
+
+def run_unit(
+    settings: Settings, unit: Unit, folder: Path, *, pictures: bool, run: Run | None = None
+) -> dict[str, Any]:
+    """Run one predictor on one run, score it, and keep the result in a file.
+
+    Parameters
+    ----------
+    settings, unit
+        What to do.
+    folder : Path
+        Folder of results; the file is replaced as a whole or not at all.
+    pictures : bool
+        Keep what the pictures need: parameter histories and a few predictions.
+    run : Run, optional
+        From :func:`load_run`, where it is at hand.
+
+    Returns
+    -------
+    dict
+        ``unit``, ``plans`` with a table of scores each (see :func:`twin.benchmark.metrics.table_of`), and
+        what the pictures need.
+    """
+    seen, reference_log, particulars, identify, world = run or load_run(settings, unit)
+    reference = Reference(reference_log)
+    kind = predictor_class(unit.predictor)
+    options: dict[str, Any] = world_options(unit.predictor, *world) if world else {}
+    if settings.model is not None and kind.models:
+        options["model"] = settings.model
+    if kind.trains:
+        # in time for the first prediction: its history begins with the first late fix
+        options["train_at"] = identify - float(seen.t[0]) - 0.5
+    twin = Twin(particulars, unit.predictor, seed=unit.seed, **options)
+    dt = min(max(seen.dt, 0.02), 0.25)
+    end = float(seen.t[-1]) - HORIZONS[-1]
+    next_origin, next_second = identify, float(seen.t[0])
+    scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
+    starts: list[float] = []
+    skipped = 0
+    examples: list[Prediction] = []
+    history: list[tuple[float, Array, Array]] = []
+    example_at = (identify, identify + settings.fault_after_s + 5.0)
+    for row, (t, z, cmd) in enumerate(seen):
+        # copies: a view would lead to the whole log, and its future
+        twin.step(t, z.copy(), cmd.copy())
+        if pictures and t >= next_second - 1e-9:
+            next_second += 1.0
+            estimate = twin.estimate()
+            history.append((t, estimate.xi, estimate.xi_sd))
+        if t < next_origin - 1e-9 or t > end + 1e-9:
+            continue
+        while next_origin <= t + 1e-9:
+            next_origin += 1.0
+        wanted = t + np.array([0.0, *STUDY_HORIZONS])
+        if not reference.known(wanted):
+            skipped += 1
+            continue
+        truth = reference.at(wanted)
+        if not np.isfinite(truth).all():
+            raise BenchmarkError(f"{reference_log.name}: its truth has gaps")
+        known = known_plan(seen, row, HORIZONS[-1], dt)
+        for plan in settings.plans:
+            commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
+            prediction = twin.predict(commands, dt=dt)
+            scores[plan].append(score(prediction, truth, STUDY_HORIZONS))
+            if not all(math.isfinite(part.sum()) for part in scores[plan][-1]):
+                raise BenchmarkError(
+                    f"{unit.predictor}: its prediction at t = {t:.2f} s is not finite"
+                )
+            if plan == settings.plans[0]:
+                starts.append(float(np.hypot(*(prediction.start[:2] - truth[0, :2]))))
+                due = len(examples) < len(example_at) and t >= example_at[len(examples)] - 1e-9
+                if pictures and due:
+                    examples.append(prediction)
+    if not starts:
+        why = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
+        raise BenchmarkError(
+            f"{unit.log or unit.run}: too short to be scored: predictions begin at "
+            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{why}"
+        )
+    result: dict[str, Any] = {
+        "digest": digest(settings, unit),
+        "pictures": pictures,
+        "unit": dataclasses.asdict(unit),
+        "plans": {plan: table_of(parts) for plan, parts in scores.items()},
+        "start_error": float(np.mean(starts)),
+        "skipped": skipped,
+        "repairs": list(reference_log.notes),
+    }
+    if pictures:
+        result["examples"] = [_thin(p) for p in examples]
+        result["history"] = {
+            "t": [t for t, _, _ in history],
+            "xi": [xi.tolist() for _, xi, _ in history],
+            "xi_sd": [sd.tolist() for _, _, sd in history],
+            "names": twin.predictors.base.parameter_names,
+            "units": twin.predictors.base.parameter_units,
+            "blocks": dict(twin.predictors.base.parameter_blocks),
+        }
+    path = result_file(folder, unit)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = _partial(path)
+    partial.write_text(json.dumps(result), encoding="utf-8")
+    partial.replace(path)
+    return result
+
+
+def _partial(path: Path) -> Path:
+    """Return a name beside a file that no other worker uses."""
+    return path.with_name(f".{os.getpid()}_{threading.get_ident()}_{path.name}")
+
+
+def _thin(prediction: Prediction) -> dict[str, Any]:
+    """Return every fifth row of a prediction, and its last, for a picture."""
+    rows = sorted({*range(4, len(prediction.t), 5), len(prediction.t) - 1})
+    return {
+        "t0": prediction.t0,
+        "start": prediction.start.tolist(),
+        "start_cov": prediction.start_cov.tolist(),
+        "t": prediction.t[rows].tolist(),
+        "mean": prediction.mean[rows].tolist(),
+        "cov": prediction.cov[rows].tolist(),
+        "low": prediction.low[rows].tolist(),
+        "high": prediction.high[rows].tolist(),
+    }
+
+
+def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
+    """Write a log and its particulars, as a whole: another worker may do so at the same time."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = _partial(path)
+    log.write(partial)
+    partial.replace(path)
+    partial.write_text(particulars.to_toml(), encoding="utf-8")
+    partial.replace(beside(path, ".toml"))
+
+
+def digest(settings: Settings, unit: Unit) -> str:
+    """Return what a result hangs on besides its unit: programs, settings and recorded file."""
+    kept = dataclasses.asdict(settings)
+    for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
+        del kept[key]
+    text = json.dumps(
+        [__version__, running_program(), kept, dataclasses.asdict(unit)], sort_keys=True
+    )
+    value = hashlib.sha256(text.encode())
+    value.update(_foreign(unit.predictor))
+    ship = settings.ship if unit.log else settings.vessel
+    read = list(files_of(unit.log, settings.mapping)) if unit.log else []
+    if unit.log and settings.ship is None:
+        read.append(beside(unit.log, ".toml"))
+    for path in (*read, Path(ship or "")):
+        if path.is_file():
+            with path.open("rb") as file:
+                while piece := file.read(1 << 20):
+                    value.update(piece)
+    return value.hexdigest()
+
+
+@functools.cache
+def _foreign(predictor: str) -> bytes:
+    """Return the source of a predictor that is none of this package's."""
+    kind = predictor_class(predictor)
+    if kind.__module__.split(".")[0] == __name__.split(".")[0]:
+        return b""
+    try:
+        return Path(inspect.getfile(kind)).read_bytes()
+    except (OSError, TypeError):
+        return repr(kind).encode()
+
+
+def result_file(folder: Path, unit: Unit) -> Path:
+    """Return the file that holds the result of one piece of work."""
+    # reversible: no two runs share a file
+    name = urllib.parse.quote(f"{unit.run}_{unit.predictor}", safe="+")
+    return folder / "runs" / f"{name}.json"
+
+
+def finished(
+    settings: Settings, unit: Unit, folder: Path, *, pictures: bool
+) -> dict[str, Any] | None:
+    """Return the result of earlier work, if it is there and was got with the same settings."""
+    try:
+        result = json.loads(result_file(folder, unit).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if result.get("digest") != digest(settings, unit) or result.get("pictures") != pictures:
+        return None
+    return dict(result)
+
+
+def all_finished(settings: Settings, folder: Path) -> bool:
+    """Return whether nothing is left to do."""
+    return all(
+        finished(settings, unit, folder, pictures=wants_pictures(settings, unit)) is not None
+        for unit in units(settings)
+    )
+
+
+def wants_pictures(settings: Settings, unit: Unit) -> bool:
+    """Return whether a run is shown in the report.
+
+    That is the first seed in the cases that are drawn, and of each folder of recorded runs as
+    many as a reader will look at.
+    """
+    if unit.log:
+        folder = Path(unit.log).absolute().parent
+        peers = [path for path in settings.logs if Path(path).absolute().parent == folder]
+        return unit.log in peers[: DRAWN_LOGS if len(peers) > DRAWN_LOGS else None]
+    drawn = {case.name for case in settings.conditions if case.drawn}
+    return unit.seed == settings.seeds[0] and unit.case in drawn
+
+
+DRAWN_LOGS = 3
+"""Recorded runs of one folder that are shown, where there are more."""
+
+
+def runs(
+    settings: Settings, folder: Path, *, jobs: int = 1, backend: str = "loky"
+) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
+    """Do all work that is not done yet, and yield each result as it comes.
+
+    A worker takes a run, which is simulated or read once, with all its predictors; where there
+    are fewer runs than workers, single predictors.
+
+    Parameters
+    ----------
+    settings : Settings
+        What to do.
+    folder : Path
+        Folder of results.
+    jobs : int
+        Workers; the results do not depend on it.
+    backend : str
+        One of :data:`BACKENDS`; the results do not depend on it.
+
+    Yields
+    ------
+    Unit, dict or Exception
+        A result, or why there is none (a log that cannot be read, say); the rest goes on.
+    """
+    todo: dict[str, list[Unit]] = {}
+    for unit in units(settings):
+        done = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
+        if done is None:
+            todo.setdefault(unit.run, []).append(unit)
+        else:
+            yield unit, done
+    if not todo:
+        return
+    tasks = list(todo.values())
+    if len(tasks) < jobs:
+        tasks = [[unit] for task in tasks for unit in task]
+    calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
+    for _, done_task in results_of(calls, jobs=jobs, backend=backend):
+        yield from done_task
+
+
+def _attempt(
+    settings: Settings, task: Sequence[Unit], folder: Path
+) -> list[tuple[Unit, dict[str, Any] | Exception]]:
+    """Score the predictors of one run; what goes wrong with one is not the others' affair."""
+    try:
+        run = load_run(settings, task[0])
+        if not task[0].log:
+            _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
+    except Exception as error:
+        return [(unit, _told(error)) for unit in task]
+    return [(unit, _scored(settings, unit, folder, run)) for unit in task]
+
+
+def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str, Any] | Exception:
+    pictures = wants_pictures(settings, unit)
+    try:
+        return run_unit(settings, unit, folder, pictures=pictures, run=run)
+    except Exception as error:  # whatever the code of somebody else does
+        return _told(error)
+
+
+def _told(error: Exception) -> BenchmarkError:
+    """Return an error as one that every backend can send; of code that broke, with its kind."""
+    plain = isinstance(error, (ValueError, OSError)) and str(error)
+    return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
+
+
+def recorded_against(settings: Settings) -> str:
+    """Return the reference of the comparison on recorded runs."""
+    return AGAINST_RECORDED if AGAINST_RECORDED in settings.predictors else AGAINST
+
+
+def collect(
+    settings: Settings,
+    done: dict[Unit, dict[str, Any]],
+    command: str,
+    notes: Sequence[str] = (),
+    against: str | None = None,
+) -> dict[str, Any]:
+    """Return the content of ``results.json``.
+
+    Parameters
+    ----------
+    settings : Settings
+        What was measured.
+    done : dict
+        Results by unit; those that are missing are left out.
+    command : str
+        The command that made them.
+    notes : sequence of str
+        What a reader must know of them.
+    against : str, optional
+        Reference of the paired comparisons; :data:`AGAINST` if left out, on recorded runs
+        :data:`AGAINST_RECORDED` where it takes part.
+    """
+    ordered = [done[unit] for unit in units(settings) if unit in done]
+    runs = run_rows(ordered)
+    simulated = [row for row in runs if row["sea"]]
+    return {
+        "version": __version__,
+        "command": command,
+        "notes": list(notes),
+        "settings": {
+            **dataclasses.asdict(settings),
+            "logs": [Path(path).name for path in settings.logs],
+        },
+        "predictors": {
+            name: {"tuning": predictor_class(name).tuning} for name in settings.predictors
+        },
+        "logs": {
+            result["unit"]["scenario"]: {"repairs": result["repairs"], "skipped": result["skipped"]}
+            for result in ordered
+            if result["unit"]["log"]
+        },
+        "rows": list(rows_of(ordered)),
+        "summary": summarise(runs),
+        "paired": compare(runs, against or AGAINST),
+        "recorded": recorded_table(ordered, against or recorded_against(settings)),
+        "trends": trends(simulated, settings.sea_name),
+        "channels": channel_table(ordered),
+        "horizons_s": list(STUDY_HORIZONS),
+        "runs": runs,
+    }
+
+
+def lost_gps(settings: Settings, unit: Unit, log: Log) -> list[tuple[float, float]]:
+    """Return the spans of time without GPS in a run, s."""
+    identify = _recorded_identify(log) if unit.log else settings.identify_s
+    start = float(log.t[0]) + fault_start(settings, identify)
+    return gps_windows(parse_faults(unit.fault, start))
+
+
+def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
+    """Return the spans of time without GPS that are known beforehand, s."""
+    return [
+        (fault.start, fault.start + fault.duration)
+        for fault in faults
+        if isinstance(fault, Fault) and fault.effect == "loss" and FAULT_KINDS[fault.kind] & GPS_BIT
+    ]
+
+
+def default_logs() -> tuple[str, ...]:
+    """Return the recorded runs that a benchmark without arguments scores."""
+    return tuple(str(path) for path in recorded_runs().values())
+
+
+def warm_up(settings: Settings) -> None:
+    """Compile what the workers will need, before there are several to compile it at once."""
+    vessel, sea = settings.boat(0), settings.sea()
+    log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
+    for name in settings.predictors:
+        twin = Twin(particulars_of(vessel), name, **world_options(name, vessel, sea, settings.dof))
+        twin.run(log)
+        twin.predict("hold")
+
+
+def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
+    """Return what the report draws: one entry for each run that kept its pictures.
+
+    Parameters
+    ----------
+    settings : Settings
+        What was measured.
+    done : dict
+        Results by unit.
+    """
+    shown: dict[tuple[str, str, int], RunFigure] = {}
+    for unit in units(settings):
+        result = done.get(unit)
+        if result is None or "history" not in result:
+            continue
+        key = (unit.scenario, unit.fault, unit.seed)
+        if key not in shown:
+            log = load_run(settings, unit).reference
+            shown[key] = RunFigure(
+                scenario=unit.scenario,
+                fault=unit.fault,
+                seed=unit.seed,
+                log=log,
+                lost=lost_gps(settings, unit, log),
+                predictors={},
+            )
+        history = result["history"]
+        shown[key].predictors[unit.predictor] = PredictorFigure(
+            examples=[
+                Prediction(
+                    t0=example["t0"],
+                    **{
+                        name: np.array(example[name])
+                        for name in ("start", "start_cov", "t", "mean", "cov", "low", "high")
+                    },
+                )
+                for example in result["examples"]
+            ],
+            t=np.array(history["t"]),
+            xi=np.array(history["xi"]),
+            xi_sd=np.array(history["xi_sd"]),
+            names=tuple(history["names"]),
+            units=tuple(history["units"]),
+            blocks={motion: (first, last) for motion, (first, last) in history["blocks"].items()},
+        )
+    return list(shown.values())

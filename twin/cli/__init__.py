@@ -1,0 +1,4 @@
+"""The command line ``usv-twin``, one file a command.
+
+May import everything else in twin.
+"""

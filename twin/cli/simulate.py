@@ -1,0 +1,82 @@
+"""``usv-twin simulate``: sail a manoeuvre and write its log."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.benchmark import runner as bench
+from twin.cli.common import (
+    DofOption,
+    HsOption,
+    WindFromOption,
+    WindOption,
+    _speaking,
+    app,
+    console,
+    note,
+)
+from twin.logs.log import beside
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
+from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.sensors import FAULTS_HELP, GRADES, SensorSuite, parse_faults
+
+
+@app.command("simulate")
+@_speaking
+def simulate_command(
+    manoeuvre: Annotated[str, typer.Argument(help=f"One of: {', '.join(MANOEUVRES)}.")] = "turn",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Log to write; <manoeuvre>_<seed>.csv.")
+    ] = None,
+    vessel: Annotated[
+        str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
+    ] = "usv75",
+    duration: Annotated[
+        float, typer.Option(min=1.0, max=86400.0, help="Length of the run, s.")
+    ] = 120.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sea and sensors.")] = 0,
+    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    hs: HsOption = None,
+    wind: WindOption = None,
+    wind_from: WindFromOption = None,
+    faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
+    fault_start: Annotated[
+        float, typer.Option(help="When a fault given by its seconds begins, s.")
+    ] = 85.0,
+    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    dof: DofOption = 3,
+) -> None:
+    """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
+    from twin.benchmark.runner.figures import picture_of_log
+
+    boat = Vessel.load(vessel)
+    degrees = None if wind_from is None else math.radians(wind_from)
+    state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=degrees)
+    suite, broken = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
+    for fault in broken:
+        if getattr(fault, "start", 0.0) >= duration:
+            note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
+    path = out or Path(f"{manoeuvre}_{seed}.csv")
+    log = simulate(
+        manoeuvre,
+        vessel=boat,
+        sea=state,
+        duration=duration,
+        seed=seed,
+        faults=broken,
+        suite=suite,
+        dof=dof,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log.write(path)
+    particulars, picture = beside(path, ".toml"), beside(path, ".png")
+    particulars.write_text(particulars_of(boat, suite, dof).to_toml(), encoding="utf-8")
+    windows = bench.gps_windows(broken)
+    picture_of_log(log, picture, windows)
+    console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")

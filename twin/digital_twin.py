@@ -1,0 +1,289 @@
+"""The twin as its users meet it: fed row by row or with a log, asked for predictions."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.checkpoint import StateError, read, write
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
+
+__all__ = [
+    "PLANS",
+    "Twin",
+    "TwinError",
+    "known_plan",
+]
+
+Array = NDArray[np.float64]
+
+PLANS = ("hold", "known")
+"""``hold``: the last command stays. ``known``: the commands that the log went on with."""
+
+
+class TwinError(ValueError):
+    """Rows or plans that the twin cannot use; the message names the entry and the remedy."""
+
+
+class Twin:
+    """What a computer on the boat can know of it, kept up to date row by row.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat and its instruments.
+    predictor : str or Predictor
+        A name in ``twin.PREDICTORS``, or a predictor of your own.
+    seed : int
+        For predictors that draw random numbers.
+    **options
+        Handed to the predictor's class.
+
+    Attributes
+    ----------
+    predictor : Predictor
+        What believes and predicts.
+    name : str or None
+        Its name in ``twin.PREDICTORS``; None for one of your own.
+    t : float
+        Time of the last row, s; NaN before the first.
+    cmd : ndarray, shape (4,)
+        Its command.
+
+    Examples
+    --------
+    >>> from twin import Log, Particulars, Twin, recorded_runs
+    >>> path = recorded_runs()["boat1_usv_circle"]
+    >>> twin = Twin(Particulars.load(path.with_name("boat1_usv_circle.toml")))
+    >>> twin.run(Log.read(path))
+    >>> prediction = twin.predict("hold", horizon=10.0)
+    >>> prediction.mean.shape
+    (40, 6)
+    """
+
+    def __init__(
+        self,
+        particulars: Particulars,
+        predictor: str | Predictor = DEFAULT,
+        *,
+        seed: int = 0,
+        **options: Any,
+    ) -> None:
+        self.particulars = particulars
+        self.name = None if isinstance(predictor, Predictor) else predictor
+        self.seed, self.options = seed, options
+        if isinstance(predictor, Predictor):
+            self.predictor = predictor
+        else:
+            self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
+        self.t = math.nan
+        self.cmd = np.zeros(len(COMMANDS))
+
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+        self.predictor.reset()
+        self.t = math.nan
+        self.cmd = np.zeros(len(COMMANDS))
+
+    def save(self, path: str | Path) -> None:
+        """Write all that the twin knows to a file, to go on from later with :meth:`load`.
+
+        Parameters
+        ----------
+        path : str or Path
+            File, for instance ``boat.twin``. One that is there is replaced once the new one
+            is whole on the disk, so that a power cut costs no more than the time since.
+
+        Raises
+        ------
+        StateError
+            A predictor of your own keeps what is no plain data.
+        """
+        write(
+            path,
+            {
+                **{"name": self.name, "seed": self.seed, "options": self.options},
+                **{"particulars": self.particulars, "predictor": self.predictor},
+                **{"t": self.t, "cmd": self.cmd},
+            },
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, predictor: Predictor | None = None) -> Twin:
+        """Return the twin that :meth:`save` wrote: it goes on as if it had never stopped.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        predictor : Predictor, optional
+            Where the saved one was handed in as an object: a newly made one of the same class
+            for the same boat, which is given what the saved one remembers.
+
+        Returns
+        -------
+        Twin
+            Continuing it gives the same bits, by the same versions of the packages.
+
+        Raises
+        ------
+        StateError
+            The file is no saved twin, is damaged, of another format, or not made for this
+            predictor or boat; the message says which.
+        """
+        saved = read(path)
+        particulars: Particulars = saved.restore("particulars")
+        name, seed = saved.restore("name"), saved.restore("seed")
+        options = saved.restore("options")
+        if predictor is not None:
+            if predictor.particulars != particulars:
+                raise StateError(
+                    f"{path}: was made for the boat {particulars.name!r} with other particulars "
+                    f"or instruments than {predictor.particulars.name!r}; use the same ones"
+                )
+            twin = cls(particulars, predictor)
+        elif name is None:
+            raise StateError(
+                f"{path}: was saved with a predictor of its owner's; hand a new one of that "
+                "class in: Twin.load(path, predictor=...)"
+            )
+        elif name not in PREDICTORS:
+            raise StateError(
+                f"{path}: was saved with the predictor {name!r}, which is not known here; known: "
+                f"{', '.join(PREDICTORS)}"
+            )
+        else:
+            twin = cls(particulars, name, seed=seed, **options)
+        twin.name, twin.seed, twin.options = name, seed, options
+        kept = saved.restore("predictor", twin.predictors.base)
+        if kept is not twin.predictors.base:
+            raise StateError(
+                f"{path}: holds a {type(kept).__name__}, not a "
+                f"{type(twin.predictors.base).__name__}; hand in a predictor of that class"
+            )
+        twin.t, twin.cmd = saved.restore("t"), saved.restore("cmd")
+        return twin
+
+    def step(self, t: float, z: ArrayLike, cmd: ArrayLike) -> None:
+        """Take one row.
+
+        Parameters
+        ----------
+        t : float
+            Time, s; later than that of the row before.
+        z : array_like, shape (10,)
+            Measurements in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
+        cmd : array_like, shape (4,)
+            Command that was in force since the row before, in the order of
+            ``twin.logs.log.COMMANDS``.
+
+        Raises
+        ------
+        TwinError
+            Names what is wrong; the twin is then as it was before.
+        """
+        z = np.asarray(z, dtype=np.float64)
+        # what the caller does to its array later is no command
+        cmd = np.array(cmd, dtype=np.float64)
+        if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
+            raise TwinError(
+                f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
+                f"({len(MEASUREMENTS)},) and ({len(COMMANDS)},): see twin.logs.log"
+            )
+        if not math.isfinite(t) or t <= self.t:
+            raise TwinError(f"t = {t} must be finite and later than the row before ({self.t})")
+        if not math.isfinite(cmd.sum()):
+            raise TwinError(f"cmd = {cmd} holds NaN or infinity; hand in the last command")
+        self.feed(t, z, cmd)
+
+    def feed(self, t: float, z: Array, cmd: Array) -> None:
+        """Take one row that is known to be sound: :meth:`step` without its checks."""
+        self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
+        self.t, self.cmd = t, cmd
+
+    def run(self, log: Log) -> None:
+        """Take every row of a log, one after the other."""
+        for t, z, cmd in log:
+            self.step(t, z, cmd)
+
+    def estimate(self) -> Estimate:
+        """Return state and parameters as believed now, with standard deviations."""
+        return self.predictor.estimate()
+
+    def predict(
+        self, plan: str | ArrayLike = "hold", *, horizon: float = 10.0, dt: float = 0.25
+    ) -> Prediction:
+        """Predict where the boat will be; nothing of the twin changes by it.
+
+        Parameters
+        ----------
+        plan : "hold" or array_like, shape (K, 4)
+            Commands of the future: row k is in force from k to k + 1 times dt from now.
+            ``"hold"`` keeps the last command. The commands that a log went on with
+            (``"known"`` in the benchmark) come as an array from :func:`known_plan`.
+        horizon : float
+            How far, s, with ``"hold"``; an array is as long as it is.
+        dt : float
+            Time between rows of the plan and of the answer, s.
+
+        Returns
+        -------
+        Prediction
+
+        Raises
+        ------
+        TwinError
+            Names what is wrong with the plan, and the remedy.
+        """
+        if not (math.isfinite(dt) and dt > 0.0 and math.isfinite(horizon) and horizon > 0.0):
+            raise TwinError(f"horizon = {horizon} and dt = {dt} must be finite and above 0")
+        if isinstance(plan, str):
+            if plan == "known":
+                raise TwinError(
+                    "plan = 'known': a twin does not know the commands to come; take them from "
+                    "a log, as plan=known_plan(log, row, horizon, dt), with the same dt"
+                )
+            if plan != "hold":
+                raise TwinError(f"plan = {plan!r}; use 'hold' or an array of commands (K, 4)")
+            rows = np.tile(self.cmd, (max(round(horizon / dt), 1), 1))
+        else:
+            rows = np.ascontiguousarray(plan, dtype=np.float64)
+            if rows.ndim != 2 or rows.shape[1] != len(COMMANDS) or len(rows) == 0:
+                raise TwinError(
+                    f"plan has shape {rows.shape}; it must be (K, {len(COMMANDS)}), with the "
+                    f"columns {', '.join(COMMANDS)}"
+                )
+            if not np.isfinite(rows).all():
+                raise TwinError("plan holds NaN or infinity; every command must be a number")
+        return self.predictor.predict(rows, dt)
+
+
+def known_plan(log: Log, row: int, horizon: float, dt: float) -> Array:
+    """Return the commands that a log went on with after a row.
+
+    Parameters
+    ----------
+    log : Log
+        The run.
+    row : int
+        Row at which the prediction is made.
+    horizon, dt : float
+        Length and step of the plan, s.
+
+    Returns
+    -------
+    ndarray, shape (K, 4)
+        The last command of the log is held where it ends.
+    """
+    middle = log.t[row] + dt * (np.arange(max(round(horizon / dt), 1)) + 0.5)
+    # a row's command was in force up to the row's time
+    rows = np.searchsorted(log.t, middle, side="left")
+    return log.cmd[np.minimum(rows, len(log) - 1)]

@@ -1,0 +1,36 @@
+"""Files written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+__all__ = [
+    "results_text",
+]
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, also if the machine dies."""
+    partial = path.with_name(f".{os.getpid()}_{path.name}")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def results_text(results: dict[str, Any]) -> str:
+    """Return results as JSON with a line for each row of each table."""
+    lines = []
+    for key, value in results.items():
+        text = json.dumps(value, indent=1) if isinstance(value, dict) else json.dumps(value)
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            text = "[\n  " + ",\n  ".join(json.dumps(row) for row in value) + "\n ]"
+        lines.append(f" {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"

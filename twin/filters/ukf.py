@@ -1,0 +1,523 @@
+"""The unscented Kalman filter for a state plus many constant parameters; it knows no ship.
+
+The filter's vector is x = (s, xi): ``n_s`` states that move and are measured, then ``n_xi``
+parameters that stand still but for a random walk. The caller's model must be affine in xi,
+
+    f(s, xi) = f(s, 0) + slope(s) xi,
+
+and the measurement is z = s + noise, each entry present or not. Then, of the 1 + 2 (n_s +
+n_xi) sigma points, those that move xi alone can be summed by hand: only 1 + 2 n_s are sent
+through the model, and the result is that of the full filter for any alpha, beta and kappa.
+
+A step is three calls, with the model in the middle:
+
+1. :func:`sigma_points` writes the points;
+2. the caller replaces the s part of each point by the model's answer, and writes the slope
+   at the centre point;
+3. :func:`time_update` forms the predicted mean and covariance;
+
+and :func:`measurement_update` when something was measured. All three share one array
+``work`` from :func:`workspace`; its slots hold
+
+- ``work[POINTS]`` (1 + 2 n_s rows): sigma points, the centre first, then those up, then down;
+- ``work[ROOT]`` (n_s rows): the first rows of the upper Cholesky factor of P;
+- ``work[SLOPE]`` (n_s rows): derivative of the model's answer by x, of which only the xi
+  columns (n_s and up) are read, and there only those within ``limits``;
+- ``work[SCRATCH]``: room for what is in between.
+
+Their first n = n_s + n_xi columns count. Rows are filled up with zeros to whole groups of lanes, so
+that what one sum has written in vectors the next one reads in the same.
+
+P is kept exactly symmetric, and neither x nor P ever becomes NaN or infinite:
+
+- Where rounding has left P without a Cholesky factor, its correlations are dropped;
+- where a prediction overflows, x stays, and P loses its correlations and grows by Q;
+- an entry of z that is not finite counts as missing, and none is believed beyond 1e-10 of the
+  variance that it meets.
+
+The first two are counted in what the functions return. They tell of a filter that followed an
+absurd measurement for want of a gate, or that predicted for too long without any.
+
+Source: Qu et al. 2025, Eq (28)-(34) with the corrections of Wan and van der Merwe (2000);
+physics.md section 7, performance.md "The structured UKF".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.filters.linalg import add_product
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import wrap
+from usv_kernel.simd import accumulate, combine, filled, inner, transpose
+
+__all__ = [
+    "POINTS",
+    "ROOT",
+    "SCRATCH",
+    "SLOPE",
+    "StructuredUKF",
+    "measurement_update",
+    "scaled_weights",
+    "sigma_points",
+    "time_update",
+    "workspace",
+]
+
+Array = NDArray[np.float64]
+
+POINTS, ROOT, SLOPE, SCRATCH = 0, 1, 2, 3
+"""Slots of the work array."""
+
+SPREAD, MEAN_0, COVARIANCE_0, OTHERS = 0, 1, 2, 3
+"""Entries of the weights."""
+
+_PIVOT_MIN = 1e-14
+"""Below this part of a variance, what a difference leaves of it is rounding."""
+
+_NOISE_MIN = 1e-10
+"""A measurement is not believed beyond this part of the variance that it meets."""
+
+_OVERFLOW = 1e12
+"""No state in SI units is as large as this, nor its variance as its square."""
+
+
+def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Array:
+    """Return the weights of the scaled unscented transform.
+
+    Parameters
+    ----------
+    n : int
+        Length of x, states and parameters.
+    alpha, beta, kappa : float
+        Spread of the points, weight of the centre in the covariance, second spread. A small
+        alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
+
+    Returns
+    -------
+    (4,) array
+        Square of the points' distance in standard deviations, alpha^2 (n + kappa); weight of
+        the centre in the mean; in the covariance; weight of each other point.
+
+    Source: physics.md section 7.1; Wan and van der Merwe 2000.
+    """
+    spread = alpha**2 * (n + kappa)
+    if not spread > 0.0:
+        raise ValueError(f"alpha^2 (n + kappa) = {spread} must be above 0")
+    mean_0 = 1.0 - n / spread
+    return np.array([spread, mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / spread])
+
+
+def workspace(n_s: int, n_xi: int) -> Array:
+    """Return the array that the kernels work in; see the head of this file for its slots.
+
+    Parameters
+    ----------
+    n_s, n_xi : int
+        Number of states and of parameters.
+
+    Returns
+    -------
+    (4, 1 + 2 n_s, width) array
+        Zeros; the width is a multiple of :data:`usv_kernel.simd.LANES`.
+    """
+    return np.zeros((4, 1 + 2 * n_s, filled(2 * n_s + n_xi + 1)))
+
+
+@inlined
+def _eliminate(rows, factors, j):
+    """Write factors[0, j] of row j and factors[0, i] of the rows i before it to row j."""
+    width = rows.shape[1]
+    combine(rows, j * width, width, factors, j, -1, 1.0, rows, j * width, -width, j + 1)
+
+
+@kernel
+def _factorise(P, root, factors, n_s):
+    """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist.
+
+    They do not either where a parameter would be left a negative variance, given the states.
+    """
+    n = P.shape[0]
+    for j in range(n_s):
+        row, origin = root[j, :n], P[j]
+        for k in range(n):
+            row[k] = origin[k]
+    for j in range(n_s):
+        pivot = P[j, j]
+        for i in range(j):
+            pivot -= root[i, j] * root[i, j]
+        if not (pivot > _PIVOT_MIN * P[j, j] and pivot < _OVERFLOW**2):
+            return False
+        scale = 1.0 / math.sqrt(pivot)
+        for i in range(j):
+            factors[0, i] = -scale * root[i, j]
+        factors[0, j] = scale
+        _eliminate(root, factors, j)
+        for i in range(j):
+            root[j, i] = 0.0
+    own, rest = P[n_s:, n_s:], factors[0, n_s:n]
+    for k in range(n - n_s):
+        rest[k] = own[k, k]
+    for j in range(n_s):
+        row = root[j, n_s:n]
+        for k in range(n - n_s):
+            rest[k] -= row[k] * row[k]
+    left = True
+    for k in range(n - n_s):
+        left = left and rest[k] > _PIVOT_MIN * own[k, k]
+    return left
+
+
+@kernel
+def _decorrelate(P):
+    """Keep of P its variances only, as far as they are some."""
+    n = P.shape[0]
+    for i in range(n):
+        for k in range(n):
+            if k != i:
+                P[i, k] = 0.0
+        if not P[i, i] > _PIVOT_MIN:  # NaN as well
+            P[i, i] = _PIVOT_MIN
+        P[i, i] = min(P[i, i], _OVERFLOW)
+
+
+@kernel
+def sigma_points(x, P, weights, work):
+    """Write the sigma points that move a state to ``work[POINTS]``.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Mean, states first.
+    P : (n, n) array
+        Covariance; changed only where it has no Cholesky factor, see the head of this file.
+    weights : (4,) array
+        From :func:`scaled_weights`.
+    work : (4, 1 + 2 n_s, width) array
+        From :func:`workspace`; fills the points and the root.
+
+    Returns
+    -------
+    int
+        Number of repairs of P; 0 as a rule.
+
+    Source: Eq (29) with n + lambda in place of n + k; physics.md section 7.2.
+    """
+    n = x.shape[0]
+    n_s = (work.shape[1] - 1) // 2
+    points = work[POINTS]
+    root = work[ROOT]
+    repairs = 0
+    if not _factorise(P, root, work[SCRATCH], n_s):
+        _decorrelate(P)
+        _factorise(P, root, work[SCRATCH], n_s)
+        repairs = 1
+    distance = math.sqrt(weights[SPREAD])
+    for k in range(n):
+        points[0, k] = x[k]
+        root[n_s, k] = x[k]
+    # each is a row of the root, so many standard deviations off the mean, which follows the root
+    sides, width = work[SCRATCH], points.shape[1]
+    sides[0, 0], sides[0, 1], sides[0, 2] = distance, 1.0, -distance
+    for j in range(n_s):
+        row, apart = j * width, (n_s - j) * width
+        combine(points, width + row, n, sides, 0, 1, 1.0, root, row, apart, 2)
+        down = width * (1 + n_s) + row
+        combine(points, down, n, sides, 2, -1, 1.0, root, row, apart, 2)
+    return repairs
+
+
+@kernel
+def _hold(P, Q_s, q_xi):
+    """Let the states stand still, uncorrelated, under process noise; return 1, to be counted."""
+    n_s = Q_s.shape[0]
+    _decorrelate(P)
+    for i in range(n_s):
+        for k in range(n_s):
+            P[i, k] += Q_s[i, k]
+    for k in range(q_xi.shape[0]):
+        P[n_s + k, n_s + k] += q_xi[k]
+    return 1
+
+
+@kernel
+def time_update(x, P, Q_s, q_xi, limits, weights, work):
+    """Turn the propagated sigma points into the predicted mean and covariance.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Mean; predicted in place.
+    P : (n, n) array
+        Covariance, as :func:`sigma_points` left it; predicted in place.
+    Q_s : (n_s, n_s) array
+        Process noise of the states for this step; symmetric.
+    q_xi : (n_xi,) array
+        Variance that each parameter's random walk adds in this step.
+    limits : (n_s, 2) array of int
+        First and last + 1 of the columns in which a row of the slope may differ from 0,
+        counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one.
+    weights : (4,) array
+        From :func:`scaled_weights`.
+    work : (4, 1 + 2 n_s, width) array
+        As :func:`sigma_points` left it, but with the model's answer in the first n_s columns
+        of ``work[POINTS]`` and its slope in ``work[SLOPE]``; both are used up.
+
+    Returns
+    -------
+    int
+        1 if the prediction was dropped because it overflowed, else 0.
+
+    Source: Eq (30) with the noise added once; performance.md "The structured UKF".
+    """
+    n = x.shape[0]
+    n_s = (work.shape[1] - 1) // 2
+    points = work[POINTS]
+    root = work[ROOT]
+    slope = work[SLOPE]
+    rows = work[SCRATCH]  # The first n_s become rows of P'_sx.
+    width = rows.shape[1]
+    common = n_s  # rows[common + j, i] is slope_l . G_j, what slope and root have in common.
+    error = 2 * n_s  # rows[error] is the answer at the centre less the mean.
+
+    # The mean. Each pair of answers becomes half its difference and its middle less the mean;
+    # a pair counts twice the weight of a point, whose root goes into the numbers.
+    scale = math.sqrt(2.0 * weights[OTHERS])
+    for i in range(n_s):
+        rows[error, i] = 0.0
+    for j in range(1, 1 + n_s):
+        for i in range(n_s):
+            up = points[j, i] - points[0, i]
+            down = points[j + n_s, i] - points[0, i]
+            points[j, i] = scale * 0.5 * (up - down)
+            points[j + n_s, i] = 0.5 * (up + down)
+            rows[error, i] -= weights[OTHERS] * (up + down)
+    for j in range(1 + n_s, 1 + 2 * n_s):
+        for i in range(n_s):
+            points[j, i] = scale * (points[j, i] + rows[error, i])
+    tame = True
+    for i in range(n_s):
+        points[0, i] -= rows[error, i]
+        tame = tame and abs(points[0, i]) < _OVERFLOW
+
+    # P'_sx = slope P_xx + (difference - slope G') G, which is the points' part and slope C
+    # with C = P_xx - G'G. The factor of G takes the place of the root's own s columns.
+    for j in range(n_s):
+        for i in range(n_s):
+            first = limits[i, 0]
+            product = inner(slope, i * width + first, root, j * width + first, limits[i, 1] - first)
+            rows[common + j, i] = product
+            root[j, i] = points[1 + j, i] - product
+    centre = weights[COVARIANCE_0] + 2.0 * (n - n_s) * weights[OTHERS]
+    for i in range(n_s):
+        first = limits[i, 0]
+        combine(
+            *(rows, i * width + n_s, n - n_s),
+            *(slope, i * width + first, 1, 1.0),
+            *(P, first * n + n_s, n, limits[i, 1] - first),
+        )
+        # P'_ss takes the slope's s columns until all of it is known to be finite.
+        for q in range(i + 1):
+            first = limits[q, 0]
+            product = inner(rows, i * width + first, slope, q * width + first, limits[q, 1] - first)
+            product += Q_s[i, q] + centre * rows[error, i] * rows[error, q]
+            slope[i, q] = product
+            slope[q, i] = product
+    add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
+    add_product(slope, points, points, n_s, 0, n_s, 1, 1 + 2 * n_s, 1.0)
+    add_product(slope, rows, rows, n_s, 0, n_s, common, common + n_s, -1.0)
+
+    for i in range(n_s):
+        tame = tame and slope[i, i] < _OVERFLOW**2
+    if not tame:
+        return _hold(P, Q_s, q_xi)
+    for i in range(n_s):
+        x[i] = points[0, i]
+        for k in range(n_s):
+            P[i, k] = slope[i, k]
+        # Loops over views begin at 0, where no index can be taken for one from the end.
+        across, row = P[i, n_s:], rows[i, n_s:n]
+        for k in range(n - n_s):
+            across[k] = row[k]
+    transpose(P, n_s * n, n, P, n_s, n, n_s, n - n_s)
+    own = P[n_s:, n_s:]
+    for k in range(n - n_s):
+        own[k, k] += q_xi[k]
+    return 0
+
+
+@kernel
+def measurement_update(x, P, z, mask, R, angle, gate, work):
+    """Correct mean and covariance by a measurement of the states, as far as there is one.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Mean; corrected in place.
+    P : (n, n) array
+        Covariance; corrected in place.
+    z : (n_s,) array
+        Measured states; what is not finite counts as missing.
+    mask : (n_s,) array of bool
+        Entries of z that were measured.
+    R : (n_s, n_s) array
+        Covariance of the measurement noise; symmetric.
+    angle : int
+        Index of a state in radians, whose innovation is wrapped; -1 if there is none.
+    gate : float
+        Normalised innovation squared above which the measurement is refused as a whole;
+        infinity to refuse none.
+    work : (4, 1 + 2 n_s, width) array
+        From :func:`workspace`.
+
+    Returns
+    -------
+    float
+        Normalised innovation squared; chi-square of as many degrees as there were entries.
+        Above ``gate``, or infinite, it says that x and P were left as they were.
+
+    Source: Eq (31)-(33) for z = s + noise; physics.md section 7.2.
+    """
+    # Elimination turns the rows (P_s | S | y) of what was measured, with S = P_ss + R = L L',
+    # into L^-1 P_s, L' and L^-1 y; those of what was not are left 0.
+    n = x.shape[0]
+    n_s = z.shape[0]
+    rows = work[SCRATCH]
+    width = rows.shape[1]
+    S = n
+    y = n + n_s
+    factors = work[POINTS]
+    for i in range(n_s):
+        row, origin = rows[i], P[i]
+        for k in range(n):
+            row[k] = origin[k]
+        for k in range(n_s):
+            row[S + k] = origin[k] + R[i, k]
+        row[y] = z[i] - x[i]
+        if i == angle:
+            row[y] = wrap(row[y])
+    nis = 0.0
+    for i in range(n_s):
+        row = rows[i]
+        pivot = P[i, i] + max(R[i, i], _NOISE_MIN * P[i, i])
+        floor = _PIVOT_MIN * pivot
+        for j in range(i):
+            pivot -= rows[j, S + i] * rows[j, S + i]
+        # an entry may also repeat the others to the last digit
+        if not (mask[i] and abs(z[i]) < _OVERFLOW and pivot > floor and pivot < _OVERFLOW**2):
+            row[:] = 0.0
+            continue
+        scale = 1.0 / math.sqrt(pivot)
+        for j in range(i):
+            factors[0, j] = -scale * rows[j, S + i]
+        factors[0, i] = scale
+        _eliminate(rows, factors, i)
+        nis += row[y] * row[y]
+    if not (nis <= gate and nis < math.inf):
+        return nis
+
+    accumulate(x, 0, n, rows, y, width, 1.0, rows, 0, width, n_s)
+    least = work[ROOT, 0]
+    for i in range(n):
+        least[i] = _PIVOT_MIN * P[i, i]
+    add_product(P, rows, rows, n, 0, n, 0, n_s, -1.0)
+    for i in range(n):
+        P[i, i] = max(P[i, i], least[i])
+    return nis
+
+
+class StructuredUKF:
+    """The filter as an object, for notebooks and tests.
+
+    Parameters
+    ----------
+    x : (n_s + n_xi,) array
+        Mean, states first.
+    P : (n_s + n_xi, n_s + n_xi) array
+        Covariance.
+    n_s : int
+        Number of states.
+    limits : (n_s, 2) array of int or None
+        Where the slope may differ from 0, see :func:`time_update`; None: everywhere.
+    alpha, beta, kappa : float
+        Of :func:`scaled_weights`.
+    """
+
+    def __init__(
+        self,
+        x: ArrayLike,
+        P: ArrayLike,
+        n_s: int,
+        limits: ArrayLike | None = None,
+        alpha: float = 1.0,
+        beta: float = 2.0,
+        kappa: float = 0.0,
+    ) -> None:
+        self.x: Array = np.array(x, dtype=np.float64)
+        self.P: Array = np.array(P, dtype=np.float64)
+        n = len(self.x)
+        everywhere = np.tile(np.array([n_s, n]), (n_s, 1))
+        self.limits = everywhere if limits is None else np.array(limits, dtype=np.int64)
+        self.weights = scaled_weights(n, alpha, beta, kappa)
+        self.work = workspace(n_s, n - n_s)
+        self.n_s = n_s
+
+    def predict(
+        self, model: Callable[[Array, Array], None], Q_s: ArrayLike, q_xi: ArrayLike
+    ) -> int:
+        """Predict over one step.
+
+        Parameters
+        ----------
+        model : callable
+            ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the
+            (1 + 2 n_s, n) sigma points by those one step later, and the (n_s, n) slope by
+            their derivative by x at ``points[0]`` (only its columns n_s and up count).
+        Q_s : (n_s, n_s) array
+            Process noise of the states for this step.
+        q_xi : (n_xi,) array
+            Variances of the parameters' random walk for this step.
+
+        Returns
+        -------
+        int
+            Number of repairs; 0 as a rule.
+        """
+        repairs = sigma_points(self.x, self.P, self.weights, self.work)
+        n = len(self.x)
+        model(self.work[POINTS, :, :n], self.work[SLOPE, : self.n_s, :n])
+        return repairs + time_update(
+            self.x,
+            self.P,
+            np.asarray(Q_s, dtype=np.float64),
+            np.asarray(q_xi, dtype=np.float64),
+            self.limits,
+            self.weights,
+            self.work,
+        )
+
+    def update(self, z: ArrayLike, R: ArrayLike, angle: int = -1, gate: float = math.inf) -> float:
+        """Correct by a measurement of the states.
+
+        Parameters
+        ----------
+        z : (n_s,) array
+            Measured states; NaN where there is none.
+        R : (n_s, n_s) array
+            Covariance of the measurement noise.
+        angle, gate
+            See :func:`measurement_update`.
+
+        Returns
+        -------
+        float
+            Normalised innovation squared.
+        """
+        z = np.asarray(z, dtype=np.float64)
+        R = np.asarray(R, dtype=np.float64)
+        mask = np.isfinite(z)
+        return measurement_update(self.x, self.P, z, mask, R, angle, gate, self.work)

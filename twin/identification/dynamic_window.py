@@ -1,0 +1,441 @@
+"""The paper's dynamic sliding window: how many samples the identifier looks back on.
+
+The window has W = w + w_r samples (Eq 35). Its variable part w_r follows from a fluctuation
+index of wind and waves (Eq 37) and from a nonlinearity index (Eq 39) that rests on the
+largest Lyapunov exponent of the motion; a lateral acceleration above 0.3 g doubles the
+window. It is adjusted when a period has elapsed that shrinks with the innovation covariance
+(Eq 36). The adaptation of Q and R (Eq 52) stands here as well.
+
+Equations are numbered as the paper prints them beside its formulas: (34) is the augmented
+state, (35) W, (36) the period, (37) the fluctuation index, (38) the exponent, (39) the
+nonlinearity index, (40) w_r, (52) the adaptation, which the text around it calls 49.
+
+Eq 38 is an estimate from one pair of points. The text names the small-data method of
+Rosenstein, Collins and De Luca (1993, Physica D 65:117-134), and that is what is computed.
+
+None of this is recommended: with 15 noisy samples the exponent measures the noise, and no
+reading of the window was found to beat a plain filter. It is here to reproduce the paper.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.identification.lyapunov import rosenstein, rosenstein_length
+
+__all__ = [
+    "ENVIRONMENT_FORMS",
+    "NOISE_FORMS",
+    "PERIOD_FORMS",
+    "DynamicWindow",
+    "WaveProxy",
+    "adjustment_period",
+    "environment_index",
+    "nonlinearity_index",
+]
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+
+ACCEL_MAX = 1e6
+"""What an accelerometer says beyond this, m/s2, is not taken for a motion."""
+"""Acceleration of gravity, m/s2."""
+
+ENVIRONMENT_FORMS = ("third", "half", "product", "off")
+"""``third``: Eq 37 as printed, with 1/3 over two terms. ``half``: their mean.
+``product``: line 3 of Algorithm 1, Hs times Vw. ``off``: 0, as in steady weather."""
+
+PERIOD_FORMS = ("continuous", "binary", "none")
+"""``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1. ``none``: adjust in every call."""
+
+NOISE_FORMS = ("literal", "signed")
+"""``literal``: Eq 52 as printed, which only grows. ``signed``: the error may be negative."""
+
+EXPONENT_MAX = 50.0
+"""Largest exponent in Eq 39; beyond it S is huge anyway, and must stay finite."""
+
+
+def environment_index(hs: ArrayLike, vw: ArrayLike, *, form: str = "third") -> float:
+    """Return how much waves and wind fluctuate within the window.
+
+    Parameters
+    ----------
+    hs : array_like, shape (n,)
+        Significant wave height, m, or anything proportional to it; NaN = missing.
+    vw : array_like, shape (n,)
+        Wind speed, m/s; NaN = missing.
+    form : str
+        One of :data:`ENVIRONMENT_FORMS`. The product has the unit m2/s, takes the latest
+        samples, and is meaningless with a proxy of the wave height.
+
+    Returns
+    -------
+    float
+        Index V. A quantity that is missing or zero throughout adds nothing.
+
+    Notes
+    -----
+    Source: Qu et al. 2025, Eq 37, and Algorithm 1, line 3.
+    """
+    if form not in ENVIRONMENT_FORMS:
+        raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(ENVIRONMENT_FORMS)}")
+    if form == "off":
+        return 0.0
+    samples = [values[np.isfinite(values)] for values in map(_floats, (hs, vw))]
+    if form == "product":
+        if any(values.size == 0 for values in samples):
+            return 0.0
+        return float(samples[0][-1] * samples[1][-1])
+    total = 0.0
+    for values in samples:
+        mean = abs(float(values.mean())) if values.size else 0.0
+        if mean > 0.0:
+            total += float(values.std()) / mean
+    return total / (3.0 if form == "third" else 2.0)  # Eq 37
+
+
+def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
+    """Return the mean growth of a small difference over the window.
+
+    Parameters
+    ----------
+    lambda_max : float
+        Largest Lyapunov exponent, 1/s; NaN (unknown) counts as 0.
+    W : int
+        Window length, samples; above 0.
+    dt : float
+        Sampling interval, s.
+
+    Returns
+    -------
+    float
+        Index S: above 1 if differences grow, 1 if they stay.
+
+    Notes
+    -----
+    Source: Qu et al. 2025, Eq 39.
+    """
+    if W < 1 or not (math.isfinite(dt) and dt >= 0.0):
+        raise ValueError(f"W = {W} must be 1 or more, dt = {dt} finite and 0 or more")
+    if math.isnan(lambda_max):
+        return 1.0
+    rate = min(max(lambda_max, -1e12), 1e12)
+    return float(np.exp(np.minimum(rate * dt * np.arange(W), EXPONENT_MAX)).mean())  # Eq 39
+
+
+def adjustment_period(
+    trace_P: float, *, base: float = 10.0, limit: float = 1.5**2, form: str = "continuous"
+) -> float:
+    """Return the time between two adjustments of the window.
+
+    Parameters
+    ----------
+    trace_P : float
+        Trace of the innovation covariance, 0 or more; NaN (unknown) counts as 0.
+    base : float
+        Base period T0, s.
+    limit : float
+        Upper limit P_max, in the unit of the trace.
+    form : str
+        One of :data:`PERIOD_FORMS`.
+
+    Returns
+    -------
+    float
+        Period T, s.
+
+    Notes
+    -----
+    Source: Qu et al. 2025, Eq 36, and Algorithm 1, lines 5-8. The two agree only at
+    ``trace_P == limit``.
+    """
+    if form not in PERIOD_FORMS:
+        raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(PERIOD_FORMS)}")
+    if form == "none":
+        return 0.0
+    trace = 0.0 if math.isnan(trace_P) else max(trace_P, 0.0)
+    if form == "binary":
+        return 0.5 * base if trace > limit else base
+    return base / (1.0 + trace / limit)  # Eq 36
+
+
+class WaveProxy:
+    """Running RMS of the wave-frequency acceleration: what a boat knows of the wave height.
+
+    No sensor on board measures Hs. The RMS of the acceleration that waves cause is
+    proportional to it as long as their period and the boat's course stay the same. Eq 37
+    uses only standard deviation over mean, in which the factor cancels.
+
+    Parameters
+    ----------
+    cutoff_period : float
+        Motions slower than this (manoeuvres, tilt, bias) are taken out, s.
+    memory : float
+        Time constant of the mean square, s. The longer it is, the smaller the fluctuation
+        that Eq 37 sees in a short window: 10 s gives a few per cent.
+
+    Attributes
+    ----------
+    value : float
+        Latest RMS, m/s2; NaN before the first sample.
+    """
+
+    def __init__(self, *, cutoff_period: float = 8.0, memory: float = 10.0) -> None:
+        for name, value in (("cutoff_period", cutoff_period), ("memory", memory)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} = {value} must be a finite number above 0")
+        self._slow = cutoff_period / (2.0 * math.pi)
+        self._memory = memory
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self.value = math.nan
+        self._mean = 0.0
+        self._square = 0.0
+        self._weight = 0.0
+
+    def update(self, dt: float, accel: float) -> float:
+        """Take one sample.
+
+        Parameters
+        ----------
+        dt : float
+            Time since the sample before, s.
+        accel : float
+            Vertical or lateral specific force, m/s2; NaN = missing, the value is held.
+
+        Returns
+        -------
+        float
+            RMS of the fast part, m/s2; NaN before the first sample.
+
+        Raises
+        ------
+        ValueError
+            If dt is negative or not finite.
+        """
+        if not (math.isfinite(dt) and dt >= 0.0):
+            raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
+        if not abs(accel) < ACCEL_MAX:
+            return self.value
+        if math.isnan(self.value):
+            self._mean = accel
+        self._mean += (1.0 - math.exp(-dt / self._slow)) * (accel - self._mean)
+        # The weight of the start is divided out: the RMS is unbiased from the beginning.
+        gain = 1.0 - math.exp(-dt / self._memory)
+        self._square += gain * ((accel - self._mean) ** 2 - self._square)
+        self._weight += gain * (1.0 - self._weight)
+        self.value = math.sqrt(self._square / self._weight) if self._weight > 0.0 else 0.0
+        return self.value
+
+
+class DynamicWindow:
+    """Length of the sliding window by the rules of the paper, each of which can be switched.
+
+    Parameters
+    ----------
+    base : int
+        Fixed part w, samples; also the length at the start.
+    cap : int, optional
+        Largest variable part w_r, samples; by default ``base``. As printed, Eq 40 gives
+        some 40 samples even in calm water, but the doubling rule implies w_r <= w.
+    gamma_env, gamma_nonlin : float
+        Weights of Eq 40.
+    environment : str
+        Form of Eq 37, one of :data:`ENVIRONMENT_FORMS`.
+    lyapunov : bool
+        Follow the exponent; False takes it for 0, so that S = 1.
+    period : str
+        Form of Eq 36, one of :data:`PERIOD_FORMS`.
+    base_period, trace_limit : float
+        T0, s, and P_max of Eq 36.
+    calm_rule : bool
+        Set w_r = 0 if V < calm_env and S < calm_nonlin.
+    calm_env, calm_nonlin : float
+        Thresholds of that rule.
+    doubling : bool
+        Set w_r to its cap at once, in any row, if abs(a_y) is above ``accel_limit``. This
+        counts as an adjustment: the length then holds for a period.
+    accel_limit : float
+        Threshold, m/s2; 0.3 g.
+    emb_dim, lag, min_tsep, trajectory_len : int
+        Options of :func:`rosenstein`.
+
+    Attributes
+    ----------
+    W, w_r : int
+        Present length and its variable part, samples.
+    T : float
+        Adjustment period by the latest trace, s.
+    V, S, lambda_max : float
+        Indices and exponent of the latest adjustment; NaN before the first.
+
+    Notes
+    -----
+    Source: Qu et al. 2025, Eq 35-40, and Algorithm 1.
+    """
+
+    def __init__(
+        self,
+        *,
+        base: int = 15,
+        cap: int | None = None,
+        gamma_env: float = 0.6,
+        gamma_nonlin: float = 0.4,
+        environment: str = "third",
+        lyapunov: bool = True,
+        period: str = "continuous",
+        base_period: float = 10.0,
+        trace_limit: float = 1.5**2,
+        calm_rule: bool = True,
+        calm_env: float = 0.1,
+        calm_nonlin: float = 1.2,
+        doubling: bool = True,
+        accel_limit: float = 0.3 * GRAVITY,
+        emb_dim: int = 2,
+        lag: int = 1,
+        min_tsep: int = 1,
+        trajectory_len: int = 5,
+    ) -> None:
+        if base < 1 or (cap is not None and cap < 0):
+            raise ValueError(f"base = {base} must be 1 or more, cap = {cap} 0 or more")
+        if environment not in ENVIRONMENT_FORMS:
+            raise ValueError(
+                f"environment = {environment!r} is unknown; "
+                f"use one of {', '.join(ENVIRONMENT_FORMS)}"
+            )
+        if period not in PERIOD_FORMS:
+            raise ValueError(
+                f"period = {period!r} is unknown; use one of {', '.join(PERIOD_FORMS)}"
+            )
+        for name, value in (("base_period", base_period), ("trace_limit", trace_limit)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} = {value} must be a finite number above 0")
+        self.base = base
+        self.cap = base if cap is None else cap
+        self.gamma_env = gamma_env
+        self.gamma_nonlin = gamma_nonlin
+        self.environment = environment
+        self.lyapunov = lyapunov
+        self.period = period
+        self.base_period = base_period
+        self.trace_limit = trace_limit
+        self.calm_rule = calm_rule
+        self.calm_env = calm_env
+        self.calm_nonlin = calm_nonlin
+        self.doubling = doubling
+        self.accel_limit = accel_limit
+        self._embedding = {
+            "emb_dim": emb_dim,
+            "lag": lag,
+            "min_tsep": min_tsep,
+            "trajectory_len": trajectory_len,
+        }
+        self._need = rosenstein_length(**self._embedding)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the start: W = base and no samples."""
+        self.w_r = 0
+        self.T = self.base_period
+        self.V = math.nan
+        self.S = math.nan
+        self.lambda_max = math.nan
+        self._adjusted = math.nan
+        self._latest = -math.inf
+        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=self.base + self.cap)
+
+    @property
+    def W(self) -> int:
+        """Present length of the window, samples."""
+        return self.base + self.w_r  # Eq 35
+
+    def update(
+        self,
+        t: float,
+        *,
+        trace_P: float = math.nan,
+        hs: float = math.nan,
+        vw: float = math.nan,
+        a_y: float = math.nan,
+        motion: float = math.nan,
+    ) -> int:
+        """Take one row and return the length of the window.
+
+        Parameters
+        ----------
+        t : float
+            Time, s; never before the row before.
+        trace_P : float
+            Trace of the filter's innovation covariance.
+        hs : float
+            Wave height, m, or a proxy of it (:class:`WaveProxy`).
+        vw : float
+            Wind speed, m/s.
+        a_y : float
+            Lateral specific force, m/s2.
+        motion : float
+            Sample of the motion whose exponent is taken: one channel of the state, for
+            instance the speed or the yaw rate.
+
+        Returns
+        -------
+        int
+            W, from ``base`` to ``base + cap``.
+
+        Raises
+        ------
+        ValueError
+            If t is not finite or goes back.
+
+        Notes
+        -----
+        NaN = missing, in each of the values but t.
+        """
+        if not math.isfinite(t) or t < self._latest:
+            raise ValueError(f"t = {t} must be finite and not before {self._latest}")
+        if math.isnan(self._adjusted):
+            self._adjusted = t
+        self._latest = t
+        self._rows.append((t, hs, vw, motion))
+        self.T = adjustment_period(
+            trace_P, base=self.base_period, limit=self.trace_limit, form=self.period
+        )
+        if self.doubling and abs(a_y) > self.accel_limit:
+            self.w_r = self.cap
+            self._adjusted = t
+        elif t - self._adjusted >= self.T:
+            self._adjust()
+            self._adjusted = t
+        return self.W
+
+    def _adjust(self) -> None:
+        """Set w_r from the indices of the present window."""
+        rows = np.array(list(self._rows)[-self.W :])
+        self.V = environment_index(rows[:, 1], rows[:, 2], form=self.environment)
+        moving = rows[np.isfinite(rows[:, 3])]
+        span = float(moving[-1, 0] - moving[0, 0]) if len(moving) else 0.0
+        if self.lyapunov and len(moving) >= self._need and span > 0.0:
+            dt = span / (len(moving) - 1)
+            self.lambda_max = rosenstein(moving[:, 3], dt=dt, **self._embedding)
+            self.S = nonlinearity_index(self.lambda_max, self.W, dt)
+        else:
+            self.lambda_max = math.nan
+            self.S = 1.0
+        env, nonlin = self.V, self.S
+        if self.calm_rule and env < self.calm_env and nonlin < self.calm_nonlin:
+            self.w_r = 0
+            return
+        share = self.gamma_env * env + self.gamma_nonlin * nonlin  # Eq 40
+        self.w_r = int(min(max(math.floor(self.base * min(share, 1e6) + 0.5), 0), self.cap))
+
+
+def _floats(values: ArrayLike) -> Array:
+    """Return the values as an array of float64."""
+    return np.asarray(values, dtype=np.float64)

@@ -1,0 +1,149 @@
+"""Noise, prior and structure of the joint UKF, scaled to any boat."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.model.dynamics import model_of
+from twin.model.priors import population_prior
+from twin.model.structure import Structure
+from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+
+__all__ = [
+    "FilterSettings",
+    "plain_settings",
+]
+
+Array = NDArray[Any]
+
+STUDY_STEP = 0.05
+"""Step at which the noises below are quoted, s."""
+
+DISTURBED = 0.0088, 0.039
+"""What drives the velocities (times length, m2/s) and the yaw rate (times length squared,
+rad m2/s) of a tanker within a second: gusts that are no stronger for a longer model, and take
+hold of an area to move a mass."""
+
+WAVELESS, WAVELESS_TURN = 0.05, 0.005
+"""Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
+that of the gyro out."""
+
+FELT_TIME, FELT_NOISE, FELT_PUSH = 1.0, 0.3, 10.0
+"""Waves that a tanker feels: time over which they are averaged, and what their mean square adds to
+the densities of measurement noise (both in lengths over usual speed) and of process noise (in
+usual speeds over length)."""
+
+WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
+"""Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
+
+DOUBT = 1.5
+"""How much larger than in the population the variances of a tanker's parameters are taken."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Noises and prior of the joint UKF, in SI units of the boat at hand.
+
+    Parameters
+    ----------
+    structure : Structure
+        What the accelerations are made of; p parameters.
+    q : ndarray, shape (6,)
+        Variance that each state gains per second.
+    r : ndarray, shape (6,)
+        Variance of each measured state for rows 0.05 s apart (of the study boat's time);
+        rows further apart count for more, as their waves are less alike.
+    p0 : ndarray, shape (6,)
+        Variance of each state at the start.
+    q_xi : ndarray, shape (p,)
+        Variance that each parameter gains per second.
+    xi0, xi0_cov : ndarray, shapes (p,), (p, p)
+        Prior of the parameters.
+    n_unit : float
+        Shaft speeds are multiplied by this before they enter the model.
+    waves : tuple of float
+        Time (s) over which is averaged by how much the squared innovations of the velocities
+        exceed what the filter expects, and what that mean adds to the densities of measurement
+        noise (s) and process noise (1/s). With zeros nothing is.
+    alpha, beta, kappa : float
+        Spread of the sigma points.
+    """
+
+    structure: Structure
+    q: Array
+    r: Array
+    p0: Array
+    q_xi: Array
+    xi0: Array
+    xi0_cov: Array
+    n_unit: float
+    waves: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+
+
+def plain_settings(particulars: Particulars, model: str | None = None) -> FilterSettings:
+    """Return the settings of the plain joint UKF.
+
+    The model is that of the paper if none is named, but for tankers: see :func:`_of_a_tanker`.
+
+    Those that worked for a boat of 6.336 m (waterline) at 5.4 m/s and 20 Hz, scaled to any
+    boat by length and speed (Froude). The measurement noise is far above that of the
+    sensors, because the measured velocities carry the waves and the model does not.
+
+    Source: twin.md section 5.1.
+    """
+    if model is None and particulars.tanker:
+        return _of_a_tanker(particulars)
+    L, U = particulars.length / STUDY_LENGTH, particulars.speed / STUDY_SPEED
+    time = L / U
+    scale = np.array([L, L, 1.0, U, U, 1.0 / time])
+    q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
+    r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
+    p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
+    structure = model_of(particulars, model or "paper")
+    return FilterSettings(
+        structure=structure,
+        q=q**2 / (STUDY_STEP * time),
+        r=r**2 * time,
+        p0=p0**2,
+        q_xi=np.zeros(len(structure)),
+        xi0=structure.mean,
+        xi0_cov=np.diag(structure.sd**2),
+        n_unit=structure.n_unit,
+    )
+
+
+def _of_a_tanker(particulars: Particulars) -> FilterSettings:
+    """Return the settings of the plain joint UKF for a slow ship of full form.
+
+    She sails a few lengths in the minutes that others are learned in: her filter needs the model
+    and the prior of ships. What disturbs her goes by her length alone, see :data:`DISTURBED`, and
+    of waves her velocities carry those that are felt, none on a pond: both noises grow with how
+    far the innovations exceed what these small ones explain. Wind and current change while she
+    sails a length, so that the biases that stand for them wander.
+
+    Source: twin.md sections 14.2 and 14.4.
+    """
+    L, time = particulars.length, particulars.length / particulars.speed
+    along, turning = DISTURBED
+    disturbed = np.array([along / L, along / L, turning / L**2])
+    calm = plain_settings(particulars, "mmg")
+    structure = calm.structure
+    mean, covariance = population_prior(structure, particulars)
+    wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME
+    return dataclasses.replace(
+        calm,
+        q=np.concatenate([calm.q[:3], disturbed**2]),
+        r=np.array([*5 * (WAVELESS,), WAVELESS_TURN]) ** 2 * calm.r,
+        q_xi=wander,
+        xi0=mean,
+        xi0_cov=DOUBT * covariance,
+        waves=(FELT_TIME * time, FELT_NOISE * time, FELT_PUSH / time),
+    )

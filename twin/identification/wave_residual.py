@@ -1,0 +1,387 @@
+"""What the model leaves over: the waves, as an autoregressive process.
+
+The measured velocities move with the waves and the model's do not. Their difference, sampled at
+the window's step, is described by an autoregression for each of u, v and r:
+
+    w_k = a_1 w_(k-1) + ... + a_6 w_(k-6) + noise
+
+It foretells the next second or so, and its simulated paths say how far waves carry the boat from
+the model's motion later on. How high waves are for a boat, how long they seem to her and how they
+push and turn her at once all hang on her heading: paths are drawn by what was left on headings
+like those ahead.
+
+Source: twin.md sections 6 and 10 B4.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.filters.linalg import cholesky, solve_factored
+from usv_kernel.arrays import shaped
+from usv_kernel.jit import inlined, kernel
+
+__all__ = [
+    "FACTOR",
+    "ORDER",
+    "SECTORS",
+    "SECTOR_SIZE",
+    "WAVE_ROOM",
+    "between",
+    "describe_sectors",
+    "fit_waves",
+    "foretell_waves",
+    "likeness",
+    "sector_room",
+    "simulate_waves",
+]
+
+ORDER = 6
+
+RIDGE = 1e-3
+"""Part of the variance that is taken for white noise of the estimate."""
+
+ROOT_MAX = 0.98
+"""Largest root of what foretells, and largest reflection coefficient of what is drawn: waves die
+out, and never grow."""
+
+ALIKE = math.radians(20.0)
+"""How often and how hard waves strike hangs on the heading: what was left counts for headings as
+near to its own as this (standard deviation)."""
+
+SECTORS, STRANGERS = 24, 3.0
+"""Sectors of headings that are described; rows of all headings that each counts as its own."""
+
+FACTOR = 3 * ORDER
+"""Numbers of a sector before the lower triangular factor (3, 3) of its noise: coefficients."""
+
+SECTOR_SIZE = FACTOR + 9
+
+WAVE_ROOM = ORDER * ORDER + 2 * ORDER
+"""Length of the scratch of :func:`fit_waves`."""
+
+
+@kernel
+def fit_waves(w, coefficients, room):
+    """Fit an autoregression to each column, by least squares with a ridge; it is stable.
+
+    Parameters
+    ----------
+    w : (N, c) array
+        Evenly sampled residuals, about zero; more than twice :data:`ORDER` rows.
+    coefficients : (6, c) array
+        Of the last value first; written.
+    room : (WAVE_ROOM,) array
+        Scratch.
+    """
+    N = w.shape[0]
+    G = shaped(room, 0, (ORDER, ORDER))
+    rest = room[ORDER * ORDER :]
+    a, b, line = rest[:ORDER], rest[ORDER : 2 * ORDER], shaped(rest, ORDER, (1, ORDER))
+    for j in range(w.shape[1]):
+        # products with the newest value; those of older values differ in the first and last row
+        square = 0.0
+        for i in range(ORDER):
+            a[i] = 0.0
+        for n in range(ORDER, N):
+            square += w[n, j] * w[n, j]
+            for i in range(ORDER):
+                a[i] += w[n, j] * w[n - 1 - i, j]
+        trace = 0.0
+        for i in range(ORDER):
+            for k in range(i, ORDER):
+                before = (square if k == 0 else a[k - 1]) if i == 0 else G[i - 1, k - 1]
+                first = w[ORDER - 1 - i, j] * w[ORDER - 1 - k, j]
+                G[i, k] = before + first - w[N - 1 - i, j] * w[N - 1 - k, j]
+            trace += G[i, i]
+        for i in range(ORDER):
+            G[i, i] += RIDGE * trace / ORDER + 1e-12
+        if cholesky(G, G, line) > 0:
+            a[:] = 0.0
+        else:
+            solve_factored(G, a, a)
+        if not decays(a, ROOT_MAX, b):
+            shrink, part = ROOT_MAX / largest_root(a, b), 1.0
+            for i in range(ORDER):
+                part *= shrink
+                a[i] *= part
+        for i in range(ORDER):
+            coefficients[i, j] = a[i]
+
+
+@kernel
+def decays(a, size, b):
+    """Return whether all roots of an autoregression are smaller than a size.
+
+    Parameters
+    ----------
+    a : (6,) array
+        Coefficients, of the last value first.
+    size : float
+        Size.
+    b : (6,) array
+        Scratch.
+
+    Source: Schur and Cohn's test, by the recursion of Levinson and Durbin downwards.
+    """
+    part = 1.0
+    for i in range(a.shape[0]):
+        part /= size
+        b[i] = part * a[i]
+    for m in range(a.shape[0] - 1, -1, -1):
+        k = b[m]
+        if not abs(k) < 1.0:
+            return False
+        left = 1.0 / ((1.0 - k) * (1.0 + k))
+        for i in range((m + 1) // 2):
+            one, two = b[i], b[m - 1 - i]
+            b[i], b[m - 1 - i] = left * (one + k * two), left * (two + k * one)
+    return True
+
+
+@kernel
+def largest_root(a, b):
+    """Return the size of the largest root; arguments as for :func:`decays`."""
+    low, high = 0.0, 1.0
+    for i in range(a.shape[0]):
+        high = max(high, 1.0 + abs(a[i]))  # Cauchy's bound
+    while high - low > 1e-14 * high:
+        middle = 0.5 * (low + high)
+        if decays(a, middle, b):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@kernel
+def foretell_waves(past, coefficients, path):
+    """Write how an autoregression goes on without noise.
+
+    Parameters
+    ----------
+    past : (6, c) array
+        Last values, newest first.
+    coefficients : (6, c) array
+        From :func:`fit_waves`.
+    path : (K + 1, c) array
+        The newest value and the next ones.
+    """
+    for j in range(path.shape[1]):
+        path[0, j] = past[0, j]
+    for k in range(1, path.shape[0]):
+        for j in range(path.shape[1]):
+            value = 0.0
+            for i in range(ORDER):
+                value += coefficients[i, j] * (path[k - 1 - i, j] if i < k else past[i + 1 - k, j])
+            path[k, j] = value
+
+
+@inlined
+def likeness(away):
+    """Return the root of what a row counts whose heading is ``away`` (rad) from that described."""
+    return math.exp(0.5 * (math.cos(away) - 1.0) / ALIKE**2)
+
+
+@inlined
+def _sector(psi):
+    """Return the sector of a heading."""
+    return round(psi * (SECTORS / (2.0 * math.pi))) % SECTORS
+
+
+@kernel
+def _levinson(R, a):
+    """Write the autoregression of autocovariances (7,); return the variance of its noise.
+
+    Source: the recursion of Levinson and Durbin.
+    """
+    left = R[0]
+    for m in range(ORDER):
+        k = R[m + 1]
+        for i in range(m):
+            k -= a[i] * R[m - i]
+        k = min(max(k / left, -ROOT_MAX), ROOT_MAX)
+        for i in range((m + 1) // 2):
+            one, two = a[i], a[m - 1 - i]
+            a[i], a[m - 1 - i] = one - k * two, two - k * one
+        a[m] = k
+        left *= (1.0 - k) * (1.0 + k)
+    return left
+
+
+@kernel
+def _add_covariances(w, R):
+    """Add the autocovariances of rows (N, 3), times N, to R (3, 7)."""
+    for n in range(w.shape[0]):
+        for i in range(min(ORDER, n) + 1):
+            for j in range(3):
+                R[j, i] += w[n, j] * w[n - i, j]
+
+
+@kernel
+def _join(own, many, row):
+    """Let the noise of u, v and r come together as covariances (3, 3) say; sizes stay.
+
+    ``row`` is that of a sector, whose factor has but its diagonal yet; ``many`` is added to the
+    variances, so that what was seen of few rows counts for little.
+    """
+    a, b, c = own[0] + many[0], own[4] + many[1], own[8] + many[2]
+    ab, ac = own[1] / math.sqrt(a * b), own[2] / math.sqrt(a * c)
+    rest = math.sqrt(1.0 - ab * ab)
+    bc = (own[5] / math.sqrt(b * c) - ab * ac) / rest
+    one, two, three = row[FACTOR], row[FACTOR + 4], row[FACTOR + 8]
+    row[FACTOR] = one
+    row[FACTOR + 3], row[FACTOR + 4] = ab * two, rest * two
+    row[FACTOR + 6], row[FACTOR + 7] = ac * three, bc * three
+    row[FACTOR + 8] = math.sqrt(max(1.0 - ac * ac - bc * bc, 0.0)) * three
+
+
+def sector_room(N: int) -> int:
+    """Return the length of the scratch of :func:`describe_sectors` for N rows."""
+    return 4 * N + 6 * (ORDER + 1) + SECTORS + 9 * SECTORS + 12
+
+
+@kernel
+def describe_sectors(w, psi, good, sectors, room):
+    """Describe the waves of each sector of headings.
+
+    Autoregressions of autocovariances that are weighted by how near the heading was, both rows of
+    a product by the root of that: so each is stable.
+
+    Parameters
+    ----------
+    w : (N, 3) array
+        Residuals of u, v and r, about zero; zeros where they are not good.
+    psi : (N,) array
+        Headings, rad.
+    good : (N,) array
+        Above 0 where the row counts.
+    sectors : (24, 27) array
+        Coefficients (6, 3), of the last value first, and the lower triangular factor (3, 3) of
+        the noise; written.
+    room : array
+        Scratch, as long as :func:`sector_room` says.
+    """
+    N = w.shape[0]
+    near, at, rest = shaped(room, 0, (N, 3)), room[3 * N :][:N], room[4 * N :]
+    all_, R = shaped(rest, 0, (3, ORDER + 1)), shaped(rest, 3 * ORDER + 3, (3, ORDER + 1))
+    rest = rest[6 * ORDER + 6 :]
+    alike, seen = rest[:SECTORS], shaped(rest, SECTORS, (SECTORS, 9))
+    rest = rest[10 * SECTORS :]
+    sums, many = rest[:9], rest[9:12]
+    a = sums[:ORDER]
+    count = 0.0
+    for k in range(N):
+        count += 1.0 if good[k] > 0.0 else 0.0
+        at[k] = _sector(psi[k])
+    count = max(count, 1.0)
+    for m in range(SECTORS):
+        alike[m] = likeness(m * (2.0 * math.pi / SECTORS))
+    all_[:] = 0.0
+    _add_covariances(w, all_)
+    for m in range(SECTORS):
+        weight = STRANGERS
+        for k in range(N):
+            share = alike[m - int(at[k])] if good[k] > 0.0 else 0.0
+            weight += share * share
+            for j in range(3):
+                near[k, j] = share * w[k, j]
+        for j in range(3):
+            for i in range(ORDER + 1):
+                R[j, i] = STRANGERS / count * all_[j, i]
+        _add_covariances(near, R)
+        row = sectors[m]
+        for j in range(3):
+            for i in range(ORDER + 1):
+                R[j, i] /= weight
+            R[j, 0] += RIDGE * R[j, 0] + 1e-12
+            left = _levinson(R[j], a)
+            for i in range(ORDER):
+                row[3 * i + j] = a[i]
+            for i in range(3):
+                row[FACTOR + 3 * j + i] = math.sqrt(left) if i == j else 0.0
+    # what was not foretold, by sectors
+    seen[:] = 0.0
+    many[:] = 0.0
+    run = 0
+    for k in range(N):
+        run = run + 1 if good[k] > 0.0 else 0
+        if run <= ORDER:
+            continue
+        m = int(at[k])
+        for j in range(3):
+            sums[j] = w[k, j]
+            for i in range(ORDER):
+                sums[j] -= sectors[m, 3 * i + j] * w[k - 1 - i, j]
+            many[j] += STRANGERS / count * sums[j] ** 2
+        for i in range(3):
+            for j in range(3):
+                seen[m, 3 * i + j] += sums[i] * sums[j]
+    for j in range(3):
+        many[j] += 1e-12
+    for m in range(SECTORS):
+        sums[:] = 0.0
+        for k in range(SECTORS):
+            share = alike[m - k] ** 2
+            for i in range(9):
+                sums[i] += share * seen[k, i]
+        _join(sums, many, sectors[m])
+
+
+@kernel
+def simulate_waves(sectors, psi, shocks, out):
+    """Write paths of waves from a calm on.
+
+    Parameters
+    ----------
+    sectors : (24, 27) array
+        From :func:`describe_sectors`.
+    psi : (K,) array
+        Headings ahead, rad.
+    shocks : (D, K, 3) array
+        Standard normal numbers; zeros stay calm.
+    out : (D, K, 3) array
+        Paths.
+    """
+    for k in range(psi.shape[0]):
+        row = sectors[_sector(psi[k])]
+        for d in range(out.shape[0]):
+            for j in range(3):
+                value = 0.0
+                for i in range(j + 1):
+                    value += row[FACTOR + 3 * j + i] * shocks[d, k, i]
+                for i in range(min(ORDER, k)):
+                    value += row[3 * i + j] * out[d, k - 1 - i, j]
+                out[d, k, j] = value
+
+
+@kernel
+def between(path, grid, after, ends, means):
+    """Write values of paths at times, and their means from each time to the next.
+
+    Parameters
+    ----------
+    path : (D, K + 1, c) array
+        Values from now on, ``grid`` s apart; straight lines between them.
+    grid : float
+        Step of the path, s.
+    after : (M,) array
+        Rising times after now, s, within the path.
+    ends, means : (D, M, c) arrays
+        Values at the times; means since the time before (now, for the first).
+    """
+    last = path.shape[1] - 2
+    for d in range(path.shape[0]):
+        for j in range(path.shape[2]):
+            carried, done, before, t = 0.0, 0, 0.0, 0.0
+            for m in range(after.shape[0]):
+                low = min(int(after[m] / grid), last)
+                while done < low:
+                    carried += 0.5 * grid * (path[d, done, j] + path[d, done + 1, j])
+                    done += 1
+                share = after[m] / grid - low
+                first, rise = path[d, low, j], path[d, low + 1, j] - path[d, low, j]
+                ends[d, m, j] = first + share * rise
+                total = carried + grid * share * (first + 0.5 * share * rise)
+                means[d, m, j] = (total - before) / (after[m] - t)
+                before, t = total, after[m]

@@ -1,0 +1,609 @@
+"""A live feed: messages of a boat become rows for its twin, and the twin's belief goes back.
+
+Messages come as UDP datagrams, late, doubled, out of order and broken as they may be. They are
+placed on one time axis, wait a little for those that were overtaken, and leave as rows in the
+order of time. What was not used is counted in :attr:`Feed.counts`; nothing that comes over the
+wire raises.
+"""
+
+from __future__ import annotations
+
+import bisect
+import contextlib
+import importlib
+import itertools
+import math
+import socket
+import struct
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.mapping import radii
+from twin.particulars import Particulars
+from twin.predictors.base import Estimate, Prediction
+
+__all__ = [
+    "COUNTS",
+    "Feed",
+    "FeedError",
+    "Message",
+    "Plane",
+    "needed",
+    "open_socket",
+    "parse_address",
+]
+
+Array = NDArray[np.float64]
+
+Address = tuple[Any, ...]
+
+COUNTS = {
+    "received": "messages that came, of any kind",
+    "used": "those that went into rows, told the time or that the sender is there",
+    "late": "came when the row of their time was gone; dropped",
+    "doubled": "came twice; the second was dropped",
+    "out of order": "were overtaken by a later one and sorted in; they count as used, too",
+    "broken": "with a wrong or no checksum, cut off, or with impossible values",
+    "void": "whose sender says itself that they hold nothing valid, as without a fix",
+    "unknown": "sound, but of a kind or a sender that is not followed",
+    "own": "our own reply that came back to us",
+    "dropped": "datagrams that the system threw away, as too many came (told by Linux only)",
+    "sent": "datagrams sent back",
+    "unsent": "datagrams that could not be sent back",
+}
+"""What is counted. ``received`` is the sum of used, late, doubled, broken, void, unknown, own."""
+
+PERIOD = 0.05
+"""Samples of different sensors that are nearer than this in time, s, share a row."""
+
+WAIT = 0.3
+"""A row waits this long, s of the stream, for messages that were overtaken ..."""
+
+RESTART = 3.0
+"""... and after so much time of the stream, s, with only late ones, its clock began anew."""
+
+MEMORY = 10.0
+"""A message that comes a second time within this, s, is known again."""
+
+SAME = 1e-3
+"""Times that differ by less, s, are one."""
+
+REPEAT = 0.01
+"""A message without a time that repeats the last one within this, s, is that one again."""
+
+HOLD = 2.0
+"""The clock of the sender is taken to run at its own rate for this long, s, without news."""
+
+BYTES_MAX = 1 << 16
+"""About so many bytes are read in one call; the rest waits for the next."""
+
+LIMITS = {
+    "gps_x_m": math.inf,
+    "gps_y_m": math.inf,
+    "gps_vx_mps": 500.0,
+    "gps_vy_mps": 500.0,
+    "compass_rad": 8.0,
+    "gyro_radps": 50.0,
+    **dict.fromkeys(COMMANDS[:2], 2000.0),
+    **dict.fromkeys(COMMANDS[2:], 0.5 * math.pi + 1e-6),
+}
+"""Beyond these no value is true, whatever its checksum says."""
+
+# Linux: the kernel's time of a datagram, and how many it has dropped before it
+_TIMESTAMP, _DROPPED = 35, 40
+
+
+class FeedError(ValueError):
+    """A feed that cannot be opened; the message names the address and the remedy."""
+
+
+def needed(module: str) -> Any:
+    """Return a module of the extra ``view``, or say how to install it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ImportError(
+            f"the live view and its feeds need {module.partition('.')[0]}, which is not installed; "
+            "install it with: pip install 'usv-twin[view]'"
+        ) from None
+
+
+def parse_address(address: str) -> tuple[str, int]:
+    """Return host and port of ``udp://HOST:PORT``; without a host, that of loopback.
+
+    Parameters
+    ----------
+    address : str
+        ``udp://:10110``, ``udp://192.168.1.5:10110`` or ``udp://[::1]:10110``.
+
+    Raises
+    ------
+    FeedError
+        Says what is wrong with it.
+    """
+    hint = "write udp://HOST:PORT, as udp://:10110 for this machine alone"
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError as error:
+        raise FeedError(f"{address}: {error}; {hint}") from None
+    if parts.scheme != "udp":
+        raise FeedError(f"{address}: only udp:// is known; {hint}")
+    if not port:
+        raise FeedError(f"{address}: names no port from 1 to 65535; {hint}")
+    if parts.path or parts.query or parts.fragment or parts.username is not None:
+        raise FeedError(f"{address}: holds more than host and port; {hint}")
+    return parts.hostname or "127.0.0.1", port
+
+
+def open_socket(address: str, *, bind: bool) -> tuple[socket.socket, Address]:
+    """Return a UDP socket that never blocks, and the address as the system knows it.
+
+    Parameters
+    ----------
+    address : str
+        See :func:`parse_address`.
+    bind : bool
+        Whether to listen there, or to send there.
+    """
+    host, port = parse_address(address)
+    try:
+        family, _, _, _, found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise FeedError(f"{address}: the host is not known ({error}); check its name") from None
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    # instruments are often told by broadcast
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    if bind:
+        with contextlib.suppress(OSError):  # as much as the system grants
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        try:
+            made.bind(found)
+        except OSError as error:
+            made.close()
+            raise FeedError(
+                f"{address}: cannot listen there ({error.strerror}); stop what uses the port, or "
+                "name another port, or an address of this machine"
+            ) from None
+    return made, found
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The plane that touches the Earth at an origin.
+
+    Parameters
+    ----------
+    latitude, longitude : float
+        Of the origin, degrees.
+    """
+
+    latitude: float
+    longitude: float
+
+    def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """Return metres north and east of the origin."""
+        north, east = radii(self.latitude)
+        return (
+            math.radians(latitude - self.latitude) * north,
+            math.radians(math.remainder(longitude - self.longitude, 360.0)) * east,
+        )
+
+    def degrees(self, north: float, east: float) -> tuple[float, float]:
+        """Return latitude and longitude, degrees, of a place north and east of the origin, m."""
+        to_north, to_east = radii(self.latitude)
+        latitude = self.latitude + math.degrees(north / to_north)
+        longitude = self.longitude + math.degrees(east / to_east)
+        return min(max(latitude, -90.0), 90.0), math.remainder(longitude, 360.0)
+
+
+@dataclass(frozen=True)
+class Message:
+    """One sound message.
+
+    Parameters
+    ----------
+    kind : str
+        What it is; a second one of the same kind and time is a repeat.
+    stamp : float, optional
+        Time by its sender's clock, s; None where it has none.
+    values : dict of str to float
+        Measurements and commands, by the names of a log's columns.
+    fix : tuple of float, optional
+        Latitude and longitude, degrees.
+    void : bool
+        It holds nothing valid but its time.
+    """
+
+    kind: str
+    stamp: float | None = None
+    values: dict[str, float] = field(default_factory=dict)
+    fix: tuple[float, float] | None = None
+    void: bool = False
+
+    def sound(self) -> bool:
+        """Return whether all that it says can be true."""
+        if self.fix is not None and not (abs(self.fix[0]) <= 90.0 and abs(self.fix[1]) <= 180.0):
+            return False
+        if self.stamp is not None and not math.isfinite(self.stamp):
+            return False
+        return all(
+            math.isfinite(value) and abs(value) <= LIMITS[name]
+            for name, value in self.values.items()
+        )
+
+
+class _Clock:
+    """The sender's time as a function of ours, fitted to the messages that tell theirs.
+
+    Source: Theil 1950, A rank-invariant method of linear regression (the incomplete method): late
+    messages do not turn the line.
+    """
+
+    def __init__(self) -> None:
+        self.pairs: deque[tuple[float, float]] = deque(maxlen=100)
+        self.fit: tuple[float, float, float] | None = None
+
+    def tell(self, arrival: float, t: float) -> None:
+        """Take the time of a message and when it came."""
+        self.pairs.append((arrival, t))
+        self.fit = None
+
+    def shift(self, by: float) -> None:
+        """Move the sender's time, s, as it runs on under another name."""
+        self.pairs = deque(((ours, theirs + by) for ours, theirs in self.pairs), maxlen=100)
+        self.fit = None
+
+    def at(self, arrival: float) -> float:
+        """Return the time of what comes now."""
+        if self.fit is None:
+            ours, theirs = np.array(self.pairs).T
+            half = (len(ours) + 1) // 2
+            passed = ours[half:] - ours[: len(ours) - half]
+            rate = 1.0
+            # fewer say nothing of the rate: between two lies as much chance as time
+            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and (passed > 0.0).any():
+                steps = theirs[half:] - theirs[: len(ours) - half]
+                rate = max(float(np.median(steps[passed > 0.0] / passed[passed > 0.0])), 0.0)
+            offset = float(np.median((theirs - rate * ours)[-10:]))
+            self.fit = float(ours[-1]), rate, offset
+        last, rate, offset = self.fit
+        known = min(arrival, last + HOLD)
+        return offset + rate * known + (arrival - known)
+
+
+class Feed(ABC):
+    """Messages of a boat as rows for its twin; the contract of every kind of feed.
+
+    Parameters
+    ----------
+    address : str or None
+        ``udp://HOST:PORT`` to listen at; None for one that is only handed datagrams by
+        :meth:`receive`.
+    particulars : Particulars
+        The boat: until a command comes it is taken to keep the usual shaft speed, straight on.
+    reply : str, optional
+        Where the twin's belief goes; left out, to whom the last used datagram came from.
+    clock : callable
+        Returns the time now, s.
+    period, wait : float
+        Samples nearer than ``period`` share a row; a row waits ``wait`` for what was overtaken,
+        both in s of the stream.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        By the names in :data:`COUNTS`.
+    origin : tuple of float or None
+        Latitude and longitude, degrees, of north = east = 0: those of the first fix.
+
+    Notes
+    -----
+    A row's time is that of its fix, or else of its last sample, on the axis of the sender's
+    clock, from 0 at the first row. Messages without a time are placed by a line through the
+    times of the last ones that had one, over when they came, so that a stream that runs faster
+    than the clock is told as it was. A row's command is the last one up to its time.
+
+    If only late messages come for :data:`RESTART` seconds of their own time, their sender has
+    begun anew: its time goes on after what was there, by our own clock. A jump ahead is a gap.
+    """
+
+    modulus: float
+    """The sender's clock begins again after this, s."""
+
+    def __init__(
+        self,
+        address: str | None,
+        particulars: Particulars,
+        reply: str | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        period: float = PERIOD,
+        wait: float = WAIT,
+    ) -> None:
+        self.particulars = particulars
+        self.clock, self.period, self.wait = clock, period, wait
+        self.counts = dict.fromkeys(COUNTS, 0)
+        self.origin: tuple[float, float] | None = None
+        self.commanded: set[str] = set()
+        self._plane: Plane | None = None
+        self._cmd = np.array([particulars.shaft_speed] * 2 + [0.0] * 2)
+        self._map = _Clock()
+        self._base: float | None = None
+        self._zero: float | None = None
+        self._head = self._timed = self._released = -math.inf
+        self._stale = math.inf
+        self._seen: dict[tuple[str, int], float] = {}
+        self._last: dict[str, tuple[Message, float]] = {}
+        self._buffer: list[tuple[float, int, dict[str, float]]] = []
+        self._ready: list[tuple[float, Array, Array]] = []
+        self._order = itertools.count()
+        self._arrival = -math.inf
+        self._peer: Address | None = None
+        self._reply: Address | None = None
+        self._socket: socket.socket | None = None
+        self._output: socket.socket | None = None
+        if address is not None:
+            self._socket, _ = open_socket(address, bind=True)
+            if sys.platform == "linux":
+                for option in (_TIMESTAMP, _DROPPED):
+                    self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
+        self._output = self._socket
+        if reply is not None:
+            try:
+                self._output, self._reply = open_socket(reply, bind=False)
+            except FeedError:
+                self.close()
+                raise
+
+    @abstractmethod
+    def decode(self, data: bytes) -> Iterator[Message | str]:
+        """Yield what a datagram holds: messages, or the names under which to count what is none."""
+
+    @abstractmethod
+    def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
+        """Yield the datagrams that tell what the twin believes."""
+
+    def greet(self, now: float) -> Iterator[bytes]:
+        """Yield datagrams that are due now whatever is known."""
+        yield from ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know of the feed, in words."""
+        taken = {
+            "shaft speed": (COMMANDS[:2], f"{self.particulars.shaft_speed:g} rev/s, the usual")
+        }
+        if self.particulars.steering == "drives":
+            taken["drive angle"] = COMMANDS[2:], "straight ahead"
+        return tuple(
+            f"no {what} has come: taken as {text}"
+            for what, (names, text) in taken.items()
+            if self.commanded.isdisjoint(names)
+        )
+
+    def take(self) -> list[tuple[float, Array, Array]]:
+        """Return the rows that are complete.
+
+        Returns
+        -------
+        list of tuple
+            Time, s, strictly increasing over the life of the feed; measurements, shape (10,),
+            in the order of ``twin.logs.log.MEASUREMENTS``, NaN where there is none; commands, shape
+            (4,). Oldest first.
+        """
+        drained = self._drain()
+        now = self.clock()
+        for data in self.greet(now):
+            self._send(data)
+        if drained and now - self._arrival >= self.wait:
+            self._release(math.inf)
+        rows, self._ready = self._ready, []
+        return rows
+
+    def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
+        """Take one datagram.
+
+        Parameters
+        ----------
+        data : bytes
+            What came.
+        arrival : float
+            When, by the feed's clock, s.
+        source : tuple, optional
+            From whom.
+        """
+        if not self._map.pairs:  # until a message tells a time, ours is as good as any
+            self._map.tell(arrival, 0.0)
+        for item in self.decode(data):
+            counted = item if isinstance(item, str) else self._place(item, arrival)
+            self.counts["received"] += 1
+            self.counts[counted] += 1
+            if counted in ("used", "void"):
+                self._arrival, self._peer = arrival, source
+        self._release(self._head - self.wait)
+
+    def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
+        """Send what the twin believes; nothing before it knows a place, or whom to send it to.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            What it believes of now.
+        prediction : Prediction, optional
+            What it believes of the future.
+        """
+        known = self._plane is not None and estimate.ready and np.isfinite(estimate.s).all()
+        if known and (self._reply or self._peer):
+            for data in self.encode(estimate, prediction):
+                self._send(data)
+
+    def close(self) -> None:
+        """Let go of the ports."""
+        for each in (self._socket, self._output):
+            if each is not None:
+                each.close()
+        self._socket = self._output = None
+
+    def __enter__(self) -> Feed:
+        """Return the feed itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def stamp_of(self, t: float) -> float:
+        """Return a row's time by the sender's clock, s, within its modulus."""
+        return (t + (self._zero or 0.0) + (self._base or 0.0)) % self.modulus
+
+    def place_of(self, state: Array) -> tuple[float, float, float, float]:
+        """Return latitude and longitude, degrees, and velocity north and east, m/s, of a state."""
+        if self._plane is None:
+            raise FeedError("no fix has come yet: a place on the plane has no latitude")
+        x, y, psi, u, v = state[:5].tolist()
+        c, s = math.cos(psi), math.sin(psi)
+        return *self._plane.degrees(x, y), u * c - v * s, u * s + v * c
+
+    def _send(self, data: bytes) -> None:
+        target = self._reply or self._peer
+        if target is None or self._output is None:
+            return
+        try:
+            self._output.sendto(data, target)
+            self.counts["sent"] += 1
+        except OSError:  # the receiver is gone, or its line is full
+            self.counts["unsent"] += 1
+
+    def _drain(self) -> bool:
+        """Read what has come; return whether that was all."""
+        room = BYTES_MAX
+        while self._socket is not None and room > 0:
+            try:
+                if sys.platform == "linux":
+                    data, beside, _, source = self._socket.recvmsg(1 << 16, 128)
+                else:
+                    (data, source), beside = self._socket.recvfrom(1 << 16), []
+            except BlockingIOError:
+                return True
+            except OSError:  # told of a reply that nobody took
+                room -= 64
+                continue
+            room -= len(data) + 64
+            self.receive(data, self._arrived(beside), source)
+        return room > 0
+
+    def _arrived(self, beside: list[tuple[int, int, bytes]]) -> float:
+        """Return when a datagram came by our clock, from what the system says beside it."""
+        age = 0.0
+        for _, kind, content in beside:
+            if kind == _TIMESTAMP and len(content) == 16:
+                seconds, nanoseconds = struct.unpack("@qq", content)
+                age = max(time.time() - seconds - 1e-9 * nanoseconds, 0.0)
+            elif kind == _DROPPED:
+                (self.counts["dropped"],) = struct.unpack("@I", content)
+        return self.clock() - age
+
+    def _place(self, message: Message, arrival: float) -> str:
+        """Sort a message in; return under which name it counts."""
+        if not message.sound():
+            return "broken"
+        if message.stamp is None:
+            t = max(self._map.at(arrival), self._released + SAME)
+            last, before = self._last.get(message.kind, (None, 0.0))
+            if message == last and abs(t - before) < REPEAT:
+                return "doubled"
+            self._last[message.kind] = message, t
+        else:
+            placed = self._on_axis(message.kind, message.stamp, arrival)
+            if isinstance(placed, str):
+                return placed
+            t = placed
+        self._head = max(self._head, t)
+        values = message.values
+        if message.fix is not None:
+            if self._plane is None:
+                self.origin, self._plane = message.fix, Plane(*message.fix)
+            north, east = self._plane.metres(*message.fix)
+            values = {"gps_x_m": north, "gps_y_m": east, **values}
+        if values:
+            bisect.insort(self._buffer, (t, next(self._order), values))
+        return "void" if message.void else "used"
+
+    def _on_axis(self, kind: str, stamp: float, arrival: float) -> float | str:
+        """Return the time of a message on the feed's axis, or why it has none."""
+        if self._base is None:
+            self._base = stamp - self._map.at(arrival)
+            t = stamp - self._base
+        else:
+            nearest = max(self._timed, self._released)
+            turns = round((nearest + self._base - stamp) / self.modulus)
+            t = stamp + turns * self.modulus - self._base
+        key = kind, round(t / SAME)
+        behind = t <= self._released
+        if behind:
+            self._stale = min(self._stale, t)
+            if t - self._stale >= RESTART:
+                now = self._map.at(arrival)
+                begun = max(now, self._head + self.period)
+                self._base += t - begun
+                self._map.shift(begun - now)
+                self._seen.clear()
+                self._timed = -math.inf
+                t, key, behind = begun, (kind, round(begun / SAME)), False
+        if key in self._seen:
+            return "doubled"
+        if behind:
+            if t > self._released - RESTART:  # of the clock it still speaks
+                self._map.tell(arrival, t)
+            return "late"
+        self._stale = math.inf
+        self._seen[key] = t
+        while self._seen[oldest := next(iter(self._seen))] < t - MEMORY:
+            del self._seen[oldest]
+        if t < self._timed - SAME:
+            self.counts["out of order"] += 1
+        else:
+            self._timed = t
+            self._map.tell(arrival, t)
+        return t
+
+    def _release(self, until: float) -> None:
+        """Make rows of all samples up to a time."""
+        while self._buffer and self._buffer[0][0] + self.period <= until:
+            first, fix, last = self._buffer[0][0], None, self._buffer[0][0]
+            row: dict[str, float] = {}
+            count = 0
+            for t, _, values in self._buffer:
+                apart = t - first >= self.period - SAME / 2
+                again = t - last >= SAME and not row.keys().isdisjoint(values)
+                if apart or again:
+                    break
+                row = {**values, **row}
+                fix = t if "gps_x_m" in values and fix is None else fix
+                last = t
+                count += 1
+            del self._buffer[:count]
+            self._released = last
+            self._ready.append(self._row(last if fix is None else fix, row))
+
+    def _row(self, t: float, row: dict[str, float]) -> tuple[float, Array, Array]:
+        if self._zero is None:
+            self._zero = t
+        z = np.array([row.get(name, math.nan) for name in MEASUREMENTS])
+        for i, name in enumerate(COMMANDS):
+            if name in row:
+                self._cmd[i] = row[name]
+                self.commanded.add(name)
+        return round(t - self._zero, 6), z, self._cmd.copy()

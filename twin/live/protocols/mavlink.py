@@ -1,0 +1,441 @@
+"""MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's belief as messages.
+
+Taken are GLOBAL_POSITION_INT (fix and velocity), ATTITUDE (heading and yaw rate) and
+SERVO_OUTPUT_RAW (commands, by :class:`Servos`), of the first component that sends the first, or
+as autopilot (component 1) the second. While GPS_RAW_INT says that there is no fix, the position is
+no measurement but the autopilot's own dead reckoning, and counts as void. The largest value of a
+field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not known.
+
+The twin answers as the onboard computer (component 191) of that system: HEARTBEAT once a second,
+and of its belief GLOBAL_POSITION_INT, ATTITUDE, ODOMETRY (local NED about the first fix, with
+variances), TRAJECTORY_REPRESENTATION_WAYPOINTS (places, velocities and headings 2, 4, 6, 8, 10 s
+ahead, local NED) and DEBUG_FLOAT_ARRAY ``sd_pos`` (for each of them: seconds ahead, standard
+deviations north and east, m).
+
+Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.live.protocols.feed import Feed, FeedError, Message, needed
+from twin.live.protocols.nmea import HORIZONS
+from twin.particulars import Particulars
+from twin.predictors.base import Estimate, Prediction
+
+__all__ = [
+    "MavlinkFeed",
+    "MavlinkWriter",
+    "Servos",
+]
+
+Array = NDArray[np.float64]
+
+WRAP = 2.0**32
+
+UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
+
+UNUSED = 2**16 - 1
+"""Pulse width of an output that there is not, us."""
+
+NEAR = 5.0
+"""A time of a servo output that is farther than this, s, from the last one is of another clock."""
+
+HEARTBEAT = 1.0
+"""Time between two, s."""
+
+AUTOPILOT, ONBOARD = 1, 191
+"""Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
+
+FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
+"""Full throttle, in usual shaft speeds, and full helm, rad, of a boat of which neither is told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servos:
+    """Which servo outputs are the commands, and what they stand for.
+
+    Parameters
+    ----------
+    shaft_speed, angle : float
+        At full throttle ahead, rev/s, and at full helm to starboard, rad.
+    left, right : int
+        Outputs of the throttles, from 1; the same one for a single throttle.
+    steering : int
+        Output of rudder or drives; 0 for a boat that steers by its throttles.
+    low, middle, high : float
+        Pulse widths full astern or to port, at rest, and full ahead or to starboard, us.
+
+    Notes
+    -----
+    The outputs are those of ArduPilot's Rover by default: steering 1 and throttle 3, or for
+    skid steering left throttle 1 and right throttle 3, of 1100, 1500 and 1900 us.
+    Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
+    """
+
+    shaft_speed: float
+    angle: float
+    left: int = 3
+    right: int = 3
+    steering: int = 1
+    low: float = 1100.0
+    middle: float = 1500.0
+    high: float = 1900.0
+
+    def __post_init__(self) -> None:
+        """Refuse outputs that there are not, and a scale without a width."""
+        for name, least in (("left", 1), ("right", 1), ("steering", 0)):
+            value = getattr(self, name)
+            if not least <= value <= 16:
+                raise FeedError(f"servos: {name} = {value} must be an output from {least} to 16")
+        if not 0.0 < self.low < self.middle < self.high < 65535.0:
+            raise FeedError(
+                f"servos: low, middle, high = {self.low:g}, {self.middle:g}, {self.high:g} us "
+                "must rise, from above 0"
+            )
+        for name in ("shaft_speed", "angle"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise FeedError(f"servos: {name} = {value} must be finite and above 0")
+
+    @classmethod
+    def of(
+        cls,
+        particulars: Particulars,
+        shaft_speed: float | None = None,
+        angle: float | None = None,
+    ) -> Servos:
+        """Return the usual outputs of a boat.
+
+        Parameters
+        ----------
+        particulars : Particulars
+            Its steering tells which outputs are used.
+        shaft_speed : float, optional
+            At full throttle, rev/s; left out, twice the usual one.
+        angle : float, optional
+            Full helm, rad; left out, 30 degrees.
+        """
+        if shaft_speed is None:
+            shaft_speed = FULL_SHAFT * particulars.shaft_speed
+        skid = {"left": 1, "right": 3, "steering": 0}
+        return cls(
+            shaft_speed=shaft_speed,
+            angle=FULL_ANGLE if angle is None else angle,
+            **(skid if particulars.steering == "differential" else {}),
+        )
+
+    @property
+    def outputs(self) -> tuple[tuple[str, int, float], ...]:
+        """Column of a log, output and full value of each command that has an output."""
+        throttles = ((self.left, self.shaft_speed), (self.right, self.shaft_speed))
+        all_four = (*throttles, (self.steering, self.angle), (self.steering, self.angle))
+        return tuple(
+            (name, output, full)
+            for name, (output, full) in zip(COMMANDS, all_four, strict=True)
+            if output
+        )
+
+    def commands(self, widths: list[int]) -> dict[str, float]:
+        """Return the commands of pulse widths, us; 0 and 65535 are outputs that are not used."""
+        return {
+            name: full * self._share(widths[output - 1])
+            for name, output, full in self.outputs
+            if output <= len(widths) and 0 < widths[output - 1] < UNUSED
+        }
+
+    def widths(self, cmd: Array) -> list[int]:
+        """Return the pulse widths, us, of 16 outputs for a command; of two sides, their mean."""
+        values = dict(zip(COMMANDS, cmd.tolist(), strict=True))
+        found: dict[int, list[float]] = {}
+        for name, output, full in self.outputs:
+            found.setdefault(output, []).append(values[name] / full)
+        widths = [0] * 16
+        for output, shares in found.items():
+            share = sum(shares) / len(shares)
+            side = self.high - self.middle if share > 0.0 else self.middle - self.low
+            widths[output - 1] = min(max(round(self.middle + share * side), 1), 65534)
+        return widths
+
+    def _share(self, width: float) -> float:
+        beyond = width - self.middle
+        return beyond / (self.high - self.middle if beyond > 0.0 else self.middle - self.low)
+
+
+class MavlinkFeed(Feed):
+    """Messages of an autopilot as rows; see :class:`twin.live.protocols.feed.Feed` and this module's head.
+
+    Parameters
+    ----------
+    servos : Servos, optional
+        What the servo outputs stand for; left out, :meth:`Servos.of` the boat.
+    """
+
+    modulus = WRAP / 1000.0
+
+    def __init__(
+        self,
+        address: str | None,
+        particulars: Particulars,
+        reply: str | None = None,
+        *,
+        servos: Servos | None = None,
+        **options: Any,
+    ) -> None:
+        self._writer = MavlinkWriter(component=ONBOARD)
+        self.servos = servos or Servos.of(particulars)
+        self.system: int | None = None
+        self._component = AUTOPILOT
+        self._parser = self._writer.parser()
+        self._lost = False
+        self._boot = math.nan
+        self._greeted = -math.inf
+        super().__init__(address, particulars, reply, **options)
+
+    def decode(self, data: bytes) -> Iterator[Message | str]:
+        """Yield the messages of a datagram; see :meth:`Feed.decode`."""
+        if self._parser.buf_len() and data[:1] in (b"\xfd", b"\xfe"):
+            yield "broken"  # the last datagram ended within a message, which this does not go on
+            self._parser = self._writer.parser()
+        for item in self._parser.parse_buffer(data) or ():
+            yield self._message(item)
+
+    def greet(self, now: float) -> Iterator[bytes]:
+        """Yield the heartbeat, once a second."""
+        if now - self._greeted >= HEARTBEAT:
+            self._greeted = now
+            yield self._writer.heartbeat()
+
+    def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
+        """Yield the twin's belief, a message in each datagram; see :meth:`Feed.encode`."""
+        write, now = self._writer, self.stamp_of(estimate.t)
+        latitude, longitude, north, east = self.place_of(estimate.s)
+        yield write.position(now, (latitude, longitude), (north, east), float(estimate.s[2]))
+        yield write.attitude(now, float(estimate.s[2]), float(estimate.s[5]))
+        yield write.odometry(now, estimate.s, estimate.sd)
+        if prediction is not None:
+            end = float(prediction.t[-1] - prediction.t0) + 1e-6
+            horizons = np.array([h for h in HORIZONS if h <= end])
+            if len(horizons):
+                mean, cov = prediction.at(horizons)
+                made = self.stamp_of(prediction.t0)
+                yield write.trajectory(made, mean)
+                sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :2], 0.0))
+                yield write.deviations(made, np.column_stack([horizons, sd]))
+
+    def _message(self, item: Any) -> Message | str:
+        """Return what a message says, or how it counts."""
+        kind = item.get_type()
+        if kind == "BAD_DATA":
+            return "broken"
+        system, component = item.get_srcSystem(), item.get_srcComponent()
+        if component == ONBOARD and system in (self.system, self._writer.system):
+            return "own"
+        read = {
+            "GLOBAL_POSITION_INT": self._position,
+            "ATTITUDE": self._attitude,
+            "SERVO_OUTPUT_RAW": self._servo_outputs,
+            "GPS_RAW_INT": self._receiver,
+        }.get(kind)
+        # a gimbal has an attitude, too
+        known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
+        if self.system is None and known:
+            self.system = self._writer.system = system
+            self._component = component
+        if kind == "HEARTBEAT" and self.system in (None, system):  # says that it is there
+            return Message("heartbeat")
+        followed = (system, component) == (self.system, self._component)
+        return read(item) if read is not None and followed else "unknown"
+
+    def _position(self, item: Any) -> Message:
+        self._boot = stamp = item.time_boot_ms / 1000.0
+        place = None
+        if not self._lost and UNKNOWN_PLACE not in (item.lat, item.lon) and (item.lat or item.lon):
+            place = item.lat / 1e7, item.lon / 1e7
+        values = {}
+        if not self._lost and UNKNOWN_SPEED not in (item.vx, item.vy):
+            values = {"gps_vx_mps": item.vx / 100.0, "gps_vy_mps": item.vy / 100.0}
+        return Message("position", stamp, values, place, void=place is None and not values)
+
+    def _attitude(self, item: Any) -> Message:
+        self._boot = stamp = item.time_boot_ms / 1000.0
+        yaw = item.yaw % (2.0 * math.pi) if math.isfinite(item.yaw) else item.yaw
+        found = {"compass_rad": yaw, "gyro_radps": item.yawspeed}
+        values = {name: value for name, value in found.items() if not math.isnan(value)}
+        return Message("attitude", stamp, values, void=not values)
+
+    def _servo_outputs(self, item: Any) -> Message:
+        widths = [getattr(item, f"servo{i}_raw") for i in range(1, 17)]
+        # 32 bits of microseconds begin anew every 72 minutes, those of milliseconds later
+        stamp = item.time_usec / 1e6
+        stamp += round((self._boot - stamp) * 1e6 / WRAP) * WRAP / 1e6 if self._boot >= 0.0 else 0.0
+        timed = abs(stamp - self._boot) < NEAR
+        values = self.servos.commands(widths) if item.port == 0 else {}
+        return Message("servos", stamp if timed else None, values, void=not values)
+
+    def _receiver(self, item: Any) -> Message:
+        # 0: no receiver, 1: no fix
+        self._lost = item.fix_type < 2
+        return Message("receiver", void=self._lost)
+
+
+class MavlinkWriter:
+    """Messages of a component, each as a datagram.
+
+    Parameters
+    ----------
+    system, component : int
+        Who speaks.
+    servos : Servos, optional
+        For :meth:`row`.
+    """
+
+    def __init__(self, system: int = 1, component: int = 1, servos: Servos | None = None) -> None:
+        self._dialect = needed("pymavlink.dialects.v20.common")
+        self._link = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.servos = servos
+
+    @property
+    def system(self) -> int:
+        """Number of the system that speaks."""
+        return int(self._link.srcSystem)
+
+    @system.setter
+    def system(self, system: int) -> None:
+        self._link.srcSystem = system
+
+    def parser(self) -> Any:
+        """Return a new parser of messages that goes on after broken ones."""
+        made = self._dialect.MAVLink(None)
+        made.robust_parsing = True
+        return made
+
+    def heartbeat(self, kind: str = "MAV_TYPE_ONBOARD_CONTROLLER") -> bytes:
+        """Return the sign of life of a system of some kind."""
+        d = self._dialect
+        return self._pack(
+            d.MAVLink_heartbeat_message(
+                *(getattr(d, kind), d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3)
+            )
+        )
+
+    def position(
+        self,
+        stamp: float,
+        place: tuple[float, float] | None,
+        velocity: tuple[float, float] | None,
+        heading: float = math.nan,
+    ) -> bytes:
+        """Return place (degrees) and velocity over ground (m/s north, east)."""
+        lat = lon = UNKNOWN_PLACE
+        if place is not None:
+            lat, lon = (round(1e7 * value) for value in place)
+        vx = vy = UNKNOWN_SPEED
+        if velocity is not None:
+            vx, vy = (min(max(round(100.0 * v), 1 - 2**15), 2**15 - 2) for v in velocity)
+        course = UNKNOWN_HEADING
+        if not math.isnan(heading):
+            course = round(100.0 * math.degrees(heading)) % 36000
+        made = self._dialect.MAVLink_global_position_int_message
+        return self._pack(made(_ms(stamp), lat, lon, 0, 0, vx, vy, 0, course))
+
+    def attitude(self, stamp: float, heading: float, rate: float) -> bytes:
+        """Return heading, rad, and yaw rate, rad/s; NaN where it is not known."""
+        yaw = math.remainder(heading, 2.0 * math.pi)
+        made = self._dialect.MAVLink_attitude_message
+        return self._pack(made(_ms(stamp), 0.0, 0.0, yaw, 0.0, 0.0, rate))
+
+    def odometry(self, stamp: float, state: Array, sd: Array) -> bytes:
+        """Return a state and its standard deviations, shapes (6,), (6,)."""
+        d = self._dialect
+        x, y, psi, u, v, r = state.tolist()
+        nan = math.nan
+        pose = _triangle([sd[0], sd[1], nan, nan, nan, sd[2]])
+        velocity = _triangle([sd[3], sd[4], nan, nan, nan, sd[5]])
+        turn = [math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)]
+        frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_BODY_FRD
+        return self._pack(
+            d.MAVLink_odometry_message(
+                *(round(1e6 * stamp), *frames, x, y, 0.0, turn, u, v, 0.0, 0.0, 0.0, r),
+                *(pose, velocity),
+            )
+        )
+
+    def trajectory(self, stamp: float, states: Array) -> bytes:
+        """Return up to five predicted states, shape (n, 6)."""
+        c, s = np.cos(states[:, 2]), np.sin(states[:, 2])
+        north = states[:, 3] * c - states[:, 4] * s
+        east = states[:, 3] * s + states[:, 4] * c
+        empty, still = [math.nan] * 5, np.zeros(len(states))
+        columns = (states[:, 0], states[:, 1], still, north, east, still)
+        x, y, z, vx, vy, vz = (_five(column) for column in columns)
+        yaw, rate = _five(states[:, 2]), _five(states[:, 5])
+        return self._pack(
+            self._dialect.MAVLink_trajectory_representation_waypoints_message(
+                *(round(1e6 * stamp), len(states), x, y, z, vx, vy, vz, empty, empty, empty),
+                *(yaw, rate, [UNKNOWN_HEADING] * 5),
+            )
+        )
+
+    def deviations(self, stamp: float, table: Array) -> bytes:
+        """Return seconds ahead and standard deviations north and east, shape (n, 3)."""
+        data = [*table.ravel().tolist(), *[0.0] * (58 - table.size)]
+        made = self._dialect.MAVLink_debug_float_array_message
+        return self._pack(made(round(1e6 * stamp), b"sd_pos", 0, data))
+
+    def row(
+        self, stamp: float, z: Array, cmd: Array, place: tuple[float, float] | None
+    ) -> list[bytes]:
+        """Return the messages of one row of a log.
+
+        Parameters
+        ----------
+        stamp : float
+            Time since the autopilot started, s.
+        z, cmd : ndarray, shapes (10,), (4,)
+            Measurements, NaN where there is none, and commands.
+        place : tuple of float or None
+            Latitude and longitude of the fix, degrees.
+        """
+        known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
+        velocity = known["gps_vx_mps"], known["gps_vy_mps"]
+        moves = not any(map(math.isnan, velocity))
+        heading, rate = known["compass_rad"], known["gyro_radps"]
+        made = []
+        if place is not None or moves:
+            made.append(self.position(stamp, place, velocity if moves else None))
+        if not (math.isnan(heading) and math.isnan(rate)):
+            made.append(self.attitude(stamp, heading, rate))
+        if self.servos is not None:
+            message = self._dialect.MAVLink_servo_output_raw_message
+            micros = round(1e3 * round(1e3 * stamp)) % int(WRAP)
+            made.append(self._pack(message(micros, 0, *self.servos.widths(cmd))))
+        return made
+
+    def _pack(self, message: Any) -> bytes:
+        packed = bytes(message.pack(self._link))
+        self._link.seq = (self._link.seq + 1) % 256
+        return packed
+
+
+def _ms(stamp: float) -> int:
+    """Return a time, s, in whole milliseconds of 32 bits."""
+    return round(1000.0 * stamp) % int(WRAP)
+
+
+def _five(values: Array) -> list[float]:
+    """Return up to five values, NaN after them."""
+    return [*values.tolist(), *[math.nan] * (5 - len(values))]
+
+
+def _triangle(sd: list[float]) -> list[float]:
+    """Return the upper triangle of a diagonal covariance (6, 6), row by row."""
+    return [sd[i] ** 2 if i == j else 0.0 for i in range(6) for j in range(i, 6)]

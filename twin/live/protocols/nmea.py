@@ -1,0 +1,484 @@
+r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's belief as sentences.
+
+Taken are GGA and RMC (fix and velocity; of the same epoch they are one fix), HDT (true heading),
+ROT (rate of turn), RPM and RSA (commands) of any talker, and ZDA and TAG blocks for the time.
+
+=========  ====================================================================================
+RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
+RSA        rudder angle, degrees, above 0 to starboard; the first is starboard or single
+``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
+=========  ====================================================================================
+
+HDT, ROT, RPM and RSA hold no time: they have that of the sentence before them in the same
+datagram (ZDA, GGA, RMC, a TAG block), or else that of their arrival by the sender's clock. A
+TAG block in whole seconds is the time of the first sentence of its kind in that second alone.
+
+What goes back has the talker U9 (NMEA 0183 leaves U0 to U9 to users): GGA of quality 6
+(estimated), RMC of mode E, HDT, ROT, and for now (0 s) and each of :data:`HORIZONS` ::
+
+    $PUTWP,hhmmss.sss,h.h,ddmm.mmmmm,N,dddmm.mmmmm,E,hhh.h,n.nn,e.ee,c.cc*hh<CR><LF>
+
+with the time at which it was predicted, the horizon (s), latitude, longitude, heading (degrees),
+standard deviations north and east (m, at most 999.99) and the correlation of the two. Each
+sentence is at most 82 characters long, as the standard asks.
+
+Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import date, datetime, timezone
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.live.protocols.feed import Feed, Message, needed
+from twin.predictors.base import Estimate, Prediction
+
+__all__ = [
+    "HORIZONS",
+    "NmeaFeed",
+    "NmeaWriter",
+]
+
+Array = NDArray[np.float64]
+
+DAY = 86400.0
+
+KNOT = 1852.0 / 3600.0
+
+OWN = "U9"
+"""Talker of what the twin says."""
+
+HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
+"""Of the prediction that goes back, s."""
+
+LENGTH_MAX = 1024
+"""A longer line is none."""
+
+NO_FIX = {0: "none", 6: "estimated"}
+"""GGA qualities that measure nothing, ..."""
+
+NO_MODE = ("N", "E")
+"""... and modes of RMC."""
+
+_LINES = re.compile(r"[\r\n]+|(?<!\\)(?=[$!])")
+
+_TAG = re.compile(r"\\([^\\*]*)\*([0-9A-Fa-f]{2})\\")
+
+_WHOLE = re.compile(r"\*[0-9A-Fa-f]{2}$")
+
+
+class NmeaFeed(Feed):
+    """Sentences of a boat as rows; see :class:`twin.live.protocols.feed.Feed` and this module's head."""
+
+    modulus = DAY
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self._parser = needed("pynmea2")
+        self._writer = NmeaWriter(OWN)
+        self._rest = ""
+        self._seconds: dict[str, float] = {}
+        self._epoch = math.nan, math.nan
+        self._date: tuple[date, float] | None = None
+        super().__init__(*args, **options)
+
+    def decode(self, data: bytes) -> Iterator[Message | str]:
+        """Yield the messages of a datagram; see :meth:`Feed.decode`."""
+        stamp: float | None = None
+        kinds: set[str] = set()
+        for line in self._lines(data.decode("latin-1")):
+            item = self._sentence(line)
+            if isinstance(item, Message):
+                if item.stamp is not None:
+                    stamp, kinds = item.stamp, set()
+                elif stamp is not None and item.kind not in kinds:
+                    item = replace(item, stamp=stamp)
+                kinds.add(item.kind)
+            yield item
+
+    def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
+        """Yield the twin's belief as one datagram; see :meth:`Feed.encode`."""
+        stamp = self.stamp_of(estimate.t)
+        latitude, longitude, north, east = self.place_of(estimate.s)
+        write = self._writer
+        lines = [
+            write.gga(stamp, latitude, longitude, quality=6),
+            write.rmc(stamp, self._day(stamp), (latitude, longitude), north, east, mode="E"),
+            write.hdt(float(estimate.s[2])),
+            write.rot(float(estimate.s[5])),
+        ]
+        if prediction is not None:
+            end = float(prediction.t[-1] - prediction.t0) + 1e-6
+            horizons = [0.0, *(h for h in HORIZONS if h <= end)]
+            made = self.stamp_of(prediction.t0)
+            for after, state, cov in zip(horizons, *prediction.at(np.array(horizons)), strict=True):
+                place = self.place_of(state)[:2]
+                lines.append(write.predicted(made, after, place, float(state[2]), cov[:2, :2]))
+        yield "".join(lines).encode()
+
+    def _day(self, stamp: float) -> date:
+        """Return the date of a time of day: that of the last one told that is nearest."""
+        if self._date is None:
+            return datetime.now(timezone.utc).date()
+        told, at = self._date
+        turn = round((at - stamp) / DAY)
+        return date.fromordinal(min(max(told.toordinal() + turn, 1), date.max.toordinal()))
+
+    def _lines(self, text: str) -> Iterator[str]:
+        """Yield the lines of a datagram, joined with what the last one left unended."""
+        if self._rest:
+            if text[:1] in "$!\\":
+                yield self._rest
+            else:
+                text = self._rest + text
+            self._rest = ""
+        lines = [line for line in _LINES.split(text) if line.strip()]
+        if lines and text[-1] not in "\r\n" and not _WHOLE.search(lines[-1]):
+            last = lines.pop()
+            if len(last) <= LENGTH_MAX and last[0] in "$!\\":
+                self._rest = last
+            else:
+                yield last
+        yield from lines
+
+    def _sentence(self, line: str) -> Message | str:
+        """Return what a line says, or how it counts."""
+        if len(line) > LENGTH_MAX:
+            return "broken"
+        try:
+            tagged, line = self._tag(line.strip())
+            if line[:1] == "!":
+                return "unknown"
+            if line[:1] != "$":
+                return "broken"
+            sentence = self._parser.parse(line, check=True)
+            if isinstance(sentence, self._parser.ProprietarySentence):
+                return "own" if line.startswith("$PUTW") else "unknown"
+            if getattr(sentence, "talker", "") == OWN:
+                return "own"
+            read = _READERS.get(getattr(sentence, "sentence_type", ""))
+            if read is None:
+                return "unknown"
+            message = read(sentence)
+            if sentence.sentence_type in ("RMC", "ZDA"):
+                self._tell_date(sentence)
+        except self._parser.SentenceTypeError:
+            return "unknown"
+        except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError):
+            return "broken"
+        if tagged is None or (tagged == self._seconds.get(message.kind)):
+            return message
+        if tagged == math.floor(tagged):
+            self._seconds[message.kind] = tagged
+        if message.stamp is not None:  # GGA and RMC of an epoch stay together
+            if self._epoch[0] != message.stamp:
+                self._epoch = message.stamp, tagged
+            tagged = self._epoch[1]
+        return replace(message, stamp=tagged)
+
+    def _tag(self, line: str) -> tuple[float | None, str]:
+        """Return the time of a TAG block, s of the day, and the line without the block."""
+        if line[:1] != "\\":
+            return None, line
+        found = _TAG.match(line)
+        if found is None or self._parser.NMEASentence.checksum(found[1]) != int(found[2], 16):
+            raise ValueError("no TAG block")
+        stamp = None
+        for code in found[1].split(","):
+            if code.startswith("c:"):
+                stamp = _number(code[2:])
+        if stamp is None:
+            return None, line[found.end() :]
+        return math.fmod(stamp / 1000.0 if abs(stamp) > 1e11 else stamp, DAY), line[found.end() :]
+
+    def _tell_date(self, sentence: Any) -> None:
+        if sentence.sentence_type == "RMC":
+            told = sentence.datestamp
+        else:
+            told = None
+            with contextlib.suppress(TypeError, ValueError):
+                told = date(sentence.year, sentence.month, sentence.day)
+        at = _time(sentence)
+        if isinstance(told, date) and at is not None:
+            self._date = told, at
+
+
+def _number(text: Any) -> float | None:
+    """Return a field as a number, None if it is empty; raise for what is none."""
+    if text is None or text == "":
+        return None
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text}: no number")
+    return value
+
+
+def _angle(text: str, side: str, sides: str, digits: int) -> float | None:
+    """Return an angle, degrees, of ``ddmm.mmm`` and N, S, E or W."""
+    if not text and not side:
+        return None
+    if not re.fullmatch(rf"[0-9]{{{digits}}}[0-5][0-9](\.[0-9]*)?", text) or side not in sides:
+        raise ValueError(f"{text},{side}: no position")
+    degrees = int(text[:digits]) + float(text[digits:]) / 60.0
+    return degrees if side == sides[0] else -degrees
+
+
+def _time(sentence: Any) -> float | None:
+    """Return the time of day of a sentence, s."""
+    text = sentence.data[0] if sentence.data else ""
+    if not text:
+        return None
+    if not re.fullmatch(r"([01][0-9]|2[0-3])[0-5][0-9]([0-5][0-9]|60)(\.[0-9]*)?", text):
+        raise ValueError(f"{text}: no time of day")
+    return 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + float(text[4:])
+
+
+def _place(sentence: Any) -> tuple[float, float] | None:
+    """Return the latitude and longitude of a sentence; 0, 0 is that of one without a fix."""
+    latitude = _angle(sentence.lat, sentence.lat_dir, "NS", 2)
+    longitude = _angle(sentence.lon, sentence.lon_dir, "EW", 3)
+    if (latitude is None) != (longitude is None):
+        raise ValueError("half a position")
+    if latitude is None or longitude is None or latitude == longitude == 0.0:
+        return None
+    return latitude, longitude
+
+
+def _gga(sentence: Any) -> Message:
+    quality = _number(sentence.data[5])
+    place = None if quality is None or int(quality) in NO_FIX else _place(sentence)
+    return Message("GGA", _time(sentence), fix=place, void=place is None)
+
+
+def _rmc(sentence: Any) -> Message:
+    void = sentence.status != "A" or sentence.mode_indicator in NO_MODE
+    place = None if void else _place(sentence)
+    values = {}
+    if not void:
+        speed, course = _number(sentence.spd_over_grnd), _number(sentence.true_course)
+        if speed is not None and speed < 0.0:
+            raise ValueError("a speed below 0")
+        # a receiver at rest leaves the course empty
+        if speed is not None and (course is not None or speed == 0.0):
+            course = math.radians(course or 0.0)
+            values["gps_vx_mps"] = KNOT * speed * math.cos(course)
+            values["gps_vy_mps"] = KNOT * speed * math.sin(course)
+    return Message("RMC", _time(sentence), values, place, void=place is None and not values)
+
+
+def _hdt(sentence: Any) -> Message:
+    heading = _number(sentence.heading)
+    if heading is None:
+        return Message("HDT", void=True)
+    if not 0.0 <= heading <= 360.0:
+        raise ValueError("no heading")
+    return Message("HDT", values={"compass_rad": math.radians(heading % 360.0)})
+
+
+def _rot(sentence: Any) -> Message:
+    rate = _number(sentence.rate_of_turn)
+    if rate is None or sentence.status != "A":
+        return Message("ROT", void=True)
+    return Message("ROT", values={"gyro_radps": math.radians(rate) / 60.0})
+
+
+def _rpm(sentence: Any) -> Message:
+    number, speed = _number(sentence.engine_no), _number(sentence.speed)
+    if number is None or speed is None or sentence.status != "A":
+        return Message("RPM", void=True)
+    if number not in range(100):
+        raise ValueError("no shaft")
+    names = COMMANDS[:2] if number == 0 else (COMMANDS[int(number) % 2],)
+    return Message(f"RPM{number:.0f}", values=dict.fromkeys(names, speed / 60.0))
+
+
+def _rsa(sentence: Any) -> Message:
+    starboard, port = (
+        math.radians(angle) if angle is not None and status == "A" else None
+        for angle, status in (
+            (_number(sentence.rsa_starboard), sentence.rsa_starboard_status),
+            (_number(sentence.rsa_port), sentence.rsa_port_status),
+        )
+    )
+    left, right = (starboard if port is None else port), starboard
+    sides = zip(COMMANDS[2:], (left, right), strict=True)
+    values = {name: value for name, value in sides if value is not None}
+    return Message("RSA", values=values, void=not values)
+
+
+def _zda(sentence: Any) -> Message:
+    stamp = _time(sentence)
+    return Message("ZDA", stamp, void=stamp is None)
+
+
+_READERS = {
+    "GGA": _gga,
+    "RMC": _rmc,
+    "HDT": _hdt,
+    "ROT": _rot,
+    "RPM": _rpm,
+    "RSA": _rsa,
+    "ZDA": _zda,
+}
+
+
+class NmeaWriter:
+    """Sentences of a talker.
+
+    Parameters
+    ----------
+    talker : str
+        Two letters.
+    tag : bool
+        Whether :meth:`row` puts a TAG block with the time before each sentence.
+    """
+
+    def __init__(self, talker: str, *, tag: bool = False) -> None:
+        self._pynmea2 = needed("pynmea2")
+        self.talker, self.tag = talker, tag
+
+    def line(self, kind: str, *fields: str) -> str:
+        """Return a sentence with its checksum."""
+        made = self._pynmea2.TalkerSentence(self.talker, kind, fields)
+        return str(made.render(newline="\r\n"))
+
+    def gga(self, stamp: float, latitude: float, longitude: float, quality: int) -> str:
+        """Return a fix; ``stamp`` is the time of day, s."""
+        place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
+        satellites = ("", "") if quality == 6 else ("12", "0.8")
+        return self.line(
+            "GGA",
+            _clock(stamp),
+            *place[0],
+            *place[1],
+            f"{quality}",
+            *satellites,
+            "",
+            "M",
+            "",
+            "M",
+            "",
+            "",
+        )
+
+    def rmc(
+        self,
+        stamp: float,
+        day: date,
+        place: tuple[float, float] | None,
+        north: float | None,
+        east: float | None,
+        mode: str,
+    ) -> str:
+        """Return velocity over ground, m/s, with place and date."""
+        sides: tuple[str, ...] = ("", "", "", "")
+        if place is not None:
+            sides = (*_text(place[0], "NS", 2, 7), *_text(place[1], "EW", 3, 7))
+        motion = ("", "")
+        if north is not None and east is not None:
+            speed = f"{math.hypot(north, east) / KNOT:.4f}"
+            course = round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0
+            motion = speed, f"{course:.3f}"
+        return self.line("RMC", _clock(stamp), "A", *sides, *motion, f"{day:%d%m%y}", "", "", mode)
+
+    def hdt(self, heading: float) -> str:
+        """Return a true heading, given in rad."""
+        return self.line("HDT", f"{round(math.degrees(heading) % 360.0, 4) % 360.0:.4f}", "T")
+
+    def rot(self, rate: float) -> str:
+        """Return a rate of turn, given in rad/s."""
+        return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
+
+    def predicted(
+        self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
+    ) -> str:
+        """Return a point of a prediction; see the head of this module.
+
+        Parameters
+        ----------
+        stamp, after : float
+            Time of day at which it was made, and the horizon, s.
+        place : tuple of float
+            Latitude and longitude, degrees.
+        heading : float
+            Rad.
+        cov : ndarray, shape (2, 2)
+            Covariance of north and east, m2.
+        """
+        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
+        both = float(sd[0] * sd[1])
+        correlation = min(max(float(cov[0, 1]) / both, -1.0), 1.0) if both > 0.0 else 0.0
+        fields = (
+            *("P", _clock(stamp), f"{after:.1f}"),
+            *_text(place[0], "NS", 2, 5),
+            *_text(place[1], "EW", 3, 5),
+            f"{round(math.degrees(heading) % 360.0, 1) % 360.0:.1f}",
+            *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
+            f"{correlation:.2f}",
+        )
+        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
+
+    def row(
+        self, when: float, z: Array, cmd: Array, place: tuple[float, float] | None
+    ) -> list[str]:
+        """Return the sentences of one row of a log, the time of the row (ZDA) first.
+
+        Parameters
+        ----------
+        when : float
+            UNIX time, s.
+        z, cmd : ndarray, shapes (10,), (4,)
+            Measurements, NaN where there is none, and commands.
+        place : tuple of float or None
+            Latitude and longitude of the fix, degrees.
+        """
+        moment = datetime.fromtimestamp(round(when, 3), timezone.utc)
+        stamp = when % DAY
+        known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
+        north, east = known["gps_vx_mps"], known["gps_vy_mps"]
+        moves = not (math.isnan(north) or math.isnan(east))
+        lines = [self.line("ZDA", _clock(stamp), *f"{moment:%d %m %Y}".split(), "00", "00")]
+        if place is not None:
+            lines.append(self.gga(stamp, *place, quality=4))
+        if moves:
+            lines.append(self.rmc(stamp, moment.date(), place, north, east, mode="A"))
+        if not math.isnan(known["compass_rad"]):
+            lines.append(self.hdt(known["compass_rad"]))
+        if not math.isnan(known["gyro_radps"]):
+            lines.append(self.rot(known["gyro_radps"]))
+        left, right, *angles = cmd.tolist()
+        lines += [
+            self.line("RPM", "S", number, f"{60.0 * speed:.4f}", "", "A")
+            for number, speed in (("1", right), ("2", left))
+        ]
+        port, starboard = (f"{math.degrees(angle):.4f}" for angle in angles)
+        lines.append(self.line("RSA", starboard, "A", port, "A"))
+        if self.tag:
+            block = f"c:{round(1000.0 * when)}"
+            check = self._pynmea2.NMEASentence.checksum(block)
+            lines = [f"\\{block}*{check:02X}\\{line}" for line in lines]
+        return lines
+
+
+def _clock(stamp: float) -> str:
+    """Return a time of day, s, as ``hhmmss.sss``."""
+    ms = round(1000.0 * stamp) % 86400000
+    minutes, ms = divmod(ms, 60000)
+    return f"{minutes // 60:02d}{minutes % 60:02d}{ms // 1000:02d}.{ms % 1000:03d}"
+
+
+def _text(angle: float, sides: str, digits: int, decimals: int) -> Sequence[str]:
+    """Return an angle, degrees, as ``ddmm.mmm`` and its side."""
+    unit = 10**decimals
+    degrees, rest = divmod(round(abs(angle) * 60.0 * unit), 60 * unit)
+    minutes, part = divmod(rest, unit)
+    text = f"{degrees:0{digits}d}{minutes:02d}.{part:0{decimals}d}"
+    return text, sides[0] if angle >= 0.0 else sides[1]

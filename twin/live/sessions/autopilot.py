@@ -1,0 +1,135 @@
+"""Who steers a simulated boat: a hand, a manoeuvre, or line of sight along a path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.agents.controllers import LOS
+from twin.live.sessions.tracker import HORIZON, PLAN_STEP
+from usv_gym.envs.tasks import REACH, Curves, follow
+from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, commands
+from usv_gym.vessel.vessel import Vessel
+
+__all__ = [
+    "AUTOPILOTS",
+    "Helm",
+]
+
+Array = NDArray[np.float64]
+
+AUTOPILOTS = ("off", *MANOEUVRES, "path")
+"""``off``: by hand; a manoeuvre, from the moment on at which it is chosen; or a path."""
+
+DECISION, STEADY = 0.5, 4.0
+"""Time between two decisions along a path, and over which they are averaged to foretell, s."""
+
+
+class Helm:
+    """Commands of a boat from those of a hand or an autopilot.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The boat.
+    speed : float
+        Her usual speed, m/s.
+    rng : numpy.random.Generator
+        For paths and the random manoeuvre.
+
+    Attributes
+    ----------
+    throttle : float
+        Part of the usual shaft speed.
+    angle : float
+        Helm angle of a hand, rad, above 0 to starboard.
+    autopilot : str
+        One of :data:`AUTOPILOTS`.
+    path : ndarray, shape (K, 2)
+        Way points, m north and east; none where no path is followed.
+    """
+
+    def __init__(self, vessel: Vessel, speed: float, rng: np.random.Generator) -> None:
+        self.vessel, self.speed = vessel, speed
+        self.throttle, self.angle, self.autopilot = 1.0, 0.0, "off"
+        self.path = np.empty((0, 2))
+        self._usual = vessel.values["shaft_speed_manoeuvring"]
+        self._since, self._decided = 0.0, -math.inf
+        self._rng, self._random_seed = rng, int(rng.integers(2**32))
+        self._steered = self._steady = vessel.helm(self._usual, 0.0)
+
+    def hand_over(self, autopilot: str, t: float, state: Array) -> None:
+        """Let another autopilot steer from time t (s) and state (6,) on."""
+        self.autopilot, self._since = autopilot, t
+        self.path = np.empty((0, 2))
+        if autopilot == "path":
+            self._draw_path(state)
+
+    def command(self, t: float, state: Array) -> Array:
+        """Return what propellers and drives are told now.
+
+        Parameters
+        ----------
+        t : float
+            Time, s.
+        state : ndarray, shape (6,)
+            Where the boat believes to be, in the order of ``twin.channels.CHANNELS``.
+
+        Returns
+        -------
+        ndarray, shape (4,)
+        """
+        if self.autopilot in MANOEUVRES:
+            return self._manoeuvre(t, np.zeros(1))[0]
+        if self.autopilot == "path":
+            return self._along_path(t, state)
+        most = self.vessel.helm_max
+        return self.vessel.helm(self._usual * self.throttle, min(max(self.angle, -most), most))
+
+    def plan(self, t: float) -> str | Array:
+        """Return the commands of the next seconds, as :meth:`twin.digital_twin.Twin.predict` takes them."""
+        if self.autopilot in MANOEUVRES:
+            return self._manoeuvre(t, np.arange(0.0, HORIZON, PLAN_STEP))
+        if self.autopilot == "path":  # what is done against waves and noise does not last
+            return np.tile(self._steady, (round(HORIZON / PLAN_STEP), 1))
+        return "hold"
+
+    def _manoeuvre(self, t: float, ahead: Array) -> Array:
+        """Return the commands (K, 4) of the manoeuvre in so many seconds (K,) from now."""
+        # a function of time: what is drawn at random is drawn alike each time
+        rng, now = np.random.default_rng(self._random_seed), t - self._since
+        times = np.append(0.0, now + ahead)
+        shaft = self._usual * self.throttle
+        return commands(self.autopilot, times, self.vessel, rng, shaft)[1:]
+
+    def _draw_path(self, state: Array) -> None:
+        """Draw a curve that begins where the boat believes to be."""
+        task = Curves(1, self.speed, self.vessel.values["length_waterline"])
+        task.reset(0, self._rng)
+        x, y, psi = state[:3]
+        c, s = math.cos(psi), math.sin(psi)
+        self.path = task.points[0] @ np.array([[c, s], [-s, c]]) + [x, y]
+        self._leg, self._reach, self._decided = 0, float(task.rules[REACH]), -math.inf
+        self._los = LOS()
+        self._los.fit(self.vessel, self.speed, DECISION, self._reach)
+
+    def _along_path(self, t: float, state: Array) -> Array:
+        """Return what line of sight commands, twice a second."""
+        if t < self._decided + DECISION - 1e-9:
+            return self._steered
+        if self._leg + 2 >= len(self.path):
+            self._draw_path(state)
+        self._decided = t
+        x, y, psi, u, _, r = state
+        errors = np.empty(4)
+        self._leg = follow(x, y, psi, self.path, self._leg, self._reach, errors)
+        e, to_go, off, turn = errors
+        motion = [e, to_go, math.cos(off), math.sin(off), math.cos(turn), math.sin(turn)]
+        motion += [r, u / self.speed]
+        shaft, helm = self._los.steer(np.array([motion]))[0]
+        full = self.throttle * self.vessel.values["shaft_speed_service"]
+        self._steered = self.vessel.helm(shaft * full, helm * self.vessel.helm_max)
+        self._steady = self._steady + DECISION / STEADY * (self._steered - self._steady)
+        return self._steered

@@ -1,0 +1,96 @@
+"""A real boat, or an autopilot's simulator, as a session."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import COMMANDS
+from twin.digital_twin import Twin
+from twin.live.protocols.feed import Feed
+from twin.live.sessions.session import SLIP, Session, Snapshot, measured_boat
+from twin.live.sessions.tracker import Follower
+from usv_gym.vessel.vessel import Vessel
+
+__all__ = [
+    "FeedSession",
+]
+
+Array = NDArray[np.float64]
+
+REPLY = 0.2
+"""Time between two answers to a feed, s."""
+
+SILENT = 2.0
+"""After so much time of the clock without a row, s, a feed counts as silent."""
+
+
+class FeedSession(Session):
+    """A real boat, or an autopilot's simulator, as it comes over the wire.
+
+    Parameters
+    ----------
+    feed : Feed
+        Where rows come from, and the twin's belief goes back to; closed at the end.
+    twin : Twin
+        Fresh.
+    vessel : Vessel or None
+        Whose hull is shown.
+    folder : Path
+        Where recorded logs go.
+    """
+
+    def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
+        super().__init__(vessel, twin.particulars, folder)
+        self.feed = feed
+        self.follower, self._cmd = Follower(twin), np.zeros(len(COMMANDS))
+        self._answered, self._heard = -math.inf, math.nan
+        self._waiting: deque[tuple[float, Array, Array]] = deque()
+
+    def forget(self) -> None:
+        """Let the twin begin anew, as for another boat; a log that is being recorded goes on."""
+        self.follower.twin.reset()
+        self.follower = Follower(self.follower.twin)
+        self.snapshot = None
+        self.changed += 1
+
+    def _close(self) -> None:
+        self.feed.close()
+        super()._close()
+
+    def _advance(self) -> None:
+        begun = time.monotonic()
+        if not self._waiting:
+            self._waiting.extend(self.feed.take())
+        while self._waiting and time.monotonic() < begun + SLIP:
+            t, z, cmd = self._waiting.popleft()
+            self.follower.step(t, z, cmd)
+            self._cmd, self._heard = cmd, time.monotonic()
+            self._keep(t, z, cmd)
+
+    def _look(self) -> Snapshot | None:
+        follower = self.follower
+        if not math.isfinite(follower.t):
+            return None
+        now = time.monotonic()
+        silence = now - self._heard
+        silence = silence if silence > SILENT else 0.0
+        boat = measured_boat(follower.measured, self._cmd)
+        rate = self._rate(follower.t) if silence == 0.0 else 0.0
+        seen = self._seen(boat, silence, rate=rate, notes=self.notes)
+        # of a boat that is heard of no more, nothing is known that others should go by
+        if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
+            self._answered = now
+            self.feed.send(follower.twin.estimate(), seen.prediction)
+        return seen
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What came over the wire, in words."""
+        counts = ", ".join(f"{name} {n}" for name, n in self.feed.counts.items() if n)
+        return (counts, *self.feed.notes)

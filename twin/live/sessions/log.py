@@ -1,0 +1,220 @@
+"""A recorded run as a session, any moment of which can be seen."""
+
+from __future__ import annotations
+
+import bisect
+import math
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import MEASUREMENTS
+from twin.digital_twin import PLANS, Twin, TwinError, known_plan
+from twin.live.sessions.session import PUBLISHED, Session, Snapshot, measured_boat
+from twin.live.sessions.tracker import (
+    HORIZON,
+    LOST_AFTER,
+    PLAN_STEP,
+    Follower,
+    History,
+    belief_of,
+    patience,
+)
+from twin.logs.log import Log
+from twin.sim.bridge import TRUE_STATE
+from usv_gym.envs.render import Belief
+from usv_gym.vessel.vessel import Vessel
+
+__all__ = [
+    "LogSession",
+]
+
+Array = NDArray[np.float64]
+
+MOMENTS, MOST_APART = 4000, 2.0
+"""About so many predictions of a run are kept, and not farther apart than this, s."""
+
+BEHIND, TRACK, FIXES = 4000, 400, 400
+"""The track of so many rows is drawn with about so many points, and so many fixes."""
+
+_X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
+
+
+class LogSession(Session):
+    """A recorded run: its twin goes through it as fast as it can, and any moment can be seen.
+
+    Parameters
+    ----------
+    log : Log
+        The run; with the truth, if it is known, to judge by.
+    twin : Twin
+        Fresh.
+    vessel : Vessel or None
+        Whose hull is shown.
+    folder : Path
+        As for any session; nothing is recorded twice.
+    plan : str
+        One of ``twin.digital_twin.PLANS``: whether the twin is told the commands that follow.
+
+    Attributes
+    ----------
+    at : float
+        Moment that is shown, s.
+    done : float
+        Moment up to which the twin has come, s.
+    plan : str
+        As above.
+    """
+
+    def __init__(
+        self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "known"
+    ) -> None:
+        super().__init__(vessel, twin.particulars, folder)
+        self.log = log
+        self.at = float(log.t[0])
+        span = float(log.t[-1] - log.t[0])
+        self._spacing = min(max(PUBLISHED, span / MOMENTS), MOST_APART)
+        self._anchor = time.monotonic(), self.at
+        self._fixes, self._headings, self._turns = (
+            np.flatnonzero(np.isfinite(log.z[:, column])) for column in (_X, _COMPASS, _GYRO)
+        )
+        intervals = np.diff(log.t[self._fixes])
+        self._patience = patience(float(np.median(intervals)) if len(intervals) else 1.0)
+        self._prepare(twin, plan)
+
+    def _prepare(self, twin: Twin, plan: str) -> None:
+        """Let a fresh twin stand before the first row."""
+        if plan not in PLANS:
+            raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
+        self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
+        self.follower = Follower(twin)
+        self._believed = np.full((len(self.log), 6), math.nan)
+        self._moments: list[Belief | None] = []
+        self._times: list[float] = []
+        self._over = threading.Event()
+        self._worker = threading.Thread(target=self._go_through, name="twin", daemon=True)
+
+    def again(self, plan: str) -> None:
+        """Go through the log once more with another plan, up to the moment that is shown."""
+        self._over.set()
+        self._worker.join()
+        twin = self.follower.twin
+        twin.reset()
+        self._prepare(twin, plan)
+        self._worker.start()
+        self.changed += 1
+
+    def history(self) -> History:
+        """Return the curves up to the moment that is shown."""
+        whole = self.follower.history()
+        return whole.rows(whole.t <= self.at + 1e-9)
+
+    def seek(self, t: float) -> None:
+        """Show another moment."""
+        self.at = min(max(t, float(self.log.t[0])), self.done)
+        self._anchor = time.monotonic(), self.at
+
+    def _mark_anew(self) -> None:
+        super()._mark_anew()
+        self._anchor = time.monotonic(), self.at
+
+    def _run(self) -> None:
+        self._worker.start()
+        super()._run()
+
+    def _close(self) -> None:
+        self._over.set()
+        self._worker.join()
+        super()._close()
+
+    def _go_through(self) -> None:
+        """Feed the twin all rows, and keep what it believed in between."""
+        log, due = self.log, -math.inf
+        try:
+            for row, (t, z, cmd) in enumerate(log):
+                if self._over.is_set():
+                    return
+                truth = None if log.truth is None else log.truth[row]
+                self.follower.step(t, z, cmd, truth)
+                predictor = self.follower.twin.predictor
+                if self._moments and self._moments[-1] is not None:
+                    self._believed[row] = predictor.s
+                if t >= due - 1e-9 or row == len(log) - 1:
+                    due, self._row = t + self._spacing, row
+                    made = self.follower.predict(self._plan())
+                    if made is not None:
+                        self._believed[row] = predictor.s
+                    self._moments.append(None if made is None else belief_of(made))
+                    self._times.append(t)
+                self.done = t
+        except BaseException as error:
+            self.error = error
+
+    def _plan(self) -> str | Array:
+        if self.plan == "hold":
+            return "hold"
+        return known_plan(self.log, self._row, HORIZON, PLAN_STEP)
+
+    def _advance(self) -> None:
+        begin, first = self._anchor
+        now = time.monotonic()
+        self.at = first + (now - begin) * self.scale
+        if self.at > self.done:  # the twin is not there yet, or the run is over
+            self.at = self.done
+            self._anchor = now, self.at
+
+    def _look(self) -> Snapshot | None:
+        if not self._times:
+            return None
+        log, last = self.log, min(self.at, self.done) + 1e-9
+        row = max(int(np.searchsorted(log.t, last, side="right")) - 1, 0)
+        t = float(log.t[row])
+        fixes, headings, turns = (
+            known[: np.searchsorted(known, row, side="right")]
+            for known in (self._fixes, self._headings, self._turns)
+        )
+        ages = [t - float(log.t[known[-1]]) if len(known) else math.inf for known in (fixes, turns)]
+        measured = np.full(3, math.nan)
+        if len(fixes):
+            measured[:2] = log.z[fixes[-1], _X : _X + 2]
+        if len(headings):
+            measured[2] = log.z[headings[-1], _COMPASS]
+        boat = measured_boat(measured, log.cmd[row])
+        if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
+            boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
+        places = self._believed if log.truth is None else log.truth
+        behind = places[max(row - BEHIND, 0) : row + 1 : max(min(row, BEHIND) // TRACK, 1), :2]
+        follow = slice(row + 1, int(np.searchsorted(log.t, t + HORIZON, side="right")))
+        ahead = (log.z if log.truth is None else log.truth)[follow, :2]
+        return Snapshot(
+            t=t,
+            boat=boat,
+            belief=self._belief(row, t),
+            prediction=None,
+            fixes=log.z[fixes[-FIXES:], _X : _X + 2],
+            track=behind[np.isfinite(behind[:, 0])],
+            ahead=ahead[np.isfinite(ahead[:, 0])],
+            gps_age=ages[0],
+            gps_lost=ages[0] > self._patience,
+            imu_lost=len(turns) > 0 and ages[1] > LOST_AFTER[1],
+            has_imu=len(turns) > 0,
+        )
+
+    def _belief(self, row: int, t: float) -> Belief | None:
+        """Return what was believed at a row, with the last prediction from there on."""
+        index = max(bisect.bisect_right(self._times, t + 1e-9) - 1, 0)
+        made = self._moments[index]
+        if made is None or not np.isfinite(self._believed[row, 0]):
+            return None
+        since = max(t - self._times[index], 0.0)
+        later = made.horizons > since + 1e-6
+        return Belief(
+            state=self._believed[row],
+            cov=made.cov,
+            horizons=made.horizons[later] - since,
+            ahead=made.ahead[later],
+            covs=made.covs[later],
+        )

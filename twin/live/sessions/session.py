@@ -1,0 +1,318 @@
+"""What runs behind a view, in a thread of its own: a boat and its twin.
+
+A session never waits for who looks: it hands out its latest :class:`Snapshot`, and takes orders
+when it comes to them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import TRUTH
+from twin.files import write_whole
+from twin.live.sessions.tracker import LOST_AFTER, Follower, History, belief_of
+from twin.logs.log import Log, beside
+from twin.particulars import Particulars
+from twin.predictors.base import Prediction
+from usv_gym.envs.render import Belief
+from usv_gym.physics import frames as fr
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.sea import Sea
+
+__all__ = [
+    "PUBLISHED",
+    "SLIP",
+    "Session",
+    "Snapshot",
+    "measured_boat",
+]
+
+Array = NDArray[np.float64]
+
+PUBLISHED = 0.05
+"""Time between two snapshots, s: 20 Hz."""
+
+SLIP = 0.25
+"""A session that is behind by more gives up catching up, s."""
+
+RATE_OVER = 2.0
+"""The pace is measured over so many seconds."""
+
+UNKNOWN = np.full(len(TRUTH), math.nan)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Snapshot:
+    """All that a view shows of one moment.
+
+    Parameters
+    ----------
+    t : float
+        Time, s.
+    boat : ndarray, shape (16,)
+        State of the real boat, layout in :mod:`usv_gym.physics.frames`: the true one, or what
+        was measured of it last; NaN in place and heading before.
+    belief : Belief or None
+        What the twin believes, now and ahead; None before a first fix.
+    prediction : Prediction or None
+        The same in full.
+    fixes, track : ndarray, shape (F, 2), (T, 2)
+        Last fixes, and where the boat was, m north and east.
+    gps_age : float
+        Time since the last fix, s.
+    gps_lost, imu_lost : bool
+        Whether fixes, or turn rates, that should have come did not.
+    has_imu : bool
+        Whether a turn rate has ever come.
+    silence : float
+        Time of the clock for which nothing has come at all, s; 0 where that cannot be.
+    ahead : ndarray, shape (A, 2)
+        Where the boat went in the 10 s that follow, where that is known; m north and east.
+    path : ndarray, shape (K, 2)
+        Way points, m north and east; none where no path is followed.
+    sea : Sea or None
+        Waves and wind; None where nobody knows.
+    rate : float
+        Seconds of the run per second of the clock.
+    notes : tuple of str
+        What whoever looks should know.
+    """
+
+    t: float
+    boat: Array
+    belief: Belief | None
+    prediction: Prediction | None
+    fixes: Array
+    track: Array
+    gps_age: float
+    gps_lost: bool
+    imu_lost: bool
+    has_imu: bool
+    ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
+    path: Array = field(default_factory=lambda: np.empty((0, 2)))
+    sea: Sea | None = None
+    rate: float = math.nan
+    silence: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+class Session(ABC):
+    """A thread that lives a run; subclasses say what comes next.
+
+    Attributes
+    ----------
+    follower : Follower
+        The twin and what is seen of it.
+    snapshot : Snapshot or None
+        The latest; None before the first.
+    scale : float
+        Seconds of the run per second of the clock.
+    paused : bool
+        Whether time stands still.
+    fresh : threading.Event
+        Set with every new snapshot.
+    changed : int
+        How often another boat or twin took over.
+    message : str
+        What the last order could not do; empty where it could.
+    recorded : Path or None
+        File of the last log that was recorded.
+    error : BaseException or None
+        What ended the thread.
+    """
+
+    follower: Follower
+
+    def __init__(self, vessel: Vessel | None, particulars: Particulars, folder: Path) -> None:
+        self.vessel, self.particulars, self.folder = vessel, particulars, folder
+        self.recording = False
+        self.recorded: Path | None = None
+        self._rows: list[tuple[float, Array, Array, Array]] = []
+        self.message = ""
+        self.snapshot: Snapshot | None = None
+        self.scale, self.paused = 1.0, False
+        self.error: BaseException | None = None
+        self.changed = 0
+        self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self.fresh, self._stop = threading.Event(), threading.Event()
+        self._marks: list[tuple[float, float]] = []
+        self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    def history(self) -> History:
+        """Return the curves up to the moment that is shown."""
+        return self.follower.history()
+
+    def start(self) -> None:
+        """Begin to live."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, and write what was recorded; the session's thread is over then."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def order(self, call: Callable[..., None], *arguments: Any) -> None:
+        """Have something done in the session's thread, between two steps."""
+        self._orders.put(lambda: call(*arguments))
+
+    def set_scale(self, scale: float) -> None:
+        """Change the pace."""
+        self.scale = scale
+        self._mark_anew()
+
+    def set_paused(self, paused: bool) -> None:
+        """Let time stand still, or go on."""
+        self.paused = paused
+        self._mark_anew()
+
+    @abstractmethod
+    def _advance(self) -> None:
+        """Live on up to the present moment of the clock; no longer than about :data:`SLIP`."""
+
+    @abstractmethod
+    def _look(self) -> Snapshot | None:
+        """Return what is seen now; None while there is nothing."""
+
+    def _mark_anew(self) -> None:
+        """Forget the pace of before: from now on time runs otherwise."""
+        self._marks.clear()
+
+    def _close(self) -> None:
+        """Let go of what is held; in the session's thread, at its end."""
+        try:
+            self.record(False)
+        except OSError:  # better elsewhere than lost
+            self.folder = Path(tempfile.gettempdir())
+            self.record(False)
+
+    def record(self, on: bool) -> None:
+        """Begin to record a log, or end and write it; what cannot be written is kept."""
+        if on:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        elif self._rows:
+            t, z, cmd, truth = (np.array(column) for column in zip(*self._rows, strict=True))
+            known = truth if np.isfinite(truth).any() else None
+            self.recorded = save(Log(t, z, cmd, known, "view"), self.particulars, self.folder)
+            self._rows = []
+        self.recording = on
+
+    def toggle_record(self) -> None:
+        """Begin to record a log, or end and write it, whichever comes next."""
+        self.record(not self.recording)
+
+    def toggle_paused(self) -> None:
+        """Let time stand still, or go on, whichever comes next."""
+        self.set_paused(not self.paused)
+
+    @property
+    def kept(self) -> int:
+        """Rows of the log that is being recorded."""
+        return len(self._rows)
+
+    def _keep(self, t: float, z: Array, cmd: Array, truth: Array = UNKNOWN) -> None:
+        """Add a row to the log that is being recorded, if one is."""
+        if self.recording:
+            self._rows.append((t, z.copy(), cmd.copy(), truth.copy()))
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        try:
+            while not self._stop.is_set():
+                self._obey()
+                if not self.paused:
+                    self._advance()
+                now = time.monotonic()
+                if now >= due:
+                    due = max(due + PUBLISHED, now)
+                    self.snapshot = self._look() or self.snapshot
+                    self.fresh.set()
+                self._stop.wait(min(max(due - time.monotonic(), 0.0), self._rest()))
+        except BaseException as error:  # told by who waits in the main thread
+            self.error = error
+        try:
+            self._close()
+        except Exception as error:
+            self.error = self.error or error
+        self.fresh.set()
+
+    def _obey(self) -> None:
+        """Carry out what was ordered; what cannot be done is told, and changes nothing."""
+        with contextlib.suppress(Empty):
+            while True:
+                call = self._orders.get_nowait()
+                try:
+                    self.message = ""
+                    call()
+                except OSError as error:
+                    self.message = f"{error.filename}: {error.strerror}; choose another folder"
+                except (ValueError, ImportError) as error:
+                    self.message = str(error)
+
+    def _rest(self) -> float:
+        """Return how long may be slept before the next step, s."""
+        return 0.01
+
+    def _rate(self, t: float) -> float:
+        """Return seconds of the run per second of the clock, over the last two."""
+        now = time.monotonic()
+        self._marks.append((now, t))
+        while len(self._marks) > 2 and self._marks[0][0] < now - RATE_OVER:
+            self._marks.pop(0)
+        (begin, first), (end, last) = self._marks[0], self._marks[-1]
+        return (last - first) / (end - begin) if end - begin > 0.3 else math.nan
+
+    def _plan(self) -> str | Array:
+        """Return the commands of the next seconds, as far as they are known."""
+        return "hold"
+
+    def _seen(self, boat: Array, silence: float = 0.0, **others: Any) -> Snapshot:
+        """Return the follower's part of a snapshot, and the rest as given."""
+        follower = self.follower
+        prediction = follower.predict(self._plan())
+        return Snapshot(
+            t=follower.t,
+            boat=boat,
+            belief=None if prediction is None else belief_of(prediction),
+            prediction=prediction,
+            fixes=np.array(follower.fixes).reshape(-1, 2),
+            track=np.array(follower.track).reshape(-1, 2),
+            gps_age=follower.gps_age + silence,
+            gps_lost=follower.gps_age + silence > follower.patience,
+            imu_lost=follower.imu_age + silence > LOST_AFTER[1],
+            has_imu=follower.has_imu,
+            silence=silence,
+            **others,
+        )
+
+
+def measured_boat(measured: Array, cmd: Array) -> Array:
+    """Return a state (16,) of what was measured last (3,) and commanded (4,)."""
+    boat = np.zeros(fr.STATE_SIZE)
+    boat[[fr.X, fr.Y, fr.PSI]] = measured
+    boat[fr.N_LEFT :] = cmd
+    return boat
+
+
+def save(log: Log, particulars: Particulars, folder: Path) -> Path:
+    """Write a log and the boat's particulars to new files of a folder; return the log's."""
+    folder.mkdir(parents=True, exist_ok=True)
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    names = (f"view_{stamp}{suffix}.csv" for suffix in ("", *(f"_{k}" for k in range(2, 1000))))
+    path = next(folder / name for name in names if not (folder / name).exists())
+    log.write(path)
+    write_whole(beside(path, ".toml"), particulars.to_toml().encode())
+    return path

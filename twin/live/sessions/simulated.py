@@ -1,0 +1,182 @@
+"""A simulated boat as a session: steered, disturbed and deprived of its sensors by hand."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.digital_twin import Twin
+from twin.live.sessions.autopilot import Helm
+from twin.live.sessions.session import SLIP, Session, Snapshot
+from twin.live.sessions.tracker import Follower
+from twin.predictors.registry import DEFAULT, predictor_class
+from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
+from twin.sim.oracle import world_options
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.sea import Sea, SeaState
+from usv_gym.world.sensors import END, START, Disturbance, Fault, SensorSuite
+from usv_gym.world.simulation import Simulation
+
+__all__ = [
+    "SimulatedSession",
+    "World",
+]
+
+Array = NDArray[np.float64]
+
+NEVER = 1e12
+"""A fault that begins so late has not been ordered, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What a simulated session begins with.
+
+    Parameters
+    ----------
+    vessel, sea, predictor, sensors
+        As ``usv-twin simulate`` and ``identify`` take them.
+    seed : int
+        Of sea, sensors, paths and random manoeuvres.
+    dof : int
+        Degrees of freedom of the ship.
+    faults : sequence of Disturbance
+        Faults of sensors beside those that are ordered.
+    """
+
+    vessel: Vessel
+    sea: SeaState
+    predictor: str = DEFAULT
+    sensors: str = "typical"
+    seed: int = 0
+    dof: int = 6
+    faults: Sequence[Disturbance] = ()
+
+
+class SimulatedSession(Session):
+    """A boat in a simulated sea that is steered, disturbed and deprived of its sensors by hand.
+
+    Parameters
+    ----------
+    world : World
+        What it begins with.
+    folder : Path
+        Where recorded logs go.
+    autopilot : str
+        Who steers at first, one of :data:`twin.live.sessions.autopilot.AUTOPILOTS`.
+
+    Attributes
+    ----------
+    world : World
+        What the run that is on began with.
+    helm : Helm
+        Who steers.
+    """
+
+    def __init__(self, world: World, folder: Path, autopilot: str = "off") -> None:
+        super().__init__(world.vessel, particulars_of(world.vessel), folder)
+        self.helm: Helm
+        self.restart(world, autopilot)
+
+    def restart(self, world: World, autopilot: str | None = None) -> None:
+        """Begin anew; a log that is being recorded ends. Who steers goes on unless named."""
+        suite = SensorSuite.grade(world.sensors)
+        # two windows of loss that are moved when they are ordered
+        gps, imu = (Fault(kind, NEVER, 1.0) for kind in ("gps", "imu"))
+        simulation = Simulation(
+            1,
+            world.vessel,
+            world.sea,
+            suite=suite,
+            faults=(gps, imu, *world.faults),
+            dof=world.dof,
+            changing=True,
+        )
+        particulars = particulars_of(world.vessel, suite, world.dof)
+        told: dict[str, Any] = {}
+        if predictor_class(world.predictor).world:
+            told = world_options(world.predictor, world.vessel, world.sea, world.dof)
+        twin = Twin(particulars, world.predictor, seed=world.seed, **told)
+        self.record(False)
+        rng, self._sea_rng, helm_rng = np.random.default_rng(world.seed).spawn(3)
+        self._gust_seed = int(self._sea_rng.integers(2**32))
+        simulation.reset([0], [rng])
+        helm = Helm(world.vessel, particulars.speed, helm_rng)
+        if autopilot is None:
+            autopilot = self.helm.autopilot
+            helm.throttle, helm.angle = self.helm.throttle, self.helm.angle
+        self.world, self.vessel, self.particulars = world, world.vessel, particulars
+        self.simulation, self.follower, self.helm = simulation, Follower(twin), helm
+        self.steer(autopilot)
+        self._mark_anew()
+        self._feed()
+        self.changed += 1
+
+    @property
+    def t(self) -> float:
+        """Time since the restart, s."""
+        return float(self.simulation.t[0])
+
+    def _mark_anew(self) -> None:
+        super()._mark_anew()
+        self._anchor = time.monotonic(), self.t
+
+    def steer(self, autopilot: str) -> None:
+        """Hand the helm over, from this moment on."""
+        self.helm.hand_over(autopilot, self.t, self.follower.twin.predictor.s)
+
+    def lose(self, kind: str, seconds: float) -> None:
+        """Lose ``gps`` or ``imu`` from now on for so long; infinity is until it is found again."""
+        row = self.simulation.faults[0, ("gps", "imu").index(kind)]
+        row[START], row[END] = self.t, self.t + seconds
+
+    def is_lost(self, kind: str) -> bool:
+        """Whether ``gps`` or ``imu`` was lost until it is found again."""
+        begin, end = self.simulation.faults[0, ("gps", "imu").index(kind), [START, END]]
+        return bool(begin <= self.t and end == math.inf)
+
+    def toggle_loss(self, kind: str) -> None:
+        """Lose ``gps`` or ``imu`` for good, or find it again."""
+        self.lose(kind, 0.0 if self.is_lost(kind) else math.inf)
+
+    def change_sea(self, sea: SeaState, waves: bool = True) -> None:
+        """Put the boat into another sea, or under another wind alone."""
+        rng = np.random.default_rng(self._gust_seed) if not waves else self._sea_rng
+        self.simulation.change_sea(0, sea, rng, waves=waves)
+
+    def _rest(self) -> float:
+        return self.simulation.dt / max(self.scale, 1e-3)
+
+    def _advance(self) -> None:
+        begin, first = self._anchor
+        now = time.monotonic()
+        goal = first + (now - begin) * self.scale
+        while self.t + self.simulation.dt <= goal + 1e-9:
+            cmd = self.helm.command(self.t, self.follower.twin.predictor.s)
+            self.simulation.step(cmd[None])
+            self._feed()
+            if time.monotonic() > now + SLIP:  # too much is asked of this machine
+                self._anchor = time.monotonic(), self.t
+                break
+
+    def _feed(self) -> None:
+        sim = self.simulation
+        z, truth = measurement_row(sim.z[0]), sim.state[0, TRUE_STATE]
+        self.follower.step(self.t, z, sim.cmd[0], truth)
+        self._keep(self.t, z, sim.cmd[0], truth)
+
+    def _plan(self) -> str | Array:
+        return self.helm.plan(self.t)
+
+    def _look(self) -> Snapshot:
+        sim = self.simulation
+        sea = Sea(sim.waves[0].copy(), sim.gusts[0].copy(), sim.weather[0].copy())
+        state = sim.state[0].copy()
+        return self._seen(state, path=self.helm.path, sea=sea, rate=self._rate(self.t))

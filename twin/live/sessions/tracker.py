@@ -1,0 +1,307 @@
+"""A twin fed row by row, judged by what comes after, and what a picture shows of it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import MEASUREMENTS
+from twin.digital_twin import Twin
+from twin.particulars import Particulars
+from twin.predictors.base import Prediction
+from twin.predictors.baselines import hold_velocity
+from usv_gym.envs.render import Belief
+
+__all__ = [
+    "HORIZON",
+    "LOST_AFTER",
+    "PLAN_STEP",
+    "Follower",
+    "History",
+    "belief_of",
+    "patience",
+]
+
+Array = NDArray[np.float64]
+
+HORIZON = 10.0
+"""How far the twin looks ahead, s."""
+
+PLAN_STEP = 0.25
+"""Time between two rows of a plan, s."""
+
+CONSISTENT_OVER = 30.0
+"""Innovations of so many seconds are averaged."""
+
+FIXES, TRACK = 400, 1500
+"""Fixes and points of the track that are kept to be drawn."""
+
+HISTORY_STEP, HISTORY_ROWS = 0.5, 1200
+"""Time between two rows of the curves at first, s, and how many rows make them half as dense."""
+
+LOST_AFTER = 3.0, 0.5
+"""A sensor counts as lost after so many usual intervals, and s at least."""
+
+SPACING = 0.05
+"""Points of the track are at least so many lengths apart."""
+
+GAP, NEW_AFTER = 1.0, 30.0
+"""Nothing is judged across so many seconds without a row, and after so many the curves begin
+anew."""
+
+_X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
+
+
+def belief_of(prediction: Prediction) -> Belief:
+    """Return a prediction as what pictures draw."""
+    return Belief(
+        state=prediction.start,
+        cov=prediction.start_cov[:2, :2],
+        horizons=prediction.t - prediction.t0,
+        ahead=prediction.mean,
+        covs=prediction.cov[:, :2, :2],
+    )
+
+
+def patience(interval: float) -> float:
+    """Return the time without a sample, s, after which a sensor of that interval counts as lost."""
+    times, least = LOST_AFTER
+    return max(times * interval, least)
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Curves over time.
+
+    Parameters
+    ----------
+    t : ndarray, shape (T,)
+        Time, s.
+    error, error_hold : ndarray, shape (T,)
+        How far off the place that was predicted 10 s before is, m: by the twin, and by holding
+        velocity and turn rate; NaN where nothing tells.
+    window : ndarray, shape (T,)
+        Data that the identifier looks back on, s; NaN where there is no window.
+    nis_place, nis_velocity : ndarray, shape (T,)
+        Normalised innovations squared per degree of freedom of the fixes, mean of the last 30 s:
+        1 where the twin is as sure as it should be, more where it is too sure.
+    xi, xi_sd : ndarray, shape (T, p)
+        Parameters and their standard deviations.
+    """
+
+    t: Array
+    error: Array
+    error_hold: Array
+    window: Array
+    nis_place: Array
+    nis_velocity: Array
+    xi: Array
+    xi_sd: Array
+
+    def rows(self, chosen: NDArray[np.bool_]) -> History:
+        """Return some rows, chosen by a mask (T,)."""
+        return History(**{name: values[chosen] for name, values in vars(self).items()})
+
+    def since(self, span: float) -> History:
+        """Return the rows of the last seconds."""
+        return self.rows(self.t >= self.t[-1] - span) if len(self.t) else self
+
+
+class _Mean:
+    """Mean of what came within the last seconds."""
+
+    def __init__(self) -> None:
+        self.values: deque[tuple[float, float]] = deque()
+        self.total = 0.0
+
+    def add(self, t: float, value: float) -> None:
+        self.values.append((t, value))
+        self.total += value
+
+    def at(self, t: float) -> float:
+        while self.values and self.values[0][0] < t - CONSISTENT_OVER:
+            self.total -= self.values.popleft()[1]
+        return self.total / len(self.values) if self.values else math.nan
+
+
+class Follower:
+    """A twin and what is to be seen of it.
+
+    Parameters
+    ----------
+    twin : Twin
+        Fresh; it is fed here only.
+
+    Attributes
+    ----------
+    t : float
+        Time of the last row, s; NaN before the first.
+    measured : ndarray, shape (3,)
+        Last fix (m north and east) and last compass heading (rad); NaN before the first.
+    fixes, track : deque of tuple of float
+        Last fixes, and where the boat was (by the truth where it is known, else as believed), m
+        north and east.
+    gps_age : float
+        Time since the last fix, s.
+    error, error_hold : float
+        See :class:`History`.
+    """
+
+    def __init__(self, twin: Twin) -> None:
+        self.twin = twin
+        self.t = math.nan
+        self.measured = np.full(3, math.nan)
+        self.fixes: deque[tuple[float, float]] = deque(maxlen=FIXES)
+        self.track: deque[tuple[float, float]] = deque(maxlen=TRACK)
+        self.error = self.error_hold = math.nan
+        self._fixed_at, self._gyro_at = math.nan, math.nan
+        self._intervals: deque[float] = deque(maxlen=21)
+        self._nis_place, self._nis_velocity = _Mean(), _Mean()
+        self._open: deque[tuple[float, Array, Array]] = deque()
+        self._place = (math.nan, math.nan)
+        self._rows: list[tuple[tuple[float, ...], Array, Array]] = []
+        self._step = HISTORY_STEP
+
+    @property
+    def particulars(self) -> Particulars:
+        """The boat as its twin knows it."""
+        return self.twin.particulars
+
+    @property
+    def gps_age(self) -> float:
+        """Time since the last fix, s; infinite before the first."""
+        return self.t - self._fixed_at if math.isfinite(self._fixed_at) else math.inf
+
+    @property
+    def patience(self) -> float:
+        """Time without a fix after which GPS counts as lost, s."""
+        return patience(float(np.median(self._intervals)) if self._intervals else 1.0)
+
+    @property
+    def gps_lost(self) -> bool:
+        """Whether fixes that should have come by now did not."""
+        return self.gps_age > self.patience
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether a turn rate has ever come."""
+        return math.isfinite(self._gyro_at)
+
+    @property
+    def imu_age(self) -> float:
+        """Time since the last turn rate, s; 0 where none ever came."""
+        return self.t - self._gyro_at if self.has_imu else 0.0
+
+    def step(self, t: float, z: Array, cmd: Array, truth: Array | None = None) -> None:
+        """Take one row.
+
+        Parameters
+        ----------
+        t, z, cmd
+            As :meth:`twin.digital_twin.Twin.step` takes them.
+        truth : ndarray, shape (6,), optional
+            True state, to judge by; NaN where it is not known. No twin is told.
+        """
+        fix, heading = z[_X : _X + 4], float(z[_COMPASS])
+        if t - self.t > NEW_AFTER:
+            self._rows, self._step = [], HISTORY_STEP
+            self.error = self.error_hold = math.nan
+        if math.isfinite(fix[0]) and t - self.t < GAP:
+            self._weigh(t, fix)
+        self.twin.step(t, z, cmd)
+        before, self.t = self.t, t
+        if math.isfinite(fix[0]):
+            self.measured[:2] = fix[:2]
+            self.fixes.append((float(fix[0]), float(fix[1])))
+            if math.isfinite(self._fixed_at):
+                self._intervals.append(t - self._fixed_at)
+            self._fixed_at = t
+        if math.isfinite(heading):
+            self.measured[2] = heading
+        if math.isfinite(z[_GYRO]):
+            self._gyro_at = t
+        self._judge(before, truth)
+        if not self._rows or t >= self._rows[-1][0][0] + self._step:
+            self._note()
+
+    def predict(self, plan: str | Array = "hold") -> Prediction | None:
+        """Return where the boat will be; None before a first fix.
+
+        The prediction is judged when its last moment has come.
+
+        Parameters
+        ----------
+        plan : "hold" or ndarray, shape (HORIZON / PLAN_STEP, 4)
+            Commands of the next :data:`HORIZON` seconds, every :data:`PLAN_STEP`.
+        """
+        if not self.twin.predictor.estimate().ready:
+            return None
+        prediction = self.twin.predict(plan, horizon=HORIZON, dt=PLAN_STEP)
+        start = prediction.start
+        held = hold_velocity(start, start[3:], np.array([HORIZON]))[0]
+        if not self._open or self.t > self._open[-1][0]:
+            self._open.append((self.t, prediction.mean[-1, :2], held[:2]))
+        return prediction
+
+    def history(self) -> History:
+        """Return the curves up to now; may be called from any thread."""
+        rows, size = list(self._rows), len(self.twin.predictor.parameter_names)
+        curves = np.array([row for row, _, _ in rows]).reshape(-1, 6)
+        parts = (np.array([row[k] for row in rows]).reshape(len(rows), size) for k in (1, 2))
+        return History(*curves.T, *parts)
+
+    def _weigh(self, t: float, fix: Array) -> None:
+        """Compare place and velocity of a fix (4,) with what is believed before it is known."""
+        now = self.twin.estimate()
+        if not now.ready:
+            return
+        how = self.particulars.instruments
+        x, y, psi, u, v, r = now.s
+        c, s = math.cos(psi), math.sin(psi)
+        # of the antenna, when the fix was taken
+        u, v = u - r * how.gps_arm[1], v + r * how.gps_arm[0]
+        velocity = np.array([u * c - v * s, u * s + v * c])
+        arm = np.array([[c, -s], [s, c]]) @ how.gps_arm
+        place = np.array([x, y]) + arm + (t - self.t - how.gps_latency) * velocity
+        # the drifting part of the error is in the fixes and in the belief alike
+        var = np.maximum(now.sd[:2] ** 2 - how.gps_bias_sd**2, 0.0) + how.gps_sd**2
+        self._nis_place.add(t, float(np.mean((fix[:2] - place) ** 2 / var)))
+        if math.isfinite(fix[2]):
+            var = now.sd[3:5] ** 2 + how.doppler_sd**2
+            self._nis_velocity.add(t, float(np.mean((fix[2:] - velocity) ** 2) / np.mean(var)))
+
+    def _judge(self, before: float, truth: Array | None) -> None:
+        """Say how far off the prediction is whose last moment has come."""
+        last = self._place
+        if truth is not None and math.isfinite(truth[0]):
+            self._place = float(truth[0]), float(truth[1])
+        elif self.gps_lost:
+            self._place = math.nan, math.nan
+        else:
+            s = self.twin.predictor.s
+            self._place = float(s[0]), float(s[1])
+        far = SPACING * self.particulars.length
+        there = math.isfinite(self._place[0])
+        if there and (not self.track or math.dist(self.track[-1], self._place) > far):
+            self.track.append(self._place)
+        while self._open and self._open[0][0] + HORIZON <= self.t + 1e-9:
+            due, by_twin, held = self._open.popleft()
+            share = (due + HORIZON - before) / (self.t - before)
+            share = share if self.t - before < GAP else math.nan
+            place = [a + share * (b - a) for a, b in zip(last, self._place, strict=True)]
+            self.error = math.dist(place, by_twin)
+            self.error_hold = math.dist(place, held)
+
+    def _note(self) -> None:
+        """Add a row to the curves; when there are too many, keep every second."""
+        if len(self._rows) >= HISTORY_ROWS:
+            self._rows = self._rows[::2]
+            self._step *= 2.0
+        nis = self._nis_place.at(self.t), self._nis_velocity.at(self.t)
+        window = self.twin.predictor.window_s
+        row, now = (self.t, self.error, self.error_hold, window, *nis), self.twin.estimate()
+        self._rows.append((row, now.xi.copy(), now.xi_sd.copy()))

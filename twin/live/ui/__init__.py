@@ -1,0 +1,4 @@
+"""The live 3-D view in a browser.
+
+May import twin.live.sessions and below.
+"""

@@ -1,0 +1,548 @@
+"""The controls and the curves beside the scene of a view."""
+
+from __future__ import annotations
+
+import html
+import math
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.digital_twin import PLANS
+from twin.live.sessions.autopilot import AUTOPILOTS
+from twin.live.sessions.feed import FeedSession
+from twin.live.sessions.log import LogSession
+from twin.live.sessions.session import Session, Snapshot
+from twin.live.sessions.simulated import SimulatedSession
+from twin.live.sessions.tracker import History
+from twin.live.ui.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
+from twin.predictors.registry import PREDICTORS
+from usv_gym.envs.render import SDS
+from usv_gym.physics import frames as fr
+from usv_gym.physics import waves as wv
+from usv_gym.physics import weather as wx
+from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.sea import SEA_STATES, SeaState
+
+if TYPE_CHECKING:
+    import viser
+
+__all__ = [
+    "Controls",
+    "Curves",
+    "controls_of",
+]
+
+Array = NDArray[np.float64]
+
+SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+
+THROTTLE_STEP, HELM_STEP = 0.1, 2.0
+"""What a press of an arrow key changes: part of the usual shaft speed, degrees."""
+
+LOSS = 10.0
+"""A short loss of GPS, s."""
+
+HEIGHT, LOW = 150, 126
+"""Of a curve, and of one under a choice, pixels: three of a kind fit 720."""
+
+SHOWN = 300.0
+"""Of a run that goes on for ever, the curves show the last s."""
+
+LEFT, RIGHT = 290, 350
+"""Widths of controls and curves, pixels."""
+
+
+class Controls(ABC):
+    """The panel on the left: what can be changed, and what the instruments say.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Whose panel.
+    session : Session
+        What is steered by it.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+        self.gui, self.session = server.gui, session
+        server.gui.main_panel.dock_left()
+        server.gui.main_panel.set_width(LEFT)
+        self.status = self.gui.add_html("")
+        self.gui.add_html(key(path=isinstance(session, SimulatedSession)))
+        self._add_time()
+        self.add()
+
+    @abstractmethod
+    def add(self) -> None:
+        """Add what only this kind of session has."""
+
+    def show(self, now: Snapshot) -> None:
+        """Say what the instruments say, and what each button does next."""
+        self.status.content = table(said(now, self.session))
+        for button, label in self.labels():
+            if button.label != label:
+                button.label = label
+
+    def labels(self) -> list[tuple[Any, str]]:
+        """Return the buttons whose words change, and what they say now."""
+        said = {
+            "pause": "go on" if self.session.paused else "pause",
+            "record": "stop, and write the log" if self.session.recording else "record a log",
+        }
+        return [(getattr(self, name), text) for name, text in said.items() if hasattr(self, name)]
+
+    def _add_time(self) -> None:
+        with self.gui.add_folder("Run"):
+            self.pause = self.gui.add_button("pause", hint="key: space")
+            self.pause.on_click(lambda _: self._toggle_pause())
+            own = self.session.scale
+            names = tuple(f"{scale:g}x" for scale in sorted({*SCALES, own}))
+            self.scale = self.gui.add_dropdown("time scale", names, initial_value=f"{own:g}x")
+            self.scale.on_update(
+                lambda _: self.session.order(
+                    self.session.set_scale, float(self.scale.value.rstrip("x"))
+                )
+            )
+            self._add_record()
+        self.gui.add_command("pause", hotkey="space").on_trigger(lambda _: self._toggle_pause())
+
+    def _toggle_pause(self) -> None:
+        self.session.order(self.session.toggle_paused)
+
+    def _add_record(self) -> None:
+        self.record = self.gui.add_button("record a log")
+        self.record.on_click(lambda _: self.session.order(self.session.toggle_record))
+
+
+class SimulatedControls(Controls):
+    """Helm, sensors and world of a simulated boat."""
+
+    session: SimulatedSession
+
+    def add(self) -> None:
+        """Add helm, sensors, world and restart."""
+        session, order = self.session, self.session.order
+        with self.gui.add_folder("Helm"):
+            self.autopilot = self.gui.add_dropdown(
+                "autopilot", AUTOPILOTS, initial_value=session.helm.autopilot
+            )
+            self.autopilot.on_update(lambda _: order(session.steer, self.autopilot.value))
+            self.throttle = self.gui.add_slider(
+                "throttle", -1.0, 1.2, 0.05, session.helm.throttle, hint="keys: arrows up and down"
+            )
+            self.throttle.on_update(self._push)
+            self.helm = self.gui.add_slider(
+                "rudder (deg)", -35.0, 35.0, 0.5, 0.0, hint="keys: arrows left and right"
+            )
+            self.helm.on_update(self._turn)
+        for key, slider, step in (
+            ("arrowup", self.throttle, THROTTLE_STEP),
+            ("arrowdown", self.throttle, -THROTTLE_STEP),
+            ("arrowright", self.helm, HELM_STEP),
+            ("arrowleft", self.helm, -HELM_STEP),
+        ):
+            self._on_key(key, slider, step)
+        with self.gui.add_folder("Sensors"):
+            brief = self.gui.add_button(f"lose GPS {LOSS:g} s", hint="key: G")
+            brief.on_click(lambda _: order(session.lose, "gps", LOSS))
+            self.gps = self._add_loss("gps", "GPS")
+            self.imu = self._add_loss("imu", "IMU")
+        self.gui.add_command(f"lose GPS {LOSS:g} s", hotkey="G").on_trigger(
+            lambda _: order(session.lose, "gps", LOSS)
+        )
+        world = session.world
+        with self.gui.add_folder("Weather", expand_by_default=False):
+            known = next((name for name, sea in SEA_STATES.items() if sea == world.sea), "as given")
+            names = tuple(name for name in SEA_STATES if name != "calm")
+            self.sea = self.gui.add_dropdown(
+                "sea state",
+                names if known in names else (known, *names),
+                initial_value=known,
+            )
+            self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, round(world.sea.wind, 1))
+            degrees = round(math.degrees(world.sea.wind_from)) % 360
+            self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
+            self.sea.on_update(lambda _: self._set_wind())
+            for slider in (self.wind, self.wind_from):
+                slider.on_update(lambda _: order(session.change_sea, self._chosen_sea(), False))
+        with self.gui.add_folder("Boat and twin", expand_by_default=False):
+            names = tuple(dict.fromkeys((world.vessel.name, *vessel_names())))
+            self._given = world.vessel
+            self.vessel = self.gui.add_dropdown("vessel", names, initial_value=world.vessel.name)
+            self.predictor = self.gui.add_dropdown(
+                "predictor",
+                tuple(dict.fromkeys((world.predictor, *PREDICTORS))),
+                initial_value=world.predictor,
+            )
+            self.dof = self.gui.add_dropdown(
+                "degrees of freedom", ("6", "3"), initial_value=str(world.dof)
+            )
+            self.seed = self.gui.add_number("seed", world.seed, min=0, step=1)
+            restart = self.gui.add_button("restart", hint="key: R")
+            restart.on_click(lambda _: self._restart())
+        self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
+
+    # The helm's callbacks are coroutines: viser runs those in turn, and functions side by side,
+    # where two quick presses of a key would both move the slider from where it was.
+
+    async def _push(self, _: Any) -> None:
+        self.session.helm.throttle = self.throttle.value
+
+    async def _turn(self, _: Any) -> None:
+        """Take the helm: a hand on it counts more than an autopilot."""
+        if self.autopilot.value != "off":
+            self.autopilot.value = "off"
+        self.session.helm.angle = math.radians(self.helm.value)
+
+    def _on_key(self, key: Any, slider: Any, step: float) -> None:
+        """Let a key move a slider."""
+        command = self.gui.add_command(f"{slider.label} {step:+g}", hotkey=key)
+
+        async def move(_: Any) -> None:
+            slider.value = min(max(round(slider.value + step, 2), slider.min), slider.max)
+
+        command.on_trigger(move)
+
+    def _add_loss(self, kind: str, name: str) -> Any:
+        """Add a button that loses a sensor until it is pressed again."""
+        button = self.gui.add_button(f"lose {name} until pressed")
+        button.on_click(lambda _: self.session.order(self.session.toggle_loss, kind))
+        return button
+
+    def labels(self) -> list[tuple[Any, str]]:
+        """Return the buttons whose words change, and what they say now."""
+        said = super().labels()
+        for button, kind, name in ((self.gps, "gps", "GPS"), (self.imu, "imu", "IMU")):
+            lost = self.session.is_lost(kind)
+            said.append((button, f"find {name} again" if lost else f"lose {name} until pressed"))
+        return said
+
+    def _chosen_sea(self) -> SeaState:
+        sea = SEA_STATES.get(self.sea.value, self.session.world.sea)
+        if self.wind.value == round(sea.wind, 1) and self.sea.value not in SEA_STATES:
+            return sea
+        return sea.replace(
+            wind=float(self.wind.value), wind_from=math.radians(self.wind_from.value)
+        )
+
+    def _set_wind(self) -> None:
+        """Take over the wind that goes with a sea state."""
+        self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.world.sea).wind, 1)
+        self.session.order(self.session.change_sea, self._chosen_sea())
+
+    def _restart(self) -> None:
+        name = self.vessel.value
+        vessel = self._given if name == self._given.name else Vessel.load(name)
+        world = replace(
+            self.session.world,
+            vessel=vessel,
+            sea=self._chosen_sea(),
+            predictor=self.predictor.value,
+            dof=int(self.dof.value),
+            seed=int(self.seed.value or 0),  # an emptied field is None
+        )
+        self.session.order(self.session.restart, world)
+
+
+class FeedControls(Controls):
+    """A real boat takes no orders, and nobody holds up its time."""
+
+    session: FeedSession
+
+    def add(self) -> None:
+        """Add what helps when another boat begins to send."""
+        forget = self.gui.add_button("let the twin begin anew", hint="as for another boat")
+        forget.on_click(lambda _: self.session.order(self.session.forget))
+
+    def _add_time(self) -> None:
+        self._add_record()
+
+
+class LogControls(Controls):
+    """The moment of a recorded run."""
+
+    session: LogSession
+
+    def _add_record(self) -> None:
+        """It is recorded already."""
+
+    def add(self) -> None:
+        """Add the slider of time."""
+        t = self.session.log.t
+        begin, end = float(t[0]), float(t[-1])
+        with self.gui.add_folder("Moment"):
+            self.at = self.gui.add_slider(
+                "time (s)", begin, max(end, begin + 0.1), 0.1, begin, hint="of the log"
+            )
+            self.progress = self.gui.add_progress_bar(0.0)
+            self.gui.add_html(small("Bar: how far the twin has come through the log."))
+            self.plan = self.gui.add_dropdown(
+                "commands ahead",
+                PLANS,
+                initial_value=self.session.plan,
+                hint="known: the twin is told those that follow; hold: the last one stays",
+            )
+            self.plan.on_update(lambda _: self.session.order(self.session.again, self.plan.value))
+
+        def seek(event: Any) -> None:
+            if event.client is not None:  # not what show() wrote itself
+                self.session.order(self.session.seek, self.at.value)
+
+        self.at.on_update(seek)
+
+    def show(self, now: Snapshot) -> None:
+        """Say what the instruments say, and move the slider along."""
+        super().show(now)
+        begin, end = self.at.min, self.at.max
+        at = round(min(max(now.t, begin), end), 1)
+        if at != self.at.value and not self.session.paused:
+            self.at.value = at
+        done = 100.0 * (self.session.done - begin) / (end - begin)
+        self.progress.value = min(max(done, 0.0), 100.0)
+
+
+def controls_of(server: viser.ViserServer, session: Session) -> Controls:
+    """Return the controls that suit a session."""
+    kinds: dict[type, type[Controls]] = {
+        SimulatedSession: SimulatedControls,
+        FeedSession: FeedControls,
+        LogSession: LogControls,
+    }
+    return kinds[type(session)](server, session)
+
+
+def said(now: Snapshot, session: Session) -> dict[str, str]:
+    """Return what the instruments say, each under its name."""
+    belief, state = now.belief, now.boat
+    lines = {"time": f"{now.t:.1f} s" + (f" ({now.rate:.2g}x)" if now.rate == now.rate else "")}
+    if belief is not None:
+        u, v, r = belief.state[3:6]
+        lines["speed (twin)"] = f"{math.hypot(u, v):.2f} m/s"
+        lines["heading (twin)"] = f"{math.degrees(belief.state[2]) % 360.0:05.1f} deg"
+        lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
+        sd = math.sqrt(max(float(np.linalg.eigvalsh(belief.covs[-1])[-1]), 0.0))
+        lines[f"band at {belief.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
+    if now.silence > 0.0:
+        lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
+    if isinstance(session, SimulatedSession):
+        left, right = state[fr.DELTA_LEFT], state[fr.DELTA_RIGHT]
+        shafts = 0.5 * (state[fr.N_LEFT] + state[fr.N_RIGHT])
+        lines["shafts, drives"] = (
+            f"{shafts:.1f} rev/s, {math.degrees(0.5 * (left + right)):+.1f} deg"
+        )
+        roll, pitch = np.degrees(state[[fr.PHI, fr.THETA]])
+        lines["roll, pitch"] = f"{roll:+.1f}, {pitch:+.1f} deg"
+        if belief is not None:
+            off = math.dist(belief.state[:2], state[:2])
+            lines["twin is off by"] = f"{off:.2f} m"
+    known = math.isfinite(now.gps_age)
+    lines["GPS"] = ("LOST, " if now.gps_lost else "") + (
+        f"fix {now.gps_age:.1f} s old" if known else "no fix yet"
+    )
+    lines["IMU"] = "none" if not now.has_imu else "LOST" if now.imu_lost else "on"
+    if now.sea is not None:
+        north, east = wx.air_velocity(now.t, now.sea.gusts, now.sea.weather)
+        lines["wind"] = f"{math.hypot(north, east):.1f} m/s"
+        height = wx.wave_gain(now.t, now.sea.weather) * 4.0
+        height *= math.sqrt(0.5 * float((now.sea.waves[wv.AMPLITUDE] ** 2).sum()))
+        lines["waves Hs"] = f"{height:.2f} m"
+    for k, note in enumerate(now.notes):
+        lines["messages" if k == 0 else " " * k] = note
+    if session.recording:
+        lines["log"] = f"recording, {session.kept} rows"
+    elif session.recorded is not None:
+        lines["log"] = f"written: {session.recorded.resolve()}"
+    if session.message:
+        lines["not done"] = session.message
+    return lines
+
+
+def table(lines: dict[str, str]) -> str:
+    """Return names and values as a small table."""
+    rows = "".join(
+        f"<tr><td style='color:#555;padding-right:8px;white-space:nowrap;vertical-align:top'>"
+        f"{html.escape(name)}</td>"
+        f"<td style='font-variant-numeric:tabular-nums;overflow-wrap:anywhere"
+        f"{';font-weight:bold;color:#A03800' if 'LOST' in value else ''}'>"
+        f"{html.escape(value)}</td></tr>"
+        for name, value in lines.items()
+    )
+    return f"<table id='status' style='font-size:12px;line-height:1.35;margin:6px'>{rows}</table>"
+
+
+def small(*paragraphs: str) -> str:
+    """Return paragraphs in small letters."""
+    texts = "".join(f"<p style='margin:0 0 7px'>{text}</p>" for text in paragraphs)
+    return f"<div style='font-size:12px;line-height:1.4;margin:6px'>{texts}</div>"
+
+
+HELP = (
+    "<b>Scene.</b> The boat is the true one, or as measured last; her copy is where the twin "
+    "believes her to be. The ribbon is where the twin foretells her to go within 10 s, "
+    f"{SDS:g} standard deviations to either side; the ellipse at its end is the same for the "
+    "last moment. The ring shows the scale, N the north. Drag to turn the view, scroll to come "
+    "nearer.",
+    "<b>Band at 10 s</b>: half the longer axis of that ellipse.",
+    "<b>Error after 10 s</b>: how far the place foretold 10 s ago is off, judged by the truth "
+    "where it is known, else by where the twin believes to be now, with a fresh fix. Beside "
+    "it, that of a boat that keeps its velocity and turn rate. Of manoeuvres and known "
+    "commands the twin is told what will be steered; else it takes the last command to stay.",
+    "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
+    "<b>Normalised innovations squared</b>: how far fixes are from what the twin expected, in "
+    "units of what it thought possible, mean of 30 s. 1 is ideal; far above it the twin is "
+    "too sure.",
+    f"<b>Parameters</b> of the twin's model, with {SDS:g} standard deviations (dotted). X, Y, N "
+    "are those of surge, sway and yaw; the letters behind say what each multiplies (X_uu: "
+    "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind and "
+    "current. More: twin/model/structure.py.",
+    "<b>Keys</b>: arrows steer, space stops the time, G loses GPS for 10 s, R begins anew.",
+)
+
+
+def key(path: bool) -> str:
+    """Return what each colour of the scene stands for."""
+    entries: tuple[tuple[Any, str], ...] = (
+        (RED, "twin, its next 10 s"),
+        (PALE, f"{SDS:g} sd"),
+        (BLUE, "track; thin: what came"),
+        (PURPLE, "GPS fix"),
+        *([(GREEN, "path")] if path else []),
+    )
+    items = "".join(
+        f"<span style='white-space:nowrap;margin-right:8px'><span style='color:rgb{colour}'>"
+        f"&#9632;</span> {html.escape(name)}</span> "
+        for colour, name in entries
+    )
+    return f"<div style='font-size:11px;line-height:1.35;margin:0 6px 4px'>{items}</div>"
+
+
+class Curves:
+    """The panel on the right: how well the twin does, and what it makes of the boat.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Whose panel.
+    session : Session
+        Whose twin.
+    """
+
+    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+        self.gui, self.session = server.gui, session
+        self.panel = server.gui.add_panel()
+        with self.panel.add_tab("Prediction"):
+            self.error = self._curve(
+                "error after 10 s (m)",
+                ("twin", RED, ()),
+                ("velocity and turn rate held", GREY, (6.0, 4.0)),
+            )
+            self.window = self._curve("window of the identifier (s)", ("window", BLUE, ()))
+            self.nis = self._curve(
+                "normalised innovations squared (1)",
+                ("GPS place", PURPLE, ()),
+                ("GPS velocity", ORANGE, (6.0, 4.0)),
+                ("ideal", GREY, (2.0, 3.0)),
+            )
+        self.blocks = session.follower.twin.predictor.parameter_blocks
+        names = session.follower.twin.predictor.parameter_names
+        units = session.follower.twin.predictor.parameter_units
+        self.parameters: list[tuple[Any, Any]] = []
+        with self.panel.add_tab("Parameters"):
+            if not self.blocks:
+                self.gui.add_markdown("This predictor has no model, and identifies no parameters.")
+            for block, (first, last) in self.blocks.items():
+                choice = self.gui.add_dropdown(block, names[first:last])
+                curve = self._curve(
+                    f"{names[first]} ({units[first]})",
+                    ("estimate", RED, ()),
+                    (f"- {SDS:g} sd", RED, (3.0, 3.0)),
+                    (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
+                    under_choice=True,
+                )
+                self.parameters.append((choice, curve))
+        with self.panel.add_tab("Help"):
+            self.gui.add_html(small(*HELP))
+        self.names, self.units = names, units
+        self.panel.dock_right()
+        self.panel.set_width(RIGHT)
+
+    def remove(self) -> None:
+        """Take the panel away, for that of another twin."""
+        self.panel.remove()
+
+    def show(self) -> None:
+        """Draw the curves up to now."""
+        seen = self.session.history()
+        if not isinstance(self.session, LogSession):
+            seen = seen.since(SHOWN)
+        if len(seen.t) < 2:  # nothing yet, or back at the begin of a log
+            nothing = np.full(2, math.nan)
+            none = np.full((2, len(self.names)), math.nan)
+            five = (nothing, nothing, nothing, nothing, nothing)
+            seen = History(np.arange(2.0), *five, none, none)
+        self._draw(self.error, seen.t, seen.error, seen.error_hold)
+        self.window.visible = bool(np.isfinite(seen.window[-1]))
+        self._draw(self.window, seen.t, seen.window)
+        ideal = np.where(np.isfinite(seen.nis_place), 1.0, math.nan)
+        self._draw(self.nis, seen.t, seen.nis_place, seen.nis_velocity, ideal)
+        for choice, curve in self.parameters:
+            column = self.names.index(choice.value)
+            title = f"{choice.value} ({self.units[column]})"
+            if curve.title != title:
+                curve.title = title
+                curve.axes = axes(title)
+            self._draw(curve, seen.t, *band(seen, column))
+
+    def _curve(
+        self, title: str, *series: tuple[str, Any, tuple[float, ...]], under_choice: bool = False
+    ) -> Any:
+        lines: list[dict[str, Any]] = [{"label": "time (s)"}]
+        lines += [
+            {"label": label, "stroke": f"rgb{colour}", "width": 2, "dash": dash, "spanGaps": False}
+            for label, colour, dash in series
+        ]
+        nothing = np.array([0.0, 1.0])
+        return self.gui.add_uplot(
+            (nothing, *(np.zeros(2) for _ in series)),
+            tuple(lines),
+            title=title,
+            scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
+            axes=axes(title),
+            legend={"show": len(series) > 1 and not under_choice, "live": False},
+            height=LOW if under_choice else HEIGHT,
+            padding=(8, 22, 0, 0),
+        )
+
+    @staticmethod
+    def _draw(handle: Any, t: Array, *values: Array) -> None:
+        """Draw what is known; of nothing, an empty plot."""
+        rows = np.isfinite(np.stack(values)).any(axis=0)
+        # the browser cannot draw NaN: what one curve lacks is drawn through
+        handle.data = (t[rows], *(filled(value[rows]) for value in values))
+
+
+def filled(values: Array) -> Array:
+    """Return a curve with its gaps drawn through; one of nothing stays at 1, which is ideal."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.ones(len(values))
+    return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+
+
+def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the axes of a curve over time."""
+    unit = title[title.rindex("(") + 1 : title.rindex(")")]
+    return (
+        {"label": "time (s)", "labelSize": 18, "size": 30},
+        {"label": unit, "labelSize": 18, "size": 48},
+    )
+
+
+def band(seen: History, column: int) -> tuple[Array, Array, Array]:
+    """Return a parameter and its band."""
+    middle, off = seen.xi[:, column], SDS * seen.xi_sd[:, column]
+    return middle, middle - off, middle + off

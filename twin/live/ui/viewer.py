@@ -1,0 +1,146 @@
+"""The server of a view: one scene and two panels, kept like a session's latest snapshot."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import time
+from typing import Any
+
+from twin.live.protocols.feed import needed
+from twin.live.sessions.session import Session, Snapshot
+from twin.live.ui.panel import Curves, controls_of
+from twin.live.ui.scene import SceneView
+from usv_gym.vessel.geometry import Boat, Form, boat_of
+
+__all__ = [
+    "Viewer",
+    "check_host",
+]
+
+CURVES = 0.5
+"""Time between two pictures of the curves, s."""
+
+UNWATCHED = 1.0
+"""Time between two frames that nobody sees, s."""
+
+
+class Viewer:
+    """Shows a session to every browser that asks.
+
+    Parameters
+    ----------
+    session : Session
+        What is shown; started and stopped by its owner.
+    host : str
+        Address to listen at; loopback unless others are to see it too.
+    port : int
+        Port; where it is taken, the next free one.
+
+    Attributes
+    ----------
+    frames : int
+        How many frames were made.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+        check_host(host)
+        self.session, self.frames = session, 0
+        # it says where it listens, whoever asks; so does the command, in one line
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server: Any = needed("viser").ViserServer(
+                host=host, port=port, label="usv-twin", verbose=False
+            )
+        self.server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.scene = SceneView(self.server, boat(session))
+        self.controls = controls_of(self.server, session)
+        self.curves = Curves(self.server, session)
+        self._changed = session.changed
+        self._shown: Snapshot | None = None
+        self._curves_due, self._curves_behind = 0.0, False
+
+    @property
+    def url(self) -> str:
+        """Where browsers find it."""
+        host = self.server.get_host()
+        shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, host)
+        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}"
+
+    @property
+    def port(self) -> int:
+        """Port that it listens at."""
+        return int(self.server.get_port())
+
+    def serve(self) -> None:
+        """Show frame after frame until the session ends or the user presses Ctrl-C.
+
+        Raises
+        ------
+        BaseException
+            What ended the session.
+        """
+        due = 0.0
+        while self.session.error is None:
+            fresh = self.session.fresh.wait(UNWATCHED)
+            self.session.fresh.clear()
+            now = time.monotonic()
+            if (fresh or self._curves_behind) and (now >= due or self.server.get_clients()):
+                due = now + UNWATCHED
+                self.step(now)
+        raise self.session.error
+
+    def step(self, now: float) -> None:
+        """Make one frame, if there is anything new."""
+        if self.session.changed != self._changed:
+            self._rebuild()
+        snapshot = self.session.snapshot
+        if snapshot is not None and snapshot is not self._shown:
+            self._shown = snapshot
+            self.frames += 1
+            with self.server.atomic():
+                self.scene.show(snapshot)
+                self.controls.show(snapshot)
+            self._curves_behind = True
+        # also of a session that pauses: its last moment may have come too soon for a picture
+        if self._curves_behind and now >= self._curves_due:
+            self._curves_due = now + CURVES
+            self._curves_behind = False
+            self.curves.show()
+
+    def close(self) -> None:
+        """Send every browser away."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def _rebuild(self) -> None:
+        """Show another boat and another twin."""
+        self._changed = self.session.changed
+        self.scene.remove()
+        self.scene = SceneView(self.server, boat(self.session))
+        self.curves.remove()
+        self.curves = Curves(self.server, self.session)
+
+
+def boat(session: Session) -> Boat:
+    """Return the hull of a session's boat: of its vessel file, or of its main particulars."""
+    if session.vessel is not None:
+        return boat_of(session.vessel)
+    own = session.particulars
+    kind = "thruster_pair" if own.steering == "differential" else "steerable_drive"
+    volume = own.mass / 1000.0
+    form = Form(length=own.length, beam=own.beam, draft=own.draft, volume=volume, kind=kind)
+    return boat_of(form)
+
+
+def check_host(host: str) -> None:
+    """Refuse an address that is none of this machine: the server would wait for ever."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as one:
+            one.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise OSError(
+            f"--host {host}: cannot listen there ({error}); use 127.0.0.1, 0.0.0.0 or an address "
+            "of this machine"
+        ) from None

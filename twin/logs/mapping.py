@@ -1,0 +1,410 @@
+"""Mapping files: which column or message of a foreign record is which column of a log.
+
+A mapping is a TOML file. For a CSV or Parquet file with columns of other names::
+
+    [columns]                                       # log column = column of the file
+    t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times
+    n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
+    delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
+    wind_mps = { from = "TWS", unit = "kn", offset = 0.0 }
+    delta_left_rad = 0.0                            # a constant
+
+    [position]                                      # latitude, longitude (degrees) -> metres
+    latitude = "lat"
+    longitude = "lon"
+    datum = [38.86580, 121.53438]                   # left out: the first fix
+
+    [velocity]                                      # speed and course over ground
+    speed = { from = "SOG", unit = "kn" }
+    course = { from = "COG", unit = "deg" }
+
+    [rows]                                          # of a long file: a piece, or fewer rows
+    start_s = 100.0
+    stop_s = 700.0
+    step_s = 0.1
+
+For a ROS 2 bag each entry names its ``topic`` and ``field`` instead of ``from``; the whole is
+in ``twin/mappings/ros2_example.toml``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
+from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
+
+__all__ = [
+    "LAYOUTS",
+    "Layout",
+    "layout_of",
+    "radii",
+]
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
+
+_TABLES = ("columns", "position", "velocity", "heading", "rows")
+
+_ENU = {
+    # angles turn the other way and begin at east; y of the body points to port
+    **dict.fromkeys(("compass_rad", "true_psi_rad", "wind_from_rad"), (-1.0, 0.5 * math.pi)),
+    **dict.fromkeys(("gyro_radps", "true_r_radps", "accel_y_mps2", "true_v_mps"), (-1.0, 0.0)),
+    **dict.fromkeys(("accel_x_mps2", "true_u_mps"), (1.0, 0.0)),
+}
+
+_WGS84 = 6378137.0, 0.0066943799901413165
+"""Equatorial radius, m, and squared eccentricity of the Earth. Source: WGS 84."""
+
+_FAR = 1e5
+"""Farther from the middle fix than this, m, the first one is no datum."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a mapping file says.
+
+    Parameters
+    ----------
+    entries : tuple of Entry
+        In the order of the file.
+    source : str
+        File, for messages.
+    start, stop : float
+        Rows with ``start <= t_s < stop`` are read, s.
+    step : float
+        Rows of each ``step`` seconds become one, which holds the last sample of each column; 0
+        for all rows.
+    stamp : str
+        ``header`` or ``receive``: which time of a message counts.
+    """
+
+    entries: tuple[Entry, ...] = ()
+    source: str = ""
+    start: float = -math.inf
+    stop: float = math.inf
+    step: float = 0.0
+    stamp: str = "header"
+
+    @classmethod
+    def load(cls, path: str | Path) -> Layout:
+        """Read a mapping file.
+
+        Parameters
+        ----------
+        path : str or Path
+            TOML file as in the head of this module.
+
+        Raises
+        ------
+        LogError
+            Names the file, the key and the remedy.
+        """
+        path = Path(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise LogError(
+                f"{path}: the mapping cannot be read ({error.strerror}); check its name"
+            ) from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise LogError(f"{path}: the mapping is not TOML: {error}") from None
+        return _Parser(str(path)).layout(data)
+
+
+LAYOUTS = (
+    ("berthing*", "esso_osaka_berthing"),  # its yaw rate comes late
+    ("*", "kvlcc2_marin"),
+    ("*", "single_screw"),
+    ("*", "boat1_usv"),
+)
+"""Records whose columns are known: pattern of the file's name, and the mapping that ships."""
+
+
+def layout_of(name: str, header: Sequence[str]) -> Layout | None:
+    """Return the shipped mapping for a record of known columns, if it is one.
+
+    Parameters
+    ----------
+    name : str
+        Of the record.
+    header : sequence of str
+        Its columns. The first of :data:`LAYOUTS` fits of whose columns for what each log needs
+        at most one is not there, which is then said.
+    """
+    for pattern, kind in LAYOUTS:
+        if fnmatch(name, pattern):
+            layout = Layout.load(Path(__file__).with_name("mappings") / f"{kind}.toml")
+            there = {entry for entry in layout.entries if set(entry.sources) <= set(header)}
+            absent = {
+                source
+                for entry in layout.entries
+                if entry not in there and set(entry.names) & set(REQUIRED)
+                for source in entry.sources
+            }
+            if len(absent) <= 1:
+                kept = tuple(entry for entry in layout.entries if entry in there)
+                return replace(layout, source=f"{kind}.toml", entries=kept)
+    return None
+
+
+class _Parser:
+    """Turns the tables of a mapping into entries; complains with the file and the key."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+
+    def fail(self, where: str, what: str) -> LogError:
+        return LogError(f"{self.source}: {where}: {what}")
+
+    def known(self, where: str, table: Any, keys: Sequence[str]) -> Mapping[str, Any]:
+        if not isinstance(table, Mapping):
+            raise self.fail(where, f"must be a table with the keys {', '.join(keys)}")
+        for key in table:
+            if key not in keys:
+                near = difflib.get_close_matches(key, keys, n=1)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                raise self.fail(where, f"unknown key {key!r}; known: {', '.join(keys)}{hint}")
+        return table
+
+    def number(self, where: str, value: Any) -> float:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            raise self.fail(where, f"{value!r} must be a finite number")
+        return float(value)
+
+    def layout(self, data: Mapping[str, Any]) -> Layout:
+        self.known("top", data, ("stamp", *_TABLES))
+        stamp = data.get("stamp", "header")
+        if stamp not in ("header", "receive"):
+            raise self.fail("stamp", f'{stamp!r} must be "header" or "receive"')
+        entries = [
+            self.column(name, given)
+            for name, given in self.known("[columns]", data.get("columns", {}), _COLUMNS).items()
+        ]
+        makers = {"position": self.position, "velocity": self.velocity, "heading": self.heading}
+        entries += [make(data[key]) for key, make in makers.items() if key in data]
+        names = [name for entry in entries for name in entry.names]
+        for name in names:
+            if names.count(name) > 1:
+                raise self.fail(name, "is given twice; remove one of them")
+        rows = self.known("[rows]", data.get("rows", {}), ("start_s", "stop_s", "step_s"))
+        asked = {key.removesuffix("_s"): self.number(f"[rows] {key}", rows[key]) for key in rows}
+        layout = Layout(tuple(entries), self.source, stamp=stamp, **asked)
+        if not layout.start < layout.stop or layout.step < 0.0:
+            raise self.fail("[rows]", "start_s must be below stop_s, and step_s not below 0")
+        return layout
+
+    def source_of(
+        self, where: str, given: Any, unit: str, extra: Sequence[str] = ()
+    ) -> tuple[str, str, float, float, Mapping[str, Any]]:
+        """Return topic, source, factor, offset and the table of ``{from = ..., unit = ...}``."""
+        table: Mapping[str, Any] = {"from": given} if isinstance(given, str) else given
+        keys = ("from", "topic", "field", "unit", "scale", "offset", *extra)
+        table = self.known(where, table, keys)
+        source = table.get("field" if "topic" in table else "from")
+        if not isinstance(source, str) or not isinstance(table.get("topic", ""), str):
+            raise self.fail(
+                where, 'needs from = "column of the file", or topic = "/name" and field = "path"'
+            )
+        factors = UNITS[unit]
+        asked = table.get("unit", unit)
+        if asked not in factors and asked != "datetime":
+            raise self.fail(where, f"unknown unit {asked!r}; known here: {', '.join(factors)}")
+        scale = self.number(f"{where} scale", table.get("scale", 1.0))
+        offset = self.number(f"{where} offset", table.get("offset", 0.0))
+        return table.get("topic", ""), source, factors.get(asked, 1.0) * scale, offset, table
+
+    def column(self, name: str, given: Any) -> Entry:
+        names = SINGLE.get(name, (name,))
+        if isinstance(given, int | float) and name != TIME:
+            value = self.number(name, given)
+            return Entry(names, (), lambda _: [np.array(value)] * len(names))
+        unit = name.rpartition("_")[2]
+        topic, source, factor, offset, table = self.source_of(name, given, unit, ("frame",))
+        if name == TIME and topic:
+            raise self.fail(name, "a message has its own time; choose it with stamp = ...")
+        clock = table.get("unit") == "datetime"
+        if clock and name != TIME:
+            raise self.fail(name, "only t_s may be a datetime")
+        frame = table.get("frame", "ned")
+        if frame != "ned":
+            if frame != "enu" or name not in _ENU:
+                raise self.fail(
+                    name,
+                    f'frame = {frame!r}: "enu" is for {", ".join(_ENU)}; elsewhere name the '
+                    "field that points north or east, and turn a sign with scale = -1.0",
+                )
+            sign, turn = _ENU[name]
+            factor, offset = sign * factor, turn + sign * offset
+        what = f"{topic}:{source}" if topic else source
+        both = ", ".join(names) + (" (one for both sides)" if len(names) > 1 else "")
+        return Entry(
+            names,
+            (source,),
+            _linear(factor, offset, len(names)),
+            topic,
+            f"{both}: from {what}" + _told(factor, offset),
+            clock,
+        )
+
+    def position(self, given: Any) -> Entry:
+        keys = ("topic", "latitude", "longitude", "datum")
+        table = self.known("[position]", given, keys)
+        datum = table.get("datum")
+        if datum is not None:
+            if not isinstance(datum, list) or len(datum) != 2:
+                raise self.fail("[position] datum", "must be [latitude, longitude] in degrees")
+            datum = tuple(self.number("[position] datum", value) for value in datum)
+        names = [self.text("[position]", table, key, key) for key in ("latitude", "longitude")]
+        topic = self.text("[position]", table, "topic", "")
+        return Entry(
+            ("gps_x_m", "gps_y_m"),
+            (*names, *(("status.status?",) if topic else ())),
+            _projection(datum, self.source),
+            topic,
+            "gps_x_m, gps_y_m: metres north and east of "
+            + (f"latitude {datum[0]}, longitude {datum[1]}" if datum else "the first fix"),
+        )
+
+    def text(self, where: str, table: Mapping[str, Any], key: str, default: str) -> str:
+        value = table.get(key, default)
+        if not isinstance(value, str):
+            raise self.fail(f"{where} {key}", f"{value!r} must be a text")
+        return value
+
+    def velocity(self, given: Any) -> Entry:
+        table = self.known("[velocity]", given, ("speed", "course"))
+        parts = [
+            self.source_of(f"[velocity] {key}", table.get(key, {}), unit)
+            for key, unit in (("speed", "mps"), ("course", "rad"))
+        ]
+        if parts[0][0] != parts[1][0]:
+            raise self.fail("[velocity]", "speed and course must come from the same topic")
+
+        def convert(values: Sequence[Array]) -> list[Array]:
+            speed, course = (
+                value * part[2] + part[3] for value, part in zip(values, parts, strict=True)
+            )
+            return [speed * np.cos(course), speed * np.sin(course)]
+
+        sources = (parts[0][1], parts[1][1])
+        note = f"gps_vx_mps, gps_vy_mps: from speed {sources[0]} and course {sources[1]}"
+        return Entry(("gps_vx_mps", "gps_vy_mps"), sources, convert, parts[0][0], note)
+
+    def heading(self, given: Any) -> Entry:
+        table = self.known("[heading]", given, ("topic", "quaternion", "frame", "offset"))
+        parts = table.get("quaternion", "orientation")
+        names = [f"{parts}.{axis}" for axis in "xyzw"] if isinstance(parts, str) else parts
+        if not isinstance(names, list) or len(names) != 4:
+            raise self.fail("[heading] quaternion", "must be a field, or the columns [x, y, z, w]")
+        frame = table.get("frame", "enu")
+        if frame not in ("enu", "ned"):
+            raise self.fail("[heading] frame", f'{frame!r} must be "enu" or "ned"')
+        offset = self.number("[heading] offset", table.get("offset", 0.0))
+        return Entry(
+            ("compass_rad",),
+            tuple(map(str, names)),
+            _yaw(frame == "enu", offset),
+            self.text("[heading]", table, "topic", ""),
+            f"compass_rad: from a quaternion in {frame.upper()}",
+        )
+
+
+def _told(factor: float, offset: float) -> str:
+    """Return what a conversion does, for the notes."""
+    times = "" if factor == 1.0 else f" times {factor:.6g}"
+    return times + ("" if offset == 0.0 else f" plus {offset:.6g}")
+
+
+def _linear(
+    factor: float, offset: float, count: int
+) -> Callable[[Sequence[Array]], Sequence[Array]] | None:
+    if factor == 1.0 and offset == 0.0:
+        return None
+    return lambda values: [values[0] * factor + offset] * count
+
+
+def radii(latitude: float) -> tuple[float, float]:
+    """Return metres north per radian of latitude, and metres east per radian of longitude.
+
+    Parameters
+    ----------
+    latitude : float
+        Degrees.
+
+    Notes
+    -----
+    Source: radii of curvature of the ellipsoid, Torge and Mueller 2012, Geodesy, section 4.1.
+    """
+    a, e2 = _WGS84
+    phi = math.radians(latitude)
+    w = math.sqrt(1.0 - e2 * math.sin(phi) ** 2)
+    return a * (1.0 - e2) / w**3, a / w * math.cos(phi)
+
+
+def _projection(
+    datum: tuple[float, ...] | None, source: str
+) -> Callable[[Sequence[Array]], Sequence[Array]]:
+    """Return the conversion of latitude and longitude, degrees, to metres north and east.
+
+    On the plane that touches the ellipsoid at the datum (10 km north of it at 60 degrees the
+    east is 0.3 % off).
+    """
+
+    def convert(values: Sequence[Array]) -> list[Array]:
+        latitude, longitude = (value.copy() for value in values[:2])
+        # 0, 0 and a status below 0 are a receiver without a fix
+        none = (latitude == 0.0) & (longitude == 0.0)
+        none |= ~(np.abs(latitude) <= 90.0) | ~(np.abs(longitude) <= 360.0)
+        if len(values) > 2:
+            none |= values[2] < 0.0
+        latitude[none], longitude[none] = np.nan, np.nan
+        if none.all():
+            return [latitude, longitude]
+        first = int(np.argmin(none))
+        lat0, lon0 = (latitude[first], longitude[first]) if datum is None else datum
+        to_north, to_east = radii(lat0)
+        north = np.radians(latitude - lat0) * to_north
+        east = np.remainder(longitude - lon0 + 180.0, 360.0) - 180.0
+        east = np.radians(east) * to_east
+        if datum is None and math.hypot(np.nanmedian(north), np.nanmedian(east)) > _FAR:
+            raise LogError(
+                f"{source}: [position]: the first fix, {lat0:.6g}, {lon0:.6g}, is more than "
+                f"{_FAR / 1e3:g} km off the others; state a datum = [latitude, longitude]"
+            )
+        return [north, east]
+
+    return convert
+
+
+def _yaw(enu: bool, offset: float) -> Callable[[Sequence[Array]], Sequence[Array]]:
+    """Return the conversion of a quaternion to the heading clockwise from north, rad.
+
+    Source: Fossen 2021, Handbook of Marine Craft, Eq. 2.76 (yaw of a unit quaternion).
+    """
+
+    def convert(values: Sequence[Array]) -> list[Array]:
+        x, y, z, w = values
+        yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+        # all zero: a driver that knows no orientation
+        yaw[(x == 0.0) & (y == 0.0) & (z == 0.0) & (w == 0.0)] = np.nan
+        return [np.remainder((0.5 * math.pi - yaw if enu else yaw) + offset, 2.0 * math.pi)]
+
+    return convert

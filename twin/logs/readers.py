@@ -1,0 +1,506 @@
+"""Columns of numbers out of CSV and Parquet files, block by block.
+
+Only the columns that are asked for are kept, and of a file that is too long only the piece or
+the thinned rows that are asked for: a file may be larger than the memory.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import math
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.channels import COMMANDS, MEASUREMENTS, TIME
+from twin.logs.columns import Array, Entry, LogError
+from twin.logs.mapping import Layout
+
+if TYPE_CHECKING:
+    import polars as pl
+
+__all__ = [
+    "MAX_ROWS",
+    "CsvFile",
+    "ParquetFile",
+    "Table",
+    "cannot_be_read",
+    "date_of",
+    "gathered",
+    "merged",
+    "name_of",
+    "said",
+    "shorten",
+    "thinned",
+    "too_long",
+]
+
+MAX_ROWS = 4_000_000
+"""Longest log, rows: 11 hours at 100 Hz, about 2 GB of memory while it is read."""
+
+_BLOCK_BYTES = 1 << 26
+
+_BLOCK_ROWS = 1 << 19
+
+_EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+
+_PLACE = "\0place"
+
+_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3")
+
+
+@dataclass
+class Table:
+    """Columns of a log as a file gave them, before any check of what they mean.
+
+    Parameters
+    ----------
+    source : str
+        File, for messages.
+    name : str
+        Of the log.
+    data : dict of str to ndarray, shape (N,)
+        Columns of the log.
+    given : dict of str to str
+        What the file calls them.
+    line : callable
+        Returns the place of a row in the file, for messages.
+    notes : list of str
+        What was done so far.
+    """
+
+    source: str
+    name: str
+    data: dict[str, Array]
+    given: dict[str, str]
+    line: Callable[[int], str]
+    notes: list[str] = field(default_factory=list)
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a log without the ending of its kind."""
+    name = path.name.removesuffix(".gz")
+    for suffix in _SUFFIXES:
+        if name.endswith(suffix):
+            return name.removesuffix(suffix)
+    return name
+
+
+def shorten(text: str, length: int = 40) -> str:
+    """Return a text cut to a length."""
+    return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def merged(group: npt.NDArray[np.intp], data: Mapping[str, Array]) -> dict[str, Array]:
+    """Return one row for each group: the last value in it that is not NaN.
+
+    Parameters
+    ----------
+    group : ndarray, shape (N,)
+        Number of each row's group, 0, 0, 1, ...
+    data : mapping of str to ndarray, shape (N,)
+        Columns.
+    """
+    rows = int(group[-1]) + 1 if len(group) else 0
+    result = {}
+    for key, values in data.items():
+        result[key] = np.full(rows, np.nan)
+        valid = ~np.isnan(values)
+        result[key][group[valid]] = values[valid]  # the last of equal indices stays
+    return result
+
+
+def thinned(t: Array, data: dict[str, Array], layout: Layout) -> dict[str, Array]:
+    """Return the rows that a layout asks for, of columns at the times t."""
+    if layout.start > -math.inf or layout.stop < math.inf:
+        # a row without a time is kept, to be complained of
+        keep = ~((t < layout.start) | (t >= layout.stop))
+        t, data = t[keep], {key: values[keep] for key, values in data.items()}
+    # time that stands still, goes back or is missing is left for the complaint about it
+    if layout.step > 0.0 and len(t) > 1 and (np.diff(t) > 0.0).all():
+        cell = np.floor(t / layout.step + 1e-9)
+        data = merged(np.cumsum(np.diff(cell, prepend=cell[0]) > 0.0), data)
+    return data
+
+
+def said(layout: Layout, before: int, after: int) -> list[str]:
+    """Return the note on rows that a layout left out or merged."""
+    if before == after:
+        return []
+    return [f"{before - after} of {before} rows left out or merged: [rows] of {layout.source}"]
+
+
+def too_long(source: str) -> LogError:
+    """Return the error of a log of too many rows."""
+    return LogError(
+        f"{source}: has more than {MAX_ROWS:,} rows, the most that a log may have; read a piece "
+        "with start_s and stop_s, or fewer rows with step_s = 0.1, in [rows] of a mapping file "
+        "(--mapping FILE)"
+    )
+
+
+def date_of(epoch: float) -> str:
+    """Return a time since 1970, s, as a date and time."""
+    # datetime knows the years 1 to 9999
+    date = datetime(1970, 1, 1) + timedelta(seconds=min(max(epoch, -6e10), 2.5e11))
+    return f"{date:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layout) -> Table:
+    """Return the log's columns that entries make of a file.
+
+    Parameters
+    ----------
+    file : CsvFile or ParquetFile
+        To be read.
+    entries : sequence of Entry
+        One of them gives the time.
+    layout : Layout
+        For its rows.
+
+    Raises
+    ------
+    LogError
+        Where a cell is no number or the log is too long.
+    """
+    sources = list(dict.fromkeys(source for entry in entries for source in entry.sources))
+    timed = next(entry for entry in entries if TIME in entry.names)
+    clock = timed.sources[0] if timed.clock else ""
+    parts: list[dict[str, Array]] = []
+    rows = read = void = 0
+    epoch = math.nan
+    for lines, raw, dated in file.blocks(sources, clock):
+        # Blank lines (often the last) arrive as rows without any value.
+        blank = np.all([np.isnan(values) for values in raw.values()], axis=0)
+        void += int(blank.sum())
+        data = {key: values[~blank] for key, values in {**raw, _PLACE: lines}.items()}
+        read += len(data[_PLACE])
+        for name in dated - set(timed.sources):
+            raise LogError(f"{file.source}: column {name} holds dates, not numbers; convert it")
+        if dated and len(data[_PLACE]):
+            epoch = float(data[timed.sources[0]][0]) if epoch != epoch else epoch
+            data[timed.sources[0]] = data[timed.sources[0]] - epoch
+        parts.append(thinned(_only(timed, data), data, layout))
+        rows += len(parts[-1][_PLACE])
+        if rows > MAX_ROWS:
+            raise too_long(file.source)
+    raw = {key: np.concatenate([part[key] for part in parts]) for key in (*sources, _PLACE)}
+    parts.clear()
+    if layout.step > 0.0:
+        raw = thinned(_only(timed, raw), raw, layout)
+    place = raw.pop(_PLACE)
+    notes = [f"{void} row(s) without a single value left out"] if void else []
+    notes += said(layout, read, len(place))
+    if epoch == epoch:
+        notes.append(f"t_s: counted from {date_of(epoch)}")
+    data = {}
+    for entry in entries:
+        made = entry.columns([raw[source] for source in entry.sources])
+        data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
+    given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}
+    notes += [entry.note for entry in entries if entry.note]
+
+    def line(row: int) -> str:
+        return f"{file.unit} {int(place[row])}"
+
+    return Table(file.source, name_of(Path(file.source)), data, given, line, notes)
+
+
+def _only(timed: Entry, data: Mapping[str, Array]) -> Array:
+    return timed.columns([data[timed.sources[0]]])[TIME]
+
+
+_Block = tuple[Array, dict[str, Array], set[str]]
+"""Number of each row in the file, the columns, and which of them were dates."""
+
+
+def _numbers(
+    frame: pl.DataFrame, clock: str, lines: Array, source: str, unit: str
+) -> tuple[dict[str, Array], set[str]]:
+    """Return the columns as float64, dates as seconds since 1970; refuse any other text."""
+    import polars as pl
+
+    dated: set[str] = set()
+    columns: dict[str, Array] = {}
+    wrong: tuple[int, str] | None = None
+    for name, kind in frame.schema.items():
+        values = frame[name]
+        if kind == pl.String:
+            text = values.str.strip_chars()
+            values = _dates(text) if name == clock else text.cast(pl.Float64, strict=False)
+            bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(_EMPTY)
+            row = bad.arg_max() if bad.any() else None
+            if row is not None and (wrong is None or row < wrong[0]):
+                wrong = row, name
+            dated |= {name} & {clock}
+        elif kind in (pl.Datetime, pl.Date):
+            values = values.cast(pl.Datetime("us")).dt.epoch("us").cast(pl.Float64) * 1e-6
+            dated.add(name)
+        elif kind == pl.Duration:
+            values = values.dt.total_microseconds().cast(pl.Float64) * 1e-6
+        elif not (kind.is_numeric() or kind == pl.Null):
+            raise LogError(f"{source}: column {name} holds {kind}, not numbers; convert it")
+        numbers = values.cast(pl.Float64)
+        columns[name] = numbers.to_numpy().astype(np.float64, copy=False)
+    if wrong is not None:
+        row, name = wrong
+        what = "date and time" if name == clock else "number"
+        raise LogError(
+            f"{source}: column {name}, {unit} {int(lines[row])}: {shorten(frame[name][row])!r} is "
+            f"not a {what}; correct it, or leave the cell empty where there is no value"
+        )
+    return columns, dated
+
+
+def _dates(text: pl.Series) -> pl.Series:
+    import polars as pl
+
+    try:
+        date = text.str.to_datetime(time_unit="us", time_zone="UTC", strict=False)
+    except pl.exceptions.PolarsError:
+        return pl.Series([None] * len(text), dtype=pl.Float64)
+    return date.dt.epoch("us").cast(pl.Float64) * 1e-6
+
+
+class CsvFile:
+    """A CSV file, plain or gzipped.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Raises
+    ------
+    LogError
+        Where it is no CSV file with a header.
+    """
+
+    unit = "line"
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.source = path, str(path)
+        try:
+            with path.open("rb") as file:
+                self.packed = file.read(2) == b"\x1f\x8b"
+            empty = not path.stat().st_size
+        except OSError as error:
+            raise cannot_be_read(path, error) from None
+        if path.suffix == ".gz" and not self.packed and not empty:
+            raise LogError(
+                f"{path}: is not a gzip file although its name ends in .gz; compress it with "
+                "gzip or drop the .gz"
+            )
+        with self._whole(), self._open() as file:
+            self.blank, self.raw, self.header = _read_header(path, file)
+
+    def _open(self) -> BinaryIO:
+        return gzip.open(self.path, "rb") if self.packed else self.path.open("rb")  # type: ignore[return-value]
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Turn the errors of a damaged file into one that says what to do."""
+        try:
+            yield
+        except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+            raise LogError(
+                f"{self.path}: the gzip file is damaged or cut off ({error}); copy it again, or "
+                f"rescue its start with: zcat {self.path.name} > rescued.csv"
+            ) from None
+        except OSError as error:
+            raise cannot_be_read(self.path, error) from None
+
+    def blocks(self, sources: Sequence[str], clock: str) -> Iterator[_Block]:
+        """Yield the columns named, in pieces of whole lines.
+
+        Parameters
+        ----------
+        sources : sequence of str
+            Columns of the header.
+        clock : str
+            The one of them that holds dates, if any.
+        """
+        wanted = [j for j, name in enumerate(self.header) if name in sources]
+        first = self.blank + 2
+        with self._whole(), self._open() as file:
+            for _ in range(self.blank + 1):
+                file.readline()
+            for text in _pieces(file, self.source):
+                frame = self._parsed(text, first, wanted, clock)
+                lines = np.arange(first, first + frame.height, dtype=np.float64)
+                yield lines, *_numbers(frame, clock, lines, self.source, self.unit)
+                first += text.count(b"\n")
+
+    def _parsed(self, text: bytes, first: int, wanted: list[int], clock: str) -> pl.DataFrame:
+        """Return the wanted columns of some lines: as numbers if all are, else as text."""
+        import polars as pl
+
+        header = self.raw + b"\n" + text
+        names = [self.header[j] for j in wanted]
+
+        def read(numbers: bool) -> pl.DataFrame:
+            kinds = [
+                pl.Float64 if numbers and j in wanted and name != clock else pl.String
+                for j, name in enumerate(self.header)
+            ]
+            frame = pl.read_csv(
+                header,
+                columns=wanted,
+                infer_schema=False,
+                null_values=list(_EMPTY),
+                encoding="utf8" if numbers else "utf8-lossy",
+                schema_overrides=kinds,
+            )
+            return frame.rename(dict(zip(frame.columns, names, strict=True)))
+
+        try:
+            return read(numbers=True)
+        except pl.exceptions.PolarsError:
+            pass  # spaces around numbers, or a cell that is no number: look at the text
+        try:
+            return read(numbers=False)
+        except pl.exceptions.PolarsError as error:
+            ragged = _ragged(text, first, len(self.header))
+            raise LogError(
+                f"{self.source}: {ragged or shorten(str(error).splitlines()[0], 200)}"
+            ) from None
+
+
+def _pieces(file: BinaryIO, source: str) -> Iterator[bytes]:
+    """Yield the rest of a file in pieces that end where a line ends."""
+    rest = b""
+    while data := file.read(_BLOCK_BYTES):
+        cut = data.rfind(b"\n") + 1
+        if not cut and len(rest) + len(data) > _BLOCK_BYTES:
+            raise LogError(f"{source}: a line is longer than 64 MB; this is no CSV file")
+        if cut:
+            yield rest + data[:cut]
+            rest = b""
+        rest += data[cut:]
+    yield rest
+
+
+def cannot_be_read(path: Path, error: OSError) -> LogError:
+    """Return the error of a file that is not there or not open to us."""
+    reason = error.strerror or str(error)
+    return LogError(f"{path}: cannot be read ({reason}); check the name and the file")
+
+
+def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, tuple[str, ...]]:
+    """Return the number of blank lines before the header, its bytes, and its names."""
+    blank = 0
+    if b"\0" in file.read(4096):
+        raise LogError(f"{path}: is a binary file or UTF-16 text, not CSV; save it as CSV in UTF-8")
+    file.seek(0)
+    while (raw := file.readline(1 << 20)) and not raw.strip(b"\r\n\t \xef\xbb\xbf"):
+        blank += 1
+    if not raw:
+        raise LogError(f"{path}: the file is empty; write a header of column names and the rows")
+    try:
+        text = raw.decode("utf-8-sig").rstrip("\r\n")
+    except UnicodeDecodeError:
+        raise LogError(
+            f"{path}: line {blank + 1} is not UTF-8 text; save the file as CSV in UTF-8"
+        ) from None
+    if "\r" in text:
+        raise LogError(f"{path}: the lines end in CR only; save the file with LF or CR LF ends")
+    try:
+        header = tuple(name.strip() for name in next(csv.reader([text])))
+    except csv.Error as error:
+        raise LogError(f"{path}: line {blank + 1} is no header of CSV ({error})") from None
+    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) < 3 and text.count(mark) > 2:
+            raise LogError(
+                f"{path}: line {blank + 1}: cells are separated by {called}; separate them by "
+                "commas, with a point as the decimal mark"
+            )
+    if all(_is_number(name) for name in header):
+        raise LogError(
+            f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
+            f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"
+        )
+    return blank, raw.rstrip(b"\r\n"), header
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _ragged(text: bytes, first: int, width: int) -> str | None:
+    """Return the complaint about the first line with more cells than the header has."""
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", errors="replace", newline=""))
+    with suppress(csv.Error):
+        for cells in reader:
+            if len(cells) > width:
+                return (
+                    f"line {first - 1 + reader.line_num} has {len(cells)} cells but the header "
+                    f"{width}; remove the surplus cells, or name their columns in the header"
+                )
+    return None
+
+
+class ParquetFile:
+    """A Parquet file.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Raises
+    ------
+    LogError
+        Where it is no Parquet file.
+    """
+
+    unit = "row"
+
+    def __init__(self, path: Path) -> None:
+        import polars as pl
+
+        self.path, self.source = path, str(path)
+        try:
+            with path.open("rb") as file:
+                start = file.read(4)
+        except OSError as error:
+            raise cannot_be_read(path, error) from None
+        if start != b"PAR1":
+            what = "is not a Parquet file" if start else "the file is empty"
+            raise LogError(f"{path}: {what}; write it again, or give a CSV file the ending .csv")
+        with self._whole():
+            self.frame = pl.scan_parquet(path, glob=False)
+            self.header = tuple(self.frame.collect_schema())
+            self.rows = int(self.frame.select(pl.len()).collect().item())
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        import polars as pl
+
+        try:
+            yield
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+            reason = shorten((str(error).splitlines() or ["?"])[0], 100)
+            raise LogError(
+                f"{self.path}: the Parquet file is damaged or cut off ({reason}); copy it again"
+            ) from None
+
+    def blocks(self, sources: Sequence[str], clock: str) -> Iterator[_Block]:
+        """Yield the columns named, in pieces; see :meth:`CsvFile.blocks`."""
+        for first in range(0, max(self.rows, 1), _BLOCK_ROWS):
+            with self._whole():
+                frame = self.frame.select(sources).slice(first, _BLOCK_ROWS).collect()
+            lines = np.arange(first + 1, first + 1 + frame.height, dtype=np.float64)
+            yield lines, *_numbers(frame, clock, lines, self.source, self.unit)

@@ -1,0 +1,87 @@
+"""Actuators with lag and rate limit, followed exactly from their commands."""
+
+from __future__ import annotations
+
+import math
+
+from usv_kernel.jit import inlined, kernel
+
+__all__ = [
+    "follow",
+    "follow_all",
+]
+
+ARRIVED = 1e-7
+"""Part of its target within which an actuator counts as there."""
+
+
+@inlined
+def follow(value, target, lag, rate, h):
+    """Return where a lagged, rate-limited actuator is after a time h, exactly.
+
+    It solves ``usv_kernel.scalar.actuate`` for a constant target: straight at full rate, then an
+    exponential. So a lag far shorter than the step does no harm.
+
+    Parameters
+    ----------
+    value, target : float
+        Where the actuator is and where it is told to go, in its own unit.
+    lag : float
+        Time constant, s; above 0.
+    rate : float
+        Largest speed, units per s; infinity for none.
+    h : float
+        Time, s.
+
+    Returns
+    -------
+    float
+        Later value, in the same unit.
+    """
+    return _follow(value, target, lag, rate, h, math.exp(-h / lag))
+
+
+@inlined
+def _follow(value, target, lag, rate, h, stay):
+    """Do as :func:`follow`, with exp(-h / lag) at hand."""
+    gap = target - value
+    if abs(gap) <= ARRIVED * abs(target):
+        return target
+    reach = rate * lag  # Within this gap the lag, not the rate, sets the speed.
+    if abs(gap) > reach:
+        straight = (abs(gap) - reach) / rate
+        if h <= straight:
+            return value + math.copysign(rate * h, gap)
+        stay = math.exp((straight - h) / lag)
+        gap = math.copysign(reach, gap)
+    return target - gap * stay
+
+
+@kernel
+def follow_all(act, command, lags, n_unit, h):
+    """Move the four actuators towards their commands for a time h.
+
+    Parameters
+    ----------
+    act : (4,) array
+        In the unit of the structure, rad; moved in place.
+    command : (4,) array
+        With shaft speeds in a unit that ``n_unit`` turns into that of the structure, rad.
+    lags : (3,) array
+        See :func:`roll_out`.
+    n_unit, h : float
+        Unit of the command's shaft speeds; time, s.
+    """
+    _follow_pair(act, 0, n_unit * command[0], n_unit * command[1], lags[0], math.inf, h)
+    _follow_pair(act, 2, command[2], command[3], lags[1], lags[2], h)
+
+
+@inlined
+def _follow_pair(act, at, left, right, lag, rate, h):
+    """Move two actuators, of which mostly both have arrived or both do the same."""
+    a, b = act[at], act[at + 1]
+    if a != left or b != right:
+        stay = math.exp(-h / lag)
+        act[at] = _follow(a, left, lag, rate, h, stay)
+        alike = a == b and left == right
+        act[at + 1] = act[at] if alike else _follow(b, right, lag, rate, h, stay)

@@ -1,0 +1,124 @@
+"""The twin's model in continuous time: terms, derivative, one Euler step."""
+
+from __future__ import annotations
+
+import math
+
+from twin.model.structure import (
+    N_STATES,
+    Structure,
+    accelerations,
+    state_terms,
+    structure_of,
+    thrust_terms,
+)
+from twin.particulars import Particulars
+from usv_kernel.jit import inlined, kernel
+
+__all__ = [
+    "N_ACT",
+    "all_terms",
+    "derivative",
+    "model_of",
+    "step",
+]
+
+N_ACT = 4
+
+
+def model_of(
+    particulars: Particulars, name: str, *, biased: bool = False, tanker: bool | None = None
+) -> Structure:
+    """Return the model structure of a boat.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Main particulars and steering are used.
+    name : str
+        One of ``twin.model.structure.MODELS``.
+    biased : bool
+        Add two earth-fixed accelerations where the structure has none.
+    tanker : bool, optional
+        Whether she is one; what the particulars say if left out.
+
+    Raises
+    ------
+    StructureError
+        Lists the names that there are.
+    """
+    return structure_of(
+        name,
+        particulars.length,
+        particulars.speed,
+        particulars.shaft_speed,
+        differential=particulars.steering == "differential",
+        tanker=particulars.tanker if tanker is None else tanker,
+        biased=biased,
+    )
+
+
+@inlined
+def all_terms(s, act, wind, kit, terms):
+    """Write every term of a state and of its actuators; arguments as for :func:`derivative`."""
+    thrust_terms(
+        act[0],
+        act[1],
+        math.cos(act[2]),
+        math.sin(act[2]),
+        math.cos(act[3]),
+        math.sin(act[3]),
+        terms,
+    )
+    state_terms(s[3], s[4], s[5], math.cos(s[2]), math.sin(s[2]), wind, kit[2], terms)
+
+
+@kernel
+def derivative(s, xi, act, wind, kit, terms, out):
+    """Write the time derivative of the state.
+
+    Parameters
+    ----------
+    s : (6,) array
+        State x, y (m), psi (rad), u, v (m/s), r (rad/s).
+    xi : (p,) array
+        Parameters.
+    act : (4,) array
+        Shaft speeds left and right, in the unit of the structure; drive angles, rad.
+    wind : (2,) array
+        True wind to north and east, m/s; zeros where it is not known.
+    kit : tuple
+        Of the structure.
+    terms : (50,) array
+        Room for the terms; they are left there.
+    out : (6,) array
+        The derivative.
+
+    Source: Eq (20), (26).
+    """
+    all_terms(s, act, wind, kit, terms)
+    cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
+    out[0] = s[3] * cos_psi - s[4] * sin_psi
+    out[1] = s[3] * sin_psi + s[4] * cos_psi
+    out[2] = s[5]
+    out[3], out[4], out[5] = accelerations(terms, kit, xi, 0)
+
+
+@kernel
+def step(s, xi, act, wind, kit, h, terms, out):
+    """Write the state one Euler step later.
+
+    Parameters
+    ----------
+    s, xi, act, wind, kit, terms
+        See :func:`derivative`.
+    h : float
+        Step, s.
+    out : (6,) array
+        The later state; not ``s`` itself.
+
+    Source: Eq (25).
+    """
+    derivative(s, xi, act, wind, kit, terms, out)
+    for k in range(N_STATES):
+        out[k] = s[k] + h * out[k]

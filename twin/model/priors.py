@@ -1,0 +1,195 @@
+"""What is believed of a boat's parameters before any data, from a population of like boats.
+
+The files in ``twin/priors`` hold, for each model structure and kind of boat, the dimensionless
+parameters that random boats were found to have (:mod:`twin.training.prior_population`), one boat a row. One
+file serves boats of every size. For a class of boats (:data:`twin.particulars.DESIGNS`) the boats
+are sisters of a model of the class, which like every model is not the truth: it is 20 % off.
+
+Source: twin.md, sections 10 B2 and 13.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.model.structure import Structure
+from twin.particulars import FAST, Particulars
+
+__all__ = [
+    "KINDS",
+    "Prior",
+    "PriorError",
+    "kind_of",
+    "population_prior",
+    "shipped_prior",
+]
+
+Array = NDArray[np.float64]
+
+KINDS = ("drives", "rudder", "differential")
+"""Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
+
+TANKER = "tanker"
+"""Ships with rudders that are of full form: sisters of one that was measured, because the drafts
+of the others are made to hold their course, and few tankers do."""
+
+FLOOR = 0.3
+"""Share of each variance that no other parameter explains, at the least."""
+
+TOLD = 1e-3
+"""A spread of so small a part of the structure's own says that the boats told nothing."""
+
+
+class PriorError(ValueError):
+    """A prior that cannot be used; the message names the file or value and the remedy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Dimensionless parameters of a population of boats.
+
+    Parameters
+    ----------
+    about : str
+        One line that says how it was made.
+    parameters : tuple of str
+        Names of the p parameters.
+    boats : ndarray, shape (b,)
+        Number of each boat in its population; those that the model did not fit are missing.
+    members : ndarray, shape (b, p)
+        Their parameters in the natural units of the structure.
+    """
+
+    about: str
+    parameters: tuple[str, ...]
+    boats: NDArray[np.int64]
+    members: Array
+
+    @classmethod
+    def load(cls, path: Path) -> Prior:
+        """Read a file that :meth:`to_csv` wrote.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+
+        Raises
+        ------
+        PriorError
+            Names the file and the remedy.
+        """
+        try:
+            about, names, *rows = path.read_text(encoding="utf-8").splitlines()
+            parameters = tuple(names.split(",")[1:])
+            table = np.array([row.split(",") for row in rows], dtype=float)
+            if table.shape != (len(rows), 1 + len(parameters)) or not np.isfinite(table).all():
+                raise ValueError(f"{len(parameters)} parameters, table of shape {table.shape}")
+        except (OSError, ValueError) as error:
+            raise PriorError(
+                f"{path}: is no prior ({error}); make it anew with twin.training.prior_population.make_prior"
+            ) from None
+        return cls(about.removeprefix("# "), parameters, table[:, 0].astype(np.int64), table[:, 1:])
+
+    def to_csv(self) -> str:
+        """Return the text of a file, with six digits."""
+        lines = [f"# {self.about}", ",".join(("boat", *self.parameters))]
+        for boat, row in zip(self.boats, self.members, strict=True):
+            lines.append(",".join([str(boat), *(f"{value:.6g}" for value in row)]))
+        return "\n".join(lines) + "\n"
+
+    def of(self, structure: Structure) -> tuple[Array, Array]:
+        """Return median and covariance of a boat's parameters in SI units.
+
+        Parameters
+        ----------
+        structure : Structure
+            The model of the boat. Its parameters that calm water does not show (wind, biases,
+            the side force of drives that do not turn) keep the mean and the standard deviation
+            that stand there.
+
+        Returns
+        -------
+        mean : ndarray, shape (p,)
+            Medians of the population.
+        covariance : ndarray, shape (p, p)
+            Positive definite.
+
+        Raises
+        ------
+        PriorError
+            If the population is one of another structure.
+        """
+        if not set(self.parameters) <= set(structure.parameters):
+            raise PriorError(
+                f"the model {structure.name!r} has not all of {', '.join(self.parameters)}; take "
+                "a prior of the same model"
+            )
+        mean, covariance = structure.mean.copy(), np.diag(structure.sd**2)
+        at = np.array([structure.parameters.index(name) for name in self.parameters])
+        members = self.members * structure.scales[at]
+        told = members.std(axis=0) > TOLD * structure.sd[at]
+        at, members = at[told], members[:, told]
+        mean[at] = np.median(members, axis=0)
+        spread = np.cov(members.T)
+        covariance[np.ix_(at, at)] = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
+        return mean, covariance
+
+
+def kind_of(particulars: Particulars) -> str:
+    """Return which of :data:`KINDS` a boat belongs to, or :data:`TANKER`.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Main particulars and steering are used.
+    """
+    if particulars.steering == "differential":
+        return "differential"
+    if particulars.tanker:
+        return TANKER
+    return "drives" if particulars.froude > FAST else "rudder"
+
+
+@cache
+def shipped_prior(model: str, kind: str) -> Prior:
+    """Return a prior that comes with the package.
+
+    Parameters
+    ----------
+    model, kind : str
+        Model structure, and one of :data:`KINDS`, :data:`TANKER`, or a class of
+        :data:`twin.particulars.DESIGNS`.
+    """
+    return Prior.load(Path(str(resources.files("twin.model") / "priors" / f"{model}_{kind}.csv")))
+
+
+def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
+    """Return mean and covariance of a boat's parameters before any data, in SI units.
+
+    They are those of her class, if it was told, else those of her kind. Boats with a fixed pair of
+    thrusters get the structure's own prior: the population of drafted hulls does not hold
+    catamarans, and was the worse guess for Otter and for a recorded boat.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model of the boat.
+    particulars : Particulars
+        The boat.
+
+    Returns
+    -------
+    mean : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+    """
+    kind = particulars.design or kind_of(particulars)
+    if kind == "differential":
+        return structure.mean.copy(), np.diag(structure.sd**2)
+    return shipped_prior(structure.name, kind).of(structure)

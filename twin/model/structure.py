@@ -1,0 +1,576 @@
+"""Model structures: which terms the accelerations of a twin's model are made of.
+
+A structure is a list of parameters. Each multiplies one *term*, a known function of velocities,
+heading, actuators and wind, in the equation of surge, sway or yaw:
+
+    u' = sum of X_k term_k,   v' = sum of Y_k term_k,   r' = sum of N_k term_k
+
+so that the accelerations are linear in the parameters, and one filter serves every structure.
+A new structure is a new list; a new term is one line in :func:`state_terms` (and its slopes in
+:func:`term_slopes`).
+
+``paper``
+    the 25 parameters of Eq (20)-(21). What differs from the print: sin, not cos, of the
+    angle in sway and yaw; no stray v in the yaw thrust; u|u| and n|n| instead of squares, for
+    astern; N_v|v| and N_v|r| as in the paper's tables; N_r|r| with r|r|. Boats with fixed
+    propellers steer by unequal thrust: their yaw rows are +T_rL nL|nL| and -T_rR nR|nR|.
+``mmg``
+    about thirty, dimensionless but for the length: a resistance with a hump (cubic in u),
+    damping that grows with speed, thrust that falls with advance, a rudder or drive in the
+    inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
+    heading, once and twice around: wind and waves turn a boat that lies across them, and what
+    nobody measures must be learned. Left and right propeller enter
+    as their mean and difference, because nothing tells them apart when they turn alike. A tanker
+    has one propeller: in the place of the difference, N_dn is the turning of one that runs astern.
+    Behind it, flow from port is not straightened as flow from starboard is: Y_S and N_S, of tankers
+    alone, are what the rudder's lift gains from one side and loses from the other.
+
+Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
+current do and the model does not know; they enter surge and sway together.
+
+Source: Qu et al. 2025, Eq (20)-(22), with the corrections of physics.md section 10; twin.md
+section 14.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import fma
+from usv_kernel.simd import fours
+
+__all__ = [
+    "BY_PSI",
+    "BY_R",
+    "BY_U",
+    "BY_V",
+    "MODELS",
+    "N_STATES",
+    "N_TERMS",
+    "Kit",
+    "Structure",
+    "StructureError",
+    "accelerations",
+    "gather",
+    "rates",
+    "state_terms",
+    "structure_of",
+    "term_slopes",
+    "thrust_rates",
+    "thrust_terms",
+]
+
+Array = NDArray[np.float64]
+
+Kit = tuple[NDArray[np.uint64], NDArray[np.int64], Array]
+"""What kernels take of a structure: terms, limits and hull constants."""
+
+N_STATES = 6
+"""States that stand before the parameters in a joint vector: x, y, psi, u, v, r."""
+
+(
+    U_U, VV, VR, RR, U, V, R, V_V, V_R, R_R, UR, VVR, VRR, COS, SIN, MINUS_SIN,
+    UUU, UV, AU_V, AU_R, AV_R, ONE, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N,
+    ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT, FIN_SIDE,
+    LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
+    MEAN_COS, MEAN_SIN, DIFFERENCE, ASTERN_RACE,
+    _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
+    _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
+) = range(50)  # fmt: skip
+
+N_TERMS = 50
+"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
+before UUU are in every structure, the others of the state where all terms are needed."""
+
+_SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT, FIN_SIDE)
+
+BY_U = np.array([U_U, UUU, U, UR, UV, AU_V, AU_R, ADVANCE_COS, ADVANCE_SIN, *_SHIP])
+
+BY_V = np.array([VV, VR, V, V_V, V_R, VVR, VRR, UV, AU_V, AV_R, *_SHIP])
+
+BY_R = np.array([VR, RR, R, V_R, R_R, UR, VVR, VRR, AU_R, AV_R, *_SHIP[3:]])
+
+BY_PSI = np.array([COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N])
+"""Terms that change with u, v, r and psi: those whose slopes :func:`term_slopes` writes."""
+
+FULL, BIASED, LENGTH, SOFT = range(4)
+"""Hull constants: are all terms needed, is the heading, length (m), softening (m2/s2)."""
+
+WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
+"""Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
+
+STRAIGHTENING, LEVER = 0.5, 0.71
+"""Flow straightening and effective lever over length at the stern. Source: twin.md 14.2."""
+
+
+@inlined
+def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, terms):
+    """Write the terms that depend on the actuators alone.
+
+    Parameters
+    ----------
+    n_left, n_right : float
+        Shaft speeds in the unit of the structure.
+    cos_left, sin_left, cos_right, sin_right : float
+        Of the drive angles.
+    terms : (50,) array
+        Those from LEFT_COS on are written.
+    """
+    left, right = n_left * abs(n_left), n_right * abs(n_right)
+    terms[LEFT_COS], terms[RIGHT_COS] = left * cos_left, right * cos_right
+    terms[LEFT_SIN], terms[RIGHT_SIN] = left * sin_left, right * sin_right
+    terms[LEFT], terms[MINUS_RIGHT] = left, -right
+    terms[MEAN_COS] = 0.5 * (left * cos_left + right * cos_right)
+    terms[MEAN_SIN] = 0.5 * (left * sin_left + right * sin_right)
+    terms[DIFFERENCE] = 0.5 * (left * cos_left - right * cos_right)
+    terms[_SHAFT_COS] = 0.5 * (abs(n_left) * cos_left + abs(n_right) * cos_right)
+    terms[_SHAFT_SIN] = 0.5 * (abs(n_left) * sin_left + abs(n_right) * sin_right)
+    terms[_RACE_LEFT] = (SLIPSTREAM if n_left > 0.0 else ASTERN * SLIPSTREAM) * left
+    terms[_RACE_RIGHT] = (SLIPSTREAM if n_right > 0.0 else ASTERN * SLIPSTREAM) * right
+    terms[ASTERN_RACE] = 0.5 * (min(n_left, 0.0) ** 2 + min(n_right, 0.0) ** 2)
+    terms[_COS_LEFT], terms[_SIN_LEFT] = cos_left, sin_left
+    terms[_COS_RIGHT], terms[_SIN_RIGHT] = cos_right, sin_right
+
+
+@inlined
+def _inflow(u, race, soft):
+    """Return the flow along the keel at a rudder or drive, m/s, and its slope in u."""
+    square = WAKE_SQUARED * u * abs(u) + race
+    size = abs(square) + soft
+    root = math.sqrt(size)
+    return square / root, 2.0 * WAKE_SQUARED * abs(u) * (size - 0.5 * abs(square)) / (size * root)
+
+
+@inlined
+def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
+    """Write the terms that depend on the state; those of the actuators must be there.
+
+    Parameters
+    ----------
+    u, v, r : float
+        Velocities, m/s and rad/s.
+    cos_psi, sin_psi : float
+        Of the heading.
+    wind : (2,) array
+        Velocity of the true wind to north and east, m/s; zeros where it is not known.
+    hull : (4,) array
+        Constants of the structure.
+    terms : (50,) array
+        Those before LEFT_COS are written.
+    """
+    terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
+    terms[U], terms[V], terms[R] = u, v, r
+    terms[V_V], terms[V_R], terms[R_R], terms[UR] = v * abs(v), v * abs(r), r * abs(r), u * r
+    terms[VVR], terms[VRR] = v * v * r, v * r * r
+    terms[COS], terms[SIN], terms[MINUS_SIN] = cos_psi, sin_psi, -sin_psi
+    if hull[FULL] == 0.0:
+        return
+    terms[UUU] = u * u * u
+    terms[UV], terms[AU_V], terms[AU_R], terms[AV_R] = u * v, abs(u) * v, abs(u) * r, abs(v) * r
+    terms[ONE] = 1.0
+    terms[COS_TWICE] = cos_psi * cos_psi - sin_psi * sin_psi
+    terms[SIN_TWICE] = 2.0 * sin_psi * cos_psi
+    terms[WIND_X] = terms[WIND_Y] = terms[WIND_N] = 0.0
+    if wind[0] != 0.0 or wind[1] != 0.0:
+        ahead = wind[0] * cos_psi + wind[1] * sin_psi - u
+        aside = wind[1] * cos_psi - wind[0] * sin_psi - v
+        speed = math.sqrt(ahead * ahead + aside * aside)
+        terms[WIND_X], terms[WIND_Y], terms[WIND_N] = speed * ahead, speed * aside, ahead * aside
+    terms[ADVANCE_COS], terms[ADVANCE_SIN] = u * terms[_SHAFT_COS], u * terms[_SHAFT_SIN]
+    aside = STRAIGHTENING * (LEVER * hull[LENGTH] * r - v)
+    drag, lift, side = 0.0, 0.0, 0.0
+    for k in range(2):
+        along = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])[0]
+        c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
+        speed = math.sqrt(along * along + aside * aside)
+        normal = speed * (s * along - c * aside)
+        drag += 0.5 * s * normal
+        lift += 0.5 * c * normal
+        side += 0.5 * c * speed * c * abs(aside)
+    terms[FIN_DRAG], terms[FIN_LIFT], terms[FIN_SIDE] = drag, lift, side
+
+
+@kernel
+def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
+    """Write the derivatives of the state's terms by u, v, r and psi.
+
+    Parameters
+    ----------
+    u, v, r, cos_psi, sin_psi, wind, hull
+        See :func:`state_terms`.
+    terms : (50,) array
+        As :func:`state_terms` left it.
+    slopes : (4, 50) array
+        Written where a derivative is not always 0; hand in zeros.
+    """
+    slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
+    slopes[1, VR], slopes[2, VR], slopes[2, RR] = r, v, 2.0 * r
+    slopes[0, U], slopes[1, V], slopes[2, R] = 1.0, 1.0, 1.0
+    slopes[1, V_V], slopes[2, R_R] = 2.0 * abs(v), 2.0 * abs(r)
+    slopes[1, V_R], slopes[2, V_R] = abs(r), math.copysign(v, v * r)
+    slopes[0, UR], slopes[2, UR] = r, u
+    slopes[1, VVR], slopes[2, VVR] = 2.0 * v * r, v * v
+    slopes[1, VRR], slopes[2, VRR] = r * r, 2.0 * v * r
+    slopes[3, COS], slopes[3, SIN], slopes[3, MINUS_SIN] = -sin_psi, cos_psi, -cos_psi
+    if hull[FULL] == 0.0:
+        return
+    slopes[0, UUU] = 3.0 * u * u
+    slopes[0, UV], slopes[1, UV] = v, u
+    slopes[0, AU_V], slopes[1, AU_V] = math.copysign(v, u * v), abs(u)
+    slopes[0, AU_R], slopes[2, AU_R] = math.copysign(r, u * r), abs(u)
+    slopes[1, AV_R], slopes[2, AV_R] = math.copysign(r, v * r), abs(v)
+    slopes[3, COS_TWICE], slopes[3, SIN_TWICE] = -2.0 * terms[SIN_TWICE], 2.0 * terms[COS_TWICE]
+    for i in range(4):
+        slopes[i, WIND_X] = slopes[i, WIND_Y] = slopes[i, WIND_N] = 0.0
+    if wind[0] != 0.0 or wind[1] != 0.0:
+        forth = wind[0] * cos_psi + wind[1] * sin_psi
+        across = wind[1] * cos_psi - wind[0] * sin_psi
+        ahead, aside = forth - u, across - v
+        speed = max(math.sqrt(ahead * ahead + aside * aside), 1e-9)
+        xx, xy = speed + ahead * ahead / speed, ahead * aside / speed
+        yy = speed + aside * aside / speed
+        slopes[0, WIND_X], slopes[1, WIND_X] = -xx, -xy
+        slopes[0, WIND_Y], slopes[1, WIND_Y] = -xy, -yy
+        slopes[0, WIND_N], slopes[1, WIND_N] = -aside, -ahead
+        # turning the boat turns the wind the other way
+        slopes[3, WIND_X] = xx * across - xy * forth
+        slopes[3, WIND_Y] = xy * across - yy * forth
+        slopes[3, WIND_N] = aside * across - ahead * forth
+    slopes[0, ADVANCE_COS], slopes[0, ADVANCE_SIN] = terms[_SHAFT_COS], terms[_SHAFT_SIN]
+    turn = STRAIGHTENING * LEVER * hull[LENGTH]
+    aside = turn * r - STRAIGHTENING * v
+    for i in range(3):
+        slopes[i, FIN_DRAG] = slopes[i, FIN_LIFT] = slopes[i, FIN_SIDE] = 0.0
+    for k in range(2):
+        along, steep = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])
+        c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
+        speed = max(math.sqrt(along * along + aside * aside), 1e-9)
+        attack = s * along - c * aside
+        by_along = along / speed * attack + speed * s
+        by_aside = aside / speed * attack - speed * c
+        side_along = along / speed * c * abs(aside)
+        side_aside = math.copysign(aside / speed * aside + speed, aside) * c
+        for i in range(3):
+            inner = steep if i == 0 else (-STRAIGHTENING if i == 1 else turn)
+            slope = (by_along if i == 0 else by_aside) * inner
+            slopes[i, FIN_DRAG] += 0.5 * s * slope
+            slopes[i, FIN_LIFT] += 0.5 * c * slope
+            slopes[i, FIN_SIDE] += 0.5 * c * (side_along if i == 0 else side_aside) * inner
+
+
+@inlined
+def accelerations(terms, kit, xi, first):
+    """Return the three accelerations from terms and parameters.
+
+    Parameters
+    ----------
+    terms : (50,) array
+        All terms.
+    kit : tuple
+        Of the structure.
+    xi : (first + p,) array
+        Parameters, from entry ``first`` on.
+    first : int
+        0, or the number of states if these stand before the parameters.
+
+    Returns
+    -------
+    tuple of 3 floats
+        du/dt, dv/dt in m/s2 and dr/dt in rad/s2.
+
+    Source: Eq (20), (23).
+    """
+    return (
+        _sum(0, terms, kit, xi, first),
+        _sum(1, terms, kit, xi, first),
+        _sum(2, terms, kit, xi, first),
+    )
+
+
+@inlined
+def _sum(i, terms, kit, xi, first):
+    """Return one of :func:`accelerations`."""
+    which, limits, _ = kit
+    low, high = limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES
+    term, factor = which[i, low:high], xi[first + low :]
+    total = 0.0
+    for k in range(high - low):
+        total += terms[term[k]] * factor[k]
+    return total
+
+
+@kernel
+def gather(kit, xi, shares):
+    """Write what each term adds to the accelerations, for many calls of :func:`rates`.
+
+    Parameters
+    ----------
+    kit : tuple
+        Of the structure.
+    xi : (p,) array
+        Parameters.
+    shares : (50, 4) array
+        Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
+    """
+    which, limits, _ = kit
+    shares[:] = 0.0
+    for i in range(3):
+        for k in range(limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES):
+            shares[which[i, k], i] += xi[k]
+
+
+@kernel
+def thrust_rates(terms, shares, out):
+    """Write the three accelerations (3,) that the actuators give, whatever the state.
+
+    Not fused: what left and right do against each other cancels to the last bit.
+    """
+    for i in range(3):
+        out[i] = 0.0
+    for k in range(LEFT_COS, _SHAFT_COS):
+        for i in range(3):
+            out[i] += shares[k, i] * terms[k]
+
+
+@inlined
+def rates(terms, shares, hull, thrust):
+    """Return the three accelerations from terms, gathered parameters and :func:`thrust_rates`."""
+    du, dv, dr = fours(thrust, terms, shares, UUU)
+    if hull[FULL] > 0.0:
+        for k in range(UUU, LEFT_COS):
+            du = fma(shares[k, 0], terms[k], du)
+            dv = fma(shares[k, 1], terms[k], dv)
+            dr = fma(shares[k, 2], terms[k], dr)
+    return du, dv, dr
+
+
+class StructureError(ValueError):
+    """A model structure that is not known; the message lists those that are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Parameters of a model, and what kernels need of them.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`MODELS`.
+    parameters : tuple of str
+        Names of the p parameters: surge, then those common to surge and sway, sway, yaw.
+    units : tuple of str
+        Their units.
+    scales : ndarray, shape (p,)
+        Natural unit of each in powers of L, U and n, by which it becomes dimensionless.
+    kit : tuple
+        ``terms`` (3, p): term of each parameter in each equation; ``limits`` (6, 2): for each
+        state, first and last + 1 column of the joint vector (s, xi) that its rate depends on;
+        ``hull`` (4,): constants.
+    n_unit : float
+        Shaft speeds are multiplied by this before they enter the terms.
+    mean, sd : ndarray, shape (p,)
+        What a hand would write down of each parameter before any data, in SI units.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    scales: Array
+    kit: Kit
+    n_unit: float
+    mean: Array
+    sd: Array
+
+    def __len__(self) -> int:
+        """Return the number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def blocks(self) -> dict[str, tuple[int, int]]:
+        """First and last + 1 of the parameters in the equations of surge, sway and yaw."""
+        first = (self.kit[1][3:] - N_STATES).tolist()
+        return {name: (a, b) for name, (a, b) in zip(("surge", "sway", "yaw"), first, strict=True)}
+
+
+# name, unit, equation, term, powers of (L, U, n) in the natural unit, dimensionless mean and sd.
+# An equation "E" is surge and sway together. Source of means: twin.md section 13; those of
+# `mmg` are the same boat's at its usual speed.
+_PAPER = (
+    ("X_uu", "1/m", "X", U_U, (-1, 0, 0), -0.1901, 0.06336),
+    ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.1521, 0.3168),
+    ("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
+    ("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03157),
+    ("T_uL", "m/rev2", "X", LEFT_COS, (-1, 2, -2), 0.0814, 0.02612),
+    ("T_uR", "m/rev2", "X", RIGHT_COS, (-1, 2, -2), 0.0814, 0.02612),
+    ("Y_u", "1/s", "Y", U, (-1, 1, 0), 0.0, 0.01173),
+    ("Y_v", "1/s", "Y", V, (-1, 1, 0), -1.044, 0.528),
+    ("Y_r", "m/(s rad)", "Y", R, (0, 1, 0), 0.2167, 0.1481),
+    ("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.901),
+    ("Y_v|r|", "1/rad", "Y", V_R, (0, 0, 0), 0.0, 1.0),
+    ("Y_r|r|", "m/rad2", "Y", R_R, (1, 0, 0), 0.0, 0.07891),
+    ("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.78, 0.2),
+    ("T_vL", "m/rev2", "Y", LEFT_SIN, (-1, 2, -2), -0.1045, 0.06965),
+    ("T_vR", "m/rev2", "Y", RIGHT_SIN, (-1, 2, -2), -0.1045, 0.06965),
+    ("N_u", "rad/(m s)", "N", U, (-2, 1, 0), 0.0, 0.03717),
+    ("N_v", "rad/(m s)", "N", V, (-2, 1, 0), -2.141, 2.23),
+    ("N_r", "1/s", "N", R, (-1, 1, 0), -2.405, 1.173),
+    ("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.014),
+    ("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 6.336),
+    ("N_r|r|", "1/rad", "N", R_R, (0, 0, 0), -0.7, 1.0),
+    ("N_vvr", "s/m2", "N", VVR, (-1, -1, 0), -6.843, 10.26),
+    ("N_vrr", "s/(m rad)", "N", VRR, (0, -1, 0), 0.0, 2.7),
+    ("T_rL", "rad/rev2", "N", LEFT_SIN, (-2, 2, -2), 0.6068, 0.331),
+    ("T_rR", "rad/rev2", "N", RIGHT_SIN, (-2, 2, -2), 0.6068, 0.331),
+)
+
+_BIASES = (
+    ("E_north", "m/s2", "E", COS, (-1, 2, 0), 0.0, 0.0087),
+    ("E_east", "m/s2", "E", SIN, (-1, 2, 0), 0.0, 0.0087),
+)
+
+_MMG = (
+    ("X_u", "1/s", "X", U, (-1, 1, 0), 0.0, 0.1),
+    ("X_u|u|", "1/m", "X", U_U, (-1, 0, 0), -0.19, 0.15),
+    ("X_uuu", "s/m2", "X", UUU, (-1, -1, 0), 0.0, 0.1),
+    ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.15, 0.3),
+    ("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
+    ("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03),
+    ("X_nn", "1/m", "X", MEAN_COS, (-1, 0, 0), 0.38, 0.12),
+    ("X_nu", "1/m", "X", ADVANCE_COS, (-1, 0, 0), -0.19, 0.12),
+    ("X_F", "1/m", "X", FIN_DRAG, (-1, 0, 0), -0.05, 0.1),
+    ("X_w", "1/m", "X", WIND_X, (-1, 0, 0), 0.003, 0.003),
+    *_BIASES,
+    ("Y_|u|v", "1/m", "Y", AU_V, (-1, 0, 0), -1.044, 0.528),
+    ("Y_ur", "1/rad", "Y", UR, (0, 0, 0), -0.56, 0.25),
+    ("Y_v|v|", "1/m", "Y", V_V, (-1, 0, 0), -1.077, 1.9),
+    ("Y_v|r|", "1/rad", "Y", V_R, (0, 0, 0), 0.0, 1.0),
+    ("Y_|v|r", "1/rad", "Y", AV_R, (0, 0, 0), 0.0, 1.0),
+    ("Y_r|r|", "m/rad2", "Y", R_R, (1, 0, 0), 0.0, 0.079),
+    ("Y_nn", "1/m", "Y", MEAN_SIN, (-1, 0, 0), -0.15, 0.12),
+    ("Y_nu", "1/m", "Y", ADVANCE_SIN, (-1, 0, 0), 0.0, 0.08),
+    ("Y_F", "1/m", "Y", FIN_LIFT, (-1, 0, 0), -0.06, 0.15),
+    ("Y_S", "1/m", "Y", FIN_SIDE, (-1, 0, 0), 0.0, 0.06),
+    ("Y_w", "1/m", "Y", WIND_Y, (-1, 0, 0), 0.006, 0.006),
+    ("N_uv", "rad/m2", "N", UV, (-2, 0, 0), -1.5, 2.2),
+    ("N_|u|r", "1/m", "N", AU_R, (-1, 0, 0), -2.4, 1.2),
+    ("N_v|v|", "rad/m2", "N", V_V, (-2, 0, 0), 0.0, 4.0),
+    ("N_v|r|", "1/m", "N", V_R, (-1, 0, 0), 0.0, 4.0),
+    ("N_|v|r", "1/m", "N", AV_R, (-1, 0, 0), -1.0, 4.0),
+    ("N_r|r|", "1/rad", "N", R_R, (0, 0, 0), -0.7, 1.0),
+    ("N_nn", "rad/m2", "N", MEAN_SIN, (-2, 0, 0), 0.8, 0.6),
+    ("N_nu", "rad/m2", "N", ADVANCE_SIN, (-2, 0, 0), 0.0, 0.4),
+    ("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
+    ("N_S", "rad/m2", "N", FIN_SIDE, (-2, 0, 0), 0.0, 0.3),
+    ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.05, 0.1),
+    ("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
+    ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01),
+    ("N_cos", "rad/s2", "N", COS, (-2, 2, 0), 0.0, 0.01),
+    ("N_sin", "rad/s2", "N", SIN, (-2, 2, 0), 0.0, 0.01),
+    ("N_cos2", "rad/s2", "N", COS_TWICE, (-2, 2, 0), 0.0, 0.012),
+    ("N_sin2", "rad/s2", "N", SIN_TWICE, (-2, 2, 0), 0.0, 0.012),
+)
+
+_TABLES = {"paper": _PAPER, "mmg": _MMG}
+
+MODELS = tuple(_TABLES)
+"""Names of the structures."""
+
+# A pair of fixed propellers .2 L off the middle turns a boat whose radius of gyration is
+# .25 L; it has no angle, hence no side force.
+_DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
+    "T_vL": (LEFT_SIN, 0.0, 0.06965),
+    "T_vR": (RIGHT_SIN, 0.0, 0.06965),
+    "T_rL": (LEFT, 0.24, 0.14),
+    "T_rR": (MINUS_RIGHT, 0.24, 0.14),
+    "Y_nn": (MEAN_SIN, 0.0, 0.1),
+    "N_nn": (MEAN_SIN, 0.0, 0.1),
+    "N_dn": (DIFFERENCE, 0.48, 0.28),
+}
+
+# A laden ship of full form: more water than wind takes hold of (drag of 0.3 m2 of side and 0.06 m2
+# of front for each tonne of a 3 m model; centre of pressure forward in a quartering wind). The
+# race of a right-handed propeller that runs astern pushes her stern to port.
+_TANKER: dict[str, tuple[int, float, float]] = {
+    "X_w": (WIND_X, 0.0009, 0.0006),
+    "Y_w": (WIND_Y, 0.002, 0.0012),
+    "N_w": (WIND_N, -0.0035, 0.003),
+    "N_dn": (ASTERN_RACE, 0.05, 0.05),
+}
+
+
+def structure_of(
+    name: str,
+    length: float,
+    speed: float,
+    shaft_speed: float,
+    *,
+    differential: bool = False,
+    tanker: bool = False,
+    biased: bool = False,
+) -> Structure:
+    """Return a model structure for a boat.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`MODELS`.
+    length, speed, shaft_speed : float
+        On the waterline, m; usual speed, m/s, and shaft speed at it, rev/s.
+    differential : bool
+        The boat steers by unequal thrust.
+    tanker : bool
+        She is a laden ship of full form, with one propeller.
+    biased : bool
+        Add the two earth-fixed accelerations where the structure has none.
+
+    Returns
+    -------
+    Structure
+
+    Raises
+    ------
+    StructureError
+        Lists the names that there are.
+    """
+    if name not in _TABLES:
+        raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
+    rows = [row for row in _TABLES[name] if tanker or row[3] != FIN_SIDE]
+    if biased and _BIASES[0] not in rows:
+        sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
+        rows[sway:sway] = _BIASES
+    told = _DIFFERENTIAL if differential else _TANKER if tanker else {}
+    rows = [
+        (*row[:3], known[0], row[4], *known[1:]) if (known := told.get(row[0])) else row
+        for row in rows
+    ]
+    equations = [row[2] for row in rows]
+    limits = np.full((N_STATES, 2), N_STATES, dtype=np.int64)
+    which = np.zeros((3, len(rows)), dtype=np.uint64)
+    for i, members in enumerate(("XE", "EY", "N")):
+        columns = [k for k, equation in enumerate(equations) if equation in members]
+        limits[3 + i] += (columns[0], columns[-1] + 1)
+        which[i, columns] = [rows[k][3] for k in columns]
+    for k, row in enumerate(rows):
+        if row[2] == "E":  # east and north as seen to starboard
+            which[1, k] = MINUS_SIN if row[3] == COS else COS
+    mixed = name == "mmg"
+    heading = float("E" in equations or mixed)
+    scales = np.prod(
+        np.array([length, speed, shaft_speed]) ** np.array([row[4] for row in rows], float), axis=1
+    )
+    return Structure(
+        name=name,
+        parameters=tuple(row[0] for row in rows),
+        units=tuple(row[1] for row in rows),
+        scales=scales,
+        kit=(which, limits, np.array([float(mixed), heading, length, (0.05 * speed) ** 2])),
+        # in `mmg` a shaft speed is the boat's speed that it usually gives
+        n_unit=speed / shaft_speed if mixed else 1.0,
+        mean=scales * np.array([row[5] for row in rows]),
+        sd=scales * np.array([row[6] for row in rows]),
+    )

@@ -1,0 +1,113 @@
+"""Workers of any kind that joblib knows: processes, threads, or a cluster of Dask or Ray."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+from twin.benchmark.protocol import BenchmarkError
+
+__all__ = [
+    "BACKENDS",
+    "check_backend",
+    "results_of",
+]
+
+BACKENDS = {
+    "loky": ("joblib", "joblib"),
+    "threading": ("joblib", "joblib"),
+    "dask": ("dask.distributed", "'dask[distributed]'"),
+    "ray": ("ray.util.joblib", "ray"),
+}
+"""Kinds of workers by joblib's names: the module that each needs, and what to install."""
+
+_Result = TypeVar("_Result")
+
+
+def check_backend(backend: str) -> None:
+    """Refuse a kind of workers that is not known, or not installed.
+
+    Parameters
+    ----------
+    backend : str
+        One of :data:`BACKENDS`.
+
+    Raises
+    ------
+    BenchmarkError
+        Names what there is, or what to install.
+    """
+    if backend not in BACKENDS:
+        raise BenchmarkError(f"no backend is called {backend!r}; known: {', '.join(BACKENDS)}")
+    module, package = BACKENDS[backend]
+    try:
+        importlib.import_module(module)
+    except ImportError:
+        raise BenchmarkError(
+            f"backend {backend}: {module} is not installed; python -m pip install {package}"
+        ) from None
+
+
+def results_of(
+    calls: Sequence[Callable[[], _Result]], *, jobs: int = 1, backend: str = "loky"
+) -> Iterator[tuple[int, _Result]]:
+    """Make calls, each in a worker, and yield the results as they come.
+
+    Parameters
+    ----------
+    calls : sequence of callable
+        What to do; with other backends than ``threading`` they are sent as pickles.
+    jobs : int
+        Workers.
+    backend : str
+        One of :data:`BACKENDS`. ``dask`` uses the cluster that ``DASK_SCHEDULER_ADDRESS`` names,
+        ``ray`` the one of ``RAY_ADDRESS``; else each starts one on this machine. A folder that
+        the calls write to must be shared with a cluster.
+
+    Yields
+    ------
+    int, result
+        Which call, and what it returned.
+    """
+    from joblib import Parallel, delayed, parallel_config
+
+    # those of clusters give nothing back before all is done: a handful of calls at a time
+    flows = backend in ("loky", "threading")
+    size = len(calls) if flows else 4 * jobs
+    with _workers(backend, jobs):
+        with parallel_config(backend=backend):  # knows dask by name, as Parallel does not
+            pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
+        for first in range(0, len(calls), size):
+            some = range(first, min(first + size, len(calls)))
+            yield from pool(delayed(_numbered)(i, calls[i]) for i in some)
+
+
+def _numbered(i: int, call: Callable[[], _Result]) -> tuple[int, _Result]:
+    return i, call()
+
+
+@contextlib.contextmanager
+def _workers(backend: str, jobs: int) -> Iterator[None]:
+    """Start workers of a kind where joblib does not do so itself."""
+    check_backend(backend)
+    with contextlib.ExitStack() as stack:
+        if backend == "dask":
+            import dask
+            from dask.distributed import Client
+
+            here = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
+            far = dask.config.get("scheduler-address", None)
+            stack.enter_context(Client(far) if far else Client(**here))
+        elif backend == "ray":
+            import ray
+            from ray.util.joblib import register_ray
+
+            if not ray.is_initialized():
+                far = os.environ.get("RAY_ADDRESS")
+                ray.init(**({} if far else {"num_cpus": jobs}), log_to_driver=False)
+                stack.callback(ray.shutdown)
+            register_ray()
+        yield

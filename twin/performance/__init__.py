@@ -1,0 +1,4 @@
+"""Measurements of speed, for ``usv-twin bench``.
+
+May import twin.sim and below.
+"""

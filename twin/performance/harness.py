@@ -1,0 +1,196 @@
+"""Cases that take turns in short bursts, and medians over the rounds."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = [
+    "FLOOR",
+    "REFERENCE_FLOOR",
+    "Case",
+    "Measured",
+    "measure",
+]
+
+Burst = tuple[Callable[[], object], int]
+"""What is timed, and how many operations it does."""
+
+FLOOR = "Pendulum"
+"""The case whose speed stands for that of the machine."""
+
+REFERENCE_FLOOR = 94e3
+"""Its steps/s on the machine for which the rates to reach were set."""
+
+BURST_MIN = 0.02
+"""Least length of a burst, s."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Something to be timed.
+
+    Parameters
+    ----------
+    name : str
+        Unique.
+    make : callable
+        Sets it up and returns a :data:`Burst`.
+    relative_to : str, optional
+        Name of the case that its rate is divided by.
+    must, must_ratio : float, optional
+        Operations per second to reach on the machine where the floor makes
+        :data:`REFERENCE_FLOOR`, and ratio to reach.
+    needs : tuple of str
+        Modules of a peer; without them the case is left out.
+    slow : bool
+        Left out of a quick run.
+    """
+
+    name: str
+    make: Callable[[], Burst]
+    relative_to: str | None = None
+    must: float | None = None
+    must_ratio: float | None = None
+    needs: tuple[str, ...] = ()
+    slow: bool = False
+
+
+@dataclass
+class Measured:
+    """What :func:`measure` found.
+
+    Attributes
+    ----------
+    seconds : dict
+        For each case its time per operation in each round, s.
+    absent : dict
+        For each case that was left out, why.
+    interrupted : bool
+        Whether Ctrl-C ended it.
+    """
+
+    seconds: dict[str, list[float]] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+    interrupted: bool = False
+
+    def median(self, name: str) -> float:
+        """Return the median time per operation of a case, s."""
+        return statistics.median(self.seconds[name])
+
+    def ratio(self, name: str, to: str) -> float:
+        """Return how many times faster a case is than another, as the median over the rounds."""
+        pairs = zip(self.seconds[to], self.seconds[name], strict=False)
+        return statistics.median(slow / fast for slow, fast in pairs)
+
+    def rows(self, cases: Sequence[Case]) -> list[dict[str, Any]]:
+        """Return a row for each case that was measured.
+
+        Returns
+        -------
+        list of dict
+            ``name``, ``rate_per_s``, ``median_us``, ``relative_to``, ``ratio``; the last two are
+            None where there is nothing to compare with.
+        """
+        rows = []
+        for case in cases:
+            if case.name not in self.seconds:
+                continue
+            to = case.relative_to if case.relative_to in self.seconds else None
+            median = self.median(case.name)
+            rows.append(
+                {
+                    "name": case.name,
+                    "rate_per_s": 1.0 / median,
+                    "median_us": 1e6 * median,
+                    "relative_to": to,
+                    "ratio": None if to is None else self.ratio(case.name, to),
+                }
+            )
+        return rows
+
+    def reached(self, case: Case) -> float | None:
+        """Return which part of what it must reach a case has reached; 1 or more is enough.
+
+        A rate is to be reached at the speed of this machine, as the floor tells it.
+        """
+        parts = []
+        if case.must is not None and FLOOR in self.seconds:
+            parts.append(self.ratio(case.name, FLOOR) * REFERENCE_FLOOR / case.must)
+        if case.must_ratio is not None and case.relative_to in self.seconds:
+            parts.append(self.ratio(case.name, case.relative_to) / case.must_ratio)
+        return min(parts, default=None)
+
+
+def measure(
+    cases: Sequence[Case], rounds: int, advance: Callable[[str], None] = lambda name: None
+) -> Measured:
+    """Time all cases, burst by burst in turn.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        What to time.
+    rounds : int
+        Bursts of each.
+    advance : callable
+        Told the name of each case, as it is set up and after each of its bursts.
+
+    Returns
+    -------
+    Measured
+        Ctrl-C ends it early: what is there by then.
+    """
+    measured, bursts = Measured(), {}
+    try:
+        for case in cases:
+            advance(case.name)
+            missing = [name for name in case.needs if not _is_there(name)]
+            if missing:
+                measured.absent[case.name] = f"{', '.join(missing)} not installed"
+                continue
+            try:
+                bursts[case.name] = _calibrated(*case.make())
+            except Exception as error:
+                if not case.needs:
+                    raise
+                measured.absent[case.name] = f"{type(error).__name__}: {error}"
+        for _ in range(rounds):
+            for name, (run, count) in bursts.items():
+                measured.seconds.setdefault(name, []).append(_time(run) / count)
+                advance(name)
+    except KeyboardInterrupt:
+        measured.interrupted = True
+    return measured
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def _time(run: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    run()
+    return time.perf_counter() - begun
+
+
+def _calibrated(run: Callable[[], object], count: int) -> Burst:
+    """Return a burst that is repeated until it is long enough; it has been compiled by then."""
+    run()
+    times = math.ceil(BURST_MIN / max(_time(run), 1e-9))
+    if times <= 1:
+        return run, count
+
+    def repeated() -> None:
+        for _ in range(times):
+            run()
+
+    return repeated, times * count

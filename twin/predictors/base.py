@@ -1,0 +1,244 @@
+"""Predictors: what they are asked, what they answer, and the simple ones.
+
+A predictor is fed one row of measurements and commands after the other, and may at any time
+be asked where the boat will be under a plan of commands. It sees nothing else: not the truth,
+not the future beyond the plan, not another predictor.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.identification.identifiability import Identifiability
+from twin.particulars import Particulars
+
+__all__ = [
+    "Estimate",
+    "Prediction",
+    "Predictor",
+]
+
+Array = NDArray[Any]
+
+Z90 = 1.6448536269514722
+"""Half the width of the middle 90 % of a normal distribution, standard deviations."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a predictor believes now.
+
+    Parameters
+    ----------
+    t : float
+        Time of the last row, s.
+    s, sd : ndarray, shape (6,)
+        State in the order of :data:`CHANNELS`, and its standard deviation.
+    xi, xi_sd : ndarray, shape (p,)
+        Model parameters and their standard deviations; empty where there is no model.
+    ready : bool
+        False until a first fix and a first heading have come; the rest means nothing then.
+    """
+
+    t: float
+    s: Array
+    sd: Array
+    xi: Array
+    xi_sd: Array
+    ready: bool
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where the boat will be, and how sure that is.
+
+    Parameters
+    ----------
+    t0 : float
+        Time at which it was made, s.
+    start, start_cov : ndarray, shapes (6,), (6, 6)
+        State that it starts from, in the order of :data:`CHANNELS`, and its covariance.
+    t : ndarray, shape (K,)
+        Times that it speaks of, s.
+    mean : ndarray, shape (K, 6)
+        Predicted states; heading not wrapped.
+    cov : ndarray, shape (K, 6, 6)
+        Covariances of their errors.
+    low, high : ndarray, shape (K, 6)
+        5 % and 95 % points; left out, those of normal errors.
+    """
+
+    t0: float
+    start: Array
+    start_cov: Array
+    t: Array
+    mean: Array
+    cov: Array
+    low: Array = None  # type: ignore[assignment]
+    high: Array = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name, side in (("low", -Z90), ("high", Z90)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, self.mean + side * self.sd)
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations, shape (K, 6)."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=1, axis2=2), 0.0))
+
+    def at(self, horizons: Array) -> tuple[Array, Array]:
+        """Return mean (h, 6) and covariance (h, 6, 6) at times after t0, interpolated.
+
+        Parameters
+        ----------
+        horizons : array_like, shape (h,)
+            Seconds after t0, within the prediction.
+        """
+        return (
+            self._between(self.start, self.mean, horizons),
+            self._between(self.start_cov, self.cov, horizons),
+        )
+
+    def band(self, horizons: Array) -> tuple[Array, Array]:
+        """Return the 5 % and 95 % points, each (h, 6), at times after t0, interpolated.
+
+        Parameters
+        ----------
+        horizons : array_like, shape (h,)
+            Seconds after t0, within the prediction.
+        """
+        half = Z90 * np.sqrt(np.maximum(np.diagonal(self.start_cov), 0.0))
+        return (
+            self._between(self.start - half, self.low, horizons),
+            self._between(self.start + half, self.high, horizons),
+        )
+
+    def _between(self, first: Array, later: Array, horizons: Array) -> Array:
+        """Return values at times after t0, linearly between those of the start and the rows."""
+        after = np.concatenate([[0.0], self.t - self.t0])
+        values = np.concatenate([first[None], later])
+        place = np.interp(horizons, after, np.arange(len(after)))
+        low = np.minimum(place.astype(int), len(after) - 2)
+        share = (place - low).reshape(-1, *[1] * (values.ndim - 1))
+        return values[low] + share * (values[low + 1] - values[low])
+
+
+class Predictor(ABC):
+    """The contract of every entry of ``twin.PREDICTORS``.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        What is known of the boat beforehand.
+    seed : int
+        For predictors that draw random numbers; the same seed gives the same bits.
+    """
+
+    trains = False
+    """Whether the class takes ``train_at``: seconds of data after which it trains itself."""
+    models = False
+    """Whether the class takes ``model``, one of ``twin.model.structure.MODELS``."""
+    parameter_names: tuple[str, ...] = ()
+    """Names of the parameters in ``Estimate.xi`` ..."""
+    parameter_units: tuple[str, ...] = ()
+    """... their units ..."""
+    parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
+    """... and first and last + 1 of those in the equation of each motion."""
+    world = False
+    """Whether the class takes ``vessel``, ``sea`` and ``dof``: the true ones, for a floor."""
+    tuning: ClassVar[str] = "not stated"
+    """What was searched for its settings, in one line: the benchmark prints it."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Leave the tuning of a subclass unstated: it is not that of its base."""
+        super().__init_subclass__(**options)
+        if "tuning" not in vars(cls):
+            cls.tuning = "not stated"
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        self.particulars = particulars
+        self.seed = seed
+
+    def with_common_error(self, cov: Array) -> Array:
+        """Return covariances (..., 6, 6) with the drifting part of the GPS error added.
+
+        It is the same at every time of a prediction, and no filter can tell it from the
+        position.
+        """
+        cov = cov.copy()
+        for i in (0, 1):
+            cov[..., i, i] += self.particulars.instruments.gps_bias_sd**2
+        return cov
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+
+    @abstractmethod
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row.
+
+        Parameters
+        ----------
+        t, dt : float
+            Time of the row and time since the row before, s; dt is 0 in the first row.
+        z : ndarray, shape (10,)
+            Measurements in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
+        cmd : ndarray, shape (4,)
+            Command that was in force since the row before, in the order of
+            ``twin.logs.log.COMMANDS``.
+        """
+
+    @property
+    @abstractmethod
+    def s(self) -> Array:
+        """State believed now, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
+
+    @abstractmethod
+    def estimate(self) -> Estimate:
+        """Return what is believed now."""
+
+    @property
+    def window_s(self) -> float:
+        """Length of the data that the identifier looks back on now, s; NaN where it does not."""
+        return math.nan
+
+    def identifiability(self) -> Identifiability | None:
+        """Return what the data seen say of the parameters; None where there is no model."""
+        return None
+
+    def mean(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states (K, 6) alone, where that is cheaper.
+
+        Parameters
+        ----------
+        plan, dt
+            As for :meth:`predict`.
+        """
+        return self.predict(plan, dt).mean
+
+    @abstractmethod
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; nothing of the predictor's state changes by it.
+
+        Parameters
+        ----------
+        plan : ndarray, shape (K, 4)
+            Commands; row k is in force from k to k + 1 times dt after the last row.
+        dt : float
+            Time between rows of the plan, s.
+
+        Returns
+        -------
+        Prediction
+            At the ends of the rows of the plan; always finite.
+        """

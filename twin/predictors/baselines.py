@@ -1,0 +1,220 @@
+"""Predictors that need no model: persistence, and persistence of a mean."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.filters.navigation_ekf import Navigator
+from twin.particulars import Particulars
+from twin.predictors.base import Estimate, Prediction, Predictor
+
+__all__ = [
+    "HistoryPredictor",
+    "Persistence",
+    "SmoothedPersistence",
+    "hold_velocity",
+]
+
+Array = NDArray[Any]
+
+GAP_MAX = 300.0
+"""After a longer gap, s, a history begins anew."""
+
+GRID = 0.25
+"""Step of the history that learners and baselines look back on, s."""
+
+
+def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
+    """Return the states of a boat that keeps body velocity and yaw rate.
+
+    Parameters
+    ----------
+    start : ndarray, shape (..., 6)
+        State at time 0.
+    velocity : ndarray, shape (..., 3)
+        Held u, v, r in m/s and rad/s.
+    after : ndarray, shape (K,)
+        Times, s.
+
+    Returns
+    -------
+    ndarray, shape (..., K, 6)
+    """
+    u, v, r = (velocity[..., i, None] for i in range(3))
+    psi_0 = start[..., 2, None]
+    half = 0.5 * r * after
+    # chord of the arc: length times sin(half)/half, along the middle heading
+    chord = after * np.sinc(half / math.pi)
+    c, s = np.cos(psi_0 + half), np.sin(psi_0 + half)
+    out = np.empty((*start.shape[:-1], len(after), 6))
+    out[..., 0] = start[..., 0, None] + chord * (u * c - v * s)
+    out[..., 1] = start[..., 1, None] + chord * (u * s + v * c)
+    out[..., 2] = psi_0 + r * after
+    out[..., 3], out[..., 4], out[..., 5] = u, v, r
+    return out
+
+
+class HistoryPredictor(Predictor):
+    """A predictor that looks back on its navigation filter's states, on an even grid.
+
+    Its bands come from its own forecasts of the last :attr:`memory` seconds: the root mean
+    square of their errors at each horizon, judged by what the navigation filter said later.
+
+    Subclasses provide :meth:`forecast`.
+    """
+
+    memory = 90.0
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        super().__init__(particulars, seed=seed)
+        self.navigator = Navigator(particulars)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+        self.navigator.reset()
+        self.t = 0.0
+        self._cmd = np.zeros(4)
+        self._beside = np.zeros(0)
+        self._last = np.zeros(10)
+        self._rows: list[Array] = []
+        self._next = math.inf
+        self._errors_at = -math.inf
+        self._errors = np.zeros((0, 6))
+
+    @abstractmethod
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts from several rows of a history.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (M, 10 + n)
+            History every :data:`GRID` seconds: six states, then the four commands that were
+            in force before the row, then what :meth:`beside` gave.
+        origins : ndarray of int, shape (B,)
+            Rows to start from; only rows up to and with each may be used for it.
+        plans : ndarray, shape (B, K, 4)
+            Commands of the K grid steps after each origin.
+
+        Returns
+        -------
+        ndarray, shape (B, K, 6)
+            States at the ends of the steps.
+        """
+
+    def beside(self, dt: float) -> Array:
+        """Return what a subclass keeps beside the row that just came, shape (n,)."""
+        return self._beside
+
+    def path(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states (K, 6) under a plan; see :meth:`Predictor.predict`."""
+        after = dt * np.arange(1, len(plan) + 1)
+        K = math.ceil(after[-1] / GRID - 1e-9)
+        # the plan on the grid: the command in force in the middle of each grid step
+        middle = (np.arange(K) + 0.5) * GRID
+        grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
+        start = self.navigator.n[:6]
+        rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._beside])])
+        path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
+        path = np.concatenate([start[None], np.nan_to_num(path)])
+        times = GRID * np.arange(K + 1)
+        return np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
+
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row; see :meth:`Predictor.update`."""
+        self.t = t
+        s = self.navigator.update(dt, z)
+        self._cmd = np.array(cmd, dtype=np.float64)
+        self._beside = self.beside(dt)
+        if not self.navigator.ready:
+            return
+        now = np.concatenate([s, self._cmd, self._beside])
+        if dt > GAP_MAX:  # nothing on the far side of it bears on what comes
+            self._rows.clear()
+            self._errors_at = self._next = -math.inf
+        if not math.isfinite(self._next):
+            self._next = t
+            self._last = now
+        while self._next <= t + 1e-9:
+            share = 1.0 if dt <= 0.0 else min(max(1.0 - (t - self._next) / dt, 0.0), 1.0)
+            row = self._last + share * (now - self._last)
+            row[6:10] = self._cmd
+            self._rows.append(row)
+            self._next += GRID
+        self._last = now
+
+    @property
+    def s(self) -> Array:
+        """State, a view of shape (6,)."""
+        return self.navigator.n[:6]
+
+    def estimate(self) -> Estimate:
+        """Return what is believed now."""
+        sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[:6, :6])))
+        none = np.zeros(0)
+        return Estimate(self.t, self.s.copy(), sd, none, none, self.navigator.ready)
+
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; see :meth:`Predictor.predict`."""
+        after = dt * np.arange(1, len(plan) + 1)
+        mean = self.path(plan, dt)
+        errors = self._own_errors()
+        known = GRID * np.arange(1, len(errors) + 1)
+        grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
+        # further than was ever looked back, place and heading part at the same pace
+        grow[:, :3] *= np.maximum(after / known[-1], 1.0)[:, None]
+        start_cov = self.with_common_error(self.navigator.P[:6, :6])
+        cov = np.repeat(start_cov[None], len(plan), axis=0)
+        cov[:, range(6), range(6)] += grow**2
+        start = self.navigator.n[:6].copy()
+        return Prediction(self.t, start, start_cov, self.t + after, mean, cov)
+
+    def _own_errors(self, horizon: float = 10.0) -> Array:
+        """Return the root mean square errors (K, 6) of this predictor's past forecasts."""
+        K, second = round(horizon / GRID), round(1.0 / GRID)
+        # of whole seconds of history: what was asked before must not matter
+        count = len(self._rows) // second * second
+        if count == self._errors_at:
+            return self._errors
+        begin = max(count - round(self.memory / GRID), 0)
+        rows = np.array(self._rows[begin:count]).reshape(-1, len(self._last))
+        origins = np.arange(round(5.0 / GRID), len(rows) - K, second)
+        if len(origins) < 5:
+            U, L = self.particulars.speed, self.particulars.length
+            rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
+            return np.outer(np.sqrt(GRID * np.arange(1, K + 1)), rate)
+        ahead = origins[:, None] + np.arange(1, K + 1)
+        error = self.forecast(rows, origins, rows[ahead, 6:10]) - rows[ahead, :6]
+        self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
+        self._errors_at = count
+        return self._errors
+
+
+class Persistence(HistoryPredictor):
+    """Body velocities and yaw rate of this moment, held and integrated.
+
+    ``average`` seconds of their mean may stand in for the moment.
+    """
+
+    average = 0.0
+    tuning = "none: it has no settings"
+
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
+        width = max(round(self.average / GRID), 1)
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, 3:6], axis=0)])
+        first = np.maximum(origins + 1 - width, 0)
+        velocity = (sums[origins + 1] - sums[first]) / (origins + 1 - first)[:, None]
+        return hold_velocity(rows[origins, :6], velocity, GRID * np.arange(1, plans.shape[1] + 1))
+
+
+class SmoothedPersistence(Persistence):
+    """The mean of the last 8 s of body velocities and yaw rate, held and integrated."""
+
+    average = 8.0
+    tuning = "none: 8 s are the study's"

@@ -1,0 +1,159 @@
+"""Commands as learners see them: after the actuators' lag, as what pushes and turns a boat."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import Particulars
+from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
+
+__all__ = [
+    "ActuatedPredictor",
+    "fill_forward",
+    "integrate",
+    "lagged",
+    "thrust_features",
+]
+
+Array = NDArray[np.float64]
+
+
+def thrust_features(cmd: Array) -> Array:
+    """Return what a net is told of commands: thrust, sideways and forward part, per side.
+
+    Parameters
+    ----------
+    cmd : ndarray, shape (..., 4)
+        Commands in the order of ``twin.logs.log.COMMANDS``, rev/s and rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 6)
+        n|n| and n|n| sin(delta) and n|n| cos(delta), left and right, (rev/s)^2.
+    """
+    # the bound only keeps squares of nonsense finite
+    n, delta = np.clip(cmd[..., :2], -1e6, 1e6), cmd[..., 2:]
+    thrust = n * np.abs(n)
+    return np.concatenate([thrust, thrust * np.sin(delta), thrust * np.cos(delta)], axis=-1)
+
+
+def fill_forward(rows: Array) -> Array:
+    """Return rows in which what is not finite repeats the last finite value of its column.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (M, d)
+        Anything over time.
+
+    Returns
+    -------
+    ndarray, shape (M, d)
+        0 where nothing finite came before.
+    """
+    good = np.isfinite(rows)
+    if good.all():
+        return rows
+    place = np.maximum.accumulate(np.where(good, np.arange(len(rows))[:, None], 0), axis=0)
+    filled = np.take_along_axis(rows, place, axis=0)
+    return np.where(np.isfinite(filled), filled, 0.0)
+
+
+def lagged(act: Array, cmd: Array, dt: float, particulars: Particulars) -> Array:
+    """Return the actuators after a command was in force for a while.
+
+    Parameters
+    ----------
+    act, cmd : ndarray, shape (..., 4)
+        Where they were, and what was ordered: rev/s and rad.
+    dt : float
+        How long, s.
+    particulars : Particulars
+        Their lags, and the largest rate of the angles.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+    """
+    share = [-math.expm1(-dt / lag) for lag in (particulars.shaft_lag, particulars.steer_lag)]
+    step = (cmd - act) * np.repeat(share, 2)
+    reach = particulars.steer_rate * dt
+    step[..., 2:] = np.clip(step[..., 2:], -reach, reach)
+    return act + step
+
+
+def integrate(start: Array, velocity: Array) -> Array:
+    """Return the states of boats whose velocities are known on the grid.
+
+    Parameters
+    ----------
+    start : ndarray, shape (B, 6)
+        States at the start, in the order of ``twin.channels.CHANNELS``; velocities unused.
+    velocity : ndarray, shape (B, K + 1, 3)
+        u, v, r at the start and at the ends of the K steps, m/s and rad/s.
+
+    Returns
+    -------
+    ndarray, shape (B, K, 6)
+    """
+    u, v, r = np.moveaxis(0.5 * (velocity[:, 1:] + velocity[:, :-1]), 2, 0)
+    psi = start[:, 2:3] + GRID * np.cumsum(r, axis=1)
+    middle = psi - 0.5 * GRID * r
+    c, s = np.cos(middle), np.sin(middle)
+    x = start[:, 0:1] + GRID * np.cumsum(u * c - v * s, axis=1)
+    y = start[:, 1:2] + GRID * np.cumsum(u * s + v * c, axis=1)
+    return np.concatenate([np.stack([x, y, psi], axis=2), velocity[:, 1:]], axis=2)
+
+
+class ActuatedPredictor(HistoryPredictor):
+    """A predictor whose history holds the actuators, which follow the commands with a lag.
+
+    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are believed to be.
+    """
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        U, L = particulars.speed, particulars.length
+        self.usual = np.array([U, U, U / L])
+        """Size of u, v, r: m/s and rad/s."""
+        self.bound = 3.0 * self.usual
+        """Largest u, v, r of a forecast, and of a row worth learning from."""
+        super().__init__(particulars, seed=seed)
+
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+        super().reset()
+        self._act = np.full(4, math.nan)
+        self._beside = np.zeros(4)
+        self._last = np.zeros(14)
+
+    def held(self, start: Array, steps: int) -> Array:
+        """Return the states (B, steps, 6) of boats that keep their velocities, within bounds."""
+        nu = np.clip(start[:, 3:], -self.bound, self.bound)
+        return hold_velocity(start, nu, GRID * np.arange(1, steps + 1))
+
+    def beside(self, dt: float) -> Array:
+        """Return the actuators at the row that just came, shape (4,)."""
+        known = np.isfinite(self._act).all()
+        self._act = lagged(self._act, self._cmd, dt, self.particulars) if known else self._cmd
+        return self._act
+
+    def follow(self, act: Array, plans: Array) -> Array:
+        """Return the actuators over a plan, at the ends of its grid steps.
+
+        Parameters
+        ----------
+        act : ndarray, shape (B, 4)
+            Where they start from.
+        plans : ndarray, shape (B, K, 4)
+            Commands of the grid steps.
+
+        Returns
+        -------
+        ndarray, shape (B, K, 4)
+        """
+        out = np.empty(plans.shape)
+        for k in range(plans.shape[1]):
+            act = out[:, k] = lagged(act, plans[:, k], GRID, self.particulars)
+        return out

@@ -1,0 +1,407 @@
+"""Nets that learned from a fleet of simulated boats: their answers, in plain numpy.
+
+:mod:`twin.training.fleet` trains them, with torch; nothing here needs it. A net sees the last
+:data:`PAST` s of a run and the plan, as tokens of a second each, in lengths of the boat and its
+usual speed, with masks for what is missing; it answers with the increments of u, v, r under
+the plan. So it has to find out from the run itself which boat it is on.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import GRAVITY, Particulars
+from twin.predictors.baselines import GRID
+from twin.predictors.learned.features import (
+    ActuatedPredictor,
+    fill_forward,
+    integrate,
+    thrust_features,
+)
+
+__all__ = [
+    "AHEAD",
+    "FORMAT",
+    "PAST",
+    "TOKEN",
+    "FleetLSTM",
+    "FleetPredictor",
+    "FleetTransformer",
+    "Weights",
+    "WeightsError",
+    "gated",
+    "run_lstm",
+    "run_transformer",
+    "tokens",
+]
+
+Array = NDArray[Any]
+
+FORMAT = 1
+"""Version of the weights' files and of what the nets are told; another one is refused."""
+
+PATCH = 4
+"""Grid steps in a token."""
+
+PAST, AHEAD = 40, 10
+"""Tokens of the past and of the plan, s."""
+
+MEANS = (1, 8, 32, 80)
+"""Grid steps before the origin that the plan's tokens hold means of, one for each of theirs."""
+
+FADE = 2.0
+"""Time in which the mask of a sensor fades after its last sample, s."""
+
+SENSORS = (0, 4, 5)
+"""Measurements that stand for GPS, compass and IMU."""
+
+ROW = 17
+"""Columns of a history: states, commands, actuators, masks."""
+
+PER_ROW, ABOUT = 13, 6
+
+TOKEN = PATCH * PER_ROW + ABOUT
+"""Numbers in a token."""
+
+INPUT_MAX = 6.0
+"""Bound of an input: the nets are not asked to extrapolate further."""
+
+CENTRE, SCALE = np.array([0.8, 0.0, 0.0]), np.array([3.0, 5.0, 4.0])
+"""How u, v, r over their usual size are shown."""
+
+STEP = 0.5
+"""Increments of u, v, r over their usual size per length sailed that an output of 1 means."""
+
+HERE = Path(__file__).with_name("weights")
+"""Where the weights that ship lie."""
+
+
+class WeightsError(ValueError):
+    """A file of weights that cannot be used; the message names it and the remedy."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A trained net.
+
+    Parameters
+    ----------
+    kind : str
+        ``lstm`` or ``transformer``.
+    seed : int
+        Of boats, initial weights and batches.
+    settings : dict
+        How it was made, for the record.
+    arrays : dict of ndarray
+        Its weights, single precision.
+    """
+
+    kind: str
+    seed: int
+    settings: dict[str, Any]
+    arrays: dict[str, Array]
+
+    def write(self, path: str | Path) -> None:
+        """Write a file that :meth:`read` reads; weights are rounded to half precision."""
+        about = {"format": FORMAT, "kind": self.kind, "seed": self.seed, "settings": self.settings}
+        path = Path(path)
+        partial = path.with_name(f".{path.name}")
+        with partial.open("wb") as file:
+            rounded: Any = {key: value.astype(np.float16) for key, value in self.arrays.items()}
+            np.savez_compressed(file, about=np.array(json.dumps(about)), **rounded)
+        partial.replace(path)
+
+    def run(self, x: Array) -> Array:
+        """Return the net's outputs (B, AHEAD, 3 PATCH) for :func:`tokens`."""
+        net = {"lstm": run_lstm, "transformer": run_transformer}[self.kind]
+        return net(self.arrays, gated(x, self.settings.get("gate", 0.0)))
+
+    @classmethod
+    def read(cls, path: str | Path, kind: str) -> Weights:
+        """Read weights.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        kind : str
+            What they must be of.
+
+        Raises
+        ------
+        WeightsError
+            Says what is wrong with the file, and how to make a new one.
+        """
+        remedy = f"make it anew: python -m twin.training.fleet {kind}"
+        try:
+            with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+                about = json.loads(str(file["about"]))
+                arrays = {key: file[key].astype(np.float32) for key in file.files if key != "about"}
+            version, found = about["format"], about["kind"]
+        except FileNotFoundError:
+            raise WeightsError(f"{path}: is missing; reinstall usv-twin, or {remedy}") from None
+        except Exception as error:
+            raise WeightsError(f"{path}: holds no weights of a net ({error}); {remedy}") from None
+        if version != FORMAT or found != kind:
+            raise WeightsError(
+                f"{path}: holds weights of a {found}, format {version}; this usv-twin needs a "
+                f"{kind} of format {FORMAT}: {remedy}"
+            )
+        return cls(found, about["seed"], about["settings"], arrays)
+
+
+@functools.cache
+def _shipped(path: Path, kind: str) -> Weights:
+    return Weights.read(path, kind)
+
+
+def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) -> Array:
+    """Return what a net is told, one token a second.
+
+    Parameters
+    ----------
+    window : ndarray, shape (B, PAST * PATCH, 17)
+        Rows up to and with the origin: six states, four commands, four actuators, and the
+        masks of GPS, compass and IMU: 1 with a fresh sample, then fading.
+    known : ndarray of bool, shape (B, PAST * PATCH)
+        False for rows before the history began.
+    ahead : ndarray, shape (B, AHEAD * PATCH, 4)
+        Actuators under the plan.
+    particulars : Particulars
+        Of the boat.
+
+    Returns
+    -------
+    ndarray, shape (B, PAST + AHEAD, TOKEN), single precision
+    """
+    U, L = particulars.speed, particulars.length
+    B, past = window.shape[:2]
+    out = np.zeros((B, past + ahead.shape[1], PER_ROW))
+    seen = out[:, :past]
+    seen[..., :3] = (window[..., 3:6] / [U, U, U / L] - CENTRE) * SCALE
+    # the wind is the earth's: how the boat lay to it, from where it lies now
+    turned = window[..., 2] - window[:, -1:, 2]
+    seen[..., 3], seen[..., 4] = np.cos(turned), np.sin(turned)
+    seen[..., 5:8] = window[..., 14:17]
+    seen[..., 8] = 1.0
+    acts = np.concatenate([window[..., 10:14], ahead], axis=1)
+    acts[..., :2] /= particulars.shaft_speed
+    left, right = np.moveaxis(thrust_features(acts).reshape(*acts.shape[:2], 3, 2), 3, 0)
+    out[..., 9], out[..., 10] = 0.5 * (left + right)[..., 0], 0.5 * (left - right)[..., 0]
+    out[..., 11] = 1.5 * (left + right)[..., 1]
+    out[..., 12] = 1.5 * np.sin(acts[..., 2:]).sum(axis=2)
+    seen *= known[..., None]
+    # the plan's places for velocities hold what they were: a steady turn goes on as its mean
+    count = np.cumsum(known[:, ::-1], axis=1)[:, ::-1]
+    means = [seen[:, -n:, :3].sum(axis=1) / np.maximum(count[:, -n], 1)[:, None] for n in MEANS]
+    out[:, past:, :3] = np.tile(np.stack(means, axis=1), (1, ahead.shape[1] // PATCH, 1))
+    about = np.zeros((B, PAST + AHEAD, ABOUT))
+    about[..., :5] = (
+        math.log(GRID * U / L) + 2.0,
+        2.0 * U / math.sqrt(GRAVITY * L),
+        0.3 * particulars.length / particulars.beam,
+        0.3 * particulars.beam / particulars.draft,
+        float(particulars.steering == "differential"),
+    )
+    about[:, PAST:, 5] = 1.0
+    out = np.clip(out, -INPUT_MAX, INPUT_MAX).reshape(B, PAST + AHEAD, PATCH * PER_ROW)
+    return np.concatenate([out, about], axis=2).astype(np.float32)
+
+
+def gated(x: Array, gate: float) -> Array:
+    """Return tokens whose past velocities fade with the masks of their sensors.
+
+    Parameters
+    ----------
+    x : ndarray, shape (B, PAST + AHEAD, TOKEN)
+        Tokens; not changed.
+    gate : float
+        What fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
+    """
+    out = x.copy()
+    rows = out[:, :PAST, : PATCH * PER_ROW].reshape(len(x), PAST, PATCH, PER_ROW)
+    rows[..., :3] *= 1.0 - gate * (1.0 - rows[..., [5, 5, 7]])
+    out[:, :PAST, : PATCH * PER_ROW] = rows.reshape(len(x), PAST, -1)
+    return out
+
+
+def _sigmoid(a: Array) -> Array:
+    return 0.5 + 0.5 * np.tanh(0.5 * a)
+
+
+def _read(w: dict[str, Array], h: Array, x: Array) -> Array:
+    """Return what is read out of hidden states (B, AHEAD, H), and of the plan's own tokens."""
+    return np.concatenate([h, x[:, PAST:]], axis=2) @ w["read.weight"].T + w["read.bias"]
+
+
+def run_lstm(w: dict[str, Array], x: Array) -> Array:
+    """Return the outputs (B, AHEAD, 3 PATCH) of an LSTM.
+
+    Parameters
+    ----------
+    w : dict of ndarray
+        Weights, named as torch names them.
+    x : ndarray, shape (B, PAST + AHEAD, TOKEN)
+        Tokens.
+    """
+    h = x
+    for layer in range(sum(key.startswith("body.weight_ih") for key in w)):
+        bias = w[f"body.bias_ih_l{layer}"] + w[f"body.bias_hh_l{layer}"]
+        gates = h @ w[f"body.weight_ih_l{layer}"].T + bias
+        h = _lstm_layer(gates, w[f"body.weight_hh_l{layer}"])
+    return _read(w, h[:, PAST:], x)
+
+
+def _lstm_layer(gates: Array, back: Array) -> Array:
+    """Return hidden states (B, T, H), from what inputs add to the gates and the way back."""
+    back = np.ascontiguousarray(back.T)
+    h = c = np.zeros((len(gates), len(back)), dtype=np.float32)
+    out = []
+    for k in range(gates.shape[1]):
+        i, f, g, o = np.split(gates[:, k] + h @ back, 4, axis=1)
+        c = _sigmoid(f) * c + _sigmoid(i) * np.tanh(g)
+        h = _sigmoid(o) * np.tanh(c)
+        out.append(h)
+    return np.stack(out, axis=1)
+
+
+def _normed(w: dict[str, Array], name: str, x: Array) -> Array:
+    x = x - x.mean(axis=-1, keepdims=True)
+    x = x / np.sqrt(np.mean(x * x, axis=-1, keepdims=True) + np.float32(1e-5))
+    return x * w[f"{name}.weight"] + w[f"{name}.bias"]
+
+
+def run_transformer(w: dict[str, Array], x: Array) -> Array:
+    """Return the outputs (B, AHEAD, 3 PATCH) of a causal transformer; see :func:`run_lstm`."""
+
+    def linear(name: str, x: Array) -> Array:
+        return x @ w[f"{name}.weight"].T + w[f"{name}.bias"]
+
+    B, T = x.shape[:2]
+    heads = w["heads"].shape[0]
+    h = linear("embed", x) + w["place"]
+    later = np.triu(np.full((T, T), -np.inf, dtype=np.float32), 1)
+    for layer in range(sum(key.endswith("mix.weight") for key in w)):
+        name = f"layers.{layer}"
+        parts = linear(f"{name}.qkv", _normed(w, f"{name}.norm1", h))
+        q, k, v = np.moveaxis(parts.reshape(B, T, 3, heads, -1), (2, 3), (0, 2))
+        scores = q @ np.swapaxes(k, 2, 3) / np.float32(math.sqrt(q.shape[3])) + later
+        scores = np.exp(scores - scores.max(axis=3, keepdims=True))
+        seen = (scores / scores.sum(axis=3, keepdims=True)) @ v
+        h = h + linear(f"{name}.mix", np.moveaxis(seen, 1, 2).reshape(B, T, -1))
+        inner = linear(f"{name}.up", _normed(w, f"{name}.norm2", h))
+        h = h + linear(f"{name}.down", np.maximum(inner, 0.0))
+    return _read(w, _normed(w, "norm", h[:, PAST:]), x)
+
+
+class FleetPredictor(ActuatedPredictor):
+    """A net that was trained once on simulated boats, asked about this one.
+
+    Subclasses say which net. Its weights ship with the package; ``python -m twin.training.fleet`` makes
+    them anew. Nothing is learned from the run but what the net makes of its last 40 s.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Main particulars, which all inputs and outputs scale with, and lags.
+    seed : int
+        Nothing is drawn at random here.
+
+    Raises
+    ------
+    WeightsError
+        The weights are missing, damaged or of another version.
+    """
+
+    kind: ClassVar[str]
+    file: ClassVar[Path]
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        _shipped(self.file, self.kind)
+        super().__init__(particulars, seed=seed)
+
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+        super().reset()
+        self._age = np.full(3, math.inf)
+        self._beside, self._last = np.zeros(ROW - 10), np.zeros(ROW)
+
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row; see :meth:`Predictor.update`."""
+        self._age = np.where(np.isfinite(z[list(SENSORS)]), 0.0, self._age + dt)
+        super().update(t, dt, z, cmd)
+
+    def beside(self, dt: float) -> Array:
+        """Return actuators and masks at the row that just came, shape (7,)."""
+        return np.concatenate([super().beside(dt), np.exp(-self._age / FADE)])
+
+    @staticmethod
+    def windows(rows: Array, origins: Array) -> tuple[Array, Array]:
+        """Return what :func:`tokens` takes: windows of a history (M, 17), and what is known."""
+        back = origins[:, None] + np.arange(1 - PAST * PATCH, 1)
+        return rows[np.maximum(back, 0)], back >= 0
+
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
+        rows = fill_forward(rows)
+        K, block = plans.shape[1], AHEAD * PATCH
+        plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:10])
+        plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % block, axis=1)], axis=1)
+        acts = self.follow(rows[origins, 10:14], plans)
+        window, known = self.windows(rows, origins)
+        window[..., 3:6] = np.clip(window[..., 3:6], -self.bound, self.bound)
+        out = []
+        # further than the net looks ahead, it goes on from what it said
+        for first in range(0, plans.shape[1], block):
+            part = slice(first, first + block)
+            path = self.answer(window, known, acts[:, part])
+            out.append(path)
+            said = np.concatenate([path, plans[:, part], acts[:, part]], axis=2)
+            said = np.pad(said, ((0, 0), (0, 0), (0, 3)))
+            window = np.concatenate([window[:, block:], said], axis=1)
+            known = np.pad(known[:, block:], ((0, 0), (0, block)), constant_values=True)
+        return np.concatenate(out, axis=1)[:, :K]
+
+    def answer(self, window: Array, known: Array, ahead: Array) -> Array:
+        """Return the states (B, AHEAD * PATCH, 6) that follow windows; see :func:`tokens`."""
+        weights = _shipped(self.file, self.kind)
+        x = tokens(window, known, ahead, self.particulars)
+        said = weights.run(x).reshape(len(x), -1, 3)
+        sailed = STEP * GRID * self.particulars.speed / self.particulars.length
+        start = window[:, -1]
+        nu = start[:, None, 3:6] + np.cumsum(said.astype(float), axis=1) * sailed * self.usual
+        nu = np.clip(np.concatenate([start[:, None, 3:6], nu], axis=1), -self.bound, self.bound)
+        return integrate(start[:, :6], nu)
+
+
+class FleetLSTM(FleetPredictor):
+    """An LSTM, trained once on simulated boats.
+
+    Tuning budget: 40 configurations (:mod:`twin.training.hyperparameter_search`) of 8192 windows each, by
+    successive halving in five rungs, 77 trainings, judged on 60 other boats of the fleet; 6
+    short trainings before that. The settings of the training that ships are in its file.
+    """
+
+    tuning = "40 configurations by successive halving (77 trainings) on 60 boats of the fleet"
+    kind = "lstm"
+    file = HERE / "fleet-lstm.npz"
+
+
+class FleetTransformer(FleetPredictor):
+    """A causal transformer, trained once on simulated boats, in the LSTM's harness.
+
+    Tuning budget: the LSTM's 40 configurations (rates of its own, one to three layers), halved
+    in three rungs, 70 trainings, judged on the same boats; 3 short trainings before that.
+    """
+
+    tuning = "40 configurations by successive halving (70 trainings) on 60 boats of the fleet"
+    kind = "transformer"
+    file = HERE / "fleet-transformer.npz"

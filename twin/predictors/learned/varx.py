@@ -1,0 +1,160 @@
+"""The statistician's comparator: a vector autoregression that a run fits to its own past."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import Particulars
+from twin.predictors.baselines import GRID
+from twin.predictors.learned.features import (
+    ActuatedPredictor,
+    fill_forward,
+    integrate,
+    thrust_features,
+)
+
+__all__ = [
+    "VARPredictor",
+]
+
+Array = NDArray[Any]
+
+STRIDE_MAX = 8
+"""Most grid steps in a step: a slow ship's still has to resolve its actuators."""
+
+ROWS_MIN = 40
+"""Steps without which nothing is fitted."""
+
+
+class VARPredictor(ActuatedPredictor):
+    """A vector autoregression with inputs (VARX), by least squares on the run's own past.
+
+    The change of u, v, r over a step is linear in their last :attr:`order` values and in what
+    the actuators did in as many steps, the one ahead included: thrust, its forward and
+    sideways parts and the sine of the angle, sum and difference of both sides. Actuators
+    follow the commands with the lags of the particulars. A step is .25 s for the study boat
+    and as much longer as a ship takes longer to sail its length. Until there is a fit,
+    velocities are held.
+
+    Tuning budget: 39 configurations (order 2 to 10, of the inputs 1 to 8, ridge 1e-4 to .1,
+    five sets of inputs, wind by heading, products of velocities, a window of 60 s), judged on
+    the four manoeuvres of twelve seeds (100-111) by 10 s forecasts with known commands.
+
+    Source: twin.md, sections 1 and 4 (VARX(6), .25 s); the inputs are ours.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Lags, and the size of the columns.
+    seed : int
+        Nothing is drawn at random here.
+    """
+
+    tuning = "39 configurations on 12 tuning seeds"
+
+    order = 4
+    """Steps looked back on."""
+    ridge = 3e-3
+    """Weight of the coefficients of scaled columns, as a share of the rows."""
+    first, refit = 20.0, 10.0
+    """Length of the history at the first fit, and between fits, s."""
+
+    def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
+        # the study boat has steps of one GRID
+        self.stride = min(max(round(particulars.slowness), 1), STRIDE_MAX)
+        super().__init__(particulars, seed=seed)
+
+    def reset(self) -> None:
+        """Forget everything that was seen, and what was fitted to it."""
+        super().reset()
+        self._due = self.first
+        self._fit: tuple[Array, Array] | None = None
+
+    def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
+        """Take one row; see :meth:`Predictor.update`. A refit takes a millisecond."""
+        super().update(t, dt, z, cmd)
+        have = (len(self._rows) - 1) * GRID
+        if have >= self._due - 1e-9:
+            self._due = have + self.refit
+            self._fit = self._learn(np.array(self._rows))
+            self._errors_at = -math.inf
+        elif have < self._due - max(self.first, self.refit):
+            self._due = self.first  # a long gap took the history
+
+    def _past(self, rows: Array, at: Array) -> Array:
+        """Return u, v, r over usual at rows (B,) and the steps before, newest first (B, 3 p)."""
+        back = np.maximum(at[:, None] - self.stride * np.arange(self.order), 0)
+        size = self.bound / self.usual
+        return np.clip(rows[back, 3:6] / self.usual, -size, size).reshape(len(at), -1)
+
+    def _inputs(self, rows: Array, at: Array, ahead: Array) -> Array:
+        """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q).
+
+        Parameters
+        ----------
+        rows : ndarray, shape (M, 14)
+            History.
+        at : ndarray of int, shape (B,)
+            Rows that the first step ahead begins with.
+        ahead : ndarray, shape (B, n * stride, 4)
+            Actuators at the grid steps after them.
+        """
+        back = np.maximum(at[:, None] + np.arange(-self.stride * (self.order - 1), 1), 0)
+        acts = np.concatenate([rows[back, 10:14], ahead], axis=1)
+        acts[..., :2] /= self.particulars.shaft_speed
+        each = np.concatenate([thrust_features(acts), np.sin(acts[..., 2:])], axis=2)
+        left, right = each[..., ::2], each[..., 1::2]
+        both = np.concatenate([left + right, left - right], axis=2)
+        mean = 0.5 * (both[:, 1:] + both[:, :-1])
+        return mean.reshape(len(at), -1, self.stride, both.shape[2]).mean(axis=2)
+
+    def _learn(self, rows: Array) -> tuple[Array, Array] | None:
+        """Return coefficients and constant, or None where there are too few sound rows."""
+        m, p = self.stride, self.order
+        at = np.arange(m * (p - 1), len(rows) - m)
+        wild = ~np.isfinite(rows)
+        wild[:, 3:6] |= ~(np.abs(rows[:, 3:6]) <= self.bound)
+        at = at[~wild[at[:, None] + np.arange(-m * (p - 1), m + 1)].any(axis=(1, 2))]
+        if len(at) < ROWS_MIN:
+            return None
+        ahead = rows[at[:, None] + np.arange(1, m + 1), 10:14]
+        X = np.concatenate(
+            [self._past(rows, at), self._inputs(rows, at, ahead).reshape(len(at), -1)], axis=1
+        )
+        Y = (rows[at + m, 3:6] - rows[at, 3:6]) / self.usual
+        centre, sd = X.mean(axis=0), X.std(axis=0)
+        # a column that never changed teaches nothing: it must not matter later either
+        scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
+        Z = (X - centre) * scale
+        A = Z.T @ Z / len(at) + self.ridge * np.eye(Z.shape[1])
+        W = np.linalg.solve(A, Z.T @ (Y - Y.mean(axis=0)) / len(at)) * scale[:, None]
+        return W, Y.mean(axis=0) - centre @ W
+
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
+        rows = fill_forward(rows)
+        start, K = rows[origins, :6], plans.shape[1]
+        if self._fit is None:
+            return self.held(start, K)
+        W, b = self._fit
+        m, p = self.stride, self.order
+        plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:10])
+        plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % m, axis=1)], axis=1)
+        inputs = self._inputs(rows, origins, self.follow(rows[origins, 10:14], plans))
+        past = self._past(rows, origins)
+        size, path = self.bound / self.usual, [past[:, :3]]
+        for k in range(plans.shape[1] // m):
+            # newest first, as the past is
+            did = inputs[:, k : k + p].reshape(len(origins), -1)
+            nu = past[:, :3] + np.concatenate([past, did], axis=1) @ W + b
+            path.append(np.clip(nu, -size, size))
+            past = np.concatenate([path[-1], past[:, :-3]], axis=1)
+        place = np.arange(K + 1) / m
+        low = np.minimum(place.astype(int), len(path) - 2)
+        nodes = np.stack(path, axis=1)
+        between = nodes[:, low] + (place - low)[:, None] * (nodes[:, low + 1] - nodes[:, low])
+        return integrate(start, between * self.usual)

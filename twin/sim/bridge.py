@@ -1,0 +1,163 @@
+"""Where world and belief meet: particulars of a vessel, and simulated runs as logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import MEASUREMENTS
+from twin.logs.log import Log
+from twin.particulars import DESIGNS, Instruments, Particulars
+from usv_gym.manoeuvring.manoeuvres import commands
+from usv_gym.physics import frames as fr
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world import sensors
+from usv_gym.world.sea import SeaState
+from usv_gym.world.sensors import Disturbance, SensorSuite
+from usv_gym.world.simulation import Simulation
+
+__all__ = [
+    "TRUE_STATE",
+    "measurement_row",
+    "particulars_of",
+    "simulate",
+]
+
+Array = NDArray[np.float64]
+
+UPRIGHT = 0.07
+"""Room for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
+
+TILT_SD, TILT_TIME = 0.08, 1.0
+"""Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
+
+TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
+"""Entries of the ship's state that a log keeps as the truth."""
+
+if MEASUREMENTS[: len(sensors.CHANNELS)] != sensors.CHANNELS:
+    raise ImportError(
+        "usv_gym.world.sensors.CHANNELS and twin.logs.log.MEASUREMENTS have come apart"
+    )
+
+
+def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
+    """Return what the owner of a simulated vessel would tell its twin.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The vessel; only main particulars, actuators, the usual speed and, if a prior of it comes
+        with the package, the class are passed on.
+    suite : SensorSuite, optional
+        Its sensors, as their data sheets describe them; the default suite if left out.
+    dof : int
+        Degrees of freedom of the ship; with 6 the accelerometers also feel its tilt.
+
+    Returns
+    -------
+    Particulars
+    """
+    suite = suite or SensorSuite()
+    v = vessel.values
+    n = v["shaft_speed_manoeuvring"]
+    return Particulars(
+        name=vessel.name,
+        length=v["length_waterline"],
+        beam=v["beam"],
+        draft=v["draft"],
+        mass=v["mass"],
+        speed=vessel.straight_speed(n),
+        shaft_speed=n,
+        steering="differential" if vessel.kind == "thruster_pair" else "drives",
+        shaft_lag=v["shaft_lag"],
+        # a fixed pair has no drives to turn
+        steer_lag=v.get("steer_lag", 0.1),
+        steer_rate=v.get("steer_rate", 1.0),
+        design=vessel.design if vessel.design in DESIGNS else "",
+        instruments=Instruments(
+            gps_sd=max(suite.gps_white, 0.02),
+            gps_bias_sd=suite.gps_bias,
+            # room for what the latency makes of a wavy motion
+            doppler_sd=math.hypot(suite.doppler_white, 0.06),
+            compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
+            compass_bias_sd=suite.compass_bias,
+            gyro_sd=max(suite.gyro_white, 1e-4),
+            gyro_bias_sd=max(suite.gyro_bias, 1e-5),
+            accel_sd=math.hypot(suite.accel_white, UPRIGHT),
+            accel_bias_sd=max(suite.accel_bias, 1e-3),
+            gps_latency=suite.gps_latency,
+            gps_arm=suite.gps_arm[:2],
+            imu_arm=suite.imu_arm[:2],
+            tilt_sd=TILT_SD if dof == 6 else 0.0,
+            tilt_time=TILT_TIME,
+        ),
+    )
+
+
+def measurement_row(channels: Array) -> Array:
+    """Return a row of ``twin.logs.log.MEASUREMENTS`` for what the simulated sensors said."""
+    row = np.full(len(MEASUREMENTS), math.nan)
+    row[: len(channels)] = channels
+    return row
+
+
+def simulate(
+    manoeuvre: str | Array,
+    *,
+    vessel: Vessel,
+    sea: SeaState,
+    duration: float,
+    seed: int,
+    faults: Sequence[Disturbance] = (),
+    suite: SensorSuite | None = None,
+    dof: int = 3,
+    dt: float = 0.05,
+    name: str | None = None,
+) -> Log:
+    """Sail a manoeuvre and return its log, with the truth.
+
+    Parameters
+    ----------
+    manoeuvre : str or ndarray, shape (N, 4)
+        One of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands of the N control steps.
+    vessel, sea
+        Boat and sea state.
+    duration : float
+        Length of the run, s.
+    seed : int
+        Seed of sea, sensors and (random) manoeuvre.
+    faults : sequence of Disturbance
+        Faults of sensors.
+    suite : SensorSuite, optional
+        Sensors; the default suite if left out.
+    dof : int
+        Degrees of freedom of the ship, 3 or 6.
+    dt : float
+        Control step, s.
+    name : str, optional
+        Name of the log; left out, manoeuvre and seed.
+
+    Returns
+    -------
+    Log
+    """
+    world, helmsman = np.random.default_rng(seed).spawn(2)
+    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
+    simulation.reset([0], [world])
+    N = max(round(duration / dt), 1)
+    if isinstance(manoeuvre, str):
+        given, called = commands(manoeuvre, np.arange(N) * dt, vessel, helmsman), manoeuvre
+    else:
+        given, called = manoeuvre, "own"
+    t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
+    z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
+    for k in range(N + 1):
+        if k:
+            simulation.step(given[k - 1 : k])
+        t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
+        z[k, : len(sensors.CHANNELS)] = simulation.z[0]
+        truth[k] = simulation.state[0, TRUE_STATE]
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{called}_{seed}")

@@ -1,0 +1,243 @@
+"""The oracle: how well a boat could be predicted by one who knew all of her but the waves.
+
+It sails the very ship that the simulation sails, in the mean wind and current, which it knows;
+waves and gusts it does not know. It is the floor that the excess error of the benchmark is
+measured from, and no twin: on a real boat there is no such thing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.filters.navigation_ekf import GAP_MAX
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.predictors.baselines import GRID, HistoryPredictor
+from twin.predictors.registry import PredictorError, predictor_class
+from twin.sim.bridge import TRUE_STATE, particulars_of
+from usv_gym.physics import frames as fr
+from usv_gym.physics import ship
+from usv_gym.physics.waves import WAVE_ROWS, factor_room
+from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.sea import SeaState
+from usv_kernel.jit import kernel
+
+__all__ = [
+    "Oracle",
+    "check_world",
+    "known_vessel",
+    "world_options",
+]
+
+Array = NDArray[Any]
+
+GAIN = 0.5
+"""How fast the oracle's velocities follow those of the navigation, 1/s (twin.md 10 B4)."""
+
+STEP = 0.05
+"""Longest integration step, s: that of the simulation."""
+
+# entries of what is kept beside each row of the history: time, then the state of the ship
+_TIME, _SHIP = 0, 1
+
+_SIZE = _SHIP + fr.STATE_SIZE
+
+
+@kernel
+def _sail(state, cmd, t, dt, p, still, gusts, weather, dof, limits, factors, work):
+    """Sail a ship for dt under a command, in place; velocities stay within the limits."""
+    steps = math.ceil(dt / STEP - 1e-9)
+    for j in range(steps):
+        h = dt / steps
+        ship.step(state, cmd, p, still, gusts, weather, t + j * h, h, dof, factors, work)
+        total = 0.0
+        for i in range(fr.STATE_SIZE):
+            total += state[i]
+        if not math.isfinite(total):  # capsized beyond what numbers hold
+            for i in range(fr.STATE_SIZE):
+                state[i] = 0.0
+        state[fr.U] = min(max(state[fr.U], -limits[0]), limits[0])
+        state[fr.V] = min(max(state[fr.V], -limits[1]), limits[1])
+        state[fr.R] = min(max(state[fr.R], -limits[2]), limits[2])
+
+
+@kernel
+def _roll(starts, plans, dt, p, still, gusts, weather, dof, limits, factors, work, state, out):
+    """Write where ships get from their starts (B, 17) under plans (B, K, 4): (B, K, 16)."""
+    for b in range(plans.shape[0]):
+        for i in range(fr.STATE_SIZE):
+            state[i] = starts[b, _SHIP + i]
+        for k in range(plans.shape[1]):
+            t = starts[b, _TIME] + k * dt
+            _sail(state, plans[b, k], t, dt, p, still, gusts, weather, dof, limits, factors, work)
+            for i in range(fr.STATE_SIZE):
+                out[b, k, i] = state[i]
+
+
+def known_vessel(particulars: Particulars) -> Vessel:
+    """Return the vessel that particulars were made of.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        They carry the name of a vessel that comes with the package, and its numbers.
+
+    Raises
+    ------
+    PredictorError
+        For any other boat: nobody knows the true one.
+    """
+    name = particulars.name
+    if name in vessel_names():
+        vessel = Vessel.load(name)
+        told = particulars_of(vessel)
+        numbers = ("length", "beam", "draft", "mass", "speed", "shaft_speed")
+        if all(math.isclose(getattr(told, k), getattr(particulars, k)) for k in numbers):
+            return vessel
+    raise PredictorError(
+        f"oracle: the true boat behind {name!r} is not known; it runs where the vessel is handed "
+        "in (benchmark, environment), and on simulated logs of an unchanged vessel"
+    )
+
+
+def check_world(predictor: str, log: Log, particulars: Particulars) -> None:
+    """Refuse a predictor that needs the true boat where nobody knows it.
+
+    Parameters
+    ----------
+    predictor : str
+        A name in ``twin.PREDICTORS``; those without a share in the world always pass.
+    log, particulars : Log, Particulars
+        The run as it was read, and its boat.
+
+    Raises
+    ------
+    PredictorError
+        For a recorded run (no truth), or a boat that is none of the package's vessels.
+    """
+    if not predictor_class(predictor).world:
+        return
+    if log.truth is None:
+        raise PredictorError(
+            f"{predictor}: the true boat of {log.name!r} is not known, a recorded run has none; "
+            "choose another predictor"
+        )
+    known_vessel(particulars)
+
+
+def world_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
+    """Return what a predictor is to be told of the true world; nothing, unless it asks for it.
+
+    Parameters
+    ----------
+    predictor : str
+        A name in ``twin.PREDICTORS``.
+    vessel, sea, dof : Vessel, SeaState, int
+        The simulation's.
+    """
+    if not predictor_class(predictor).world:
+        return {}
+    return {"vessel": vessel, "sea": sea, "dof": dof}
+
+
+class Oracle(HistoryPredictor):
+    """The true ship in the mean wind and current, from a filtered start.
+
+    Place and heading come from the tight navigation filter; speeds and yaw rate from an
+    observer, the ship itself sailing along and drawn to the navigation's velocities by
+    :data:`GAIN`, so that it does not take the waves of the moment for the boat's motion. The
+    actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the
+    slow changes of the wind are not known to it. Bands are those of
+    :class:`~twin.predictors.baselines.HistoryPredictor`.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        What the navigation is told.
+    vessel : Vessel, optional
+        The true boat; left out, the package's vessel of which the particulars speak.
+    sea : SeaState, optional
+        Its mean wind and current; calm if left out.
+    dof : int
+        Degrees of freedom of the ship, 3 or 6.
+    seed : int
+        Nothing is drawn at random here.
+    """
+
+    tuning = "none: it knows the boat"
+    world = True
+
+    def __init__(
+        self,
+        particulars: Particulars,
+        *,
+        vessel: Vessel | None = None,
+        sea: SeaState | None = None,
+        dof: int = 3,
+        seed: int = 0,
+    ) -> None:
+        vessel = vessel or known_vessel(particulars)
+        quiet = np.random.default_rng(0)
+        weather = (sea or SeaState()).realise(vessel, quiet, quiet).weather
+        U, L = particulars.speed, particulars.length
+        self._arguments = (
+            *(vessel.packed.copy(), np.zeros((WAVE_ROWS, 0)), np.zeros((3, 0)), weather, dof),
+            np.array([4.0 * U, 4.0 * U, 4.0 * U / L]),
+            *(factor_room(0), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))),
+        )
+        super().__init__(particulars, seed=seed)
+
+    def reset(self) -> None:
+        """Forget everything that was seen."""
+        super().reset()
+        self._beside = np.zeros(_SIZE)
+        self._last = np.zeros(10 + _SIZE)
+        self._begun = False
+        self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
+
+    def beside(self, dt: float) -> Array:
+        """Return the time and the state of the ship that sails along, shape (17,)."""
+        out = self._beside.copy()
+        state, n = out[_SHIP:], self.navigator.n
+        _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), *self._arguments)
+        if not self._begun:
+            state[fr.N_LEFT :] = self._cmd
+        share = -math.expm1(-GAIN * dt) if self._begun else 1.0
+        for entry, value in zip((fr.U, fr.V, fr.R), n[3:6], strict=True):
+            state[entry] += share * (value - state[entry])
+        state[fr.X], state[fr.Y], state[fr.PSI] = n[:3]
+        self._begun = self.navigator.ready
+        out[_TIME] = self.t
+        return out
+
+    def path(self, plan: Array, dt: float) -> Array:
+        """Return the predicted states (K, 6) under a plan."""
+        return self._paths(self._beside[None], plan[None], dt)[0]
+
+    def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
+        """Return forecasts; see :meth:`HistoryPredictor.forecast`.
+
+        Those from the moments of the last call are taken from there: the ship does not change.
+        """
+        asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
+        told, paths = self._told
+        out = np.empty((*plans.shape[:2], len(TRUE_STATE)))
+        new = np.ones(len(asked), dtype=np.bool_)
+        if told.shape[1] == asked.shape[1]:
+            place = np.minimum(np.searchsorted(told[:, _TIME], asked[:, _TIME]), len(told) - 1)
+            new = (told[place] != asked).any(axis=1)
+            out[~new] = paths[place[~new]]
+        if new.any():
+            out[new] = self._paths(rows[origins[new], 10:], plans[new], GRID)
+        self._told = asked, out
+        return out
+
+    def _paths(self, starts: Array, plans: Array, dt: float) -> Array:
+        out = np.empty((*plans.shape[:2], fr.STATE_SIZE))
+        plans = np.ascontiguousarray(plans)
+        _roll(starts, plans, dt, *self._arguments, np.zeros(fr.STATE_SIZE), out)
+        return out[:, :, TRUE_STATE]

@@ -1,0 +1,89 @@
+"""Recorded runs as the benchmark reads them, with the particulars that lie beside them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from twin.logs import datasets as archive
+from twin.logs.log import Log, beside
+from twin.particulars import Particulars
+from twin.sim.bridge import particulars_of
+from usv_gym.vessel.vessel import Vessel
+
+__all__ = [
+    "particulars_beside",
+    "read_run",
+    "without_particulars",
+]
+
+
+def log_name(path: str) -> str:
+    """Return the name of a recorded run."""
+    return beside(path, "").name
+
+
+def read_run(
+    path: str, ship: str | None = None, mapping: str | None = None
+) -> tuple[Log, Particulars]:
+    """Return a recorded run and the particulars of its boat.
+
+    Parameters
+    ----------
+    path : str
+        A log of any kind that ``Log.read`` takes.
+    ship : str, optional
+        As for :func:`particulars_beside`.
+    mapping : str, optional
+        As for ``Log.read``.
+    """
+    return Log.read(path, mapping), particulars_beside(path, ship)[0]
+
+
+NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FILE names a boat"
+"""Said where :func:`particulars_beside` found none."""
+
+
+def without_particulars(path: str) -> bool:
+    """Return whether nobody says what boat a log is of."""
+    return not (beside(path, ".toml").exists() or archive.known(path))
+
+
+def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
+    """Return the particulars for a log, and whether any were given for it.
+
+    They are those of ``ship``, else those in ``<log>.toml`` beside the log, else those of an
+    archive's boat, else the usv75's, of whose class nobody says that the boat is.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log.
+    ship : str, optional
+        A TOML file of particulars, of one boat or of several (``[[ship]]``, see
+        :meth:`twin.particulars.Particulars.load`), or the name or file of a vessel of
+        ``usv_gym``.
+
+    Raises
+    ------
+    ParticularsError, VesselError
+        Names the file and the remedy.
+    """
+    if ship is None:
+        file = beside(path, ".toml")
+        if file.exists():
+            return Particulars.load(file), True
+        if archive.known(path):
+            return archive.ship(path), True
+        return dataclasses.replace(particulars_of(Vessel.load("usv75")), design=""), False
+    text = _text(ship) if Path(ship).suffix == ".toml" else ""
+    if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
+        return Particulars.load(ship, log=path), True
+    return particulars_of(Vessel.load(ship)), True
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""

@@ -1,0 +1,337 @@
+"""The observation wrapper: what the twin believes and predicts, for agents and controllers."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import gymnasium as gym
+import numpy as np
+
+from twin.digital_twin import Twin
+from twin.logs.log import Log, beside
+from twin.particulars import Particulars
+from twin.predictors.base import Predictor
+from twin.predictors.registry import DEFAULT
+from twin.sim.batched_twins import TwinObserver, observer_of
+from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
+from usv_gym.envs.env import USVEnv, spaces_of
+from usv_gym.envs.episodes import OBSERVATION, Episodes
+from usv_gym.envs.observation import OBSERVERS
+from usv_gym.envs.vector import USVVectorEnv
+
+__all__ = [
+    "OBSERVATIONS",
+    "TwinObservation",
+    "USVTwinEnv",
+    "USVTwinVectorEnv",
+    "log_of",
+    "make_env",
+    "make_vector_env",
+]
+
+_Env = TypeVar("_Env")
+
+
+class TwinObservation(
+    gym.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    gym.utils.RecordConstructorArgs,
+):
+    """Append to the observation what a digital twin makes of the same sensors.
+
+    The twin sees the measurements and the commands of the wrapped :class:`USVEnv`, as it
+    would on board; it never sees the truth. These 69 entries follow those of the
+    environment, each in ``[-10, 10]``:
+
+    ====== ============================================== ================
+    entry  what                                           unit of 1.0
+    ====== ============================================== ================
+    0-1    speed forward and to starboard                 usual speed
+    2      yaw rate                                       rad/s
+    3-4    cosine and sine of the heading
+    5-6    distance to starboard of the leg, and to go    10 m, 100 m
+    7-8    cosine, sine: course of leg - heading
+    9-10   cosine, sine: turn to the next leg
+    11-16  standard deviations: forward, starboard        10 m
+           (position), heading, speeds, yaw rate          rad, usual speed, rad/s
+    ====== ============================================== ================
+
+    and then, 1, 2, 5 and 10 s ahead under the present command, thirteen each:
+
+    ====== ============================================== ================
+    0-1    place forward and to starboard of here         usual speed * horizon
+    2-3    cosine and sine of the turn until then
+    4-6    speeds and yaw rate then                       usual speed, rad/s
+    7-12   standard deviations as above                   as above
+    ====== ============================================== ================
+
+    Validity and age of each signal stand in the environment's own part. ``info`` gains
+    ``twin_position_error_m``, the distance of the believed from the true position: for
+    grading, never for an agent.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        An environment over :class:`usv_gym.envs.env.USVEnv`.
+    twin : str or Predictor
+        A name in ``twin.PREDICTORS``, or a predictor.
+    particulars : Particulars, optional
+        What the twin is told of the boat; that of the vessel if left out.
+    band_period : float
+        The standard deviations ahead are renewed this often, s; 0 for every step. The means, and
+        how unsure the twin is now, are new in every step. (With ``ukf`` the means cost 10 us,
+        the standard deviations ahead 0.3 ms; with ``dsw-ukf-plus`` 15 us and 2 ms.)
+    seed : int
+        For predictors that draw random numbers.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[np.ndarray, np.ndarray],
+        twin: str | Predictor = DEFAULT,
+        *,
+        particulars: Particulars | None = None,
+        band_period: float = 5.0,
+        seed: int = 0,
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(
+            self, twin=twin, particulars=particulars, band_period=band_period, seed=seed
+        )
+        gym.Wrapper.__init__(self, env)
+        base = env.unwrapped
+        if not isinstance(base, USVEnv):
+            raise TypeError(
+                f"TwinObservation wraps environments over USVEnv, not {type(base).__name__}"
+            )
+        if env.observation_space.shape != (len(OBSERVATION),):
+            raise TypeError(
+                "TwinObservation comes before other observations are made of it, and only once; "
+                "gym.make('USVTwin-v0', twin=None) gives an environment without a twin"
+            )
+        if base.episodes.frame_skip > 1:
+            raise TypeError(
+                "TwinObservation wraps environments with frame_skip=1; with more, "
+                "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
+            )
+        self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
+        self.twin = self._observer.first
+        _, self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))
+        self._renderer = base.renderer
+        if self._renderer:
+            self._renderer.belief, self._renderer.waits = self._observer.belief, True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode with a twin that knows nothing yet."""
+        obs, info = self.env.reset(seed=seed, options=options)
+        self._observer.reset(0)
+        return self._with_twin(obs, info), info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Sail one step, and let the twin see it."""
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        return self._with_twin(obs, info), float(reward), terminated, truncated, info
+
+    def _with_twin(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        whole = np.empty(self.observation_space.shape or (), np.float32)
+        whole[: len(obs)] = obs
+        self._observer.observe(whole[None])
+        info["twin_position_error_m"] = self._observer.off.item(0)
+        if self._renderer:
+            self._renderer.look()
+        return whole
+
+
+class USVTwinEnv(USVEnv):
+    """``USVTwin-v0``: :class:`USVEnv` and the twin's part of the observation in one.
+
+    Actions, reward, start and end are those of :class:`usv_gym.envs.env.USVEnv`; the observation
+    is that of :class:`TwinObservation`, 92 numbers in all.
+
+    Parameters
+    ----------
+    twin, particulars, band_period, twin_seed
+        As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
+    parameters : bool
+        Add the parameters of the identified model and their standard deviations, both in units
+        of the standard deviations that they had at the start.
+    **kwargs
+        As for :class:`usv_gym.envs.env.USVEnv`.
+    """
+
+    def __init__(
+        self,
+        *,
+        twin: str | Predictor = DEFAULT,
+        particulars: Particulars | None = None,
+        band_period: float = 5.0,
+        twin_seed: int = 0,
+        parameters: bool = False,
+        **kwargs: Any,
+    ) -> None:
+        watch = _watching(twin, particulars, band_period, twin_seed, parameters)
+        super().__init__(observer=watch, **kwargs)
+        assert isinstance(self.observer, TwinObserver)
+        self.twin = self.observer.first
+
+
+class USVTwinVectorEnv(USVVectorEnv):
+    """``num_envs`` of :class:`USVTwinEnv` in one, each bit for bit what it is alone.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of boats.
+    twin, particulars, band_period, twin_seed, parameters
+        As for :class:`USVTwinEnv`; every boat gets a twin of its own. Those of ``"ukf"`` and
+        ``"dsw-ukf-plus"`` run in one compiled call.
+    **kwargs
+        As for :class:`usv_gym.envs.vector.USVVectorEnv`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        twin: str | Predictor = DEFAULT,
+        particulars: Particulars | None = None,
+        band_period: float = 5.0,
+        twin_seed: int = 0,
+        parameters: bool = False,
+        **kwargs: Any,
+    ) -> None:
+        watch = _watching(twin, particulars, band_period, twin_seed, parameters)
+        super().__init__(num_envs, observer=watch, **kwargs)
+
+    def twin(self, i: int) -> Twin:
+        """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
+        if not 0 <= operator.index(i) < self.num_envs:
+            raise IndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
+        assert isinstance(self.observer, TwinObserver)
+        return self.observer.twin(operator.index(i))
+
+
+def _watching(
+    twin: str | Predictor,
+    particulars: Particulars | None,
+    band_period: float,
+    seed: int,
+    parameters: bool,
+) -> Callable[[Episodes], TwinObserver]:
+    """Return what makes the twins of an environment's boats."""
+    return lambda episodes: observer_of(
+        episodes, twin, particulars, band_period, seed, parameters=parameters
+    )
+
+
+OBSERVATIONS = (*OBSERVERS, "twin", "twin_params")
+"""Names of the observation sets."""
+
+
+def _made(
+    plain: Callable[..., _Env],
+    with_twin: Callable[..., _Env],
+    observation: str | None,
+    twin: str | Predictor | None,
+    options: dict[str, Any],
+) -> _Env:
+    observation = observation or ("raw" if twin is None else "twin")
+    if observation not in OBSERVATIONS:
+        raise ValueError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
+    if observation in OBSERVERS:
+        return plain(observer=OBSERVERS[observation], **options)
+    if twin is None:
+        raise ValueError(f"observation = {observation!r} needs a twin; twin=None gives none")
+    return with_twin(twin=twin, parameters=observation == "twin_params", **options)
+
+
+def make_env(
+    *, observation: str | None = None, twin: str | Predictor | None = DEFAULT, **kwargs: Any
+) -> USVEnv:
+    """Make ``USVTwin-v0``: the vessel at sea, with or without a twin.
+
+    Parameters
+    ----------
+    observation : str, optional
+        What the agent sees:
+
+        - ``"raw"``: the sensors, see :class:`usv_gym.envs.env.USVEnv`;
+        - ``"raw_stacked"``: the same, and behind it those of the seven decisions before;
+        - ``"twin"``: the same, and behind it estimate and predictions of the twin, see
+          :class:`TwinObservation`;
+        - ``"twin_params"``: and behind that the identified parameters and their standard
+          deviations, both in units of the standard deviations that they had at the start;
+        - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only: speeds, yaw
+          rate, heading, errors of the path, shaft speeds and drive angles, scaled as above.
+
+        Left out, it is ``"twin"``, or ``"raw"`` with ``twin=None``. ``observation_names`` of the
+        environment has a name for each entry.
+    twin : str or Predictor or None
+        A name in ``twin.PREDICTORS``, a predictor, or None for the plain environment. It is not
+        run where the observation has no part of it.
+    **kwargs
+        See :class:`USVTwinEnv` and :class:`usv_gym.envs.env.USVEnv`.
+    """
+    return _made(USVEnv, USVTwinEnv, observation, twin, kwargs)
+
+
+# where gym.make looks for the modes, to offer "rgb_array_list" as well
+make_env.metadata = USVEnv.metadata  # type: ignore[attr-defined]
+
+
+def make_vector_env(
+    num_envs: int = 1,
+    *,
+    observation: str | None = None,
+    twin: str | Predictor | None = DEFAULT,
+    **kwargs: Any,
+) -> USVVectorEnv:
+    """Make ``num_envs`` of ``USVTwin-v0`` in one, for ``gym.make_vec``.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of boats.
+    observation, twin
+        As for :func:`make_env`.
+    **kwargs
+        See :class:`USVTwinVectorEnv` and :class:`usv_gym.envs.vector.USVVectorEnv`.
+    """
+    options = {"num_envs": num_envs, **kwargs}
+    return _made(USVVectorEnv, USVTwinVectorEnv, observation, twin, options)
+
+
+def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
+    """Return the episode so far as a log, with the truth.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        Made with ``record=True``.
+    path : str or Path, optional
+        Write it there as well, with the particulars beside it.
+
+    Raises
+    ------
+    ValueError
+        Without ``record=True``, or before the first reset.
+    """
+    base = env.unwrapped
+    if not isinstance(base, USVEnv) or not base.history:
+        raise ValueError("make the environment with record=True, and reset it, to get its log")
+    rows = np.array(base.history)
+    log = Log(
+        t=rows[:, 0],
+        cmd=rows[:, 1:5],
+        z=np.array([measurement_row(row[5:13]) for row in rows]),
+        truth=rows[:, 13:][:, list(TRUE_STATE)],
+        name=f"{base.vessel.name}_episode",
+    )
+    if path is not None:
+        log.write(path)
+        particulars = particulars_of(base.vessel, base.simulation.suite, base.simulation.dof)
+        beside(path, ".toml").write_text(particulars.to_toml(), encoding="utf-8")
+    return log

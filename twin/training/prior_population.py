@@ -1,0 +1,517 @@
+"""Priors of the twin's parameters, from populations of random boats that sail in calm water.
+
+Each boat is a first draft from main particulars (``usv_gym.design.new_vessel``) whose coefficients are
+drawn anew (``Vessel.varied``). It sails steps of throttle and steering, and the twin's model
+is fitted to what it does. Everything is counted in lengths and in the time that the boat takes
+to sail one, so that a population serves boats of every size.
+
+Source: twin.md, sections 10 B2 and 13.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from twin.identification.prediction_error import (
+    ACT,
+    COLUMNS,
+    GOOD,
+    GRID,
+    LOW,
+    MIDDLE,
+    STATE,
+    WIND,
+    RefitSettings,
+    Segments,
+)
+from twin.model.dynamics import model_of
+from twin.model.priors import KINDS, TANKER, Prior, PriorError
+from twin.model.rollout import ROOM, roll_out
+from twin.model.structure import (
+    COS,
+    COS_TWICE,
+    MINUS_SIN,
+    ONE,
+    SIN,
+    SIN_TWICE,
+    WIND_N,
+    WIND_X,
+    WIND_Y,
+    Structure,
+)
+from twin.particulars import DESIGNS, STUDY_LENGTH, STUDY_SPEED, Particulars
+from twin.sim.bridge import TRUE_STATE, particulars_of
+from usv_gym.design.new_vessel import design
+from usv_gym.physics import GRAVITY, ship, weather
+from usv_gym.physics import frames as fr
+from usv_gym.physics.waves import WAVE_ROWS, factor_room
+from usv_gym.vessel.vessel import Vessel, state_at
+
+__all__ = [
+    "CalmRun",
+    "boat_like",
+    "make_prior",
+    "member",
+    "nominal",
+    "project",
+    "random_boat",
+    "rolled",
+    "sail_calm",
+    "sister",
+]
+
+Array = NDArray[np.float64]
+
+LENGTH_TIME = STUDY_LENGTH / STUDY_SPEED
+"""Time in which the study boat of twin.md sails its length, s. Runs are told as a film shown at
+such a speed that every boat takes as long, so that the times below hold for all."""
+
+SPAN, ROW = 150.0, GRID
+"""Length of a run, and of one of its rows, s."""
+
+STEPS = 6
+"""Integration steps of the boat in a row; even."""
+
+HORIZON, STRIDE = 20, 20
+"""Rows that the fit looks ahead, and rows between its starts."""
+
+NEAR = 4
+"""Rows that a first fit looks ahead."""
+
+ERROR_SD = np.array(
+    [
+        *(0.35 / STUDY_LENGTH, 0.35 / STUDY_LENGTH, 0.04),
+        *(0.2 / STUDY_SPEED, 0.2 / STUDY_SPEED, 0.025 * LENGTH_TIME),
+    ]
+)
+"""Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
+
+LARGEST_ERROR = np.array([1.0 / STUDY_SPEED, 1.0 / STUDY_SPEED, 0.3 * LENGTH_TIME])
+"""Root mean square errors of u, v, r above which a boat is no boat for the model."""
+
+FINE = 1e-4
+"""Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
+
+SEED, DRAWN = 0, 140
+"""Of the populations that ship."""
+
+SPREAD, BUILT = 0.30, 0.05
+"""Standard deviation of the boats' coefficients, and of their geometry and inertia."""
+
+CLASS = 0.15
+"""The same of the coefficients of one class."""
+
+BIAS = 0.20
+"""How far the coefficients of the model of a class are off, as a standard deviation."""
+
+MEASURED = "kvlcc2_l7"
+"""Whose sisters tankers are taken for."""
+
+LARGEST_HELM = math.radians(25.0)
+
+
+@dataclass(frozen=True, eq=False)
+class CalmRun:
+    """A run in calm water, as it truly was but for the clock: rows are :data:`ROW` apart.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Of the boat, by the clock of the run.
+    states : ndarray, shape (N + 1, 6)
+        x, y (m), psi (rad), u, v (m/s), r (rad/s).
+    actuators : ndarray, shape (N + 1, 4)
+        Shaft speeds (rev/s) and angles (rad).
+    between : ndarray, shape (N, 4)
+        Actuators half a row after row k.
+    commands : ndarray, shape (N, 4)
+        Row k is in force from row k to row k + 1 of the states.
+    """
+
+    particulars: Particulars
+    states: Array
+    actuators: Array
+    between: Array
+    commands: Array
+
+
+def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) -> CalmRun:
+    """Sail random steps of throttle (0.7 to 1) and helm in calm water.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The boat.
+    rng : numpy.random.Generator
+        Draws the steps.
+    n : float, optional
+        Usual shaft speed, rev/s; the vessel's for manoeuvring if left out.
+    """
+    n = vessel.values["shaft_speed_manoeuvring"] if n is None else n
+    speed = vessel.straight_speed(n)
+    true = dataclasses.replace(particulars_of(vessel), speed=speed, shaft_speed=n)
+    slow = true.slowness
+    rows = round(SPAN / ROW)
+    t = ROW * np.arange(rows)
+    throttle, helm = np.ones(rows), np.zeros(rows)
+    largest, begin = min(LARGEST_HELM, vessel.helm_max), 5.0
+    while begin < SPAN:
+        throttle[t >= begin], helm[t >= begin] = rng.uniform(0.7, 1.0), rng.uniform(-1, 1) * largest
+        begin += rng.uniform(3.0, 10.0)
+    commands = vessel.helm(n * throttle, helm)
+    states = np.empty((rows * STEPS + 1, fr.STATE_SIZE))
+    states[0] = state_at(vessel, n, speed)
+    ship.sail(
+        states,
+        np.repeat(commands, STEPS, axis=0),
+        vessel.packed.copy(),
+        np.zeros((WAVE_ROWS, 0)),
+        np.zeros((3, 0)),
+        weather.constant(),
+        slow * ROW / STEPS,
+        3,
+        factor_room(0),
+        np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
+    )
+    shown = states[::STEPS]
+    clock = np.array([1.0, 1.0, 1.0, slow, slow, slow])
+    shafts = np.array([slow, slow, 1.0, 1.0])
+    return CalmRun(
+        particulars=dataclasses.replace(
+            true,
+            speed=slow * speed,
+            shaft_speed=slow * n,
+            shaft_lag=true.shaft_lag / slow,
+            steer_lag=true.steer_lag / slow,
+            steer_rate=slow * true.steer_rate,
+        ),
+        states=shown[:, TRUE_STATE] * clock,
+        actuators=shown[:, fr.N_LEFT :] * shafts,
+        between=states[STEPS // 2 :: STEPS, fr.N_LEFT :] * shafts,
+        commands=commands * shafts,
+    )
+
+
+def rolled(
+    structure: Structure, xi: Array, run: CalmRun, horizon: int = HORIZON, stride: int = STRIDE
+) -> Array:
+    """Return the errors of the model's predictions from many rows of a run.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model.
+    xi : ndarray, shape (p,)
+        Parameters, SI units.
+    run : CalmRun
+        What happened.
+    horizon, stride : int
+        Rows to look ahead, and between starts.
+
+    Returns
+    -------
+    ndarray, shape (starts, horizon, 6)
+        Of x, y (lengths), psi (rad), u, v (usual speeds), r (usual speeds over length).
+    """
+    about = run.particulars
+    lags = np.array([about.shaft_lag, about.steer_lag, about.steer_rate])
+    turn = about.speed / about.length
+    envelope = np.array([4.0 * about.speed, 4.0 * about.speed, 8.0 * turn])
+    units = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
+    actuators, plan = run.actuators * units, run.commands * units
+    still, ripple = np.zeros(2), np.zeros((0, 3))
+    out_act, room = np.empty((horizon, 4)), np.zeros(ROOM)
+    starts = range(0, len(plan) - horizon + 1, stride)
+    errors = np.empty((len(starts), horizon, 6))
+    for out, k in zip(errors, starts, strict=True):
+        roll_out(
+            *(run.states[k], xi, actuators[k], plan[k : k + horizon], ROW, lags, envelope),
+            *(still, structure.kit, ripple, 0.0, out, out_act, room),
+        )
+        out -= run.states[k + 1 : k + 1 + horizon]
+    errors /= np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
+    return errors
+
+
+def _shown(structure: Structure) -> Any:
+    """Return which parameters calm water can show: no wind, no biases."""
+    hidden = (COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, ONE, WIND_X, WIND_Y, WIND_N)
+    return ~np.isin(structure.kit[0], hidden).any(axis=0)
+
+
+def _window(structure: Structure, run: CalmRun) -> Array:
+    """Return a run as rows of ``twin.identification.prediction_error``."""
+    shafts = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
+    rows = np.zeros((len(run.states), COLUMNS))
+    rows[:, STATE:LOW], rows[:, LOW:WIND], rows[:, GOOD] = run.states, run.states[:, 3:], 1.0
+    rows[:, ACT:MIDDLE] = run.actuators * shafts
+    rows[:-1, MIDDLE:] = run.between * shafts
+    return rows
+
+
+def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array]:
+    """Return the parameters with which the model predicts the runs of a boat best.
+
+    The refit of :mod:`twin.identification.prediction_error` without its excuses for waves; the structure's own mean and
+    standard deviation decide where the runs say little.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model of the boat.
+    runs : sequence of CalmRun
+        Of one boat.
+
+    Returns
+    -------
+    xi : ndarray, shape (p,)
+        Parameters, SI units.
+    error : ndarray, shape (3,)
+        Root mean square errors of u, v (usual speeds) and r (usual speeds over length).
+    """
+    # what calm water does not show stays where it is
+    sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
+    about = runs[0].particulars
+    turn = about.speed / about.length
+    units = np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
+    settings = RefitSettings(
+        span=SPAN,
+        spacing=ROW * STRIDE,
+        horizon=ROW * HORIZON,
+        every=2,
+        sd=ERROR_SD * units,
+        # there are no waves that the model must be excused from
+        offset_sd=1e-6 * units[3:],
+        scale=1.0,
+        knee=1e9,
+    )
+    windows = [_window(structure, run) for run in runs]
+    rows = np.concatenate(windows)
+    starts = [
+        sum(map(len, windows[:i])) + k
+        for i, window in enumerate(windows)
+        for k in range(0, len(window) - HORIZON, STRIDE)
+    ]
+    xi = structure.mean
+    # a second ahead the errors are nearly linear in the parameters: from there the way is safe
+    for horizon in (NEAR, HORIZON):
+        ahead = dataclasses.replace(settings, horizon=ROW * horizon)
+        segments = Segments(structure.kit, structure.mean, np.diag(sd**2), ahead, len(starts))
+        segments.xi[:] = xi
+        for start in starts:
+            segments.add(start, rows, xi)
+        segments.fit(rows, tolerance=FINE)
+        xi = segments.xi
+    final = np.concatenate([rolled(structure, xi, run) for run in runs])
+    return xi, np.sqrt(np.mean(final[:, :, 3:] ** 2, axis=(0, 1)))
+
+
+def _drafted(kind: str, rng: np.random.Generator, **particulars: Any) -> tuple[Vessel, float]:
+    """Return a boat around the first draft of main particulars, and its usual shaft speed."""
+    propulsion = {
+        "drives": "steerable_drive",
+        "rudder": "propeller_rudder",
+        "differential": "thruster_pair",
+    }
+    draft = design(name=kind, kind=propulsion[kind], **particulars).vessel
+    # the regression of N_v holds for slender hulls; the broader, and the finer below, the less
+    part = rng.uniform(0.2, 1.0) if kind == "drives" else 1.0
+    values = {**draft.values, "N_v": part * draft.values["N_v"]}
+    vessel = dataclasses.replace(draft, values=values)
+    return vessel.varied(rng, SPREAD, BUILT), vessel.values["shaft_speed_service"]
+
+
+# length (m), length over beam, beam over draft, block coefficient, Froude number: from ... to
+_RANGES = {
+    "drives": ((4.0, 12.0), (2.2, 4.0), (3.5, 6.5), (0.33, 0.50), (0.35, 1.1)),
+    "rudder": ((2.0, 200.0), (4.5, 7.5), (2.2, 4.0), (0.50, 0.85), (0.08, 0.30)),
+    "differential": ((1.0, 6.0), (1.8, 4.0), (3.0, 7.0), (0.35, 0.70), (0.10, 0.40)),
+}
+
+
+def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
+    """Return a random boat of a kind, and its usual shaft speed in rev/s.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``twin.model.priors.KINDS``, ``twin.model.priors.TANKER``, or a class of
+        ``twin.particulars.DESIGNS``.
+    rng : numpy.random.Generator
+        Draws main particulars and coefficients.
+    """
+    if kind == TANKER:
+        return sister(Vessel.load(MEASURED), rng, SPREAD)
+    if kind in DESIGNS:
+        return sister(nominal(kind), rng, SPREAD)
+    if kind not in KINDS:
+        known = ", ".join((*KINDS, TANKER, *DESIGNS))
+        raise PriorError(f"kind = {kind!r}: must be one of {known}")
+    (small, large), *shares = _RANGES[kind]
+    length = small * (large / small) ** rng.random()
+    slender, flat, block, froude = (rng.uniform(*share) for share in shares)
+    beam = length / slender
+    return _drafted(
+        kind,
+        rng,
+        length=length,
+        beam=beam,
+        draft=beam / flat,
+        mass=1025.0 * block * length * beam * beam / flat,
+        speed=froude * math.sqrt(GRAVITY * length),
+    )
+
+
+def boat_like(
+    particulars: Particulars, kind: str, rng: np.random.Generator
+) -> tuple[Vessel, float]:
+    """Return a random boat of given main particulars, and its usual shaft speed in rev/s.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Length, beam, draft, mass and usual speed are used.
+    kind : str
+        One of ``twin.model.priors.KINDS``.
+    rng : numpy.random.Generator
+        Draws the coefficients.
+    """
+    keys = ("length", "beam", "draft", "mass", "speed")
+    return _drafted(kind, rng, **{key: getattr(particulars, key) for key in keys})
+
+
+@functools.cache
+def nominal(name: str) -> Vessel:
+    """Return what is known of a class before any of its boats has sailed: a model that is off.
+
+    A vessel of the package is what its simulated boats truly vary around, which nobody knows of
+    a real class. So each of its coefficients is drawn anew, by :data:`BIAS`.
+
+    Parameters
+    ----------
+    name : str
+        Of a vessel that comes with the package.
+
+    Source: twin.md, sections 4 and 13.
+    """
+    # the number after those of the boats, so that none is like it by chance
+    return Vessel.load(name).varied(np.random.default_rng((SEED, DRAWN)), BIAS, BUILT)
+
+
+def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> tuple[Vessel, float]:
+    """Return a random boat of a vessel's class, and its usual shaft speed in rev/s.
+
+    Whoever has a model of the class knows more than main particulars tell. For a class of one's
+    own::
+
+        draw = functools.partial(sister, Vessel.load("my_class.toml"))
+        prior = make_prior("mmg", "drives", draw).of(model_of(particulars, "mmg", biased=True))
+        twin = Twin(particulars, prior=prior)
+
+    Parameters
+    ----------
+    vessel : Vessel
+        The class.
+    rng : numpy.random.Generator
+        Draws the coefficients.
+    spread : float
+        How different the boats of a class are, as a share.
+    """
+    return vessel.varied(rng, spread, BUILT), vessel.values["shaft_speed_manoeuvring"]
+
+
+Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
+
+
+def member(
+    model: str, kind: str, draw: Draw, seed: int, i: int
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return one boat of a population.
+
+    Parameters
+    ----------
+    model, kind : str
+        Model structure, and kind of boats as for :func:`random_boat`.
+    draw : callable
+        From a generator to a boat and its usual shaft speed.
+    seed, i : int
+        Seed of the population, and number of the boat.
+
+    Returns
+    -------
+    xi : ndarray, shape (p,)
+        Parameters that calm water shows, dimensionless.
+    error : ndarray, shape (3,)
+        See :func:`project`.
+    names : tuple of str
+        Of the parameters.
+    """
+    rng = np.random.default_rng((seed, i))
+    vessel, n = draw(rng)
+    run = sail_calm(vessel, rng, n)
+    # by the clock of the run no ship is slow
+    structure = model_of(run.particulars, model, tanker=kind == TANKER)
+    xi, error = project(structure, [run])
+    shown = _shown(structure)
+    names = tuple(np.array(structure.parameters)[shown].tolist())
+    return (xi / structure.scales)[shown], error, names
+
+
+def make_prior(
+    model: str,
+    kind: str,
+    draw: Draw | None = None,
+    *,
+    drawn: int = DRAWN,
+    seed: int = SEED,
+    workers: int = 1,
+) -> Prior:
+    """Draw a population, fit the model to each boat, and return what they have in common.
+
+    Parameters
+    ----------
+    model, kind : str
+        Model structure, and kind of boats as for :func:`random_boat`.
+    draw : callable, optional
+        From a generator to a boat and its usual shaft speed; :func:`random_boat` of the
+        kind if left out.
+    drawn : int
+        Boats to draw; those that the model does not fit are left out.
+    seed : int
+        Seed of the population.
+    workers : int
+        Processes; the result does not depend on it.
+
+    Raises
+    ------
+    PriorError
+        If the model does not fit half of them.
+    """
+    draw = draw or functools.partial(random_boat, kind)
+    members = Parallel(n_jobs=workers)(
+        delayed(member)(model, kind, draw, seed, i) for i in range(drawn)
+    )
+    fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
+    if len(fitted) < max(2, drawn // 2):
+        raise PriorError(
+            f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "
+            "other boats"
+        )
+    what = f"kind {kind}"
+    if kind in DESIGNS:
+        what = f"class {kind}, sisters of a model that is itself {BIAS:.0%} off"
+    return Prior(
+        about=f"model {model}, {what}, seed {seed}, {drawn} boats drawn; twin.training.prior_population",
+        parameters=members[0][2],
+        boats=np.array(fitted),
+        members=np.array([members[i][0] for i in fitted]),
+    )

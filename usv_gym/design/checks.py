@@ -1,0 +1,480 @@
+"""What a vessel file amounts to: derived particulars, and every rule of thumb that it breaks."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from usv_gym.design import regressions as reg
+from usv_gym.physics import GRAVITY, KNOT, ship
+from usv_gym.physics import frames as fr
+from usv_gym.physics.hull import hull_forces
+from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.physics.waves import factor_room
+from usv_gym.vessel.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
+from usv_gym.world.sea import Sea
+
+__all__ = [
+    "Finding",
+    "Inspection",
+    "form_of",
+    "inspect",
+]
+
+DT = 0.05
+"""The integration step that simulations take unless told otherwise, s."""
+
+RK4_LIMIT = 2.5
+"""Classical Runge-Kutta is stable while step times eigenvalue stays below about 2.7."""
+
+CAPSIZED = math.radians(70.0)
+"""Heel from which no hull is taken to come back, rad."""
+
+NO_TURN = 100.0
+"""A turning radius of so many lengths is none."""
+
+TWO_HULLS = 0.5
+"""Below this water-plane coefficient the box is taken to hold two hulls."""
+
+_CALM, _FACTORS = Sea.calm(), factor_room(0)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A rule that the vessel breaks.
+
+    Parameters
+    ----------
+    error : bool
+        The vessel cannot be right, or cannot be simulated; else it is unusual.
+    text : str
+        One sentence with the number and the usual range.
+    """
+
+    error: bool
+    text: str
+
+
+@dataclass
+class Inspection:
+    """Derived particulars of a vessel.
+
+    Parameters
+    ----------
+    name, title : str
+        Of the vessel.
+    particulars : dict
+        Name with unit to number.
+    periods : dict
+        Natural periods of heave, roll and pitch in s; nan where the motion does not swing.
+    speeds : list of dict
+        Shaft speed, speed, Froude number and thrust, up to the largest shaft speed.
+    course : dict
+        Eigenvalues of drift and turning on a straight course at service speed, 1/s.
+    turn : dict
+        Turning circle at the manoeuvring shaft speed and full helm.
+    findings : list of Finding
+        Errors first.
+    """
+
+    name: str
+    title: str
+    particulars: dict[str, float] = field(default_factory=dict)
+    periods: dict[str, float] = field(default_factory=dict)
+    speeds: list[dict[str, float]] = field(default_factory=list)
+    course: dict[str, float] = field(default_factory=dict)
+    turn: dict[str, float] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def errors(self) -> list[Finding]:
+        """The findings that are errors."""
+        return [finding for finding in self.findings if finding.error]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as plain dictionaries; what is not a number becomes None."""
+        return _plain(dataclasses.asdict(self))
+
+
+def _plain(item: Any) -> Any:
+    if isinstance(item, dict):
+        return {key: _plain(value) for key, value in item.items()}
+    if isinstance(item, list):
+        return [_plain(value) for value in item]
+    return None if isinstance(item, float) and not math.isfinite(item) else item
+
+
+def form_of(vessel: Vessel) -> reg.Form:
+    """Return the main particulars that the regressions take."""
+    v = vessel.values
+    return reg.Form(
+        length=v["length_waterline"],
+        beam=v["beam"],
+        draft=v["draft"],
+        block_coefficient=v["block_coefficient"],
+        water_density=v["water_density"],
+        x_G=v["x_G"],
+    )
+
+
+def _periods(vessel: Vessel) -> dict[str, float]:
+    """Return the periods of the modes of the free ship at rest that heave, roll and pitch most."""
+    v = vessel.values
+    places = [fr.Z, fr.PHI, fr.THETA]
+    rows = [*places, fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R]
+    values, vectors = np.linalg.eig(jacobian(vessel, state_at(vessel, 0.0, 0.0), rows))
+    weight = v["mass"] * GRAVITY
+    stiffness = (v["water_density"] * GRAVITY * v["A_wp"], weight * v["GM_T"], weight * v["GM_L"])
+    energy = np.abs(vectors[:3]) ** 2 * np.array(stiffness)[:, None]
+    swings = values.imag > 1e-6 * np.abs(values)
+    share = np.where(swings, energy / np.maximum(energy.sum(axis=0), 1e-300), 0.0)
+    periods = {}
+    for name, shares in zip(("heave", "roll", "pitch"), share, strict=True):
+        at = int(np.argmax(shares))
+        periods[name] = 2.0 * math.pi / float(abs(values[at])) if shares[at] > 0.3 else math.nan
+    return periods
+
+
+def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
+    """Sail a turning circle to starboard in calm water."""
+    v = vessel.values
+    n, L = v["shaft_speed_manoeuvring"], v["length_waterline"]
+    speed = vessel.straight_speed(n)
+    dt = min(
+        0.02 * L / speed,
+        v["shaft_lag"],
+        v.get("steer_lag", math.inf),
+        *(0.05 * period for period in periods),
+    )
+    state, cmd = state_at(vessel, n, speed), vessel.helm(n, vessel.helm_max)
+    p, work = vessel.packed.copy(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+    turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
+    heel = 0.0
+    for k in range(int(120.0 * L / speed / dt)):
+        ship.step(
+            *(state, cmd, p, _CALM.waves, _CALM.gusts, _CALM.weather),
+            *(k * dt, dt, 6, _FACTORS, work),
+        )
+        heading, heel = abs(state[fr.PSI]), max(heel, abs(state[fr.PHI]))
+        if not heel < CAPSIZED or heading > 4.0 * math.pi:
+            break
+        if heading >= 0.5 * math.pi and math.isnan(turn["advance_m"]):
+            turn["advance_m"] = float(state[fr.X])
+        if heading >= math.pi and math.isnan(turn["tactical_diameter_m"]):
+            turn["tactical_diameter_m"] = abs(float(state[fr.Y]))
+    end = math.hypot(state[fr.U], state[fr.V])
+    rate = float(state[fr.R])
+    return {
+        "helm_deg": math.degrees(vessel.helm_max),
+        "shaft_speed_rps": n,
+        **turn,
+        "advance_lengths": turn["advance_m"] / L,
+        "tactical_diameter_lengths": turn["tactical_diameter_m"] / L,
+        "approach_speed_mps": speed,
+        "steady_speed_mps": end,
+        "steady_speed_share": end / speed,
+        "steady_rate_degps": math.degrees(rate),
+        "steady_radius_m": end / abs(rate) if rate != 0.0 else math.inf,
+        "largest_heel_deg": math.degrees(heel),
+        "drift_angle_deg": math.degrees(math.atan2(-state[fr.V], state[fr.U])),
+    }
+
+
+def _pull(vessel: Vessel, n: float, speed: float = 0.0) -> float:
+    """Return the force of all units, N."""
+    return float(
+        propulsion_forces(speed, 0.0, 0.0, state_at(vessel, n, speed), vessel.packed.copy())[0]
+    )
+
+
+def _speeds(vessel: Vessel) -> list[dict[str, float]]:
+    v = vessel.values
+    top = v["shaft_speed_max"]
+    wanted = {share * top for share in (0.2, 0.4, 0.6, 0.8, 1.0)}
+    wanted |= {v["shaft_speed_manoeuvring"], v["shaft_speed_service"]}
+    rows = []
+    for n in sorted(n for n in wanted if n > 0.0):
+        speed = vessel.straight_speed(n)
+        rows.append(
+            {
+                "shaft_speed_rps": n,
+                "speed_mps": speed,
+                "speed_kn": speed / KNOT,
+                "froude": speed / math.sqrt(GRAVITY * v["length_waterline"]),
+                "thrust_N": _pull(vessel, n, speed),
+            }
+        )
+    return rows
+
+
+def inspect(vessel: Vessel) -> Inspection:
+    """Return what a vessel's numbers amount to, and what is unusual in them.
+
+    Parameters
+    ----------
+    vessel : Vessel
+        One that loads; what does not is told by :meth:`Vessel.load`.
+    """
+    v, form = vessel.values, form_of(vessel)
+    L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
+    plane = v["A_wp"] / (L * B)
+    water = reg.hydrostatics(form, plane)
+    keel = water["KB"] - v["KG"]
+    estimates = {f"GM_{axis} by KB + BM - KG m": keel + water[f"BM_{axis}"] for axis in "TL"}
+    if plane < TWO_HULLS:
+        estimates = {}
+    found = Inspection(vessel.name, vessel.title)
+    found.particulars = {
+        "mass kg": mass,
+        "displacement of the hull kg": form.mass,
+        "length / beam": L / B,
+        "beam / draft": B / d,
+        "block coefficient": form.block_coefficient,
+        "water-plane coefficient": plane,
+        "KG m": v["KG"],
+        "GM_T m": v["GM_T"],
+        "GM_L m": v["GM_L"],
+        **estimates,
+        "gyradius in roll / beam": math.sqrt(v["I_xx"] / mass) / B,
+        "gyradius in pitch / length": math.sqrt(v["I_yy"] / mass) / L,
+        "gyradius in yaw / length": math.sqrt(v["I_zz"] / mass) / L,
+        "added mass in surge / mass": v["m_x"] / mass,
+        "added mass in sway / mass": v["m_y"] / mass,
+        "added inertia in yaw / inertia": v["J_zz"] / v["I_zz"],
+        "bollard pull N": _pull(vessel, v["shaft_speed_max"]),
+        "bollard pull astern N": -_pull(vessel, -v["shaft_speed_max"]),
+    }
+    found.periods = _periods(vessel)
+    try:
+        found.speeds = _speeds(vessel)
+        first, second = course_eigenvalues(vessel, v["shaft_speed_service"])
+        found.course = {
+            "first_real": first.real,
+            "first_imag": first.imag,
+            "second_real": second.real,
+            "second_imag": second.imag,
+        }
+        found.turn = _turn(vessel, [t for t in found.periods.values() if not math.isnan(t)])
+    except VesselError as error:
+        found.findings.append(Finding(True, str(error)))
+    for rule in (_hull_rules, _mass_rules, _motion_rules, _speed_rules, _steering_rules):
+        found.findings += rule(vessel, found)
+    found.findings.sort(key=lambda finding: not finding.error)
+    return found
+
+
+Findings = Iterator[Finding]
+
+
+def _outside(
+    text: str, value: float, low: float, high: float, why: str = "", *, error: bool = False
+) -> Findings:
+    """Yield a finding if a number is outside its usual range."""
+    if not low <= value <= high:
+        because = f"; {why}" if why else "."
+        yield Finding(error, f"{text} is {value:.3g}, usual are {low:g} to {high:g}{because}")
+
+
+def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
+    v, facts = vessel.values, found.particulars
+    L, B, d = v["length_waterline"], v["beam"], v["draft"]
+    if not 0.97 < facts["displacement of the hull kg"] / v["mass"] < 1.03:
+        yield Finding(
+            False,
+            f"The mass is {v['mass']:.4g} kg, but block coefficient, length, beam and draft "
+            f"displace {facts['displacement of the hull kg']:.4g} kg; usual are 3 % or less.",
+        )
+    yield from _outside("Length over beam", L / B, 1.5, 12.0)
+    two = "GM_T by KB + BM - KG m" not in facts
+    yield from _outside("Beam over draft", B / d, 1.2, 60.0 if two else 20.0)
+    if v["length_waterline"] > v["length_overall"]:
+        yield Finding(
+            True,
+            f"The length at the water line ({L:g} m) is above the length overall "
+            f"({v['length_overall']:g} m).",
+        )
+    plane = facts["water-plane coefficient"]
+    if plane > 1.0:
+        yield Finding(
+            True, f"A_wp is {v['A_wp']:.4g} m2, above length times beam ({L * B:.4g} m2)."
+        )
+    if plane < 0.9 * v["block_coefficient"]:
+        yield Finding(
+            True,
+            f"The water-plane coefficient is {plane:.3g}, below the block coefficient of "
+            f"{v['block_coefficient']:.3g}: the hull would widen downwards.",
+        )
+    yield from _outside(
+        "x_G over the length", v["x_G"] / L, -0.15, 0.15, "it is measured from midship."
+    )
+    yield from _outside(
+        "x_F - x_G over the length",
+        (v["x_F"] - v["x_G"]) / L,
+        -0.15,
+        0.15,
+        "are both measured from the same origin?",
+    )
+    yield from _outside("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0)
+    yield from _outside("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0)
+    if not two:
+        for key in ("GM_T", "GM_L"):
+            guess = facts[f"{key} by KB + BM - KG m"]
+            yield from _outside(
+                f"{key} ({v[key]:.3g} m) over KB + BM - KG of the water plane ({guess:.3g} m)",
+                v[key] / guess if guess > 0.0 else math.inf,
+                0.5,
+                2.0,
+            )
+
+
+def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
+    v, facts = vessel.values, found.particulars
+    stale = "does it belong to another mass?"
+    yield from _outside(
+        "The gyradius in roll over the beam", facts["gyradius in roll / beam"], 0.3, 0.5, stale
+    )
+    for axis, key in (("pitch", "I_yy"), ("yaw", "I_zz")):
+        gyradius = math.sqrt(v[key] / v["mass"]) / v["length_overall"]
+        yield from _outside(
+            f"The gyradius in {axis} over the length overall",
+            gyradius,
+            0.2,
+            0.3,
+            stale,
+            error=not 0.1 < gyradius < 0.6,
+        )
+    if v["I_zz"] < 0.8 * max(v["I_xx"], v["I_yy"]):
+        yield Finding(
+            False,
+            f"I_zz is {v['I_zz']:.3g} kg m2, less than I_xx or I_yy; a ship turns slowest in yaw.",
+        )
+    for name, key, of, low, high in (
+        ("surge", "m_x", "mass", 0.01, 0.3),
+        ("sway", "m_y", "mass", 0.15, 2.0),
+        ("heave", "m_z", "mass", 0.2, 8.0),
+        ("roll", "J_xx", "I_xx", 0.02, 8.0),
+        ("pitch", "J_yy", "I_yy", 0.2, 5.0),
+        ("yaw", "J_zz", "I_zz", 0.1, 2.5),
+    ):
+        yield from _outside(
+            f"The added mass or inertia in {name} ({key}) over {of}", v[key] / v[of], low, high
+        )
+    if v["m_y"] < v["m_x"]:
+        yield Finding(
+            False,
+            f"m_y ({v['m_y']:.3g} kg) is below m_x ({v['m_x']:.3g} kg): a hull moves more water "
+            "sideways than ahead.",
+        )
+
+
+def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
+    v = vessel.values
+    estimate = reg.periods(form_of(vessel), v["GM_T"])
+    for name, period in found.periods.items():
+        if math.isnan(period):
+            yield Finding(False, f"The ship at rest does not swing in {name}: too much damping.")
+        elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
+            yield from _outside(
+                f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
+                f"({estimate[name]:.3g} s)",
+                period / estimate[name],
+                0.6,
+                1.7,
+            )
+    for key in ("zeta_heave", "zeta_roll", "zeta_pitch"):
+        yield from _outside(key, v[key], 0.02, 0.7)
+    rows = [*range(fr.Z, fr.THETA + 1), *range(fr.U, fr.R + 1), *range(fr.N_LEFT, fr.STATE_SIZE)]
+    fastest = 0.0
+    for row in [{"shaft_speed_rps": 0.0, "speed_mps": 0.0}, *found.speeds[-1:]]:
+        state = state_at(vessel, row["shaft_speed_rps"], row["speed_mps"])
+        values = np.linalg.eigvals(jacobian(vessel, state, rows))
+        lags = [1.0 / v["shaft_lag"], 1.0 / v.get("steer_lag", 1.0)]
+        fastest = max(fastest, float(np.max(np.abs(values))), *lags)
+    if fastest * DT > RK4_LIMIT:
+        yield Finding(
+            True,
+            f"The stiffest motion ({fastest:.3g} 1/s) is too fast for a step of {DT:g} s; simulate "
+            f"with dt_physics = {RK4_LIMIT / fastest:.2g} s or less.",
+        )
+
+
+def _speed_rules(vessel: Vessel, found: Inspection) -> Findings:
+    v = vessel.values
+    shafts = [v[f"shaft_speed_{name}"] for name in ("manoeuvring", "service", "max")]
+    if sorted(shafts) != shafts:
+        yield Finding(
+            True,
+            "The shaft speeds of manoeuvring, service and max are "
+            f"{', '.join(f'{n:g}' for n in shafts)} rev/s and must not fall.",
+        )
+    if v["astern"] == 0.0:
+        yield Finding(False, "astern is 0: the ship cannot pull astern.")
+    if v["propeller_diameter"] > 1.2 * v["draft"] and vessel.kind == "propeller_rudder":
+        yield Finding(
+            False,
+            f"The propeller ({v['propeller_diameter']:.3g} m) is larger than the draft "
+            f"({v['draft']:.3g} m).",
+        )
+    if not found.speeds:
+        return
+    top = found.speeds[-1]
+    yield from _outside(
+        f"The Froude number at full shaft speed ({top['speed_kn']:.3g} kn)",
+        top["froude"],
+        0.05,
+        2.6,
+        "check thrust and resistance.",
+        error=top["froude"] > 5.0,
+    )
+    weight = v["mass"] * GRAVITY
+    resistance = -hull_forces(top["speed_mps"], 0.0, 0.0, vessel.packed.copy())[0]
+    yield from _outside(
+        "Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6
+    )
+    yield from _outside(
+        "Bollard pull over the weight", found.particulars["bollard pull N"] / weight, 5e-4, 2.0
+    )
+
+
+def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
+    if not found.course or not found.turn:
+        return
+    growth, turn = found.course["first_real"], found.turn
+    if growth > 0.0:
+        yield Finding(
+            False,
+            "On a straight course at service speed a drift doubles every "
+            f"{math.log(2.0) / growth:.3g} s; it should die out (Y_v, N_v, N_r, fins or drives).",
+        )
+    rate, speed = turn["steady_rate_degps"], turn["steady_speed_share"]
+    if not all(math.isfinite(value) for value in (rate, speed)) or speed > 5.0:
+        yield Finding(True, "The turning circle diverges: no steady turn is reached.")
+    elif turn["largest_heel_deg"] >= math.degrees(CAPSIZED):
+        yield Finding(
+            True,
+            f"Full helm at {turn['approach_speed_mps']:.3g} m/s capsizes the ship: GM_T "
+            f"({vessel.values['GM_T']:.3g} m) is too small, or KG, z_H and z_P lie too far apart.",
+        )
+    elif rate < 0.0:
+        yield Finding(True, f"Helm to starboard turns the ship to port ({rate:.3g} deg/s).")
+    elif not turn["steady_radius_m"] < NO_TURN * vessel.values["length_waterline"]:
+        yield Finding(
+            True, f"With full helm the ship does not come about: {rate:.3g} deg/s in the end."
+        )
+    else:
+        L = vessel.values["length_waterline"]
+        yield from _outside(
+            "The steady turning radius in lengths", turn["steady_radius_m"] / L, 0.2, 10.0
+        )
+        yield from _outside(
+            "The drift angle in the steady turn, degrees,", turn["drift_angle_deg"], -10.0, 45.0
+        )
+        yield from _outside(
+            "The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0
+        )
+        yield from _outside("The share of speed kept in the steady turn", speed, 0.1, 2.5)

@@ -1,0 +1,386 @@
+"""Estimates from main particulars: hull forces, added masses, hydrostatics, periods.
+
+Each is a pure function of a :class:`Form` that returns an :class:`Estimate`: the numbers, where
+they come from, and a note for each particular outside the hulls that the regression was drawn
+from. Primed hull coefficients are made dimensionless as in :mod:`usv_gym.physics`. The bounds are
+those of the types of ship behind each regression: judgement, as few sources print their own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from usv_gym.physics import GRAVITY
+
+__all__ = [
+    "Estimate",
+    "Form",
+    "clarke",
+    "cross_flow",
+    "hydrostatics",
+    "kijima",
+    "kijima_rudder",
+    "periods",
+    "soding",
+    "yoshimura",
+    "zhou",
+]
+
+# beam over twice the draft, and drag coefficient (Hoerner 1965, read off by Leite et al. 1998)
+_HOERNER = np.array(
+    [
+        (0.0109, 1.966),
+        (0.1766, 1.966),
+        (0.3530, 1.898),
+        (0.4519, 1.787),
+        (0.4728, 1.584),
+        (0.4929, 1.279),
+        (0.5585, 1.084),
+        (0.6464, 0.9986),
+        (0.8336, 0.8796),
+        (0.9880, 0.8284),
+        (1.3081, 0.7599),
+        (1.6392, 0.6914),
+        (1.8600, 0.6571),
+        (2.3129, 0.6307),
+        (2.6000, 0.5962),
+        (3.0088, 0.5868),
+        (3.4508, 0.5859),
+        (4.0031, 0.5593),
+    ]
+)
+
+MERCHANT = {"L/B": (5.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.5, 0.87)}
+"""Hulls of cargo ships: bounds of most regressions."""
+
+FISHING = {"L/B": (4.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
+"""Cargo ships and the fishing vessels of Yoshimura and Masumoto 2012."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """Main particulars of a hull.
+
+    Parameters
+    ----------
+    length, beam, draft : float
+        At the water line, m.
+    block_coefficient : float
+        Displaced volume over length, beam and draft.
+    water_density : float
+        kg/m3.
+    x_G : float
+        Centre of gravity forward of midship, m.
+    """
+
+    length: float
+    beam: float
+    draft: float
+    block_coefficient: float
+    water_density: float = 1025.0
+    x_G: float = 0.0
+
+    @property
+    def volume(self) -> float:
+        """Displaced volume, m3."""
+        return self.block_coefficient * self.length * self.beam * self.draft
+
+    @property
+    def mass(self) -> float:
+        """Displaced mass, kg."""
+        return self.water_density * self.volume
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """The ratios that bound the regressions."""
+        return {
+            "L/B": self.length / self.beam,
+            "B/d": self.beam / self.draft,
+            "C_b": self.block_coefficient,
+        }
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Numbers from a regression.
+
+    Parameters
+    ----------
+    source : str
+        Author and year.
+    values : Mapping[str, float]
+        Names as in vessel files.
+    notes : tuple of str
+        One for each particular out of range, and for each result that cannot be.
+    """
+
+    source: str
+    values: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, key: str) -> float:
+        return self.values[key]
+
+
+def _estimate(
+    source: str,
+    form: Form,
+    values: dict[str, float],
+    bounds: Mapping[str, tuple[float, float]],
+    *more: str,
+) -> Estimate:
+    ratios = form.ratios
+    notes = [
+        f"{source}: {name} is {ratios[name]:.3g}, drawn from hulls of {low:g} to {high:g}"
+        for name, (low, high) in bounds.items()
+        if not low <= ratios[name] <= high
+    ]
+    return Estimate(source, values, (*notes, *more))
+
+
+def kijima(form: Form, m_x_prime: float) -> Estimate:
+    """Return hull coefficients after Kijima and Inoue, with their cross terms.
+
+    Parameters
+    ----------
+    form : Form
+        Main particulars.
+    m_x_prime : float
+        Added mass in surge over ``rho L^2 d / 2``.
+
+    Notes
+    -----
+    Source: Inoue et al. 1981, Kijima et al. 1990; physics.md section 3. The moment that the
+    added masses make in drift is in N_v. Their terms in ``v |v|`` and ``r |r|`` have no place in
+    the cubic polynomial of the hull and are left out; :func:`cross_flow` does their work.
+    """
+    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
+    k, c = 2.0 * d / L, C_b * B / L
+    values = {
+        "Y_v": -(math.pi / 2.0 * k + 1.4 * c),
+        "Y_r": math.pi / 4.0 * k + m_x_prime,
+        "N_v": -k,
+        "N_r": -0.54 * k + k * k,
+        "Y_vrr": -5.95 * d * (1.0 - C_b) / B,
+        "Y_vvr": 1.5 * d * C_b / B - 0.65,
+        "N_vrr": 0.5 * d * C_b / B - 0.05,
+        "N_vvr": -(57.5 * c * c - 18.4 * c + 1.6),
+    }
+    return _estimate("Kijima 1990", form, values, MERCHANT, *_damped("Kijima 1990", values))
+
+
+def yoshimura(form: Form, m_x_prime: float, m_y_prime: float) -> Estimate:
+    """Return all hull coefficients but R_0 after Yoshimura and Masumoto.
+
+    Parameters
+    ----------
+    form : Form
+        Main particulars.
+    m_x_prime, m_y_prime : float
+        Added masses in surge and sway over ``rho L^2 d / 2``.
+
+    Notes
+    -----
+    Source: Yoshimura and Masumoto 2012; physics.md section 3.
+    """
+    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
+    k, c, slender = 2.0 * d / L, C_b * B / L, L / B
+    values = {
+        "X_vv": 1.15 * c - 0.18,
+        "X_vr": m_y_prime - 1.91 * c + 0.08,
+        "X_rr": -0.085 * c + 0.008 - form.x_G / L * m_y_prime,
+        "X_vvvv": -6.68 * c + 1.1,
+        "Y_v": -(math.pi / 2.0 * k + 1.4 * c),
+        "Y_r": m_x_prime + 0.5 * c,
+        "Y_vvv": -0.185 * slender + 0.48,
+        "Y_vvr": -0.75,
+        "Y_vrr": -(0.26 * (1.0 - C_b) * slender + 0.11),
+        "Y_rrr": -0.051,
+        "N_v": -k,
+        "N_r": -0.54 * k + k * k,
+        "N_vvv": -(-0.69 * C_b + 0.66),
+        "N_vvr": 1.55 * c - 0.76,
+        "N_vrr": -0.075 * (1.0 - C_b) * slender - 0.098,
+        "N_rrr": 0.25 * c - 0.056,
+    }
+    source = "Yoshimura and Masumoto 2012"
+    return _estimate(source, form, values, FISHING, *_damped(source, values))
+
+
+def _damped(source: str, values: Mapping[str, float]) -> list[str]:
+    """Return a note for each coefficient that drives what it must brake."""
+    return [
+        f"{source}: {key} is {values[key]:.3g}, and must not be above 0"
+        for key in ("Y_v", "N_r", "Y_vvv", "N_rrr")
+        if values.get(key, -1.0) > 0.0
+    ]
+
+
+def clarke(form: Form) -> Estimate:
+    """Return linear derivatives and added masses, made dimensionless with the length alone.
+
+    Forces over ``rho L^2 U^2 / 2``, moments over ``rho L^3 U^2 / 2``; ``Y_vdot`` over
+    ``rho L^3 / 2``, ``N_rdot`` over ``rho L^5 / 2``.
+
+    Notes
+    -----
+    Source: Clarke, Gedling and Hine 1983; physics.md section 3. The linear derivatives contain
+    no centripetal terms.
+    """
+    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
+    S, beam, flat = math.pi * (d / L) ** 2, B / L, B / d
+    values = {
+        "Y_vdot": -S * (1.0 + 0.16 * C_b * flat - 5.1 * beam**2),
+        "Y_rdot": -S * (0.67 * beam - 0.0033 * flat**2),
+        "N_vdot": -S * (1.1 * beam - 0.041 * flat),
+        "N_rdot": -S * (1.0 / 12.0 + 0.017 * C_b * flat - 0.33 * beam),
+        "Y_v": -S * (1.0 + 0.4 * C_b * flat),
+        "Y_r": -S * (-0.5 + 2.2 * beam - 0.08 * flat),
+        "N_v": -S * (0.5 + 2.4 * d / L),
+        "N_r": -S * (0.25 + 0.039 * flat - 0.56 * beam),
+    }
+    negative = [
+        f"Clarke 1983: {key} is {values[key]:+.3g}: an added inertia below 0, which cannot be"
+        for key in ("Y_vdot", "N_rdot")
+        if values[key] > 0.0
+    ]
+    return _estimate("Clarke 1983", form, values, MERCHANT, *negative)
+
+
+def soding(form: Form) -> Estimate:
+    """Return the added mass in surge, kg.
+
+    Notes
+    -----
+    Source: Soding 1982, as in MSS; a prolate body, so that it holds for any slender hull.
+    """
+    values = {"m_x": 2.7 * form.water_density * form.volume ** (5.0 / 3.0) / form.length**2}
+    return _estimate("Soding 1982", form, values, {"L/B": (2.0, 12.0)})
+
+
+def zhou(form: Form) -> Estimate:
+    """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
+
+    Notes
+    -----
+    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959; physics.md section 3.
+    """
+    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
+    a, b, e = L / B, d / B, d * L / (B * B)
+    surge = 0.01 * (
+        0.398
+        + 11.97 * C_b * (1.0 + 3.73 * b)
+        - 2.89 * C_b * a * (1.0 + 1.13 * b)
+        + 0.175 * C_b * a * a * (1.0 + 0.541 * b)
+        - 1.107 * a * b
+    )
+    sway = (
+        0.882
+        - 0.54 * C_b * (1.0 - 1.6 * b)
+        - 0.156 * a * (1.0 - 0.673 * C_b)
+        + 0.826 * e * (1.0 - 0.678 * b)
+        - 0.638 * C_b * e * (1.0 - 0.669 * b)
+    )
+    gyradius = (
+        L / 100.0 * (33.0 - 76.85 * C_b * (1.0 - 0.784 * C_b) + 3.43 * a * (1.0 - 0.63 * C_b))
+    )
+    values = {
+        "m_x": surge * form.mass,
+        "m_y": sway * form.mass,
+        "J_zz": form.mass * gyradius * gyradius,
+    }
+    negative = [
+        f"Zhou 1983: {key} is {values[key]:.3g} kg, and must be above 0"
+        for key in ("m_x", "m_y")
+        if values[key] <= 0.0
+    ]
+    bounds = {"L/B": (4.0, 10.0), "B/d": (2.0, 5.0), "C_b": (0.5, 0.85)}
+    return _estimate("Zhou 1983", form, values, bounds, *negative)
+
+
+def hydrostatics(form: Form, water_plane: float) -> Estimate:
+    """Return KB, BM_T and BM_L in m.
+
+    Parameters
+    ----------
+    form : Form
+        Main particulars.
+    water_plane : float
+        Coefficient of the water plane: its area over length and beam.
+
+    Notes
+    -----
+    Source: KB after Morrish; inertia of the water plane after D'Arcangelo 1969. One hull; two
+    pontoons stand far stiffer.
+    """
+    L, B, d = form.length, form.beam, form.draft
+    values = {
+        "KB": d / 3.0 * (2.5 - form.block_coefficient / water_plane),
+        "BM_T": max(0.1216 * water_plane - 0.0410, 0.0) * L * B**3 / form.volume,
+        "BM_L": (0.350 * water_plane**2 - 0.405 * water_plane + 0.146) * L**3 * B / form.volume,
+    }
+    source = "D'Arcangelo 1969"
+    notes = []
+    if not 0.6 <= water_plane <= 0.98:
+        notes.append(f"{source}: water-plane coefficient is {water_plane:.3g}, usual 0.6 to 0.98")
+    return _estimate(source, form, values, {}, *notes)
+
+
+def periods(form: Form, GM_T: float) -> Estimate:
+    """Return the natural periods of heave, pitch and roll in s.
+
+    Parameters
+    ----------
+    form : Form
+        Main particulars.
+    GM_T : float
+        Transverse metacentric height, m.
+
+    Notes
+    -----
+    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``; roll after the
+    weather criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else
+    ``0.373 + 0.023 B / d - 0.043 L / 100``.
+    """
+    B, d = form.beam, form.draft
+    heave = 2.0 * math.pi * math.sqrt(2.0 * d / GRAVITY)
+    share = 0.4 if form.length < 45.0 else 0.373 + 0.023 * B / d - 0.043 * form.length / 100.0
+    values = {"heave": heave, "pitch": heave, "roll": 2.0 * share * B / math.sqrt(GM_T)}
+    return _estimate("Jensen 2004 and IMO", form, values, {"B/d": (1.5, 6.0)})
+
+
+def kijima_rudder(form: Form) -> Estimate:
+    """Return a_H, t_R and epsilon of a rudder behind one screw.
+
+    Notes
+    -----
+    Source: Kijima et al. 1990; physics.md section 3. For outboard drives take 0, 0 and 1.
+    """
+    C_b = form.block_coefficient
+    c = C_b * form.beam / form.length
+    values = {
+        "a_H": 0.627 * C_b - 0.153,
+        "t_R": 1.0 - (0.28 * C_b + 0.55),
+        "epsilon": -156.2 * c * c + 41.6 * c - 1.76,
+    }
+    notes = [
+        f"Kijima 1990: {key} is {values[key]:.3g}, and must be above {low:g}"
+        for key, low in (("a_H", 0.0), ("epsilon", 0.5))
+        if values[key] <= low
+    ]
+    return _estimate("Kijima 1990", form, values, MERCHANT, *notes)
+
+
+def cross_flow(form: Form) -> Estimate:
+    """Return the drag coefficient of sections in cross-flow.
+
+    Notes
+    -----
+    Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points.
+    """
+    drag = float(np.interp(form.beam / (2.0 * form.draft), *_HOERNER.T))
+    return _estimate("Hoerner 1965", form, {"C_d_crossflow": drag}, {"B/d": (0.1, 8.0)})

@@ -1,0 +1,315 @@
+"""The Gymnasium environment: a thin adapter over :class:`~usv_gym.envs.episodes.Episodes`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
+from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
+from usv_gym.envs.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.sea import SeaState
+from usv_gym.world.sensors import Disturbance, SensorSuite
+
+__all__ = [
+    "USVEnv",
+]
+
+
+class USVEnv(gym.Env[np.ndarray, np.ndarray]):
+    """An unmanned surface vessel in wind and waves, seen through its sensors.
+
+    Description
+    -----------
+    A ship after the MMG standard method (by default the paper's: 7.5 m, two propellers on
+    steerable drives) sails in Blendermann wind and irregular waves. The agent sees a GPS, a compass
+    and an IMU that are noisy, biased, late and may drop out; it never sees the truth.
+    ``USVTwin-v0`` adds what a digital twin makes of the same sensors; see
+    :class:`twin.sim.wrapper.TwinObservation`.
+
+    Action
+    ------
+    ``Box(-1, 1, (2,), float32)``; more is cut off, NaN is an error.
+
+    = ================================ ========================================
+    0 shaft speed of both propellers   1 is ``shaft_speed_service`` of the vessel; < 0 astern
+    1 angle of both drives             1 is ``steer_max``; > 0 turns to starboard
+    = ================================ ========================================
+
+    ``actions="units"`` gives one for each actuator: left and right shaft, then left and right
+    drive or rudder (a single unit has one of each; a fixed pair of thrusters has shafts only,
+    and the common angle then speeds one up and slows the other).
+
+    Observation
+    -----------
+    ``Box(-10, 10, (23,), float32)``, and more behind it with other observation sets, see
+    :func:`twin.sim.wrapper.make_env`. A sensor without a new sample shows its last one.
+    ``observation_names`` has a name for each entry.
+
+    ====== ======================================== =============
+    entry  what                                     unit of 1.0
+    ====== ======================================== =============
+    0-1    cosine and sine of the compass heading
+    2      yaw rate                                 rad/s
+    3-4    specific force, forward and starboard    g
+    5-6    GPS velocity, forward and starboard      usual speed
+    7-9    new sample of GPS, compass, IMU since
+           the last decision                        yes
+    10-12  age of the last sample of each           10 s
+    13-14  commanded shaft speeds, left, right      service speed
+    15-16  commanded drive angles, left, right      steer_max
+    17     last fix to starboard of the leg         10 m
+    18     last fix to the next way point           100 m
+    19-20  cosine, sine: course of leg - heading
+    21-22  cosine, sine: turn to the next leg
+    ====== ======================================== =============
+
+    10 and 100 m are 4/3 and 13 lengths of a boat for which that is more.
+
+    Reward
+    ------
+    That of the task, see :data:`usv_gym.envs.tasks.TASKS`; ``info["reward_terms"]`` has the parts.
+    It comes from the truth, as ``info["cross_track_m"]`` does; the observation's path errors
+    come from what is known on board.
+
+    Start and end
+    -------------
+    Straight ahead to the north at the speed of ``shaft_speed_manoeuvring``. The task ends
+    the episode, and so does capsizing (``dof=6``; ``info["capsized"]``); ``USVTwin-v0``
+    truncates it after 2400 decisions (120 s with ``frame_skip=1``), see ``max_episode_steps`` of
+    ``gym.make``.
+
+    Version history
+    ---------------
+    * v0: first.
+
+    Parameters
+    ----------
+    vessel : str or Path or Vessel
+        Name, TOML file or object.
+    sea : str or SeaState or sequence of them
+        Name in :data:`usv_gym.world.sea.SEA_STATES`, or an object. Of several, as in ``"0|2|4"``,
+        each episode draws one.
+    hs, wind, wind_from_deg : float, optional
+        Change the sea state's wave height (m), wind speed (m/s) and where the wind comes
+        from (degrees).
+    suite : SensorSuite or str, optional
+        Errors and rates of the sensors, or one of :data:`usv_gym.world.sensors.GRADES`
+        (``"typical"``, ``"best"``, ``"consumer"``, ``"perfect"``).
+    faults : str or sequence of Disturbance
+        ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
+        without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,
+        see :func:`usv_gym.world.sensors.parse_faults`; or faults with their times. Of several texts,
+        as in ``"none|gps10|gps30"``, each episode draws one.
+    task : str
+        One of :data:`usv_gym.envs.tasks.TASKS`.
+    actions : str
+        ``"common"`` or ``"units"``.
+    frame_skip : int
+        Steps of ``dt`` that an action is held for; the reward is their sum, and sensors (and
+        a twin) run in each of them.
+    dof : int
+        Degrees of freedom of the ship: 3 (surge, sway, yaw), or 6, with heave, roll and pitch
+        in the waves, and their share of gravity in the accelerometers.
+    dt, dt_physics : float
+        Control and integration step, s.
+    record : bool
+        Keep every row, for :func:`twin.sim.wrapper.log_of`.
+    observer : callable, optional
+        Returns, for the :class:`~usv_gym.envs.episodes.Episodes`, what adds to the observation.
+    render_mode : str, optional
+        ``"rgb_array"``: :meth:`render` returns a picture from above. ``"human"``: a window
+        shows each decision. Both need the extra ``render``.
+    render_size : tuple of int
+        Width and height of a picture, pixels; at least 400 x 360.
+    """
+
+    metadata = {  # noqa: RUF012 - Gymnasium's attribute
+        "render_modes": RENDER_MODES,
+        "render_fps": 20,
+    }
+
+    def __init__(
+        self,
+        *,
+        vessel: str | Path | Vessel = "usv75",
+        sea: str | SeaState | Sequence[str | SeaState] = "2",
+        hs: float | None = None,
+        wind: float | None = None,
+        wind_from_deg: float | None = None,
+        suite: SensorSuite | str | None = None,
+        faults: str | Sequence[Disturbance] = "none",
+        task: str = "path",
+        actions: str = "common",
+        frame_skip: int = 1,
+        dof: int = 3,
+        dt: float = 0.05,
+        dt_physics: float = 0.05,
+        record: bool = False,
+        observer: Callable[[Episodes], Observer] | None = None,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
+    ) -> None:
+        self.episodes = Episodes(
+            1,
+            vessel=vessel,
+            sea=sea,
+            hs=hs,
+            wind=wind,
+            wind_from_deg=wind_from_deg,
+            suite=suite,
+            faults=faults,
+            task=task,
+            actions=actions,
+            frame_skip=frame_skip,
+            dof=dof,
+            dt=dt,
+            dt_physics=dt_physics,
+        )
+        self.simulation, self.task = self.episodes.simulation, self.episodes.task
+        self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
+        self.speed = self.episodes.speed
+        self.observer = observer(self.episodes) if observer else None
+        self.observation_names = names_of(self.observer)
+        """What each entry of the observation is."""
+        self.action_space, self.observation_space = spaces_of(
+            self.episodes.width, len(self.observation_names)
+        )
+        self._shape, self._obs_shape = (self.episodes.width,), (1, len(self.observation_names))
+        self._action = self.episodes.actions[1, 0]
+        self._record, self._time = self.task.records[0], self.simulation.t
+        self._started = False
+        if self.observer:
+            self.episodes.watchers.append(self.observer.observe)
+        self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
+        self.render_mode = render_mode
+        self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
+        self.history: list[np.ndarray] | None = [] if record else None
+        """With ``record``: a row of time, command, measurement and true state per step."""
+        if record:
+            self.episodes.watchers.append(self._remember)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; see :meth:`gymnasium.Env.reset`.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of all randomness of this and the following episodes.
+        options : dict, optional
+            None are known.
+
+        Returns
+        -------
+        ndarray, dict
+            Observation and info.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
+        obs = np.empty(self._obs_shape, np.float32)
+        self.episodes.reset(0, self.np_random, obs[0])
+        self._started = True
+        if self.observer:
+            self.observer.reset(0)
+            self.observer.observe(obs)
+        if self.history is not None:
+            self.history.clear()
+            self._remember(obs)
+        self._show()
+        return obs[0], self._info(self._record.tolist())
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Sail for one decision; see :meth:`gymnasium.Env.step`.
+
+        Parameters
+        ----------
+        action : array_like, shape (2,) or (4,)
+            See the class.
+
+        Returns
+        -------
+        ndarray, float, bool, bool, dict
+            Observation, reward, terminated, truncated (never here), info.
+        """
+        if not self._started:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        try:
+            values = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"action {action!r} is not an array of numbers") from None
+        if values.shape != self._shape:
+            raise ValueError(
+                f"action has shape {values.shape}; it must be {self._shape}: "
+                "see the action table of usv_gym.envs.env.USVEnv"
+            )
+        self._action[:] = values
+        obs = np.empty(self._obs_shape, np.float32)
+        if not self.episodes.step(obs):
+            raise ValueError(
+                f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
+            )
+        self._show()
+        record = self._record.tolist()
+        return obs[0], record[REWARD], record[TERMINATED] != 0.0, False, self._info(record)
+
+    def render(self) -> Frame | None:  # type: ignore[override]
+        """Return a picture, shape (height, width, 3), if the mode is ``"rgb_array"``."""
+        frames = pictures(self.renderer, self._started)
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.renderer:
+            self.renderer.close()
+
+    def _show(self) -> None:
+        if self.renderer and not self.renderer.waits:
+            self.renderer.look()
+
+    def _remember(self, obs: np.ndarray, look: bool = True) -> None:
+        """Keep this step's row for the log."""
+        sim = self.simulation
+        assert self.history is not None
+        self.history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
+
+    def _info(self, record: list[float]) -> dict[str, Any]:
+        names = self.task.terms
+        info = {
+            "t_s": self._time.item(0),
+            "cross_track_m": record[ERROR],
+            "leg": int(record[LEG]),
+            "is_success": record[SUCCESS] != 0.0,
+            "capsized": record[CAPSIZED] != 0.0,
+            "reward_terms": {
+                names[0]: record[TERM],
+                names[1]: record[TERM + 1],
+                names[2]: record[TERM + 2],
+                names[3]: record[TERM + 3],
+            },
+        }
+        if self.observer:
+            for name, values in self.observer.infos().items():
+                info[name] = values.item(0)
+        return info
+
+
+def names_of(observer: Observer | None) -> tuple[str, ...]:
+    """Return what each entry of the observation is."""
+    return (*OBSERVATION, *observer.names) if observer else OBSERVATION
+
+
+def spaces_of(width: int, size: int) -> tuple[spaces.Box, spaces.Box]:
+    """Return the spaces of actions and observations of one boat."""
+    return (
+        spaces.Box(-1.0, 1.0, (width,), np.float32),
+        spaces.Box(-BOUND, BOUND, (size,), np.float32),
+    )

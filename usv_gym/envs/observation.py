@@ -1,0 +1,108 @@
+"""Observation sets that need no twin: what the last decisions saw, and the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usv_gym.envs.episodes import BOUND, OBSERVATION, SCALE, Episodes, Observer
+from usv_gym.envs.tasks import ERROR, SPEED, TERM, UNIT
+from usv_gym.physics import frames as fr
+from usv_gym.world.simulation import CMD
+from usv_kernel.jit import kernel
+
+__all__ = [
+    "OBSERVERS",
+    "Stacked",
+    "TrueState",
+]
+
+STACK = 8
+"""So many decisions are seen at once, this one included."""
+
+_ALL = slice(None)
+
+_TRUE = (
+    *("surge", "sway", "yaw_rate", "cos_heading", "sin_heading", "cross_track", "to_go"),
+    *("cos_course_error", "sin_course_error", "cos_next_turn", "sin_next_turn"),
+    *("shaft_left", "shaft_right", "drive_left", "drive_right"),
+)
+
+
+class Stacked(Observer):
+    """The sensors' entries of the seven decisions before this one, the youngest first."""
+
+    names = tuple(f"{name}_{k}_before" for k in range(1, STACK) for name in OBSERVATION)
+
+    def __init__(self, episodes: Episodes) -> None:
+        self._steps = episodes.steps
+        self._seen_at = np.zeros(episodes.n)
+        self._before = np.zeros((episodes.n, STACK, len(OBSERVATION)), np.float32)
+
+    def reset(self, i: int) -> None:
+        """See :class:`Observer`; until there are others, the first look stands for all."""
+        self._seen_at[i] = -1.0
+
+    def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
+        """See :class:`Observer`."""
+        if not look:
+            return
+        seen_at, before, steps = self._seen_at[rows], self._before[rows], self._steps[rows]
+        now = obs[rows, : len(OBSERVATION)]
+        new = seen_at < 0.0
+        before[new] = now[new, None]
+        moved = steps != seen_at
+        before[moved, 1:] = before[moved, :-1]
+        before[moved, 0] = now[moved]
+        seen_at[:] = steps
+        obs[rows, len(OBSERVATION) :] = before[:, 1:].reshape(len(before), -1)
+
+
+@kernel
+def _true_state(boats, tasks, rules, obs):
+    """Write the truth behind the sensors' entries of each boat's observation."""
+    speed = rules[SPEED]
+    for i in range(boats.shape[0]):
+        state, errors, o = boats[i, :CMD], tasks[i, ERROR:TERM], obs[i, len(OBSERVATION) :]
+        psi = state[fr.PSI]
+        o[0], o[1], o[2] = state[fr.U] / speed, state[fr.V] / speed, state[fr.R]
+        o[3], o[4] = math.cos(psi), math.sin(psi)
+        o[5], o[6] = errors[0] / rules[UNIT], 0.1 * errors[1] / rules[UNIT]
+        o[7], o[8] = math.cos(errors[2]), math.sin(errors[2])
+        o[9], o[10] = math.cos(errors[3]), math.sin(errors[3])
+        for j in range(4):
+            o[11 + j] = state[fr.N_LEFT + j] / rules[SCALE + j]
+        for j in range(o.shape[0]):
+            o[j] = min(max(o[j], -BOUND), BOUND)
+
+
+class TrueState(Observer):
+    """What no boat can know: for comparison only."""
+
+    names = tuple(f"true_{name}" for name in _TRUE)
+
+    def __init__(self, episodes: Episodes) -> None:
+        self._episodes = episodes
+
+    def reset(self, i: int) -> None:
+        """See :class:`Observer`; there is nothing to forget."""
+
+    def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
+        """See :class:`Observer`."""
+        if look:
+            episodes = self._episodes
+            _true_state(
+                *(episodes.simulation.boats[rows], episodes.task.records[rows], episodes.rules),
+                obs[rows],
+            )
+
+
+OBSERVERS: dict[str, Callable[[Episodes], Observer] | None] = {
+    "raw": None,
+    "raw_stacked": Stacked,
+    "oracle": TrueState,
+}
+"""Observation set to what it adds to the sensors' entries."""

@@ -1,0 +1,352 @@
+"""What an episode is about: the path, the reward term by term, and when it ends."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from usv_kernel.jit import kernel
+from usv_kernel.scalar import wrap
+
+__all__ = [
+    "TASKS",
+    "Curves",
+    "FreeManoeuvre",
+    "LawnMower",
+    "PathFollowing",
+    "StationKeeping",
+    "Task",
+    "TaskError",
+    "WayPoints",
+    "follow",
+    "judge",
+]
+
+ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
+
+N_TERMS = 4
+
+FAILURE = 500.0
+"""What it costs to leave the area or to capsize: as much as some 12 s far off the path, so that an
+agent that looks ahead for less than that never fails on purpose."""
+
+
+class TaskError(ValueError):
+    """A task that is not known; the message lists those that are."""
+
+
+@kernel
+def path_errors(
+    x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
+) -> None:
+    """Write how a boat stands to one leg of a path.
+
+    Parameters
+    ----------
+    x, y, psi : float
+        Position in m and heading in rad.
+    points : ndarray, shape (K, 2)
+        Way points, m north and east.
+    leg : int
+        Leg from point ``leg`` to point ``leg + 1``.
+    errors : ndarray, shape (4,)
+        Written: distance to starboard of the leg (m), distance left along it (m), course of
+        the leg less the heading (rad), turn to the next leg (rad; 0 on the last).
+    """
+    dx, dy = points[leg + 1, 0] - points[leg, 0], points[leg + 1, 1] - points[leg, 1]
+    course = math.atan2(dy, dx)
+    c, s = math.cos(course), math.sin(course)
+    ex, ey = x - points[leg, 0], y - points[leg, 1]
+    errors[0] = ey * c - ex * s
+    errors[1] = math.hypot(dx, dy) - (ex * c + ey * s)
+    errors[2] = wrap(course - psi)
+    errors[3] = 0.0
+    if leg + 2 < points.shape[0]:
+        next_x = points[leg + 2, 0] - points[leg + 1, 0]
+        next_y = points[leg + 2, 1] - points[leg + 1, 1]
+        errors[3] = wrap(math.atan2(next_y, next_x) - course)
+
+
+@kernel
+def follow(
+    x: float,
+    y: float,
+    psi: float,
+    points: np.ndarray,
+    leg: int,
+    reach: float,
+    errors: np.ndarray,
+) -> int:
+    """Write the path errors and return the leg, moved on where its end is reached."""
+    path_errors(x, y, psi, points, leg, errors)
+    if errors[1] < reach and leg + 2 < points.shape[0]:
+        leg += 1
+        path_errors(x, y, psi, points, leg, errors)
+    return leg
+
+
+# one row of numbers per boat: where each part begins
+LEG = 0
+
+ERROR = LEG + 1
+
+TERM = ERROR + len(ERRORS)
+
+REWARD = TERM + N_TERMS
+
+TERMINATED, SUCCESS = REWARD + 1, REWARD + 2
+
+CAPSIZED = SUCCESS + 1
+
+KNOWN_LEG = CAPSIZED + 1
+
+RECORD_SIZE = KNOWN_LEG + 1
+
+# and what is common to all boats: what is rated, the distance at which a way point counts as
+# reached (m), the usual speed (m/s), the distance that ends the episode (m), and the unit of
+# distances off the path (m)
+KIND, REACH, SPEED, AREA, UNIT = 0, 1, 2, 3, 4
+
+NOTHING, PATH, STATION = 0, 1, 2
+"""Kinds of tasks."""
+
+
+@kernel
+def judge(
+    state: np.ndarray,
+    action: np.ndarray,
+    before: np.ndarray,
+    points: np.ndarray,
+    rules: np.ndarray,
+    record: np.ndarray,
+) -> None:
+    """Write errors and end of one step of one boat, and add its reward terms, from the truth.
+
+    Parameters
+    ----------
+    state : ndarray, shape (16,)
+        True state.
+    action, before : ndarray, shape (A,)
+        Action of this step and of the step before.
+    points : ndarray, shape (K, 2)
+        Path.
+    rules : ndarray, shape (5,)
+        What is common to all boats; parts as named above.
+    record : ndarray, shape (RECORD_SIZE,)
+        Parts as named above; written, but for the leg that the boat believes to be on.
+    """
+    errors = record[ERROR:TERM]
+    leg = follow(state[0], state[1], state[5], points, int(record[LEG]), rules[REACH], errors)
+    record[LEG] = leg
+    # the mast points below the horizon
+    capsized = math.cos(state[3]) * math.cos(state[4]) < 0.0
+    record[CAPSIZED] = record[TERMINATED] = 1.0 if capsized else 0.0
+    if rules[KIND] == NOTHING:
+        return
+    change = 0.0
+    for j in range(action.shape[0]):
+        change += abs(action[j] - before[j])
+    if rules[KIND] == PATH:
+        along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
+        # as much too fast costs what as much too slow does
+        first = 1.0 - abs(along / rules[SPEED] - 1.0)
+        second = -min(abs(errors[0]) / rules[UNIT], 2.0)
+        reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
+        far = abs(errors[0]) > rules[AREA]
+        over = reached or far
+    else:
+        distance = math.hypot(errors[0], errors[1])
+        speed = math.hypot(state[6], state[7])
+        first = -0.5 * distance / rules[UNIT]
+        second = -0.1 * speed / rules[SPEED]
+        reached = distance < rules[REACH]
+        over = far = distance > rules[AREA]
+    third = -0.05 * change
+    fourth = -FAILURE if far or capsized else 0.0
+    record[TERM] += first
+    record[TERM + 1] += second
+    record[TERM + 2] += third
+    record[TERM + 3] += fourth
+    record[REWARD] += first + second + third + fourth
+    record[SUCCESS] = 1.0 if reached and not capsized else 0.0
+    if over:
+        record[TERMINATED] = 1.0
+
+
+class Task:
+    """State of n episodes' tasks; subclasses draw the path and say what is rated.
+
+    Parameters
+    ----------
+    n : int
+        Number of boats.
+    speed : float
+        Usual speed of the boat, m/s.
+    length : float
+        Length of the boat, m.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, K, 2)
+        Paths, m north and east.
+    records : ndarray, shape (n, RECORD_SIZE)
+        Leg, errors, reward terms and ends; parts as named at the top of this file.
+    rules : ndarray, shape (5,)
+        See :func:`judge`.
+    unit : float
+        Distance off the path that counts as 1, in rewards and observations: 10 m, or 4/3
+        lengths of a boat for which that is more.
+    """
+
+    kind = NOTHING
+    terms: tuple[str, str, str, str] = ("progress", "cross_track", "effort", "failure")
+    """Names of the parts of the reward."""
+    legs = 1
+    reach = 2.0
+    """Distance at which a way point counts as reached, in lengths of the boat."""
+    area = 5.0
+    """Distance that ends the episode, in units."""
+
+    def __init__(self, n: int, speed: float, length: float) -> None:
+        self.length, self.unit = length, max(10.0, 4.0 / 3.0 * length)
+        self.rules = np.array(
+            [float(self.kind), self.reach * length, speed, self.area * self.unit, self.unit]
+        )
+        self.points = np.zeros((n, self.legs + 1, 2))
+        self.records = np.zeros((n, RECORD_SIZE))
+
+    @property
+    def errors(self) -> np.ndarray:
+        """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
+        return self.records[:, ERROR:TERM]
+
+    def reset(self, i: int, rng: np.random.Generator) -> None:
+        """Draw the path of boat i; it starts at the origin, heading north."""
+        self.points[i] = self._path(rng)
+        self.records[i] = 0.0
+        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records[i, ERROR:TERM])
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        raise TypeError("a task must draw its path")
+
+
+class FreeManoeuvre(Task):
+    """No goal, no reward, no end but capsizing; the path ahead is a line to the north."""
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        return np.array([[0.0, 0.0], [1e4, 0.0]])
+
+
+class PathFollowing(Task):
+    """Follow straight legs of 10 to 20 lengths, with turns of up to 70 degrees between them.
+
+    Reward per step of ``dt``, from the truth: ``progress`` (1 at the usual speed along the leg, 0
+    at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
+    most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
+    once). A way point is reached where the boat passes, two lengths before it, the line across the
+    leg, however far to the side. The episode ends with success where the last one is, and with
+    failure 5 units (50 m) to the side of the leg or of its extension, or capsized.
+    """
+
+    kind = PATH
+    legs = 6
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        turns = np.radians(rng.uniform(-70.0, 70.0, self.legs))
+        turns[0] *= 0.3  # the boat starts heading north
+        return _chain(np.cumsum(turns), self.length * rng.uniform(10.0, 20.0, self.legs))
+
+
+class WayPoints(PathFollowing):
+    """Visit way points anywhere around, 12 to 30 lengths apart: turns of up to 140 degrees."""
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        turns = np.radians(rng.uniform(-140.0, 140.0, self.legs))
+        turns[0] *= 0.3
+        return _chain(np.cumsum(turns), self.length * rng.uniform(12.0, 30.0, self.legs))
+
+
+class Curves(PathFollowing):
+    """Follow a smooth curve: bends of 60 to 150 degrees with radii of 6 to 12 lengths.
+
+    It is made of legs of one length each, and the next begins where the boat passes the end of
+    the one before.
+    """
+
+    legs = 120
+    reach = 0.0
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        turns: list[float] = [0.0] * 5
+        while len(turns) < self.legs:
+            angle, radius = np.radians(rng.uniform(60.0, 150.0)), rng.uniform(6.0, 12.0)
+            side = rng.choice([-1.0, 1.0])
+            turns += [side / radius] * max(round(angle * radius), 1)
+        courses = np.cumsum(turns[: self.legs])
+        return _chain(courses, np.full(self.legs, self.length))
+
+
+class LawnMower(PathFollowing):
+    """Sweep a field: parallel legs of 14 to 24 lengths, 4 to 7 lengths apart."""
+
+    legs = 9
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        side = rng.choice([-1.0, 1.0])
+        lengths = np.where(
+            np.arange(self.legs) % 2 == 0, rng.uniform(14.0, 24.0), rng.uniform(4.0, 7.0)
+        )
+        quarter = side * 0.5 * math.pi
+        courses = np.resize([0.0, quarter, 2.0 * quarter, quarter], self.legs)
+        return _chain(courses, self.length * lengths)
+
+
+class StationKeeping(Task):
+    """Go to a point 4 to 8 lengths away, ahead or to one side, and stay there.
+
+    Reward per step of ``dt``, from the truth: ``distance`` (minus half the distance in units),
+    ``speed`` (minus a tenth of the speed over ground over the usual speed), ``effort`` and
+    ``failure`` as on a path. The boat succeeds while it is within two lengths; the episode ends
+    with failure 10 units away or capsized. Errors are those of the leg to the point: how far
+    to starboard of it, and how far to go.
+    """
+
+    kind = STATION
+    terms = ("distance", "speed", "effort", "failure")
+    area = 10.0
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        course = np.radians(rng.uniform(-90.0, 90.0, 1))
+        return _chain(course, self.length * rng.uniform(4.0, 8.0, 1))
+
+
+def _chain(courses: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return way points (K + 1, 2) in m from the origin, by courses in rad and lengths in m."""
+    legs = lengths[:, None] * np.stack([np.cos(courses), np.sin(courses)], axis=1)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(legs, axis=0)])
+
+
+TASKS: dict[str, type[Task]] = {
+    "path": PathFollowing,
+    "curves": Curves,
+    "lawnmower": LawnMower,
+    "waypoints": WayPoints,
+    "station": StationKeeping,
+    "free": FreeManoeuvre,
+}
+"""Name to task."""
+
+
+def make_task(name: str, n: int, speed: float, length: float) -> Task:
+    """Return the task of that name for n boats.
+
+    Raises
+    ------
+    TaskError
+        Lists the names that there are.
+    """
+    try:
+        return TASKS[name](n, speed, length)
+    except (KeyError, TypeError):
+        raise TaskError(f"no task is called {name!r}; known: {', '.join(TASKS)}") from None

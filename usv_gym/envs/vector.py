@@ -1,0 +1,343 @@
+"""Many environments as one: Gymnasium's vector interface over the same compiled step."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from usv_gym.envs.env import names_of, spaces_of
+from usv_gym.envs.episodes import OBSERVATION, RESTS, Episodes, Observer
+from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
+from usv_gym.envs.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED
+
+__all__ = [
+    "USVVectorEnv",
+]
+
+Info = dict[str, Any]
+
+
+class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """``num_envs`` of :class:`usv_gym.envs.env.USVEnv` in one, each bit for bit what it is alone.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of boats.
+    max_episode_steps : int, optional
+        An episode is truncated after so many decisions; None: never.
+    autoreset_mode : AutoresetMode or str
+        ``"NextStep"``: the step after an episode's end resets it, whatever the action.
+        ``"SameStep"``: the step that ends it does; ``info["final_obs"]`` and
+        ``info["final_info"]`` hold how it ended. ``"Disabled"``: reset it yourself, with
+        ``options={"reset_mask": ...}``.
+    render_mode : str, optional
+        ``"rgb_array"``: :meth:`render` returns a picture of each boat. ``"human"``: a window
+        shows the first boat.
+    num_threads : int
+        Threads that share the boats; worth it from some hundred boats on, and more so with twins.
+        The results do not hang on it.
+    observer : callable, optional
+        As for :class:`usv_gym.envs.env.USVEnv`.
+    **kwargs
+        As for :class:`usv_gym.envs.env.USVEnv`.
+
+    Notes
+    -----
+    ``reset(seed=7)`` gives element i what ``reset(seed=7 + i)`` gives a single environment; a
+    sequence of seeds gives each its own, and None goes on with its generator. Infos are arrays
+    over the boats, with a mask ``_key`` beside each ``key``, as in Gymnasium's own.
+    """
+
+    metadata = {  # noqa: RUF012 - Gymnasium's attribute
+        "render_modes": RENDER_MODES,
+        "render_fps": 20,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    closed = True  # until there is something to close
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        num_threads: int = 1,
+        observer: Callable[[Episodes], Observer] | None = None,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = RENDER_SIZE,
+        **kwargs: Any,
+    ) -> None:
+        if not _count(num_envs):
+            raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
+        if max_episode_steps is not None and not _count(max_episode_steps):
+            raise ValueError(
+                f"max_episode_steps = {max_episode_steps!r}: must be a whole number, 1 or more, "
+                "or None"
+            )
+        known = [name for name in inspect.signature(Episodes).parameters if name != "n"]
+        unknown = ", ".join(name for name in kwargs if name not in known or name == "threads")
+        if unknown:
+            others = "observation, twin, max_episode_steps, autoreset_mode, num_threads"
+            raise TypeError(
+                f"the vector environment has no option {unknown}; it has {others}, "
+                f"{', '.join(name for name in known if name != 'threads')}"
+            )
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
+            raise ValueError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.num_envs, self.max_episode_steps = int(num_envs), max_episode_steps
+        self.episodes = Episodes(self.num_envs, threads=num_threads, **kwargs)
+        self.simulation, self.task = self.episodes.simulation, self.episodes.task
+        self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
+        self.speed = self.episodes.speed
+        self.frame_skip = self.episodes.frame_skip
+        self.observer = observer(self.episodes) if observer else None
+        if self.observer:
+            self.episodes.watchers.append(self.observer.observe)
+        self.metadata["render_fps"] = fps_of(self.episodes)
+        self.render_mode = render_mode
+        self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
+        self.observation_names = names_of(self.observer)
+        """What each entry of an observation is."""
+        self.single_action_space, self.single_observation_space = spaces_of(
+            self.episodes.width, len(self.observation_names)
+        )
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._rngs: list[np.random.Generator | None] = [None] * self.num_envs
+        self._seeds = [-1] * self.num_envs
+        self._obs = np.zeros((self.num_envs, len(self.observation_names)), np.float32)
+        self._over = np.zeros(self.num_envs, dtype=np.bool_)
+        # steps after which each boat's episode is truncated
+        self._limit = (max_episode_steps or math.inf) * self.frame_skip
+        self._limits = np.full(self.num_envs, self._limit)
+        self._unborn = np.ones(self.num_envs, dtype=np.bool_)
+        self.closed = False
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seed of each boat's generator; -1 before the first reset."""
+        return tuple(self._seeds)
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Generator of each boat."""
+        return tuple(self._rng(i) for i in range(self.num_envs))
+
+    def _rng(self, i: int, seed: int | None = None) -> np.random.Generator:
+        rng = self._rngs[i]
+        if rng is None or seed is not None:
+            rng, self._seeds[i] = seeding.np_random(seed)
+            self._rngs[i] = rng
+        return rng
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, Info]:
+        """Start episodes: all of them, or those of a mask.
+
+        Parameters
+        ----------
+        seed : int, sequence of int, or None
+            See the class.
+        options : dict, optional
+            ``"reset_mask"``: array of bool, shape (n,): only these are reset.
+            ``"first_episode_steps"``: array of int, shape (n,): decisions after which the
+            episodes that begin now are truncated, instead of ``max_episode_steps``, so that
+            boats need not end all at once.
+
+        Returns
+        -------
+        ndarray, dict
+            Observations (n, ...) of all boats, and infos of those that were reset.
+        """
+        self._refuse_closed()
+        n = self.num_envs
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + i for i in range(n)]
+        else:
+            try:
+                seeds = [None if one is None else operator.index(one) for one in seed]
+            except TypeError:
+                raise TypeError(
+                    f"seed = {seed!r}: must be a whole number, one for each environment, or None"
+                ) from None
+        if len(seeds) != n:
+            raise ValueError(f"{len(seeds)} seeds for {n} environments; give one for each")
+        if not isinstance(options, dict | None):
+            raise TypeError(f"options = {options!r}: must be a dict or None")
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        limits = options.pop("first_episode_steps", None)
+        if options:
+            raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
+        if mask is None:
+            mask = np.ones(n, dtype=np.bool_)
+        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
+            kind = mask.dtype if isinstance(mask, np.ndarray) else type(mask).__name__
+            raise TypeError(f"options['reset_mask'] must be an array of bool, not {kind}")
+        if mask.shape != (n,) or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] of shape {mask.shape} with {mask.sum()} set: must have "
+                f"shape ({n},), and one or more set"
+            )
+        if limits is not None:
+            limits = np.asarray(limits)
+            if limits.shape != (n,) or limits.dtype.kind not in "iu" or (limits < 1).any():
+                raise ValueError(
+                    "options['first_episode_steps'] must be an array of whole numbers, 1 or "
+                    f"more, of shape ({n},)"
+                )
+        for i in np.flatnonzero(mask):
+            self._rng(int(i), seeds[i])
+        self._begin(mask)
+        if limits is not None:
+            self._limits[mask] = limits[mask].astype(np.int64) * self.frame_skip
+        self._over[mask] = False
+        if self.renderer:
+            self.renderer.look()
+        return self._obs.copy(), self._infos(mask)
+
+    def _begin(self, mask: np.ndarray) -> None:
+        """Reset some boats, and write their observations."""
+        for i in np.flatnonzero(mask):
+            one = slice(int(i), int(i) + 1)
+            self.episodes.reset(int(i), self._rng(int(i)), self._obs[i, : len(OBSERVATION)])
+            if self.observer:
+                self.observer.reset(int(i))
+                self.observer.observe(self._obs, rows=one)
+        self._unborn[mask] = False
+        self._limits[mask] = self._limit
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
+        """Sail for one decision; see :meth:`gymnasium.vector.VectorEnv.step`.
+
+        Parameters
+        ----------
+        actions : array_like, shape (n, A)
+            See :class:`usv_gym.envs.env.USVEnv`.
+
+        Returns
+        -------
+        ndarray, ndarray, ndarray, ndarray, dict
+            Observations (n, ...), rewards, terminations, truncations (n,), infos.
+        """
+        self._refuse_closed()
+        if self._unborn.any():
+            raise gym.error.ResetNeeded("call reset() before step()")
+        try:
+            values = np.asarray(actions, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError("actions are not an array of numbers") from None
+        shape = self.action_space.shape
+        if values.shape != shape:
+            raise ValueError(
+                f"actions have shape {values.shape}; it must be {shape}: see the action table of "
+                "usv_gym.envs.env.USVEnv"
+            )
+        mode, over = self.autoreset_mode, self._over
+        if mode == AutoresetMode.DISABLED and over.any():
+            raise gym.error.ResetNeeded(
+                f"the episodes of {np.flatnonzero(over).tolist()} are over: "
+                "reset(options={'reset_mask': ...})"
+            )
+        late = over.copy()
+        bad = ~np.isfinite(values).all(axis=1) & ~late
+        if bad.any():
+            raise ValueError(
+                f"action of {np.flatnonzero(bad).tolist()} holds NaN or infinity; every entry "
+                "must lie in [-1, 1]"
+            )
+        if late.any():
+            self._begin(late)
+            self.episodes.seen[late, RESTS] = self.frame_skip
+        self.episodes.actions[1] = values
+        self.episodes.step(self._obs)
+        record = self.task.records
+        rewards = record[:, REWARD].copy()
+        terminations = record[:, TERMINATED] != 0.0
+        truncations = self.episodes.steps >= self._limits
+        rewards[late] = 0.0
+        over = terminations | truncations
+        infos = self._infos(None)
+        if mode == AutoresetMode.SAME_STEP and over.any():
+            final = np.full(self.num_envs, None, dtype=object)
+            for i in np.flatnonzero(over):
+                final[i] = self._obs[i].copy()
+            ended = self._infos(over)
+            self._begin(over)
+            infos = self._infos(None)
+            infos |= {"final_obs": final, "_final_obs": over.copy()}
+            infos |= {"final_info": ended, "_final_info": over.copy()}
+            over = np.zeros_like(over)
+        self._over = over
+        if self.renderer:
+            self.renderer.look()
+        return self._obs.copy(), rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
+        """Return a picture of each boat if the mode is ``"rgb_array"``."""
+        self._refuse_closed()
+        return pictures(self.renderer, not self._unborn.any())
+
+    def _infos(self, mask: np.ndarray | None) -> Info:
+        """Return the infos of some boats, or of all of them."""
+        record = self.task.records
+        terms = {name: record[:, TERM + k] for k, name in enumerate(self.task.terms)}
+        values = {
+            "t_s": self.simulation.t,
+            "cross_track_m": record[:, ERROR],
+            "leg": record[:, LEG].astype(np.int64),
+            "is_success": record[:, SUCCESS] != 0.0,
+            "capsized": record[:, CAPSIZED] != 0.0,
+            **(self.observer.infos() if self.observer else {}),
+        }
+        infos = masked(values, mask, self.num_envs)
+        infos["reward_terms"] = masked(terms, mask, self.num_envs)
+        infos["_reward_terms"] = infos["_t_s"]
+        return infos
+
+    def _refuse_closed(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError("the environment was closed; make another one")
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads, and close the window."""
+        self.episodes.close()
+        if self.renderer:
+            self.renderer.close()
+
+
+def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> Info:
+    """Return infos as Gymnasium's vector environments do: each key, and where it holds."""
+    where = np.ones(n, dtype=np.bool_) if mask is None else mask.copy()
+    infos: Info = {}
+    for key, value in values.items():
+        infos[key] = value.copy() if mask is None else np.where(mask, value, value.dtype.type(0))
+        infos[f"_{key}"] = where
+    return infos
+
+
+def _count(value: object) -> bool:
+    """Return whether a value is a whole number of 1 or more."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return whole and value >= 1  # type: ignore[operator,return-value]

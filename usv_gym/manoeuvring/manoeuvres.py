@@ -1,0 +1,107 @@
+"""Manoeuvres: commands over time, as pure functions of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from usv_gym.vessel.vessel import Vessel
+
+__all__ = [
+    "MANOEUVRES",
+    "ManoeuvreError",
+    "commands",
+]
+
+
+class ManoeuvreError(ValueError):
+    """A manoeuvre that is not known; the message lists those that are."""
+
+
+def _straight(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return np.ones_like(t), np.zeros_like(t)
+
+
+def _turn(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return np.ones_like(t), np.where(t >= APPROACH, ANGLE, 0.0)
+
+
+def _zigzag(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    leg = np.floor((t - APPROACH) / LEG)
+    return np.ones_like(t), np.where(t >= APPROACH, np.where(leg % 2 == 0, ANGLE, -ANGLE), 0.0)
+
+
+def _turn_zigzag(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    leg = np.floor((t - SWITCH) / LEG)
+    zigzag = np.where(leg % 2 == 0, -ANGLE, ANGLE)
+    return np.ones_like(t), np.where(t >= SWITCH, zigzag, _turn(t, rng)[1])
+
+
+def _random(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    throttle, angle = np.ones_like(t), np.zeros_like(t)
+    begin = APPROACH
+    while begin < t[-1]:
+        later = t >= begin
+        throttle[later], angle[later] = rng.uniform(0.7, 1.0), rng.uniform(-1.25, 1.25) * ANGLE
+        begin += rng.uniform(3.0, 10.0)
+    return throttle, angle
+
+
+APPROACH = 5.0
+"""Seconds of straight approach."""
+
+LEG = 12.0
+"""Seconds of one leg of the timed zigzag (the paper: the same duration either way)."""
+
+SWITCH = 82.0
+"""When turn-zigzag goes over from turning to the zigzag, s."""
+
+ANGLE = math.radians(20.0)
+"""Drive angle of turn and zigzag, rad."""
+
+MANOEUVRES: dict[
+    str, Callable[[np.ndarray, np.random.Generator], tuple[np.ndarray, np.ndarray]]
+] = {
+    "straight": _straight,
+    "turn": _turn,
+    "zigzag": _zigzag,
+    "turn-zigzag": _turn_zigzag,
+    "random": _random,
+}
+"""Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
+
+
+def commands(
+    name: str, t: np.ndarray, vessel: Vessel, rng: np.random.Generator, n: float | None = None
+) -> np.ndarray:
+    """Return the commands of a manoeuvre.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`MANOEUVRES`.
+    t : ndarray, shape (N,)
+        Times, s; rising from 0.
+    vessel : Vessel
+        Whose commands.
+    rng : numpy.random.Generator
+        Used by ``random`` only.
+    n : float, optional
+        Shaft speed at full share, rev/s; by default the vessel's for manoeuvring.
+
+    Returns
+    -------
+    ndarray, shape (N, 4)
+        Left and right shaft speed (rev/s), left and right angle (rad).
+    """
+    try:
+        manoeuvre = MANOEUVRES[name]
+    except KeyError:
+        raise ManoeuvreError(
+            f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}"
+        ) from None
+    throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
+    full = vessel.values["shaft_speed_manoeuvring"] if n is None else n
+    return vessel.helm(throttle * full, angle)

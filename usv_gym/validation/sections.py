@@ -1,0 +1,35 @@
+"""What the code computes beside what is published or measured: rows of the validation page.
+
+Every number that :data:`SECTIONS` gives is computed anew from the code; references are numbers
+of others (or, for rows of numerics, what must hold exactly). A row that needs the recorded data
+and does not find them is skipped. The page itself is made in ``usv_gym.validation.page``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from twin.benchmark.paper_checks import twin_numbers
+from usv_gym.validation.manoeuvring import plants, tanker_measured, tanker_replay, tanker_trials
+from usv_gym.validation.numerics import numerics
+from usv_gym.validation.sea import sea, wind_and_drift
+from usv_gym.validation.seakeeping import loads_in_waves, motions
+from usv_gym.validation.study import Section, Study
+
+__all__ = [
+    "SECTIONS",
+]
+
+SECTIONS: dict[str, Callable[[Study], Section]] = {
+    "published trials": tanker_trials,
+    "measured trials": tanker_measured,
+    "replay": tanker_replay,
+    "sea": sea,
+    "wind and drift": wind_and_drift,
+    "loads in waves": loads_in_waves,
+    "motions": motions,
+    "small boats": plants,
+    "numerics": numerics,
+    "twin": twin_numbers,
+}
+"""What computes each section, in the order of the page."""

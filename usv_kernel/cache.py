@@ -1,0 +1,159 @@
+"""Where compiled kernels are kept on disk, and which sources they were compiled from."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import re
+import shutil
+from pathlib import Path
+
+import platformdirs
+
+__all__ = [
+    "cache_directory",
+    "cached",
+    "module_digest",
+    "running_program",
+    "sources_digest",
+]
+
+_ROOT = Path(__file__).resolve().parent.parent
+
+_PROGRAM = {".py", ".csv", ".npz", ".toml"}
+
+_PACKAGES = ("usv_kernel", "usv_gym", "twin")
+
+
+def sources_digest(root: Path = _ROOT) -> str:
+    """Return one digest over the whole program.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that holds the packages.
+
+    Returns
+    -------
+    str
+        Twenty hexadecimal digits; another value after any edit of a source, or of the vessels,
+        priors and weights that ship with it.
+    """
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in _PROGRAM:
+                digest.update(
+                    path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes()
+                )
+    return digest.hexdigest()[:20]
+
+
+@functools.cache
+def running_program() -> str:
+    """Return :func:`sources_digest` of the running program, as it was when first asked for."""
+    return sources_digest()
+
+
+def module_digest(module: str, root: Path = _ROOT) -> str:
+    """Return one digest over a module and all that it imports from the three packages.
+
+    numba's disk cache looks at the file of the outermost function only, so that an edit of
+    a function that it calls in another file would go on running the old machine code.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name.
+    root : Path
+        Folder that holds the packages.
+
+    Returns
+    -------
+    str
+        Twenty hexadecimal digits; another value after any edit of any of those files.
+    """
+    found: set[Path] = set()
+    todo = _files_of(module, root)
+    while todo:
+        path = todo.pop()
+        if path not in found:
+            found.add(path)
+            todo += [file for name in _source(path)[1] for file in _files_of(name, root)]
+    digest = hashlib.sha256()
+    for path in sorted(found):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + _source(path)[0])
+    return digest.hexdigest()[:20]
+
+
+def _files_of(module: str, root: Path) -> list[Path]:
+    """Return the file of a module of ours; none for others, and for names inside a module."""
+    if module.partition(".")[0] not in _PACKAGES:
+        return []
+    path = root.joinpath(*module.split("."))
+    return [file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()]
+
+
+_IMPORT = re.compile(rb"^[ \t]*(?:from[ ]+([\w.]+)[ ]+)?import[ ]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+
+_COMMENT = re.compile(rb"#[^\n]*")
+
+
+@functools.cache
+def _source(path: Path) -> tuple[bytes, frozenset[str]]:
+    """Return a file's content and the dotted names that it imports, those of a ``from`` both ways.
+
+    By pattern and not by parsing: every import of the packages waits for it.
+    """
+    content = path.read_bytes()
+    names = set()
+    for origin, listed in _IMPORT.findall(_COMMENT.sub(b"", content)):
+        start = origin.decode()
+        items = [item.split()[0] for item in listed.decode().strip("()").split(",") if item.strip()]
+        names |= {start, *(f"{start}.{item}" for item in items)} if start else set(items)
+    return content, frozenset(names)
+
+
+@functools.cache
+def cache_directory(module: str) -> Path | None:
+    """Return the folder for a module's compiled kernels, or None where none can be written.
+
+    It is named by :func:`module_digest`; of earlier ones the newest three are kept.
+    ``NUMBA_CACHE_DIR`` moves it.
+    """
+    base = Path(os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("usv-twin"))
+    ours = bool(_files_of(module, _ROOT))
+    folder = base / f"{module}-{module_digest(module) if ours else sources_digest()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        for stale in _of_module(folder)[:-4]:
+            shutil.rmtree(stale, ignore_errors=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def _of_module(folder: Path) -> list[Path]:
+    """Return the folders of all versions of a module, oldest first."""
+    name = folder.name.rpartition("-")[0]
+    return sorted(folder.parent.glob(f"{name}-*"), key=lambda path: path.stat().st_mtime)
+
+
+def cached() -> bool:
+    """Return whether the kernels of today's sources have been compiled before.
+
+    A module that was compiled in an earlier version only is going to be compiled again.
+    """
+    fresh = False
+    for folder in filter(None, map(cache_directory, _MODULES)):
+        compiled = {path for path in _of_module(folder) if next(path.rglob("*.nbi"), None)}
+        if compiled and folder not in compiled:
+            return False
+        fresh = fresh or folder in compiled
+    return fresh
+
+
+_MODULES: set[str] = set()
+"""Those that hold kernels, as far as they were imported."""

@@ -1,0 +1,482 @@
+"""Sums of rows in vector instructions, written out where compilers do not find them.
+
+A loop over a few dozen numbers is left half scalar by LLVM: what is over of a multiple of sixteen
+is done one by one, after checks that the arrays do not overlap. Here the last group of lanes
+overlaps the one before instead, and nothing is stored before all of it has been read.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
+
+__all__ = [
+    "LANES",
+    "accumulate",
+    "accumulate_rows",
+    "combine",
+    "dots",
+    "filled",
+    "fours",
+    "inner",
+    "transpose",
+]
+
+LANES = 16
+"""So many sums of :func:`dots` run side by side."""
+
+_LANES = 4
+
+_GROUP = 4
+"""Vectors that are summed side by side, so that one need not wait for the other."""
+
+_WIDE, _BLOCK = 8, 6
+"""Columns that :func:`accumulate_rows` takes at once, and rows that it holds in registers."""
+
+_DOUBLE = ir.DoubleType()
+
+
+def filled(count: int) -> int:
+    """Return how many numbers hold so many, and leave no lane of a sum empty."""
+    return -(-count // LANES) * LANES
+
+
+@intrinsic
+def accumulate(typing_context, to, at, count, factors, start, step, sign, rows, first, width, many):
+    """Add ``sign * factors[start + j step] * rows[first + j width + k]`` to ``to[at + k]``.
+
+    The sum is over j = 0 ... many - 1, in this order and each term fused; k = 0 ... count - 1.
+    All arrays are contiguous float64, and indexed as they lie in memory. What is added may lie in
+    the same array, but not in those ``count`` numbers. For kernels only.
+    """
+    return _sums(to, factors, rows, add=True)
+
+
+@intrinsic
+def combine(typing_context, to, at, count, factors, start, step, sign, rows, first, width, many):
+    """Write what :func:`accumulate` adds; what was there before does not matter."""
+    return _sums(to, factors, rows, add=False)
+
+
+def _fused(builder: ir.IRBuilder, lanes: int) -> tuple[Any, Any]:
+    """Return the type of so many lanes, and the function a b + c of them with one rounding."""
+    kind = ir.VectorType(_DOUBLE, lanes) if lanes > 1 else _DOUBLE
+    name = f"llvm.fma.v{lanes}f64" if lanes > 1 else "llvm.fma.f64"
+    of_three = ir.FunctionType(kind, [kind] * 3)
+    return kind, cgutils.get_or_insert_function(builder.module, of_three, name)
+
+
+def _check_rows(*arrays: Any) -> None:
+    for array in arrays:
+        if not (isinstance(array, types.Array) and array.dtype == types.float64):
+            raise TypingError(f"sums of rows take arrays of float64, not {array}")
+        if array.layout != "C":
+            raise TypingError(f"sums of rows take contiguous arrays, not {array}")
+
+
+def _pointer(context: Any, builder: ir.IRBuilder, kind: Any, array: Any, at: Any) -> Any:
+    """Return where an entry of an array lies."""
+    return builder.gep(context.make_array(kind)(context, builder, array).data, [at])
+
+
+def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
+    """Return signature and code of the sums."""
+    _check_rows(to, factors, rows)
+    whole, real = types.intp, types.float64
+    signature = types.void(
+        *(to, whole, whole, factors, whole, whole, real, rows, whole, whole, whole)
+    )
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        to, at, count, factors, start, step, sign, rows, first, width, many = args
+        target = _pointer(context, builder, sig.args[0], to, at)
+        each = _pointer(context, builder, sig.args[3], factors, start)
+        source = _pointer(context, builder, sig.args[7], rows, first)
+        index = count.type
+
+        def sums(offset: Any, lanes: int, vectors: int) -> list[Any]:
+            """Return sums of some vectors from ``offset`` on, in variables of their own."""
+            kind, fused = _fused(builder, lanes)
+
+            def place(base: Any, vector: int) -> Any:
+                lane = builder.add(offset, index(vector * lanes))
+                return builder.bitcast(builder.gep(base, [lane]), kind.as_pointer())
+
+            zero = ir.Constant(kind, [0.0] * lanes if lanes > 1 else 0.0)
+            totals = [
+                cgutils.alloca_once_value(
+                    builder, builder.load(place(target, v), align=8) if add else zero
+                )
+                for v in range(vectors)
+            ]
+            with cgutils.for_range(builder, many) as loop:
+                factor = builder.fmul(
+                    sign, builder.load(builder.gep(each, [builder.mul(loop.index, step)]))
+                )
+                factor = _alike(builder, factor, lanes)
+                row = builder.gep(source, [builder.mul(loop.index, width)])
+                for v, total in enumerate(totals):
+                    term = builder.load(place(row, v), align=8)
+                    builder.store(builder.call(fused, [factor, term, builder.load(total)]), total)
+            return [(place(target, v), total) for v, total in enumerate(totals)]
+
+        def write(results: list[Any]) -> None:
+            for where, total in results:
+                builder.store(builder.load(total), where, align=8)
+
+        def groups(lanes: int, vectors: int) -> None:
+            """Sum groups of so many vectors; the last one ends where the row does."""
+            size = index(lanes * vectors)
+            end = builder.sub(count, size)
+            last = sums(end, lanes, vectors)
+            with cgutils.for_range_slice(builder, index(0), end, size, intp=index) as (offset, _):
+                write(sums(offset, lanes, vectors))
+            write(last)
+
+        wide = builder.icmp_signed(">=", count, index(_LANES * _GROUP))
+        with builder.if_else(wide) as (then, otherwise):
+            with then:
+                groups(_LANES, _GROUP)
+            with otherwise:
+                some = builder.icmp_signed(">=", count, index(_LANES))
+                with builder.if_else(some) as (few, fewer):
+                    with few:
+                        groups(_LANES, 1)
+                    with fewer, cgutils.for_range(builder, count) as loop:
+                        write(sums(loop.index, 1, 1))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def accumulate_rows(
+    typing_context, to, at, apart, size, count, factors, start, step, sign, rows, first, width, many
+):
+    """Do :func:`accumulate` for a matrix of ``size`` rows, ``apart`` from each other.
+
+    To row i the numbers from ``factors[start + i]`` on belong; the added rows serve all and stay in
+    registers. They may not lie in the numbers that are added to; ``sign`` is 1 or -1.
+    """
+    _check_rows(to, factors, rows)
+    whole, real = types.intp, types.float64
+    signature = types.void(
+        *(to, whole, whole, whole, whole, factors, whole, whole, real, rows, whole, whole, whole)
+    )
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        to, at, apart, size, count, factors, start, step, sign, rows, first, width, many = args
+        target = _pointer(context, builder, sig.args[0], to, at)
+        each = _pointer(context, builder, sig.args[5], factors, start)
+        source = _pointer(context, builder, sig.args[9], rows, first)
+        index = count.type
+
+        def columns(offset: Any, lanes: int, begin: Any, block: int, seen: Any = None) -> None:
+            """Add so many rows from ``begin`` on, in so many columns from ``offset`` on.
+
+            To the first ``seen`` of the columns nothing is added.
+            """
+            kind, fused = _fused(builder, lanes)
+
+            def place(base: Any, row: Any, across: Any) -> Any:
+                at = builder.add(builder.mul(row, across), offset)
+                return builder.bitcast(builder.gep(base, [at]), kind.as_pointer())
+
+            numbers = [builder.add(begin, index(k)) for k in range(block)]
+            with_sign = _alike(builder, sign, lanes)
+            held = [
+                builder.fmul(with_sign, builder.load(place(source, j, width), align=8))
+                for j in numbers
+            ]
+            if seen is not None:
+                new, none = _from(builder, seen, lanes), ir.Constant(kind, [0.0] * lanes)
+                held = [builder.select(new, row, none) for row in held]
+            with cgutils.for_range(builder, size) as loop:
+                where = place(target, loop.index, apart)
+                total = builder.load(where, align=8)
+                for j, row in zip(numbers, held, strict=True):
+                    one = builder.gep(each, [builder.add(builder.mul(j, step), loop.index)])
+                    factor = _alike(builder, builder.load(one), lanes)
+                    total = builder.call(fused, [factor, row, total])
+                builder.store(total, where, align=8)
+
+        def groups(lanes: int, begin: Any, block: int) -> None:
+            """Add so many rows in groups of columns, of which the last overlaps the one before."""
+            over = builder.and_(count, index(lanes - 1))
+            done, group = builder.sub(count, over), index(lanes)
+            with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as (at, _):
+                columns(at, lanes, begin, block)
+            if lanes > 1:
+                with builder.if_then(builder.icmp_signed("!=", over, index(0))):
+                    seen = builder.sub(group, over)
+                    columns(builder.sub(done, seen), lanes, begin, block, seen)
+
+        def across(begin: Any, block: int) -> None:
+            """Add so many rows from ``begin`` on, in all columns."""
+            wide, some = (
+                builder.icmp_signed(">=", count, index(lanes)) for lanes in (_WIDE, _LANES)
+            )
+            with builder.if_else(wide) as (then, otherwise):
+                with then:
+                    groups(_WIDE, begin, block)
+                with otherwise, builder.if_else(some) as (few, fewer):
+                    with few:
+                        groups(_LANES, begin, block)
+                    with fewer:
+                        groups(1, begin, block)
+
+        rest = builder.srem(many, index(_BLOCK))
+        end = builder.sub(many, rest)
+        with cgutils.for_range_slice(builder, index(0), end, index(_BLOCK), intp=index) as (at, _):
+            across(at, _BLOCK)
+        with cgutils.for_range_slice(builder, end, many, index(1), intp=index) as (at, _):
+            across(at, 1)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _alike(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
+    """Return a number in all lanes."""
+    if lanes == 1:
+        return number
+    none = ir.Constant(ir.VectorType(_DOUBLE, lanes), ir.Undefined)
+    one = builder.insert_element(none, number, ir.IntType(32)(0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)
+    return builder.shuffle_vector(one, none, mask)
+
+
+@intrinsic
+def fours(typing_context, first, factors, rows, count):
+    """Return three sums over k of ``factors[k] * rows[k, :3]``, begun with the numbers ``first``.
+
+    Parameters
+    ----------
+    first : (3,) array
+        What the sums begin with.
+    factors : (n,) array
+        Factors.
+    rows : (n, 4) array
+        Rows; the fourth number of each does not matter.
+    count : int
+        So many of them; a constant, a multiple of four.
+
+    Every fourth term goes into a sum of its own, so that they need not wait for each other. All
+    arrays are contiguous float64. For kernels only.
+    """
+    _check_rows(first, factors, rows)
+    triple = types.UniTuple(types.float64, 3)  # type: ignore[attr-defined]
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        kind, fused = _fused(builder, 4)
+        index = args[3].type
+        begin, each, source = (
+            _pointer(context, builder, sig.args[k], args[k], index(0)) for k in range(3)
+        )
+        zero = ir.Constant(kind, [0.0] * 4)
+        start = zero
+        for k in range(3):
+            number = builder.load(builder.gep(begin, [index(k)]))
+            start = builder.insert_element(start, number, ir.IntType(32)(k))
+        totals = [cgutils.alloca_once_value(builder, value) for value in (start, zero, zero, zero)]
+        with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as (at, _):
+            for k, total in enumerate(totals):
+                number = builder.add(at, index(k))
+                factor = _alike(builder, builder.load(builder.gep(each, [number])), 4)
+                place = builder.gep(source, [builder.mul(number, index(4))])
+                row = builder.load(builder.bitcast(place, kind.as_pointer()), align=8)
+                builder.store(builder.call(fused, [factor, row, builder.load(total)]), total)
+        a, b, c, d = (builder.load(total) for total in totals)
+        total = builder.fadd(builder.fadd(a, b), builder.fadd(c, d))
+        parts = [builder.extract_element(total, ir.IntType(32)(k)) for k in range(3)]
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    return triple(first, factors, rows, types.intp), generate
+
+
+@intrinsic
+def inner(typing_context, a, first, b, start, count):
+    """Return the sum of ``a[first + k] b[start + k]`` over k = 0 ... count - 1.
+
+    Four sums run side by side; each term is fused. The arrays are contiguous float64, and indexed
+    as they lie in memory. For kernels only.
+    """
+    _check_rows(a, b)
+    whole = types.intp
+    signature = types.float64(a, whole, b, whole, whole)
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        count = args[4]
+        index = count.type
+        rows = [_pointer(context, builder, sig.args[k], args[k], args[k + 1]) for k in (0, 2)]
+        result = cgutils.alloca_once_value(builder, _DOUBLE(0.0))
+
+        def term(at: Any, lanes: int) -> tuple[Any, list[Any]]:
+            kind, fused = _fused(builder, lanes)
+            places = (builder.bitcast(builder.gep(row, [at]), kind.as_pointer()) for row in rows)
+            return fused, [builder.load(place, align=8) for place in places]
+
+        with builder.if_else(builder.icmp_signed(">=", count, index(_LANES))) as (wide, narrow):
+            with wide:
+                kind, _ = _fused(builder, _LANES)
+                over = builder.and_(count, index(_LANES - 1))
+                fused, (one, other) = term(builder.sub(count, index(_LANES)), _LANES)
+                # the last four overlap those before: what these have seen does not count
+                new = _from(builder, builder.sub(index(_LANES), over), _LANES)
+                none = ir.Constant(kind, [0.0] * _LANES)
+                total = cgutils.alloca_once_value(
+                    builder, builder.select(new, builder.fmul(one, other), none)
+                )
+                done, group = builder.sub(count, over), index(_LANES)
+                with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as (at, _):
+                    fused, pair = term(at, _LANES)
+                    builder.store(builder.call(fused, [*pair, builder.load(total)]), total)
+                builder.store(_folded(builder, builder.load(total), _LANES), result)
+            with narrow, cgutils.for_range(builder, count) as loop:
+                fused, pair = term(loop.index, 1)
+                builder.store(builder.call(fused, [*pair, builder.load(result)]), result)
+        return builder.load(result)
+
+    return signature, generate
+
+
+def _from(builder: ir.IRBuilder, lane: Any, lanes: int) -> Any:
+    """Return which lanes are not before the given one."""
+    numbers = ir.Constant(ir.VectorType(_DOUBLE, lanes), [float(k) for k in range(lanes)])
+    return builder.fcmp_ordered(
+        ">=", numbers, _alike(builder, builder.sitofp(lane, _DOUBLE), lanes)
+    )
+
+
+@intrinsic
+def transpose(typing_context, to, at, apart, rows, first, width, size, count):
+    """Write ``rows[first + i width + k]`` to ``to[at + k apart + i]``, i < size and k < count.
+
+    By squares of four, of which the last overlap those before. What is written must not be what is
+    still to be read; otherwise as :func:`accumulate`.
+    """
+    _check_rows(to, rows)
+    whole = types.intp
+    signature = types.void(to, whole, whole, rows, whole, whole, whole, whole)
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        to, at, apart, rows, first, width, size, count = args
+        target = _pointer(context, builder, sig.args[0], to, at)
+        source = _pointer(context, builder, sig.args[3], rows, first)
+        index = count.type
+        four = ir.VectorType(_DOUBLE, 4).as_pointer()
+
+        def place(base: Any, row: Any, across: Any, column: Any) -> Any:
+            return builder.gep(base, [builder.add(builder.mul(row, across), column)])
+
+        def shuffled(a: Any, b: Any, order: tuple[int, ...]) -> Any:
+            return builder.shuffle_vector(
+                a, b, ir.Constant(ir.VectorType(ir.IntType(32), 4), list(order))
+            )
+
+        def square(i: Any, k: Any) -> None:
+            a, b, c, d = (
+                builder.load(
+                    builder.bitcast(place(source, builder.add(i, index(j)), width, k), four),
+                    align=8,
+                )
+                for j in range(4)
+            )
+            low, high = shuffled(a, b, (0, 4, 2, 6)), shuffled(a, b, (1, 5, 3, 7))
+            low_2, high_2 = shuffled(c, d, (0, 4, 2, 6)), shuffled(c, d, (1, 5, 3, 7))
+            columns = (
+                shuffled(low, low_2, (0, 1, 4, 5)),
+                shuffled(high, high_2, (0, 1, 4, 5)),
+                shuffled(low, low_2, (2, 3, 6, 7)),
+                shuffled(high, high_2, (2, 3, 6, 7)),
+            )
+            for j, column in enumerate(columns):
+                where = place(target, builder.add(k, index(j)), apart, i)
+                builder.store(column, builder.bitcast(where, four), align=8)
+
+        def places(total: Any) -> Any:
+            """Run over the places of squares along a side."""
+            groups = builder.sdiv(builder.add(total, index(3)), index(4))
+            return groups, builder.sub(total, index(4))
+
+        big = builder.and_(
+            builder.icmp_signed(">=", size, index(4)), builder.icmp_signed(">=", count, index(4))
+        )
+        with builder.if_else(big) as (squares, single):
+            with squares:
+                (down, last), (along, end) = places(size), places(count)
+                with cgutils.for_range(builder, down) as outer:
+                    i = builder.mul(outer.index, index(4))
+                    i = builder.select(builder.icmp_signed("<", i, last), i, last)
+                    with cgutils.for_range(builder, along) as loop:
+                        k = builder.mul(loop.index, index(4))
+                        square(i, builder.select(builder.icmp_signed("<", k, end), k, end))
+            with (
+                single,
+                cgutils.for_range(builder, size) as outer,
+                cgutils.for_range(builder, count) as loop,
+            ):
+                number = builder.load(place(source, outer.index, width, loop.index))
+                builder.store(number, place(target, loop.index, apart, outer.index))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def dots(typing_context, a, b, x):
+    """Return a . x and b . x of contiguous rows, in an order that no compiler changes.
+
+    Sixteen sums run side by side, number i in sum i modulo 16, and are added pair by pair. What
+    is over of a multiple of sixteen is left out: fill the rows up with zeros. For kernels only.
+    """
+    for array in (a, b, x):
+        if array != types.Array(types.float64, 1, "C"):
+            raise TypingError(f"dots take contiguous rows of float64, not {array}")
+    pair = types.UniTuple(types.float64, 2)  # type: ignore[attr-defined]
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        rows = [context.make_array(a)(context, builder, value) for value in args]
+        kind, fused = _fused(builder, LANES)
+        zero = ir.Constant(kind, [0.0] * LANES)
+        totals = [cgutils.alloca_once_value(builder, zero) for _ in "ab"]
+        count = builder.extract_value(rows[2].shape, 0)
+        size = count.type(LANES)
+        end = builder.sub(count, builder.srem(count, size))
+        with cgutils.for_range_slice(builder, count.type(0), end, size, intp=count.type) as (at, _):
+            first, second, factor = (
+                builder.load(
+                    builder.bitcast(builder.gep(row.data, [at]), kind.as_pointer()), align=8
+                )
+                for row in rows
+            )
+            for total, row in zip(totals, (first, second), strict=True):
+                builder.store(builder.call(fused, [row, factor, builder.load(total)]), total)
+        return context.make_tuple(
+            builder,
+            sig.return_type,
+            [_folded(builder, builder.load(total), LANES) for total in totals],
+        )
+
+    return pair(a, b, x), generate
+
+
+def _folded(builder: ir.IRBuilder, lanes: Any, many: int) -> Any:
+    """Return the sum of all lanes, pair by pair."""
+    half = many // 2
+    while half > 0:
+        parts = [
+            builder.shuffle_vector(
+                lanes,
+                lanes,
+                ir.Constant(ir.VectorType(ir.IntType(32), half), list(range(at, at + half))),
+            )
+            for at in (0, half)
+        ]
+        lanes = builder.fadd(*parts)
+        half //= 2
+    return builder.extract_element(lanes, ir.IntType(32)(0))
