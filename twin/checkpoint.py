@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from twin.files import write_whole
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "VERSION",
@@ -59,7 +60,7 @@ _ALIGNED = 64
 """Bytes between which the memories of arrays begin."""
 
 
-class StateError(ValueError):
+class StateError(UsvTwinError):
     """A file or object that cannot be used; the message names it and the remedy."""
 
 

@@ -15,6 +15,7 @@ from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "PLANS",
@@ -29,7 +30,7 @@ PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
 
 
-class TwinError(ValueError):
+class TwinError(UsvTwinError):
     """Rows or plans that the twin cannot use; the message names the entry and the remedy."""
 
 
@@ -163,11 +164,11 @@ class Twin:
         else:
             twin = cls(particulars, name, seed=seed, **options)
         twin.name, twin.seed, twin.options = name, seed, options
-        kept = saved.restore("predictor", twin.predictors.base)
-        if kept is not twin.predictors.base:
+        kept = saved.restore("predictor", twin.predictor)
+        if kept is not twin.predictor:
             raise StateError(
                 f"{path}: holds a {type(kept).__name__}, not a "
-                f"{type(twin.predictors.base).__name__}; hand in a predictor of that class"
+                f"{type(twin.predictor).__name__}; hand in a predictor of that class"
             )
         twin.t, twin.cmd = saved.restore("t"), saved.restore("cmd")
         return twin

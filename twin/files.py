@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files written whole or not at all, and results as JSON."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any
 
 __all__ = [
     "results_text",
+    "write_whole",
 ]
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, also if the machine dies."""
+    """Write a file whole or not at all, also if the machine dies; its folder is made if needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{os.getpid()}_{path.name}")
     try:
         with partial.open("wb") as file:

@@ -8,10 +8,11 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
-from twin.benchmark.protocol import BenchmarkError
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "BACKENDS",
+    "BackendError",
     "check_backend",
     "results_of",
 ]
@@ -27,6 +28,10 @@ BACKENDS = {
 _Result = TypeVar("_Result")
 
 
+class BackendError(UsvTwinError):
+    """A kind of workers that is not known, or not installed."""
+
+
 def check_backend(backend: str) -> None:
     """Refuse a kind of workers that is not known, or not installed.
 
@@ -37,16 +42,16 @@ def check_backend(backend: str) -> None:
 
     Raises
     ------
-    BenchmarkError
+    BackendError
         Names what there is, or what to install.
     """
     if backend not in BACKENDS:
-        raise BenchmarkError(f"no backend is called {backend!r}; known: {', '.join(BACKENDS)}")
+        raise BackendError(f"no backend is called {backend!r}; known: {', '.join(BACKENDS)}")
     module, package = BACKENDS[backend]
     try:
         importlib.import_module(module)
     except ImportError:
-        raise BenchmarkError(
+        raise BackendError(
             f"backend {backend}: {module} is not installed; python -m pip install {package}"
         ) from None
 

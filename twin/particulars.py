@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from usv_kernel.errors import UsvTwinError
+
 __all__ = [
     "DESIGNS",
     "GRAVITY",
@@ -53,7 +55,7 @@ STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
 """Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for (twin.md)."""
 
 
-class ParticularsError(ValueError):
+class ParticularsError(UsvTwinError):
     """Particulars that cannot be used; the message names the key and the remedy."""
 
 

@@ -24,8 +24,8 @@ if "USVTwin-v0" not in registry:
     # The twin is named by a string: nothing of it is imported before gym.make.
     register(
         id="USVTwin-v0",
-        entry_point="twin.wrapper:make_env",
-        vector_entry_point="twin.wrapper:make_vector_env",
+        entry_point="twin.sim.wrapper:make_env",
+        vector_entry_point="twin.sim.wrapper:make_vector_env",
         max_episode_steps=MAX_EPISODE_STEPS,
         # the environment itself refuses a step before the reset
         order_enforce=False,

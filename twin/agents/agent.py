@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Agent",
@@ -49,7 +50,7 @@ class Agent(Protocol):
         """Return the actions, shape (n, 2), for observations (n, D)."""
 
 
-class ControllerError(ValueError):
+class ControllerError(UsvTwinError):
     """A controller that cannot be had, or not for these boats; the message says what can."""
 
 

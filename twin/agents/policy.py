@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin.files import write_whole
 from usv_gym.envs.vector import USVVectorEnv
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "AgentError",
@@ -34,7 +35,7 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 FORMAT = 1
 
 
-class AgentError(ValueError):
+class AgentError(UsvTwinError):
     """Something that steers, trains or is compared does not fit; the message says what."""
 
 
@@ -195,9 +196,3 @@ class Policy:
 def _sigmoid(x: Array) -> Array:
     # the tangent does not overflow
     return 0.5 + 0.5 * np.tanh(0.5 * x)
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Make a file's folder, and write the file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, content)

@@ -207,8 +207,8 @@ def _shaped(trial: _Trial) -> str:
     _need(np.shape(estimate.xi) == np.shape(estimate.xi_sd), "xi and xi_sd differ in shape")
     names, units = trial.kind.parameter_names, trial.kind.parameter_units
     names, units = (
-        twin.predictors.base.parameter_names or names,
-        twin.predictors.base.parameter_units or units,
+        twin.predictor.parameter_names or names,
+        twin.predictor.parameter_units or units,
     )
     _need(
         len(names) == len(units) == len(estimate.xi),
@@ -221,7 +221,7 @@ def _shaped(trial: _Trial) -> str:
         ends = prediction.t0 + dt * np.arange(1, rows + 1)
         _need(np.allclose(prediction.t, ends, atol=1e-6), "its times are not the ends of the rows")
         _need(abs(prediction.t0 - estimate.t) < 1e-6, "t0 is not the time of the last row")
-    mean = twin.predictors.base.mean(trial.plan.copy(), PLAN_DT)
+    mean = twin.predictor.mean(trial.plan.copy(), PLAN_DT)
     full = twin.predict(trial.plan.copy(), dt=PLAN_DT).mean
     _need(np.allclose(mean, full, rtol=0.0, atol=1e-9), "mean() is not predict().mean")
     return "plans of .05 to 60 s"
@@ -257,8 +257,8 @@ def _quiet(trial: _Trial) -> str:
         trial.feed(twin, trial.log, k, k + 20)
         twin.estimate()
         twin.predict(-trial.plan[: 1 + k % 90], dt=PLAN_DT)
-        twin.predictors.base.mean(trial.plan[:5].copy(), 0.3)
-        twin.predictors.base.identifiability()
+        twin.predictor.mean(trial.plan[:5].copy(), 0.3)
+        twin.predictor.identifiability()
     trial.same(twin, "where it was asked before")
     trial.same(twin, "when it is asked again")
     return "asked at every 20th row: the same bits"
@@ -270,15 +270,13 @@ def _own(trial: _Trial) -> str:
     z, cmd = np.empty(log.z.shape[1]), np.empty(4)
     for k in range(ROWS):
         z[:], cmd[:] = log.z[k], log.cmd[k]
-        twin.predictors.base.update(
-            float(log.t[k]), float(log.t[k] - log.t[k - 1]) if k else 0.0, z, cmd
-        )
+        twin.predictor.update(float(log.t[k]), float(log.t[k] - log.t[k - 1]) if k else 0.0, z, cmd)
         kept = np.array_equal(z, log.z[k], equal_nan=True) and np.array_equal(cmd, log.cmd[k])
         _need(kept, "update() writes to the row it is given")
         z[:], cmd[:] = 1e6, 1e6
     twin.t, twin.cmd = float(log.t[ROWS - 1]), log.cmd[ROWS - 1].copy()
     plan = trial.plan.copy()
-    twin.predictors.base.predict(plan, PLAN_DT)
+    twin.predictor.predict(plan, PLAN_DT)
     _need(np.array_equal(plan, trial.plan), "predict() writes to the plan it is given")
     trial.same(twin, "where the arrays of a row are used again after it")
     return "rows and plan as before; rows overwritten afterwards: the same bits"
@@ -345,7 +343,7 @@ def _copied(trial: _Trial) -> str:
     done = []
     for name, way in ways.items():
         try:
-            other = Twin(trial.particulars, way(twin.predictors.base))
+            other = Twin(trial.particulars, way(twin.predictor))
         except Exception as error:  # whatever the object of somebody else does
             text = f"{name}: {type(error).__name__}: {error}"
             raise (BrokenError if name == "copy.deepcopy" else NotSupportedError)(text) from None

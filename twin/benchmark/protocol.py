@@ -25,6 +25,7 @@ from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import SensorSuite, parse_faults
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "FULL",
@@ -51,7 +52,7 @@ _BOATS = 1029
 TYPICAL = "typical"
 
 
-class BenchmarkError(ValueError):
+class BenchmarkError(UsvTwinError):
     """A benchmark that cannot be run; the message says why."""
 
 

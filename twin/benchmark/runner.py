@@ -229,9 +229,9 @@ def run_unit(
             "t": [t for t, _, _ in history],
             "xi": [xi.tolist() for _, xi, _ in history],
             "xi_sd": [sd.tolist() for _, _, sd in history],
-            "names": twin.predictors.base.parameter_names,
-            "units": twin.predictors.base.parameter_units,
-            "blocks": dict(twin.predictors.base.parameter_blocks),
+            "names": twin.predictor.parameter_names,
+            "units": twin.predictor.parameter_units,
+            "blocks": dict(twin.predictor.parameter_blocks),
         }
     path = result_file(folder, unit)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -81,7 +81,7 @@ def identify_command(
     unfed.reset()
     prior = unfed.estimate()
     header = ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)]
-    names = twin.predictors.base.parameter_names
+    names = twin.predictor.parameter_names
     header += [*names, *(f"sd_{n}" for n in names)]
     rows = []
     with _bar("identifying", len(run)) as advance:
@@ -112,8 +112,8 @@ def identify_command(
 
 
 def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, Any]:
-    names = twin.predictors.base.parameter_names
-    seen = twin.predictors.base.identifiability()
+    names = twin.predictor.parameter_names
+    seen = twin.predictor.identifiability()
     return {
         "predictor": predictor,
         "t_s": estimate.t,
@@ -141,17 +141,17 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
 
 
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
-    unit = getattr(getattr(twin.predictors.base, "ukf", None), "settings", None)
+    unit = getattr(getattr(twin.predictor, "ukf", None), "settings", None)
     table = Table(
         title="parameters (mean and standard deviation)", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for name in ("", "unit", "prior", "sd", "now", "sd", "ratio", "told"):
         left = name in ("", "unit", "told")
         table.add_column(name, justify="left" if left else "right", no_wrap=True)
-    seen = twin.predictors.base.identifiability()
+    seen = twin.predictor.identifiability()
     found = {} if seen is None else {item.name: item for item in seen.parameters}
     for i, (name, symbol) in enumerate(
-        zip(twin.predictors.base.parameter_names, twin.predictors.base.parameter_units, strict=True)
+        zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)
     ):
         ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
         numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])

@@ -72,36 +72,34 @@ def bench_command(
 
 def _timed(chosen: list[harness.Case], rounds: int) -> harness.Measured:
     """Measure under a progress bar."""
-    from twin.performance.harness import measure
-
     with Progress(
         *(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()),
         console=errors,
         transient=True,
     ) as progress:
-        bar = progress.add_task("", total=len(cases) * (rounds + 1))
+        bar = progress.add_task("", total=len(chosen) * (rounds + 1))
 
         def advance(name: str) -> None:
             progress.update(bar, advance=1, description=f"{name:36}")
 
-        return measure(cases, rounds, advance)
+        return harness.measure(chosen, rounds, advance)
 
 
 def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]], bool]:
     """Measure cases beside each other, print a table; return its rows, and whether Ctrl-C came."""
     from twin.performance import cases
 
-    cases = cases.chosen(only, quick=quick)
+    chosen = cases.chosen(only, quick=quick)
     memory = {n: m for n, m in cases.MEMORY.items() if only.lower() in n.lower()}
     first = {n: m for n, m in cases.FIRST_USES.items() if only.lower() in n.lower() and not quick}
-    if not cases and not memory and not first:
+    if not chosen and not memory and not first:
         raise bench.BenchmarkError(f"--only {only!r}: no such case; leave it out to see them all")
-    measured = _timed(cases, rounds)
-    rows = measured.rows(cases)
+    measured = _timed(chosen, rounds)
+    rows = measured.rows(chosen)
     table = Table(title="speed", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     for name in ("case", "us", "per s", "ratio", "must", "reached"):
         table.add_column(name, justify="left" if name == "case" else "right", no_wrap=True)
-    by_name = {case.name: case for case in cases}
+    by_name = {case.name: case for case in chosen}
     block = None
     for row in rows:
         case = by_name[row["name"]]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "OTHER_UNITS",
@@ -49,7 +50,7 @@ OTHER_UNITS = {
 """Columns in degrees and rpm: the SI column that each gives, and its factor."""
 
 
-class LogError(ValueError):
+class LogError(UsvTwinError):
     """A log that cannot be used; the message names the file, the place and the remedy."""
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from twin.logs.log import Log, beside, recorded_runs
 from twin.particulars import Instruments, Particulars
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "ArchiveError",
@@ -30,7 +31,7 @@ __all__ = [
 ]
 
 
-class ArchiveError(ValueError):
+class ArchiveError(UsvTwinError):
     """Recorded runs that are not there; the message says where they were looked for."""
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from twin.model.structure import Structure
 from twin.particulars import FAST, Particulars
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "KINDS",
@@ -46,7 +47,7 @@ TOLD = 1e-3
 """A spread of so small a part of the structure's own says that the boats told nothing."""
 
 
-class PriorError(ValueError):
+class PriorError(UsvTwinError):
     """A prior that cannot be used; the message names the file or value and the remedy."""
 
 

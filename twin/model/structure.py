@@ -40,6 +40,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import fma
 from usv_kernel.simd import fours
@@ -349,7 +350,7 @@ def rates(terms, shares, hull, thrust):
     return du, dv, dr
 
 
-class StructureError(ValueError):
+class StructureError(UsvTwinError):
     """A model structure that is not known; the message lists those that are."""
 
 

@@ -337,7 +337,7 @@ def _lived(name: str, **options: Any) -> tuple[Twin, Callable[[], None]]:
     log = simulate("zigzag", vessel=vessel, sea=SeaState.named("2"), duration=120.0, seed=0)
     twin = Twin(particulars_of(vessel), name, **options)
     twin.run(log)
-    predictor: Any = twin.predictors.base
+    predictor: Any = twin.predictor
     rows = list(zip(log.z[-ROWS:], log.cmd[-ROWS:], strict=True))
 
     def second() -> None:
@@ -354,7 +354,7 @@ def _rows(name: str, **options: Any) -> Burst:
 
 def _window(rows: int = WINDOW) -> Burst:
     twin, _ = _lived("dsw-ukf", window="fixed", w_min=rows, w_max=rows + 1)
-    predictor: Any = twin.predictors.base
+    predictor: Any = twin.predictor
     return partial(predictor._restart, rows), 1
 
 

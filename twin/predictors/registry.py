@@ -19,6 +19,7 @@ from typing import Any
 
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "DEFAULT",
@@ -34,8 +35,8 @@ GROUP = "usv_twin.predictors"
 """Group of the entry points by which other packages bring predictors."""
 
 PREDICTORS: dict[str, str | type[Predictor]] = {
-    "persistence": "twin.predictors.base:Persistence",
-    "persistence-8s": "twin.predictors.base:SmoothedPersistence",
+    "persistence": "twin.predictors.baselines:Persistence",
+    "persistence-8s": "twin.predictors.baselines:SmoothedPersistence",
     "ukf": "twin.predictors.ukf:UKFPredictor",
     "dsw-ukf": "twin.predictors.dsw_ukf:DSWPredictor",
     "dsw-ukf-plus": "twin.predictors.dsw_ukf_plus:PlusPredictor",
@@ -57,7 +58,7 @@ DEFAULT = "dsw-ukf-plus"
 """The predictor that is used where none is named."""
 
 
-class PredictorError(ValueError):
+class PredictorError(UsvTwinError):
     """A predictor that is not known or cannot be used; the message says what can."""
 
 

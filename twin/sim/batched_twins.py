@@ -286,14 +286,14 @@ class TwinObserver(Observer):
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._parameters = parameters
         if parameters:
-            prior = twin.predictors.base.estimate()
+            prior = twin.predictor.estimate()
             if not prior.xi.size:
                 raise PredictorError(
                     f"{twin.name} identifies no parameters: observation='twin_params' needs a "
                     "twin with a model, such as 'ukf'"
                 )
             self._prior, self._prior_sd = prior.xi, np.maximum(prior.xi_sd, 1e-12)
-            known = twin.predictors.base.parameter_names
+            known = twin.predictor.parameter_names
             self.names += (*(f"xi_{name}" for name in known), *(f"sd_{name}" for name in known))
 
     @property
@@ -386,7 +386,7 @@ class SeparateTwins(TwinObserver):
 
     def _identified(self, rows: slice) -> tuple[Array, Array]:
         """See :class:`TwinObserver`."""
-        found = [twin.predictors.base.estimate() for twin in self.twins[rows]]
+        found = [twin.predictor.estimate() for twin in self.twins[rows]]
         return np.array([one.xi for one in found]), np.array([one.xi_sd for one in found])
 
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
@@ -404,12 +404,12 @@ class SeparateTwins(TwinObserver):
             self._plan[:] = sim.cmd[i]
             if t >= note[RENEW_AT]:
                 note[RENEW_AT] = t + self.band_period - 1e-9
-                prediction = twin.predictors.base.predict(self._plan, PLAN_STEP)
+                prediction = twin.predictor.predict(self._plan, PLAN_STEP)
                 ahead[:], covs[:] = prediction.mean[_ROWS], prediction.cov[_ROWS]
             else:
-                ahead[:] = twin.predictors.base.mean(self._plan, PLAN_STEP)[_ROWS]
-            np.fill_diagonal(now, twin.predictors.base.estimate().sd ** 2)
-            s = np.ascontiguousarray(twin.predictors.base.s, dtype=np.float64)
+                ahead[:] = twin.predictor.mean(self._plan, PLAN_STEP)[_ROWS]
+            np.fill_diagonal(now, twin.predictor.estimate().sd ** 2)
+            s = np.ascontiguousarray(twin.predictor.s, dtype=np.float64)
             describe(s, sim.boats[i], note, task.points[i], task.rules, obs[i])
 
 
@@ -505,8 +505,8 @@ class CompiledTwins(TwinObserver):
 
 
 def _compiled(twin: Twin) -> UKFPredictor:
-    assert isinstance(twin.predictors.base, UKFPredictor)
-    return twin.predictors.base
+    assert isinstance(twin.predictor, UKFPredictor)
+    return twin.predictor
 
 
 class CompiledPlusTwins(CompiledTwins):

@@ -52,6 +52,7 @@ from usv_gym.manoeuvring.manoeuvres import ANGLE, APPROACH, LEG, SWITCH
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import Bursts, Disturbance, Fault, RandomFaults, SensorSuite
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "FleetError",
@@ -97,7 +98,7 @@ TYPICAL = np.array([0.08, 0.08, 0.05, 0.03, 0.03, 0.04])
 """Errors that weigh alike: of x and y (lengths), psi (rad), u and v (usual speeds), r."""
 
 
-class FleetError(ValueError):
+class FleetError(UsvTwinError):
     """A training that cannot be; the message says why."""
 
 

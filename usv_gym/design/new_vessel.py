@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from usv_gym.design import regressions as reg
 from usv_gym.physics import GRAVITY, KNOT
 from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA, Vessel, course_eigenvalues
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "DesignError",
@@ -38,7 +39,7 @@ STABLE = 0.02
 """What the estimates are held to: a drift falls by this share for each length sailed."""
 
 
-class DesignError(ValueError):
+class DesignError(UsvTwinError):
     """Main particulars that make no ship; the message names the value and the remedy."""
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 from usv_kernel.scalar import wrap
 
@@ -32,7 +33,7 @@ FAILURE = 500.0
 agent that looks ahead for less than that never fails on purpose."""
 
 
-class TaskError(ValueError):
+class TaskError(UsvTwinError):
     """A task that is not known; the message lists those that are."""
 
 

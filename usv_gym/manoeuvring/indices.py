@@ -20,6 +20,8 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import savgol_filter
 
+from usv_kernel.errors import UsvTwinError
+
 __all__ = [
     "Criterion",
     "PullOut",
@@ -38,7 +40,7 @@ __all__ = [
 ]
 
 
-class TrackError(ValueError):
+class TrackError(UsvTwinError):
     """A track that does not hold what is asked of it; the message names what is missing."""
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "MANOEUVRES",
@@ -16,7 +17,7 @@ __all__ = [
 ]
 
 
-class ManoeuvreError(ValueError):
+class ManoeuvreError(UsvTwinError):
     """A manoeuvre that is not known; the message lists those that are."""
 
 

@@ -21,6 +21,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "StandardTrials",
@@ -46,7 +47,7 @@ SPIRAL = tuple(math.radians(angle) for angle in (20, 15, 10, 7, 5, 4, 3, 2, 1))
 """Helm angles of the spiral on either side, rad."""
 
 
-class TrialError(ValueError):
+class TrialError(UsvTwinError):
     """A trial that this vessel cannot sail; the message says which and why."""
 
 

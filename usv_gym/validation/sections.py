@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from twin.benchmark.paper_checks import twin_numbers
 from usv_gym.validation.manoeuvring import plants, tanker_measured, tanker_replay, tanker_trials
 from usv_gym.validation.numerics import numerics
 from usv_gym.validation.sea import sea, wind_and_drift
@@ -30,6 +29,5 @@ SECTIONS: dict[str, Callable[[Study], Section]] = {
     "motions": motions,
     "small boats": plants,
     "numerics": numerics,
-    "twin": twin_numbers,
 }
 """What computes each section, in the order of the page."""

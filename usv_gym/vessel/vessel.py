@@ -21,6 +21,7 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.physics.waves import WAVE_ROWS, factor_room
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Vessel",
@@ -209,7 +210,7 @@ SAME_WAY = 4.0 / 3.0
 SHAFT_SPEEDS = ("shaft_speed_manoeuvring", "shaft_speed_service", "shaft_speed_max")
 
 
-class VesselError(ValueError):
+class VesselError(UsvTwinError):
     """A vessel that cannot be used; the message names the file, the key and the remedy."""
 
 

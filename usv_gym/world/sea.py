@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "SEA_STATES",
@@ -69,7 +70,7 @@ _RANGES = {
 _CHOICES = {"spectrum": SPECTRA, "discretisation": DISCRETISATIONS, "gusts": GUSTS}
 
 
-class SeaError(ValueError):
+class SeaError(UsvTwinError):
     """A sea state that cannot be; the message names the value and the remedy."""
 
 

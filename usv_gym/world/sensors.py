@@ -14,6 +14,7 @@ import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 
 __all__ = [
@@ -94,7 +95,7 @@ def _finite(value: object) -> bool:
     return number and math.isfinite(value)  # type: ignore[arg-type]
 
 
-class FaultError(ValueError):
+class FaultError(UsvTwinError):
     """A sensor or a fault that cannot be; the message names it and the remedy."""
 
 

@@ -18,6 +18,7 @@ from usv_gym.world import sensors
 from usv_gym.world.sea import Sea, SeaState, choice
 from usv_gym.world.sensors import Disturbance, SensorSuite
 from usv_kernel.arrays import shaped
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.simd import filled
 
@@ -30,7 +31,7 @@ NOISE_ROWS = 512, 128
 """Control steps of noise that are drawn at a time: for one boat, and for each of many."""
 
 
-class SimulationError(ValueError):
+class SimulationError(UsvTwinError):
     """A simulation that cannot be set up; the message names the argument and the remedy."""
 
 

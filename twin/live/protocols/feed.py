@@ -31,6 +31,7 @@ from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.mapping import radii
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "COUNTS",
@@ -103,7 +104,7 @@ LIMITS = {
 _TIMESTAMP, _DROPPED = 35, 40
 
 
-class FeedError(ValueError):
+class FeedError(UsvTwinError):
     """A feed that cannot be opened; the message names the address and the remedy."""
 
 

@@ -26,6 +26,7 @@ from twin.predictors.learned.features import (
     integrate,
     thrust_features,
 )
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "AHEAD",
@@ -84,7 +85,7 @@ HERE = Path(__file__).with_name("weights")
 """Where the weights that ship lie."""
 
 
-class WeightsError(ValueError):
+class WeightsError(UsvTwinError):
     """A file of weights that cannot be used; the message names it and the remedy."""
 
 

@@ -1,0 +1,659 @@
+"""The benchmark: what it scores, that it can be continued, and that workers change nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from usv_gym.vessel.vessel.vessel import Vessel
+
+from twin.benchmark.runner import metrics as scores
+from twin.benchmark.runner import runner as bench
+from twin.logs.log import Log, recorded_runs
+from twin.predictors.base import Prediction
+from twin.predictors.baselines import Persistence
+from twin.predictors.registry import PREDICTORS, PredictorError
+from twin.sim.bridge import particulars_of
+from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
+from usv_gym.world.sea import SeaError
+from usv_gym.world.sensors import Fault, FaultError
+
+SMALL = bench.Settings(
+    scenarios=("zigzag",),
+    faults=("none", "gps5"),
+    seeds=(0, 1),
+    predictors=("persistence", "ukf", "oracle"),
+    identify_s=30.0,
+    duration_s=50.0,
+)
+
+
+def run_all(settings, folder, jobs=1, backend="loky"):
+    done = {}
+    for unit, result in bench.runs(settings, folder, jobs=jobs, backend=backend):
+        assert not isinstance(result, Exception), result
+        done[unit] = result
+    return bench.collect(settings, done, "test")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("benchmark")
+    return folder, run_all(SMALL, folder)
+
+
+def test_rows_are_complete(small):
+    _, results = small
+    rows = results["rows"]
+    # scenarios x faults x seeds x predictors x plans x channels x horizons
+    assert len(rows) == 1 * 2 * 2 * 3 * 2 * 6 * 4
+    keys = {
+        *("scenario", "case", "fault", "sea", "grade", "seed", "predictor", "plan"),
+        *("channel", "horizon_s", "mae", "mse", "crps", "n"),
+    }
+    for row in rows:
+        assert set(row) == keys
+        assert row["plan"] in ("known", "hold")
+        assert row["n"] == 11  # every second from 30 to 40 s
+        assert 0.0 <= row["mae"] ** 2 <= row["mse"] * (1 + 1e-12)
+        assert row["crps"] > 0.0
+        assert (row["case"], row["sea"], row["grade"]) == (row["fault"], "2", "typical")
+    for item in results["summary"]:
+        assert set(item) == {
+            "scenario",
+            "case",
+            "fault",
+            "sea",
+            "grade",
+            "predictor",
+            "plan",
+            "metric",
+            "value",
+            "low",
+            "high",
+            "median",
+        }
+    metrics = {item["metric"] for item in results["summary"]}
+    assert metrics == set(bench.METRICS)
+    json.dumps(results, allow_nan=False)
+
+
+def test_summary_is_made_of_the_rows(small):
+    _, results = small
+    for predictor in SMALL.predictors:
+        values = [
+            np.mean(
+                [
+                    row["mae"]
+                    for row in results["rows"]
+                    if (row["fault"], row["seed"], row["predictor"], row["plan"])
+                    == ("none", seed, predictor, "known")
+                ]
+            )
+            for seed in SMALL.seeds
+        ]
+        item = next(
+            i
+            for i in results["summary"]
+            if (i["fault"], i["predictor"], i["plan"], i["metric"])
+            == ("none", predictor, "known", "mae")
+        )
+        assert item["value"] == pytest.approx(np.mean(values))
+        assert item["median"] == pytest.approx(np.median(values))
+    skill = {
+        i["predictor"]: i["value"]
+        for i in results["summary"]
+        if (i["plan"], i["metric"]) == ("known", "skill")
+    }
+    assert skill["persistence"] == 0.0
+    assert skill["ukf"] > 0.3  # the zigzag is where a model pays
+
+
+def test_continuing_gives_the_same(small, tmp_path, monkeypatch):
+    _, whole = small
+    iterator = bench.runs(SMALL, tmp_path, jobs=1)
+    first = [next(iterator) for _ in range(3)]
+    iterator.close()
+    kept = {path.name for path in (tmp_path / "runs").glob("*.json")}
+    assert len(kept) >= 3
+    ran = []
+    real = bench.run_unit
+
+    def counting(settings, unit, folder, **options):
+        ran.append(unit)
+        return real(settings, unit, folder, **options)
+
+    monkeypatch.setattr(bench, "run_unit", counting)
+    again = run_all(SMALL, tmp_path)
+    assert again == whole
+    assert not {unit for unit, _ in first} & set(ran)
+
+
+def test_other_settings_are_not_taken_for_the_same(small):
+    folder, _ = small
+    unit = bench.units(SMALL)[0]
+    assert bench.finished(SMALL, unit, folder, pictures=True) is not None
+    other = dataclasses.replace(SMALL, hs=0.6)
+    assert bench.finished(other, unit, folder, pictures=True) is None
+    bench.result_file(folder, unit).write_text("{broken")
+    assert bench.finished(SMALL, unit, folder, pictures=True) is None
+
+
+def test_other_particulars_are_not_taken_for_the_same(tmp_path):
+    log = recorded_runs()["boat1_usv_circle"]
+    path = tmp_path / "own.csv.gz"
+    path.write_bytes(log.read_bytes())
+    path.with_name("own.toml").write_text(log.with_name("boat1_usv_circle.toml").read_text())
+    settings = bench.Settings(scenarios=(), logs=(str(path),), predictors=("ukf",))
+    unit = bench.units(settings)[0]
+    before = bench.digest(settings, unit)
+    assert bench.digest(settings, unit) == before
+    text = path.with_name("own.toml").read_text()
+    path.with_name("own.toml").write_text(text + "\n# heavier today\n")
+    assert bench.digest(settings, unit) != before
+
+
+def test_no_two_runs_share_a_file(tmp_path):
+    names = ("go od", "go-od", "go%20od", "go_od")
+    files = {bench.result_file(tmp_path, bench.Unit(n, "none", 0, "ukf", n)) for n in names}
+    assert len(files) == len(names)
+
+
+def test_nothing_is_scored_across_a_gap(tmp_path):
+    log = Log.read(recorded_runs()["boat1_usv_circle"])
+    z = log.z.copy()
+    gap = (log.t > log.t[0] + 100.0) & (log.t < log.t[0] + 130.0)
+    z[gap, :4] = np.nan
+    path = tmp_path / "gap.csv"
+    dataclasses.replace(log, z=z).write(path)
+    settings = bench.Settings(
+        scenarios=(), logs=(str(path),), faults=("none",), predictors=("persistence",)
+    )
+    (unit,) = bench.units(settings)
+    result = bench.run_unit(settings, unit, tmp_path, pictures=False)
+    # an origin every second; its 10 s and the gap's 30 s overlap for 40 s, less what is near
+    assert 33 <= result["skipped"] <= 40
+    reference = scores.Reference(Log.read(path))
+    start = float(log.t[0])
+    assert reference.known(start + np.array([60.0, 70.0]))
+    assert not reference.known(start + np.array([95.0, 105.0]))
+    assert not reference.known(np.array([float(log.t[-1]) + 5.0]))
+    assert (
+        bench.collect(settings, {unit: result}, "")["logs"]["gap"]["skipped"] == result["skipped"]
+    )
+
+
+@pytest.mark.parametrize(("jobs", "backend"), [(2, "loky"), (2, "threading")])
+def test_workers_change_nothing(small, tmp_path, jobs, backend):
+    assert run_all(SMALL, tmp_path, jobs, backend) == small[1]
+
+
+def test_logs_can_be_fed_back(small):
+    folder, _ = small
+    log = Log.read(folder / "logs" / "zigzag_gps5_0.csv")
+    lost = np.isnan(log.z[:, 0])
+    # 5 s of loss from 35 s on, and the two rows before the first late fix
+    assert lost.sum() == 100 + 2
+    assert log.t[lost][2] == pytest.approx(35.0)
+    run = bench.load_run(SMALL, bench.Unit("zigzag", "gps5", 0, "ukf"))
+    assert run.identify == 30.0
+    assert run.seen.truth is None
+    np.testing.assert_array_equal(run.reference.z, log.z)
+    np.testing.assert_array_equal(run.reference.truth, log.truth)
+
+
+def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
+    small = dataclasses.replace(SMALL, faults=("none",), seeds=(0,), predictors=("persistence",))
+    run_all(small, tmp_path)
+    path = tmp_path / "logs" / "zigzag_none_0.csv"
+    before = path.read_bytes()
+    run_all(dataclasses.replace(small, hs=1.0), tmp_path)
+    assert path.read_bytes() != before
+    boat, found = bench.particulars_beside(path)
+    assert found
+    assert boat == particulars_of(small.boat(0))
+    other = tmp_path / "alone.csv"
+    other.write_bytes(before)
+    assumed, found = bench.particulars_beside(other)
+    assert not found
+    # nobody says of what class she is
+    assert (boat.design, assumed.design) == ("usv75", "")
+
+
+def test_two_runs_of_one_name_are_refused():
+    with pytest.raises(bench.BenchmarkError, match="two runs are called 'run'"):
+        dataclasses.replace(SMALL, logs=("a/run.csv", "b/run.csv.gz"))
+
+
+def test_a_calm_straight_run_has_no_absurd_normalised_error(tmp_path):
+    calm = dataclasses.replace(
+        SMALL, scenarios=("straight",), faults=("none",), seeds=(0,), hs=0.0, wind=0.0, spread=0.0
+    )
+    results = run_all(calm, tmp_path)
+    values = [i["value"] for i in results["summary"] if i["metric"] == "normalised"]
+    assert max(values) < 1e3
+
+
+def test_recorded_run_is_scored_against_its_record(tmp_path):
+    path = str(recorded_runs()["boat1_usv_circle"])
+    settings = dataclasses.replace(SMALL, scenarios=(), logs=(path,), faults=("none", "gps20"))
+    results = run_all(settings, tmp_path)
+    assert {row["channel"] for row in results["rows"]} == {"along", "across", "psi"}
+    assert {row["scenario"] for row in results["rows"]} == {"boat1_usv_circle"}
+    assert {row["predictor"] for row in results["rows"]} == {"persistence", "ukf"}
+    assert bench.left_out(settings) == (
+        "oracle is left out of boat1_usv_circle: the true boat is not known",
+    )
+    value = {
+        (i["predictor"], i["fault"], i["metric"]): i["value"]
+        for i in results["summary"]
+        if i["plan"] == "known"
+    }
+    assert value["ukf", "none", "mae"] < 0.6 * value["persistence", "none", "mae"]
+    assert value["ukf", "gps20", "start_error"] > 1.2 * value["ukf", "none", "start_error"]
+
+
+def test_a_perfect_prediction_has_no_error():
+    rng = np.random.default_rng(0)
+    start = rng.normal(size=6)
+    t = np.arange(1, 201) * 0.05
+    mean = start + rng.normal(size=(1, 6)) * t[:, None]
+    cov = np.tile(np.eye(6), (200, 1, 1)) * (1.0 + t[:, None, None])
+    prediction = Prediction(0.0, start, np.eye(6), t, mean, cov)
+    truth = np.stack([start, *(mean[round(h / 0.05) - 1] for h in bench.HORIZONS)])
+    shifted = truth + np.array([5.0, -3.0, 2 * math.pi, 0.0, 0.0, 0.0])  # receiver's bias
+    found = bench.score(prediction, shifted, bench.HORIZONS)
+    np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.away, 0.0, atol=1e-9)
+    assert found.change.shape == (4, 6)
+    assert found.inside.shape == (4, 7) and found.inside.all()
+
+
+def test_along_and_across_are_seen_from_the_boat():
+    start = np.zeros(6)
+    t = np.arange(1, 201) * 0.05
+    mean = np.zeros((200, 6))
+    mean[:, 1] = 2.0 * t  # sails east
+    prediction = Prediction(0.0, start, np.zeros((6, 6)), t, mean, np.zeros((200, 6, 6)))
+    truth = np.zeros((5, 6))
+    truth[:, 2] = math.pi / 2
+    truth[1:, 1] = np.array(bench.HORIZONS) * 1.5
+    truth[1:, 0] = -1.0
+    found = bench.score(prediction, truth, bench.HORIZONS)
+    ahead = 0.5 * np.array(bench.HORIZONS)
+    np.testing.assert_allclose(found.error[:, 3], ahead)  # along: ahead
+    np.testing.assert_allclose(found.error[:, 4], -1.0)  # across: to port of the truth
+    np.testing.assert_allclose(found.away, np.hypot(ahead, 1.0))
+
+
+def test_bands_of_known_errors_cover_nine_in_ten():
+    """Normal errors with the stated covariance: 0.9 within 4 sd of 2000 draws (0.027).
+
+    ``low`` and ``high`` decide on u, v, r and heading where they are given.
+    """
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(6, 6))
+    root[2] *= 0.3 / np.linalg.norm(root[2])  # a heading error that does not wrap
+    cov = root @ root.T
+    t, zero = np.array([5.0, 10.0]), np.zeros((6, 6))
+    mean = np.zeros((2, 6))
+    inside, given = [], []
+    for error in rng.normal(size=(2000, 6)) @ root.T:
+        truth = np.stack([np.zeros(6), error])
+        prediction = Prediction(0.0, np.zeros(6), zero, t, mean, np.tile(cov, (2, 1, 1)))
+        inside.append(bench.score(prediction, truth, (10.0,)).inside[0])
+        wide = dataclasses.replace(prediction, low=mean - 100.0, high=mean + 100.0)
+        given.append(bench.score(wide, truth, (10.0,)).inside[0])
+    share = np.mean(inside, axis=0)
+    np.testing.assert_allclose(share, 0.9, atol=0.027)
+    assert np.all(np.mean(given, axis=0)[[0, 1, 2, 5]] == 1.0)
+    np.testing.assert_array_equal(np.mean(given, axis=0)[[3, 4, 6]], share[[3, 4, 6]])
+
+
+def test_j_of_the_oracle_is_one_and_e_of_the_others_is_there(small):
+    _, results = small
+    value = {
+        (i["predictor"], i["fault"], i["plan"], i["metric"]): i["value"] for i in results["summary"]
+    }
+    for fault in SMALL.faults:
+        for plan in SMALL.plans:
+            assert value["oracle", fault, plan, "J"] == 1.0
+            assert value["oracle", fault, plan, "E"] == 0.0
+        for name in ("persistence", "ukf"):
+            j = value[name, fault, "known", "J"]
+            assert value[name, fault, "known", "E"] == pytest.approx(j - 1.0)
+            assert j > 1.0
+
+
+def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
+    _, results = small
+    table = {
+        tuple(row[key] for key in ("fault", "seed", "predictor", "plan")): row
+        for row in results["runs"]
+    }
+    row, floor = (table["gps5", 1, name, "hold"] for name in ("ukf", "oracle"))
+    assert tuple(row["curves"]) == bench.STUDY_CHANNELS
+    assert all(len(curve) == 20 for curve in row["curves"].values())
+    ratios = [np.mean(row["curves"][c]) / np.mean(floor["curves"][c]) for c in row["curves"]]
+    assert row["J"] == pytest.approx(np.mean(ratios))
+
+
+def test_over_runs_j_is_of_mean_errors():
+    """A run on which the oracle is nearly perfect counts by its error, not by its ratio."""
+    base = dict.fromkeys(bench.KEY, "x") | {name: 1.0 for name in bench.METRICS}
+    errors = {"oracle": (0.01, 1.0, 1.0), "ukf": (0.1, 1.1, 1.2)}
+    rows = [
+        base
+        | {
+            "seed": seed,
+            "predictor": name,
+            "curves": dict.fromkeys(bench.STUDY_CHANNELS, [error] * 20),
+        }
+        | {"J": error / floor, "E": error / floor - 1.0}
+        for name, each in errors.items()
+        for seed, (error, floor) in enumerate(zip(each, errors["oracle"], strict=True))
+    ]
+    found = {item["metric"]: item for item in bench.summarise(rows) if item["predictor"] == "ukf"}
+    assert found["E"]["value"] == pytest.approx(2.4 / 2.01 - 1.0)
+    assert found["J"]["value"] == pytest.approx(found["E"]["value"] + 1.0)
+    assert found["E"]["median"] == found["E_runs"]["median"] == pytest.approx(0.2)
+    assert found["E_runs"]["value"] == pytest.approx((9.0 + 0.1 + 0.2) / 3.0)
+    assert found["E"]["low"] == pytest.approx(0.1)
+    assert found["E"]["high"] == pytest.approx(9.0)
+
+
+def test_without_the_oracle_there_is_no_j(small):
+    _, results = small
+    alone = dataclasses.replace(SMALL, predictors=("persistence", "ukf"))
+    done = [r for r in results["runs"] if r["predictor"] in alone.predictors]
+    for row in done:
+        assert set(bench.METRICS) - {"mae_median", "E_runs"} <= set(row)
+    stripped = [{k: v for k, v in row.items() if k not in ("J", "E")} for row in done]
+    metrics = {item["metric"] for item in bench.summarise(stripped)}
+    assert metrics == set(bench.METRICS) - {"J", "E", "E_runs"}
+
+
+def test_paired_comparison():
+    """Six seeds on which one is a tenth better, and three fold worse on a seventh."""
+    base = {"scenario": "turn", "case": "none", "fault": "none", "plan": "known"}
+    base |= {"sea": "2", "grade": "typical"}
+    rows = [
+        {**base, "seed": seed, "predictor": name, "mae": mae}
+        for seed in range(7)
+        for name, mae in (("ukf", 1.0 + seed), ("new", (1.0 + seed) * (3.0 if seed == 6 else 0.9)))
+    ]
+    (found,) = bench.compare(rows, "ukf")
+    assert (found["predictor"], found["against"]) == ("new", "ukf")
+    assert (found["wins"], found["seeds"]) == (6, 7)
+    assert found["median_percent"] == pytest.approx(-10.0)
+    assert found["change_percent"] == pytest.approx(100.0 * ((21 * 0.9 + 21.0) / 28.0 - 1.0))
+    assert found["low"] == pytest.approx(-10.0) and found["high"] > 60.0
+    assert bench.compare(rows, "lstm") == []
+    few = bench.compare([row for row in rows if row["seed"] < 2], "ukf")[0]
+    assert few["low"] is None and few["change_percent"] == pytest.approx(-10.0)
+
+
+def test_coverage_by_channel_and_horizon(small):
+    _, results = small
+    rows = results["channels"]
+    # faults x predictors x plans x channels x horizons
+    assert len(rows) == 2 * 3 * 2 * 7 * 4
+    here = [r for r in rows if (r["fault"], r["predictor"], r["plan"]) == ("none", "ukf", "known")]
+    pooled = [
+        r["coverage90"]
+        for r in results["runs"]
+        if (r["fault"], r["predictor"], r["plan"]) == ("none", "ukf", "known")
+    ]
+    single = [r["coverage90"] for r in here if r["channel"] != "displacement"]
+    assert np.mean(single) == pytest.approx(np.mean(pooled))
+
+
+def test_every_seed_sails_another_boat():
+    lengths = [SMALL.boat(seed).values["length_waterline"] for seed in (0, 1, 0)]
+    assert lengths[0] == lengths[2] != lengths[1]
+    same = dataclasses.replace(SMALL, spread=0.0)
+    assert same.boat(0).values == same.boat(1).values == Vessel.load("usv75").values
+
+
+def test_lost_signals_of_a_recorded_log():
+    log = Log.read(recorded_runs()["boat1_usv_circle"])
+    cut = bench.with_faults(log, (Fault("gps", 50.0, 10.0), Fault("compass", 70.0, 5.0)))
+    inside = (log.t >= 50.0) & (log.t < 60.0)
+    assert np.isnan(cut.z[inside, :4]).all()
+    np.testing.assert_array_equal(cut.z[~inside, :4], log.z[~inside, :4])
+    assert np.isnan(cut.z[(log.t >= 70.0) & (log.t < 75.0), 4]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message"),
+    [
+        ({"scenarios": ("loop",)}, ManoeuvreError, "no scenario is called 'loop'; known"),
+        ({"predictors": ("magic",)}, PredictorError, "no predictor is called 'magic'"),
+        ({"faults": ("gps",)}, FaultError, "gps10"),
+        ({"faults": ("sonar10",)}, FaultError, "sonar"),
+        ({"plans": ("guess",)}, PredictorError, "hold, known"),
+        ({"spread": 0.8}, bench.BenchmarkError, "spread = 0.8"),
+        ({"hs": -1.0}, SeaError, "hs = -1.0"),
+        ({"duration_s": 35.0}, bench.BenchmarkError, "duration_s"),
+    ],
+)
+def test_bad_settings_die_early(change, kind, message):
+    with pytest.raises(kind, match=message):
+        dataclasses.replace(SMALL, **change)
+
+
+def test_missing_torch_is_said(monkeypatch):
+    monkeypatch.setattr("twin.benchmark.protocol.find_spec", lambda name: None)
+    names, notes = bench.available(("ukf", "lstm"))
+    assert names == ("ukf",)
+    assert "pip install torch" in notes[0]
+
+
+def test_crps_is_that_of_scoringrules():
+    """Widths that differ, that are equal, and none at all; agreement to rounding."""
+    rules = pytest.importorskip("scoringrules")
+    rng = np.random.default_rng(0)
+    off, (down, up) = 3.0 * rng.normal(size=500), rng.uniform(0.1, 3.0, (2, 500))
+    np.testing.assert_allclose(
+        scores.crps(off, down, up), rules.crps_2pnormal(off, down, up, 0.0), rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        scores.crps(off, up, up), rules.crps_normal(off, 0.0, up), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_crps_is_its_definition():
+    """The integral of (F - step)^2 of a two-piece normal, by sums of 1e-4 wide cells."""
+    down, up = 0.5, 2.0
+    x = np.arange(-10.0, 15.0, 1e-4) + 0.5e-4
+    density = np.exp(-0.5 * (x / np.where(x < 0.0, down, up)) ** 2)
+    below = np.cumsum(density) / density.sum()
+    for off in (-1.5, 0.0, 0.7, 4.0):
+        expected = np.sum((below - (x >= off)) ** 2) * 1e-4
+        found = float(scores.crps(np.array(off), np.array(down), np.array(up)))
+        assert found == pytest.approx(expected, abs=1e-3)  # the cells' width, times F
+    sure = scores.crps(np.array([2.0, -3.0]), np.zeros(2), np.zeros(2))
+    np.testing.assert_allclose(sure, [2.0, 3.0])
+
+
+CASES = dataclasses.replace(
+    SMALL,
+    cases=tuple(
+        bench.FULL_CASES[name] for name in ("base", "gps5", "gps10", "sea3", "sea0", "best")
+    ),
+    plans=("known",),
+    predictors=("persistence", "ukf"),
+    seeds=(0, 1, 2),
+)
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory):
+    return run_all(CASES, tmp_path_factory.mktemp("cases"))
+
+
+def test_the_full_protocol_is_what_was_agreed():
+    """twin.md section 11, and one factor at a time around the base."""
+    assert bench.FULL["scenarios"] == ("turn", "zigzag", "turn-zigzag", "random")
+    assert len(bench.FULL["seeds"]) == 24 and bench.SPREAD == 0.15
+    base = bench.FULL_CASES["base"]
+    for case in bench.FULL_CASES.values():
+        changed = sum(getattr(case, key) != getattr(base, key) for key in ("fault", "sea", "grade"))
+        assert changed == (case is not base)
+    full = bench.Settings(cases=tuple(bench.FULL_CASES.values()), **bench.FULL)
+    assert {unit.sea for unit in bench.units(full)} == {"0", "1", "2", "3", "4"}
+    origins = full.duration_s - full.identify_s - bench.HORIZONS[-1] + 1.0
+    assert origins >= 20
+    # the longest loss ends within the run
+    assert full.identify_s + full.fault_after_s + 30.0 <= full.duration_s
+
+
+def test_cases_are_named_in_the_results(cases):
+    named = {(i["case"], i["fault"], i["sea"], i["grade"]) for i in cases["summary"]}
+    assert named == {
+        *(("base", "none", "2", "typical"), ("gps5", "gps5", "2", "typical")),
+        *(("gps10", "gps10", "2", "typical"), ("sea3", "none", "3", "typical")),
+        *(("sea0", "none", "0", "typical"), ("best", "none", "2", "best")),
+    }
+    mae = {
+        (i["predictor"], i["case"]): i["value"] for i in cases["summary"] if i["metric"] == "mae"
+    }
+    assert mae["ukf", "sea0"] < mae["ukf", "base"] < mae["ukf", "sea3"]
+    value = {
+        (r["axis"], r["at"], r["metric"]): r for r in cases["trends"] if r["predictor"] == "ukf"
+    }
+    assert [at for axis, at, m in value if (axis, m) == ("gps_loss_s", "psi_10s")] == [0, 5, 10]
+    assert [at for axis, at, m in value if (axis, m) == ("sea_state", "psi_10s")] == [0, 2, 3]
+    row = value["sea_state", 3, "displacement_10s"]
+    runs = [
+        r["displacement_10s"]
+        for r in cases["runs"]
+        if (r["case"], r["predictor"]) == ("sea3", "ukf")
+    ]
+    assert row["value"] == pytest.approx(np.mean(runs)) and row["low"] < row["value"] < row["high"]
+
+
+def test_tuning_is_stated(cases):
+    told = {name: item["tuning"] for name, item in cases["predictors"].items()}
+    assert told["persistence"].startswith("none") and "60" in told["ukf"]
+
+
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+def test_clusters_change_nothing(small, tmp_path, backend):
+    pytest.importorskip(bench.BACKENDS[backend][0])
+    assert run_all(SMALL, tmp_path, 2, backend) == small[1]
+
+
+def test_backends_that_cannot_be_had(monkeypatch):
+    with pytest.raises(bench.BenchmarkError, match="no backend is called 'mpi'; known: loky"):
+        bench.check_backend("mpi")
+    monkeypatch.setitem(bench.BACKENDS, "dask", ("no_such_module", "'dask[distributed]'"))
+    with pytest.raises(bench.BenchmarkError, match=r"pip install 'dask\[distributed\]'"):
+        bench.check_backend("dask")
+
+
+def predictions(monkeypatch, folder, unit, run):
+    """Return all that a predictor said in a unit of work."""
+    said = []
+
+    def score(prediction, truth, horizons):
+        said.extend([prediction.mean, prediction.cov, prediction.low])
+        return scores.score(prediction, truth, horizons)
+
+    monkeypatch.setattr(bench, "score", score)
+    bench.run_unit(SMALL, unit, folder, pictures=True, run=run)
+    return said
+
+
+@pytest.mark.parametrize("predictor", SMALL.predictors)
+def test_no_predictor_sees_the_truth_or_what_comes_later(tmp_path, monkeypatch, predictor):
+    """Truth and all rows that no prediction may know are nonsense: the same bits."""
+    unit = bench.Unit("zigzag", "gps5", 0, predictor, "", "", "2", "typical")
+    run = bench.load_run(SMALL, unit)
+    wrong = dataclasses.replace(run.reference, truth=run.reference.truth + 1e5)
+    z = run.seen.z.copy()
+    z[run.seen.t > 40.0 + 1e-9] = 1e6  # the last origin is at 40 s
+    seen = dataclasses.replace(run.seen, z=z)
+    told = predictions(monkeypatch, tmp_path, unit, run)
+    poisoned = predictions(monkeypatch, tmp_path, unit, run._replace(reference=wrong, seen=seen))
+    assert len(told) == len(poisoned) == 2 * 11 * 3
+    for one, other in zip(told, poisoned, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+class Greedy(Persistence):
+    """Takes whatever it can reach, and leaves nonsense for whoever comes next."""
+
+    reached: ClassVar[list] = []
+
+    def update(self, t, dt, z, cmd):
+        self.reached.extend(item for item in (z.base, cmd.base) if item is not None)
+        super().update(t, dt, z, cmd)
+        z[:] = 1e6
+        cmd[:] = 1e6
+
+    def predict(self, plan, dt):
+        prediction = super().predict(plan, dt)
+        plan[:] = 1e6
+        return prediction
+
+
+def test_no_predictor_reaches_another_or_the_log(small, tmp_path, monkeypatch):
+    """One that spoils all it is given runs first, on the same run: the others say the same."""
+    monkeypatch.setitem(PREDICTORS, "greedy", Greedy)
+    mixed = dataclasses.replace(SMALL, predictors=("greedy", *SMALL.predictors))
+    results = run_all(mixed, tmp_path)
+    assert not Greedy.reached
+    kept = [row for row in results["rows"] if row["predictor"] != "greedy"]
+    assert kept == small[1]["rows"]
+
+
+class Stumbles(Persistence):
+    def predict(self, plan, dt):
+        if self.t > 35.0:
+            raise ZeroDivisionError("somebody else's")
+        return super().predict(plan, dt)
+
+
+def test_what_breaks_is_reported_and_the_rest_is_scored(tmp_path, monkeypatch):
+    monkeypatch.setitem(PREDICTORS, "stumbles", Stumbles)
+    broken = tmp_path / "broken.csv"
+    broken.write_text("t_s\n1\n")
+    settings = dataclasses.replace(
+        SMALL,
+        predictors=("stumbles", "persistence"),
+        faults=("none",),
+        seeds=(0,),
+        logs=(str(broken), str(recorded_runs()["boat1_usv_circle"])),
+    )
+    found = dict(bench.runs(settings, tmp_path))
+    text = {
+        (unit.scenario, unit.predictor): str(result)
+        for unit, result in found.items()
+        if isinstance(result, Exception)
+    }
+    assert text["zigzag", "stumbles"] == "ZeroDivisionError: somebody else's"
+    assert "broken.csv" in text["broken", "persistence"]
+    scored = {unit.scenario for unit, result in found.items() if isinstance(result, dict)}
+    assert scored == {"zigzag", "boat1_usv_circle"}
+
+
+def test_recorded_ratios():
+    """Two runs: ratios .5 and .2 of displacement, against a reference at 1 and .4."""
+    rows = []
+    for run, base, own, ref in (("a", 2.0, 1.0, 2.0), ("b", 5.0, 1.0, 2.0)):
+        for name, rmse in (("persistence", base), ("ukf", own), ("var", ref)):
+            table = {c: {"mse": [0.0, rmse**2]} for c in ("displacement", "psi")}
+            unit = {"scenario": run, "fault": "none", "predictor": name, "log": f"/x/ships/{run}"}
+            rows.append({"unit": unit, "plans": {"known": {"channels": table}}})
+    found = {r["predictor"]: r for r in scores.recorded_table(rows, "var") if r["channel"] == "psi"}
+    assert found["persistence"]["ratio"] == 1.0 and found["ukf"]["folder"] == "ships"
+    assert found["ukf"]["ratio"] == pytest.approx(0.35)
+    assert found["ukf"]["geometric"] == pytest.approx(math.sqrt(0.1))
+    assert found["ukf"]["change_percent"] == pytest.approx(-50.0)
+    assert (found["ukf"]["wins"], found["ukf"]["runs"]) == (2, 2)
+    assert "against" not in found["var"]

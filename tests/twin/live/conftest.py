@@ -1,0 +1,20 @@
+"""The recorded run of the tests of the live feed."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.twin.live.wire import RUN
+from twin.logs.log import Log
+from twin.particulars import Particulars
+
+
+@pytest.fixture(scope="session")
+def circle() -> Log:
+    """Return the first two minutes of the recorded run."""
+    return Log.read(RUN).slice(0.0, 120.0)
+
+
+@pytest.fixture(scope="session")
+def usv() -> Particulars:
+    return Particulars.load(RUN.with_name("boat1_usv_circle.toml"))

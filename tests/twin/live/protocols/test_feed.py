@@ -1,0 +1,284 @@
+from __future__ import annotations
+
+import math
+import socket
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.twin.live.wire import Wire
+from twin.live.protocols.feed import (
+    BYTES_MAX,
+    FeedError,
+    Message,
+    Plane,
+    open_socket,
+    parse_address,
+)
+from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.particulars import Particulars
+
+pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
+
+
+@pytest.mark.parametrize(
+    ("address", "found"),
+    [
+        ("udp://:10110", ("127.0.0.1", 10110)),
+        ("udp://0.0.0.0:1", ("0.0.0.0", 1)),
+        ("udp://[::1]:10110", ("::1", 10110)),
+        ("udp://boat.local:65535", ("boat.local", 65535)),
+    ],
+)
+def test_addresses(address: str, found: tuple[str, int]) -> None:
+    assert parse_address(address) == found
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("tcp://:10110", "only udp"),
+        ("10110", "only udp"),
+        ("udp://:0", "names no port"),
+        ("udp://localhost", "names no port"),
+        ("udp://:99999", "range"),
+        ("udp://:nmea", "Port"),
+        ("udp://:10110/gps", "more than host and port"),
+        ("udp://[::1:10110", "IPv6"),
+    ],
+)
+def test_wrong_addresses_are_told(address: str, why: str) -> None:
+    with pytest.raises(FeedError, match=why) as told:
+        parse_address(address)
+    assert address in str(told.value) and "udp://HOST:PORT" in str(told.value)
+
+
+def test_a_port_in_use_is_told(usv: Particulars) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"udp://:{taken.getsockname()[1]}"
+        with pytest.raises(FeedError, match="cannot listen"):
+            NmeaFeed(address, usv)
+
+
+def test_a_host_that_is_none_is_told() -> None:
+    with pytest.raises(FeedError, match="host is not known"):
+        open_socket("udp://no-such-host.invalid:10110", bind=True)
+
+
+@pytest.mark.parametrize("latitude", [-77.0, 0.0, 45.0, 89.0])
+def test_the_plane_and_back(latitude: float) -> None:
+    plane = Plane(latitude, 179.9999)
+    north, east = plane.metres(*plane.degrees(123.0, 456.0))
+    assert (north, east) == pytest.approx((123.0, 456.0), abs=1e-6)
+
+
+def test_a_minute_of_the_equator_is_a_nautical_mile_of_longitude() -> None:
+    # WGS 84: 1855.325 m of longitude and 1842.905 m of latitude per minute at the equator
+    north, east = Plane(0.0, 0.0).metres(1.0 / 60.0, 1.0 / 60.0)
+    assert north == pytest.approx(1842.905, abs=1e-3) and east == pytest.approx(1855.325, abs=1e-3)
+
+
+class Told(NmeaFeed):
+    """A feed that is told messages as they are."""
+
+    def decode(self, data):  # type: ignore[no-untyped-def]
+        yield eval(data, {"Message": Message})
+
+
+def message(kind: str, t: float | None, **values: float) -> bytes:
+    return repr(Message(kind, t, values)).encode()
+
+
+def times(wire: Wire) -> list[float]:
+    return [row[0] for row in wire.rows]
+
+
+def test_rows_wait_for_what_was_overtaken(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    for t in (100.0, 100.2, 100.1, 100.3, 100.4, 100.4, 101.0, 100.35, 101.5):
+        wire.tell(message("a", t, compass_rad=t - 100.0), after=0.1)
+    wire.take(after=1.0)
+    assert times(wire) == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 1.0, 1.5])
+    assert [z[4] for _, z, _ in wire.rows] == pytest.approx(times(wire))
+    counts = wire.balance()
+    assert (counts["out of order"], counts["doubled"], counts["late"]) == (1, 1, 1)
+
+
+def test_the_last_row_comes_when_nothing_more_does(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    assert wire.tell(message("a", 5.0, compass_rad=1.0)) == []
+    assert wire.take(after=0.2) == []
+    assert len(wire.take(after=0.2)) == 1
+
+
+def test_samples_of_a_moment_share_a_row_and_its_fix_tells_the_time(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    wire.tell(message("a", 1.0, compass_rad=1.0), message("g", 1.02, gps_x_m=3.0, gps_y_m=4.0))
+    wire.tell(message("b", 1.04, gyro_radps=0.1), message("a", 1.06, compass_rad=1.1))
+    wire.take(after=1.0)
+    assert len(wire.rows) == 2
+    (t0, first, _), (t1, second, _) = wire.rows
+    assert t0 == 0.0 and first[[0, 1, 4, 5]] == pytest.approx([3.0, 4.0, 1.0, 0.1])
+    assert t1 == pytest.approx(0.04) and second[4] == 1.1 and np.isnan(second[0])
+
+
+def test_commands_hold_and_their_absence_is_told(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    wire.tell(message("a", 1.0, compass_rad=1.0))
+    wire.take(after=1.0)
+    assert wire.rows[0][2].tolist() == [usv.shaft_speed, usv.shaft_speed, 0.0, 0.0]
+    assert len(wire.feed.notes) == 1 and "no shaft speed has come" in wire.feed.notes[0]
+    wire.tell(message("n", 2.0, n_left_rps=1.0, n_right_rps=-1.0))
+    wire.tell(message("a", 3.0, compass_rad=1.0))
+    wire.take(after=1.0)
+    assert [row[2][0] for row in wire.rows] == [usv.shaft_speed, 1.0, 1.0]
+    assert wire.feed.notes == ()
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_a_clock_that_begins_anew_does_not_stall(usv: Particulars, speed: float) -> None:
+    wire = Wire(Told, usv)
+    for start in (1000.0, 200.0, 200.0):  # the third time with the same times as the second
+        for i in range(100):
+            wire.tell(message("a", start + 0.1 * i, compass_rad=1.0), after=0.1 / speed)
+    wire.take(after=1.0)
+    t = np.array(times(wire))
+    assert (np.diff(t) > 0.0).all()
+    # 3 s are given up for each new beginning, and the time goes on by our clock
+    assert len(t) == pytest.approx(300 - 60, abs=4)
+    assert t[-1] == pytest.approx(29.9, abs=0.3)
+
+
+def test_a_jump_ahead_is_a_gap(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    for t in (1.0, 1.1, 61.1, 61.2):
+        wire.tell(message("a", t, compass_rad=1.0), after=0.1)
+    wire.take(after=1.0)
+    assert times(wire) == pytest.approx([0.0, 0.1, 60.1, 60.2])
+
+
+def test_a_clock_that_wraps_goes_on(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    for t in (86399.8, 86399.9, 0.0, 0.1):
+        wire.tell(message("a", t, compass_rad=1.0), after=0.1)
+    wire.take(after=1.0)
+    assert times(wire) == pytest.approx([0.0, 0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 20.0])
+def test_messages_without_a_time_are_placed_by_the_senders_clock(
+    usv: Particulars, speed: float
+) -> None:
+    rng = np.random.default_rng(1)
+    wire = Wire(Told, usv, period=0.02)
+    sent = []
+    for i in range(600):
+        t = 0.05 * i
+        wire.now = t / speed + 0.002 * rng.random() / speed
+        if i % 4 == 0:
+            wire.tell(message("g", 500.0 + t, gps_vx_mps=1.0))
+        wire.now = (t + 0.025) / speed
+        wire.tell(message("h", None, compass_rad=1e-3 * i))
+        sent.append(t + 0.025)
+    wire.take(after=1.0)
+    found = {round(1e3 * z[4]): t for t, z, _ in wire.rows if not math.isnan(z[4])}
+    late = [found[i] - sent[i] for i in range(100, 600)]
+    assert np.abs(late).max() < 0.01
+
+
+def test_a_message_without_a_time_that_comes_twice_at_once_is_doubled(usv: Particulars) -> None:
+    wire = Wire(Told, usv)
+    same = message("h", None, compass_rad=1.0)
+    wire.tell(same, same)
+    wire.tell(same, after=0.1)
+    assert wire.balance()["doubled"] == 1
+
+
+def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:
+    with NmeaFeed(f"udp://:{_free()}", usv) as feed:
+        host, port = feed._socket.getsockname()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for _ in range(4000):
+                sender.sendto(b"$GPGSV,1*00\r\n" * 80, (host, port))
+        feed.take()
+        assert 0 < feed.counts["received"] <= 1.1 * BYTES_MAX / 13
+        for _ in range(200):
+            feed.take()
+        datagrams = feed.counts["received"] / 80 + feed.counts["dropped"]
+        assert feed.counts["dropped"] == 0 or datagrams <= 4000
+
+
+def _free() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+BOAT = Particulars(name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0)
+NMEA = NmeaWriter("GP")
+TIMES = st.floats(0.0, 86399.0)
+NUMBERS = st.sampled_from(["", "0", "-1", "nan", "inf", "1e308", "-1e-300", "361", "x", "12.5"])
+SENTENCES = st.builds(
+    lambda kind, fields: NMEA.line(kind, *fields).encode(),
+    st.sampled_from(["GGA", "RMC", "HDT", "ROT", "RPM", "RSA", "ZDA", "GSV", "XXX"]),
+    st.lists(
+        st.one_of(NUMBERS, st.sampled_from(["A", "N", "E", "120000.5", "20000.0", "5930.5", "S"])),
+        max_size=14,
+    ),
+)
+FIXES = st.builds(
+    lambda t, lat, lon: NMEA.gga(t, lat, lon, 4).encode(),
+    *(TIMES, st.floats(-200.0, 200.0), st.floats(-400.0, 400.0)),
+)
+LINK = MavlinkWriter(servos=Servos.of(BOAT))
+WIDE = st.floats(allow_nan=True, allow_infinity=True, width=32)
+PACKETS = st.one_of(
+    st.builds(LINK.attitude, TIMES, st.floats(-7.0, 7.0), WIDE),
+    st.builds(
+        LINK.position,
+        *(TIMES, st.tuples(st.floats(-200, 200), st.floats(-210, 210))),
+        st.tuples(st.floats(-400, 400), st.floats(-400, 400)),
+    ),
+    st.builds(
+        lambda t, n: LINK.row(t, np.full(10, np.nan), np.array([n, n, 0.1, 0.1]), None)[0],
+        *(TIMES, st.floats(-100.0, 100.0)),
+    ),
+)
+
+
+def spoiled(sound: st.SearchStrategy[bytes]) -> st.SearchStrategy[list[bytes]]:
+    cut = st.builds(lambda data, n: data[: n % (len(data) + 1)], sound, st.integers(0, 300))
+    turned = st.builds(
+        lambda data, at, bit: bytes(
+            byte ^ (1 << bit) if i == at % len(data) else byte for i, byte in enumerate(data)
+        ),
+        *(sound, st.integers(0, 300), st.integers(0, 7)),
+    )
+    return st.lists(st.one_of(st.binary(max_size=400), sound, cut, turned), max_size=12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "wires"),
+    [(NmeaFeed, spoiled(st.one_of(SENTENCES, FIXES))), (MavlinkFeed, spoiled(PACKETS))],
+    ids=["nmea", "mavlink"],
+)
+def test_whatever_comes_is_survived(kind, wires) -> None:  # type: ignore[no-untyped-def]
+    @settings(max_examples=300, deadline=None)
+    @given(wires, st.floats(0.0, 5.0))
+    def survive(datagrams: list[bytes], pause: float) -> None:
+        wire = Wire(kind, BOAT)
+        for data in datagrams:
+            wire.tell(data, after=pause)
+        wire.take(after=10.0)
+        wire.balance()
+        if wire.rows:
+            t, z, cmd = wire.arrays()
+            assert np.isfinite(t).all() and np.isfinite(cmd).all() and (np.diff(t) > 0.0).all()
+            assert not np.isinf(z).any()
+
+    survive()

@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.twin.live.wire import Wire, estimate_of
+from twin.live.protocols.feed import FeedError
+from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.particulars import Particulars
+
+common = pytest.importorskip(
+    "pymavlink.dialects.v20.common", reason="needs pymavlink: pip install 'usv-twin[view]'"
+)
+
+BOAT = Particulars(name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0)
+
+
+@pytest.fixture
+def wire() -> Wire:
+    return Wire(MavlinkFeed, BOAT)
+
+
+def other(message: Any, system: int = 1) -> bytes:
+    return bytes(message.pack(common.MAVLink(None, srcSystem=system, srcComponent=1)))
+
+
+def servos(micros: int, *widths: int) -> bytes:
+    full = [*widths, *[0] * (16 - len(widths))]
+    return other(common.MAVLink_servo_output_raw_message(micros, 0, *full))
+
+
+def test_messages_of_a_moment_are_a_row(wire: Wire) -> None:
+    write = MavlinkWriter()
+    wire.tell(write.position(7.0, (59.5, 10.5), (1.0, -2.0)), write.attitude(7.0, -0.5, 0.1))
+    wire.tell(servos(7_010_000, 1300, 0, 1700))
+    wire.take(after=1.0)
+    ((t, z, cmd),) = wire.rows
+    assert t == 0.0 and wire.feed.origin == (59.5, 10.5)
+    expected = [0.0, 0.0, 1.0, -2.0, 2 * math.pi - 0.5, 0.1]
+    assert z[:6] == pytest.approx(expected, abs=1e-6) and np.isnan(z[6:]).all()
+    # half throttle of twice 20 rev/s, half of 30 degrees to port
+    assert cmd == pytest.approx([20.0, 20.0, -math.radians(15.0), -math.radians(15.0)])
+
+
+def test_mavlink_1_is_understood(wire: Wire) -> None:
+    made = common.MAVLink_attitude_message(7000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.1)
+    wire.tell(bytes(made.pack(common.MAVLink(None, 1, 1), force_mavlink1=True)))
+    assert wire.take(after=1.0)[0][1][4] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("steering", ["drives", "differential"])
+def test_servos_there_and_back(steering: str) -> None:
+    boat = Particulars(
+        **{**vars(BOAT), "steering": steering},
+    )
+    outputs = Servos.of(boat, shaft_speed=40.0, angle=0.5)
+    cmd = np.array([10.0, 10.0, -0.25, -0.25])
+    if steering == "differential":
+        cmd = np.array([10.0, -20.0, 0.0, 0.0])
+    widths = outputs.widths(cmd)
+    back = outputs.commands(widths)
+    assert [back.get(name, 0.0) for name in Names] == pytest.approx(cmd.tolist(), abs=0.05)
+    assert widths[2] == (1600 if steering == "drives" else 1300)
+    assert widths[0] == (1300 if steering == "drives" else 1600)
+
+
+Names = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [({"left": 17}, "output"), ({"middle": 1000.0}, "rise"), ({"shaft_speed": 0.0}, "above 0")],
+)
+def test_wrong_servos_are_told(wrong: dict[str, float], why: str) -> None:
+    with pytest.raises(FeedError, match=why):
+        Servos(**{"shaft_speed": 1.0, "angle": 1.0, **wrong})  # type: ignore[arg-type]
+
+
+def test_servo_times_of_32_bits_and_of_other_clocks(wire: Wire) -> None:
+    boot = 5000.0  # beyond 2**32 us
+    write = MavlinkWriter()
+    for i in range(20):
+        wire.tell(write.attitude(boot + 0.1 * i, 1.0, 0.0), after=0.1)
+        micros = round(1e6 * (boot + 0.1 * i)) % 2**32 if i < 10 else 1234567
+        wire.tell(servos(micros, 1500, 0, 1500 + i))
+    wire.take(after=1.0)
+    t, _, cmd = wire.arrays()
+    assert len(t) == 20 and t == pytest.approx(0.1 * np.arange(20), abs=0.02)
+    assert cmd[:, 0] == pytest.approx(40.0 * np.arange(20) / 400.0)
+
+
+def test_no_fix_is_no_position(wire: Wire) -> None:
+    write = MavlinkWriter()
+    receiver = common.MAVLink_gps_raw_int_message
+    rest = (0, 0, 0, 65535, 65535, 65535, 65535, 255)
+    wire.tell(write.position(1.0, (59.5, 10.5), (0.0, 0.0)))
+    wire.tell(other(receiver(0, 1, *rest)), write.position(2.0, (59.5, 10.5), (0.0, 0.0)))
+    wire.tell(other(receiver(0, 3, *rest)), write.position(3.0, (59.5, 10.5), (0.0, 0.0)))
+    wire.take(after=1.0)
+    assert [t for t, _, _ in wire.rows] == [0.0, 2.0]
+    assert wire.balance()["void"] == 2
+
+
+def test_one_system_is_followed(wire: Wire) -> None:
+    wire.tell(MavlinkWriter(system=7).attitude(1.0, 1.0, 0.0))
+    wire.tell(MavlinkWriter(system=8).attitude(500.0, 2.0, 0.0))
+    assert wire.feed.system == 7  # type: ignore[attr-defined]
+    assert wire.balance() == {"received": 2, "used": 1, "unknown": 1}
+
+
+def test_a_gimbal_s_attitude_is_not_the_boat_s(wire: Wire) -> None:
+    gimbal, autopilot = MavlinkWriter(component=154), MavlinkWriter(component=1)
+    wire.tell(gimbal.attitude(900.0, 2.0, 0.0))  # comes first, and has a clock of its own
+    for k in range(40):
+        t = 5.0 + 0.1 * k
+        wire.tell(autopilot.position(t, (59.5, 10.5), (1.0, 0.0)), autopilot.attitude(t, 0.1, 0.0))
+        wire.tell(gimbal.attitude(900.0 + t, 2.0, 0.0))
+        wire.take(after=0.1)
+    wire.take(after=1.0)
+    headings = [z[4] for _, z, _ in wire.rows if np.isfinite(z[4])]
+    assert len(headings) >= 39
+    assert headings[2:] == pytest.approx([0.1] * (len(headings) - 2), abs=1e-6)
+    assert sum(np.isfinite(z[0]) for _, z, _ in wire.rows) >= 30
+
+
+def test_broken_messages_do_not_spoil_their_neighbours(wire: Wire) -> None:
+    write = MavlinkWriter()
+    sound = [write.attitude(1.0 + 0.1 * i, 1.0, 0.0) for i in range(5)]
+    wrong = bytearray(sound[1])
+    wrong[14] ^= 1
+    far = write.position(1.05, (59.5, 10.5), None).replace(
+        (595000000).to_bytes(4, "little"), (2000000000).to_bytes(4, "little")
+    )
+    wire.tell(sound[0] + bytes(wrong), sound[2][:20], sound[3], far, b"\x00noise", sound[4])
+    counts = wire.balance()
+    assert counts["used"] == 3 and counts["broken"] == 4
+
+
+def test_the_belief_goes_back(wire: Wire) -> None:
+    start = 2**32 / 1000 - 10.0  # ten seconds before the clock of the autopilot begins anew
+    write = MavlinkWriter(system=7)
+    for t in (0.0, 20.0):
+        wire.tell(write.position((start + t) % (2**32 / 1000), (59.5, 10.5), (0, 0)), after=t)
+    wire.take(after=1.0)
+    estimate, prediction = estimate_of(20.0)
+    data = list(wire.feed.encode(estimate, prediction))
+    parser = common.MAVLink(None)
+    found = {m.get_type(): m for each in data for m in parser.parse_buffer(each)}
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in found.values()} == {(7, 191)}
+    place, turn = found["GLOBAL_POSITION_INT"], found["ATTITUDE"]
+    assert place.time_boot_ms == turn.time_boot_ms == 10000
+    latitude, longitude, north, east = wire.feed.place_of(estimate.s)
+    assert (place.lat, place.lon) == (round(1e7 * latitude), round(1e7 * longitude))
+    assert (place.vx, place.vy) == (round(100 * north), round(100 * east))
+    assert (turn.yaw, turn.yawspeed) == pytest.approx((0.3, 0.1))
+    odometry = found["ODOMETRY"]
+    assert (odometry.x, odometry.y, odometry.vx) == (100.0, -50.0, 5.0)
+    assert odometry.pose_covariance[0] == odometry.pose_covariance[20] == 0.25
+    points = found["TRAJECTORY_REPRESENTATION_WAYPOINTS"]
+    assert points.valid_points == 5
+    assert points.pos_x == pytest.approx([110.0, 120.0, 130.0, 140.0, 150.0])
+    assert found["DEBUG_FLOAT_ARRAY"].name == "sd_pos"
+    assert found["DEBUG_FLOAT_ARRAY"].data[12:15] == pytest.approx([10.0, 11.0, 11.0])
+    before = wire.feed.counts["used"]
+    wire.tell(*data)
+    assert wire.balance()["own"] == len(data) and wire.feed.counts["used"] == before
+
+
+def test_a_short_prediction_goes_back_as_far_as_it_reaches(wire: Wire) -> None:
+    wire.tell(MavlinkWriter().position(1.0, (59.5, 10.5), (0, 0)))
+    estimate, prediction = estimate_of(0.0)
+    short = type(prediction)(
+        *(0.0, prediction.start, prediction.start_cov),
+        *(prediction.t[:18], prediction.mean[:18], prediction.cov[:18]),
+    )
+    parser = common.MAVLink(None)
+    found = [m for d in wire.feed.encode(estimate, short) for m in parser.parse_buffer(d)]
+    points = next(m for m in found if m.get_type() == "TRAJECTORY_REPRESENTATION_WAYPOINTS")
+    assert points.valid_points == 2 and math.isnan(points.pos_x[2])

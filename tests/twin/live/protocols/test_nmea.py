@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+
+from tests.twin.live.wire import Wire, estimate_of
+from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.particulars import Particulars
+
+pynmea2 = pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+
+START = datetime(2024, 2, 29, 23, 59, 50, tzinfo=timezone.utc).timestamp()
+
+
+def line(body: str, tag: str = "") -> bytes:
+    sum_of = pynmea2.NMEASentence.checksum
+    block = f"\\{tag}*{sum_of(tag):02X}\\" if tag else ""
+    return f"{block}${body}*{sum_of(body):02X}\r\n".encode()
+
+
+GGA = "GPGGA,120000.00,5930.0000000,N,01030.0000000,E,1,08,0.9,2.0,M,40.0,M,,"
+RMC = "GNRMC,120000.00,A,5930.00000,N,01030.00000,E,10.0,090.0,010124,,,A,V"
+
+
+@pytest.fixture
+def wire(usv: Particulars) -> Wire:
+    return Wire(NmeaFeed, usv)
+
+
+def row(wire: Wire) -> np.ndarray:
+    (_, z, _), *rest = wire.take(after=1.0)
+    assert not rest
+    return z
+
+
+def test_gga_and_rmc_of_an_epoch_are_one_fix(wire: Wire) -> None:
+    wire.tell(line(GGA), line(RMC))
+    z = row(wire)
+    assert wire.feed.origin == pytest.approx((59.5, 10.5), abs=1e-12)
+    assert z[:2].tolist() == [0.0, 0.0]
+    # ten knots to the east; u-blox says V for the navigational status, which is no lack of a fix
+    assert z[2:4] == pytest.approx([0.0, 18520.0 / 3600.0])
+    assert wire.balance()["used"] == 2
+
+
+def test_heading_and_rate_of_turn(wire: Wire) -> None:
+    wire.tell(line("HEHDT,270.0,T") + line("TIROT,-60.0,A"))
+    z = row(wire)
+    assert z[4] == pytest.approx(1.5 * math.pi)
+    assert z[5] == pytest.approx(-math.radians(1.0))  # a degree a second, to port
+
+
+@pytest.mark.parametrize("number", ["0", "1", "2"])
+def test_commands(wire: Wire, usv: Particulars, number: str) -> None:
+    wire.tell(line(f"IIRPM,S,{number},600.0,,A") + line("IIRSA,5.0,A,-10.0,A"))
+    wire.take(after=1.0)
+    ((_, _, cmd),) = wire.rows
+    n = usv.shaft_speed
+    speeds = {"0": [10.0, 10.0], "1": [n, 10.0], "2": [10.0, n]}[number]
+    assert cmd == pytest.approx([*speeds, math.radians(-10.0), math.radians(5.0)])
+
+
+def test_a_single_rudder_is_that_of_both_sides(wire: Wire) -> None:
+    wire.tell(line("IIRSA,5.0,A,,V"))
+    wire.take(after=1.0)
+    assert wire.rows[0][2][2:] == pytest.approx([math.radians(5.0)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("body", "way"),
+    [
+        (GGA.replace(",E,1,", ",E,0,"), "void"),
+        (GGA.replace(",E,1,", ",E,6,"), "void"),
+        (GGA.replace("5930.0000000", "0000.0000").replace("01030.0000000", "00000.0000"), "void"),
+        (RMC.replace(",A,5", ",V,5"), "void"),
+        (RMC.replace(",A,V", ",N"), "void"),
+        ("TIROT,-60.0,V", "void"),
+        ("HEHDT,,T", "void"),
+        (GGA.replace("5930", "9130"), "broken"),
+        (GGA.replace("5930", "5960"), "broken"),
+        (GGA.replace("01030", "18130"), "broken"),
+        (GGA.replace(",N,", ",X,"), "broken"),
+        (GGA.replace("120000", "250000"), "broken"),
+        ("GPGGA,120000", "broken"),
+        ("HEHDT,361.0,T", "broken"),
+        ("HEHDT,nan,T", "broken"),
+        (RMC.replace(",10.0,", ",1e300,"), "broken"),
+        ("IIRSA,500.0,A,,V", "broken"),
+        ("GPGSV,3,1,11", "unknown"),
+        ("GPXYZ,3,1,11", "unknown"),
+        ("PSRF103,00,01,00,01", "unknown"),
+        ("U9HDT,270.0,T", "own"),
+        ("PUTWP,120000.000,2.0", "own"),
+    ],
+)
+def test_what_is_no_measurement_is_counted(wire: Wire, body: str, way: str) -> None:
+    wire.tell(line(body))
+    assert wire.balance() == {"received": 1, way: 1}
+    assert wire.take(after=1.0) == []
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        line(GGA)[:-5] + b"\r\n",  # no checksum
+        line(GGA).replace(b"5930", b"5931"),
+        line(GGA)[:40],
+        b"\x00\xff\xfe binary \x80",
+        b"$" + 2000 * b"A",
+        line("HEHDT,270.0,T", "c:1700000000123").replace(b"c:17", b"c:18"),
+        "$GPGGA,\u00e9,*00\r\n".encode(),
+    ],
+)
+def test_broken_lines_do_not_spoil_their_neighbours(wire: Wire, data: bytes) -> None:
+    wire.tell(data, line("HEHDT,270.0,T"))
+    counts = wire.balance()
+    assert (counts["broken"], counts["used"]) == (1, 1)
+
+
+def test_lines_however_they_are_cut(wire: Wire) -> None:
+    text = line(GGA).replace(b"\r\n", b"\n") + line("HEHDT,270.0,T")
+    wire.tell(text[:30], text[30:80], text[80:].rstrip(), line("TIROT,6.0,A"))
+    assert wire.balance() == {"received": 3, "used": 3}
+    assert row(wire)[[0, 4]] == pytest.approx([0.0, 1.5 * math.pi])
+
+
+@pytest.mark.parametrize("unit", ["ms", "s"])
+def test_tag_blocks_tell_the_time(wire: Wire, unit: str) -> None:
+    for i in range(5):
+        stamp = 1700000000 + 2 * i
+        tag = f"s:r1,c:{stamp}" if unit == "s" else f"g:1-1-1,c:{stamp}500"
+        wire.tell(line(f"HEHDT,{10 * i}.0,T", tag))  # all at once, as a file is sent
+    wire.take(after=1.0)
+    assert [t for t, _, _ in wire.rows] == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0])
+
+
+def test_gga_and_rmc_of_an_epoch_are_one_fix_with_tag_blocks_too(wire: Wire) -> None:
+    wire.tell(line(GGA, "c:1700000000100"), line(RMC, "c:1700000000160"))
+    assert np.isfinite(row(wire)[:4]).all()
+
+
+def test_the_belief_goes_back(wire: Wire) -> None:
+    writer = NmeaWriter("GP")
+    z, cmd = np.full(10, np.nan), np.zeros(4)
+    z[:6] = 0.0
+    for t in (0.0, 20.0):  # over midnight, into the first of March
+        lines = writer.row(START + t, z, cmd, (-59.5, -179.9999))
+        wire.tell("".join(lines).encode(), after=t)
+    wire.take(after=1.0)
+    estimate, prediction = estimate_of(20.0)
+    (data,) = wire.feed.encode(estimate, prediction)
+    lines = data.decode().splitlines(keepends=True)
+    assert all(len(text) <= 82 and text.endswith("\r\n") for text in lines)
+    gga, rmc, hdt, rot, *points = (pynmea2.parse(text, check=True) for text in lines)
+    assert gga.gps_qual == 6 and rmc.status == "A" and rmc.mode_indicator == "E"
+    assert rmc.datetime.isoformat() == "2024-03-01T00:00:10+00:00"
+    # 50 m west of 179.9999 W lies in the east
+    latitude, longitude = wire.feed.place_of(estimate.s)[:2]
+    assert longitude > 179.0
+    assert (gga.latitude, gga.longitude) == pytest.approx((latitude, longitude), abs=1e-8)
+    assert rmc.spd_over_grnd == pytest.approx(math.hypot(5.0, 0.5) * 3600 / 1852, abs=1e-3)
+    assert rmc.true_course == pytest.approx(math.degrees(0.3 + math.atan2(0.5, 5.0)), abs=1e-3)
+    assert float(hdt.heading) == pytest.approx(math.degrees(0.3), abs=1e-3)
+    assert float(rot.rate_of_turn) == pytest.approx(60.0 * math.degrees(0.1), abs=1e-3)
+    assert [float(p.data[2]) for p in points] == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    assert {p.manufacturer + p.data[0] for p in points} == {"UTWP"}
+    assert points[-1].data[8:] == ["11.00", "11.00", "0.50"]
+    # what is ours is no measurement
+    before = len(wire.rows)
+    wire.tell(data)
+    assert wire.balance()["own"] == len(lines) and wire.take(after=1.0) == [] and before == 2
+
+
+def test_nothing_goes_back_before_there_is_a_place(wire: Wire) -> None:
+    estimate, prediction = estimate_of(0.0)
+    wire.feed.send(estimate, prediction)
+    wire.tell(line(GGA))
+    wire.feed.send(replace(estimate, ready=False), prediction)
+    assert wire.feed.counts["sent"] == wire.feed.counts["unsent"] == 0
+
+
+def test_wide_bands_keep_a_sentence_within_the_standard() -> None:
+    text = NmeaWriter("U9").predicted(
+        1.0, 10.0, (-59.999999999, 179.999999999), 2 * math.pi - 1e-9, np.diag([1e9, 1e9])
+    )
+    assert len(text) <= 82 and ",999.99,999.99," in text and ",6000.00000,S," in text
+    assert ",0.0," in text

@@ -1,0 +1,245 @@
+from __future__ import annotations
+
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from twin.cli.main.common import app
+from typer.testing import CliRunner
+
+from tests.twin.live.wire import RUN, Wire
+from twin import Twin
+from twin.live.protocols.feed import Feed, FeedError, needed
+from twin.live.protocols.mavlink import MavlinkFeed, Servos
+from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.replay import Disturb, MavlinkStream, NmeaStream, Stream, replay
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+
+pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
+pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[view]'")
+
+MIDNIGHT = 1.7e9 - 1.7e9 % 86400
+KINDS: dict[str, tuple[type[Feed], Callable[[Particulars], Stream], float, float]] = {
+    # resolutions: 1e-7 minutes and 1e-7 degrees, 1e-4 knots and 1 cm/s
+    "nmea": (NmeaFeed, lambda boat: NmeaStream(start=MIDNIGHT - 60.0), 4e-4, 2e-4),
+    "tagged": (NmeaFeed, lambda boat: NmeaStream(start=MIDNIGHT - 60.0, tag=True), 4e-4, 2e-4),
+    "mavlink": (
+        MavlinkFeed,
+        lambda boat: MavlinkStream(Servos.of(boat), start=2**32 / 1000 - 60.0),
+        1.2e-2,
+        5.1e-3,
+    ),
+}
+kinds = pytest.mark.parametrize("kind", KINDS)
+speeds = pytest.mark.parametrize("speed", [1.0, 20.0])
+
+
+@pytest.fixture(scope="module")
+def simulated() -> tuple[Log, Particulars]:
+    """Return half a minute of a simulated zigzag, with a gyro, and its boat."""
+    vessel = Vessel.load("usv75")
+    return simulate(
+        "zigzag", vessel=vessel, sea=SeaState.named("2"), duration=30.0, seed=2
+    ), particulars_of(vessel)
+
+
+def check_same(log: Log, wire: Wire, place: float, velocity: float, n_step: float) -> None:
+    t, z, cmd = wire.arrays()
+    assert len(t) == len(log)
+    assert np.abs(t - (log.t - log.t[0])).max() < 1.1e-3
+    first = int(np.argmax(np.isfinite(log.z[:, 0])))
+    there = log.z.copy()
+    there[:, :2] -= log.z[first, :2]
+    there[:, 6:] = np.nan  # accelerations and wind have no messages here
+    assert (np.isnan(z) == np.isnan(there)).all()
+    apart = np.abs(z - there)
+    apart[:, 4] = np.abs(np.remainder(z[:, 4] - there[:, 4] + np.pi, 2 * np.pi) - np.pi)
+    bounds = [place, place, velocity, velocity, 1e-5, 1e-5]
+    assert (np.nan_to_num(apart[:, :6]).max(axis=0) <= bounds).all()
+    assert np.abs(cmd - log.cmd).max() <= n_step
+
+
+@kinds
+@speeds
+def test_a_recorded_run_comes_back(circle: Log, usv: Particulars, kind: str, speed: float) -> None:
+    feed, stream, place, velocity = KINDS[kind]
+    wire = Wire(feed, usv)
+    wire.replay(circle, stream(usv), speed)
+    check_same(circle, wire, place, velocity, 2.0 * usv.shaft_speed / 400.0)
+
+
+@kinds
+def test_a_simulated_run_comes_back(simulated: tuple[Log, Particulars], kind: str) -> None:
+    log, boat = simulated
+    feed, stream, place, velocity = KINDS[kind]
+    wire = Wire(feed, boat)
+    wire.replay(log, stream(boat), 5.0)
+    check_same(log, wire, place, velocity, 2.0 * boat.shaft_speed / 400.0)
+
+
+@pytest.mark.parametrize("kind", ["nmea", "mavlink"])
+@speeds
+def test_disturbances_are_counted_and_survived(
+    circle: Log, usv: Particulars, kind: str, speed: float
+) -> None:
+    wire = Wire(KINDS[kind][0], usv)
+    disturb = Disturb(late=0.05, doubled=0.05, broken=0.05, swapped=0.05)
+    sent = wire.replay(circle, KINDS[kind][1](usv), speed, disturb=disturb, seed=4)
+    counts = wire.balance()
+    assert counts["received"] == sent["messages"]
+    for told, made in (("late", "late"), ("doubled", "doubled"), ("broken", "broken")):
+        assert counts[told] == sent[made] > 10
+    assert counts["out of order"] == sent["swapped"] > 10
+    t, _, _ = wire.arrays()
+    assert (np.diff(t) > 0.0).all() and t[-1] == pytest.approx(circle.t[-1] - circle.t[0], abs=0.3)
+    twins = [Twin(usv), Twin(usv)]
+    twins[0].run(circle)
+    for row in wire.rows:
+        twins[1].step(*row)
+    origin = circle.z[int(np.argmax(np.isfinite(circle.z[:, 0]))), :2]
+    a, b = (twin.estimate().s[:2] for twin in twins)
+    assert np.hypot(*(a - origin - b)) < 1.0
+
+
+def test_the_same_seed_disturbs_the_same(circle: Log, usv: Particulars) -> None:
+    log, found = circle.slice(0.0, 30.0), []
+    for seed in (1, 1, 2):
+        wire = Wire(NmeaFeed, usv)
+        stream = NmeaStream(start=MIDNIGHT)
+        found.append(wire.replay(log, stream, 1.0, disturb=Disturb(late=0.1), seed=seed))
+    assert found[0] == found[1] != found[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("late", "write a share"),
+        ("late=x", "share"),
+        ("lost=.1", "once"),
+        ("late=.6,broken=.6", "sum"),
+    ],
+)
+def test_wrong_disturbances_are_told(text: str, why: str) -> None:
+    with pytest.raises(FeedError, match=why):
+        Disturb.parse(text)
+
+
+def test_the_pace(circle: Log) -> None:
+    now = [0.0]
+    log = circle.slice(0.0, 20.0)
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    told = replay(
+        log, NmeaStream(), f"udp://:{_free()}", speed=4.0, clock=lambda: now[0], sleep=sleep
+    )
+    assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
+    assert told["rows"] == told["datagrams"] == len(log)
+    with pytest.raises(FeedError, match="speed"):
+        replay(log, NmeaStream(), "udp://:9", speed=0.0)
+
+
+def _free() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+@pytest.mark.parametrize("kind", ["nmea", "mavlink"])
+def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -> None:
+    log, boat = simulated
+    address = f"udp://:{_free()}"
+    stream = KINDS[kind][1](boat)
+    twin = Twin(boat, "persistence")
+    with (NmeaFeed if kind == "nmea" else MavlinkFeed)(address, boat) as feed:
+        told: dict[str, int] = {}
+
+        def send() -> None:
+            told.update(replay(log, stream, address, speed=15.0))
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        rows, until = [], time.monotonic() + 15.0
+        while len(rows) < len(log) and time.monotonic() < until:
+            for row in feed.take():
+                rows.append(row)
+                twin.step(*row)
+            if rows:
+                feed.send(twin.estimate(), twin.predict() if twin.estimate().ready else None)
+            time.sleep(0.02)
+        sender.join()
+        feed.send(twin.estimate(), None)  # to whom is gone
+        assert len(rows) == len(log)
+        assert [t for t, _, _ in rows] == pytest.approx((log.t - log.t[0]).tolist(), abs=1.1e-3)
+        assert told["back"] > 10
+        assert feed.counts["used"] + feed.counts["unknown"] == told["messages"]
+
+
+def test_the_reply_goes_where_it_is_told(circle: Log, usv: Particulars) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        reply = f"udp://:{receiver.getsockname()[1]}"
+        with MavlinkFeed(f"udp://:{_free()}", usv, reply) as feed:
+            feed.take()
+            assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
+
+
+def test_the_command(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "run.csv"
+    simulated[0].slice(0.0, 5.0).write(path)
+    address = f"udp://:{_free()}"
+    with NmeaFeed(address, simulated[1]) as feed:
+        asked = ["replay", str(path), "--nmea", address, "--speed", "10"]
+        result = CliRunner().invoke(app, asked)
+        assert result.exit_code == 0, result.output
+        assert re.search(r"sent to udp://:\d+: 1\d\d rows", result.output)
+        feed.take()
+        assert feed.counts["used"] > 100
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ([], "name one of"),
+        (["--nmea", "udp://:1", "--mavlink", "udp://:2"], "name one of"),
+        (["--nmea", "tcp://:1"], "udp"),
+        (["--nmea", "udp://:1", "--origin", "x"], "LAT,LON"),
+        (["--nmea", "udp://:1", "--origin", "91,0"], "latitude"),
+        (["--nmea", "udp://:1", "--speed", "0"], "speed"),
+        (["--nmea", "udp://:1", "--disturb", "late=2"], "shares"),
+    ],
+)
+def test_wrong_commands_are_told(options: list[str], why: str) -> None:
+    result = CliRunner().invoke(app, ["replay", str(RUN), *options])
+    assert result.exit_code == 2
+    assert why in result.output + result.stderr
+
+
+def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twin.cli.live.replay", interrupted)
+    result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{_free()}"])
+    assert result.exit_code == 130
+
+
+def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:
+    def without(module: str) -> object:
+        raise ModuleNotFoundError(module)
+
+    monkeypatch.setattr("twin.live.protocols.feed.importlib.import_module", without)
+    for module in ("pynmea2", "pymavlink.dialects.v20.common"):
+        with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
+            needed(module)
+    with pytest.raises(ImportError, match="pynmea2"):
+        NmeaFeed(f"udp://:{_free()}", usv)

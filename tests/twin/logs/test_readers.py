@@ -1,0 +1,669 @@
+"""Logs out of foreign files: mappings, ROS 2 bags, damaged files, files larger than a log."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from twin.cli.main.common import app
+from typer.testing import CliRunner
+
+from twin import Twin
+from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.logs import readers as table
+from twin.logs.columns import LogError
+from twin.logs.log import Log, beside
+from twin.logs.mapping import Layout
+from twin.sim.bridge import particulars_of
+from usv_gym import Vessel
+
+SHARED = Path(
+    os.environ.get("USV_TWIN_SHARED") or Path(__file__).resolve().parents[3].parent / "shared"
+)
+MAPPINGS = Path(table.__file__).with_name("mappings")
+COLUMN = {name: j for j, name in enumerate(MEASUREMENTS)}
+
+
+def run(rows: int = 200, truth: bool = False) -> Log:
+    """Return the log of a boat that goes where it points, at 10 Hz."""
+    rng = np.random.default_rng(2)
+    t = 0.1 * np.arange(rows)
+    psi = 1.2 + 0.04 * t + 0.3 * np.sin(0.2 * t)
+    z = 0.1 * rng.standard_normal((rows, len(MEASUREMENTS)))
+    z[:, 0] += np.cumsum(0.2 * np.cos(psi))
+    z[:, 1] += np.cumsum(0.2 * np.sin(psi))
+    z[:, 2] += 2.0 * np.cos(psi)
+    z[:, 3] += 2.0 * np.sin(psi)
+    z[:, 4] = psi
+    z[:, 5] = 0.04 + 0.06 * np.cos(0.2 * t)
+    cmd = np.column_stack([5.0 + 0.1 * np.floor(t), 6.0 - 0.1 * np.floor(t)])
+    cmd = np.column_stack([cmd, np.repeat(0.2 * np.sin(np.floor(t))[:, None], 2, axis=1)])
+    return Log(t, z, cmd, rng.standard_normal((rows, len(TRUTH))) if truth else None)
+
+
+def degree(latitude: float) -> tuple[float, float]:
+    """Return the metres of a degree of latitude and of longitude, to a centimetre.
+
+    Source: National Geospatial-Intelligence Agency, length of a degree calculator (WGS 84).
+    """
+    p = math.radians(latitude)
+    north = 111132.92 - 559.82 * math.cos(2 * p) + 1.175 * math.cos(4 * p)
+    east = 111412.84 * math.cos(p) - 93.5 * math.cos(3 * p) + 0.118 * math.cos(5 * p)
+    return north, east
+
+
+def refused(path: Path, mapping: Path | None = None, at: Path | None = None) -> str:
+    with pytest.raises(LogError) as caught:
+        Log.read(path, mapping)
+    message = str(caught.value)
+    assert message.startswith(f"{at or path}: ")
+    return message
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+# --- files beside a log -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["a.b.csv", "a.b.csv.gz", "a.b.parquet", "a.b.mcap", "a.b.db3", "a.b"]
+)
+def test_files_beside_a_log_of_any_kind(name: str) -> None:
+    assert beside(Path("x") / name, ".toml") == Path("x") / "a.b.toml"
+
+
+# --- mappings of columns ----------------------------------------------------------------------
+
+FOREIGN = """
+[columns]
+t_s = { from = "ms", unit = "ms" }
+n_rps = { from = "shaft", unit = "rpm" }
+delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
+compass_rad = { from = "yaw", unit = "deg", frame = "enu" }
+gyro_radps = { from = "rate", unit = "degps", frame = "enu" }
+wind_mps = { from = "TWS", unit = "kn", offset = 1.0 }
+
+[position]
+latitude = "lat"
+longitude = "lon"
+datum = [60.0, 179.9999]
+
+[velocity]
+speed = { from = "SOG", unit = "kn" }
+course = { from = "COG", unit = "deg" }
+"""
+
+
+def foreign(log: Log) -> pl.DataFrame:
+    """Return a log as somebody else's columns."""
+    z = dict(zip(MEASUREMENTS, log.z.T, strict=True))
+    north, east = degree(60.0)
+    lon = 179.9999 + z["gps_y_m"] / east
+    return pl.DataFrame(
+        {
+            "ms": 1e3 * log.t,
+            "shaft": 60.0 * log.cmd[:, 0],
+            "rudder": -np.degrees(log.cmd[:, 2]),
+            "yaw": 90.0 - np.degrees(z["compass_rad"]),
+            "rate": -np.degrees(z["gyro_radps"]),
+            "TWS": z["wind_mps"] * 3600.0 / 1852.0,
+            "lat": 60.0 + z["gps_x_m"] / north,
+            "lon": np.where(lon > 180.0, lon - 360.0, lon),
+            "SOG": np.hypot(z["gps_vx_mps"], z["gps_vy_mps"]) * 3600.0 / 1852.0,
+            "COG": np.degrees(np.arctan2(z["gps_vy_mps"], z["gps_vx_mps"])),
+            "remark": ["ok, so"] * len(log),
+        }
+    )
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
+def test_columns_of_other_names(tmp_path: Path, name: str) -> None:
+    log, path = run(), tmp_path / name
+    mapping = written(tmp_path / "m.toml", FOREIGN)
+    if name.endswith(".parquet"):
+        foreign(log).write_parquet(path)
+    else:
+        text = foreign(log).write_csv().encode()
+        path.write_bytes(gzip.compress(text) if name.endswith(".gz") else text)
+    back = Log.read(path, mapping)
+    np.testing.assert_allclose(back.t, log.t, atol=1e-12)
+    np.testing.assert_allclose(back.cmd, log.cmd[:, [0, 0, 2, 2]], atol=1e-12)
+    z = dict(zip(MEASUREMENTS, back.z.T, strict=True))
+    for key in ("gps_x_m", "gps_y_m"):
+        np.testing.assert_allclose(z[key], log.z[:, COLUMN[key]], rtol=1e-6, atol=1e-7)
+    for key in ("gps_vx_mps", "gps_vy_mps", "compass_rad", "gyro_radps"):
+        np.testing.assert_allclose(z[key], log.z[:, COLUMN[key]], atol=1e-12)
+    np.testing.assert_allclose(z["wind_mps"], 1.0 + log.z[:, COLUMN["wind_mps"]], atol=1e-12)
+    notes = "\n".join(back.notes)
+    assert f"1 column(s) not in {mapping}: remark" in notes
+    assert "(one for both sides): from rudder times -0.0174533" in notes
+    assert "metres north and east of latitude 60.0, longitude 179.9999" in notes
+    mapping.rename(tmp_path / "a.mapping.toml")
+    assert np.array_equal(Log.read(path).z, back.z, equal_nan=True)
+
+
+def test_the_first_fix_is_the_datum_and_no_fix_is_missing(tmp_path: Path) -> None:
+    log = run()
+    mapping = written(tmp_path / "m.toml", FOREIGN.replace("datum", "# datum"))
+    frame = foreign(log).with_row_index()
+    lost = pl.col("index") < 3
+    frame = frame.with_columns(pl.when(lost).then(0.0).otherwise(pl.col("lat", "lon")).name.keep())
+    frame.write_parquet(tmp_path / "a.parquet")
+    back = Log.read(tmp_path / "a.parquet", mapping)
+    assert np.isnan(back.z[:3, :2]).all()
+    np.testing.assert_allclose(back.z[3:, :2], log.z[3:, :2] - log.z[3, :2], atol=1e-3)
+    frame = frame.with_columns(pl.when(lost).then(10.0).otherwise(pl.col("lat")).alias("lat"))
+    frame.write_parquet(tmp_path / "a.parquet")
+    message = refused(tmp_path / "a.parquet", mapping, mapping)
+    assert "the first fix, 10, 0, is more than 100 km off the others; state a datum" in message
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S%.6f", "%Y-%m-%dT%H:%M:%S%.6fZ", ""])
+def test_dates_and_times(tmp_path: Path, form: str) -> None:
+    log = run()
+    start = pl.datetime(2025, 7, 24, 15, 45)
+    frame = foreign(log).with_columns(start + pl.duration(milliseconds="ms")).drop("ms")
+    mapping = written(
+        tmp_path / "m.toml", FOREIGN.replace('"ms", unit = "ms"', '"datetime", unit = "datetime"')
+    )
+    path = tmp_path / ("a.csv" if form else "a.parquet")
+    if form:
+        frame.with_columns(pl.col("datetime").dt.strftime(form)).write_csv(path)
+    else:
+        frame.write_parquet(path)
+    back = Log.read(path, mapping)
+    np.testing.assert_allclose(back.t, log.t, atol=1e-6)
+    assert "t_s: counted from 2025-07-24 15:45:00 UTC" in back.notes
+    if form:
+        written(path, path.read_text().replace("15:45:07.2", "15:4x:07.2"))
+        message = refused(path, mapping)
+        assert "column datetime, line 74: '2025-07-24" in message
+        assert "is not a date and time; correct it" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[columns", "the mapping is not TOML"),
+        ("[column]\n", "top: unknown key 'column'; known: stamp, columns, position"),
+        ("[columns]\ncompas_rad = 'x'", "unknown key 'compas_rad'"),
+        ("[columns]\ncompas_rad = 'x'", "did you mean compass_rad?"),
+        ("[columns]\nt_s = { from = 't', unit = 'hours' }", "t_s: unknown unit 'hours'; known he"),
+        ("[columns]\nt_s = { topic = '/a', field = 'b' }", "t_s: a message has its own time"),
+        ("[columns]\nt_s = { unit = 's' }", 't_s: needs from = "column of the file", or topic'),
+        ("[columns]\nt_s = { from = 't', scale = 'x' }", "t_s scale: 'x' must be a finite number"),
+        ("[columns]\nt_s = 1.0", "t_s: must be a table with the keys from, topic"),
+        ("[columns]\nn_rps = 1.0\nn_left_rps = 2.0", "n_left_rps: is given twice; remove one"),
+        ("[columns]\ngps_x_m = { from = 'e', frame = 'enu' }", "name the field that points north"),
+        ("[position]\ndatum = [1.0]", "[position] datum: must be [latitude, longitude]"),
+        ("[heading]\nquaternion = ['x']", "[heading] quaternion: must be a field, or the columns"),
+        ("[heading]\nframe = 'nwu'", "[heading] frame: 'nwu' must be"),
+        ("[rows]\nstart_s = 2.0\nstop_s = 1.0", "[rows]: start_s must be below stop_s"),
+        ("stamp = 'now'", "stamp: 'now' must be"),
+    ],
+)
+def test_a_mapping_that_is_wrong_names_its_place(tmp_path: Path, text: str, words: str) -> None:
+    path = written(tmp_path / "m.toml", text)
+    with pytest.raises(LogError) as caught:
+        Layout.load(path)
+    assert str(caught.value).startswith(f"{path}: ") and words in str(caught.value)
+
+
+def test_a_mapping_that_does_not_fit_the_file(tmp_path: Path) -> None:
+    run().write(path := tmp_path / "a.csv")
+    mapping = written(tmp_path / "m.toml", "[columns]\ncompass_rad = 'compas_rad'")
+    message = refused(path, mapping)
+    assert (
+        f"has no column 'compas_rad', which {mapping} asks for; did you mean compass_ra" in message
+    )
+    assert "(line 1 has: t_s, n_left_rps" in message
+    written(mapping, "[columns]\ncompass_rad = { topic = '/a', field = 'b' }")
+    assert "a file of columns needs from =, not topic" in refused(path, mapping, mapping)
+    assert "the mapping cannot be read (No such" in refused(path, tmp_path / "b", tmp_path / "b")
+
+
+def test_a_quaternion_in_columns(tmp_path: Path) -> None:
+    log = run()
+    half = 0.5 * (0.5 * math.pi - log.z[:, 4])
+    log.write(tmp_path / "a.csv")
+    frame = pl.read_csv(tmp_path / "a.csv").drop("compass_rad")
+    frame.with_columns(
+        qx=pl.lit(0.0), qy=pl.lit(0.0), qz=pl.Series(np.sin(half)), qw=pl.Series(np.cos(half))
+    ).write_csv(tmp_path / "a.csv")
+    mapping = written(tmp_path / "m.toml", "[heading]\nquaternion = ['qx', 'qy', 'qz', 'qw']")
+    heading = Log.read(tmp_path / "a.csv", mapping).z[:, 4]
+    np.testing.assert_allclose(heading, np.mod(log.z[:, 4], 2.0 * math.pi), atol=1e-12)
+
+
+def test_rows_of_a_piece_and_thinned_rows(tmp_path: Path) -> None:
+    log = run(truth=True)
+    log.z[5:9, 0] = np.nan
+    log.write(path := tmp_path / "a.csv")
+    mapping = written(tmp_path / "m.toml", "[rows]\nstart_s = 3.0\nstop_s = 8.95\n")
+    piece, same = Log.read(path, mapping), log.slice(3.0, 8.95)
+    np.testing.assert_array_equal(piece.t, same.t)
+    np.testing.assert_array_equal(piece.truth, same.truth)
+    assert f"140 of 200 rows left out or merged: [rows] of {mapping}" in piece.notes
+    written(mapping, "[rows]\nstep_s = 0.5\n")
+    thin = Log.read(path, mapping)
+    np.testing.assert_allclose(thin.t, log.t[4::5])
+    # the last sample in each half second
+    np.testing.assert_array_equal(thin.z[:3, 0], log.z[[4, 9, 14], 0])
+    np.testing.assert_array_equal(thin.cmd, log.cmd[4::5])
+
+
+def test_a_known_record_without_a_column(tmp_path: Path) -> None:
+    log = run()
+    frame = pl.DataFrame({"t_s": log.t, "n_rps": log.cmd[:, 0], "delta_rad": log.cmd[:, 2]})
+    names = {"x_m": 0, "y_m": 1, "psi_rad": 4, "r_radps": 5}
+    frame = frame.with_columns(**{key: pl.Series(log.z[:, j]) for key, j in names.items()})
+    frame.write_csv(tmp_path / "a.csv")
+    back = Log.read(tmp_path / "a.csv")
+    np.testing.assert_array_equal(back.z[:, [0, 1, 4, 5]], log.z[:, [0, 1, 4, 5]])
+    frame.drop("psi_rad").write_csv(tmp_path / "a.csv")
+    assert "column(s) compass_rad missing; add" in refused(tmp_path / "a.csv")
+    frame.drop("psi_rad", "n_rps").write_csv(tmp_path / "a.csv")
+    assert "rename x_m to gps_x_m" in refused(tmp_path / "a.csv")
+
+
+# --- bags -------------------------------------------------------------------------------------
+
+START = 1_753_371_900_000_000_000
+EXAMPLE = (MAPPINGS / "ros2_example.toml").read_text(encoding="utf-8")
+ALL_ROWS = EXAMPLE.split("[rows]")[0]
+
+
+def record(
+    path: Path, log: Log, storage: str, stamped: bool = True, late: int = 0, order: Any = None
+) -> Path:
+    """Write a log as the bag that the example mapping reads: each sensor at its own rate."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    make = store.types
+    z = dict(zip(MEASUREMENTS, log.z.T, strict=True))
+    stamps = START + np.round(1e9 * log.t).astype(np.int64)
+    no9 = np.zeros(9)
+
+    def header(k: int) -> Any:
+        ns = int(stamps[k]) if stamped else 0
+        time = make["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
+        return make["std_msgs/msg/Header"](time, "boat")
+
+    def vector(x: float, y: float, z: float) -> Any:
+        return make["geometry_msgs/msg/Vector3"](float(x), float(y), float(z))
+
+    def imu(k: int) -> Any:
+        half = 0.5 * (0.5 * math.pi - z["compass_rad"][k])
+        turn = make["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
+        return make["sensor_msgs/msg/Imu"](
+            header(k),
+            turn,
+            no9,
+            vector(0, 0, -z["gyro_radps"][k]),
+            no9,
+            vector(z["accel_x_mps2"][k], -z["accel_y_mps2"][k], 9.81),
+            no9,
+        )
+
+    def fix(k: int) -> Any:
+        status = make["sensor_msgs/msg/NavSatStatus"](0 if k else -1, 1)
+        north, east = degree(38.8658)
+        lat = 38.8658 + z["gps_x_m"][k] / north
+        lon = 121.5344 + z["gps_y_m"][k] / east
+        return make["sensor_msgs/msg/NavSatFix"](header(k), status, lat, lon, 0.0, no9, 0)
+
+    def velocity(k: int) -> Any:
+        twist = make["geometry_msgs/msg/Twist"](
+            vector(z["gps_vy_mps"][k], z["gps_vx_mps"][k], 0.0), vector(0, 0, 0)
+        )
+        return make["geometry_msgs/msg/TwistStamped"](header(k), twist)
+
+    def command(j: int, scale: float) -> Any:
+        # in force in the interval that ends at a row: sent at the row before
+        return lambda k: make["std_msgs/msg/Float64"](scale * log.cmd[min(k + 1, len(log) - 1), j])
+
+    everything = {
+        "/imu/data": ("sensor_msgs/msg/Imu", imu, 1),
+        "/gps/fix": ("sensor_msgs/msg/NavSatFix", fix, 5),
+        "/gps/vel": ("geometry_msgs/msg/TwistStamped", velocity, 5),
+        "/thruster/left/rpm": ("std_msgs/msg/Float64", command(0, 60.0), 2),
+        "/thruster/right/rpm": ("std_msgs/msg/Float64", command(1, 60.0), 2),
+        "/steering": ("std_msgs/msg/Float64", command(2, -1.0), 2),
+    }
+    plugin = getattr(rosbag2.StoragePlugin, storage)
+    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+        for topic, (kind, message, every) in everything.items():
+            link = writer.add_connection(topic, kind, typestore=store)
+            for k in range(0, len(log), every) if order is None else order:
+                raw = store.serialize_cdr(message(int(k)), kind)
+                writer.write(link, int(stamps[k]) + late, raw)
+    return path
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+@pytest.mark.parametrize("bare", [False, True])
+def test_a_bag_reads_back_as_the_log_it_was_made_from(
+    tmp_path: Path, storage: str, bare: bool
+) -> None:
+    log = run()
+    # commands change at rows where they are sent
+    log.cmd[:] = np.repeat(log.cmd[1::2], 2, axis=0)[np.r_[0, 0 : len(log) - 1]]
+    path = record(tmp_path / "bag", log, storage, late=20_000_000)
+    mapping = written(
+        tmp_path / "m.toml", ALL_ROWS.replace('stamp = "header"', 'stamp = "receive"')
+    )
+    if bare:
+        (path,) = [file for file in path.iterdir() if file.suffix in (".mcap", ".db3")]
+    back = Log.read(path, mapping)
+    np.testing.assert_allclose(back.t, log.t, atol=2e-9)
+    np.testing.assert_allclose(back.cmd[1:], log.cmd[1:], rtol=1e-15)
+    z = dict(zip(MEASUREMENTS, back.z.T, strict=True))
+    for key in ("gyro_radps", "accel_x_mps2", "accel_y_mps2"):
+        np.testing.assert_array_equal(z[key], log.z[:, COLUMN[key]])
+    turned = np.mod(log.z[:, 4], 2.0 * math.pi)
+    np.testing.assert_allclose(z["compass_rad"], turned, atol=1e-14)
+    for key in ("gps_vx_mps", "gps_vy_mps"):
+        np.testing.assert_array_equal(z[key][::5], log.z[::5, COLUMN[key]])
+        assert np.isnan(np.delete(z[key], np.s_[::5])).all()
+    assert np.isnan(z["gps_x_m"][0])  # status: no fix
+    for key in ("gps_x_m", "gps_y_m"):
+        np.testing.assert_allclose(z[key][5::5], log.z[5::5, COLUMN[key]], rtol=1e-6, atol=1e-7)
+    assert "/imu/data: time of receipt" in back.notes
+    assert "t_s: counted from 2025-07-24 15:45:00 UTC" in back.notes
+    assert "gps_x_m: 161 of 200 cells empty" in " ".join(back.notes)
+    mapping.rename(beside(path, ".mapping.toml"))
+    assert np.array_equal(Log.read(path).z, back.z, equal_nan=True)
+
+
+def test_the_time_of_a_message_is_its_header(tmp_path: Path) -> None:
+    log = run()
+    mapping = written(tmp_path / "m.toml", ALL_ROWS)
+    path = record(tmp_path / "a", log, "MCAP", late=20_000_000)
+    back = Log.read(path, mapping)
+    # commands have no header: their time is that of receipt, 20 ms after the others'
+    assert len(back) == 200 + 100 - 1
+    assert "/imu/data: time of the header" in back.notes
+    assert "/steering: time of receipt" in back.notes
+    assert "1 row(s) before the first command left out" in back.notes
+    path = record(tmp_path / "b", log, "MCAP", stamped=False)
+    assert "/imu/data: time of receipt" in Log.read(path, mapping).notes
+    path = record(tmp_path / "c", log, "MCAP", late=50 * 10**9)
+    message = refused(path, mapping)
+    assert "header stamps and times of receipt differ by 50 s, and not every topic" in message
+    thin = Log.read(
+        record(tmp_path / "d", log, "MCAP", late=20_000_000), MAPPINGS / "ros2_example.toml"
+    )
+    assert len(np.unique(np.floor(thin.t / 0.05 + 1e-9))) == len(thin) == 200
+
+
+def test_messages_out_of_order(tmp_path: Path) -> None:
+    log = run()
+    mapping = written(tmp_path / "m.toml", ALL_ROWS)
+    order = np.arange(200)
+    order[[50, 51]] = 51, 50
+    back = Log.read(record(tmp_path / "a", log, "SQLITE3", order=order), mapping)
+    assert len(back) == 200
+
+
+def test_a_bag_without_what_is_asked_for(tmp_path: Path) -> None:
+    path = record(tmp_path / "a", run(), "MCAP")
+    message = refused(path)
+    assert (
+        "a bag needs a mapping of its topics: --mapping FILE, or a.mapping.toml beside" in message
+    )
+    assert "/gps/fix (sensor_msgs/msg/NavSatFix), " in message
+    mapping = written(tmp_path / "m.toml", ALL_ROWS.replace("/steering", "/rudder"))
+    assert f"has no topic /rudder, which {mapping} asks for (topics: /gps/fix" in refused(
+        path, mapping
+    )
+    written(mapping, ALL_ROWS.replace("angular_velocity.z", "angular_rate.z"))
+    message = refused(path, mapping)
+    assert "topic /imu/data (sensor_msgs/msg/Imu): no field angular_rate.z; the message" in message
+    written(mapping, ALL_ROWS.replace('"angular_velocity.z"', '"header.frame_id"'))
+    assert "the field header.frame_id is a str, no number" in refused(path, mapping)
+    written(mapping, ALL_ROWS.split("[position]")[0])
+    assert "column(s) gps_x_m, gps_y_m, compass_rad missing; name them in" in refused(path, mapping)
+    written(mapping, FOREIGN)
+    assert "a bag needs topic = and field =, not from =" in refused(path, mapping, mapping)
+
+
+def test_a_bag_that_is_not_whole(tmp_path: Path) -> None:
+    path = record(tmp_path / "a", run(), "MCAP")
+    (file,) = path.glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[:-500])
+    mapping = written(tmp_path / "m.toml", ALL_ROWS)
+    for bad in (cut, written(tmp_path / "empty.mcap", ""), written(tmp_path / "text.db3", "t_s\n")):
+        message = refused(bad, mapping)
+        assert "the bag is damaged, cut off or no ROS 2 bag (" in message
+        assert "mcap recover IN.mcap -o OUT.mcap" in message
+    (path / "metadata.yaml").unlink()
+    assert "ros2 bag reindex FOLDER" in refused(path, mapping)
+    assert "cannot be read (No such file" in refused(tmp_path / "none.mcap", mapping)
+
+
+# --- damaged and overlong files ---------------------------------------------------------------
+
+
+def log_or_sentence(path: Path, mapping: Path | None = None) -> None:
+    """Check that a file gives a complaint about it, or all that each log must hold."""
+    try:
+        log = Log.read(path, mapping)
+    except LogError as error:
+        if not str(error).startswith(f"{path}: "):
+            raise
+        return
+    assert np.isfinite(log.t).all() and (np.diff(log.t) > 0.0).all()
+    assert np.isfinite(log.cmd).all() and log.cmd.shape == (len(log), len(COMMANDS))
+    assert not np.isinf(log.z).any() and log.z.shape == (len(log), len(MEASUREMENTS))
+
+
+def whole(folder: Path, kind: str) -> Path:
+    """Return a sound file of a kind, in a folder of its own."""
+    log = run(60)
+    if kind == "mcap":
+        (path,) = record(folder / "bag", log, "MCAP").glob("*.mcap")
+        return path
+    if kind == "db3":
+        (path,) = record(folder / "bag", log, "SQLITE3").glob("*.db3")
+        return path
+    log.write(path := folder / f"a.{kind}")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv", "csv.gz", "parquet", "mcap", "db3"])
+def test_a_damaged_file_gives_a_log_or_a_sentence(
+    tmp_path_factory: pytest.TempPathFactory, kind: str
+) -> None:
+    folder = tmp_path_factory.mktemp("damaged")
+    data = whole(folder, kind).read_bytes()
+    mapping = written(folder / "m.toml", ALL_ROWS) if kind in ("mcap", "db3") else None
+    path = folder / f"damaged.{kind}"
+    places = st.integers(0, len(data) - 1)
+
+    @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(
+        changes=st.lists(st.tuples(places, st.binary(max_size=6)), max_size=4),
+        end=st.none() | places,
+        doubled=st.none() | st.tuples(places, places),
+    )
+    def damage(
+        changes: list[tuple[int, bytes]], end: int | None, doubled: tuple[int, int] | None
+    ) -> None:
+        damaged = bytearray(data)
+        for place, piece in changes:
+            damaged[place : place + len(piece)] = piece
+        if doubled is not None:
+            damaged[doubled[0] : doubled[0]] = damaged[doubled[1] : doubled[1] + 200]
+        path.write_bytes(damaged[:end])
+        log_or_sentence(path, mapping)
+
+    damage()
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_broken_columns_give_a_log_or_a_sentence(tmp_path: Path, data: st.DataObject) -> None:
+    """Cells, rows and columns that are dropped, doubled, shuffled, frozen, moved or replaced."""
+    log = run(60, truth=True)
+    log.write(tmp_path / "a.csv")
+    rows = (tmp_path / "a.csv").read_text().splitlines()
+    header, cells = rows[0].split(","), [row.split(",") for row in rows[1:]]
+    number = st.floats(allow_nan=True, allow_infinity=True).map(repr)
+    cell = number | st.sampled_from(["", "-", "12,5", "1e999", "nan", '"', "1.2.3", "\x00", "é"])
+    for _ in range(data.draw(st.integers(1, 4))):
+        a, b = sorted(data.draw(st.tuples(*[st.integers(0, len(cells) - 1)] * 2)))
+        j = data.draw(st.integers(0, len(header) - 1))
+        match data.draw(st.integers(0, 6)):
+            case 0:
+                cells[a][j] = data.draw(cell)
+            case 1:
+                cells[a:b] = cells[a:b] * 2
+            case 2:
+                cells[a:b] = reversed(cells[a:b])
+            case 3:
+                for row in cells[a:b]:
+                    row[j] = cells[a][j]
+            case 4:
+                for row in cells[a:b]:
+                    row[j] = repr(float(row[j] or "nan") + 500.0) if _number(row[j]) else row[j]
+            case 5:
+                header[j] = data.draw(st.sampled_from(header))
+            case 6:
+                del cells[a]
+        cells = [list(row) for row in cells] or [[""] * len(header)]
+    text = "\n".join([",".join(header), *(",".join(row) for row in cells)])
+    path = written(tmp_path / "b.csv", text)
+    log_or_sentence(path)
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.parquet", b"", "the file is empty; write it again"),
+        ("a.parquet", b"t_s,x\n", "is not a Parquet file; write it again, or give a CSV file"),
+        ("a.parquet", b"PAR1", "the Parquet file is damaged or cut off ("),
+        ("a.csv", b"t_s,gps_x_m,compass_rad\n" + b"1" * 5000, "column(s) n_left_rps"),
+    ],
+)
+def test_files_that_are_no_log(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert words in refused(tmp_path / name)
+
+
+def test_parquet_of_text_and_of_other_kinds(tmp_path: Path) -> None:
+    log = run()
+    log.write(path := tmp_path / "a.parquet")
+    frame = pl.read_parquet(path)
+    frame.with_columns(pl.col("gps_x_m").cast(pl.String)).write_parquet(path)
+    np.testing.assert_array_equal(Log.read(path).z, log.z)
+    bad = pl.when(pl.col("t_s") > 1.0).then(pl.lit("?")).otherwise(pl.col("gps_x_m"))
+    frame.with_columns(bad.alias("gps_x_m")).write_parquet(path)
+    assert "column gps_x_m, row 12: '?' is not a number; correct it" in refused(path)
+    frame.with_columns(gps_x_m=pl.lit([1.0])).write_parquet(path)
+    assert "column gps_x_m holds List(Float64), not numbers; convert it" in refused(path)
+    frame.with_columns(gps_x_m=pl.datetime(2025, 1, 1)).write_parquet(path)
+    assert "column gps_x_m holds dates, not numbers; convert it" in refused(path)
+    frame[:1].write_parquet(path)
+    assert "1 row of data after the header; a log needs two" in refused(path)
+
+
+def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = run()
+    log.z[7] = np.nan
+    whole = []
+    for name in ("a.csv", "a.csv.gz", "a.parquet"):
+        log.write(tmp_path / name)
+        whole.append(Log.read(tmp_path / name))
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    bad = written(tmp_path / "b.csv", "\n".join([*lines[:150], "", lines[150] + "x", *lines[151:]]))
+    place = refused(bad)
+    thin = written(tmp_path / "m.toml", "[rows]\nstep_s = 0.7\n")
+    thinned = Log.read(tmp_path / "a.csv", thin)
+    monkeypatch.setattr(table, "_BLOCK_BYTES", 700)
+    monkeypatch.setattr(table, "_BLOCK_ROWS", 30)
+    for name, once in zip(("a.csv", "a.csv.gz", "a.parquet"), whole, strict=True):
+        again = Log.read(tmp_path / name)
+        np.testing.assert_array_equal(again.z, once.z)
+        assert again.notes == once.notes
+    assert refused(bad) == place
+    np.testing.assert_array_equal(Log.read(tmp_path / "a.csv", thin).z, thinned.z)
+    monkeypatch.setattr(table, "_BLOCK_BYTES", 64)
+    assert "a line is longer than 64 MB; this is no CSV file" in refused(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
+def test_a_log_of_too_many_rows(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    run().write(path := tmp_path / name)
+    monkeypatch.setattr(table, "MAX_ROWS", 100)
+    monkeypatch.setattr(table, "_BLOCK_BYTES", 4000)
+    monkeypatch.setattr(table, "_BLOCK_ROWS", 30)
+    message = refused(path)
+    assert "has more than 100 rows, the most that a log may have; read a piece" in message
+    for rows, count in (("start_s = 12.0", 80), ("stop_s = 9.95", 100), ("step_s = 0.5", 40)):
+        mapping = written(tmp_path / "m.toml", f"[rows]\n{rows}\n")
+        assert len(Log.read(path, mapping)) == count
+
+
+# --- the commands -----------------------------------------------------------------------------
+
+
+def command(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [*arguments])
+    return result.exit_code, " ".join(result.output.split())
+
+
+def test_commands_take_mapped_files_and_bags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log = run(300)
+    foreign(log).write_parquet("sail.parquet")
+    mapping = str(written(tmp_path / "m.toml", FOREIGN))
+    plain = ("--predictor", "persistence")
+    code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
+    assert code == 0 and "no particulars beside it, taken to be the usv75" in said
+    code, said = command("identify", "sail.parquet", *plain)
+    assert code == 2 and "column(s) t_s, n_left_rps" in said and "a mapping file" in said
+    record(tmp_path / "bag", log, "MCAP")
+    beside_it = written(tmp_path / "bag.mapping.toml", EXAMPLE)
+    code, said = command("identify", "bag", *plain)
+    assert code == 0 and "/steering: time of receipt" in said
+    beside_it.rename("else.toml")
+    scored = ("--predictors", "persistence", "--faults", "none", "--jobs", "1", "--out", "out")
+    code, said = command("benchmark", "--log", "bag", "--mapping", "else.toml", *scored)
+    assert code == 0, said
+    assert (tmp_path / "out" / "runs" / "bag_none_0_persistence.json").exists()
+
+
+def test_a_twin_follows_a_bag_of_many_rates(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    log = run(400)
+    path = record(tmp_path / "bag", log, "MCAP", late=20_000_000)
+    mapping = written(tmp_path / "m.toml", ALL_ROWS)
+    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
+    seen = Log.read(path, mapping)
+    twin.run(seen)
+    # 2 m/s with fixes of 0.1 m twice a second
+    assert np.hypot(*(twin.estimate().s[:2] - log.z[-5, :2])) < 1.5

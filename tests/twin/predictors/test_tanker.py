@@ -1,0 +1,187 @@
+"""Ships of full form: what is believed of them beforehand, and what that is worth."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+from twin.model.rollout.dynamics import all_terms, model_of
+from twin.model.rollout.priors import TANKER as KIND
+from twin.model.rollout.priors import population_prior
+from twin.model.rollout.structure import N_TERMS, accelerations
+
+from twin import Twin
+from twin.digital_twin import known_plan
+from twin.identification.filter_settings import plain_settings
+from twin.identification.joint_ukf import wave_parts
+from twin.logs.datasets import ESSO as TANKER
+from twin.particulars import GRAVITY, Particulars
+from twin.sim.bridge import particulars_of, simulate
+from twin.training import prior_population as pop
+from usv_gym import Vessel
+from usv_gym.world.sea import SeaState
+from usv_gym.world.sensors import parse_faults
+from usv_kernel.jit import in_python
+
+
+def turning(boat: Particulars, n: float) -> float:
+    """Return the yaw acceleration at rest with the rudder amidships by the prior's mean."""
+    structure = model_of(boat, "mmg", biased=True)
+    mean, _ = population_prior(structure, boat)
+    terms, state = np.zeros(N_TERMS), np.zeros(6)
+    shaft = structure.n_unit * n
+    all_terms(state, np.array([shaft, shaft, 0.0, 0.0]), np.zeros(2), structure.kit, terms)
+    return float(accelerations(terms, structure.kit, mean, 0)[2])
+
+
+@pytest.mark.parametrize(
+    ("change", "is_one"),
+    [
+        ({}, True),
+        ({"mass": 0.85 * TANKER.mass}, False),  # block coefficient 0.69
+        ({"mass": 1e3 * TANKER.mass}, False),  # kg for t: more than the box around her
+        ({"speed": 0.4 * math.sqrt(GRAVITY * 3.0)}, False),
+        ({"steering": "differential"}, False),
+    ],
+)
+def test_a_tanker_is_slow_full_and_has_a_rudder(change: dict[str, float], is_one: bool) -> None:
+    assert dataclasses.replace(TANKER, **change).tanker is is_one
+
+
+def test_a_propeller_astern_pushes_her_stern_to_port() -> None:
+    assert turning(TANKER, 10.0) == turning(TANKER, 0.0) == 0.0
+    # twice the revolutions, four times the moment
+    assert turning(TANKER, -20.0) == pytest.approx(4.0 * turning(TANKER, -10.0))
+    assert turning(TANKER, -10.0) > 0.0
+    slender = dataclasses.replace(TANKER, mass=0.85 * TANKER.mass)
+    assert turning(slender, -10.0) == 0.0
+
+
+def test_wind_takes_less_hold_of_a_laden_ship() -> None:
+    boats = (TANKER, dataclasses.replace(TANKER, mass=0.85 * TANKER.mass))
+    laden, slender = (model_of(boat, "mmg", biased=True) for boat in boats)
+    for name in ("X_w", "Y_w"):
+        held, free = (boat.mean[boat.parameters.index(name)] for boat in (laden, slender))
+        assert 0.0 < held < 0.5 * free
+    assert set(laden.parameters) - set(slender.parameters) == {"Y_S", "N_S"}
+
+
+def test_she_turns_to_port_as_she_does_not_turn_to_starboard() -> None:
+    structure = model_of(TANKER, "mmg", biased=True)
+    mean, _ = population_prior(structure, TANKER)
+    turned = []
+    for side in (1.0, -1.0):
+        terms, act = np.zeros(N_TERMS), np.array([0.36, 0.36, 0.3 * side, 0.3 * side])
+        state = np.array([0.0, 0.0, 0.0, 0.3, -0.05 * side, 0.05 * side])
+        all_terms(state, act, np.zeros(2), structure.kit, terms)
+        turned.append(side * accelerations(terms, structure.kit, mean, 0)[2])
+    # behind a right-handed screw a turn to port is the tighter one
+    assert turned[0] < turned[1]
+
+
+def test_her_sisters_are_fitted_better_where_sides_may_differ() -> None:
+    """Against the same boats, fitted as ships whose sides are alike."""
+    draw = functools.partial(pop.random_boat, KIND)
+    errors = {
+        kind: [pop.member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
+        for kind in (KIND, "rudder")
+    }
+    # measured: 0.5 of the yaw rate's error
+    assert np.median(errors[KIND]) < 0.75 * np.median(errors["rudder"])
+
+
+def test_what_disturbs_her_goes_by_her_length_not_by_her_speed() -> None:
+    quiet, hasty = (
+        plain_settings(dataclasses.replace(TANKER, speed=speed)) for speed in (0.3, 0.6)
+    )
+    np.testing.assert_array_equal(quiet.q[3:], hasty.q[3:])
+    # the same gusts push a model of four times the length a quarter as hard, and turn it a 16th
+    large = dataclasses.replace(
+        TANKER, length=12.0, beam=4 * 0.489, draft=4 * 0.201, mass=64 * 244.6, speed=0.72
+    )
+    less = np.sqrt(plain_settings(large).q[3:] / plain_settings(TANKER).q[3:])
+    np.testing.assert_allclose(less, 1.0 / np.array([4.0, 4.0, 16.0]), rtol=1e-12)
+
+
+def test_a_model_that_is_named_is_the_one_that_is_used() -> None:
+    settings = plain_settings(TANKER, "paper")
+    assert settings.structure.name == "paper"
+    assert not settings.q_xi.any()
+    own = plain_settings(TANKER)
+    wandering = {own.structure.parameters[k] for k in np.flatnonzero(own.q_xi)}
+    assert (own.structure.name, wandering) == ("mmg", {"E_north", "E_east", "N_0"})
+    usv = particulars_of(Vessel.load("usv75"))
+    assert plain_settings(usv).structure.name == "paper"
+
+
+def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> None:
+    vessel = Vessel.load("kvlcc2_l7")
+    log = simulate("random", vessel=vessel, sea=SeaState.named("calm"), duration=140.0, seed=1)
+    errors: dict[str | None, float] = {}
+    for model in (None, "paper"):
+        twin = Twin(particulars_of(vessel), "ukf", **({} if model is None else {"model": model}))
+        off = []
+        assert log.truth is not None
+        for row, (t, z, cmd) in enumerate(log):
+            twin.step(t, z, cmd)
+            if row % 100 == 0 and 40.0 <= t <= 129.0:
+                mean = twin.predictor.mean(known_plan(log, row, 10.0, 0.1), 0.1)
+                later = np.searchsorted(log.t, t + 10.0 - 1e-9)
+                turned = log.truth[later, 2] - log.truth[row, 2]
+                off.append(mean[-1, 2] - twin.predictor.estimate().s[2] - turned)
+        errors[model] = float(np.sqrt(np.mean(np.square(off))))
+    # measured: 0.36; 0.71 and 0.59 with other seeds
+    assert errors[None] < 0.75 * errors["paper"]
+
+
+def test_her_noises_follow_the_waves_that_are_felt() -> None:
+    vessel = Vessel.load("kvlcc2_l7")
+    felt = {}
+    for sea in ("calm", "1", "3"):
+        twin = Twin(particulars_of(vessel), "ukf")
+        ukf = twin.predictor.ukf
+        for t, z, cmd in simulate(
+            "random", vessel=vessel, sea=SeaState.named(sea), duration=40.0, seed=1
+        ):
+            twin.step(t, z, cmd)
+        felt[sea] = np.sqrt(in_python(wave_parts)(ukf.memory, ukf.constants, ukf.kit)[0])
+    # m/s, m/s and rad/s; nothing to add to the noises of a pond but what is in the gyro
+    assert not felt["calm"][:2].any()
+    assert felt["calm"][2] < 5e-4 < 5e-3 < felt["1"][2]
+    assert felt["3"][0] > 0.05
+    assert plain_settings(particulars_of(Vessel.load("usv75"))).waves == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
+    vessel = Vessel.load("kvlcc2_l7")
+    log = simulate(
+        "random",
+        vessel=vessel,
+        sea=SeaState.named("1"),
+        duration=89.0,
+        seed=seed,
+        faults=parse_faults("gps30", 60.0),
+    )
+    twin = Twin(particulars_of(vessel), "ukf")
+    off = []
+    assert log.truth is not None
+    for row, (t, z, cmd) in enumerate(log):
+        twin.step(t, z, cmd)
+        off.append(math.dist(twin.estimate().s[:2], log.truth[row, :2]))
+    # measured: 1.1 and 1.7 m; with noises for calm water in every sea 11 and 14 m
+    assert max(off[1200:]) < 5.0
+
+
+def test_a_wild_prediction_is_no_wave() -> None:
+    """After a gap the model that is hardly known may predict anything: nothing of it is felt."""
+    ship = Vessel.load("kvlcc2_l7")
+    log = simulate("random", vessel=ship, sea=SeaState.named("3"), duration=30.0, seed=1)
+    twin = Twin(particulars_of(ship), "ukf")
+    for row, (t, z, cmd) in enumerate(log):
+        twin.step(t + (10.0 if row >= 200 else 0.0), z, cmd)
+        if row >= 201:
+            assert twin.estimate().sd[3] < 1.0, row

@@ -1,0 +1,446 @@
+"""Indices of tracks: closed forms, symmetries, recorded runs of KVLCC2, IMO's limits."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from usv_gym.manoeuvring import indices
+from usv_gym.manoeuvring.indices import Stopping, Track, TrackError, Turning, Zigzag, imo
+
+SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
+KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"
+LENGTH, SPEED, RADIUS, DRIFT = 7.0, 1.5, 12.0, 0.2
+APPROACH = 4.0
+DEGREE = math.pi / 180.0
+
+
+def circle(t: np.ndarray, drift: float = DRIFT) -> Track:
+    """Return a straight approach, then at once a circle to starboard with a drift angle."""
+    angle = np.maximum(t - APPROACH, 0.0) * SPEED / RADIUS
+    turning = t > APPROACH
+    return Track(
+        t=t,
+        x=np.where(turning, RADIUS * np.sin(angle), SPEED * (t - APPROACH)),
+        y=RADIUS * (1.0 - np.cos(angle)),
+        psi=angle + np.where(turning, drift, 0.0),
+        delta=np.clip(t - APPROACH, 0.0, 0.5),
+    )
+
+
+def triangles(t: np.ndarray, switch: float, overshoot: float, rate: float) -> Track:
+    """Return headings that rise and fall at one rate, to starboard first."""
+    top = switch + overshoot
+    phase = np.maximum(t - APPROACH, 0.0) * rate / top
+    psi = top * (np.abs((phase - 1.0) % 4.0 - 2.0) - 1.0)
+    u, v = np.full_like(t, SPEED), np.zeros_like(t)
+    steps = SPEED * np.gradient(t)
+    return Track(
+        t=t,
+        x=np.cumsum(steps * np.cos(psi)),
+        y=np.cumsum(steps * np.sin(psi)),
+        psi=psi,
+        u=u,
+        v=v,
+        delta=np.where(t > APPROACH, switch, 0.0),
+    )
+
+
+def moved(track: Track, by: float, north: float, east: float, later: float) -> Track:
+    """Return the track as another compass, chart and clock would have recorded it."""
+    c, s = math.cos(by), math.sin(by)
+    psi = (track.psi + by + math.pi) % (2.0 * math.pi) - math.pi
+    x, y = c * track.x - s * track.y + north, s * track.x + c * track.y + east
+    return dataclasses.replace(track, t=track.t + later, x=x, y=y, psi=psi)
+
+
+def uneven(rng: np.random.Generator, end: float, dt: float = 0.05) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(rng.uniform(0.2 * dt, 1.8 * dt, round(end / dt)))])
+
+
+def assert_same(a: object, b: object, rtol: float, skip: tuple[str, ...] = ()) -> None:
+    for item in dataclasses.fields(a):  # type: ignore[arg-type]
+        if item.name not in skip:
+            one, other = getattr(a, item.name), getattr(b, item.name)
+            np.testing.assert_allclose(one, other, rtol=rtol, atol=rtol, err_msg=item.name)
+
+
+# ------------------------------------------------- closed forms
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.2])
+def test_circle(drift: float) -> None:
+    got = indices.turning(circle(0.02 * np.arange(4000), drift), length=LENGTH)
+    R = RADIUS / LENGTH
+    # the course lags the heading by the drift angle
+    want = {
+        "side": 1,
+        "advance": R * math.cos(drift),
+        "transfer": R * (1.0 - math.sin(drift)),
+        "tactical_diameter": R * (1.0 + math.cos(drift)),
+        "time_90": (0.5 * math.pi - drift) * RADIUS / SPEED,
+        "time_180": (math.pi - drift) * RADIUS / SPEED,
+        "rate": 1.0 / R,
+        "radius": R,
+        "drift": drift,
+        "speed_ratio": 1.0,
+    }
+    # a sample's way, 0.03 m of 12 m, where the circle begins at once
+    assert_same(got, Turning(**want), rtol=2e-3)  # type: ignore[arg-type]
+
+
+def test_triangular_zigzag() -> None:
+    switch, overshoot, rate = 10.0 * DEGREE, 4.0 * DEGREE, 2.0 * DEGREE
+    track = triangles(0.01 * np.arange(6000), switch, overshoot, rate)
+    got = indices.zigzag(track, length=LENGTH, switch=switch, origin=APPROACH)
+    # 5 s to 10 degrees, 2 s to the peak, 14 s from switch to switch
+    assert got.side == 1
+    np.testing.assert_allclose(got.executes, [0.0, 5.0, 19.0, 33.0, 47.0], atol=1e-6)
+    np.testing.assert_allclose(got.overshoots, overshoot, atol=0.01 * rate)
+    np.testing.assert_allclose(got.checks, 2.0, atol=0.011)
+    assert len(got.overshoots) == len(got.checks) == 4
+    assert got.initial_turning_time == pytest.approx(5.0, abs=1e-6)
+    assert got.initial_turning_distance == pytest.approx(5.0 * SPEED / LENGTH, rel=1e-6)
+    assert got.period == pytest.approx(28.0, abs=1e-6)
+
+
+def test_a_peak_that_was_not_seen_does_not_count() -> None:
+    switch, rate = 10.0 * DEGREE, 2.0 * DEGREE
+    t = 0.01 * np.arange(6000)
+    track = triangles(t, switch, 4.0 * DEGREE, rate)
+    for end, seen in ((APPROACH + 6.9, 0), (APPROACH + 8.0, 1), (APPROACH + 20.9, 1)):
+        got = indices.zigzag(track.between(0.0, end), length=LENGTH, switch=switch, origin=APPROACH)
+        assert len(got.overshoots) == seen
+        assert math.isnan(got.period)
+
+
+def pulled_out(rest: float) -> Track:
+    """Return a turn to starboard, and from 30 s a rate that falls to a rest (r L / U)."""
+    t = 0.05 * np.arange(3000)
+    rate = np.where(t < 30.0, 0.6, rest + (0.6 - rest) * np.exp(-(t - 30.0) / 8.0))
+    r = rate * SPEED / LENGTH
+    psi = np.concatenate([[0.0], np.cumsum(0.05 * r[:-1])])
+    u, v = np.full_like(t, SPEED), np.zeros_like(t)
+    return Track(t=t, x=t, y=t, psi=psi, u=u, v=v, r=r, delta=np.where(t < 30.0, 0.6, 0.0))
+
+
+def test_pull_out() -> None:
+    straight, turning = pulled_out(0.0), pulled_out(0.2)
+    got = indices.pull_out(straight, straight.mirrored(), length=LENGTH)
+    assert got.stable
+    # exp(-96 / 8) and the like
+    assert abs(got.starboard) < 1e-4 and abs(got.port) < 1e-4
+    got = indices.pull_out(turning, turning.mirrored(), length=LENGTH)
+    assert not got.stable
+    assert got.starboard == pytest.approx(0.2, abs=1e-4)
+    assert got.port == pytest.approx(-0.2, abs=1e-4)
+    # a ship that pulls to one side is stable all the same
+    assert indices.pull_out(turning, turning, length=LENGTH).stable
+    bare = dataclasses.replace(turning, delta=None)
+    with pytest.raises(TrackError, match="no helm angle"):
+        indices.pull_out(bare, bare, length=LENGTH)
+    got = indices.pull_out(bare, bare, length=LENGTH, releases=(30.0, 30.0))
+    assert got.starboard == got.port == pytest.approx(0.2, abs=1e-4)
+
+
+def spiralled(jump: float) -> Track:
+    """Return a spiral whose rate lags: r' = helm + 0.1 until the helm is jump past 0, and back."""
+    down = np.arange(10, -11, -1)
+    levels = np.concatenate([down, down[-2::-1]]) * DEGREE
+    side = np.where(np.arange(levels.size) < down.size, 1.0, -1.0)
+    over = levels * side > -jump
+    rates = levels + 0.1 * side * np.where(over, 1.0, -1.0) * (jump > 0.0)
+    t = 0.2 * np.arange(levels.size * 200)
+    helm, r = np.repeat(levels, 200), np.repeat(rates, 200) * SPEED / LENGTH
+    u, v = np.full_like(t, SPEED), np.zeros_like(t)
+    return Track(t=t, x=t, y=t, psi=np.zeros_like(t), u=u, v=v, r=r, delta=helm)
+
+
+def test_spiral() -> None:
+    got = indices.spiral(spiralled(0.0), length=LENGTH)
+    assert got.falling.shape == got.rising.shape == (2, 21)
+    np.testing.assert_allclose(got.falling[0], got.falling[1], atol=1e-12)
+    assert abs(got.height) < 1e-12 and abs(got.width) < 1e-12
+    for track in (spiralled(3.5 * DEGREE), spiralled(3.5 * DEGREE).mirrored()):
+        got = indices.spiral(track, length=LENGTH)
+        assert got.height == pytest.approx(0.2, abs=1e-9)
+        # between -3 and -4, and between 3 and 4 degrees
+        assert 6.0 * DEGREE < got.width < 8.0 * DEGREE
+        assert np.all(np.diff(got.falling[0]) < 0.0) and np.all(np.diff(got.rising[0]) > 0.0)
+
+
+def test_stopping() -> None:
+    t = 0.05 * np.arange(801)
+    u = 2.0 - 0.1 * t
+    psi = np.full_like(t, 0.7)
+    track = Track(t=t, x=np.cos(0.7) * (2 * t - 0.05 * t**2), y=0.6442 * t, psi=psi, u=u, v=0 * t)
+    got = indices.stopping(dataclasses.replace(track, y=math.tan(0.7) * track.x), length=LENGTH)
+    # 20 s, 20 m, straight
+    assert got == Stopping(
+        track_reach=pytest.approx(20.0 / LENGTH, rel=1e-9),
+        head_reach=pytest.approx(20.0 / LENGTH, rel=1e-9),
+        side_reach=pytest.approx(0.0, abs=1e-9),
+        time=pytest.approx(20.0, abs=1e-9),
+    )
+    with pytest.raises(TrackError, match="still moves ahead at 1 m/s"):
+        indices.stopping(track.between(0.0, 10.0), length=LENGTH)
+
+
+# ------------------------------------------------- how it was recorded does not matter
+
+records = {
+    "seed": st.integers(0, 2**32 - 1),
+    "by": st.floats(-10.0, 10.0),
+    "north": st.floats(-1e3, 1e3),
+    "east": st.floats(-1e3, 1e3),
+    "later": st.floats(-1e3, 1e3),
+}
+
+
+@given(**records)
+@settings(max_examples=40, deadline=None)
+def test_turning_of_any_record(seed: int, **frame: float) -> None:
+    """Compass, chart, clock, sampling, and the side of the turn."""
+    even = indices.turning(circle(0.05 * np.arange(2000)), length=LENGTH)
+    track = moved(circle(uneven(np.random.default_rng(seed), 90.0)), **frame)
+    # two samples of up to 0.09 s and 1.5 m/s in 12 m, where the circle begins at once
+    assert_same(indices.turning(track, length=LENGTH), even, rtol=0.02)
+    other = indices.turning(moved(track.mirrored(), 1.0, 5.0, 6.0, 7.0), length=LENGTH)
+    assert other.side == -1
+    assert_same(other, indices.turning(track, length=LENGTH), rtol=1e-8, skip=("side",))
+
+
+@given(**records)
+@settings(max_examples=40, deadline=None)
+def test_zigzag_of_any_record(seed: int, **frame: float) -> None:
+    switch = 20.0 * DEGREE
+
+    def of(track: Track, origin: float | None = None) -> Zigzag:
+        return indices.zigzag(track, length=LENGTH, switch=switch, origin=origin)
+
+    even = of(triangles(0.05 * np.arange(2000), switch, 8 * DEGREE, 3 * DEGREE), APPROACH)
+    track = triangles(
+        uneven(np.random.default_rng(seed), 99.0), switch, 8 * DEGREE, 3 * DEGREE
+    ).between(0.0, 96.0)
+    record = moved(track, **frame)
+    got = of(record, APPROACH + frame["later"])
+    count = len(got.overshoots)
+    assert count >= 4
+    # a peak between samples of up to 0.09 s, at 3 degrees/s
+    np.testing.assert_allclose(got.overshoots, even.overshoots[:count], atol=0.3 * DEGREE)
+    np.testing.assert_allclose(got.executes, even.executes[: len(got.executes)], atol=0.01)
+    assert got.period == pytest.approx(even.period, abs=0.02)
+    assert_same(of(record.mirrored(), APPROACH + frame["later"]), got, 1e-8, skip=("side",))
+    assert of(record.mirrored(), APPROACH + frame["later"]).side == -1
+    # without the order: the helm, between two samples
+    assert of(record).initial_turning_time == pytest.approx(got.initial_turning_time, abs=0.1)
+
+
+def test_noise_is_smoothed_away() -> None:
+    rng, t = np.random.default_rng(4), 0.1 * np.arange(1000)
+    clean = circle(t)
+    columns = {
+        "x": clean.x + rng.normal(0.0, 0.1, t.size),
+        "y": clean.y + rng.normal(0.0, 0.1, t.size),
+        "psi": clean.psi + rng.normal(0.0, 0.01, t.size),
+    }
+    noisy = dataclasses.replace(clean, **columns)
+    got = indices.turning(noisy.smoothed(4.0), length=LENGTH, origin=APPROACH)
+    # 0.1 m of 12 m; the window of 4 s rounds the corner at the start, a fifth of a radian
+    assert_same(got, indices.turning(clean, length=LENGTH), rtol=0.04)
+    # slopes of the noise as it is: 0.7 m/s on 1.5 m/s
+    rough = noisy.motion[0] - clean.motion[0]
+    smooth = noisy.smoothed(4.0).motion[0] - clean.motion[0]
+    assert np.std(smooth[100:]) < 0.1 * np.std(rough[100:])
+
+
+def test_velocities_are_slopes_where_they_are_not_given() -> None:
+    track = circle(0.01 * np.arange(4000))
+    late = slice(int(APPROACH / 0.01) + 2, -1)
+    want = np.array([SPEED * math.cos(DRIFT), -SPEED * math.sin(DRIFT), SPEED / RADIUS])
+    np.testing.assert_allclose(track.motion[:, late].T - want, 0.0, atol=1e-5)
+    given_r = dataclasses.replace(track, r=np.full(4000, 9.0))
+    assert np.all(given_r.motion[2] == 9.0)
+    np.testing.assert_array_equal(given_r.motion[:2], track.motion[:2])
+
+
+# ------------------------------------------------- errors
+
+
+def test_errors_say_what_is_missing() -> None:
+    t = 0.05 * np.arange(2000)
+    track = circle(t)
+
+    def until(degrees: float) -> Track:
+        return track.between(0.0, APPROACH + (degrees * DEGREE - DRIFT) * RADIUS / SPEED)
+
+    with pytest.raises(TrackError, match="never reached 90 degrees: no advance"):
+        indices.turning(until(80.0), length=LENGTH)
+    with pytest.raises(TrackError, match="never reached 180 degrees: no tactical diameter"):
+        indices.turning(until(170.0), length=LENGTH)
+    assert math.isnan(indices.turning(until(260.0), length=LENGTH).rate)
+    assert indices.turning(until(280.0), length=LENGTH).rate > 0.0
+    with pytest.raises(TrackError, match="8 degrees at most, it never reached 10 degrees"):
+        indices.zigzag(
+            triangles(t, 6 * DEGREE, 2 * DEGREE, DEGREE), length=LENGTH, switch=10 * DEGREE
+        )
+    with pytest.raises(TrackError, match="switch = 0 rad"):
+        indices.zigzag(track, length=LENGTH, switch=0.0)
+    with pytest.raises(TrackError, match="give the time of the order"):
+        indices.turning(dataclasses.replace(track, delta=None), length=LENGTH)
+    with pytest.raises(TrackError, match="helm never moves"):
+        indices.turning(dataclasses.replace(track, delta=np.ones_like(t)), length=LENGTH)
+    with pytest.raises(TrackError, match="-3 s is not inside the track"):
+        indices.turning(track, length=LENGTH, origin=-3.0)
+    with pytest.raises(TrackError, match="found 1"):
+        indices.spiral(track, length=LENGTH)
+    with pytest.raises(TrackError, match=r"window = 0\.1 s"):
+        track.smoothed(0.1)
+
+
+def test_tracks_are_looked_at() -> None:
+    t = np.arange(5.0)
+    with pytest.raises(TrackError, match=r"y has shape \(4,\), but t has 5 samples"):
+        Track(t=t, x=t, y=t[:4], psi=t)
+    with pytest.raises(TrackError, match="psi is not finite at sample 2"):
+        Track(t=t, x=t, y=t, psi=np.where(t == 2.0, np.nan, t))
+    with pytest.raises(TrackError, match="after 2 s comes 2 s"):
+        Track(t=np.minimum(t, 2.0), x=t, y=t, psi=t)
+    with pytest.raises(TrackError, match="got 1"):
+        Track(t=t[:1], x=t[:1], y=t[:1], psi=t[:1])
+
+
+# ------------------------------------------------- IMO
+
+CIRCLE = indices.turning(circle(0.05 * np.arange(2000)), length=LENGTH)
+
+
+def a_zigzag(switch: float, *overshoots: float) -> Zigzag:
+    return Zigzag(
+        side=1,
+        switch=switch * DEGREE,
+        overshoots=tuple(o * DEGREE for o in overshoots),
+        executes=(0.0,),
+        checks=(),
+        initial_turning_time=1.0,
+        initial_turning_distance=2.4,
+        period=math.nan,
+    )
+
+
+@pytest.mark.parametrize(
+    ("seconds", "first", "second"),
+    # the table of MSC.137(76) 5.3.3: 10; 5 + (L/V) / 2; 20, and 25; 17.5 + 0.75 (L/V); 40
+    [(5.0, 10.0, 25.0), (9.99, 10.0, 25.0), (20.0, 15.0, 32.5), (30.0, 20.0, 40.0), (50, 20, 40)],
+)
+def test_limits_of_the_zigzag(seconds: float, first: float, second: float) -> None:
+    def rows(zigzag_10: Zigzag) -> dict[str, indices.Criterion]:
+        found = imo(length=100.0, speed=100.0 / seconds, zigzag_10=zigzag_10)
+        return {row.name: row for row in found}
+
+    below = rows(a_zigzag(10.0, first - 0.01, second - 0.01))
+    assert below["10/10: first overshoot"].limit == pytest.approx(first * DEGREE)
+    assert below["10/10: second overshoot"].limit == pytest.approx(second * DEGREE)
+    assert all(row.ok for row in below.values())
+    above = rows(a_zigzag(10.0, first + 0.01, second + 0.01))
+    assert [name for name, row in above.items() if not row.ok] == [
+        "10/10: first overshoot",
+        "10/10: second overshoot",
+    ]
+
+
+def test_the_worst_side_counts() -> None:
+    wide = dataclasses.replace(CIRCLE, advance=4.6, tactical_diameter=5.1, side=-1)
+    stop = Stopping(track_reach=15.5, head_reach=14.0, side_reach=1.0, time=9.0)
+    rows = imo(
+        length=100.0,
+        speed=5.0,
+        turning=(CIRCLE, wide),
+        zigzag_10=[a_zigzag(10.0, 1.0, 2.0)],
+        zigzag_20=(a_zigzag(20.0, 24.0), a_zigzag(20.0, 26.0)),
+        stopping=stop,
+    )
+    got = {row.name: (row.value, row.limit, row.unit, row.ok) for row in rows}
+    assert got == {
+        "turning: advance": (4.6, 4.5, "L", False),
+        "turning: tactical diameter": (5.1, 5.0, "L", False),
+        "10/10: initial turning": (2.4, 2.5, "L", True),
+        "10/10: first overshoot": (DEGREE, pytest.approx(15 * DEGREE), "rad", True),
+        "10/10: second overshoot": (2 * DEGREE, pytest.approx(32.5 * DEGREE), "rad", True),
+        "20/20: first overshoot": (26 * DEGREE, pytest.approx(25 * DEGREE), "rad", False),
+        "stopping: track reach": (15.5, 15.0, "L", False),
+    }
+    assert all(row.ok for row in imo(length=100.0, speed=5.0, turning=CIRCLE))
+
+
+def test_imo_takes_no_other_zigzag() -> None:
+    with pytest.raises(TrackError, match="20 degrees cannot stand for one at 10"):
+        imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(20.0, 1.0, 2.0))
+    with pytest.raises(TrackError, match=r"shows 1 overshoot\(s\), but 2 are needed"):
+        imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(10.0, 1.0))
+    with pytest.raises(TrackError, match="speed = 0 m/s must be above 0"):
+        imo(length=100.0, speed=0.0)
+
+
+# ------------------------------------------------- recorded runs
+
+
+def recorded(name: str) -> Track:
+    path = KVLCC2 / f"{name}.csv.gz"
+    if not path.exists():
+        pytest.skip(f"{path} is not here (set USV_TWIN_SHARED); it may not be passed on")
+    log = pl.read_csv(path)
+    columns = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
+    columns |= {"r": "r_radps", "delta": "delta_rad"}
+    return Track(**{ours: log[theirs].to_numpy() for ours, theirs in columns.items()})
+
+
+def test_recorded_turn() -> None:
+    """MARIN, 35 degrees to port, with a pull-out; the values beside the data and physics.md 1.5."""
+    track = recorded("marin_tc_35")
+    got = indices.turning(track, length=7.0, origin=0.0, heading=0.0)
+    assert got.side == -1
+    # two decimals, and another reader's window of the steady turn: 0.02
+    assert got.advance == pytest.approx(3.11, abs=0.02)
+    assert got.transfer == pytest.approx(1.22, abs=0.02)
+    assert got.tactical_diameter == pytest.approx(3.08, abs=0.02)
+    assert got.rate == pytest.approx(0.83, abs=0.02)
+    assert got.radius == pytest.approx(1.19, abs=0.02)
+    assert got.speed_ratio == pytest.approx(0.361, abs=0.02)
+    # physics.md 1.5: from the first motion of the rudder 3.00
+    late = indices.turning(track, length=7.0, heading=0.0)
+    assert late.advance == pytest.approx(3.00, abs=0.03)
+    # positions and headings alone, until the helm is put back, averaged over 3 s
+    alone = dataclasses.replace(track, u=None, v=None, r=None, delta=None)
+    alone = alone.smoothed(3.0).between(0.0, 220.0)
+    bare = indices.turning(alone, length=7.0, origin=0.0, heading=0.0)
+    # positions and velocities of the source disagree by 1 % of the approach speed: 0.03 here
+    assert_same(bare, got, rtol=0.03, skip=("time_90", "time_180"))
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "switch", "overshoots"),
+    [
+        ("marin_zz_10", -1, 10.0, (9.5, 15.0)),
+        ("marin_zz_20", -1, 20.0, (15.1, 13.3)),
+        ("hsva_z_10_10_s", 1, 10.0, (9.7, 20.5)),
+        ("hsva_z_20_10_s", 1, 10.0, (11.7, 15.6)),
+    ],
+)
+def test_recorded_zigzag(
+    name: str, side: int, switch: float, overshoots: tuple[float, float]
+) -> None:
+    got = indices.zigzag(
+        recorded(name), length=7.0, switch=switch * DEGREE, origin=0.0, heading=0.0
+    )
+    assert got.side == side
+    # one decimal: 0.05
+    np.testing.assert_allclose(np.degrees(got.overshoots[:2]), overshoots, atol=0.06)

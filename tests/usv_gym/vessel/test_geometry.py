@@ -1,0 +1,393 @@
+"""The boat's geometric model: closed surfaces of the stated size and volume, and mesh files."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import pickle
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twin.cli.main.common import app
+from typer.testing import CliRunner
+from usv_gym.vessel.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
+from usv_gym.vessel.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
+
+import usv_gym
+from usv_gym import Vessel, vessel_names
+from usv_gym.physics.propulsion import propulsion_forces
+
+trimesh = pytest.importorskip("trimesh")
+
+USV75 = Path(usv_gym.__file__).parent / "vessel" / "vessels" / "usv75.toml"
+
+
+def submerged(mesh: Mesh) -> float:
+    """Return the volume below z = 0: a closed hull has points on it all around."""
+    triangles = mesh.vertices[mesh.faces]
+    below = triangles[(triangles[..., 2] > -1e-9 * np.ptp(mesh.bounds)).all(axis=1)]
+    normals = 0.5 * np.cross(below[:, 1] - below[:, 0], below[:, 2] - below[:, 0])
+    return float((below[..., 2].mean(axis=1) * normals[:, 2]).sum())
+
+
+def waterline(mesh: Mesh) -> np.ndarray:
+    """Return length and beam on the water line, m."""
+    on = np.abs(mesh.vertices[:, 2]) < 1e-9 * np.ptp(mesh.bounds)
+    return np.asarray(np.ptp(mesh.vertices[on, :2], axis=0))
+
+
+def check_solid(mesh: Mesh) -> None:
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert solid.is_watertight
+    assert solid.is_winding_consistent
+    assert solid.volume > 0.0
+    assert mesh.volume == pytest.approx(solid.volume)
+
+
+def check_symmetric(mesh: Mesh) -> None:
+    grain = 1e-7 * np.ptp(mesh.bounds)
+    mirrored = mesh.vertices * (1.0, -1.0, 1.0)
+    both = [{tuple(row) for row in np.round(v / grain)} for v in (mesh.vertices, mirrored)]
+    near = both[0] ^ both[1]  # a coordinate on the edge of rounding may fall to either side
+    assert len(near) <= 0.02 * len(both[0])
+    assert abs(mesh.vertices[:, 1].max() + mesh.vertices[:, 1].min()) <= grain
+
+
+@pytest.fixture(params=vessel_names())
+def vessel(request: pytest.FixtureRequest) -> Vessel:
+    return Vessel.load(request.param)
+
+
+def test_hull_is_closed_and_displaces_what_the_vessel_says(vessel: Vessel) -> None:
+    hull, v = boat_of(vessel)["hull"].mesh, vessel.values
+    check_solid(hull)
+    check_symmetric(hull)
+    volume = v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
+    assert submerged(hull) == pytest.approx(volume, rel=0.01)
+    np.testing.assert_allclose(waterline(hull), [v["length_waterline"], v["beam"]], rtol=1e-9)
+    assert hull.bounds[1, 2] == pytest.approx(v["draft"])
+    assert np.ptp(hull.bounds[:, 0]) == pytest.approx(v["length_overall"])
+    assert np.ptp(hull.bounds[:, 1]) == pytest.approx(v["beam"])
+
+
+def test_water_plane_has_the_area_of_the_vessel() -> None:
+    """By the change of volume with the draft: the ring of faces next to the water line."""
+    vessel = Vessel.load("usv75")
+    on = boat_of(vessel)["hull"].mesh.vertices
+    on = on[np.abs(on[:, 2]) < 1e-9]
+    side = on[on[:, 1] >= 0.0]
+    side = side[np.argsort(side[:, 0])]
+    assert 2.0 * np.trapezoid(side[:, 1], side[:, 0]) == pytest.approx(vessel.A_wp, rel=0.01)
+
+
+def test_every_part_is_closed_and_all_are_few(vessel: Vessel) -> None:
+    boat = boat_of(vessel)
+    for part in boat.parts:
+        check_solid(part.mesh)
+        assert np.isfinite(part.mesh.vertices).all()
+    assert len({part.name for part in boat.parts}) == len(boat.parts)
+    assert sum(len(part.mesh.vertices) for part in boat.parts) < 4000
+    with pytest.raises(KeyError, match=r"no part 'keel'.*hull"):
+        boat["keel"]
+
+
+def test_catamarans_have_two_hulls() -> None:
+    for name, hulls in {"otter": 2, "wamv16": 2, "usv75": 1}.items():
+        mesh = boat_of(Vessel.load(name))["hull"].mesh
+        solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        assert len(solid.split()) == hulls
+        assert (np.abs(mesh.vertices[:, 1]).min() > 0.0) == (hulls == 2)
+
+
+def test_drives_and_rudders_stand_where_the_vessel_has_them(vessel: Vessel) -> None:
+    boat, v = boat_of(vessel), vessel.values
+    sides = ("_left", "_right") if v["units"] == 2.0 else ("",)
+    for unit, side in enumerate(sides):
+        propeller = boat[f"propeller{side}"]
+        y = (2 * unit - 1) * v["y_P"] if side else 0.0
+        assert propeller.moves == "spin"
+        assert propeller.unit == unit
+        np.testing.assert_allclose(boat.place(propeller)[1:], [y, v["z_P"]])
+        radius = np.hypot(*propeller.mesh.vertices[:, 1:].T).max()
+        assert radius == pytest.approx(0.5 * v["propeller_diameter"], rel=0.05)
+        if vessel.kind == "propeller_rudder":
+            rudder = boat[f"rudder{side}"]
+            assert rudder.moves == "steer"
+            assert rudder.position[0] == pytest.approx(v["x_R_prime"] * v["length_waterline"])
+            assert propeller.position[0] == pytest.approx(v["x_P_prime"] * v["length_waterline"])
+            assert rudder.mesh.bounds[1, 2] == pytest.approx(0.5 * v["rudder_height"])
+        else:
+            drive = boat[f"drive{side}"]
+            assert propeller.parent == drive.name
+            assert drive.moves == ("" if vessel.kind == "thruster_pair" else "steer")
+            assert drive.position[0] == pytest.approx(v.get("x_P", drive.position[0]))
+            assert drive.position[0] < boat["hull"].mesh.bounds[0, 0] + 0.1 * v["length_overall"]
+
+
+def test_a_drive_turns_by_minus_its_angle() -> None:
+    """Thrust follows the propeller's axis when the part is turned as documented."""
+    vessel = Vessel.load("usv75")
+    angle, state = 0.3, np.zeros(16)
+    state[12:] = [20.0, 20.0, angle, angle]
+    X, Y, _ = propulsion_forces(0.0, 0.0, 0.0, state, vessel.packed.copy())
+    turned = np.array([math.cos(-angle), math.sin(-angle)])
+    state[14:] = 0.0
+    straight = propulsion_forces(0.0, 0.0, 0.0, state, vessel.packed.copy())[0]
+    assert np.sign(Y) == np.sign(turned[1])
+    assert 0.8 < X / (straight * turned[0]) < 1.2
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    block=st.floats(0.35, 0.9),
+    slender=st.floats(1.2, 10.0),
+    flat=st.floats(1.5, 12.0),
+    length=st.floats(0.5, 400.0),
+    over=st.none() | st.floats(0.9, 1.4),
+    plane=st.none() | st.floats(0.3, 1.0),
+    aside=st.none() | st.floats(0.0, 0.6),
+    arm=st.none() | st.floats(-0.8, -0.01),
+    kind=st.sampled_from(tuple(KIND_SCHEMA)),
+    units=st.sampled_from([1, 2]),
+)
+def test_any_boat_can_be_drawn(
+    block: float,
+    slender: float,
+    flat: float,
+    length: float,
+    over: float | None,
+    plane: float | None,
+    aside: float | None,
+    arm: float | None,
+    kind: str,
+    units: int,
+) -> None:
+    beam = length / slender
+    form = Form(
+        length=length,
+        beam=beam,
+        draft=beam / flat,
+        volume=block * length * beam * beam / flat,
+        length_overall=None if over is None else over * length,
+        waterplane=None if plane is None else plane * length * beam,
+        kind=kind,
+        units=2 if kind == "thruster_pair" else units,
+        arm=None if arm is None else arm * length,
+        aside=None if aside is None else aside * beam,
+    )
+    hull = hull_of(form)
+    check_solid(hull)
+    assert submerged(hull) == pytest.approx(form.volume, rel=0.02)
+    np.testing.assert_allclose(waterline(hull), [length, beam], rtol=1e-6)
+    assert hull.bounds[1, 2] == pytest.approx(form.draft)
+    for part in boat_of(form).parts:
+        check_solid(part.mesh)
+
+
+def test_other_boats_of_the_kind_can_be_drawn(vessel: Vessel) -> None:
+    boat = vessel.varied(np.random.default_rng(3), 0.3)
+    hull, v = boat_of(boat)["hull"].mesh, boat.values
+    volume = v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
+    assert submerged(hull) == pytest.approx(volume, rel=0.02)
+
+
+# ------------------------------------------------------------------------------- mesh files
+
+
+def with_mesh(folder: Path, mesh: str) -> Path:
+    """Write usv75 with a mesh; return its file."""
+    path = folder / "mine.toml"
+    text = USV75.read_text(encoding="utf-8")
+    path.write_text(text.replace("[vessel]", f'[vessel]\nmesh = "{mesh}"', 1), encoding="utf-8")
+    return path
+
+
+PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
+
+
+def exported(folder: Path, suffix: str) -> Boat:
+    boat = boat_of(Vessel.load("usv75"))
+    (folder / f"boat{suffix}").write_bytes(boat.encoded(suffix))
+    return boat
+
+
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_an_exported_file_has_the_axes_of_its_format(tmp_path: Path, suffix: str) -> None:
+    boat = exported(tmp_path, suffix)
+    (north, west, up), (bow, east, top) = trimesh.load_scene(tmp_path / f"boat{suffix}").bounds
+    if suffix != ".glb":  # nothing that moves
+        boat = Boat(
+            tuple(part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION)
+        )
+    (aft, port, high), (fore, _, low) = boat.whole().bounds
+    if suffix == ".glb":  # y up, z forward
+        north, west, up, bow, east, top = up, north, west, top, bow, east
+    np.testing.assert_allclose([north, bow, west, up, top], [aft, fore, port, -low, -high], 1e-4)
+
+
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_a_whole_boat_as_its_own_mesh_has_no_drive_twice(tmp_path: Path, suffix: str) -> None:
+    boat = exported(tmp_path, suffix)
+    again = boat_of(Vessel.load(with_mesh(tmp_path, f"boat{suffix}")))
+    assert len(again.whole().faces) == len(boat.whole().faces)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"glTF", b"solid x", b"glTF\x02\0\0\0\x14\0\0\0" + bytes(8)]
+)
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_a_damaged_file_is_told_without_its_parser_s_words(
+    tmp_path: Path, suffix: str, content: bytes
+) -> None:
+    (tmp_path / f"bad{suffix}").write_bytes(content)
+    with pytest.raises(VesselError, match=r"export it again|no triangles"):
+        boat_of(Vessel.load(with_mesh(tmp_path, f"bad{suffix}")))
+
+
+def test_a_mesh_far_from_the_origin_is_refused(tmp_path: Path) -> None:
+    hull = boat_of(Vessel.load("usv75"))["hull"]
+    off = dataclasses.replace(hull, mesh=hull.mesh.moved([500.0, 0.0, 0.0]))
+    (tmp_path / "off.stl").write_bytes(Boat((off,)).encoded(".stl"))
+    refused(tmp_path, "off.stl", "501 m off the origin|amidships")
+
+
+def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:
+    boat = exported(tmp_path, ".glb")
+    again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
+    assert {part.name for part in again.parts} == {part.name for part in boat.parts}
+    for part in boat.parts:
+        back = again[part.name]
+        assert back.mesh.volume == pytest.approx(part.mesh.volume, rel=1e-4)
+        np.testing.assert_allclose(back.mesh.bounds, part.mesh.bounds, atol=1e-5)
+        np.testing.assert_allclose(again.place(back), boat.place(part))
+        assert (back.moves, back.parent, back.unit) == (part.moves, part.parent, part.unit)
+        assert back.colour == part.colour
+    solid = trimesh.load_scene(tmp_path / "boat.glb").geometry["hull"]
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(boat["hull"].mesh.volume, rel=1e-4)
+
+
+def test_a_glb_is_written_again_the_same(tmp_path: Path) -> None:
+    exported(tmp_path, ".glb")
+    again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
+    (tmp_path / "twice.glb").write_bytes(again.encoded(".glb"))
+    first, second = (trimesh.load_scene(tmp_path / f"{n}.glb") for n in ("boat", "twice"))
+    np.testing.assert_allclose(first.bounds, second.bounds, atol=1e-5)
+    assert set(first.graph.nodes_geometry) == set(second.graph.nodes_geometry)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
+def test_other_files_replace_the_hull_and_keep_the_drives(tmp_path: Path, suffix: str) -> None:
+    hull = boat_of(Vessel.load("usv75"))["hull"]
+    (tmp_path / f"hull{suffix}").write_bytes(Boat((hull,)).encoded(suffix))
+    boat = boat_of(Vessel.load(with_mesh(tmp_path, f"hull{suffix}")))
+    assert boat.parts[0].mesh.volume == pytest.approx(hull.mesh.volume, rel=1e-4)
+    np.testing.assert_allclose(boat.parts[0].mesh.bounds, hull.mesh.bounds, atol=1e-5)
+    names = [part.name for part in boat.parts[1:]]
+    assert "drive_left" in names
+    assert "propeller_right" in names
+    assert not {"hull", "deck", "superstructure", "mast"} & set(names)
+
+
+def test_a_vessel_keeps_its_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    exported(tmp_path, ".glb")
+    with_mesh(tmp_path, "boat.glb")
+    monkeypatch.chdir(tmp_path.parent)
+    vessel = Vessel.load(f"{tmp_path.name}/mine.toml")
+    monkeypatch.chdir("/")
+    assert vessel.mesh == (tmp_path / "boat.glb").resolve()
+    for other in (
+        pickle.loads(pickle.dumps(vessel)),
+        vessel.varied(np.random.default_rng(0)),
+        dataclasses.replace(vessel, name="other"),
+    ):
+        assert other.mesh == vessel.mesh
+        boat_of(other)
+    assert Vessel.load("usv75").mesh is None
+
+
+def refused(folder: Path, mesh: str, message: str) -> None:
+    with pytest.raises(VesselError, match=message) as caught:
+        boat_of(Vessel.load(with_mesh(folder, mesh)))
+    assert mesh in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_mesh_files_are_refused(tmp_path: Path) -> None:
+    refused(tmp_path, "none.glb", "there is no file")
+    (tmp_path / "boat.fbx").touch()
+    refused(tmp_path, "boat.fbx", r"must be a file of \.glb, \.stl")
+    for suffix in MESH_FORMATS:
+        (tmp_path / f"noise{suffix}").write_bytes(b"no mesh at all \xff\x00")
+        refused(tmp_path, f"noise{suffix}", "no .* file that can be read|holds no triangles")
+    (tmp_path / "empty.obj").write_text("# nothing\n")
+    refused(tmp_path, "empty.obj", "no .* file that can be read|holds no triangles")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    refused(tmp_path, "points.obj", "no .* file that can be read|holds no triangles")
+    (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    refused(tmp_path, "nan.obj", "no finite numbers")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (np.eye(3) * 1e3, "seems to be in mm"),
+        (np.eye(3) * 100.0, "seems to be in cm"),
+        (np.eye(3) / 0.3048, "seems to be in feet"),
+        (np.eye(3) * 5.0, "must be in m"),
+        (np.eye(3)[[2, 1, 0]], "seems to point elsewhere"),
+    ],
+)
+def test_a_mesh_of_another_size_is_refused(
+    tmp_path: Path, change: np.ndarray, message: str
+) -> None:
+    hull = boat_of(Vessel.load("usv75"))["hull"]
+    wrong = dataclasses.replace(hull, mesh=Mesh(hull.mesh.vertices @ change, hull.mesh.faces))
+    (tmp_path / "wrong.stl").write_bytes(Boat((wrong,)).encoded(".stl"))
+    refused(tmp_path, "wrong.stl", message)
+
+
+def test_a_file_of_drives_alone_is_refused(tmp_path: Path) -> None:
+    boat = boat_of(Vessel.load("usv75"))
+    (tmp_path / "drive.glb").write_bytes(Boat((boat["drive_left"],)).encoded(".glb"))
+    refused(tmp_path, "drive.glb", "must hold the hull")
+
+
+def test_without_trimesh_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    boat = boat_of(Vessel.load("usv75"))
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(VesselError, match=re.escape("pip install 'usv-twin[view]'")):
+        boat.encoded(".glb")
+
+
+# ----------------------------------------------------------------------------- command line
+
+
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
+def test_command_writes_a_mesh(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / "new" / f"boat{suffix}"
+    done = CliRunner().invoke(app, ["vessel", "mesh", "otter", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "triangles" in done.output
+    assert trimesh.load_scene(out).triangles.size
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+
+
+def test_command_refuses_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "boat.glb").touch()
+    for arguments, message in (
+        (["mesh", "usv75", "--out", str(tmp_path / "boat.fbx")], "no mesh format"),
+        (["mesh", "usv75", "--out", str(tmp_path / "boat.glb")], "is there already"),
+        (["mesh", "nobody"], "no vessel is called"),
+        (["check", str(with_mesh(tmp_path, "boat.glb"))], "boat.glb"),
+    ):
+        done = CliRunner().invoke(app, ["vessel", *arguments])
+        assert done.exit_code == 2
+        assert message in done.stderr
+        assert "Traceback" not in done.output
+    assert (tmp_path / "boat.glb").stat().st_size == 0
