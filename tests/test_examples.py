@@ -100,8 +100,9 @@ def test_tables_of_the_speed_run_are_those_of_its_measurements():
 def test_a_small_part_of_the_checked_in_benchmark_is_what_the_command_gives(tmp_path):
     import json
 
-    from twin.cli.main.common import app
     from typer.testing import CliRunner
+
+    from twin.cli.common import app
 
     few = "persistence,ukf,dsw-ukf-plus"
     part = ["--seeds", "0", "--scenarios", "zigzag", "--faults", "gps10", "--predictors", few]

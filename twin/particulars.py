@@ -273,7 +273,7 @@ class Particulars:
             raise ParticularsError(f"{path}: {error}") from None
 
     @property
-    def slowness(self) -> float:
+    def time_scale(self) -> float:
         """Time to sail a length, in units of the study boat's."""
         return self.length / self.speed / (STUDY_LENGTH / STUDY_SPEED)
 

@@ -42,7 +42,7 @@ def shaped(typing_context, array, at, shape):
     """Return the numbers of an array from the ``at``-th on, as a view of another shape.
 
     The array must be contiguous, and nobody checks that it has as many numbers. For kernels; from
-    Python, :func:`usv_kernel.jit.in_python` calls :func:`reshaped` instead.
+    Python, :func:`usv_kernel.jit.py_func` calls :func:`reshaped` instead.
     """
     known = isinstance(array, types.Array) and array.layout == "C"
     if not (known and array.dtype == types.float64):

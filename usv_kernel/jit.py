@@ -19,9 +19,9 @@ from usv_kernel.compiler import Kernel
 from usv_kernel.warmup import Compiling
 
 __all__ = [
-    "in_python",
     "inlined",
     "kernel",
+    "py_func",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -43,7 +43,7 @@ def kernel(function: F, inline: bool = False) -> F:
 
     No kernel allocates: one that would does not compile. So there are no references to count
     either, which took up to half of the time of those that hand views on. A kernel that returns
-    views is for other kernels: see :func:`in_python`.
+    views is for other kernels: see :func:`py_func`.
 
     Floating-point rules stay strict: a relaxed sum compiles to other roundings wherever it
     is inlined, and the same seed would no longer give the same bits in every process.
@@ -82,7 +82,7 @@ def inlined(function: F) -> F:
     return kernel(function, inline=True)
 
 
-def in_python(compiled: F) -> F:
+def py_func(compiled: F) -> F:
     """Return what a kernel was compiled from, for those that return views of their arguments.
 
     Python would free a view that nobody has counted. ``shaped`` becomes its twin for Python.

@@ -19,10 +19,10 @@ __all__ = [
     "accumulate",
     "accumulate_rows",
     "combine",
+    "dot3",
     "dots",
-    "filled",
-    "fours",
     "inner",
+    "padded",
     "transpose",
 ]
 
@@ -40,7 +40,7 @@ _WIDE, _BLOCK = 8, 6
 _DOUBLE = ir.DoubleType()
 
 
-def filled(count: int) -> int:
+def padded(count: int) -> int:
     """Return how many numbers hold so many, and leave no lane of a sum empty."""
     return -(-count // LANES) * LANES
 
@@ -251,7 +251,7 @@ def _alike(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
 
 
 @intrinsic
-def fours(typing_context, first, factors, rows, count):
+def dot3(typing_context, first, factors, rows, count):
     """Return three sums over k of ``factors[k] * rows[k, :3]``, begun with the numbers ``first``.
 
     Parameters

@@ -54,7 +54,7 @@ def make_twin(boat: Particulars) -> Callable[[str], Twin]:
     def make(name: str) -> Twin:
         kind = predictor_class(name)
         options = {"train_at": 20.0} if kind.trains else {}
-        if getattr(kind, "world", False):
+        if kind.needs_simulator:
             options |= {"vessel": Vessel.load("usv75"), "sea": SEA}
         return Twin(boat, name, seed=3, **options)
 

@@ -45,7 +45,7 @@ def answers(twin):
     """Everything that a twin can be asked."""
     now, ahead = twin.estimate(), twin.predict("hold", dt=0.1)
     return [
-        *(now.t, now.s, now.sd, now.xi, now.xi_sd, now.ready),
+        *(now.t, now.state, now.sd, now.params, now.params_sd, now.ready),
         *(getattr(ahead, item.name) for item in dataclasses.fields(ahead)),
         *(twin.t, twin.cmd),
     ]

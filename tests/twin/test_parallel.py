@@ -6,9 +6,9 @@ import functools
 import operator
 
 import pytest
-from twin.benchmark.runner.protocol import BenchmarkError
 
 from twin import parallel as workers
+from twin.benchmark.protocol import BenchmarkError
 
 CALLS = [functools.partial(operator.floordiv, 100, i) for i in range(1, 12)]
 EXPECTED = {i - 1: 100 // i for i in range(1, 12)}

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_kernel.arrays import shaped, stack
-from usv_kernel.jit import in_python, kernel
+from usv_kernel.jit import kernel, py_func
 from usv_kernel.simd import (
     LANES,
     accumulate,
     accumulate_rows,
     combine,
+    dot3,
     dots,
-    fours,
     inner,
     transpose,
 )
@@ -42,7 +42,7 @@ def add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, fir
 
 @kernel
 def three_sums(first, factors, rows, count):
-    return fours(first, factors, rows, count)
+    return dot3(first, factors, rows, count)
 
 
 @kernel
@@ -222,7 +222,7 @@ def second(flat, n, m):
 
 def test_views_are_those_of_reshape_in_kernels_and_in_python():
     flat = np.arange(40.0)
-    one, two = in_python(parts)(flat, 3, 4)
+    one, two = py_func(parts)(flat, 3, 4)
     np.testing.assert_array_equal(one, flat[:12].reshape(3, 4))
     np.testing.assert_array_equal(two, flat[12:36].reshape(2, 3, 4))
     assert np.shares_memory(one, flat)

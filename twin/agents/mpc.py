@@ -222,7 +222,7 @@ def _downhill(knots, best, sources, model, goal, motion, room):
 
 @kernel
 def plan_all(
-    beliefs, now, points, told, sources, shift, common, guesses, steps, last, plans, start, motion,
+    rollout_inputs, now, points, told, sources, shift, common, guesses, steps, last, plans, start, motion,
     room,
 ):  # fmt: skip
     """Renew the plans of all boats.
@@ -231,7 +231,7 @@ def plan_all(
     ----------
     beliefs : tuple
         Places, velocities, parameters, actuators and winds of
-        :class:`twin.predictors.ukf.Beliefs`, bounds of the velocities (n, 3), and the prior.
+        :class:`twin.predictors.ukf.RolloutInputs`, bounds of the velocities (n, 3), and the prior.
     now : (n,) array
         Legs that the twins believe to be on.
     points : (n, P, 2) array
@@ -253,7 +253,7 @@ def plan_all(
     start, motion, room : tuple
         Room for state, parameters, actuators and wind; see :func:`rate`; for the steps.
     """
-    places, velocities, parameters, actuators, winds, bounds, prior = beliefs
+    places, velocities, parameters, actuators, winds, bounds, prior = rollout_inputs
     s, theta, act, wind = start
     trial, base = room[0], room[1]
     states, M = motion[1], shift.shape[0]
@@ -351,7 +351,7 @@ class ModelPredictive:
                 "twin='ukf' or twin='dsw-ukf-plus'"
             )
         check_actions(self.name, base)
-        joint, beliefs, vessel = observer.joint, observer.beliefs, base.vessel
+        joint, rollout_inputs, vessel = observer.joint, observer.rollout_inputs, base.vessel
         n, K, M, V = base.num_envs, self.rows, len(self.knots), WIDTH * len(self.knots)
         length, shafts = vessel.values["length_waterline"], shaft_speeds(vessel)
         h = self.horizon * length / base.speed / K
@@ -368,12 +368,17 @@ class ModelPredictive:
         self._common = joint.lags, joint.envelope, joint.kit
         held = [(usual, x) for x in (-1.0, -0.4, 0.0, 0.4, 1.0)] + [(-usual, 0.0)]
         self._guesses = np.repeat(np.array(held), M, axis=1)
-        self._beliefs, self._paths = beliefs, base.task.points
+        self._beliefs, self._paths = rollout_inputs, base.task.points
         self._legs = observer.notes[:, LEG]
         self._bounds = np.empty((n, 3))
         self._last = np.tile([usual, 0.0], (n, 1))
         self._plans = np.repeat(self._last, M, axis=1)
-        self._start = np.empty(N_STATES), np.empty(len(beliefs.prior)), np.empty(N_ACT), np.empty(2)
+        self._start = (
+            np.empty(N_STATES),
+            np.empty(len(rollout_inputs.prior)),
+            np.empty(N_ACT),
+            np.empty(2),
+        )
         self._motion = (
             *(np.empty((K, N_ACT)), np.empty((K, N_STATES)), np.empty((K, N_ACT))),
             *(np.empty(ROOM), np.empty(len(ERRORS)), np.empty(K)),

@@ -28,7 +28,7 @@ from twin.logs.log import Log
 from twin.predictors.base import Prediction
 from twin.predictors.registry import PredictorError, make_predictor, predictor_class
 from twin.sim.bridge import particulars_of, simulate
-from twin.sim.oracle import world_options
+from twin.sim.oracle import simulator_options
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 
@@ -87,7 +87,7 @@ class _Trial:
         vessel, sea = Vessel.load("usv75"), SeaState(hs=0.5, wind=4.5)
         self.log = simulate("zigzag", vessel=vessel, sea=sea, duration=40.0, seed=7)
         self.particulars = particulars_of(vessel)
-        self.options: dict[str, Any] = world_options(name, vessel, sea, 3)
+        self.options: dict[str, Any] = simulator_options(name, vessel, sea, 3)
         if self.kind.trains:
             self.options["train_at"] = TRAINED_AT
         self.plan = known_plan(self.log, ROWS - 1, 10.0, PLAN_DT)
@@ -203,16 +203,21 @@ def _shaped(trial: _Trial) -> str:
     estimate = twin.estimate()
     _need(estimate.t == trial.log.t[ROWS - 1], f"estimate says t = {estimate.t}")
     _need(bool(estimate.ready), f"is not ready after {ROWS} rows")
-    _need(np.shape(estimate.s) == np.shape(estimate.sd) == (6,), "s and sd must have shape (6,)")
-    _need(np.shape(estimate.xi) == np.shape(estimate.xi_sd), "xi and xi_sd differ in shape")
+    _need(
+        np.shape(estimate.state) == np.shape(estimate.sd) == (6,), "s and sd must have shape (6,)"
+    )
+    _need(
+        np.shape(estimate.params) == np.shape(estimate.params_sd),
+        "params and params_sd differ in shape",
+    )
     names, units = trial.kind.parameter_names, trial.kind.parameter_units
     names, units = (
         twin.predictor.parameter_names or names,
         twin.predictor.parameter_units or units,
     )
     _need(
-        len(names) == len(units) == len(estimate.xi),
-        f"{len(estimate.xi)} parameters, but {len(names)} names and {len(units)} units",
+        len(names) == len(units) == len(estimate.params),
+        f"{len(estimate.params)} parameters, but {len(names)} names and {len(units)} units",
     )
     for rows, dt in ((1, 0.05), (100, 0.1), (40, 0.25), (60, 1.0)):
         plan = np.repeat(trial.plan[:1], rows, axis=0)

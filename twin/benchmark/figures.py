@@ -103,7 +103,7 @@ class PredictorFigure:
         At most three, made at the same origins by all predictors.
     t : ndarray, shape (M,)
         Times of the parameter history, s.
-    xi, xi_sd : ndarray, shape (M, p)
+    params, params_sd : ndarray, shape (M, p)
         Model parameters and their standard deviations; no columns where there is no model.
     names, units : tuple of str
         Of the p parameters.
@@ -113,8 +113,8 @@ class PredictorFigure:
 
     examples: list[Prediction]
     t: Array
-    xi: Array
-    xi_sd: Array
+    params: Array
+    params_sd: Array
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -828,7 +828,7 @@ def parameter_figure(
         row, side = divmod(place, across)
         xi, sd = (
             np.where(np.abs(part[:, column]) < 1e12, part[:, column], math.nan)
-            for part in (figure.xi, figure.xi_sd)
+            for part in (figure.params, figure.params_sd)
         )
         power = _power(_history_limits(xi, sd))
         xi, sd = xi / 10.0**power, sd / 10.0**power

@@ -19,7 +19,7 @@ from twin.digital_twin import PLANS
 from twin.model.structure import MODELS, StructureError
 from twin.particulars import ParticularsError
 from twin.predictors.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
-from twin.sim.oracle import check_world
+from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
@@ -316,10 +316,10 @@ def units(settings: Settings) -> list[Unit]:
 @functools.cache
 def _knows(predictor: str, path: str, ship: str | None, mapping: str | None) -> bool:
     """Return whether a predictor knows all that it needs to run on a log."""
-    if not predictor_class(predictor).world:
+    if not predictor_class(predictor).needs_simulator:
         return True
     try:
-        check_world(predictor, *read_run(path, ship, mapping))
+        check_simulator(predictor, *read_run(path, ship, mapping))
     except Exception:  # a file that cannot be read is told of when it is to be scored
         return False
     return True

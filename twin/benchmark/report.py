@@ -512,7 +512,7 @@ def _run_section(
     if not seen.known and origins:
         # recorded runs are shorter or longer than simulated ones: their first origin tells
         identified = origins[0]
-    shown = {name: f for name, f in run.predictors.items() if f.blocks and len(f.xi)}
+    shown = {name: f for name, f in run.predictors.items() if f.blocks and len(f.params)}
     for name in sorted(shown, key=lambda name: name != METHOD):
         unfolded = " open" if name == METHOD or METHOD not in shown else ""
         body.append(

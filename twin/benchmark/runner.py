@@ -46,7 +46,7 @@ from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.registry import predictor_class
 from twin.sim.bridge import particulars_of, simulate
-from twin.sim.oracle import world_options
+from twin.sim.oracle import simulator_options
 from twin.sim.recorded import read_run
 from usv_gym.world.sensors import (
     FAULT_KINDS,
@@ -160,7 +160,7 @@ def run_unit(
     seen, reference_log, particulars, identify, world = run or load_run(settings, unit)
     reference = Reference(reference_log)
     kind = predictor_class(unit.predictor)
-    options: dict[str, Any] = world_options(unit.predictor, *world) if world else {}
+    options: dict[str, Any] = simulator_options(unit.predictor, *world) if world else {}
     if settings.model is not None and kind.models:
         options["model"] = settings.model
     if kind.trains:
@@ -182,7 +182,7 @@ def run_unit(
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
             estimate = twin.estimate()
-            history.append((t, estimate.xi, estimate.xi_sd))
+            history.append((t, estimate.params, estimate.params_sd))
         if t < next_origin - 1e-9 or t > end + 1e-9:
             continue
         while next_origin <= t + 1e-9:
@@ -503,7 +503,9 @@ def warm_up(settings: Settings) -> None:
     vessel, sea = settings.boat(0), settings.sea()
     log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
     for name in settings.predictors:
-        twin = Twin(particulars_of(vessel), name, **world_options(name, vessel, sea, settings.dof))
+        twin = Twin(
+            particulars_of(vessel), name, **simulator_options(name, vessel, sea, settings.dof)
+        )
         twin.run(log)
         twin.predict("hold")
 
@@ -547,8 +549,8 @@ def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFig
                 for example in result["examples"]
             ],
             t=np.array(history["t"]),
-            xi=np.array(history["xi"]),
-            xi_sd=np.array(history["xi_sd"]),
+            params=np.array(history["xi"]),
+            params_sd=np.array(history["xi_sd"]),
             names=tuple(history["names"]),
             units=tuple(history["units"]),
             blocks={motion: (first, last) for motion, (first, last) in history["blocks"].items()},

@@ -16,6 +16,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twin.benchmark import runner as bench
+from twin.benchmark.protocol import (
+    FULL,
+    FULL_CASES,
+    SPREAD,
+    BenchmarkError,
+    Case,
+    Settings,
+    Unit,
+    available,
+    left_out,
+    units,
+)
 from twin.cli.common import (
     INTERRUPTED,
     DofOption,
@@ -36,7 +48,9 @@ from twin.digital_twin import PLANS
 from twin.files import results_text
 from twin.logs.columns import LogError
 from twin.logs.rosbag import is_bag
+from twin.parallel import check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
+from twin.sim.recorded import NO_PARTICULARS, without_particulars
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sensors import FAULTS_HELP
@@ -71,7 +85,7 @@ def benchmark_command(
     cases: Annotated[
         str | None,
         typer.Option(
-            help=f"Comma-separated, of the full protocol's: {', '.join(bench.FULL_CASES)}. [all]"
+            help=f"Comma-separated, of the full protocol's: {', '.join(FULL_CASES)}. [all]"
         ),
     ] = None,
     seeds: Annotated[
@@ -104,7 +118,7 @@ def benchmark_command(
     spread: Annotated[
         float,
         typer.Option(help="Every seed sails another boat, by this share; 0: the vessel as it is."),
-    ] = bench.SPREAD,
+    ] = SPREAD,
     dof: DofOption = 3,
     model: ModelOption = None,
     hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
@@ -149,17 +163,17 @@ def benchmark_command(
     if check is not None:
         _check(check)
         return
-    bench.check_backend(backend)
+    check_backend(backend)
     asked = listed(predictors, "--predictors")
-    names, notes = bench.available(asked)
+    names, notes = available(asked)
     if not names:
         raise PredictorError("; ".join(notes))
     recorded, missing = _present(log or [])
     usual: dict[str, Any] = {"logs": recorded}
     if full:
-        usual |= {**bench.FULL, "cases": _cases(cases)} if not recorded else bench.FULL
+        usual |= {**FULL, "cases": _cases(cases)} if not recorded else FULL
     elif cases is not None:
-        raise bench.BenchmarkError("--cases are those of the full protocol: add --full")
+        raise BenchmarkError("--cases are those of the full protocol: add --full")
     else:
         usual["logs"] = recorded or bench.default_logs()
     if recorded:
@@ -168,7 +182,7 @@ def benchmark_command(
         usual["scenarios"] = listed(scenarios, "--scenarios")
     if faults is not None:
         if full:
-            raise bench.BenchmarkError("--faults: the full protocol has --cases in its place")
+            raise BenchmarkError("--faults: the full protocol has --cases in its place")
         usual["faults"] = listed(faults, "--faults")
     elif recorded:
         usual["faults"] = ("none",)
@@ -176,7 +190,7 @@ def benchmark_command(
         usual["seeds"] = seeds_of(seeds)
     if plans is not None:
         usual["plans"] = listed(plans, "--plans")
-    settings = bench.Settings(
+    settings = Settings(
         predictors=names,
         vessel=vessel,
         spread=spread,
@@ -194,11 +208,11 @@ def benchmark_command(
             f"{', '.join(names)}"
         )
     Vessel.load(vessel)
-    notes += bench.left_out(settings)
+    notes += left_out(settings)
     notes += tuple(
-        bench.NO_PARTICULARS.format(path)
+        NO_PARTICULARS.format(path)
         for path in recorded
-        if ship is None and bench.without_particulars(path)
+        if ship is None and without_particulars(path)
     )
     for line in notes:
         note(line)
@@ -217,9 +231,9 @@ def benchmark_command(
     _print_benchmark({**results, "notes": notes}, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
-    total = len(bench.units(settings))
+    total = len(units(settings))
     if len(done) + sum(failed.counts.values()) < total:
-        kept = sum(bench.result_file(out, unit).exists() for unit in bench.units(settings))
+        kept = sum(bench.result_file(out, unit).exists() for unit in units(settings))
         errors.print(
             f"stopped: {kept} of {total} results are kept in {out}; "
             "the same command goes on from there",
@@ -227,27 +241,27 @@ def benchmark_command(
         )
         raise typer.Exit(INTERRUPTED)
     if not done:
-        raise bench.BenchmarkError("nothing could be scored; the lines above say why")
-    from twin.benchmark.runner.report import write_report
+        raise BenchmarkError("nothing could be scored; the lines above say why")
+    from twin.benchmark.report import write_report
 
     with console.status("drawing the report"):
         written = write_report(out, results, bench.figures(settings, done))
     console.print(f"{out / 'results.json'}, {written[0]}")
 
 
-def _cases(text: str | None) -> tuple[bench.Case, ...]:
+def _cases(text: str | None) -> tuple[Case, ...]:
     """Return cases of the full protocol by name."""
-    names = tuple(bench.FULL_CASES) if text is None else listed(text, "--cases")
+    names = tuple(FULL_CASES) if text is None else listed(text, "--cases")
     for name in names:
-        if name not in bench.FULL_CASES:
-            known = ", ".join(bench.FULL_CASES)
-            raise bench.BenchmarkError(f"no case is called {name!r}; known: {known}")
-    return tuple(bench.FULL_CASES[name] for name in names)
+        if name not in FULL_CASES:
+            known = ", ".join(FULL_CASES)
+            raise BenchmarkError(f"no case is called {name!r}; known: {known}")
+    return tuple(FULL_CASES[name] for name in names)
 
 
 def _check(name: str) -> None:
     """Print whether a predictor keeps the contract; exit code 1 where it does not."""
-    from twin.benchmark.runner.conformance import check
+    from twin.benchmark.conformance import check
 
     table = Table(title=f"contract of {name}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for head in ("", "check", "what happened"):
@@ -271,7 +285,7 @@ class _Failed(dict[str, str]):
         super().__init__()
         self.counts: dict[str, int] = {}
 
-    def add(self, unit: bench.Unit, error: Exception) -> None:
+    def add(self, unit: Unit, error: Exception) -> None:
         """Keep a reason; the same of several predictors on a run is told once."""
         where = unit.log or unit.run
         key = where if self.get(where, str(error)) == str(error) else f"{where} {unit.predictor}"
@@ -280,12 +294,12 @@ class _Failed(dict[str, str]):
 
 
 def _work(
-    settings: bench.Settings, out: Path, jobs: int, backend: str
-) -> tuple[dict[bench.Unit, dict[str, Any]], _Failed]:
+    settings: Settings, out: Path, jobs: int, backend: str
+) -> tuple[dict[Unit, dict[str, Any]], _Failed]:
     """Do all pieces of work under a progress bar; Ctrl-C ends it early."""
-    done: dict[bench.Unit, dict[str, Any]] = {}
+    done: dict[Unit, dict[str, Any]] = {}
     failed = _Failed()
-    total = len(bench.units(settings))
+    total = len(units(settings))
     with contextlib.suppress(KeyboardInterrupt):
         if not bench.all_finished(settings, out):
             bench.warm_up(settings)
@@ -439,7 +453,7 @@ def _print_blocks(
     heads = {metric: head for metric, head in heads.items() if metric in shown}
     for (scenario, case, plan), block in cells.items():
         loss = "no loss" if case == "none" else f"loss {case}"
-        if case in bench.FULL_CASES:
+        if case in FULL_CASES:
             loss = f"case {case}"
         table = Table(title=f"{scenario}, {loss}, plan {plan}", box=SIMPLE_HEAD, padding=0)
         table.add_column("predictor", no_wrap=True)

@@ -17,7 +17,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from twin.agents.agent import ControllerError
 from twin.agents.policy import AgentError
-from twin.benchmark import runner as bench
 from twin.benchmark.protocol import BenchmarkError
 from twin.checkpoint import StateError
 from twin.digital_twin import Twin, TwinError
@@ -28,7 +27,8 @@ from twin.logs.log import Log
 from twin.model.structure import MODELS
 from twin.particulars import ParticularsError
 from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError
-from twin.sim.oracle import check_world
+from twin.sim.oracle import check_simulator
+from twin.sim.recorded import NO_PARTICULARS, particulars_beside
 from usv_gym.design.new_vessel import DesignError
 from usv_gym.envs.tasks import TaskError
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
@@ -58,7 +58,7 @@ app = typer.Typer(
 
 EXPECTED = (
     AgentError,
-    bench.BenchmarkError,
+    BenchmarkError,
     ControllerError,
     DesignError,
     FaultError,
@@ -162,8 +162,8 @@ def _begin(
     if resume is not None:
         found, twin = True, _resumed(resume, predictor, ship, model)
     else:
-        particulars, found = bench.particulars_beside(path, ship)
-        check_world(predictor or DEFAULT, log, particulars)
+        particulars, found = particulars_beside(path, ship)
+        check_simulator(predictor or DEFAULT, log, particulars)
         options: dict[str, Any] = {} if model is None else {"model": model}
         twin = Twin(particulars, predictor or DEFAULT, **options)
     log = log.without_truth()
@@ -174,7 +174,7 @@ def _begin(
         if len(log) == 0:
             raise TwinError(f"--until {until:g}: the log has no row before it")
     if not found:
-        note(bench.NO_PARTICULARS.format(path))
+        note(NO_PARTICULARS.format(path))
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
     if resume is not None:
         later = log.slice(math.nextafter(twin.t, math.inf), math.inf) if twin.t == twin.t else log

@@ -89,7 +89,7 @@ def identify_command(
             twin.step(t, z, cmd)
             if out is not None:
                 now = twin.estimate()
-                rows.append([t, *now.s, *now.sd, *now.xi, *now.xi_sd])
+                rows.append([t, *now.state, *now.sd, *now.params, *now.params_sd])
             advance()
     last = twin.estimate()
     if save is not None:
@@ -101,7 +101,7 @@ def identify_command(
     if not last.ready:
         raise LogError(f"{log}: no fix and heading came together, so there is nothing to say")
     _print_state(last, predictor, run)
-    if len(last.xi):
+    if len(last.params):
         _print_parameters(prior, last, twin)
     else:
         console.print(f"{predictor} has no model, and so identifies no parameters.")
@@ -118,10 +118,10 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "predictor": predictor,
         "t_s": estimate.t,
         "ready": estimate.ready,
-        "state": dict(zip(CHANNELS, estimate.s.tolist(), strict=True)),
+        "state": dict(zip(CHANNELS, estimate.state.tolist(), strict=True)),
         "state_sd": dict(zip(CHANNELS, estimate.sd.tolist(), strict=True)),
-        "parameters": dict(zip(names, estimate.xi.tolist(), strict=True)),
-        "parameters_sd": dict(zip(names, estimate.xi_sd.tolist(), strict=True)),
+        "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),
+        "parameters_sd": dict(zip(names, estimate.params_sd.tolist(), strict=True)),
         "identifiability": None if seen is None else seen.to_json(),
     }
 
@@ -133,7 +133,7 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
     for name in ("", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s"):
         table.add_column(name, justify="right")
     scale = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
-    s = estimate.s.copy()
+    s = estimate.state.copy()
     s[2] %= 2.0 * math.pi
     table.add_row("value", *(f"{v:.3f}" for v in s * scale))
     table.add_row("sd", *(f"{v:.3f}" for v in estimate.sd * scale))
@@ -153,8 +153,8 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
     for i, (name, symbol) in enumerate(
         zip(twin.predictor.parameter_names, twin.predictor.parameter_units, strict=True)
     ):
-        ratio = last.xi_sd[i] / prior.xi_sd[i] if prior.xi_sd[i] > 0 else math.nan
-        numbers = (prior.xi[i], prior.xi_sd[i], last.xi[i], last.xi_sd[i])
+        ratio = last.params_sd[i] / prior.params_sd[i] if prior.params_sd[i] > 0 else math.nan
+        numbers = (prior.params[i], prior.params_sd[i], last.params[i], last.params_sd[i])
         told = ""
         if name in found:
             told = "sum" if found[name].merged_into else _told(found[name])

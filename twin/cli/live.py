@@ -26,7 +26,7 @@ from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
-from twin.sim.oracle import check_world
+from twin.sim.oracle import check_simulator
 from twin.sim.recorded import NO_PARTICULARS, particulars_beside
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
@@ -199,7 +199,7 @@ def _recorded(
     particulars, found = particulars_beside(path, ship)
     if not found:
         note(NO_PARTICULARS.format(path))
-    check_world(predictor, log, particulars)
+    check_simulator(predictor, log, particulars)
     return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
 
 
@@ -214,7 +214,7 @@ def _fed(
 ) -> Session:
     from twin.live.sessions.feed import FeedSession
 
-    if predictor_class(predictor).world:
+    if predictor_class(predictor).needs_simulator:
         raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")
     particulars, _ = particulars_beside(Path("feed"), ship or "usv75")
     if ship is None:

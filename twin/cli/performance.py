@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from twin.benchmark import runner as bench
+from twin.benchmark.protocol import BenchmarkError
 from twin.cli.common import INTERRUPTED, _digits, _speaking, _write_json, app, console, errors, note
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def bench_command(
         # said before the minutes of measuring, not after them
         folder = json_out.parent
         if json_out.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-            raise bench.BenchmarkError(
+            raise BenchmarkError(
                 f"--json {json_out}: must be a file in a folder that is there and can be written to"
             )
     rounds = rounds or (5 if quick or growth else 9)
@@ -93,7 +93,7 @@ def _compared(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]]
     memory = {n: m for n, m in cases.MEMORY.items() if only.lower() in n.lower()}
     first = {n: m for n, m in cases.FIRST_USES.items() if only.lower() in n.lower() and not quick}
     if not chosen and not memory and not first:
-        raise bench.BenchmarkError(f"--only {only!r}: no such case; leave it out to see them all")
+        raise BenchmarkError(f"--only {only!r}: no such case; leave it out to see them all")
     measured = _timed(chosen, rounds)
     rows = measured.rows(chosen)
     table = Table(title="speed", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
@@ -164,7 +164,7 @@ def _grown(
 
     curves = tuple(c for c in curves if only.lower() in f"{c.name}, {c.size}".lower())
     if not curves:
-        raise bench.BenchmarkError(f"--only {only!r}: no such curve; leave it out to see them all")
+        raise BenchmarkError(f"--only {only!r}: no such curve; leave it out to see them all")
     rows: list[dict[str, Any]] = []
     for curve in curves:
         measured = _timed(cases.growth_cases(curve), rounds)

@@ -53,7 +53,7 @@ def simulate_command(
     dof: DofOption = 3,
 ) -> None:
     """Sail a manoeuvre in a sea state: a log (CSV), the boat's particulars, and a picture."""
-    from twin.benchmark.runner.figures import picture_of_log
+    from twin.benchmark.figures import picture_of_log
 
     boat = Vessel.load(vessel)
     degrees = None if wind_from is None else math.radians(wind_from)

@@ -190,7 +190,7 @@ class LateFusion:
         self.imu.x = np.zeros(6)
         self.gps.P = np.diag(0.25 * self._gps_cap)
         self.imu.P = np.diag(0.25 * self._imu_cap)
-        self.s = np.zeros(6)
+        self.state = np.zeros(6)
         self.fused = np.zeros(4)
         self.fused_covariance = self.imu.P[:4, :4].copy()
         self.weight_gps = np.zeros((4, 4))
@@ -214,7 +214,7 @@ class LateFusion:
     @property
     def covariance(self) -> Array:
         """Covariance of the result, shape (6, 6), in the order (x, y, psi, u, v, r)."""
-        psi, u, v = self.s[2:5]
+        psi, u, v = self.state[2:5]
         c, s = math.cos(psi), math.sin(psi)
         joint = self.imu.P.copy()
         joint[:4, :4] = self.fused_covariance
@@ -262,8 +262,8 @@ class LateFusion:
         psi, r = float(self.imu.x[4]), float(self.imu.x[5])
         c, s = math.cos(psi), math.sin(psi)
         x, y, vx, vy = self.fused.tolist()
-        self.s = np.array([x, y, psi, c * vx + s * vy, c * vy - s * vx, r])
-        return self.s.copy()
+        self.state = np.array([x, y, psi, c * vx + s * vy, c * vy - s * vx, r])
+        return self.state.copy()
 
     def _prepare(self, dt: float) -> None:
         """Build the matrices that depend on dt only; most rows come at the same dt."""

@@ -748,7 +748,7 @@ class Navigator:
         return bool(self.status[READY_FIX] and self.status[READY_HEADING])
 
     @property
-    def s(self) -> Array:
+    def state(self) -> Array:
         """State (x, y, psi, u, v, r), a view."""
         return self.n[:6]
 

@@ -53,7 +53,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.filters.linalg import add_product
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
-from usv_kernel.simd import accumulate, combine, filled, inner, transpose
+from usv_kernel.simd import accumulate, combine, inner, padded, transpose
 
 __all__ = [
     "POINTS",
@@ -125,7 +125,7 @@ def workspace(n_s: int, n_xi: int) -> Array:
     (4, 1 + 2 n_s, width) array
         Zeros; the width is a multiple of :data:`usv_kernel.simd.LANES`.
     """
-    return np.zeros((4, 1 + 2 * n_s, filled(2 * n_s + n_xi + 1)))
+    return np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1)))
 
 
 @inlined

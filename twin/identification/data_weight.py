@@ -39,7 +39,7 @@ from twin.identification.prediction_error import (
 )
 from twin.model.structure import LEFT_COS, N_STATES, N_TERMS, accelerations, state_terms
 from usv_kernel.arrays import shaped
-from usv_kernel.jit import in_python, kernel
+from usv_kernel.jit import kernel, py_func
 
 __all__ = [
     "Rivals",
@@ -239,7 +239,7 @@ class Rivals:
         self.record = (
             np.zeros(record_size(p, segments.steps, spacing)) if record is None else record
         )
-        self.errors, self.xi, _, _ = in_python(record_parts)(self.record, p)
+        self.errors, self.params, _, _ = py_func(record_parts)(self.record, p)
         self.reset()
 
     def reset(self) -> None:

@@ -15,11 +15,11 @@ from twin.identification.identifiability import accumulate
 from twin.model.actuators import follow_all
 from twin.model.augmented import joint_predict
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import LOOK_AHEAD, ROOM, finer, roll_out
+from twin.model.rollout import LOOK_AHEAD, ROOM, roll_out, upsample
 from twin.model.structure import N_STATES, N_TERMS
 from twin.particulars import Particulars
 from usv_kernel.arrays import shaped
-from usv_kernel.jit import in_python, inlined, kernel
+from usv_kernel.jit import inlined, kernel, py_func
 
 __all__ = [
     "JointUKF",
@@ -318,7 +318,7 @@ class JointUKF:
                 *([settings.n_unit], settings.waves),
             ]
         )
-        views = in_python(parts)(self.memory, self.constants, self.kit)
+        views = py_func(parts)(self.memory, self.constants, self.kit)
         self.x, self.P, self.act, self.wind, self.q, _, self.r, *_ = views
         self.scratch = np.zeros(2 * N_STATES**2 + N_TERMS + 10 + ROOM + n - N_STATES)
         self.work = workspace(N_STATES, n - N_STATES)
@@ -367,4 +367,4 @@ class JointUKF:
         if every == 1:
             return coarse
         path = np.concatenate([self.P[None, :N_STATES, :N_STATES], coarse])
-        return finer(path, every, len(acts))
+        return upsample(path, every, len(acts))

@@ -44,7 +44,7 @@ from twin.model.structure import (
     thrust_terms,
 )
 from usv_kernel.arrays import shaped
-from usv_kernel.jit import in_python, kernel
+from usv_kernel.jit import kernel, py_func
 from usv_kernel.scalar import fma
 
 __all__ = [
@@ -654,8 +654,8 @@ class Segments:
             ]
         )
         self.memory = np.zeros(memory_size(p, capacity)) if memory is None else memory
-        self.xi, self.cov = in_python(believed)(self.memory, p)
-        self._first, self.c, self.b, self.at, self.packed = in_python(quadratics)(self.memory, p)
+        self.params, self.cov = py_func(believed)(self.memory, p)
+        self._first, self.c, self.b, self.at, self.packed = py_func(quadratics)(self.memory, p)
         self.room = room(p, capacity)
         self.reset()
 
@@ -663,7 +663,7 @@ class Segments:
         """Forget every segment."""
         self.memory[:] = 0.0
         self._first[:] = -1.0
-        self.xi[:], self.cov[:] = self.prior, self.prior_cov
+        self.params[:], self.cov[:] = self.prior, self.prior_cov
         self.trust = 1.0
 
     @property
@@ -703,7 +703,7 @@ class Segments:
 
     def renew(self, rows: Array, budget: int) -> None:
         """Linearise anew at the present parameters, those that moved most first."""
-        renew(budget, rows, self.xi, *self._tools)
+        renew(budget, rows, self.params, *self._tools)
 
     def costs(self, xi: Array) -> Array:
         """Return q_i at parameters, by the quadratics; 0 where there is no segment."""
@@ -730,9 +730,9 @@ class Segments:
         """
         how = (self.trust, iterations, damping, self.memory, self.rules, self.room)
         # a damped step says nothing of how sure the least is
-        if solve(self.xi, *how) and damping == 0.0:
-            factor = in_python(_solving)(self.room, len(self.xi))[3]
-            use(self.xi, factor, self.trust, self.memory, self.room)
+        if solve(self.params, *how) and damping == 0.0:
+            factor = py_func(_solving)(self.room, len(self.params))[3]
+            use(self.params, factor, self.trust, self.memory, self.room)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
         """Iterate to the least of the true objective: Levenberg-Marquardt over all segments.
@@ -753,13 +753,13 @@ class Segments:
         """
         many, damping = len(self.first), 0.0
         self.renew(rows, many)
-        best = self.objective(self.xi)
+        best = self.objective(self.params)
         for _ in range(iterations):
             kept = self.memory.copy()
             self.solve(1, damping)
             self.renew(rows, many)
-            reached = bool((self.at[self.first >= 0] == self.xi).all())
-            now = self.objective(self.xi) if reached else math.inf
+            reached = bool((self.at[self.first >= 0] == self.params).all())
+            now = self.objective(self.params) if reached else math.inf
             if now <= best:
                 done = best - now <= tolerance * best
                 best, damping = now, 0.25 * damping if damping > 1e-6 else 0.0
@@ -768,7 +768,7 @@ class Segments:
                     return True
             else:
                 # the covariance was that of the point to which this returns
-                in_python(believed)(kept, len(self.prior))[1][:] = self.cov
+                py_func(believed)(kept, len(self.prior))[1][:] = self.cov
                 self.memory[:] = kept
                 damping = max(4.0 * damping, 1e-2)
                 if damping > 1e8:

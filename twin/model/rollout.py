@@ -352,7 +352,7 @@ _NEAR = 1e-3
 
 
 @kernel
-def _stiffness(now, shares, thrust, slowness, wind, hull, terms):
+def _stiffness(now, shares, thrust, time_scale, wind, hull, terms):
     """Return how fast the model's fastest motion dies away, 1/s; surge by itself.
 
     Radius of the spectrum of the Jacobian, by differences.
@@ -360,7 +360,7 @@ def _stiffness(now, shares, thrust, slowness, wind, hull, terms):
     u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
     length = hull[LENGTH]
     du, dv, dr = _rates(u, v, r, c, s, wind, hull, shares, thrust, terms)
-    small = 1e-3 * length / slowness
+    small = 1e-3 * length / time_scale
     du_u, _, _ = _rates(u + small, v, r, c, s, wind, hull, shares, thrust, terms)
     _, dv_v, dr_v = _rates(u, v + small, r, c, s, wind, hull, shares, thrust, terms)
     _, dv_r, dr_r = _rates(u, v, r + small / length, c, s, wind, hull, shares, thrust, terms)
@@ -373,7 +373,7 @@ def _stiffness(now, shares, thrust, slowness, wind, hull, terms):
 
 @kernel
 def look_ahead(
-    s, xi, act, command, lags, envelope, wind, kit, slowness, ripple, gain, out, out_act, room
+    s, xi, act, command, lags, envelope, wind, kit, time_scale, ripple, gain, out, out_act, room
 ):
     """Predict the motion under a held command at a few times, cheaply.
 
@@ -413,8 +413,8 @@ def look_ahead(
             now[k] = out_act[j - 1, k] if j > 0 else act[k]
         sailed, thrust, shares = _motion(motions[0])
         thrust_rates(terms[2], shares, thrust[2])
-        fast = _stiffness(sailed, shares, thrust[2], slowness, wind, kit[2], terms[2])
-        step = slowness * min(_LONGEST, _STIFFEST / max(fast * slowness, 1e-9))
+        fast = _stiffness(sailed, shares, thrust[2], time_scale, wind, kit[2], terms[2])
+        step = time_scale * min(_LONGEST, _STIFFEST / max(fast * time_scale, 1e-9))
         steps = max(math.ceil(min(span / step, _STEPS_MAX)), 1)
         moved = _sail(
             *(now, command, span, steps, lags, envelope, wind, kit[2], waves, gain, j),
@@ -431,7 +431,7 @@ def look_ahead(
             _thrust(now, turned, terms[2])
 
 
-def finer(path: Array, every: int, rows: int) -> Array:
+def upsample(path: Array, every: int, rows: int) -> Array:
     """Return values at every step of a plan from those at every few steps, linearly between.
 
     Parameters

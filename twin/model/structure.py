@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import fma
-from usv_kernel.simd import fours
+from usv_kernel.simd import dot3
 
 __all__ = [
     "BY_PSI",
@@ -341,7 +341,7 @@ def thrust_rates(terms, shares, out):
 @inlined
 def rates(terms, shares, hull, thrust):
     """Return the three accelerations from terms, gathered parameters and :func:`thrust_rates`."""
-    du, dv, dr = fours(thrust, terms, shares, UUU)
+    du, dv, dr = dot3(thrust, terms, shares, UUU)
     if hull[FULL] > 0.0:
         for k in range(UUU, LEFT_COS):
             du = fma(shares[k, 0], terms[k], du)

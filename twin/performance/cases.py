@@ -44,7 +44,7 @@ from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
 from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_kernel.jit import kernel
-from usv_kernel.simd import filled
+from usv_kernel.simd import padded
 from usv_kernel.warmup import QUIET
 
 __all__ = [
@@ -373,7 +373,7 @@ def _ship(dof: int, components: int) -> Burst:
     sea = state.realise(boat, rng, rng)
     states, work = np.zeros((SHIP_STEPS + 1, 16)), np.zeros((ship.WORK_ROWS, 16))
     states[0, 6] = 5.6
-    waves = np.zeros((WAVE_ROWS, filled(sea.waves.shape[1])))
+    waves = np.zeros((WAVE_ROWS, padded(sea.waves.shape[1])))
     waves[:, : sea.waves.shape[1]] = sea.waves
     factors = factor_room(waves.shape[1])
     cmds = np.tile(boat.helm(20.4, 0.1), (SHIP_STEPS, 1))

@@ -40,19 +40,19 @@ class Estimate:
     ----------
     t : float
         Time of the last row, s.
-    s, sd : ndarray, shape (6,)
+    state, sd : ndarray, shape (6,)
         State in the order of :data:`CHANNELS`, and its standard deviation.
-    xi, xi_sd : ndarray, shape (p,)
+    params, params_sd : ndarray, shape (p,)
         Model parameters and their standard deviations; empty where there is no model.
     ready : bool
         False until a first fix and a first heading have come; the rest means nothing then.
     """
 
     t: float
-    s: Array
+    state: Array
     sd: Array
-    xi: Array
-    xi_sd: Array
+    params: Array
+    params_sd: Array
     ready: bool
 
 
@@ -148,12 +148,12 @@ class Predictor(ABC):
     models = False
     """Whether the class takes ``model``, one of ``twin.model.structure.MODELS``."""
     parameter_names: tuple[str, ...] = ()
-    """Names of the parameters in ``Estimate.xi`` ..."""
+    """Names of the parameters in ``Estimate.params`` ..."""
     parameter_units: tuple[str, ...] = ()
     """... their units ..."""
     parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
     """... and first and last + 1 of those in the equation of each motion."""
-    world = False
+    needs_simulator = False
     """Whether the class takes ``vessel``, ``sea`` and ``dof``: the true ones, for a floor."""
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
@@ -200,7 +200,7 @@ class Predictor(ABC):
 
     @property
     @abstractmethod
-    def s(self) -> Array:
+    def state(self) -> Array:
         """State believed now, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
 
     @abstractmethod

@@ -149,7 +149,7 @@ class HistoryPredictor(Predictor):
         self._last = now
 
     @property
-    def s(self) -> Array:
+    def state(self) -> Array:
         """State, a view of shape (6,)."""
         return self.navigator.n[:6]
 
@@ -157,7 +157,7 @@ class HistoryPredictor(Predictor):
         """Return what is believed now."""
         sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[:6, :6])))
         none = np.zeros(0)
-        return Estimate(self.t, self.s.copy(), sd, none, none, self.navigator.ready)
+        return Estimate(self.t, self.state.copy(), sd, none, none, self.navigator.ready)
 
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`Predictor.predict`."""

@@ -36,7 +36,7 @@ from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.ukf import ModelPredictor
 from usv_kernel.arrays import stack
-from usv_kernel.jit import in_python, kernel
+from usv_kernel.jit import kernel, py_func
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -357,7 +357,7 @@ class DSWPredictor(ModelPredictor):
             if self._count % self.stride == 0 and self._count > W:
                 self._restart(W)
         hold_inside(ukf.x, ukf.envelope)
-        terms = in_python(rooms)(ukf.scratch, ukf.kit)[2]
+        terms = py_func(rooms)(ukf.scratch, ukf.kit)[2]
         all_terms(ukf.x, ukf.act, ukf.wind, ukf.kit, terms)
         see(dt, terms, ukf.memory, ukf.kit)
 

@@ -49,7 +49,7 @@ from twin.identification.wave_residual import (
 )
 from twin.model.dynamics import N_ACT, model_of
 from twin.model.priors import population_prior
-from twin.model.rollout import ROOM, finer, roll_outs
+from twin.model.rollout import ROOM, roll_outs, upsample
 from twin.model.structure import N_STATES
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.predictors.base import Prediction
@@ -78,8 +78,8 @@ from twin.predictors.plus_update import (
     book_size,
     plus_step,
 )
-from twin.predictors.ukf import Beliefs, UKFPredictor
-from usv_kernel.jit import in_python
+from twin.predictors.ukf import RolloutInputs, UKFPredictor
+from usv_kernel.jit import py_func
 
 __all__ = [
     "PlusPredictor",
@@ -112,7 +112,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         every=2,
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
-        scale=0.15 * min(1.0, UNHURRIED / particulars.slowness),
+        scale=0.15 * min(1.0, UNHURRIED / particulars.time_scale),
         knee=0.015,
     )
 
@@ -183,7 +183,7 @@ class PlusPredictor(UKFPredictor):
         self.book = np.zeros(book_size(p, capacity, steps, self.spacing))
         # as long as the rules will be, so that the book can be opened
         rules = np.array([period, renewed, self.spacing, span, *np.zeros(STEPS), steps])
-        self.track, record, window = in_python(book_parts)(self.book, rules, p)
+        self.track, record, window = py_func(book_parts)(self.book, rules, p)
         self._seen, self._wave_sd = self.track[_SEEN:_WAVE_SD], self.track[_WAVE_SD:_HERE]
         self._here = self.track[_HERE:_SECTORS].reshape(ORDER, 3)
         self._sectors = self.track[_SECTORS:].reshape(SECTORS, SECTOR_SIZE)
@@ -233,12 +233,12 @@ class PlusPredictor(UKFPredictor):
         """What twins of like boats can share: for the rows, then for looking ahead."""
         return *super().shared, self.rules, self.segments.room, *self._look
 
-    def beliefs(self, *remembered: Array) -> Beliefs:
-        """See :meth:`UKFPredictor.beliefs`; without the share of the waves."""
+    def rollout_inputs(self, *remembered: Array) -> RolloutInputs:
+        """See :meth:`UKFPredictor.rollout_inputs`; without the share of the waves."""
         nav, _, _, book = remembered
         return (
             super()
-            .beliefs(*remembered)
+            .rollout_inputs(*remembered)
             ._replace(
                 places=nav[:, :3],
                 velocities=book[:, _SLOW:_NEXT_START],
@@ -382,14 +382,14 @@ class PlusPredictor(UKFPredictor):
         # where the position is now is as unsure as where it goes, and of another cause
         away[:, :, :2] += (self._start_shocks[:, :2] @ _root(start_cov[:2, :2]).T)[:, None]
         edges = _edges(away)
-        low_edge, high_edge = (finer(edge, every, len(plan)) for edge in edges)
+        low_edge, high_edge = (upsample(edge, every, len(plan)) for edge in edges)
         return Prediction(
             self.t,
             starts[0].copy(),
             start_cov,
             self.t + dt * np.arange(1, len(plan) + 1),
             mean,
-            finer(covs, every, len(plan)),
+            upsample(covs, every, len(plan)),
             low=mean + low_edge,
             high=mean + high_edge,
         )

@@ -144,7 +144,9 @@ def _look_size(p: int) -> int:
 
 
 @kernel
-def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants, kit, ahead, room):
+def plus_look(
+    command, n, usual, time_scale, rows, book, rules, memory, constants, kit, ahead, room
+):
     """Write the motion most to be expected at LOOK_AHEAD under a held command.
 
     What :meth:`PlusPredictor.mean` says of the same times, of `usv75` to within a few 1e-3 of the
@@ -180,7 +182,7 @@ def plus_look(command, n, usual, slowness, rows, book, rules, memory, constants,
     for part in SHRINK:
         _draw_back(part, x, rules, theta)
         look_ahead(
-            *(start, theta, act, command, lags, envelope, wind, kit, slowness),
+            *(start, theta, act, command, lags, envelope, wind, kit, time_scale),
             *(means[0], TOLD_GAIN, ahead, acts, roll),
         )
         if _inside(ahead, track, usual):
@@ -213,7 +215,7 @@ def _way(psi, ahead, way):
 
 @kernel
 def plus_spread(
-    command, gps_var, slowness, P_nav, ahead, book, memory, constants, kit, shocks, room, covs
+    command, gps_var, time_scale, P_nav, ahead, book, memory, constants, kit, shocks, room, covs
 ):
     """Write how unsure the state will be at LOOK_AHEAD; call after :func:`plus_look`.
 
@@ -254,7 +256,7 @@ def plus_spread(
     covs[:] = 0.0
     # what every draw makes of the waves foretold is not how far they part
     look_ahead(
-        *(start, theta, act, command, lags, envelope, wind, kit, slowness),
+        *(start, theta, act, command, lags, envelope, wind, kit, time_scale),
         *(means[0], OBSERVER_GAIN, centre, acts, roll),
     )
     for m in range(out.shape[0]):
@@ -276,7 +278,7 @@ def plus_spread(
             for k in range(3):
                 more_means[0, m, k] += means[0, m, k]
         look_ahead(
-            *(begun, drawn, act, command, lags, envelope, wind, kit, slowness),
+            *(begun, drawn, act, command, lags, envelope, wind, kit, time_scale),
             *(more_means[0], OBSERVER_GAIN, out, acts, roll),
         )
         for m in range(out.shape[0]):

@@ -84,7 +84,7 @@ def predictor_class(name: str) -> type[Predictor]:
         entry = _imported(name, entry)
     if not (isinstance(entry, type) and issubclass(entry, Predictor)):
         raise PredictorError(f"predictor {name!r}: {entry!r} is not a subclass of Predictor")
-    if entry.world and not entry.__module__.startswith("twin."):
+    if entry.needs_simulator and not entry.__module__.startswith("twin."):
         raise PredictorError(f"predictor {name!r}: only the oracle is told of the true world")
     return entry
 

@@ -53,8 +53,8 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
 __all__ = [
-    "Beliefs",
     "ModelPredictor",
+    "RolloutInputs",
     "UKFPredictor",
 ]
 
@@ -249,7 +249,7 @@ class ModelPredictor(Predictor):
         """True once the filter has begun."""
 
     @property
-    def s(self) -> Array:
+    def state(self) -> Array:
         """State, a view of shape (6,)."""
         return self.ukf.x[:N_STATES]
 
@@ -257,8 +257,10 @@ class ModelPredictor(Predictor):
         """Return what is believed now."""
         x, P = self.ukf.x.copy(), self.ukf.P
         state = self.with_common_error(P[:N_STATES, :N_STATES])
-        sd, xi_sd = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:]))
-        return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], xi_sd, self.ready)
+        sd, params_sd = (
+            np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:])
+        )
+        return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], params_sd, self.ready)
 
     def identifiability(self) -> Identifiability:
         """Return what the data seen say of the parameters."""
@@ -284,7 +286,7 @@ class ModelPredictor(Predictor):
         start_cov = self.with_common_error(self.ukf.P[:N_STATES, :N_STATES])
         return Prediction(
             self.t,
-            self.s.copy(),
+            self.state.copy(),
             start_cov,
             self.t + after,
             mean,
@@ -306,7 +308,7 @@ class ModelPredictor(Predictor):
         return within
 
 
-class Beliefs(NamedTuple):
+class RolloutInputs(NamedTuple):
     """What the models of many boats are rolled from.
 
     Attributes
@@ -394,7 +396,7 @@ class UKFPredictor(ModelPredictor):
         _, settings, nav_work, _, *rest = self._arguments
         return settings, nav_work, *rest
 
-    def beliefs(self, *remembered: Array) -> Beliefs:
+    def rollout_inputs(self, *remembered: Array) -> RolloutInputs:
         """Return what :func:`twin.model.rollout.roll_out` needs, of many boats, as views.
 
         Parameters
@@ -404,7 +406,7 @@ class UKFPredictor(ModelPredictor):
         """
         memory, n = remembered[1], len(self.ukf.x)
         end = n + n * n
-        return Beliefs(
+        return RolloutInputs(
             *(memory[:, : PSI + 1], memory[:, PSI + 1 : N_STATES], memory[:, N_STATES:n]),
             *(memory[:, end : end + N_ACT], memory[:, end + N_ACT : end + N_ACT + 2]),
             *(np.full((1, 3), math.inf), np.full(3, math.inf), self.ukf.settings.xi0),

@@ -33,17 +33,17 @@ from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_ensemble import plus_look, plus_spread
 from twin.predictors.plus_update import plus_step
 from twin.predictors.registry import PredictorError, predictor_class
-from twin.predictors.ukf import Beliefs, UKFPredictor, nav_parts, tight_step
+from twin.predictors.ukf import RolloutInputs, UKFPredictor, nav_parts, tight_step
 from twin.sim.bridge import particulars_of
-from twin.sim.oracle import world_options
+from twin.sim.oracle import simulator_options
 from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
-from usv_gym.envs.render import Belief
+from usv_gym.envs.render import TwinOverlay
 from usv_gym.envs.tasks import ERRORS, REACH, SPEED, UNIT, follow
 from usv_gym.physics import frames as fr
 from usv_gym.world.sensors import CHANNELS
 from usv_gym.world.simulation import CMD, STATE, TIME, Z
 from usv_kernel.arrays import shaped
-from usv_kernel.jit import in_python, inlined, kernel
+from usv_kernel.jit import inlined, kernel, py_func
 from usv_kernel.scalar import sincos
 
 __all__ = [
@@ -98,7 +98,7 @@ COVS = AHEAD + len(HORIZONS) * N_STATES
 NOTE_SIZE = COVS + len(HORIZONS) * N_STATES**2
 
 # what all boats of a batch are told alike
-PERIOD, GPS_VAR, SLOWNESS, LOOK = 0, 1, 2, 3
+PERIOD, GPS_VAR, TIME_SCALE, LOOK = 0, 1, 2, 3
 
 _CALM = np.empty((0, 3))
 
@@ -212,7 +212,7 @@ def _ukf_all(
             continue
         scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
         look_ahead(
-            *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[SLOWNESS]),
+            *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[TIME_SCALE]),
             *(_CALM, 0.0, ahead, acts, rooms(scratch, kit)[5]),
         )
         spread_now(told[GPS_VAR], nav_parts(nav[i])[1], memory[i], kit, now)
@@ -248,14 +248,14 @@ def _plus_all(
         x, _, _, _, _, _, _, _, _, _, _, n_unit = parts(memory[i], constants, kit)
         scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
         plus_look(
-            *(held, n, usual, told[SLOWNESS], rows[i], book[i], refit_rules, memory[i]),
+            *(held, n, usual, told[TIME_SCALE], rows[i], book[i], refit_rules, memory[i]),
             *(constants, kit, ahead, look_room),
         )
         spread_now(told[GPS_VAR], P_nav, memory[i], kit, now)
         if note[LAST] >= note[RENEW_AT]:
             note[RENEW_AT] = note[LAST] + told[PERIOD] - 1e-9
             plus_spread(
-                *(held, told[GPS_VAR], told[SLOWNESS], P_nav, ahead, book[i], memory[i]),
+                *(held, told[GPS_VAR], told[TIME_SCALE], P_nav, ahead, book[i], memory[i]),
                 *(constants, kit, shocks, look_room, covs),
             )
         describe(x[:N_STATES], boat, note, points[i], rules, obs[i])
@@ -287,12 +287,12 @@ class TwinObserver(Observer):
         self._parameters = parameters
         if parameters:
             prior = twin.predictor.estimate()
-            if not prior.xi.size:
+            if not prior.params.size:
                 raise PredictorError(
                     f"{twin.name} identifies no parameters: observation='twin_params' needs a "
                     "twin with a model, such as 'ukf'"
                 )
-            self._prior, self._prior_sd = prior.xi, np.maximum(prior.xi_sd, 1e-12)
+            self._prior, self._prior_sd = prior.params, np.maximum(prior.params_sd, 1e-12)
             known = twin.predictor.parameter_names
             self.names += (*(f"xi_{name}" for name in known), *(f"sd_{name}" for name in known))
 
@@ -311,13 +311,13 @@ class TwinObserver(Observer):
         self.notes[i, [LAST, SHOWN]] = math.nan
         self._forget(i)
 
-    def belief(self, i: int) -> Belief | None:
+    def overlay(self, i: int) -> TwinOverlay | None:
         """Return what the twin of boat i believes, for pictures; None before its first row."""
         note = self.notes[i]
         if not math.isfinite(note[LAST]):
             return None
-        _, _, now, ahead, covs = in_python(note_parts)(note)
-        return Belief(
+        _, _, now, ahead, covs = py_func(note_parts)(note)
+        return TwinOverlay(
             state=self._state(i),
             cov=now[:2, :2].copy(),
             horizons=LOOK_AHEAD.copy(),
@@ -375,7 +375,7 @@ class SeparateTwins(TwinObserver):
         self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), N_ACT))
 
     def _state(self, i: int) -> Array:
-        return np.array(self.twins[i].predictor.s, dtype=np.float64)
+        return np.array(self.twins[i].predictor.state, dtype=np.float64)
 
     def _forget(self, i: int) -> None:
         self.twins[i].reset()
@@ -387,7 +387,7 @@ class SeparateTwins(TwinObserver):
     def _identified(self, rows: slice) -> tuple[Array, Array]:
         """See :class:`TwinObserver`."""
         found = [twin.predictor.estimate() for twin in self.twins[rows]]
-        return np.array([one.xi for one in found]), np.array([one.xi_sd for one in found])
+        return np.array([one.params for one in found]), np.array([one.params_sd for one in found])
 
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
         sim, task = self.episodes.simulation, self.episodes.task
@@ -395,7 +395,7 @@ class SeparateTwins(TwinObserver):
             note = self.notes[i]
             dt = _next_row(sim.boats[i], note)
             t, twin = note.item(LAST), self.twins[i]
-            _, z, now, ahead, covs = in_python(note_parts)(note)
+            _, z, now, ahead, covs = py_func(note_parts)(note)
             if dt >= 0.0:
                 # what a twin keeps must not change with the next row
                 twin.feed(t, z.copy(), sim.cmd[i].copy())
@@ -409,7 +409,7 @@ class SeparateTwins(TwinObserver):
             else:
                 ahead[:] = twin.predictor.mean(self._plan, PLAN_STEP)[_ROWS]
             np.fill_diagonal(now, twin.predictor.estimate().sd ** 2)
-            s = np.ascontiguousarray(twin.predictor.s, dtype=np.float64)
+            s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
             describe(s, sim.boats[i], note, task.points[i], task.rules, obs[i])
 
 
@@ -433,7 +433,7 @@ class CompiledTwins(TwinObserver):
         ]
         particulars = predictor.particulars
         self._told = np.array(
-            [band_period, particulars.instruments.gps_bias_sd**2, particulars.slowness, 1.0]
+            [band_period, particulars.instruments.gps_bias_sd**2, particulars.time_scale, 1.0]
         )
         self._shared = predictor.shared
         self._room = np.zeros(len(predictor.ukf.memory) + (len(HORIZONS) + 1) * N_ACT)
@@ -490,9 +490,9 @@ class CompiledTwins(TwinObserver):
         )
 
     @property
-    def beliefs(self) -> Beliefs:
+    def rollout_inputs(self) -> RolloutInputs:
         """What the models of all boats are rolled from, for :mod:`twin.agents.mpc`; views."""
-        return self._predictor.beliefs(*self.memories)
+        return self._predictor.rollout_inputs(*self.memories)
 
     @property
     def joint(self) -> JointUKF:
@@ -546,9 +546,9 @@ def observer_of(
         raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
     sim, options = episodes.simulation, {}
     if not isinstance(twin, Predictor):
-        if len(episodes.seas) > 1 and predictor_class(twin).world:
+        if len(episodes.seas) > 1 and predictor_class(twin).needs_simulator:
             raise PredictorError(f"{twin} is told of the sea: give one, not {len(episodes.seas)}")
-        options = world_options(twin, episodes.vessel, episodes.seas[0], sim.dof)
+        options = simulator_options(twin, episodes.vessel, episodes.seas[0], sim.dof)
     particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
     first = Twin(particulars, twin, seed=seed, **options)
     kind = _COMPILED.get(type(first.predictor), SeparateTwins)

@@ -28,9 +28,9 @@ from usv_kernel.jit import kernel
 
 __all__ = [
     "Oracle",
-    "check_world",
+    "check_simulator",
     "known_vessel",
-    "world_options",
+    "simulator_options",
 ]
 
 Array = NDArray[Any]
@@ -104,7 +104,7 @@ def known_vessel(particulars: Particulars) -> Vessel:
     )
 
 
-def check_world(predictor: str, log: Log, particulars: Particulars) -> None:
+def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
     """Refuse a predictor that needs the true boat where nobody knows it.
 
     Parameters
@@ -119,7 +119,7 @@ def check_world(predictor: str, log: Log, particulars: Particulars) -> None:
     PredictorError
         For a recorded run (no truth), or a boat that is none of the package's vessels.
     """
-    if not predictor_class(predictor).world:
+    if not predictor_class(predictor).needs_simulator:
         return
     if log.truth is None:
         raise PredictorError(
@@ -129,7 +129,7 @@ def check_world(predictor: str, log: Log, particulars: Particulars) -> None:
     known_vessel(particulars)
 
 
-def world_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
+def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
     """Return what a predictor is to be told of the true world; nothing, unless it asks for it.
 
     Parameters
@@ -139,7 +139,7 @@ def world_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> di
     vessel, sea, dof : Vessel, SeaState, int
         The simulation's.
     """
-    if not predictor_class(predictor).world:
+    if not predictor_class(predictor).needs_simulator:
         return {}
     return {"vessel": vessel, "sea": sea, "dof": dof}
 
@@ -169,7 +169,7 @@ class Oracle(HistoryPredictor):
     """
 
     tuning = "none: it knows the boat"
-    world = True
+    needs_simulator = True
 
     def __init__(
         self,

@@ -120,7 +120,7 @@ class TwinObservation(
         _, self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))
         self._renderer = base.renderer
         if self._renderer:
-            self._renderer.belief, self._renderer.waits = self._observer.belief, True
+            self._renderer.overlay, self._renderer.waits = self._observer.overlay, True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

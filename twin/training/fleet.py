@@ -268,7 +268,7 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
         calm = min(1.0, 0.15 * particulars.length / max(hs, 1e-9))
         sea = SeaState(hs=calm * hs, wind=math.sqrt(calm) * wind, wind_from=rng.uniform(0, 6.28))
         # the manoeuvres of the study boat are those of the benchmark
-        slow = max(particulars.slowness, 1.0)
+        slow = max(particulars.time_scale, 1.0)
         log = simulate(
             _commands(vessel, math.sqrt(slow), rng),
             vessel=vessel,

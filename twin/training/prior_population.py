@@ -159,7 +159,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
     n = vessel.values["shaft_speed_manoeuvring"] if n is None else n
     speed = vessel.straight_speed(n)
     true = dataclasses.replace(particulars_of(vessel), speed=speed, shaft_speed=n)
-    slow = true.slowness
+    slow = true.time_scale
     rows = round(SPAN / ROW)
     t = ROW * np.arange(rows)
     throttle, helm = np.ones(rows), np.zeros(rows)
@@ -306,11 +306,11 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     for horizon in (NEAR, HORIZON):
         ahead = dataclasses.replace(settings, horizon=ROW * horizon)
         segments = Segments(structure.kit, structure.mean, np.diag(sd**2), ahead, len(starts))
-        segments.xi[:] = xi
+        segments.params[:] = xi
         for start in starts:
             segments.add(start, rows, xi)
         segments.fit(rows, tolerance=FINE)
-        xi = segments.xi
+        xi = segments.params
     final = np.concatenate([rolled(structure, xi, run) for run in runs])
     return xi, np.sqrt(np.mean(final[:, :, 3:] ** 2, axis=(0, 1)))
 

@@ -1,6 +1,6 @@
 """Pictures of the boats from above: numbers gathered in a :class:`Scene`, painted by pygame.
 
-A picture shows the truth; what a twin believes comes in as a :class:`Belief`. Painting reads and
+A picture shows the truth; what a twin believes comes in as a :class:`TwinOverlay`. Painting reads and
 never writes what it is about, so that an episode is the same with pictures and without.
 """
 
@@ -25,11 +25,11 @@ from usv_gym.vessel.vessel import Vessel
 __all__ = [
     "RENDER_MODES",
     "RENDER_SIZE",
-    "Belief",
     "Painter",
     "Renderer",
     "Scene",
     "Trail",
+    "TwinOverlay",
 ]
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ _FINE = 2  # the map is painted so many times larger, and smoothed
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class TwinOverlay:
     """What a twin believes of a boat, now and ahead.
 
     Parameters
@@ -178,7 +178,7 @@ class Scene:
     wave_to: float
     rewards: dict[str, float]
     heeling: bool
-    belief: Belief | None = None
+    overlay: TwinOverlay | None = None
 
 
 class Trail:
@@ -274,7 +274,7 @@ class Renderer:
             )
         self.episodes, self.mode = episodes, mode
         self.painter = Painter(size)
-        self.belief: Callable[[int], Belief | None] | None = getattr(observer, "belief", None)
+        self.overlay: Callable[[int], TwinOverlay | None] | None = getattr(observer, "belief", None)
         self.waits = False
         self._window = Window(self.painter.size, fps_of(episodes)) if mode == "human" else None
         length = episodes.vessel.values["length_overall"]
@@ -342,7 +342,7 @@ class Renderer:
             wave_to=math.atan2(to_east, to_north),
             rewards=dict(zip(task.terms, terms, strict=True)) if goal else {},
             heeling=sim.dof == 6,
-            belief=self.belief(i) if self.belief else None,
+            overlay=self.overlay(i) if self.overlay else None,
         )
 
     def frames(self) -> tuple[Frame, ...]:
@@ -530,13 +530,13 @@ class Painter:
             x = at(np.array([0.0, east * mesh]))[0]
             draw.line(canvas, _GRID, (x, 0), (x, rect.h), _FINE)
 
-        belief = scene.belief
-        if belief:
+        overlay = scene.overlay
+        if overlay:
             near = 3.0 * max(rect.size)
-            _, places, covs = belief.band()
+            _, places, covs = overlay.band()
             for shape in at(ellipses(places, covs), near):
                 draw.polygon(canvas, _BAND, shape)
-            for shape in at(ellipses(belief.ahead[:, :2], belief.covs, 64), near):
+            for shape in at(ellipses(overlay.ahead[:, :2], overlay.covs, 64), near):
                 draw.polygon(canvas, _RED, shape, thin // 2)
         if len(scene.path):
             points = at(scene.path)
@@ -560,9 +560,9 @@ class Painter:
         shape = at(_turned(hull, psi, place))
         draw.polygon(canvas, _HULL, shape)
         draw.polygon(canvas, _INK, shape, thin)
-        if belief:
+        if overlay:
             draw.lines(canvas, _RED, False, at(places), thin)
-            ghost = at(_turned(hull, float(belief.state[2]), belief.state[:2]), near)
+            ghost = at(_turned(hull, float(overlay.state[2]), overlay.state[:2]), near)
             draw.polygon(canvas, _RED, ghost, round(1.5 * thin))
         self.pg.transform.smoothscale(canvas, self._map.size, self._frame.subsurface(self._map))
         self._draw_scale(mesh, scale / _FINE)
@@ -630,11 +630,11 @@ class Painter:
             ("line", _BLUE, "its track"),
             ("dot", _PURPLE, "GPS fix"),
         ]
-        if scene.belief:
+        if scene.overlay:
             rows += [
                 ("ghost", _RED, "twin: boat now"),
-                ("line", _RED, f"twin: next {scene.belief.horizons[-1]:g} s"),
-                ("band", _BAND, f"twin: {SDS:g} sd; at {_listed(scene.belief.horizons)} s"),
+                ("line", _RED, f"twin: next {scene.overlay.horizons[-1]:g} s"),
+                ("band", _BAND, f"twin: {SDS:g} sd; at {_listed(scene.overlay.horizons)} s"),
             ]
         if len(scene.path):
             rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
@@ -713,8 +713,8 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
         lines.append((f"{abs(scene.off_path):.1f} m {side} of leg", _INK))
         to_go = math.dist(scene.path[scene.leg + 1], state[:2])
         lines.append((f"leg {scene.leg + 1} of {len(scene.path) - 1}: {to_go:.1f} m to go", _INK))
-    if scene.belief:
-        off = math.dist(scene.belief.state[:2], state[:2])
+    if scene.overlay:
+        off = math.dist(scene.overlay.state[:2], state[:2])
         lines.append((f"twin off by {off:.2f} m", _INK))
     lines.append((f"GPS fix {scene.gps_age:.1f} s old", _RED if scene.gps_lost else _INK))
     wind = f"{scene.wind:.1f} m/s from {_angle(scene.wind_from)}"

@@ -9,7 +9,7 @@ import numpy as np
 from usv_gym.physics import parameters as par
 from usv_kernel.jit import kernel
 from usv_kernel.scalar import fma, sincos
-from usv_kernel.simd import dots, filled
+from usv_kernel.simd import dots, padded
 
 # rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
 # draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
@@ -86,9 +86,9 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 def factor_room(components: int) -> np.ndarray:
     """Return room for :func:`box_factors` of so many components, shape (13, width).
 
-    Rows are filled up with zeros, see :func:`~usv_kernel.simd.filled`.
+    Rows are filled up with zeros, see :func:`~usv_kernel.simd.padded`.
     """
-    return np.zeros((FACTOR_ROWS, filled(components)))
+    return np.zeros((FACTOR_ROWS, padded(components)))
 
 
 @kernel

@@ -409,9 +409,11 @@ class _Lines:
         if form.waterplane is not None:
             plane = form.waterplane / (form.length * self.beam) / (2.0 if twin else 1.0)
         angle = np.linspace(0.0, math.pi, _STATIONS)
-        self.xi = 0.5 * (1.0 - np.cos(angle)) * 0.75 + 0.25 * angle / math.pi
+        self.params = 0.5 * (1.0 - np.cos(angle)) * 0.75 + 0.25 * angle / math.pi
 
-        fullness = _bisect(lambda f: float(np.trapezoid(self._side(f), self.xi)) - plane, 0.0, 1.0)
+        fullness = _bisect(
+            lambda f: float(np.trapezoid(self._side(f), self.params)) - plane, 0.0, 1.0
+        )
         power = _bisect(lambda n: self._displaced(fullness, math.exp(n)), *_POWERS)
         if power in _POWERS:  # no such section: let the water line give way
             fullness = _bisect(lambda f: self._displaced(f, math.exp(power)), 0.0, 1.0)
@@ -425,17 +427,17 @@ class _Lines:
         transom = full + (1.0 - full) * fullness**2
         start = 0.12 + 0.8 * fullness  # of the entrance
         end = min(start, 0.42 - 0.3 * fullness)  # of the run
-        fore = np.clip((self.xi - start) / (1.0 - start), 0.0, 1.0)
-        aft = np.clip((end - self.xi) / end, 0.0, 1.0)
+        fore = np.clip((self.params - start) / (1.0 - start), 0.0, 1.0)
+        aft = np.clip((end - self.params) / end, 0.0, 1.0)
         side = (1.0 - fore ** (1.65 + 1.5 * fullness)) * (1.0 - (1.0 - transom) * aft**2)
         return np.asarray(side / side.max())
 
     def _keel(self) -> Array:
         """Drafts of the sections, as shares of the largest."""
         foot = min(max(0.45 + 0.55 * self.block, 0.5), 0.95)
-        keel = np.sqrt(1.0 - np.clip((self.xi - foot) / (1.0 - foot), 0.0, 1.0) ** 2)
+        keel = np.sqrt(1.0 - np.clip((self.params - foot) / (1.0 - foot), 0.0, 1.0) ** 2)
         if self.form.kind == "propeller_rudder":  # room for the propeller
-            rise = np.clip(self.xi / min(max(0.7 * (1.0 - self.block), 0.02), 0.14), 0.0, 1.0)
+            rise = np.clip(self.params / min(max(0.7 * (1.0 - self.block), 0.02), 0.14), 0.0, 1.0)
             keel *= 0.12 + 0.88 * rise**2 * (3.0 - 2.0 * rise)
         return np.asarray(keel / keel.max())
 
@@ -456,7 +458,7 @@ class _Lines:
             return np.asarray(steps.sum(axis=1))
 
         ends, half = area(y, z), area(0.5 * (y[1:] + y[:-1]), 0.5 * (z[1:] + z[:-1]))
-        pieces = (ends[1:] + 4.0 * half + ends[:-1]) / 6.0 * np.diff(self.xi)
+        pieces = (ends[1:] + 4.0 * half + ends[:-1]) / 6.0 * np.diff(self.params)
         return float(pieces.sum()) / (self.beam * self.form.draft) - self.block
 
     def deck(self) -> tuple[Array, Array, Array]:
@@ -466,7 +468,7 @@ class _Lines:
 
     def _rings(self) -> Array:
         """Sections as closed polygons from the keel up to starboard, (stations, points, 3)."""
-        form, xi = self.form, self.xi
+        form, xi = self.form, self.params
         y, z = self._below(self.fullness, self.power)
         sheer = 1.0 + 0.45 * np.clip((xi - 0.35) / 0.65, 0.0, 1.0) ** 2
         if form.pontoon:
@@ -625,7 +627,7 @@ def _fixed(form: Form, lines: _Lines) -> Iterator[Part]:
         *((x, -inner, rim - thick), (x, 0.0 * y, crown - thick)),
     )
     ring = np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1)
-    inside = (lines.xi > 0.012) & (lines.xi < 0.985)
+    inside = (lines.params > 0.012) & (lines.params < 0.985)
     planks = _loft(ring[inside]).moved([0.0, lines.offset, 0.0])
     yield part("deck", [planks, _mirrored(planks)] if lines.offset else [planks])
 

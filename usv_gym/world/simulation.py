@@ -20,7 +20,7 @@ from usv_gym.world.sensors import Disturbance, SensorSuite
 from usv_kernel.arrays import shaped
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
-from usv_kernel.simd import filled
+from usv_kernel.simd import padded
 
 __all__ = [
     "Simulation",
@@ -241,7 +241,7 @@ class Simulation:
         width = sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults + wx.NOISE_SIZE
         self._block = NOISE_ROWS[n > 1]
         shapes = {
-            WAVES: (WAVE_ROWS, filled(max(example.waves.shape[1] for example in examples))),
+            WAVES: (WAVE_ROWS, padded(max(example.waves.shape[1] for example in examples))),
             GUSTS: max(example.gusts.shape for example in examples),
             NOISE: (self._block, width),
             FAULTS: (max_faults, sensors.FAULT_SIZE),

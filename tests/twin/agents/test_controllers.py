@@ -110,7 +110,7 @@ def test_a_mirrored_start_gives_the_mirrored_plan():
     points = envs.unwrapped.task.points
     points[1] = points[0] * [1.0, -1.0]
     agent.begin(envs)
-    believed = envs.unwrapped.observer.beliefs
+    believed = envs.unwrapped.observer.rollout_inputs
     for i, side in enumerate((1.0, -1.0)):
         believed.places[i] = 30.0, 4.0 * side, 0.2 * side
         believed.velocities[i] = 5.0, 0.1 * side, -0.1 * side

@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-from twin.benchmark.runner.conformance import CHECKS, check
 
+from twin.benchmark.conformance import CHECKS, check
 from twin.predictors import registry
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.baselines import Persistence
@@ -54,7 +54,7 @@ class Plain(Predictor):
         self.now[0] = np.nan_to_num(z[0], posinf=0.0)
 
     @property
-    def s(self):
+    def state(self):
         return self.now
 
     def estimate(self):

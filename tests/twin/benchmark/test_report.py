@@ -10,14 +10,14 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from twin.benchmark.runner.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
-from twin.benchmark.runner.report import write_report
-from twin.model.rollout.structure import structure_of
 
 from twin import PREDICTORS
+from twin.benchmark.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
+from twin.benchmark.report import write_report
 from twin.benchmark.runner import figures
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
+from twin.model.structure import structure_of
 from twin.predictors.base import Z90, Prediction
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -178,7 +178,7 @@ def test_long_runs_make_a_small_page(tmp_path):
     t = 0.5 * np.arange(240)
     # parameters that walk through the whole panel all the time are worse than real ones
     xi = rng.normal(size=(240, len(MODEL))).cumsum(axis=0)
-    made = dataclasses.replace(made, t=t, xi=xi, xi_sd=1.0 + 0.0 * xi)
+    made = dataclasses.replace(made, t=t, params=xi, params_sd=1.0 + 0.0 * xi)
     files = write_report(tmp_path, results(), [run(log, {"ukf": made, "dsw-ukf": made})])
     assert files[0].stat().st_size < 400_000
 

@@ -9,8 +9,20 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from usv_gym.vessel.vessel.vessel import Vessel
 
+from twin.benchmark.metrics import KEY, METRICS, STUDY_CHANNELS, compare, score, summarise
+from twin.benchmark.protocol import (
+    FULL,
+    FULL_CASES,
+    HORIZONS,
+    SPREAD,
+    BenchmarkError,
+    Settings,
+    Unit,
+    available,
+    left_out,
+    units,
+)
 from twin.benchmark.runner import metrics as scores
 from twin.benchmark.runner import runner as bench
 from twin.logs.log import Log, recorded_runs
@@ -18,11 +30,13 @@ from twin.predictors.base import Prediction
 from twin.predictors.baselines import Persistence
 from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.bridge import particulars_of
+from twin.sim.recorded import particulars_beside
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
+from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaError
 from usv_gym.world.sensors import Fault, FaultError
 
-SMALL = bench.Settings(
+SMALL = Settings(
     scenarios=("zigzag",),
     faults=("none", "gps5"),
     seeds=(0, 1),
@@ -78,7 +92,7 @@ def test_rows_are_complete(small):
             "median",
         }
     metrics = {item["metric"] for item in results["summary"]}
-    assert metrics == set(bench.METRICS)
+    assert metrics == set(METRICS)
     json.dumps(results, allow_nan=False)
 
 
@@ -135,7 +149,7 @@ def test_continuing_gives_the_same(small, tmp_path, monkeypatch):
 
 def test_other_settings_are_not_taken_for_the_same(small):
     folder, _ = small
-    unit = bench.units(SMALL)[0]
+    unit = units(SMALL)[0]
     assert bench.finished(SMALL, unit, folder, pictures=True) is not None
     other = dataclasses.replace(SMALL, hs=0.6)
     assert bench.finished(other, unit, folder, pictures=True) is None
@@ -148,8 +162,8 @@ def test_other_particulars_are_not_taken_for_the_same(tmp_path):
     path = tmp_path / "own.csv.gz"
     path.write_bytes(log.read_bytes())
     path.with_name("own.toml").write_text(log.with_name("boat1_usv_circle.toml").read_text())
-    settings = bench.Settings(scenarios=(), logs=(str(path),), predictors=("ukf",))
-    unit = bench.units(settings)[0]
+    settings = Settings(scenarios=(), logs=(str(path),), predictors=("ukf",))
+    unit = units(settings)[0]
     before = bench.digest(settings, unit)
     assert bench.digest(settings, unit) == before
     text = path.with_name("own.toml").read_text()
@@ -159,7 +173,7 @@ def test_other_particulars_are_not_taken_for_the_same(tmp_path):
 
 def test_no_two_runs_share_a_file(tmp_path):
     names = ("go od", "go-od", "go%20od", "go_od")
-    files = {bench.result_file(tmp_path, bench.Unit(n, "none", 0, "ukf", n)) for n in names}
+    files = {bench.result_file(tmp_path, Unit(n, "none", 0, "ukf", n)) for n in names}
     assert len(files) == len(names)
 
 
@@ -170,10 +184,10 @@ def test_nothing_is_scored_across_a_gap(tmp_path):
     z[gap, :4] = np.nan
     path = tmp_path / "gap.csv"
     dataclasses.replace(log, z=z).write(path)
-    settings = bench.Settings(
+    settings = Settings(
         scenarios=(), logs=(str(path),), faults=("none",), predictors=("persistence",)
     )
-    (unit,) = bench.units(settings)
+    (unit,) = units(settings)
     result = bench.run_unit(settings, unit, tmp_path, pictures=False)
     # an origin every second; its 10 s and the gap's 30 s overlap for 40 s, less what is near
     assert 33 <= result["skipped"] <= 40
@@ -199,7 +213,7 @@ def test_logs_can_be_fed_back(small):
     # 5 s of loss from 35 s on, and the two rows before the first late fix
     assert lost.sum() == 100 + 2
     assert log.t[lost][2] == pytest.approx(35.0)
-    run = bench.load_run(SMALL, bench.Unit("zigzag", "gps5", 0, "ukf"))
+    run = bench.load_run(SMALL, Unit("zigzag", "gps5", 0, "ukf"))
     assert run.identify == 30.0
     assert run.seen.truth is None
     np.testing.assert_array_equal(run.reference.z, log.z)
@@ -213,19 +227,19 @@ def test_a_log_is_renewed_with_its_result_and_has_its_particulars(tmp_path):
     before = path.read_bytes()
     run_all(dataclasses.replace(small, hs=1.0), tmp_path)
     assert path.read_bytes() != before
-    boat, found = bench.particulars_beside(path)
+    boat, found = particulars_beside(path)
     assert found
     assert boat == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    assumed, found = bench.particulars_beside(other)
+    assumed, found = particulars_beside(other)
     assert not found
     # nobody says of what class she is
     assert (boat.design, assumed.design) == ("usv75", "")
 
 
 def test_two_runs_of_one_name_are_refused():
-    with pytest.raises(bench.BenchmarkError, match="two runs are called 'run'"):
+    with pytest.raises(BenchmarkError, match="two runs are called 'run'"):
         dataclasses.replace(SMALL, logs=("a/run.csv", "b/run.csv.gz"))
 
 
@@ -245,7 +259,7 @@ def test_recorded_run_is_scored_against_its_record(tmp_path):
     assert {row["channel"] for row in results["rows"]} == {"along", "across", "psi"}
     assert {row["scenario"] for row in results["rows"]} == {"boat1_usv_circle"}
     assert {row["predictor"] for row in results["rows"]} == {"persistence", "ukf"}
-    assert bench.left_out(settings) == (
+    assert left_out(settings) == (
         "oracle is left out of boat1_usv_circle: the true boat is not known",
     )
     value = {
@@ -264,9 +278,9 @@ def test_a_perfect_prediction_has_no_error():
     mean = start + rng.normal(size=(1, 6)) * t[:, None]
     cov = np.tile(np.eye(6), (200, 1, 1)) * (1.0 + t[:, None, None])
     prediction = Prediction(0.0, start, np.eye(6), t, mean, cov)
-    truth = np.stack([start, *(mean[round(h / 0.05) - 1] for h in bench.HORIZONS)])
+    truth = np.stack([start, *(mean[round(h / 0.05) - 1] for h in HORIZONS)])
     shifted = truth + np.array([5.0, -3.0, 2 * math.pi, 0.0, 0.0, 0.0])  # receiver's bias
-    found = bench.score(prediction, shifted, bench.HORIZONS)
+    found = score(prediction, shifted, HORIZONS)
     np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
     np.testing.assert_allclose(found.away, 0.0, atol=1e-9)
     assert found.change.shape == (4, 6)
@@ -281,10 +295,10 @@ def test_along_and_across_are_seen_from_the_boat():
     prediction = Prediction(0.0, start, np.zeros((6, 6)), t, mean, np.zeros((200, 6, 6)))
     truth = np.zeros((5, 6))
     truth[:, 2] = math.pi / 2
-    truth[1:, 1] = np.array(bench.HORIZONS) * 1.5
+    truth[1:, 1] = np.array(HORIZONS) * 1.5
     truth[1:, 0] = -1.0
-    found = bench.score(prediction, truth, bench.HORIZONS)
-    ahead = 0.5 * np.array(bench.HORIZONS)
+    found = score(prediction, truth, HORIZONS)
+    ahead = 0.5 * np.array(HORIZONS)
     np.testing.assert_allclose(found.error[:, 3], ahead)  # along: ahead
     np.testing.assert_allclose(found.error[:, 4], -1.0)  # across: to port of the truth
     np.testing.assert_allclose(found.away, np.hypot(ahead, 1.0))
@@ -305,9 +319,9 @@ def test_bands_of_known_errors_cover_nine_in_ten():
     for error in rng.normal(size=(2000, 6)) @ root.T:
         truth = np.stack([np.zeros(6), error])
         prediction = Prediction(0.0, np.zeros(6), zero, t, mean, np.tile(cov, (2, 1, 1)))
-        inside.append(bench.score(prediction, truth, (10.0,)).inside[0])
+        inside.append(score(prediction, truth, (10.0,)).inside[0])
         wide = dataclasses.replace(prediction, low=mean - 100.0, high=mean + 100.0)
-        given.append(bench.score(wide, truth, (10.0,)).inside[0])
+        given.append(score(wide, truth, (10.0,)).inside[0])
     share = np.mean(inside, axis=0)
     np.testing.assert_allclose(share, 0.9, atol=0.027)
     assert np.all(np.mean(given, axis=0)[[0, 1, 2, 5]] == 1.0)
@@ -336,7 +350,7 @@ def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
         for row in results["runs"]
     }
     row, floor = (table["gps5", 1, name, "hold"] for name in ("ukf", "oracle"))
-    assert tuple(row["curves"]) == bench.STUDY_CHANNELS
+    assert tuple(row["curves"]) == STUDY_CHANNELS
     assert all(len(curve) == 20 for curve in row["curves"].values())
     ratios = [np.mean(row["curves"][c]) / np.mean(floor["curves"][c]) for c in row["curves"]]
     assert row["J"] == pytest.approx(np.mean(ratios))
@@ -344,20 +358,20 @@ def test_j_is_the_mean_of_the_ratios_of_five_channels(small):
 
 def test_over_runs_j_is_of_mean_errors():
     """A run on which the oracle is nearly perfect counts by its error, not by its ratio."""
-    base = dict.fromkeys(bench.KEY, "x") | {name: 1.0 for name in bench.METRICS}
+    base = dict.fromkeys(KEY, "x") | {name: 1.0 for name in METRICS}
     errors = {"oracle": (0.01, 1.0, 1.0), "ukf": (0.1, 1.1, 1.2)}
     rows = [
         base
         | {
             "seed": seed,
             "predictor": name,
-            "curves": dict.fromkeys(bench.STUDY_CHANNELS, [error] * 20),
+            "curves": dict.fromkeys(STUDY_CHANNELS, [error] * 20),
         }
         | {"J": error / floor, "E": error / floor - 1.0}
         for name, each in errors.items()
         for seed, (error, floor) in enumerate(zip(each, errors["oracle"], strict=True))
     ]
-    found = {item["metric"]: item for item in bench.summarise(rows) if item["predictor"] == "ukf"}
+    found = {item["metric"]: item for item in summarise(rows) if item["predictor"] == "ukf"}
     assert found["E"]["value"] == pytest.approx(2.4 / 2.01 - 1.0)
     assert found["J"]["value"] == pytest.approx(found["E"]["value"] + 1.0)
     assert found["E"]["median"] == found["E_runs"]["median"] == pytest.approx(0.2)
@@ -371,10 +385,10 @@ def test_without_the_oracle_there_is_no_j(small):
     alone = dataclasses.replace(SMALL, predictors=("persistence", "ukf"))
     done = [r for r in results["runs"] if r["predictor"] in alone.predictors]
     for row in done:
-        assert set(bench.METRICS) - {"mae_median", "E_runs"} <= set(row)
+        assert set(METRICS) - {"mae_median", "E_runs"} <= set(row)
     stripped = [{k: v for k, v in row.items() if k not in ("J", "E")} for row in done]
-    metrics = {item["metric"] for item in bench.summarise(stripped)}
-    assert metrics == set(bench.METRICS) - {"J", "E", "E_runs"}
+    metrics = {item["metric"] for item in summarise(stripped)}
+    assert metrics == set(METRICS) - {"J", "E", "E_runs"}
 
 
 def test_paired_comparison():
@@ -386,14 +400,14 @@ def test_paired_comparison():
         for seed in range(7)
         for name, mae in (("ukf", 1.0 + seed), ("new", (1.0 + seed) * (3.0 if seed == 6 else 0.9)))
     ]
-    (found,) = bench.compare(rows, "ukf")
+    (found,) = compare(rows, "ukf")
     assert (found["predictor"], found["against"]) == ("new", "ukf")
     assert (found["wins"], found["seeds"]) == (6, 7)
     assert found["median_percent"] == pytest.approx(-10.0)
     assert found["change_percent"] == pytest.approx(100.0 * ((21 * 0.9 + 21.0) / 28.0 - 1.0))
     assert found["low"] == pytest.approx(-10.0) and found["high"] > 60.0
-    assert bench.compare(rows, "lstm") == []
-    few = bench.compare([row for row in rows if row["seed"] < 2], "ukf")[0]
+    assert compare(rows, "lstm") == []
+    few = compare([row for row in rows if row["seed"] < 2], "ukf")[0]
     assert few["low"] is None and few["change_percent"] == pytest.approx(-10.0)
 
 
@@ -436,9 +450,9 @@ def test_lost_signals_of_a_recorded_log():
         ({"faults": ("gps",)}, FaultError, "gps10"),
         ({"faults": ("sonar10",)}, FaultError, "sonar"),
         ({"plans": ("guess",)}, PredictorError, "hold, known"),
-        ({"spread": 0.8}, bench.BenchmarkError, "spread = 0.8"),
+        ({"spread": 0.8}, BenchmarkError, "spread = 0.8"),
         ({"hs": -1.0}, SeaError, "hs = -1.0"),
-        ({"duration_s": 35.0}, bench.BenchmarkError, "duration_s"),
+        ({"duration_s": 35.0}, BenchmarkError, "duration_s"),
     ],
 )
 def test_bad_settings_die_early(change, kind, message):
@@ -448,7 +462,7 @@ def test_bad_settings_die_early(change, kind, message):
 
 def test_missing_torch_is_said(monkeypatch):
     monkeypatch.setattr("twin.benchmark.protocol.find_spec", lambda name: None)
-    names, notes = bench.available(("ukf", "lstm"))
+    names, notes = available(("ukf", "lstm"))
     assert names == ("ukf",)
     assert "pip install torch" in notes[0]
 
@@ -482,9 +496,7 @@ def test_crps_is_its_definition():
 
 CASES = dataclasses.replace(
     SMALL,
-    cases=tuple(
-        bench.FULL_CASES[name] for name in ("base", "gps5", "gps10", "sea3", "sea0", "best")
-    ),
+    cases=tuple(FULL_CASES[name] for name in ("base", "gps5", "gps10", "sea3", "sea0", "best")),
     plans=("known",),
     predictors=("persistence", "ukf"),
     seeds=(0, 1, 2),
@@ -498,15 +510,15 @@ def cases(tmp_path_factory):
 
 def test_the_full_protocol_is_what_was_agreed():
     """twin.md section 11, and one factor at a time around the base."""
-    assert bench.FULL["scenarios"] == ("turn", "zigzag", "turn-zigzag", "random")
-    assert len(bench.FULL["seeds"]) == 24 and bench.SPREAD == 0.15
-    base = bench.FULL_CASES["base"]
-    for case in bench.FULL_CASES.values():
+    assert FULL["scenarios"] == ("turn", "zigzag", "turn-zigzag", "random")
+    assert len(FULL["seeds"]) == 24 and SPREAD == 0.15
+    base = FULL_CASES["base"]
+    for case in FULL_CASES.values():
         changed = sum(getattr(case, key) != getattr(base, key) for key in ("fault", "sea", "grade"))
         assert changed == (case is not base)
-    full = bench.Settings(cases=tuple(bench.FULL_CASES.values()), **bench.FULL)
-    assert {unit.sea for unit in bench.units(full)} == {"0", "1", "2", "3", "4"}
-    origins = full.duration_s - full.identify_s - bench.HORIZONS[-1] + 1.0
+    full = Settings(cases=tuple(FULL_CASES.values()), **FULL)
+    assert {unit.sea for unit in units(full)} == {"0", "1", "2", "3", "4"}
+    origins = full.duration_s - full.identify_s - HORIZONS[-1] + 1.0
     assert origins >= 20
     # the longest loss ends within the run
     assert full.identify_s + full.fault_after_s + 30.0 <= full.duration_s
@@ -549,10 +561,10 @@ def test_clusters_change_nothing(small, tmp_path, backend):
 
 
 def test_backends_that_cannot_be_had(monkeypatch):
-    with pytest.raises(bench.BenchmarkError, match="no backend is called 'mpi'; known: loky"):
+    with pytest.raises(BenchmarkError, match="no backend is called 'mpi'; known: loky"):
         bench.check_backend("mpi")
     monkeypatch.setitem(bench.BACKENDS, "dask", ("no_such_module", "'dask[distributed]'"))
-    with pytest.raises(bench.BenchmarkError, match=r"pip install 'dask\[distributed\]'"):
+    with pytest.raises(BenchmarkError, match=r"pip install 'dask\[distributed\]'"):
         bench.check_backend("dask")
 
 
@@ -572,7 +584,7 @@ def predictions(monkeypatch, folder, unit, run):
 @pytest.mark.parametrize("predictor", SMALL.predictors)
 def test_no_predictor_sees_the_truth_or_what_comes_later(tmp_path, monkeypatch, predictor):
     """Truth and all rows that no prediction may know are nonsense: the same bits."""
-    unit = bench.Unit("zigzag", "gps5", 0, predictor, "", "", "2", "typical")
+    unit = Unit("zigzag", "gps5", 0, predictor, "", "", "2", "typical")
     run = bench.load_run(SMALL, unit)
     wrong = dataclasses.replace(run.reference, truth=run.reference.truth + 1e5)
     z = run.seen.z.copy()

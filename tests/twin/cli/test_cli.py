@@ -15,14 +15,13 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from twin.cli.main.benchmark import _matching
-from twin.cli.main.common import seeds_of
-from twin.cli.main.main import _expand
 
 import usv_gym
 from twin import Log, Twin, recorded_runs
 from twin.channels import CHANNELS
-from twin.cli.main import benchmark, main
+from twin.cli.benchmark import _matching
+from twin.cli.common import seeds_of
+from twin.cli.main import _expand, benchmark, main
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import log_of
 from usv_gym import Vessel
@@ -76,13 +75,13 @@ def test_identify_equals_the_twin_in_python(folder):
     assert "..." not in out.stdout  # nothing is cut off at 80 columns
     assert "\u2026" not in out.stdout
     last = json.loads((folder / "last.json").read_text())
-    assert list(last["state"].values()) == estimate.s.tolist()
+    assert list(last["state"].values()) == estimate.state.tolist()
     assert tuple(last["parameters"]) == twin.predictor.parameter_names
-    assert list(last["parameters"].values()) == estimate.xi.tolist()
+    assert list(last["parameters"].values()) == estimate.params.tolist()
     with (folder / "all.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(log)
-    assert [float(rows[-1][name]) for name in CHANNELS] == estimate.s.tolist()
+    assert [float(rows[-1][name]) for name in CHANNELS] == estimate.state.tolist()
 
 
 def test_wrapper_equals_identify_on_the_log_of_the_same_run(tmp_path):
@@ -97,9 +96,9 @@ def test_wrapper_equals_identify_on_the_log_of_the_same_run(tmp_path):
     log_of(env, tmp_path / "episode.csv")
     run("identify", str(tmp_path / "episode.csv"), "--json", str(tmp_path / "e.json"))
     last = json.loads((tmp_path / "e.json").read_text())
-    assert list(last["state"].values()) == believed.s.tolist()
-    assert list(last["parameters"].values()) == believed.xi.tolist()
-    assert list(last["parameters_sd"].values()) == believed.xi_sd.tolist()
+    assert list(last["state"].values()) == believed.state.tolist()
+    assert list(last["parameters"].values()) == believed.params.tolist()
+    assert list(last["parameters_sd"].values()) == believed.params_sd.tolist()
 
 
 def test_predict_prints_bands_and_writes_them(folder):
@@ -280,7 +279,7 @@ def test_the_full_protocol_can_be_thinned(tmp_path):
 
 
 def test_a_predictor_that_cannot_run_has_a_row_that_says_so(capsys):
-    from twin.cli.main.benchmark import _print_benchmark
+    from twin.cli.benchmark import _print_benchmark
 
     item = {"scenario": "turn", "fault": "none", "predictor": "ukf", "plan": "known"}
     item |= {"metric": "mae", "value": 0.2, "low": None, "high": None}

@@ -76,7 +76,7 @@ def run(fusion: LateFusion, z: np.ndarray, dt: float = DT) -> np.ndarray:
 
 
 def check_sound(fusion: LateFusion) -> None:
-    assert np.isfinite(fusion.s).all()
+    assert np.isfinite(fusion.state).all()
     for P in (fusion.gps.P, fusion.imu.P, fusion.fused_covariance, fusion.covariance):
         assert np.isfinite(P).all()
         np.linalg.cholesky(P)
@@ -196,7 +196,7 @@ def test_before_the_first_fix() -> None:
     assert not fusion.ready
     fusion.update(DT, z[100])
     assert fusion.ready
-    assert np.hypot(*(fusion.s - s[100])[:2]) < 5.0
+    assert np.hypot(*(fusion.state - s[100])[:2]) < 5.0
     check_sound(fusion)
 
 
@@ -254,7 +254,7 @@ def test_loss_of_all_sensors_for_five_minutes() -> None:
     lost, back = 600, 6600
     fusion = LateFusion(instruments, LENGTH)
     run(fusion, z[:lost])
-    start = fusion.s
+    start = fusion.state
     end = run(fusion, np.full((600, len(MEASUREMENTS)), math.nan), 10 * DT)[-1]
     # neither acceleration nor yaw rate of the last second is carried on for minutes
     assert np.hypot(*(end - start)[:2]) < 3000.0
@@ -369,7 +369,7 @@ def test_covariance_is_that_of_the_body_velocities() -> None:
     run(fusion, z)
     rng = np.random.default_rng(1)
     velocity = rng.multivariate_normal(fusion.fused[2:], fusion.fused_covariance[2:, 2:], 200_000)
-    psi = rng.normal(fusion.s[2], math.sqrt(fusion.imu.P[4, 4]), 200_000)
+    psi = rng.normal(fusion.state[2], math.sqrt(fusion.imu.P[4, 4]), 200_000)
     u = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
     v = velocity[:, 1] * np.cos(psi) - velocity[:, 0] * np.sin(psi)
     np.testing.assert_allclose(

@@ -211,7 +211,7 @@ def test_repeats_are_no_samples_but_rest_is(boat):
     for _ in range(20 * 300):
         navigator.update(0.05, still)
     # five minutes of a boat that rests, all sensors without noise
-    assert np.abs(navigator.s - [3.0, -2.0, 0.5, 0.0, 0.0, 0.0]).max() < 0.5
+    assert np.abs(navigator.state - [3.0, -2.0, 0.5, 0.0, 0.0, 0.0]).max() < 0.5
     assert navigator.P[0, 0] < 4.0 * (boat.instruments.gps_sd**2 + boat.instruments.gps_bias_sd**2)
 
 
@@ -235,7 +235,7 @@ def test_a_gap_is_not_filled_with_the_acceleration_before_it(boat):
             predictor.update(log.t[k], log.t[k] - log.t[last], log.z[k], log.cmd[k])
             if 37.0 < log.t[k] < 45.0:
                 # 9 m/s where the gap was rolled through; .1 without a gap
-                assert np.abs(predictor.s - log.truth[k])[3:5].max() < 0.6
+                assert np.abs(predictor.state - log.truth[k])[3:5].max() < 0.6
 
 
 @pytest.mark.parametrize("dof", [3, 6])
@@ -254,7 +254,7 @@ def test_losses_of_thirty_seconds(manoeuvre, dof):
                 if k >= 900:
                     z[lost] = math.nan
                 predictor.update(log.t[k], 0.05 if k else 0.0, z, log.cmd[k])
-            e = off(predictor.s, log.truth[k])
+            e = off(predictor.state, log.truth[k])
             if lost.start == 0:
                 position.append(math.hypot(e[0], e[1]))
                 ratio += list(np.abs(e[:2]) / predictor.estimate().sd[:2])
@@ -315,7 +315,7 @@ def marathon(
     clean, usual = kind_of_predictor(BOAT), []
     for (t, z, cmd), true in zip(log, log.truth, strict=True):
         clean.update(t, 0.05 if t > 0.0 else 0.0, z, cmd)
-        usual.append(off(clean.s.copy(), true))
+        usual.append(off(clean.state.copy(), true))
     predictor, recovered = kind_of_predictor(BOAT), []
     sigma = np.array([0.4, 0.4, 0.08, 0.08, 0.012, 0.002, 0.12, 0.12])
     z_lap, truth = lap(log, np.zeros(2), 0.0)
@@ -351,14 +351,14 @@ def marathon(
         t += dt
         predictor.update(t, dt, z, cmd)
         if row % 20 == 0 and predictor.ready:
-            assert np.isfinite(predictor.s).all(), (row, kind)
+            assert np.isfinite(predictor.state).all(), (row, kind)
             assert positive_definite(predictor.P_nav), (row, kind)
             assert positive_definite(predictor.ukf.P), (row, kind)
         if row % 500 == 0:
             ahead = predictor.predict(np.tile(cmd, (40, 1)), 0.25)
             assert np.isfinite(ahead.mean).all() and np.isfinite(ahead.cov).all(), (row, kind)
         if well == 600:
-            recovered.append(off(predictor.s.copy(), truth[k]))
+            recovered.append(off(predictor.state.copy(), truth[k]))
             assert (np.abs(recovered[-1]) < [5.0, 5.0, 0.1, 0.6, 0.6, 0.1]).all(), (row, recovered)
     assert len(recovered) > rows // 5000
     return np.array(recovered), np.array(usual[600:])

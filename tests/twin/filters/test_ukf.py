@@ -10,10 +10,10 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twin.model.rollout.structure import MODELS, N_TERMS, Structure
 
 from twin.filters import ukf
 from twin.model.rollout import augmented, dynamics
+from twin.model.structure import MODELS, N_TERMS, Structure
 from twin.particulars import Particulars
 
 H = 0.05

@@ -13,10 +13,10 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from twin.model.rollout.structure import N_TERMS
 
 from twin.filters import ukf
 from twin.model.rollout import augmented, dynamics
+from twin.model.structure import N_TERMS
 from twin.particulars import Particulars
 
 RUNS = 50

@@ -4,10 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from twin.model.rollout.dynamics import model_of
-from twin.model.rollout.rollout import roll_out
-from twin.model.rollout.structure import N_STATES, N_TERMS
-from usv_gym.vessel.vessel.vessel import Vessel
 
 from twin.identification.data_weight import ENOUGH, TRUSTS, Rivals, miss
 from twin.identification.prediction_error import (
@@ -20,9 +16,13 @@ from twin.identification.prediction_error import (
     STATE,
     Segments,
 )
+from twin.model.dynamics import model_of
+from twin.model.rollout import roll_out
+from twin.model.structure import N_STATES, N_TERMS
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import refit_settings
 from twin.sim.bridge import particulars_of
+from usv_gym.vessel.vessel import Vessel
 
 PARTICULARS: Particulars = particulars_of(Vessel.load("usv75"))
 SETTINGS = refit_settings(PARTICULARS)
@@ -83,7 +83,7 @@ def test_a_forecast_that_leaves_all_bounds_is_the_worst(structure):
     wild[structure.parameters.index("X_u|u|")] = 10.0
     assert missed(structure, rows, wild) == np.inf
     rivals = Rivals(segments(structure, structure.mean), SPACING)
-    rivals.xi[1] = wild
+    rivals.params[1] = wild
     rivals.note([0])
     rivals.judge(0, rows)
     assert np.isfinite(rivals.errors).all()
@@ -99,7 +99,7 @@ def run(structure, rivals, rows):
     own, next_start = rivals.segments, 0
     for newest in range(0, len(rows), 4):
         while next_start + own.steps < newest:
-            own.add(next_start, rows, own.xi)
+            own.add(next_start, rows, own.params)
             rivals.judge(next_start, rows)
             next_start += SPACING
         if (own.first >= 0).sum() < 3:
@@ -119,12 +119,12 @@ def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
     run(structure, rivals, rows)
     assert rivals.chosen > 0
     own = rivals.segments
-    assert (own.xi == rivals.xi[rivals.chosen]).all()
+    assert (own.params == rivals.params[rivals.chosen]).all()
     assert own.trust == TRUSTS[rivals.chosen]
     # the choice pays on what comes later
     later = window(structure, truth, np.random.default_rng(2))
     errors = [
-        np.mean([missed(structure, later, xi, k) for k in (40, 120, 200)]) for xi in rivals.xi
+        np.mean([missed(structure, later, xi, k) for k in (40, 120, 200)]) for xi in rivals.params
     ]
     assert errors[rivals.chosen] < errors[0]
 
@@ -142,13 +142,13 @@ def test_forecasts_are_judged_with_what_was_believed_when_they_began(structure):
     rows = window(structure, structure.mean, np.random.default_rng(4))
     rivals = Rivals(segments(structure, structure.mean), SPACING)
     rivals.note([SPACING])
-    before = rivals.xi.copy()
-    rivals.xi += structure.sd  # learned later
+    before = rivals.params.copy()
+    rivals.params += structure.sd  # learned later
     rivals.note([SPACING])
     rivals.judge(SPACING, rows)
     late = rivals.errors.copy()
     rivals.reset()
-    rivals.xi[:] = before
+    rivals.params[:] = before
     rivals.note([SPACING])
     rivals.judge(SPACING, rows)
     np.testing.assert_array_equal(late, rivals.errors)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from twin.benchmark.runner.paper_checks import henon, logistic
 
+from twin.benchmark.paper_checks import henon, logistic
 from twin.identification.dynamic_window import (
     ENVIRONMENT_FORMS,
     NOISE_FORMS,

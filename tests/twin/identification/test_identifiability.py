@@ -134,7 +134,7 @@ def test_of_a_run(zigzag, boat, model):
     merged = {name for item in found.sums for name in item.members}
     assert not merged & set(found.informed)
     estimate = twin.estimate()
-    np.testing.assert_allclose([item.sd for item in found.parameters], estimate.xi_sd)
+    np.testing.assert_allclose([item.sd for item in found.parameters], estimate.params_sd)
     if model == "paper":
         names = {item.name for item in found.sums}
         assert {"T_uL + T_uR", "T_vL + T_vR", "T_rL + T_rR"} <= names

@@ -9,7 +9,6 @@ import numba
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
-from twin.model.rollout.structure import MODELS, N_TERMS, Structure, structure_of
 
 from twin.identification.prediction_error import (
     ACT,
@@ -24,6 +23,7 @@ from twin.identification.prediction_error import (
     room,
 )
 from twin.model.rollout import dynamics
+from twin.model.structure import MODELS, N_TERMS, Structure, structure_of
 
 LENGTH, SPEED, SHAFT = 6.336, 5.4, 6.33
 STEPS, EVERY = 20, 2
@@ -130,13 +130,13 @@ def segments_of(structure, rows, settings, starts, cov=None) -> Segments:
     cov = np.diag(structure.sd**2) if cov is None else cov
     segments = Segments(structure.kit, structure.mean, cov, settings, len(starts))
     for first in starts:
-        segments.add(first, rows, segments.xi)
+        segments.add(first, rows, segments.params)
     return segments
 
 
 def weights_of(segments: Segments) -> np.ndarray:
     """Return how much each segment counts at the parameters found."""
-    q = segments.costs(segments.xi)
+    q = segments.costs(segments.params)
     return np.minimum(1.0, segments.settings.knee / np.maximum(q, 1e-12))
 
 
@@ -222,8 +222,8 @@ def test_fit_is_that_of_least_squares(structure) -> None:
         residuals, np.zeros(len(structure)), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-12
     )
     assert np.abs(best.x).max() > 0.1
-    np.testing.assert_allclose(prior_of(structure, segments.xi), best.x, atol=1e-5)
-    assert segments.objective(segments.xi) == pytest.approx(2.0 * best.cost, rel=1e-9)
+    np.testing.assert_allclose(prior_of(structure, segments.params), best.x, atol=1e-5)
+    assert segments.objective(segments.params) == pytest.approx(2.0 * best.cost, rel=1e-9)
     # covariance: inverse of the normal matrix, in prior standard deviations
     cov = segments.cov / np.outer(structure.sd, structure.sd)
     np.testing.assert_allclose(cov, np.linalg.inv(best.jac.T @ best.jac), atol=1e-5)
@@ -249,7 +249,7 @@ def test_fit_with_offsets_is_that_of_least_squares_over_them_too(structure) -> N
     assert np.abs(best.x[:p]).max() > 0.1
     # The offsets enter linearised. What that leaves, noise squared, is small beside the
     # posterior's own spread: a fifth of a standard deviation at most.
-    away = segments.xi - (structure.mean + best.x[:p] * structure.sd)
+    away = segments.params - (structure.mean + best.x[:p] * structure.sd)
     assert np.abs(away / np.sqrt(np.diag(segments.cov))).max() < 0.2
     # the covariance is that of the quadratics where it ended, though the last step was refused
     known = segments.information + SETTINGS.scale * segments.H.sum(axis=0)
@@ -258,7 +258,7 @@ def test_fit_with_offsets_is_that_of_least_squares_over_them_too(structure) -> N
     # and leaving the offsets out altogether would not do
     none = segments_of(structure, rows, FIXED, STARTS[::2])
     none.fit(rows)
-    far = (none.xi - segments.xi) / structure.sd
+    far = (none.params - segments.params) / structure.sd
     assert np.linalg.norm(far) > 3.0 * np.linalg.norm(away / structure.sd)
 
 
@@ -283,8 +283,8 @@ def test_robust_fit_is_the_least_of_its_objective(structure) -> None:
         moves = h * np.eye(len(step))
         return np.array([objective(step + d) - objective(step - d) for d in moves]) / (2.0 * h)
 
-    found = prior_of(structure, segments.xi)
-    assert segments.objective(segments.xi) == pytest.approx(objective(found), rel=1e-9)
+    found = prior_of(structure, segments.params)
+    assert segments.objective(segments.params) == pytest.approx(objective(found), rel=1e-9)
     far = found + 0.05 * np.random.default_rng(2).normal(size=len(found))
     best = minimize(objective, far, jac=slope, method="BFGS", options={"gtol": 1e-8})
     weights = weights_of(segments)
@@ -299,7 +299,7 @@ def test_noise_free_data_give_the_boat(structure) -> None:
     vague = np.diag((1e3 * structure.sd) ** 2)
     segments = segments_of(structure, rows, SETTINGS, tuple(range(0, 180, 8)), vague)
     segments.fit(rows, iterations=100, tolerance=1e-13)
-    away, start = segments.xi - truth, structure.mean - truth
+    away, start = segments.params - truth, structure.mean - truth
     known = np.linalg.inv(segments.cov)
     # What is left is the pull of the vague prior, which in the metric of the posterior is at
     # most its own: 1e-6 times the squared distance from its mean, in its standard deviations.
@@ -320,7 +320,7 @@ def test_a_spoilt_segment_hardly_counts(structure) -> None:
     for knee in (1e9, 0.01):
         segments = segments_of(structure, bad, dataclasses.replace(SETTINGS, knee=knee), STARTS)
         segments.fit(bad)
-        away.append(np.linalg.norm((segments.xi - clean.xi) / structure.sd))
+        away.append(np.linalg.norm((segments.params - clean.params) / structure.sd))
     spoilt = [first for first in STARTS if first < 48 and first + STEPS >= 42]
     weight = weights_of(segments)
     hit = np.isin(segments.first, spoilt)
@@ -337,7 +337,7 @@ def test_gradual_refits_reach_the_fit(structure) -> None:
     for _ in range(150):
         slowly.renew(rows, 3)
         slowly.solve()
-    away = (slowly.xi - at_once.xi) / structure.sd
+    away = (slowly.params - at_once.params) / structure.sd
     np.testing.assert_allclose(away, 0.0, atol=1e-5)
     unit = np.outer(structure.sd, structure.sd)
     np.testing.assert_allclose(slowly.cov / unit, at_once.cov / unit, atol=1e-5)
@@ -365,11 +365,11 @@ def test_segments_that_blow_up_are_left_out(structure) -> None:
     for before, after in zip(kept, (segments.first, segments.H, segments.at), strict=True):
         np.testing.assert_array_equal(before, after)
     # nor does a wild step spoil those that are there
-    segments.xi[:] = wild
+    segments.params[:] = wild
     segments.renew(rows, 10)
     np.testing.assert_array_equal(segments.H, kept[1])
     segments.solve()
-    assert np.isfinite(segments.xi).all()
+    assert np.isfinite(segments.params).all()
 
 
 def test_the_oldest_makes_room_and_old_ones_go() -> None:
@@ -382,10 +382,10 @@ def test_the_oldest_makes_room_and_old_ones_go() -> None:
     assert sorted(segments.first) == [-1, 16, 24]
     assert (segments.costs(structure.mean) > 0.0).sum() == 2
     segments.solve()
-    assert not np.array_equal(segments.xi, structure.mean)
+    assert not np.array_equal(segments.params, structure.mean)
     segments.reset()
     assert (segments.first == -1).all()
-    np.testing.assert_array_equal(segments.xi, structure.mean)
+    np.testing.assert_array_equal(segments.params, structure.mean)
     np.testing.assert_array_equal(segments.cov, np.diag(structure.sd**2))
 
 
@@ -394,7 +394,7 @@ def test_without_segments_the_prior_stays() -> None:
     segments = Segments(structure.kit, structure.mean, np.diag(structure.sd**2), SETTINGS, 4)
     segments.renew(np.zeros((8, COLUMNS)), 4)
     segments.solve()
-    np.testing.assert_allclose(segments.xi, structure.mean, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(segments.params, structure.mean, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(np.sqrt(np.diag(segments.cov)), structure.sd, rtol=1e-9)
 
 
@@ -405,7 +405,7 @@ def test_renewal_takes_those_that_moved_most() -> None:
     for part, slot in enumerate(np.argsort(segments.first)):
         segments.at[slot] = structure.mean + 0.1 * part * structure.sd
     segments.renew(rows, 3)
-    anew = segments.first[(segments.at == segments.xi).all(axis=1)]
+    anew = segments.first[(segments.at == segments.params).all(axis=1)]
     assert sorted(anew) == sorted([STARTS[0], *STARTS[-3:]])
 
 
@@ -416,8 +416,8 @@ def test_a_damped_solution_lies_between_and_says_nothing_of_the_covariance() -> 
     plain.solve(1)
     damped.solve(1, damping=10.0)
     held.solve(1, damping=1e12)
-    whole, part = (np.linalg.norm(prior_of(structure, s.xi)) for s in (plain, damped))
+    whole, part = (np.linalg.norm(prior_of(structure, s.params)) for s in (plain, damped))
     assert 0.0 < part < whole
-    np.testing.assert_allclose(prior_of(structure, held.xi), 0.0, atol=1e-6)
+    np.testing.assert_allclose(prior_of(structure, held.params), 0.0, atol=1e-6)
     # the damping is a means of finding the least; it says nothing of how sure that is
     np.testing.assert_array_equal(held.cov, held.prior_cov)

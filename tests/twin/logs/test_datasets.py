@@ -167,7 +167,7 @@ def test_a_twin_follows_a_recorded_ship(name: str, run: str) -> None:
         twin.step(t, z, cmd)
     last = np.flatnonzero(np.isfinite(log.z[:, 0]) & (log.t < 60.0))[-1]
     # metres; the receivers jitter by millimetres and stand still for up to a second
-    assert np.hypot(*(twin.estimate().s[:2] - log.z[last, :2])) < 0.3
+    assert np.hypot(*(twin.estimate().state[:2] - log.z[last, :2])) < 0.3
 
 
 def test_a_run_is_known_by_its_header_wherever_it_lies(tmp_path: Path) -> None:

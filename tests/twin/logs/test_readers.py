@@ -13,11 +13,11 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from twin.cli.main.common import app
 from typer.testing import CliRunner
 
 from twin import Twin
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.cli.common import app
 from twin.logs import readers as table
 from twin.logs.columns import LogError
 from twin.logs.log import Log, beside
@@ -666,4 +666,4 @@ def test_a_twin_follows_a_bag_of_many_rates(tmp_path: Path) -> None:
     seen = Log.read(path, mapping)
     twin.run(seen)
     # 2 m/s with fixes of 0.1 m twice a second
-    assert np.hypot(*(twin.estimate().s[:2] - log.z[-5, :2])) < 1.5
+    assert np.hypot(*(twin.estimate().state[:2] - log.z[-5, :2])) < 1.5

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from twin.benchmark.runner.paper_checks import RATED, paper_run
-from twin.model.rollout.structure import MODELS, N_TERMS, Structure, accelerations
 
+from twin.benchmark.paper_checks import RATED, paper_run
 from twin.benchmark.runner import paper_checks
 from twin.filters import ukf
 from twin.model.rollout import actuators, augmented, dynamics, rollout
+from twin.model.structure import MODELS, N_TERMS, Structure, accelerations
 from twin.particulars import Particulars
 from usv_kernel.scalar import actuate
 
@@ -435,14 +435,20 @@ def test_follow_solves_the_actuator_law(
 
 
 def look_ahead(
-    structure: Structure, xi: np.ndarray, act: list[float], command: list[float], slowness: float
+    structure: Structure, xi: np.ndarray, act: list[float], command: list[float], time_scale: float
 ) -> np.ndarray:
     """Look ahead from usual speed; shaft speeds are rev/s."""
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     out, out_act = np.empty((4, 6)), np.empty((4, 4))
     rollout.look_ahead(
         *(np.array([0.0, 0.0, 0.5, 5.0, 0.2, 0.05]), xi, unit * act, unit * command),
-        *(np.array([0.6, 0.1, 0.35]), np.array([50.0, 50.0, 10.0]), CALM, structure.kit, slowness),
+        *(
+            np.array([0.6, 0.1, 0.35]),
+            np.array([50.0, 50.0, 10.0]),
+            CALM,
+            structure.kit,
+            time_scale,
+        ),
         *(np.empty((0, 3)), 0.0, out, out_act, np.empty(rollout.ROOM)),
     )
     return out

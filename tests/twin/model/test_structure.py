@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from twin.model.rollout.structure import (
+
+from twin.model.structure import (
     LEFT_COS,
     MODELS,
     N_STATES,

@@ -7,11 +7,11 @@ import json
 
 import numpy as np
 import pytest
-from twin.cli.main.common import app
-from twin.model.rollout.augmented import joint_predict
 from typer.testing import CliRunner
 
+from twin.cli.common import app
 from twin.filters.ukf import measurement_update
+from twin.model.augmented import joint_predict
 from twin.performance import cases
 from twin.performance.cases import chosen, fit
 from twin.performance.harness import FLOOR, REFERENCE_FLOOR, Case, Measured, measure

@@ -23,7 +23,14 @@ LAST = 700
 def answers(twin, plan):
     """What a twin says now, under a plan and with the last command held."""
     estimate = twin.estimate()
-    said = [estimate.t, estimate.s, estimate.sd, estimate.xi, estimate.xi_sd, estimate.ready]
+    said = [
+        estimate.t,
+        estimate.state,
+        estimate.sd,
+        estimate.params,
+        estimate.params_sd,
+        estimate.ready,
+    ]
     for prediction in (twin.predict(plan, dt=0.1), twin.predict("hold", dt=0.25)):
         said += [getattr(prediction, item.name) for item in dataclasses.fields(prediction)]
     return [
@@ -175,21 +182,21 @@ class Peeping(Predictor):
         self.rows.append((t, z))
 
     @property
-    def s(self):
+    def state(self):
         return np.nan_to_num(self.rows[-1][1][:6]) if self.rows else np.zeros(6)
 
     def estimate(self):
         from twin.predictors.base import Estimate
 
-        return Estimate(0.0, self.s, np.ones(6), np.zeros(0), np.zeros(0), True)
+        return Estimate(0.0, self.state, np.ones(6), np.zeros(0), np.zeros(0), True)
 
     def predict(self, plan, dt):
         from twin.predictors.base import Prediction
 
         self.asked += 1
-        mean = np.tile(self.s + self.asked, (len(plan), 1))
+        mean = np.tile(self.state + self.asked, (len(plan), 1))
         cov = np.tile(np.eye(6), (len(plan), 1, 1))
-        return Prediction(0.0, self.s, np.eye(6), dt * np.arange(1, len(plan) + 1), mean, cov)
+        return Prediction(0.0, self.state, np.eye(6), dt * np.arange(1, len(plan) + 1), mean, cov)
 
 
 def test_these_tests_can_fail(boat, zigzag, plan, monkeypatch):

@@ -95,12 +95,12 @@ def test_each_piece_changes_what_it_should(
 ) -> None:
     other = fed(boat, run, **options)
     same = {
-        "fusion": np.array_equal(other.fusion.s, usual.fusion.s),
+        "fusion": np.array_equal(other.fusion.state, usual.fusion.state),
         "q": np.array_equal(other.q, usual.q),
         "r": np.array_equal(other.r, usual.r),
     }
     assert {name for name, equal in same.items() if not equal} == parts - {"window"}
-    assert not np.array_equal(other.s, usual.s)
+    assert not np.array_equal(other.state, usual.state)
     if not parts:
         window = other.window
         assert (window.V, window.S) == (usual.window.V, usual.window.S)
@@ -177,11 +177,11 @@ def test_literal_noise_only_grows_and_stays_within_its_bound(boat: Particulars, 
 
 def test_restart_begins_at_the_measured_state(boat: Particulars, run: Log) -> None:
     predictor = fed(boat, run, window="off")
-    xi, own = predictor.ukf.xi.copy(), predictor.ukf.P[6:, 6:].copy()
+    xi, own = predictor.ukf.params.copy(), predictor.ukf.P[6:, 6:].copy()
     act = predictor.ukf.act.copy()
     predictor._restart(1)  # no row is run: only the start is set
-    np.testing.assert_array_equal(predictor.s, predictor._states[(predictor._count - 1) % 30])
-    np.testing.assert_array_equal(predictor.ukf.xi, xi)
+    np.testing.assert_array_equal(predictor.state, predictor._states[(predictor._count - 1) % 30])
+    np.testing.assert_array_equal(predictor.ukf.params, xi)
     np.testing.assert_array_equal(predictor.ukf.P[6:, 6:], own)
     assert not predictor.ukf.P[:6, 6:].any()
     np.testing.assert_array_equal(predictor.ukf.act, act)

@@ -10,8 +10,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from twin.model.rollout.rollout import SWAY_SLIP
-from twin.model.rollout.structure import MODELS, N_STATES
 
 from twin.channels import MEASUREMENTS
 from twin.identification.prediction_error import (
@@ -26,6 +24,8 @@ from twin.identification.prediction_error import (
 )
 from twin.identification.wave_residual import FACTOR, SECTORS, simulate_waves
 from twin.logs.log import Log
+from twin.model.rollout import SWAY_SLIP
+from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_update import (
@@ -94,7 +94,7 @@ def memory(predictor: PlusPredictor) -> dict[str, object]:
         {
             **{name: getattr(predictor, name) for name in ("t", "nav", "rows", "track")},
             **{name: getattr(segments, name)[used] for name in ("first", "H", "b", "c", "at")},
-            **{"xi": segments.xi, "cov": segments.cov, "ukf": predictor.ukf.memory},
+            **{"xi": segments.params, "cov": segments.cov, "ukf": predictor.ukf.memory},
             "waves": (predictor._sectors, predictor._here, predictor._wave_sd),
             "rest": (predictor._seen, predictor._next_start, predictor._refit_at),
         }
@@ -180,13 +180,13 @@ def test_refits_keep_to_their_period(boat: Particulars, zigzag: Log) -> None:
 def test_a_refit_changes_the_parameters_of_the_filter(boat: Particulars, zigzag: Log) -> None:
     for name in MODELS:
         predictor = PlusPredictor(boat, model=name)
-        prior_sd = predictor.estimate().xi_sd
+        prior_sd = predictor.estimate().params_sd
         feed(predictor, zigzag.slice(0.0, 40.0))
         used = predictor.segments.first[predictor.segments.first >= 0]
         # one segment a spacing, none that is not over yet
         assert len(used) >= 10 and (np.diff(np.sort(used)) == predictor.spacing).all()
         assert used.max() + predictor.segments.steps < predictor.last_row + 1
-        sd = predictor.estimate().xi_sd
+        sd = predictor.estimate().params_sd
         assert (sd <= prior_sd * (1.0 + 1e-6)).all() and (sd < 0.8 * prior_sd).sum() >= 3
         check(predictor)
 
@@ -201,7 +201,7 @@ def test_vessels_of_any_kind_are_refitted(name: str, vessel: str) -> None:
     used = predictor.segments.first >= 0
     assert used.sum() >= 10
     moved = (
-        np.abs(predictor.ukf.xi - predictor.segments.prior)
+        np.abs(predictor.ukf.params - predictor.segments.prior)
         > 0.05 * predictor.ukf.settings.structure.sd
     )
     assert moved.any()
@@ -279,14 +279,14 @@ def test_predictions_stay_finite(boat: Particulars, zigzag: Log, name: str, stor
     for plan in (1e9 * PLAN, -PLAN, 0.0 * PLAN):
         check(predictor, plan)
     estimate = predictor.estimate()
-    assert np.isfinite(estimate.s).all() and np.isfinite(estimate.sd).all()
+    assert np.isfinite(estimate.state).all() and np.isfinite(estimate.sd).all()
     assert estimate.ready == (story not in ("no fix", "no heading", "nothing"))
 
 
 def test_it_comes_back_after_an_hour(boat: Particulars, zigzag: Log) -> None:
     predictor = PlusPredictor(boat)
     feed(predictor, gap(zigzag, 30.0, 3600.0))
-    error = predictor.estimate().s - zigzag.truth[-1]
+    error = predictor.estimate().state - zigzag.truth[-1]
     # a receiver's bias and noise, and waves
     assert np.hypot(*error[:2]) < 6.0 and np.abs(error[3:5]).max() < 0.8
     used = predictor.segments.first[predictor.segments.first >= 0]
@@ -518,7 +518,7 @@ def test_guard_keeps_the_motion_inside_bounds(boat: Particulars, zigzag: Log, na
     calm = np.zeros((len(PLAN), 3))
     theta, _ = predictor._guarded(PLAN, 0.25, calm)
     # a sane set is left alone, but for the rounding of prior + (xi - prior)
-    np.testing.assert_allclose(theta, predictor.ukf.xi, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(theta, predictor.ukf.params, rtol=1e-12, atol=1e-15)
     U, L = boat.speed, boat.length
     # what the boat was seen to do, half as much again, or what any boat can
     bound = np.maximum(1.5 * predictor._seen, [1.5 * U, 0.8 * U, 1.2 * U / L])
@@ -530,7 +530,7 @@ def test_guard_keeps_the_motion_inside_bounds(boat: Particulars, zigzag: Log, na
         theta, out = predictor._guarded(PLAN, 0.25, calm)
         assert (np.abs(out[:, 3:]) <= bound).all(), names[k]
         # drawn back along the way to the prior, never beyond
-        prior, xi = predictor.segments.prior, predictor.ukf.xi
+        prior, xi = predictor.segments.prior, predictor.ukf.params
         part = np.dot(theta - prior, xi - prior) / np.dot(xi - prior, xi - prior)
         np.testing.assert_allclose(theta, prior + part * (xi - prior), atol=1e-9 * np.abs(xi).max())
         assert -1e-9 <= part <= 1.0 + 1e-9

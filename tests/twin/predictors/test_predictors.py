@@ -51,15 +51,15 @@ def test_contract(name, zigzag, boat):
     estimate = twin.estimate()
     assert estimate.ready
     assert estimate.t == zigzag.t[799]
-    assert estimate.s.shape == estimate.sd.shape == (6,)
-    assert estimate.xi.shape == estimate.xi_sd.shape
+    assert estimate.state.shape == estimate.sd.shape == (6,)
+    assert estimate.params.shape == estimate.params_sd.shape
     # the error is that of the receiver's bias, and small in velocity and yaw rate
-    error = np.abs(estimate.s - zigzag.truth[799])
+    error = np.abs(estimate.state - zigzag.truth[799])
     assert error[0] < 5.0
     assert error[1] < 5.0
     assert error[3] < 0.8
     assert error[5] < 0.15
-    frozen = copy.deepcopy(twin.predictor.s)
+    frozen = copy.deepcopy(twin.predictor.state)
     plan = known_plan(zigzag, 799, 10.0, 0.1)
     prediction = twin.predict(plan, dt=0.1)
     assert prediction.mean.shape == (100, 6)
@@ -69,7 +69,7 @@ def test_contract(name, zigzag, boat):
     assert np.isfinite(prediction.cov).all()
     assert (np.linalg.eigvalsh(prediction.cov)[:, 0] > -1e-9).all()
     assert prediction.sd[-1, 0] > prediction.sd[0, 0]
-    np.testing.assert_array_equal(twin.predictor.s, frozen)
+    np.testing.assert_array_equal(twin.predictor.state, frozen)
     again = twin.predict(plan, dt=0.1)
     np.testing.assert_array_equal(prediction.mean, again.mean)
     np.testing.assert_array_equal(prediction.cov, again.cov)
@@ -96,7 +96,7 @@ def test_survives_losses(name, zigzag, boat):
             assert np.isfinite(twin.estimate().sd).all()
     for k in range(600, 1200):
         twin.step(t + 1.0 + 0.05 * (k - 600), zigzag.z[k], zigzag.cmd[k])
-    error = np.abs(twin.estimate().s - zigzag.truth[1199])
+    error = np.abs(twin.estimate().state - zigzag.truth[1199])
     assert np.isfinite(error).all()
     if name != "dsw-ukf":  # as published it refuses no number, and forgets slowly
         assert error[0] < 10.0
@@ -154,14 +154,14 @@ def test_ukf_identifies_the_boat(zigzag, boat):
     prior = twin.estimate()
     feed(twin, zigzag, len(zigzag))
     last = twin.estimate()
-    named = dict(zip(twin.predictor.parameter_names, last.xi, strict=True))
+    named = dict(zip(twin.predictor.parameter_names, last.params, strict=True))
     assert named["X_uu"] < 0
     assert named["T_uL"] > 0
     assert named["Y_v"] < 0
     assert named["N_r"] < 0
     assert named["T_rL"] > 0
-    assert (last.xi_sd <= prior.xi_sd * (1 + 1e-9)).all()
-    assert (last.xi_sd < 0.8 * prior.xi_sd).sum() >= 3
+    assert (last.params_sd <= prior.params_sd * (1 + 1e-9)).all()
+    assert (last.params_sd < 0.8 * prior.params_sd).sum() >= 3
 
 
 def test_gps_loss_is_dead_reckoned(zigzag, boat):
@@ -171,7 +171,7 @@ def test_gps_loss_is_dead_reckoned(zigzag, boat):
     twin = twin_for("ukf", boat)
     feed(twin, lost, 1000)
     # twin.md section 7: 1.7 m after 10 s with the twin's velocity, 1.2 m without a loss
-    assert np.hypot(*(twin.estimate().s - zigzag.truth[999])[:2]) < 4.0
+    assert np.hypot(*(twin.estimate().state - zigzag.truth[999])[:2]) < 4.0
     sd = twin.estimate().sd[0]
     unhurt = twin_for("ukf", boat)
     feed(unhurt, zigzag, 1000)
@@ -227,7 +227,7 @@ def test_bad_rows(boat, zigzag, t, z, cmd, message):
     before = twin.estimate()
     with pytest.raises(TwinError, match=message):
         twin.step(t, z, cmd)
-    np.testing.assert_array_equal(before.s, twin.estimate().s)
+    np.testing.assert_array_equal(before.state, twin.estimate().state)
 
 
 @pytest.mark.parametrize(

@@ -8,23 +8,23 @@ import math
 
 import numpy as np
 import pytest
-from twin.model.rollout.dynamics import all_terms, model_of
-from twin.model.rollout.priors import TANKER as KIND
-from twin.model.rollout.priors import population_prior
-from twin.model.rollout.structure import N_TERMS, accelerations
 
 from twin import Twin
 from twin.digital_twin import known_plan
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import wave_parts
 from twin.logs.datasets import ESSO as TANKER
+from twin.model.dynamics import all_terms, model_of
+from twin.model.priors import TANKER as KIND
+from twin.model.priors import population_prior
+from twin.model.structure import N_TERMS, accelerations
 from twin.particulars import GRAVITY, Particulars
 from twin.sim.bridge import particulars_of, simulate
 from twin.training import prior_population as pop
 from usv_gym import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import parse_faults
-from usv_kernel.jit import in_python
+from usv_kernel.jit import py_func
 
 
 def turning(boat: Particulars, n: float) -> float:
@@ -131,7 +131,7 @@ def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> Non
                 mean = twin.predictor.mean(known_plan(log, row, 10.0, 0.1), 0.1)
                 later = np.searchsorted(log.t, t + 10.0 - 1e-9)
                 turned = log.truth[later, 2] - log.truth[row, 2]
-                off.append(mean[-1, 2] - twin.predictor.estimate().s[2] - turned)
+                off.append(mean[-1, 2] - twin.predictor.estimate().state[2] - turned)
         errors[model] = float(np.sqrt(np.mean(np.square(off))))
     # measured: 0.36; 0.71 and 0.59 with other seeds
     assert errors[None] < 0.75 * errors["paper"]
@@ -147,7 +147,7 @@ def test_her_noises_follow_the_waves_that_are_felt() -> None:
             "random", vessel=vessel, sea=SeaState.named(sea), duration=40.0, seed=1
         ):
             twin.step(t, z, cmd)
-        felt[sea] = np.sqrt(in_python(wave_parts)(ukf.memory, ukf.constants, ukf.kit)[0])
+        felt[sea] = np.sqrt(py_func(wave_parts)(ukf.memory, ukf.constants, ukf.kit)[0])
     # m/s, m/s and rad/s; nothing to add to the noises of a pond but what is in the gyro
     assert not felt["calm"][:2].any()
     assert felt["calm"][2] < 5e-4 < 5e-3 < felt["1"][2]
@@ -171,7 +171,7 @@ def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
     assert log.truth is not None
     for row, (t, z, cmd) in enumerate(log):
         twin.step(t, z, cmd)
-        off.append(math.dist(twin.estimate().s[:2], log.truth[row, :2]))
+        off.append(math.dist(twin.estimate().state[:2], log.truth[row, :2]))
     # measured: 1.1 and 1.7 m; with noises for calm water in every sea 11 and 14 m
     assert max(off[1200:]) < 5.0
 

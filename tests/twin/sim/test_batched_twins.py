@@ -52,7 +52,7 @@ def test_the_twin_of_an_environment_is_the_one_that_lives():
     assert twin.t == pytest.approx(1.5)
     assert twin.predictor.ready
     assert twin.cmd[0] > 0.0
-    np.testing.assert_array_equal(twin.predict("hold").start, twin.estimate().s)
+    np.testing.assert_array_equal(twin.predict("hold").start, twin.estimate().state)
 
 
 def test_band_period_sets_how_often_the_spread_ahead_is_renewed():

@@ -15,7 +15,7 @@ from twin.logs.log import Log
 from twin.particulars import Instruments
 from twin.predictors.registry import PredictorError
 from twin.sim.bridge import particulars_of, simulate
-from twin.sim.oracle import GAIN, Oracle, check_world, known_vessel, world_options
+from twin.sim.oracle import GAIN, Oracle, check_simulator, known_vessel, simulator_options
 from usv_gym import SeaState, SensorSuite, Vessel
 
 CALM, WINDY = SeaState(), SeaState(wind=6.0, current=0.4, current_to=1.0, gusts="none")
@@ -93,7 +93,7 @@ def test_it_follows_the_motion_and_not_the_waves():
     for k, (t, z, cmd) in enumerate(log):
         oracle.update(t, 0.05 if k else 0.0, z, cmd)
         if t > 20.0:
-            seen.append(oracle.s[4])
+            seen.append(oracle.state[4])
             followed.append(oracle._beside[1 + 7])
     assert np.std(followed) < 0.5 * np.std(seen)
     assert GAIN * 3.0 / (2 * math.pi) < 0.5
@@ -111,7 +111,7 @@ def test_it_knows_the_mean_wind_and_not_the_waves():
         oracle = watch(log, 701, Oracle(particulars_of(vessel), vessel=vessel, sea=sea))
         ends[name] = oracle.path(plan, 0.05)
     truth = log.truth[701:901] - [*log.truth[700, :2], 0, 0, 0, 0]
-    start = [*oracle.s[:2], 0, 0, 0, 0]
+    start = [*oracle.state[:2], 0, 0, 0, 0]
     error = {k: np.abs(end - start - truth)[:, 3:5].mean() for k, end in ends.items()}
     assert error["told"] < 0.5 * error["calm"]
     np.testing.assert_array_equal(ends["told"], ends["waves"])
@@ -132,15 +132,15 @@ def test_a_recorded_run_has_no_true_boat():
     log = Log.read(recorded_runs()["boat1_usv_circle"])
     boat = particulars_of(Vessel.load("usv75"))
     with pytest.raises(PredictorError, match="true boat of 'boat1_usv_circle' is not known"):
-        check_world("oracle", log, boat)
-    check_world("ukf", log, boat)
-    check_world("oracle", sail(Vessel.load("usv75"), CALM, duration=1.0), boat)
+        check_simulator("oracle", log, boat)
+    check_simulator("ukf", log, boat)
+    check_simulator("oracle", sail(Vessel.load("usv75"), CALM, duration=1.0), boat)
 
 
 def test_only_those_that_ask_are_told_of_the_world():
     vessel = other_boat()
-    assert world_options("ukf", vessel, ROUGH, 3) == {}
-    told = world_options("oracle", vessel, ROUGH, 6)
+    assert simulator_options("ukf", vessel, ROUGH, 3) == {}
+    told = simulator_options("oracle", vessel, ROUGH, 6)
     assert told == {"vessel": vessel, "sea": ROUGH, "dof": 6}
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twin.model.rollout.dynamics import model_of
-from twin.model.rollout.priors import (
+
+from twin.model.dynamics import model_of
+from twin.model.priors import (
     KINDS,
     TANKER,
     Prior,
@@ -20,14 +21,13 @@ from twin.model.rollout.priors import (
     population_prior,
     shipped_prior,
 )
-from twin.model.rollout.structure import MODELS, Structure
-from usv_gym.vessel.vessel.vessel import course_eigenvalues
-
+from twin.model.structure import MODELS, Structure
 from twin.particulars import DESIGNS, Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.sim.bridge import particulars_of
 from twin.training import prior_population as pop
 from usv_gym import Vessel
+from usv_gym.vessel.vessel import course_eigenvalues
 
 EACH = pytest.mark.parametrize(
     ("model", "kind"), [(m, k) for m in MODELS for k in (*KINDS, TANKER, *DESIGNS)]

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from usv_gym.design.new_vessel.regressions import Estimate, Form
 
 from usv_gym import Vessel
 from usv_gym.design.new_vessel import regressions as reg
+from usv_gym.design.regressions import Estimate, Form
 
 BOAT = Form(length=6.336, beam=2.714, draft=0.526, block_coefficient=0.3689)
 TANKER = Form(length=320.0, beam=58.0, draft=20.8, block_coefficient=0.81, x_G=11.2)

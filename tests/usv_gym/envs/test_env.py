@@ -14,7 +14,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from usv_gym.vessel.vessel.vessel import VesselError
 
 import usv_gym
 from twin import Log, Twin
@@ -28,6 +27,7 @@ from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import TaskError
 from usv_gym.physics import frames as fr
 from usv_gym.physics.weather import WIND_SPEED
+from usv_gym.vessel.vessel import VesselError
 from usv_gym.world.sea import SeaError
 from usv_gym.world.sensors import FaultError
 from usv_gym.world.simulation import SimulationError
@@ -613,11 +613,11 @@ def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndar
     """Return an environment after 40 s with a loss, and what its twin believed on the way."""
     env = make_env(twin=request.param, task="free", record=True, faults=[Fault("gps", 20.0, 10.0)])
     env.reset(seed=8)
-    estimates, states = [env.twin.estimate()], [np.array(env.twin.predictor.s)]
+    estimates, states = [env.twin.estimate()], [np.array(env.twin.predictor.state)]
     for action in actions_of(env, 800):
         env.step(action)
         estimates.append(env.twin.estimate())
-        states.append(np.array(env.twin.predictor.s))
+        states.append(np.array(env.twin.predictor.state))
     return env, estimates, states
 
 
@@ -630,10 +630,10 @@ def believes_the_same(env: Any, log: Log, estimates: list[Any], states: list[np.
     assert len(log) == len(estimates) == 801
     for row, estimate, state in zip(log, estimates, states, strict=True):
         twin.step(*row)
-        np.testing.assert_array_equal(twin.predictor.s, state)
+        np.testing.assert_array_equal(twin.predictor.state, state)
         other = twin.estimate()
         assert (other.t, other.ready) == (estimate.t, estimate.ready)
-        for name in ("s", "sd", "xi", "xi_sd"):
+        for name in ("state", "sd", "params", "params_sd"):
             np.testing.assert_array_equal(getattr(other, name), getattr(estimate, name))
 
 
@@ -688,7 +688,7 @@ def test_the_position_error_in_info_is_for_grading() -> None:
     env.reset(seed=0)
     for action in actions_of(env, 400):
         *_, info = env.step(action)
-    s, truth = env.twin.predictor.s, env.unwrapped.simulation.state[0]
+    s, truth = env.twin.predictor.state, env.unwrapped.simulation.state[0]
     expected = math.hypot(s[0] - truth[fr.X], s[1] - truth[fr.Y])
     assert info["twin_position_error_m"] == pytest.approx(expected)
     # GPS bias of 1 m a side, and more than nothing

@@ -14,14 +14,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from usv_gym.vessel.vessel.vessel import Vessel
 
 import usv_gym
 from twin.sim.wrapper import TwinObservation
 from usv_gym import Fault, SensorSuite
 from usv_gym.envs.env import USVEnv
-from usv_gym.envs.render import Belief, Painter, Renderer, Scene, Trail, drives, ellipses
+from usv_gym.envs.render import Painter, Renderer, Scene, Trail, TwinOverlay, drives, ellipses
 from usv_gym.physics import frames as fr
+from usv_gym.vessel.vessel import Vessel
 
 pygame = pytest.importorskip("pygame", reason="needs the extra render")
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -224,18 +224,18 @@ def test_rewards_are_those_of_the_step() -> None:
 def test_the_band_of_the_twin_grows_with_the_horizon() -> None:
     env = made(twin="ukf")
     sail(env, 12.0)
-    belief = scene(env).belief
-    assert belief and belief.horizons.tolist() == [1.0, 2.0, 5.0, 10.0]
-    times, places, covs = belief.band()
+    overlay = scene(env).overlay
+    assert overlay and overlay.horizons.tolist() == [1.0, 2.0, 5.0, 10.0]
+    times, places, covs = overlay.band()
     shapes = ellipses(places, covs)
     width = np.linalg.norm(shapes - places[:, None], axis=-1).max(axis=1)
     assert times[0] == 0.0 and times[-1] == 10.0
-    at = np.searchsorted(times, belief.horizons)
+    at = np.searchsorted(times, overlay.horizons)
     assert (np.diff(width[at]) > 0.0).all() and width[-1] > 2.0 * width[0]
-    assert np.allclose(places[at], belief.ahead[:, :2], atol=1e-9)
-    assert math.dist(belief.state[:2], scene(env).state[:2]) < 5.0
+    assert np.allclose(places[at], overlay.ahead[:, :2], atol=1e-9)
+    assert math.dist(overlay.state[:2], scene(env).state[:2]) < 5.0
     assert count(picture(env), BAND) > 1500
-    assert scene(made()).belief is None and count(picture(made()), BAND) == 0
+    assert scene(made()).overlay is None and count(picture(made()), BAND) == 0
 
 
 def test_an_ellipse_has_two_standard_deviations() -> None:
@@ -248,10 +248,10 @@ def test_an_ellipse_has_two_standard_deviations() -> None:
 def test_all_observers_tell_the_same_as_their_twins(twin: str) -> None:
     env = made(twin=twin)
     sail(env, 2.0)
-    belief = scene(env).belief
-    assert belief
-    assert np.allclose(belief.state, env.twin.predictor.s)  # type: ignore[attr-defined]
-    assert np.isfinite(belief.covs).all() and belief.ahead.shape == (4, 6)
+    overlay = scene(env).overlay
+    assert overlay
+    assert np.allclose(overlay.state, env.twin.predictor.state)  # type: ignore[attr-defined]
+    assert np.isfinite(overlay.covs).all() and overlay.ahead.shape == (4, 6)
 
 
 def test_the_wrapper_brings_its_twin_into_the_picture() -> None:
@@ -267,8 +267,10 @@ def test_the_wrapper_brings_its_twin_into_the_picture() -> None:
 def test_an_unsure_twin_far_away_is_painted() -> None:
     shown = scene(made())
     ahead = np.array([[1e4, 2e4, 0.0, 5.0, 0.0, 0.0]])
-    belief = Belief(ahead[0] * 0.5, np.eye(2) * 1e8, np.array([10.0]), ahead, np.eye(2)[None] * 1e9)
-    object.__setattr__(shown, "belief", belief)
+    overlay = TwinOverlay(
+        ahead[0] * 0.5, np.eye(2) * 1e8, np.array([10.0]), ahead, np.eye(2)[None] * 1e9
+    )
+    object.__setattr__(shown, "belief", overlay)
     begin = time.perf_counter()
     assert count(Painter((720, 720)).paint(shown), BAND) > 50_000
     assert time.perf_counter() - begin < 2.0

@@ -285,11 +285,11 @@ def test_parameters_are_those_of_the_twin():
         for action in np.random.default_rng(2).uniform(-1.0, 1.0, (60, 2)):
             obs = observed.step(action)[0]
         now = observed.twin.predictor.estimate()
-        p = len(now.xi)
+        p = len(now.params)
         xi, sd = obs[-2 * p : -p], obs[-p:]
-        expected = ((now.xi - prior.xi) / prior.xi_sd).clip(-10.0, 10.0)
+        expected = ((now.params - prior.params) / prior.params_sd).clip(-10.0, 10.0)
         np.testing.assert_allclose(xi, expected, rtol=1e-5, atol=1e-6)
-        np.testing.assert_allclose(sd, (now.xi_sd / prior.xi_sd).clip(0.0, 10.0), rtol=1e-5)
+        np.testing.assert_allclose(sd, (now.params_sd / prior.params_sd).clip(0.0, 10.0), rtol=1e-5)
         assert np.abs(xi).max() > 0.01
 
 

@@ -193,7 +193,7 @@ def test_each_boat_has_a_twin_that_can_be_asked():
     ours, own = envs.unwrapped.twin(2), env.unwrapped.twin
     assert ours.t == own.t
     np.testing.assert_array_equal(ours.predict("hold").mean, own.predict("hold").mean)
-    np.testing.assert_array_equal(ours.estimate().xi, own.estimate().xi)
+    np.testing.assert_array_equal(ours.estimate().params, own.estimate().params)
     ours.step(99.0, np.full(10, np.nan), np.zeros(4))  # a copy: the boat's own goes on
     assert envs.unwrapped.twin(2).t == own.t
 

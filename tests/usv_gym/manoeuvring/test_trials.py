@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from usv_gym.vessel.vessel.vessel import KIND_SCHEMA, SCHEMA
 
 from usv_gym import Vessel
 from usv_gym.manoeuvring import indices, trials
 from usv_gym.manoeuvring.indices import Track
 from usv_gym.manoeuvring.trials import TrialError
+from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA
 
 KNOT = 1852.0 / 3600.0
 DEGREE = math.pi / 180.0

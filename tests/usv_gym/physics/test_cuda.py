@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
-from twin.model.rollout.augmented import joint_predict
-from twin.model.rollout.dynamics import N_ACT
-from twin.model.rollout.rollout import LOOK_AHEAD, ROOM, look_ahead
-from twin.model.rollout.structure import N_STATES, N_TERMS
 
 from twin.channels import MEASUREMENTS
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import JointUKF
+from twin.model.augmented import joint_predict
+from twin.model.dynamics import N_ACT
+from twin.model.rollout import LOOK_AHEAD, ROOM, look_ahead
+from twin.model.structure import N_STATES, N_TERMS
 from twin.predictors.ukf import UKFPredictor, tight_step
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
@@ -70,11 +70,13 @@ def identify(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch
         )
 
 
-def foretell(s, xi, act, command, lags, envelope, wind, kit, slowness, ripple, out, out_act, room):
+def foretell(
+    s, xi, act, command, lags, envelope, wind, kit, time_scale, ripple, out, out_act, room
+):
     i = cuda.grid(1)
     if i < s.shape[0]:
         look_ahead(
-            *(s[i], xi[i], act[i], command[i], lags, envelope, wind[i], kit, slowness),
+            *(s[i], xi[i], act[i], command[i], lags, envelope, wind[i], kit, time_scale),
             *(ripple[i], 0.0, out[i], out_act[i], room[i]),
         )
 
@@ -118,7 +120,7 @@ def of_twin():
 
 def of_look_ahead():
     ukf = JointUKF(BOAT, plain_settings(BOAT))
-    s, xi, act, wind, room = each(ukf.x[:N_STATES], ukf.xi, ukf.act, ukf.wind, np.empty(ROOM))
+    s, xi, act, wind, room = each(ukf.x[:N_STATES], ukf.params, ukf.act, ukf.wind, np.empty(ROOM))
     out, out_act = each(np.empty((len(LOOK_AHEAD), N_STATES)), np.empty((len(LOOK_AHEAD), N_ACT)))
     (ripple,) = each(np.zeros((len(LOOK_AHEAD), 3)))
     shared = (ukf.lags, ukf.envelope)

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twin.cli.main.common import app
 from typer.testing import CliRunner
-from usv_gym.vessel.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
-from usv_gym.vessel.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
 
 import usv_gym
+from twin.cli.common import app
 from usv_gym import Vessel, vessel_names
 from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
+from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
 
 trimesh = pytest.importorskip("trimesh")
 

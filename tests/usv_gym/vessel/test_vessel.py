@@ -20,17 +20,17 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
-from usv_gym.design.new_vessel.checks import inspect
-from usv_gym.design.new_vessel.new_vessel import DesignError, design
-from usv_gym.vessel.vessel.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError, course_eigenvalues
 
 import usv_gym
 from usv_gym import SeaState, SensorSuite, Vessel, vessel_names
+from usv_gym.design.checks import inspect
+from usv_gym.design.new_vessel import DesignError, design
 from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship, weather
 from usv_gym.physics import waves as wv
+from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError, course_eigenvalues
 from usv_gym.vessel.vessel import vessel as vessel_module
 from usv_gym.world.simulation import Simulation
 

@@ -445,7 +445,7 @@ class Feed(ABC):
         prediction : Prediction, optional
             What it believes of the future.
         """
-        known = self._plane is not None and estimate.ready and np.isfinite(estimate.s).all()
+        known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
         if known and (self._reply or self._peer):
             for data in self.encode(estimate, prediction):
                 self._send(data)

@@ -217,10 +217,10 @@ class MavlinkFeed(Feed):
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
         """Yield the twin's belief, a message in each datagram; see :meth:`Feed.encode`."""
         write, now = self._writer, self.stamp_of(estimate.t)
-        latitude, longitude, north, east = self.place_of(estimate.s)
-        yield write.position(now, (latitude, longitude), (north, east), float(estimate.s[2]))
-        yield write.attitude(now, float(estimate.s[2]), float(estimate.s[5]))
-        yield write.odometry(now, estimate.s, estimate.sd)
+        latitude, longitude, north, east = self.place_of(estimate.state)
+        yield write.position(now, (latitude, longitude), (north, east), float(estimate.state[2]))
+        yield write.attitude(now, float(estimate.state[2]), float(estimate.state[5]))
+        yield write.odometry(now, estimate.state, estimate.sd)
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
             horizons = np.array([h for h in HORIZONS if h <= end])

@@ -107,13 +107,13 @@ class NmeaFeed(Feed):
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
         """Yield the twin's belief as one datagram; see :meth:`Feed.encode`."""
         stamp = self.stamp_of(estimate.t)
-        latitude, longitude, north, east = self.place_of(estimate.s)
+        latitude, longitude, north, east = self.place_of(estimate.state)
         write = self._writer
         lines = [
             write.gga(stamp, latitude, longitude, quality=6),
             write.rmc(stamp, self._day(stamp), (latitude, longitude), north, east, mode="E"),
-            write.hdt(float(estimate.s[2])),
-            write.rot(float(estimate.s[5])),
+            write.hdt(float(estimate.state[2])),
+            write.rot(float(estimate.state[5])),
         ]
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6

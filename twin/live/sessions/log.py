@@ -20,12 +20,12 @@ from twin.live.sessions.tracker import (
     PLAN_STEP,
     Follower,
     History,
-    belief_of,
+    overlay_of,
     patience,
 )
 from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
-from usv_gym.envs.render import Belief
+from usv_gym.envs.render import TwinOverlay
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
@@ -92,7 +92,7 @@ class LogSession(Session):
         self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
         self.follower = Follower(twin)
         self._believed = np.full((len(self.log), 6), math.nan)
-        self._moments: list[Belief | None] = []
+        self._moments: list[TwinOverlay | None] = []
         self._times: list[float] = []
         self._over = threading.Event()
         self._worker = threading.Thread(target=self._go_through, name="twin", daemon=True)
@@ -141,13 +141,13 @@ class LogSession(Session):
                 self.follower.step(t, z, cmd, truth)
                 predictor = self.follower.twin.predictor
                 if self._moments and self._moments[-1] is not None:
-                    self._believed[row] = predictor.s
+                    self._believed[row] = predictor.state
                 if t >= due - 1e-9 or row == len(log) - 1:
                     due, self._row = t + self._spacing, row
                     made = self.follower.predict(self._plan())
                     if made is not None:
-                        self._believed[row] = predictor.s
-                    self._moments.append(None if made is None else belief_of(made))
+                        self._believed[row] = predictor.state
+                    self._moments.append(None if made is None else overlay_of(made))
                     self._times.append(t)
                 self.done = t
         except BaseException as error:
@@ -192,7 +192,7 @@ class LogSession(Session):
         return Snapshot(
             t=t,
             boat=boat,
-            belief=self._belief(row, t),
+            overlay=self._overlay(row, t),
             prediction=None,
             fixes=log.z[fixes[-FIXES:], _X : _X + 2],
             track=behind[np.isfinite(behind[:, 0])],
@@ -203,7 +203,7 @@ class LogSession(Session):
             has_imu=len(turns) > 0,
         )
 
-    def _belief(self, row: int, t: float) -> Belief | None:
+    def _overlay(self, row: int, t: float) -> TwinOverlay | None:
         """Return what was believed at a row, with the last prediction from there on."""
         index = max(bisect.bisect_right(self._times, t + 1e-9) - 1, 0)
         made = self._moments[index]
@@ -211,7 +211,7 @@ class LogSession(Session):
             return None
         since = max(t - self._times[index], 0.0)
         later = made.horizons > since + 1e-6
-        return Belief(
+        return TwinOverlay(
             state=self._believed[row],
             cov=made.cov,
             horizons=made.horizons[later] - since,

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from twin.channels import TRUTH
 from twin.files import write_whole
-from twin.live.sessions.tracker import LOST_AFTER, Follower, History, belief_of
+from twin.live.sessions.tracker import LOST_AFTER, Follower, History, overlay_of
 from twin.logs.log import Log, beside
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
-from usv_gym.envs.render import Belief
+from usv_gym.envs.render import TwinOverlay
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import Sea
@@ -93,7 +93,7 @@ class Snapshot:
 
     t: float
     boat: Array
-    belief: Belief | None
+    overlay: TwinOverlay | None
     prediction: Prediction | None
     fixes: Array
     track: Array
@@ -286,7 +286,7 @@ class Session(ABC):
         return Snapshot(
             t=follower.t,
             boat=boat,
-            belief=None if prediction is None else belief_of(prediction),
+            overlay=None if prediction is None else overlay_of(prediction),
             prediction=prediction,
             fixes=np.array(follower.fixes).reshape(-1, 2),
             track=np.array(follower.track).reshape(-1, 2),

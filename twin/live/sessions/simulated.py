@@ -18,7 +18,7 @@ from twin.live.sessions.session import SLIP, Session, Snapshot
 from twin.live.sessions.tracker import Follower
 from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
-from twin.sim.oracle import world_options
+from twin.sim.oracle import simulator_options
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import Sea, SeaState
 from usv_gym.world.sensors import END, START, Disturbance, Fault, SensorSuite
@@ -101,8 +101,8 @@ class SimulatedSession(Session):
         )
         particulars = particulars_of(world.vessel, suite, world.dof)
         told: dict[str, Any] = {}
-        if predictor_class(world.predictor).world:
-            told = world_options(world.predictor, world.vessel, world.sea, world.dof)
+        if predictor_class(world.predictor).needs_simulator:
+            told = simulator_options(world.predictor, world.vessel, world.sea, world.dof)
         twin = Twin(particulars, world.predictor, seed=world.seed, **told)
         self.record(False)
         rng, self._sea_rng, helm_rng = np.random.default_rng(world.seed).spawn(3)
@@ -130,7 +130,7 @@ class SimulatedSession(Session):
 
     def steer(self, autopilot: str) -> None:
         """Hand the helm over, from this moment on."""
-        self.helm.hand_over(autopilot, self.t, self.follower.twin.predictor.s)
+        self.helm.hand_over(autopilot, self.t, self.follower.twin.predictor.state)
 
     def lose(self, kind: str, seconds: float) -> None:
         """Lose ``gps`` or ``imu`` from now on for so long; infinity is until it is found again."""
@@ -159,7 +159,7 @@ class SimulatedSession(Session):
         now = time.monotonic()
         goal = first + (now - begin) * self.scale
         while self.t + self.simulation.dt <= goal + 1e-9:
-            cmd = self.helm.command(self.t, self.follower.twin.predictor.s)
+            cmd = self.helm.command(self.t, self.follower.twin.predictor.state)
             self.simulation.step(cmd[None])
             self._feed()
             if time.monotonic() > now + SLIP:  # too much is asked of this machine

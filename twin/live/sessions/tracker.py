@@ -14,7 +14,7 @@ from twin.digital_twin import Twin
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
-from usv_gym.envs.render import Belief
+from usv_gym.envs.render import TwinOverlay
 
 __all__ = [
     "HORIZON",
@@ -22,7 +22,7 @@ __all__ = [
     "PLAN_STEP",
     "Follower",
     "History",
-    "belief_of",
+    "overlay_of",
     "patience",
 ]
 
@@ -56,9 +56,9 @@ anew."""
 _X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
 
 
-def belief_of(prediction: Prediction) -> Belief:
+def overlay_of(prediction: Prediction) -> TwinOverlay:
     """Return a prediction as what pictures draw."""
-    return Belief(
+    return TwinOverlay(
         state=prediction.start,
         cov=prediction.start_cov[:2, :2],
         horizons=prediction.t - prediction.t0,
@@ -89,7 +89,7 @@ class History:
     nis_place, nis_velocity : ndarray, shape (T,)
         Normalised innovations squared per degree of freedom of the fixes, mean of the last 30 s:
         1 where the twin is as sure as it should be, more where it is too sure.
-    xi, xi_sd : ndarray, shape (T, p)
+    params, params_sd : ndarray, shape (T, p)
         Parameters and their standard deviations.
     """
 
@@ -99,8 +99,8 @@ class History:
     window: Array
     nis_place: Array
     nis_velocity: Array
-    xi: Array
-    xi_sd: Array
+    params: Array
+    params_sd: Array
 
     def rows(self, chosen: NDArray[np.bool_]) -> History:
         """Return some rows, chosen by a mask (T,)."""
@@ -260,7 +260,7 @@ class Follower:
         if not now.ready:
             return
         how = self.particulars.instruments
-        x, y, psi, u, v, r = now.s
+        x, y, psi, u, v, r = now.state
         c, s = math.cos(psi), math.sin(psi)
         # of the antenna, when the fix was taken
         u, v = u - r * how.gps_arm[1], v + r * how.gps_arm[0]
@@ -282,7 +282,7 @@ class Follower:
         elif self.gps_lost:
             self._place = math.nan, math.nan
         else:
-            s = self.twin.predictor.s
+            s = self.twin.predictor.state
             self._place = float(s[0]), float(s[1])
         far = SPACING * self.particulars.length
         there = math.isfinite(self._place[0])
@@ -304,4 +304,4 @@ class Follower:
         nis = self._nis_place.at(self.t), self._nis_velocity.at(self.t)
         window = self.twin.predictor.window_s
         row, now = (self.t, self.error, self.error_hold, window, *nis), self.twin.estimate()
-        self._rows.append((row, now.xi.copy(), now.xi_sd.copy()))
+        self._rows.append((row, now.params.copy(), now.params_sd.copy()))

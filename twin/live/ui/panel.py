@@ -317,15 +317,15 @@ def controls_of(server: viser.ViserServer, session: Session) -> Controls:
 
 def said(now: Snapshot, session: Session) -> dict[str, str]:
     """Return what the instruments say, each under its name."""
-    belief, state = now.belief, now.boat
+    overlay, state = now.overlay, now.boat
     lines = {"time": f"{now.t:.1f} s" + (f" ({now.rate:.2g}x)" if now.rate == now.rate else "")}
-    if belief is not None:
-        u, v, r = belief.state[3:6]
+    if overlay is not None:
+        u, v, r = overlay.state[3:6]
         lines["speed (twin)"] = f"{math.hypot(u, v):.2f} m/s"
-        lines["heading (twin)"] = f"{math.degrees(belief.state[2]) % 360.0:05.1f} deg"
+        lines["heading (twin)"] = f"{math.degrees(overlay.state[2]) % 360.0:05.1f} deg"
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
-        sd = math.sqrt(max(float(np.linalg.eigvalsh(belief.covs[-1])[-1]), 0.0))
-        lines[f"band at {belief.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
+        sd = math.sqrt(max(float(np.linalg.eigvalsh(overlay.covs[-1])[-1]), 0.0))
+        lines[f"band at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession):
@@ -336,8 +336,8 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         )
         roll, pitch = np.degrees(state[[fr.PHI, fr.THETA]])
         lines["roll, pitch"] = f"{roll:+.1f}, {pitch:+.1f} deg"
-        if belief is not None:
-            off = math.dist(belief.state[:2], state[:2])
+        if overlay is not None:
+            off = math.dist(overlay.state[:2], state[:2])
             lines["twin is off by"] = f"{off:.2f} m"
     known = math.isfinite(now.gps_age)
     lines["GPS"] = ("LOST, " if now.gps_lost else "") + (
@@ -522,10 +522,10 @@ class Curves:
         """Draw what is known; of nothing, an empty plot."""
         rows = np.isfinite(np.stack(values)).any(axis=0)
         # the browser cannot draw NaN: what one curve lacks is drawn through
-        handle.data = (t[rows], *(filled(value[rows]) for value in values))
+        handle.data = (t[rows], *(padded(value[rows]) for value in values))
 
 
-def filled(values: Array) -> Array:
+def padded(values: Array) -> Array:
     """Return a curve with its gaps drawn through; one of nothing stays at 1, which is ideal."""
     known = np.isfinite(values)
     if not known.any():
@@ -544,5 +544,5 @@ def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def band(seen: History, column: int) -> tuple[Array, Array, Array]:
     """Return a parameter and its band."""
-    middle, off = seen.xi[:, column], SDS * seen.xi_sd[:, column]
+    middle, off = seen.params[:, column], SDS * seen.params_sd[:, column]
     return middle, middle - off, middle + off

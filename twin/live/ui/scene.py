@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.live.sessions.session import Snapshot
-from usv_gym.envs.render import SDS, Belief, ellipses
+from usv_gym.envs.render import SDS, TwinOverlay, ellipses
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.geometry import Boat
 
@@ -168,8 +168,8 @@ class SceneView:
         """Make the scene like a snapshot."""
         if np.isfinite(now.boat[[fr.X, fr.Y]]).all():
             self.place = now.boat[[fr.X, fr.Y]]
-        elif now.belief is not None:
-            self.place = now.belief.state[:2]
+        elif now.overlay is not None:
+            self.place = now.overlay.state[:2]
         place = self.place
 
         def height(places: Array) -> Array:
@@ -188,7 +188,7 @@ class SceneView:
         self.lost.visible = bool(losses) and math.isfinite(now.gps_age)
         self.lost.text = ", ".join(losses)
         self.lost.position = (*place.tolist(), -1.0 * self.length)
-        self._show_belief(now.belief, height)
+        self._show_overlay(now.overlay, height)
         self._draw(self.track, now.track, height)
         self._draw(self.ahead, now.ahead, height, 0.075)
         self._draw(self.path, nearest(now.path, place), height)
@@ -242,17 +242,17 @@ class SceneView:
             else:
                 handle.wxyz = attitude(self.spin[part.unit], 0.0, 0.0)
 
-    def _show_belief(self, belief: Belief | None, height: Callable[[Array], Array]) -> None:
+    def _show_overlay(self, overlay: TwinOverlay | None, height: Callable[[Array], Array]) -> None:
         for handle in (self.ghost, self.ribbon, self.foretold, self.end):
-            handle.visible = belief is not None
-        if belief is None:
+            handle.visible = overlay is not None
+        if overlay is None:
             return
-        x, y, psi = belief.state[:3]
+        x, y, psi = overlay.state[:3]
         # no twin knows of heave: its boat lies on the water as it is there
         lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
         self.ghost.position = (float(x), float(y), -lift)
         self.ghost.wxyz = attitude(0.0, 0.0, float(psi))
-        _, places, covs = belief.band(STEPS)
+        _, places, covs = overlay.band(STEPS)
         left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
         net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)
         self.ribbon.vertices = self._lifted(net.reshape(-1, 2), height, 0.04)

@@ -57,8 +57,8 @@ def fill_forward(rows: Array) -> Array:
     if good.all():
         return rows
     place = np.maximum.accumulate(np.where(good, np.arange(len(rows))[:, None], 0), axis=0)
-    filled = np.take_along_axis(rows, place, axis=0)
-    return np.where(np.isfinite(filled), filled, 0.0)
+    padded = np.take_along_axis(rows, place, axis=0)
+    return np.where(np.isfinite(padded), padded, 0.0)
 
 
 def lagged(act: Array, cmd: Array, dt: float, particulars: Particulars) -> Array:

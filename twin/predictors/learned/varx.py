@@ -65,7 +65,7 @@ class VARPredictor(ActuatedPredictor):
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         # the study boat has steps of one GRID
-        self.stride = min(max(round(particulars.slowness), 1), STRIDE_MAX)
+        self.stride = min(max(round(particulars.time_scale), 1), STRIDE_MAX)
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:

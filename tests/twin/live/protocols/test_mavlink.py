@@ -152,7 +152,7 @@ def test_the_belief_goes_back(wire: Wire) -> None:
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in found.values()} == {(7, 191)}
     place, turn = found["GLOBAL_POSITION_INT"], found["ATTITUDE"]
     assert place.time_boot_ms == turn.time_boot_ms == 10000
-    latitude, longitude, north, east = wire.feed.place_of(estimate.s)
+    latitude, longitude, north, east = wire.feed.place_of(estimate.state)
     assert (place.lat, place.lon) == (round(1e7 * latitude), round(1e7 * longitude))
     assert (place.vx, place.vy) == (round(100 * north), round(100 * east))
     assert (turn.yaw, turn.yawspeed) == pytest.approx((0.3, 0.1))

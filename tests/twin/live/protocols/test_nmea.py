@@ -159,7 +159,7 @@ def test_the_belief_goes_back(wire: Wire) -> None:
     assert gga.gps_qual == 6 and rmc.status == "A" and rmc.mode_indicator == "E"
     assert rmc.datetime.isoformat() == "2024-03-01T00:00:10+00:00"
     # 50 m west of 179.9999 W lies in the east
-    latitude, longitude = wire.feed.place_of(estimate.s)[:2]
+    latitude, longitude = wire.feed.place_of(estimate.state)[:2]
     assert longitude > 179.0
     assert (gga.latitude, gga.longitude) == pytest.approx((latitude, longitude), abs=1e-8)
     assert rmc.spd_over_grnd == pytest.approx(math.hypot(5.0, 0.5) * 3600 / 1852, abs=1e-3)

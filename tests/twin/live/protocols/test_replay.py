@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from twin.cli.main.common import app
 from typer.testing import CliRunner
 
 from tests.twin.live.wire import RUN, Wire
 from twin import Twin
+from twin.cli.common import app
 from twin.live.protocols.feed import Feed, FeedError, needed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
@@ -104,7 +104,7 @@ def test_disturbances_are_counted_and_survived(
     for row in wire.rows:
         twins[1].step(*row)
     origin = circle.z[int(np.argmax(np.isfinite(circle.z[:, 0]))), :2]
-    a, b = (twin.estimate().s[:2] for twin in twins)
+    a, b = (twin.estimate().state[:2] for twin in twins)
     assert np.hypot(*(a - origin - b)) < 1.0
 
 

@@ -55,7 +55,7 @@ def test_same_seed_same_run(autopilot, tmp_path):
     for _ in range(2):
         session = SimulatedSession(world(), tmp_path, autopilot)
         sail(session, 15.0)
-        ends.append((session.simulation.state.copy(), session.follower.twin.estimate().s))
+        ends.append((session.simulation.state.copy(), session.follower.twin.estimate().state))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
     assert session.t == pytest.approx(15.0)
@@ -110,7 +110,7 @@ def test_gps_and_imu_are_lost_and_found_again(tmp_path):
     other = SimulatedSession(world(predictor="dsw-ukf-plus"), tmp_path)
     sail(session, 40.0)
     sail(other, 50.0)  # and loses nothing
-    sure = other._look().belief.covs.trace(axis1=1, axis2=2)
+    sure = other._look().overlay.covs.trace(axis1=1, axis2=2)
     before = len(session.follower.fixes)
     session.order(session.lose, "gps", math.inf)
     session.order(session.lose, "imu", 2.0)
@@ -123,7 +123,7 @@ def test_gps_and_imu_are_lost_and_found_again(tmp_path):
     assert seen.gps_lost and seen.gps_age > 9.0 and not seen.imu_lost
     np.testing.assert_array_equal(seen.fixes, fixes)
     assert before <= len(fixes) <= before + 2
-    unsure = seen.belief.covs.trace(axis1=1, axis2=2)
+    unsure = seen.overlay.covs.trace(axis1=1, axis2=2)
     # measured: 3.8 times now, 1.8 times in ten seconds
     assert unsure[0] > 2.0 * sure[0]
     assert unsure[-1] > 1.3 * sure[-1]
@@ -307,7 +307,7 @@ def test_a_moment_of_a_log_shows_what_was_believed_then_and_what_happened(log, t
         twin = Twin(particulars_of(VESSEL), "ukf")
         twin.run(log.slice(t1=now.t + 1e-6))
         mean = twin.predict("hold", horizon=HORIZON, dt=PLAN_STEP).mean
-        np.testing.assert_allclose(now.belief.ahead, mean)
+        np.testing.assert_allclose(now.overlay.ahead, mean)
         later = log.slice(now.t + 1e-6, now.t + HORIZON + 1e-6)
         np.testing.assert_array_equal(now.ahead, later.truth[:, :2])
         np.testing.assert_array_equal(now.boat[[fr.X, fr.Y]], twin_row(log, now.t))
@@ -346,11 +346,11 @@ def test_a_long_log_is_shown_smoothly(tmp_path, monkeypatch):
         assert now.t == pytest.approx(t, abs=1e-6)
         if before is not None:
             assert 0.05 < np.hypot(*(now.boat[:2] - before.boat[:2])) < 0.6
-            assert np.hypot(*(now.belief.state[:2] - before.belief.state[:2])) < 1.0
-        end = now.belief.horizons[-1]
+            assert np.hypot(*(now.overlay.state[:2] - before.overlay.state[:2])) < 1.0
+        end = now.overlay.horizons[-1]
         assert HORIZON - 2.1 < end <= HORIZON
         k = int(np.argmin(np.abs(log.t - (now.t + end))))
-        assert np.hypot(*(now.belief.ahead[-1, :2] - log.truth[k, :2])) < 15.0
+        assert np.hypot(*(now.overlay.ahead[-1, :2] - log.truth[k, :2])) < 15.0
         before = now
 
 
@@ -372,7 +372,7 @@ def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):
     blind = Log(log.t, np.full_like(log.z, math.nan), log.cmd, None, "blind")
     session = through(blind, tmp_path)
     wait(lambda: session.snapshot is not None)
-    assert session.snapshot.belief is None
+    assert session.snapshot.overlay is None
     assert not np.isfinite(session.snapshot.boat[fr.X])
     session.stop()
 
@@ -416,7 +416,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
     assert f"received {len(log)}" in now.notes[0] and now.notes[1] == "said so"
     twin = Twin(particulars_of(VESSEL), "ukf")
     twin.run(log)
-    np.testing.assert_allclose(now.belief.state, twin.estimate().s)
+    np.testing.assert_allclose(now.overlay.state, twin.estimate().state)
     session.stop()
     assert feed.closed and feed.sent
     assert not now.has_imu or not now.imu_lost

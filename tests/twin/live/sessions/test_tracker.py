@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin import Log, Twin
-from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON, PLAN_STEP, Follower, belief_of
+from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON, PLAN_STEP, Follower, overlay_of
 from twin.predictors.baselines import hold_velocity
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
@@ -33,8 +33,8 @@ def test_the_twin_is_fed_as_it_would_be_alone():
         alone.step(t, z, cmd)
         if row % 7 == 0:
             seen.predict()
-    np.testing.assert_array_equal(seen.twin.estimate().s, alone.estimate().s)
-    np.testing.assert_array_equal(seen.twin.estimate().xi_sd, alone.estimate().xi_sd)
+    np.testing.assert_array_equal(seen.twin.estimate().state, alone.estimate().state)
+    np.testing.assert_array_equal(seen.twin.estimate().params_sd, alone.estimate().params_sd)
 
 
 def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
@@ -128,8 +128,8 @@ def test_what_is_drawn_is_the_prediction():
     for t, z, cmd in log:
         seen.step(t, z, cmd)
     prediction = seen.predict()
-    belief = belief_of(prediction)
-    times, places, covs = belief.band(80)
+    overlay = overlay_of(prediction)
+    times, places, covs = overlay.band(80)
     for h in (2.5, 5.0, 10.0):
         k, row = int(np.argmin(np.abs(times - h))), round(h / PLAN_STEP) - 1
         np.testing.assert_allclose(places[k], prediction.mean[row, :2], atol=1e-6)

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from usv_gym.vessel.vessel.geometry import boat_of
 
 from twin import Log, Twin, recorded_runs
 from twin.live.sessions.log import LogSession
@@ -29,6 +28,7 @@ from twin.live.sessions.session import Session
 from twin.live.sessions.simulated import SimulatedSession, World
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
+from usv_gym.vessel.geometry import boat_of
 
 viser = pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
@@ -357,7 +357,7 @@ def test_another_boat_and_another_twin_take_over(served, tmp_path):
     viewer.controls.predictor.value = "oracle"  # is told its world
     viewer.controls._restart()
     wait(lambda: session.changed == 3)
-    wait(lambda: session.snapshot is not None and session.snapshot.belief is not None)
+    wait(lambda: session.snapshot is not None and session.snapshot.overlay is not None)
     assert session.message == ""
 
 
