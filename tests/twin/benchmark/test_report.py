@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from twin import PREDICTORS
+from twin.benchmark import figures
 from twin.benchmark.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
 from twin.benchmark.report import write_report
-from twin.benchmark.runner import figures
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
 from twin.model.structure import structure_of

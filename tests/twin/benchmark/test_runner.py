@@ -10,6 +10,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from twin.benchmark import metrics as scores
+from twin.benchmark import runner as bench
 from twin.benchmark.metrics import KEY, METRICS, STUDY_CHANNELS, compare, score, summarise
 from twin.benchmark.protocol import (
     FULL,
@@ -23,8 +25,6 @@ from twin.benchmark.protocol import (
     left_out,
     units,
 )
-from twin.benchmark.runner import metrics as scores
-from twin.benchmark.runner import runner as bench
 from twin.logs.log import Log, recorded_runs
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import Persistence

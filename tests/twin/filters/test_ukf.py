@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.filters import ukf
-from twin.model.rollout import augmented, dynamics
+from twin.model import augmented, dynamics
 from twin.model.structure import MODELS, N_TERMS, Structure
 from twin.particulars import Particulars
 

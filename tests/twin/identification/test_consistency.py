@@ -15,7 +15,7 @@ import pytest
 from scipy.stats import chi2
 
 from twin.filters import ukf
-from twin.model.rollout import augmented, dynamics
+from twin.model import augmented, dynamics
 from twin.model.structure import N_TERMS
 from twin.particulars import Particulars
 

@@ -22,7 +22,7 @@ from twin.identification.prediction_error import (
     linearise,
     room,
 )
-from twin.model.rollout import dynamics
+from twin.model import dynamics
 from twin.model.structure import MODELS, N_TERMS, Structure, structure_of
 
 LENGTH, SPEED, SHAFT = 6.336, 5.4, 6.33

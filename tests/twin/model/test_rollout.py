@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from twin.benchmark import paper_checks
 from twin.benchmark.paper_checks import RATED, paper_run
-from twin.benchmark.runner import paper_checks
 from twin.filters import ukf
-from twin.model.rollout import actuators, augmented, dynamics, rollout
+from twin.model import actuators, augmented, dynamics, rollout
 from twin.model.structure import MODELS, N_TERMS, Structure, accelerations
 from twin.particulars import Particulars
 from usv_kernel.scalar import actuate

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from usv_gym import Vessel
-from usv_gym.design.new_vessel import regressions as reg
+from usv_gym.design import regressions as reg
 from usv_gym.design.regressions import Estimate, Form
 
 BOAT = Form(length=6.336, beam=2.714, draft=0.526, block_coefficient=0.3689)

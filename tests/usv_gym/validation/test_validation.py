@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin.cli.main import common
+from twin.cli import common
 from usv_gym.validation import manoeuvring, sea, sections
 from usv_gym.validation.page import FOLDER, PAGE, compare, failures, render, to_json
 from usv_gym.validation.study import Row, Section, Study, shared_folder

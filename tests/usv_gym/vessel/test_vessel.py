@@ -30,8 +30,8 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship, weather
 from usv_gym.physics import waves as wv
+from usv_gym.vessel import vessel as vessel_module
 from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError, course_eigenvalues
-from usv_gym.vessel.vessel import vessel as vessel_module
 from usv_gym.world.simulation import Simulation
 
 FOLDER = Path(usv_gym.__file__).parent / "vessel" / "vessels"
