@@ -1,5 +1,5 @@
 """Run the command line: ``python -m twin.cli``."""
 
-from twin.cli import main
+from twin.cli.main import main
 
 main()
