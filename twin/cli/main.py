@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import sys
 
-# each of these registers its commands with the app
-from twin.cli import (
-    agents as commands,
-)
-from twin.cli import (
-    live,
-)
+from twin.cli import agents, benchmark, identify, live, performance, predict, simulate, validate
 from twin.cli.common import _speaking, app
 from twin.cli.vessel import vessel_app
 
@@ -33,8 +27,12 @@ def _expand(arguments: list[str], option: str = "--log") -> list[str]:
     return expanded
 
 
-for _name, _command in {**commands.COMMANDS, **live.COMMANDS}.items():
+for _name, _command in {**agents.COMMANDS, **live.COMMANDS}.items():
     app.command(_name)(_speaking(_command))
+
+
+COMMANDS = (benchmark, identify, performance, predict, simulate, validate)
+"""Modules that register a command with the app when they are imported."""
 
 
 def main() -> None:

@@ -19,9 +19,10 @@ import pytest
 import usv_gym
 from twin import Log, Twin, recorded_runs
 from twin.channels import CHANNELS
+from twin.cli import benchmark
 from twin.cli.benchmark import _matching
 from twin.cli.common import seeds_of
-from twin.cli.main import _expand, benchmark, main
+from twin.cli.main import _expand, main
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import log_of
 from usv_gym import Vessel
