@@ -48,7 +48,7 @@ from twin.digital_twin import PLANS
 from twin.files import results_text
 from twin.logs.columns import LogError
 from twin.logs.rosbag import is_bag
-from twin.parallel import check_backend
+from twin.parallel import BACKENDS, check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.recorded import NO_PARTICULARS, without_particulars
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
@@ -145,7 +145,7 @@ def benchmark_command(
         os.cpu_count() or 1
     ),
     backend: Annotated[
-        str, typer.Option(help=f"Kind of workers, one of: {', '.join(bench.BACKENDS)}.")
+        str, typer.Option(help=f"Kind of workers, one of: {', '.join(BACKENDS)}.")
     ] = "loky",
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
