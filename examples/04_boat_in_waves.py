@@ -15,8 +15,9 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames
+from usv_gym.world.channels import CHANNELS
 from usv_gym.world.sea import Sea
-from usv_gym.world.sensors import CHANNELS, SensorSuite
+from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 
 SECONDS, AT = 60.0, 41.0

@@ -25,7 +25,7 @@ from twin.model.rollout import ROOM, roll_out
 from twin.model.structure import N_STATES
 from twin.predictors.plus_ensemble import SHRINK
 from twin.sim.batched_twins import LEG, CompiledTwins
-from usv_gym.envs.tasks import ERRORS, REACH, follow, path_errors
+from usv_gym.envs.tasks import ERRORS, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.jit import kernel
 
@@ -357,7 +357,7 @@ class ModelPredictive:
         h = self.horizon * length / base.speed / K
         dt = base.simulation.dt * base.frame_skip
         usual = shafts[1] / shafts[0]
-        self._told = np.array([h, length, base.speed, base.task.rules[REACH], usual, *self.weights])
+        self._told = np.array([h, length, base.speed, base.task.rules["reach"], usual, *self.weights])
         times, each = h * K * np.array(self.knots), np.eye(M)
         between = [
             np.stack([np.interp(t, times, row) for row in each], axis=1)

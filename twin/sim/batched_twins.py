@@ -36,14 +36,15 @@ from twin.predictors.registry import PredictorError, predictor_class
 from twin.predictors.ukf import RolloutInputs, UKFPredictor, nav_parts, tight_step
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
-from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
+from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import TwinOverlay
-from usv_gym.envs.tasks import ERRORS, REACH, SPEED, UNIT, follow
+from usv_gym.envs.tasks import ERRORS, follow
 from usv_gym.physics import frames as fr
-from usv_gym.world.sensors import CHANNELS
-from usv_gym.world.simulation import CMD, STATE, TIME, Z
+from usv_gym.world.channels import CHANNELS
+from usv_gym.world.state import BOAT
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined, kernel, py_func
+from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
 __all__ = [
@@ -136,12 +137,12 @@ def _next_row(boat, note):
 
     -1 stands for no new row: the boat rests.
     """
-    t, last = boat[TIME], note[LAST]
+    t, last = boat.t, note[LAST]
     if t == last:
         return -1.0
     note[LAST] = t
     for k in range(len(CHANNELS)):
-        note[ROW + k] = boat[Z + k]
+        note[ROW + k] = boat.measurement[k]
     for k in range(len(CHANNELS), len(MEASUREMENTS)):
         note[ROW + k] = math.nan
     return t - last if math.isfinite(last) else 0.0
@@ -160,15 +161,15 @@ def _is_looked_for(note, look):
 def describe(s, boat, note, points, rules, obs):
     """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
     errors, _, now, ahead, covs = note_parts(note)
-    speed, psi = rules[SPEED], s[2]
+    speed, psi = rules.speed, s[2]
     d, c = sincos(psi)
-    note[LEG] = follow(s[0], s[1], psi, points, int(note[LEG]), rules[REACH], errors)
+    note[LEG] = follow(s[0], s[1], psi, points, int(note[LEG]), rules.reach, errors)
     o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
     o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
-    o[5], o[6] = errors[0] / rules[UNIT], 0.1 * errors[1] / rules[UNIT]
+    o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
     o[8], o[7] = sincos(errors[2])
     o[10], o[9] = sincos(errors[3])
-    _spread(now, c, d, rules[UNIT], speed, o, 11)
+    _spread(now, c, d, rules.unit, speed, o, 11)
     at = 17
     for j in range(ahead.shape[0]):
         m = ahead[j]
@@ -182,27 +183,28 @@ def describe(s, boat, note, points, rules, obs):
         at += 13
     for j in range(o.shape[0]):
         o[j] = min(max(o[j], -BOUND), BOUND)
-    note[OFF] = math.hypot(s[0] - boat[STATE + fr.X], s[1] - boat[STATE + fr.Y])
+    note[OFF] = math.hypot(s[0] - boat.state[fr.X], s[1] - boat.state[fr.Y])
 
 
 @kernel
 def _ukf_all(
-    boats, points, rules, told, notes, nav, memory, nav_settings, nav_work, constants, scratch,
+    boats, points, shared, told, notes, nav, memory, nav_settings, nav_work, constants, scratch,
     work, kit, room, obs,
 ):  # fmt: skip
     """Let the twins of boats with a new row take it, and write their parts of the observations.
 
     ``room`` is for one memory, four actuators at each horizon, and a command.
     """
+    rules = as_record(shared, EPISODES).rules
     copied = room[: memory.shape[1]]
     acts = shaped(room, memory.shape[1], (len(HORIZONS) + 1, N_ACT))
     held = acts[acts.shape[0] - 1]
     for i in range(boats.shape[0]):
-        boat, note = boats[i], notes[i]
+        boat, note = as_record(boats[i], BOAT), notes[i]
         dt = _next_row(boat, note)
         _, z, now, ahead, covs = note_parts(note)
         x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory[i], constants, kit)
-        cmd = boat[CMD : CMD + N_ACT]
+        cmd = boat.command
         if dt >= 0.0:
             tight_step(
                 *(dt, z, cmd, nav[i], nav_settings, nav_work),
@@ -227,16 +229,17 @@ def _ukf_all(
 
 @kernel
 def _plus_all(
-    boats, points, rules, told, notes, nav, memory, rows, book, nav_settings, nav_work, constants,
+    boats, points, shared, told, notes, nav, memory, rows, book, nav_settings, nav_work, constants,
     scratch, work, kit, refit_rules, refit_room, usual, look_room, shocks, room, obs,
 ):  # fmt: skip
     """Do for ``dsw-ukf-plus`` what :func:`_ukf_all` does for ``ukf``."""
+    rules = as_record(shared, EPISODES).rules
     held = room[room.shape[0] - N_ACT :]
     for i in range(boats.shape[0]):
-        boat, note = boats[i], notes[i]
+        boat, note = as_record(boats[i], BOAT), notes[i]
         dt = _next_row(boat, note)
         _, z, now, ahead, covs = note_parts(note)
-        cmd = boat[CMD : CMD + N_ACT]
+        cmd = boat.command
         if dt >= 0.0:
             plus_step(
                 *(note[LAST], dt, z, cmd, nav[i], nav_settings, nav_work, memory[i], constants),
@@ -484,7 +487,7 @@ class CompiledTwins(TwinObserver):
         sim, task = self.episodes.simulation, self.episodes.task
         shared = (*self._shared, self._room)
         return (
-            *(sim.boats[rows], task.points[rows], task.rules, self._told, self.notes[rows]),
+            *(sim.rows[rows], task.points[rows], self.episodes.shared, self._told, self.notes[rows]),
             *(memory[rows] for memory in self.memories),
             *(copy.deepcopy(shared) if own else shared),
         )

@@ -21,7 +21,6 @@ from twin.predictors.registry import PredictorError, predictor_class
 from twin.sim.bridge import TRUE_STATE, particulars_of
 from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sea import SeaState
 from usv_kernel.jit import kernel
@@ -48,12 +47,12 @@ _SIZE = _SHIP + fr.STATE_SIZE
 
 
 @kernel
-def _sail(state, cmd, t, dt, p, still, gusts, weather, dof, limits, factors, work):
+def _sail(state, cmd, t, dt, vessel, sea, limits, work):
     """Sail a ship for dt under a command, in place; velocities stay within the limits."""
     steps = math.ceil(dt / STEP - 1e-9)
     for j in range(steps):
         h = dt / steps
-        ship.step(state, cmd, p, still, gusts, weather, t + j * h, h, dof, factors, work)
+        ship.step(state, cmd, vessel, sea, t + j * h, h, work)
         total = 0.0
         for i in range(fr.STATE_SIZE):
             total += state[i]
@@ -66,14 +65,15 @@ def _sail(state, cmd, t, dt, p, still, gusts, weather, dof, limits, factors, wor
 
 
 @kernel
-def _roll(starts, plans, dt, p, still, gusts, weather, dof, limits, factors, work, state, out):
+def _roll(starts, plans, dt, vessel, sea, limits, work, out):
     """Write where ships get from their starts (B, 17) under plans (B, K, 4): (B, K, 16)."""
+    state = work[ship.WORK_ROWS]
     for b in range(plans.shape[0]):
         for i in range(fr.STATE_SIZE):
             state[i] = starts[b, _SHIP + i]
         for k in range(plans.shape[1]):
             t = starts[b, _TIME] + k * dt
-            _sail(state, plans[b, k], t, dt, p, still, gusts, weather, dof, limits, factors, work)
+            _sail(state, plans[b, k], t, dt, vessel, sea, limits, work)
             for i in range(fr.STATE_SIZE):
                 out[b, k, i] = state[i]
 
@@ -185,9 +185,10 @@ class Oracle(HistoryPredictor):
         weather = (sea or SeaState()).realise(vessel, quiet, quiet).weather
         U, L = particulars.speed, particulars.length
         self._arguments = (
-            *(vessel.packed.copy(), np.zeros((WAVE_ROWS, 0)), np.zeros((3, 0)), weather, dof),
+            ship.Ship(vessel.packed.copy(), dof),
+            ship.calm_sea(weather),
             np.array([4.0 * U, 4.0 * U, 4.0 * U / L]),
-            *(factor_room(0), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))),
+            np.zeros((ship.WORK_ROWS + 1, fr.STATE_SIZE)),
         )
         super().__init__(particulars, seed=seed)
 
@@ -239,5 +240,5 @@ class Oracle(HistoryPredictor):
     def _paths(self, starts: Array, plans: Array, dt: float) -> Array:
         out = np.empty((*plans.shape[:2], fr.STATE_SIZE))
         plans = np.ascontiguousarray(plans)
-        _roll(starts, plans, dt, *self._arguments, np.zeros(fr.STATE_SIZE), out)
+        _roll(starts, plans, dt, *self._arguments, out)
         return out[:, :, TRUE_STATE]

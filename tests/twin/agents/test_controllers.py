@@ -12,7 +12,8 @@ import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import ControllerError
 from twin.agents.controllers import CONTROLLERS, make_controller
 from twin.agents.mpc import ModelPredictive
-from usv_gym.world.sensors import Fault, SensorSuite
+from usv_gym.world.faults import Fault
+from usv_gym.world.sensors import SensorSuite
 
 
 def boats(agent, n=8, **options):

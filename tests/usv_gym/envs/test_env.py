@@ -28,8 +28,8 @@ from usv_gym.envs.tasks import TaskError
 from usv_gym.physics import frames as fr
 from usv_gym.physics.weather import WIND_SPEED
 from usv_gym.vessel.vessel import VesselError
+from usv_gym.world.faults import FaultError
 from usv_gym.world.sea import SeaError
-from usv_gym.world.sensors import FaultError
 from usv_gym.world.simulation import SimulationError
 
 ROOT = Path(usv_gym.__file__).resolve().parent.parent

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import usv_gym  # noqa: F401 - registers the environment
 from usv_gym import SeaState
 from usv_gym.envs.vector import USVVectorEnv
-from usv_gym.world.sensors import Fault
+from usv_gym.world.faults import Fault
 
 N = 3
 FAULTS = "gps3@2+imu-spikes-random"

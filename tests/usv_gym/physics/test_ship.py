@@ -58,7 +58,7 @@ def derivative(
     dof: int = 3,
 ) -> np.ndarray:
     out = np.zeros(fr.STATE_SIZE)
-    factors = waves.factor_room(sea.waves.shape[1])
+    factors = waves.factor_workspace(sea.waves.shape[1])
     waves.box_factors(state[fr.PSI], sea.waves, p, 6, factors)
     air = wx.air_velocity(0.0, sea.gusts, sea.weather)
     gain = wx.wave_gain(0.0, sea.weather)
@@ -80,7 +80,7 @@ def sail(
     steps = round(seconds / dt)
     states = np.empty((steps + 1, fr.STATE_SIZE))
     states[0] = state
-    factors = waves.factor_room(sea.waves.shape[1])
+    factors = waves.factor_workspace(sea.waves.shape[1])
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     cmds = np.tile(cmd, (steps, 1))
     ship.sail(states, cmds, p, sea.waves, sea.gusts, sea.weather, dt, dof, factors, work)
@@ -651,7 +651,7 @@ def test_the_step_reports_its_mean_derivative() -> None:
     sea, s = a_sea(1), start(6.0, v=0.3, r=0.1, n=20.0, delta=0.1)
     before = s.copy()
     factors, work = (
-        waves.factor_room(sea.waves.shape[1]),
+        waves.factor_workspace(sea.waves.shape[1]),
         np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
     )
     ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.weather, 1.0, 0.05, 3, factors, work)

@@ -41,7 +41,7 @@ def loads(
     x: float, y: float, psi: float, t: float, rows: np.ndarray, p: np.ndarray = BOX
 ) -> np.ndarray:
     """Return X, Y, N."""
-    factors = waves.factor_room(rows.shape[1])
+    factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(psi, rows, p, 6, factors)
     return np.array(waves.first_order_loads(x, y, psi, t, rows, p, 3, factors))[:3]
 
@@ -50,7 +50,7 @@ def vertical_loads(
     x: float, y: float, psi: float, t: float, rows: np.ndarray, p: np.ndarray = BOX
 ) -> np.ndarray:
     """Return Z (down), K (starboard down), M (bow up)."""
-    factors = waves.factor_room(rows.shape[1])
+    factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(psi, rows, p, 6, factors)
     six = np.array(waves.first_order_loads(x, y, psi, t, rows, p, 6, factors))
     np.testing.assert_array_equal(six[:3], loads(x, y, psi, t, rows, p))

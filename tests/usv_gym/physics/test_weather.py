@@ -165,7 +165,7 @@ def accelerations(
     if not drift:
         weather[wx.DRIFT : wx.DRIFT_END] = 0.0
     state, out = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
-    factors = waves.factor_room(rows.shape[1])
+    factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(0.0, rows, P, 6, factors)
     share = wx.wave_gain(0.0, weather)
     ship.derivative(state, np.zeros(4), P, rows, factors, weather, 0.0, 0.0, share, 0.0, dof, out)
@@ -188,7 +188,7 @@ def test_a_step_takes_the_gain_of_its_time() -> None:
     """Waves that grow from nothing move a boat as waves of the gain in that moment do."""
     rng = np.random.default_rng(4)
     sea = SeaState(course=[(0.0, 0.0, 0.0), (100.0, 1.0, 0.0)]).realise(BOAT, rng, rng)
-    factors = waves.factor_room(sea.waves.shape[1])
+    factors = waves.factor_workspace(sea.waves.shape[1])
     held = sea.weather.copy()
     held[wx.CHANGES], held[wx.WAVE_GAIN] = 0.0, 0.25
     ends = []

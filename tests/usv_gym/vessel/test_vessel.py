@@ -104,7 +104,7 @@ def run(boat: Vessel, state: np.ndarray, cmd: np.ndarray, seconds: float, dof: i
     states[0] = state
     ship.sail(
         *(states, np.tile(cmd, (steps, 1)), boat.packed.copy(), calm, gusts, weather.constant()),
-        *(dt, dof, wv.factor_room(0), work),
+        *(dt, dof, wv.factor_workspace(0), work),
     )
     return states
 

@@ -18,20 +18,17 @@ from usv_gym.envs.env import USVEnv
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 from usv_gym.world import sensors
-from usv_gym.world.sensors import (
-    CHANNELS,
-    COMPASS_BIT,
+from usv_gym.world.channels import CHANNELS, COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.faults import (
     EFFECTS,
     FAULT_KINDS,
-    GPS_BIT,
-    GRADES,
-    IMU_BIT,
     ON,
     SPIKE_SIZES,
     Disturbance,
     FaultError,
     parse_faults,
 )
+from usv_gym.world.sensors import GRADES
 from usv_gym.world.simulation import NOISE_ROWS, Simulation
 
 DT = 0.05
@@ -53,7 +50,7 @@ def rows(
     rng = np.random.default_rng(seed)
     normals = rng.standard_normal((count, sensors.NOISE_SIZE))
     draws = [s.random((count, sensors.NOISE_FAULT)) for s in sensors.fault_sources(faults, rng)]
-    noise, wrong = np.hstack([normals, *draws]), sensors.fault_rows(faults, dt)
+    noise, wrong = np.hstack([normals, *draws]), sensors.fault_records(faults, dt)
     packed, memory = suite.pack(dt), np.zeros(sensors.MEMORY_SIZE)
     ring = np.zeros((suite.delay_steps(dt) + 1, 4))
     state = np.zeros(fr.STATE_SIZE) if state is None else state
@@ -69,7 +66,7 @@ def sample(suite: SensorSuite, state: np.ndarray, rate: np.ndarray, dt: float = 
     """Return one row of sensors without noise."""
     z, noise = np.zeros(8), np.zeros(sensors.NOISE_SIZE)
     memory, ring = np.zeros(sensors.MEMORY_SIZE), np.zeros((1, 4))
-    without = sensors.fault_rows((), dt)
+    without = sensors.fault_records((), dt)
     sensors.measure(state, rate, 1.0, 20, dt, suite.pack(dt), noise, without, memory, ring, z)
     return z
 
@@ -713,7 +710,7 @@ TEXTS = st.one_of(
 def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
     try:
         faults = parse_faults(text, 10.0)
-        packed = sensors.fault_rows(faults, DT)
+        packed = sensors.fault_records(faults, DT)
     except FaultError as error:
         words = ("use ", "must ", "write ", "make them longer")
         clear = any(word in str(error) for word in words)

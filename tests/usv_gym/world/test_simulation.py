@@ -11,7 +11,7 @@ import pytest
 
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.world.sensors import COMPASS, GPS, IMU
+from usv_gym.world.channels import COMPASS, GPS, IMU
 from usv_gym.world.simulation import MEAN_RATE, NOISE_ROWS, Simulation, SimulationError
 
 BOAT = Vessel.load("usv75")
