@@ -156,7 +156,7 @@ class Scene:
         Terms of the last step's reward; none without a goal.
     heeling : bool
         Whether the boat rolls and pitches at all.
-    belief : Belief, optional
+    overlay : TwinOverlay, optional
         What its twin believes.
     """
 
@@ -248,7 +248,7 @@ class Renderer:
     episodes : Episodes
         The boats.
     observer : Observer, optional
-        Its method ``belief``, if it has one, returns what the twin of boat i believes.
+        Its method ``overlay``, if it has one, returns the estimate of the twin of boat i.
     mode : str
         ``"rgb_array"`` or ``"human"``.
     size : tuple of int
@@ -274,7 +274,9 @@ class Renderer:
             )
         self.episodes, self.mode = episodes, mode
         self.painter = Painter(size)
-        self.overlay: Callable[[int], TwinOverlay | None] | None = getattr(observer, "belief", None)
+        self.overlay: Callable[[int], TwinOverlay | None] | None = getattr(
+            observer, "overlay", None
+        )
         self.waits = False
         self._window = Window(self.painter.size, fps_of(episodes)) if mode == "human" else None
         length = episodes.vessel.values["length_overall"]

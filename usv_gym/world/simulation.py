@@ -155,8 +155,8 @@ class Simulation:
         All of the above by name, see :data:`usv_gym.world.state.BOAT`; a view of ``rows``.
     rows : ndarray
         What the kernels take; see :mod:`usv_gym.world.state`.
-    config : record of SIMULATION
-        What all boats share.
+    config, shared : record of SIMULATION, ndarray
+        What all boats share, and the same as flat memory for kernels.
     """
 
     def __init__(
@@ -244,7 +244,7 @@ class Simulation:
         )
         config["numbers_rows"], config["numbers_width"] = shapes["numbers"]
         config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
-        self.config, self._shared = config, shared.view(float)
+        self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
         """Scratch of the kernels that advance boats; threads need copies."""
         self._noise_rngs: list[tuple[np.random.Generator, ...]] = [()] * n
@@ -365,9 +365,9 @@ class Simulation:
                 f"cmd of shape {cmd.shape}: must be finite numbers of shape {self.cmd.shape}"
             )
         self.cmd[:] = cmd
-        if not _advance_all(self.rows, self._shared, self.factors):
+        if not _advance_all(self.rows, self.shared, self.factors):
             self.draw_numbers()
-            _advance_all(self.rows, self._shared, self.factors)
+            _advance_all(self.rows, self.shared, self.factors)
 
     def draw_numbers(self) -> None:
         """Draw the next block of random numbers of every boat whose block is used up."""
