@@ -18,7 +18,7 @@ import usv_kernel  # noqa: E402
 
 project = "usv-twin"
 author = "usv-twin contributors"
-copyright = "2026, usv-twin contributors, MIT licence"  # noqa: A001
+copyright = "2026, usv-twin contributors, MIT licence"
 version = release = usv_kernel.__version__
 
 extensions = [

@@ -1,4 +1,4 @@
-"""The code of every tutorial runs, block after block, in one folder."""
+"""The code of every page runs: all of a tutorial, and the Python of other pages."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted(p for p in (ROOT / "docs/tutorials").glob("*.md") if p.stem != "index")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+TUTORIALS = sorted(p for p in (DOCS / "tutorials").glob("*.md") if p.stem != "index")
+OTHERS = [
+    path
+    for path in sorted(DOCS.rglob("*.md"))
+    if path not in TUTORIALS and "\n```python\n" in path.read_text(encoding="utf-8")
+]
 BLOCK = re.compile(
     r"^```(?:(python|sh)\n|\{code-block\} \w+\n:caption: (\S+)\n)(.*?)^```$", re.M | re.S
 )
-DRIVER = """
-import subprocess, sys
-names = {"__name__": "__main__"}
-sys.path.insert(0, "")
-"""
 
 
 def blocks_of(page: Path) -> list[tuple[str, str, str]]:
@@ -29,7 +29,7 @@ def blocks_of(page: Path) -> list[tuple[str, str, str]]:
 
 def script_of(page: Path) -> str:
     """Return a program that runs a page's blocks of Python in one process, and its commands."""
-    lines = [DRIVER]
+    lines = ["import subprocess, sys", "sys.path.insert(0, '')", "names = {'__name__': 'page'}"]
     for number, (kind, name, text) in enumerate(blocks_of(page), 1):
         if name:
             lines.append(f"open({name!r}, 'w').write({text!r})")
@@ -49,12 +49,12 @@ def environment(tmp_path_factory) -> dict[str, str]:
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m twin.cli "$@"\n')
     command.chmod(0o755)
     path = os.pathsep.join([str(folder), os.environ["PATH"]])
-    # a run of PPO on two threads of a busy machine is slower by far
+    # torch on two threads of a busy machine is slower by far
     return os.environ | {"PATH": path, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_tutorial_runs(page, environment, tmp_path):
+@pytest.mark.parametrize("page", [*TUTORIALS, *OTHERS], ids=lambda page: page.stem)
+def test_page_runs(page, environment, tmp_path):
     if "stable_baselines3" in page.read_text(encoding="utf-8"):
         pytest.importorskip("stable_baselines3")
     done = subprocess.run(
@@ -69,5 +69,5 @@ def test_tutorial_runs(page, environment, tmp_path):
 
 
 def test_each_tutorial_has_code():
-    assert len(PAGES) == 6
-    assert all(len(blocks_of(page)) >= 4 for page in PAGES)
+    assert len(TUTORIALS) == 6
+    assert all(len(blocks_of(page)) >= 4 for page in TUTORIALS)
