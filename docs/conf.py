@@ -14,6 +14,9 @@ os.environ.setdefault("USV_TWIN_QUIET", "1")
 
 warnings.filterwarnings("ignore", message="Unknown section")  # see keep_own_sections
 
+from docutils import nodes  # noqa: E402
+from docutils.utils.math.latex2mathml import tex2mathml  # noqa: E402
+
 import usv_kernel  # noqa: E402
 
 project = "usv-twin"
@@ -24,7 +27,6 @@ version = release = usv_kernel.__version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "numpydoc",
 ]
 exclude_patterns = ["_build"]
@@ -40,9 +42,12 @@ autodoc_mock_imports = ["stable_baselines3"]
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
+smartquotes = False  # they would turn --options into dashes
 html_theme = "furo"
 html_title = f"usv-twin {release}"
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
 html_theme_options = {"navigation_with_keys": True}
 autosummary_generate = False
 suppress_warnings = ["config.cache"]
@@ -94,7 +99,17 @@ def write_command_line(app: Any) -> None:
     page.write_text(head + text.replace("[required]", "(required)").rstrip() + "\n", "utf-8")
 
 
+def write_mathml(self: Any, node: Any) -> None:
+    """Write a formula as MathML, which browsers read without a script or a network."""
+    text, block = node.astext(), node.tagname == "math_block"
+    if block and "&" in text and "\\begin" not in text:
+        text = rf"\begin{{aligned}}{text}\end{{aligned}}"
+    self.body.append(tex2mathml(text, as_block=block))
+    raise nodes.SkipNode
+
+
 def setup(app: Any) -> None:
-    """Connect the two hooks above."""
+    """Connect the hooks above."""
+    app.add_html_math_renderer("mathml", (write_mathml, None), (write_mathml, None))
     app.connect("builder-inited", write_command_line)
     app.connect("autodoc-process-docstring", keep_own_sections, priority=100)
