@@ -90,7 +90,7 @@ def test_speed_tables_equal_the_measurements():
 def test_benchmark_reproduces_a_part_of_the_results(tmp_path):
     from typer.testing import CliRunner
 
-    from twin.cli.common import app
+    from twin.cli.main import app
 
     few = "persistence,ukf,dsw-ukf-plus"
     part = ["--seeds", "0", "--scenarios", "zigzag", "--faults", "gps10", "--predictors", few]

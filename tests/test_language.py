@@ -21,7 +21,7 @@ ALLOWED: dict[str, str] = {
 }
 """Files in which a word is unavoidable, and why."""
 
-SUFFIXES = (".py", ".md", ".toml", ".html", ".j2", ".yml", ".cff", ".csv", ".css", ".js")
+SUFFIXES = (".py", ".md", ".toml", ".html", ".jinja", ".yml", ".cff", ".csv", ".css", ".js")
 GENERATED = "command_line.md"  # from the help texts in twin/cli, which are read anyway
 PLACES = ("usv_kernel", "usv_gym", "twin", "tests", "docs", "examples", ".ci", ".github")
 TOP = ("README.md", "CONTRIBUTING.md", "CITATION.cff", "pyproject.toml")
