@@ -376,7 +376,7 @@ def _ship(dof: int, components: int) -> Burst:
     waves = np.zeros((WAVE_ROWS, padded(sea.waves.shape[1])))
     waves[:, : sea.waves.shape[1]] = sea.waves
     factors = factor_room(waves.shape[1])
-    cmds = np.tile(boat.helm(20.4, 0.1), (SHIP_STEPS, 1))
+    cmds = np.tile(boat.command(20.4, 0.1), (SHIP_STEPS, 1))
     arguments = (states, cmds, boat.packed, waves, sea.gusts, sea.weather)
     return lambda: ship.sail(*arguments, H, dof, factors, work), SHIP_STEPS
 

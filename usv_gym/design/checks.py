@@ -151,7 +151,7 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
         v.get("steer_lag", math.inf),
         *(0.05 * period for period in periods),
     )
-    state, cmd = state_at(vessel, n, speed), vessel.helm(n, vessel.helm_max)
+    state, cmd = state_at(vessel, n, speed), vessel.command(n, vessel.helm_max)
     p, work = vessel.packed.copy(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
     heel = 0.0

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from usv_gym.design import regressions as reg
 from usv_gym.physics import GRAVITY, KNOT
-from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA, Vessel, course_eigenvalues
+from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA
+from usv_gym.vessel.vessel import Vessel, course_eigenvalues
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [

@@ -105,4 +105,4 @@ def commands(
         ) from None
     throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
     full = vessel.values["shaft_speed_manoeuvring"] if n is None else n
-    return vessel.helm(throttle * full, angle)
+    return vessel.command(throttle * full, angle)

@@ -390,7 +390,7 @@ class _Trial:
         state[:, [fr.N_LEFT, fr.N_RIGHT]] = self.n
         angles = np.array([next(man) for man in helmsmen.values()])
         states, orders = [state.copy()], [np.zeros(boats)]
-        cmd = self.vessel.helm(order, angles)
+        cmd = self.vessel.command(order, angles)
         ends, sailing = [0] * boats, dict(enumerate(helmsmen.values()))
         while sailing:
             if len(states) * self.dt * self.speed > limit * self.length:
@@ -408,7 +408,7 @@ class _Trial:
                     del sailing[i]
                 elif angle != angles[i]:
                     angles[i] = angle
-                    cmd[i] = self.vessel.helm(order, angle)
+                    cmd[i] = self.vessel.command(order, angle)
         all_states, all_orders = np.array(states), np.array(orders)
         columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
         return [

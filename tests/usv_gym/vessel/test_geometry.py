@@ -19,7 +19,8 @@ import usv_gym
 from twin.cli.common import app
 from usv_gym import Vessel, vessel_names
 from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
+from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, encode_mesh
+from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
 
 trimesh = pytest.importorskip("trimesh")
@@ -112,7 +113,7 @@ def test_drives_and_rudders_stand_where_the_vessel_has_them(vessel: Vessel) -> N
         y = (2 * unit - 1) * v["y_P"] if side else 0.0
         assert propeller.moves == "spin"
         assert propeller.unit == unit
-        np.testing.assert_allclose(boat.place(propeller)[1:], [y, v["z_P"]])
+        np.testing.assert_allclose(boat.position_of(propeller)[1:], [y, v["z_P"]])
         radius = np.hypot(*propeller.mesh.vertices[:, 1:].T).max()
         assert radius == pytest.approx(0.5 * v["propeller_diameter"], rel=0.05)
         if vessel.kind == "propeller_rudder":
@@ -180,7 +181,7 @@ def test_any_boat_can_be_drawn(
         arm=None if arm is None else arm * length,
         aside=None if aside is None else aside * beam,
     )
-    hull = hull_of(form)
+    hull = HullLines(form).mesh
     check_solid(hull)
     assert submerged(hull) == pytest.approx(form.volume, rel=0.02)
     np.testing.assert_allclose(waterline(hull), [length, beam], rtol=1e-6)
@@ -212,7 +213,7 @@ PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
 
 def exported(folder: Path, suffix: str) -> Boat:
     boat = boat_of(Vessel.load("usv75"))
-    (folder / f"boat{suffix}").write_bytes(boat.encoded(suffix))
+    (folder / f"boat{suffix}").write_bytes(encode_mesh(boat, suffix))
     return boat
 
 
@@ -252,7 +253,7 @@ def test_a_damaged_file_is_told_without_its_parser_s_words(
 def test_a_mesh_far_from_the_origin_is_refused(tmp_path: Path) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
     off = dataclasses.replace(hull, mesh=hull.mesh.moved([500.0, 0.0, 0.0]))
-    (tmp_path / "off.stl").write_bytes(Boat((off,)).encoded(".stl"))
+    (tmp_path / "off.stl").write_bytes(encode_mesh(Boat((off,)), ".stl"))
     refused(tmp_path, "off.stl", "501 m off the origin|amidships")
 
 
@@ -264,7 +265,7 @@ def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:
         back = again[part.name]
         assert back.mesh.volume == pytest.approx(part.mesh.volume, rel=1e-4)
         np.testing.assert_allclose(back.mesh.bounds, part.mesh.bounds, atol=1e-5)
-        np.testing.assert_allclose(again.place(back), boat.place(part))
+        np.testing.assert_allclose(again.position_of(back), boat.position_of(part))
         assert (back.moves, back.parent, back.unit) == (part.moves, part.parent, part.unit)
         assert back.colour == part.colour
     solid = trimesh.load_scene(tmp_path / "boat.glb").geometry["hull"]
@@ -275,7 +276,7 @@ def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:
 def test_a_glb_is_written_again_the_same(tmp_path: Path) -> None:
     exported(tmp_path, ".glb")
     again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
-    (tmp_path / "twice.glb").write_bytes(again.encoded(".glb"))
+    (tmp_path / "twice.glb").write_bytes(encode_mesh(again, ".glb"))
     first, second = (trimesh.load_scene(tmp_path / f"{n}.glb") for n in ("boat", "twice"))
     np.testing.assert_allclose(first.bounds, second.bounds, atol=1e-5)
     assert set(first.graph.nodes_geometry) == set(second.graph.nodes_geometry)
@@ -284,7 +285,7 @@ def test_a_glb_is_written_again_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
 def test_other_files_replace_the_hull_and_keep_the_drives(tmp_path: Path, suffix: str) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
-    (tmp_path / f"hull{suffix}").write_bytes(Boat((hull,)).encoded(suffix))
+    (tmp_path / f"hull{suffix}").write_bytes(encode_mesh(Boat((hull,)), suffix))
     boat = boat_of(Vessel.load(with_mesh(tmp_path, f"hull{suffix}")))
     assert boat.parts[0].mesh.volume == pytest.approx(hull.mesh.volume, rel=1e-4)
     np.testing.assert_allclose(boat.parts[0].mesh.bounds, hull.mesh.bounds, atol=1e-5)
@@ -348,13 +349,13 @@ def test_a_mesh_of_another_size_is_refused(
 ) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
     wrong = dataclasses.replace(hull, mesh=Mesh(hull.mesh.vertices @ change, hull.mesh.faces))
-    (tmp_path / "wrong.stl").write_bytes(Boat((wrong,)).encoded(".stl"))
+    (tmp_path / "wrong.stl").write_bytes(encode_mesh(Boat((wrong,)), ".stl"))
     refused(tmp_path, "wrong.stl", message)
 
 
 def test_a_file_of_drives_alone_is_refused(tmp_path: Path) -> None:
     boat = boat_of(Vessel.load("usv75"))
-    (tmp_path / "drive.glb").write_bytes(Boat((boat["drive_left"],)).encoded(".glb"))
+    (tmp_path / "drive.glb").write_bytes(encode_mesh(Boat((boat["drive_left"],)), ".glb"))
     refused(tmp_path, "drive.glb", "must hold the hull")
 
 
@@ -362,7 +363,7 @@ def test_without_trimesh_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     boat = boat_of(Vessel.load("usv75"))
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(VesselError, match=re.escape("pip install 'usv-twin[view]'")):
-        boat.encoded(".glb")
+        encode_mesh(boat, ".glb")
 
 
 # ----------------------------------------------------------------------------- command line

@@ -31,7 +31,8 @@ from usv_gym.physics import parameters as par
 from usv_gym.physics import ship, weather
 from usv_gym.physics import waves as wv
 from usv_gym.vessel import vessel as vessel_module
-from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA, UNITS, VesselError, course_eigenvalues
+from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA, UNITS
+from usv_gym.vessel.vessel import VesselError, course_eigenvalues
 from usv_gym.world.simulation import Simulation
 
 FOLDER = Path(usv_gym.__file__).parent / "vessel" / "vessels"
@@ -112,7 +113,7 @@ def run(boat: Vessel, state: np.ndarray, cmd: np.ndarray, seconds: float, dof: i
 def underway(boat: Vessel) -> tuple[np.ndarray, np.ndarray, float]:
     """Return state, command and speed of a boat at its manoeuvring shaft speed."""
     n = boat.values["shaft_speed_manoeuvring"]
-    state, cmd = np.zeros(fr.STATE_SIZE), boat.helm(n, 0.0)
+    state, cmd = np.zeros(fr.STATE_SIZE), boat.command(n, 0.0)
     speed = boat.straight_speed(n)
     state[fr.U], state[fr.N_LEFT :] = speed, cmd
     return state, cmd, speed
@@ -165,7 +166,7 @@ def test_port_mirrors_starboard_but_for_one_propeller(boat: Vessel) -> None:
     state, _, speed = underway(boat)
     L, n = boat.values["length_waterline"], boat.values["shaft_speed_manoeuvring"]
     rates = [
-        run(boat, state, boat.helm(n, sign * boat.helm_max), 10.0 * L / speed, 3)[-1, fr.R]
+        run(boat, state, boat.command(n, sign * boat.helm_max), 10.0 * L / speed, 3)[-1, fr.R]
         for sign in (1.0, -1.0)
     ]
     assert rates[0] > 0.0 > rates[1]
@@ -460,7 +461,7 @@ def test_a_first_file_loads_passes_and_sails(
     simulation = Simulation(1, boat, SeaState(hs=min(0.5, 0.03 * length), wind=3.0), dof=6)
     simulation.reset([0], [np.random.default_rng(0)])
     for k in range(200):
-        simulation.step(boat.helm(boat.values["shaft_speed_manoeuvring"], 0.1 * (k > 100))[None])
+        simulation.step(boat.command(boat.values["shaft_speed_manoeuvring"], 0.1 * (k > 100))[None])
     assert np.isfinite(simulation.state).all()
     assert np.max(np.abs(simulation.state[0, [fr.PHI, fr.THETA]])) < 0.8
 
