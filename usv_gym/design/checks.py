@@ -377,7 +377,7 @@ def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
     estimate = reg.periods(form_of(vessel), v["GM_T"])
     for name, period in found.periods.items():
         if math.isnan(period):
-            yield Finding(False, f"The ship at rest does not swing in {name}: too much damping.")
+            yield Finding(False, f"The ship at rest does not oscillate in {name}: too much damping.")
         elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
             yield from _outside(
                 f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
