@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usv_gym.manoeuvring.indices import Track
+from usv_gym.manoeuvring.track import Track
 from usv_gym.physics import GRAVITY, KNOT, wind
 from usv_gym.physics.hull import hull_forces
 from usv_gym.validation.manoeuvring import SAVITSKY

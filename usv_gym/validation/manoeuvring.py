@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from usv_gym.manoeuvring import indices, rao, trials
-from usv_gym.manoeuvring.indices import Track
+from usv_gym.manoeuvring.track import Track, TrackError
 from usv_gym.physics import GRAVITY, KNOT, hull
 from usv_gym.validation.study import DEGREE, ORIGIN, RUNS, SPEC, Recording, Row, Run, Section, Study
 from usv_gym.vessel.vessel import Vessel, course_eigenvalues
@@ -196,7 +196,7 @@ def _overshoots(track: Track, switch: float) -> list[float | None]:
     """Return the first two overshoots in degrees, None where the heading never got so far."""
     try:
         got = indices.zigzag(track, length=7.0, switch=switch * DEGREE, **ORIGIN).overshoots
-    except indices.TrackError:
+    except TrackError:
         got = ()
     return [got[k] / DEGREE if k < len(got) else None for k in range(2)]
 

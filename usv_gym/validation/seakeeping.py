@@ -81,7 +81,7 @@ def quadrature_error(boat: Vessel, count: int = 200) -> float:
         waves.box_factors(psi, rows, p, 6, factors)
         got = np.array(waves.first_order_loads(2.0, -5.0, psi, 3.3, rows, p, 6, factors))[:6]
         hull_box = {"length": L, "beam": B, "draft": d, "density": rho}
-        want = rao.box_loads(rows[:, 0], 2.0, -5.0, psi, 3.3, **hull_box)
+        want = rao.box_loads(rows[:, 0], 2.0, -5.0, psi, 3.3, rao.Box(**hull_box))
         side = rows[waves.PRESSURE, 0] * k * L * B
         bottom = rows[waves.PRESSURE, 0] * rows[waves.BOTTOM, 0] * L * B
         scale = [side, side, 0.5 * side * L, bottom, 0.5 * bottom * B, 0.5 * bottom * L]

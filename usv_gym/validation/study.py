@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from usv_gym.manoeuvring import rao, trials
-from usv_gym.manoeuvring.indices import Track
+from usv_gym.manoeuvring.track import Track
 from usv_gym.manoeuvring.trials import StandardTrials
 from usv_gym.physics import KNOT, ship, spectra, waves
 from usv_gym.physics import frames as fr
