@@ -1,4 +1,4 @@
-"""What a vessel file amounts to: derived particulars, and every rule of thumb that it breaks."""
+"""Inspection of vessels: derived particulars, and broken rules of thumb."""
 
 from __future__ import annotations
 
@@ -27,33 +27,31 @@ __all__ = [
 ]
 
 DT = 0.05
-"""The integration step that simulations take unless told otherwise, s."""
+"""Default integration step of simulations, s."""
 
 RK4_LIMIT = 2.5
-"""Classical Runge-Kutta is stable while step times eigenvalue stays below about 2.7."""
+"""Largest step times eigenvalue; RK4 is stable up to about 2.7."""
 
 CAPSIZED = math.radians(70.0)
-"""Heel from which no hull is taken to come back, rad."""
+"""Heel at which a hull counts as capsized, rad."""
 
 NO_TURN = 100.0
-"""A turning radius of so many lengths is none."""
+"""Turning radius in lengths from which a ship counts as not turning."""
 
 TWO_HULLS = 0.5
-"""Below this water-plane coefficient the box is taken to hold two hulls."""
-
-_CALM, _FACTORS = Sea.calm(), factor_room(0)
+"""Water-plane coefficient below which a vessel counts as a catamaran."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A rule that the vessel breaks.
+    """A broken rule.
 
     Parameters
     ----------
     error : bool
-        The vessel cannot be right, or cannot be simulated; else it is unusual.
+        The vessel is wrong or cannot be simulated; else it is unusual.
     text : str
-        One sentence with the number and the usual range.
+        One sentence with the number and the typical range.
     """
 
     error: bool
@@ -71,7 +69,7 @@ class Inspection:
     particulars : dict
         Name with unit to number.
     periods : dict
-        Natural periods of heave, roll and pitch in s; nan where the motion does not swing.
+        Natural periods of heave, roll and pitch in s; nan for an overdamped motion.
     speeds : list of dict
         Shaft speed, speed, Froude number and thrust, up to the largest shaft speed.
     course : dict
@@ -97,11 +95,12 @@ class Inspection:
         return [finding for finding in self.findings if finding.error]
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything as plain dictionaries; what is not a number becomes None."""
+        """Return everything as dictionaries; numbers that are not finite become None."""
         return _plain(dataclasses.asdict(self))
 
 
 def _plain(item: Any) -> Any:
+    """Return an item with None for numbers that are not finite."""
     if isinstance(item, dict):
         return {key: _plain(value) for key, value in item.items()}
     if isinstance(item, list):
@@ -110,7 +109,7 @@ def _plain(item: Any) -> Any:
 
 
 def form_of(vessel: Vessel) -> reg.Form:
-    """Return the main particulars that the regressions take."""
+    """Return the main particulars for the regressions."""
     v = vessel.values
     return reg.Form(
         length=v["length_waterline"],
@@ -123,7 +122,7 @@ def form_of(vessel: Vessel) -> reg.Form:
 
 
 def _periods(vessel: Vessel) -> dict[str, float]:
-    """Return the periods of the modes of the free ship at rest that heave, roll and pitch most."""
+    """Return the periods of the modes at rest with the most energy in heave, roll and pitch."""
     v = vessel.values
     places = [fr.Z, fr.PHI, fr.THETA]
     rows = [*places, fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R]
@@ -141,7 +140,7 @@ def _periods(vessel: Vessel) -> dict[str, float]:
 
 
 def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
-    """Sail a turning circle to starboard in calm water."""
+    """Simulate a turning circle to starboard in calm water."""
     v = vessel.values
     n, L = v["shaft_speed_manoeuvring"], v["length_waterline"]
     speed = vessel.straight_speed(n)
@@ -154,12 +153,10 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
     state, cmd = state_at(vessel, n, speed), vessel.command(n, vessel.helm_max)
     p, work = vessel.packed.copy(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
-    heel = 0.0
+    sea, factors, heel = Sea.calm(), factor_room(0), 0.0
     for k in range(int(120.0 * L / speed / dt)):
-        ship.step(
-            *(state, cmd, p, _CALM.waves, _CALM.gusts, _CALM.weather),
-            *(k * dt, dt, 6, _FACTORS, work),
-        )
+        now = k * dt
+        ship.step(state, cmd, p, sea.waves, sea.gusts, sea.weather, now, dt, 6, factors, work)
         heading, heel = abs(state[fr.PSI]), max(heel, abs(state[fr.PHI]))
         if not heel < CAPSIZED or heading > 4.0 * math.pi:
             break
@@ -186,13 +183,14 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
 
 
 def _pull(vessel: Vessel, n: float, speed: float = 0.0) -> float:
-    """Return the force of all units, N."""
+    """Return the thrust of all units, N."""
     return float(
         propulsion_forces(speed, 0.0, 0.0, state_at(vessel, n, speed), vessel.packed.copy())[0]
     )
 
 
 def _speeds(vessel: Vessel) -> list[dict[str, float]]:
+    """Return speed, Froude number and thrust over the shaft speed."""
     v = vessel.values
     top = v["shaft_speed_max"]
     wanted = {share * top for share in (0.2, 0.4, 0.6, 0.8, 1.0)}
@@ -213,12 +211,12 @@ def _speeds(vessel: Vessel) -> list[dict[str, float]]:
 
 
 def inspect(vessel: Vessel) -> Inspection:
-    """Return what a vessel's numbers amount to, and what is unusual in them.
+    """Return derived particulars of a vessel, and what is wrong or unusual.
 
     Parameters
     ----------
     vessel : Vessel
-        One that loads; what does not is told by :meth:`Vessel.load`.
+        Any.
     """
     v, form = vessel.values, form_of(vessel)
     L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
@@ -274,10 +272,10 @@ Findings = Iterator[Finding]
 def _outside(
     text: str, value: float, low: float, high: float, why: str = "", *, error: bool = False
 ) -> Findings:
-    """Yield a finding if a number is outside its usual range."""
+    """Yield a finding if a number is outside its typical range."""
     if not low <= value <= high:
         because = f"; {why}" if why else "."
-        yield Finding(error, f"{text} is {value:.3g}, usual are {low:g} to {high:g}{because}")
+        yield Finding(error, f"{text} is {value:.3g}, typical are {low:g} to {high:g}{because}")
 
 
 def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
@@ -287,7 +285,7 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
         yield Finding(
             False,
             f"The mass is {v['mass']:.4g} kg, but block coefficient, length, beam and draft "
-            f"displace {facts['displacement of the hull kg']:.4g} kg; usual are 3 % or less.",
+            f"displace {facts['displacement of the hull kg']:.4g} kg; both should agree to 3 %.",
         )
     yield from _outside("Length over beam", L / B, 1.5, 12.0)
     two = "GM_T by KB + BM - KG m" not in facts
@@ -377,7 +375,9 @@ def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
     estimate = reg.periods(form_of(vessel), v["GM_T"])
     for name, period in found.periods.items():
         if math.isnan(period):
-            yield Finding(False, f"The ship at rest does not oscillate in {name}: too much damping.")
+            yield Finding(
+                False, f"The ship at rest does not oscillate in {name}: it is overdamped."
+            )
         elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
             yield from _outside(
                 f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
@@ -448,8 +448,8 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     if growth > 0.0:
         yield Finding(
             False,
-            "On a straight course at service speed a drift doubles every "
-            f"{math.log(2.0) / growth:.3g} s; it should die out (Y_v, N_v, N_r, fins or drives).",
+            "On a straight course at service speed drift doubles every "
+            f"{math.log(2.0) / growth:.3g} s; it should decay (Y_v, N_v, N_r, fins or drives).",
         )
     rate, speed = turn["steady_rate_degps"], turn["steady_speed_share"]
     if not all(math.isfinite(value) for value in (rate, speed)) or speed > 5.0:
@@ -463,9 +463,7 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     elif rate < 0.0:
         yield Finding(True, f"Helm to starboard turns the ship to port ({rate:.3g} deg/s).")
     elif not turn["steady_radius_m"] < NO_TURN * vessel.values["length_waterline"]:
-        yield Finding(
-            True, f"With full helm the ship does not come about: {rate:.3g} deg/s in the end."
-        )
+        yield Finding(True, f"With full helm the ship hardly turns: {rate:.3g} deg/s at the end.")
     else:
         L = vessel.values["length_waterline"]
         yield from _outside(
@@ -477,4 +475,6 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
         yield from _outside(
             "The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0
         )
-        yield from _outside("The share of speed kept in the steady turn", speed, 0.1, 2.5)
+        yield from _outside(
+            "The ratio of the speed in the steady turn to that of the approach", speed, 0.1, 2.5
+        )
