@@ -95,7 +95,7 @@ def turns(study: Study) -> Figure | None:
         sign = 1.0 if side == "starboard" else -1.0
         track = got.tracks[f"turning circle to {side}"]
         part = np.abs(track.psi) < 3.0 * math.pi
-        label = f"free-sailing model to {side}"
+        label = f"free-running model to {side}"
         axes.plot(track.y[part] / LENGTH, track.x[part] / LENGTH, color=colour, lw=2, label=label)
         marks = {"marker": "o", "ls": "", "color": colour, "mec": "black", "ms": 7}
         axes.plot([sign * TR], [AD], label=f"MARIN to {side}: AD, TR", **marks)
@@ -130,7 +130,7 @@ def zigzags(study: Study) -> Figure | None:
         free = got.tracks[trial]
         one.plot(measured.t, measured.helm / DEGREE, color=GREY, lw=0.7, label="recorded rudder")
         for track, style, label in (
-            (free, {"color": BLUE, "lw": 2}, "free-sailing model"),
+            (free, {"color": BLUE, "lw": 2}, "free-running model"),
             (replayed, {"color": RED, "lw": 1.2, "ls": "--"}, "replay of the recorded rudder"),
             (measured, {"color": "black", "lw": 0.8}, "recorded"),
         ):

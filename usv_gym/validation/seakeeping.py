@@ -181,13 +181,13 @@ def motions(study: Study) -> Section:
                 entry = (f"{where}: correlation, w <= 4", correlation, 1.0)
                 found += rows([entry], jensen, 0.25, "absolute", 3)
     names = ("heave, m", "pitch, deg", "roll, deg")
-    for speed, heading, *wants in EXPECTED:
+    for speed, heading, *references in EXPECTED:
         got = study.responses[heading, speed]
-        values = rms(got.heave), rms(got.pitch) / DEGREE, rms(got.roll) / DEGREE
+        sizes = rms(got.heave), rms(got.pitch) / DEGREE, rms(got.roll) / DEGREE
         where = f"usv75 in PM, Hs .5 m, {heading}, U = {speed:g} m/s: rms"
         entries = [
             (f"{where} {name}", value, want)
-            for name, value, want in zip(names, values, wants, strict=True)
+            for name, value, want in zip(names, sizes, references, strict=True)
             if want is not None
         ]
         found += rows(entries, "Jensen's closed forms", 2.5, "factor", 3)

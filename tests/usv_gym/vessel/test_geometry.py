@@ -367,7 +367,7 @@ def test_command_refuses_in_one_line(tmp_path: Path) -> None:
     for arguments, message in (
         (["mesh", "usv75", "--out", str(tmp_path / "boat.fbx")], "no mesh format"),
         (["mesh", "usv75", "--out", str(tmp_path / "boat.glb")], "is there already"),
-        (["mesh", "nobody"], "no vessel is called"),
+        (["mesh", "unknown"], "no vessel is called"),
         (["check", str(with_mesh(tmp_path, "boat.glb"))], "boat.glb"),
     ):
         done = CliRunner().invoke(app, ["vessel", *arguments])
