@@ -29,25 +29,15 @@ class VesselError(UsvTwinError):
     """A vessel that cannot be used; the message names the file, the key and the remedy."""
 
 
+# fmt: off
 UNITS: dict[str, dict[str, float]] = {
-    "m": {"m": 1.0, "mm": 1e-3},
-    "m2": {"m2": 1.0},
-    "kg": {"kg": 1.0, "t": 1e3},
-    "kg m2": {"kg m2": 1.0},
-    "kg/m3": {"kg/m3": 1.0},
-    "m/s": {"m/s": 1.0, "kn": KNOT},
-    "N": {"N": 1.0, "kN": 1e3},
-    "s": {"s": 1.0},
-    "rev/s": {"rev/s": 1.0, "rpm": 1.0 / 60.0},
-    "rev/s2": {"rev/s2": 1.0, "rpm/s": 1.0 / 60.0},
-    "kg/s": {"kg/s": 1.0},
-    "kg/m": {"kg/m": 1.0},
-    "kg m2/s": {"kg m2/s": 1.0},
-    "kg m2 s": {"kg m2 s": 1.0},
-    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
-    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
-    "1/rad": {"1/rad": 1.0, "1/deg": 180.0 / math.pi},
-    "1": {"1": 1.0},
+    "m": {"m": 1.0, "mm": 1e-3}, "m2": {"m2": 1.0}, "kg": {"kg": 1.0, "t": 1e3},
+    "kg m2": {"kg m2": 1.0}, "kg/m3": {"kg/m3": 1.0}, "m/s": {"m/s": 1.0, "kn": KNOT},
+    "N": {"N": 1.0, "kN": 1e3}, "s": {"s": 1.0}, "rev/s": {"rev/s": 1.0, "rpm": 1.0 / 60.0},
+    "rev/s2": {"rev/s2": 1.0, "rpm/s": 1.0 / 60.0}, "kg/s": {"kg/s": 1.0}, "kg/m": {"kg/m": 1.0},
+    "kg m2/s": {"kg m2/s": 1.0}, "kg m2 s": {"kg m2 s": 1.0},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0}, "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "1/rad": {"1/rad": 1.0, "1/deg": 180.0 / math.pi}, "1": {"1": 1.0},
 }
 """SI unit -> units that a file may use, with their factors."""
 
@@ -58,84 +48,43 @@ HULL_TERMS = (
 """Terms of the hull polynomial."""
 
 DAMPING = {
-    "D_u": ("kg/s", "0"),
-    "D_uu": ("kg/m", "0"),
-    "D_v": ("kg/s", "0"),
-    "D_vv": ("kg/m", "0"),
-    "D_r": ("kg m2/s", "0"),
-    "D_rr": ("kg m2", "0"),
-    "D_rrr": ("kg m2 s", "0"),
+    "D_u": ("kg/s", "0"), "D_uu": ("kg/m", "0"), "D_v": ("kg/s", "0"), "D_vv": ("kg/m", "0"),
+    "D_r": ("kg m2/s", "0"), "D_rr": ("kg m2", "0"), "D_rrr": ("kg m2 s", "0"),
 }
 
 # table -> key -> (SI unit, bound): "+" above 0, "0" 0 or more, "" any
 SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
     "particulars": {
-        "length_overall": ("m", "+"),
-        "length_waterline": ("m", "+"),
-        "beam": ("m", "+"),
-        "draft": ("m", "+"),
-        "block_coefficient": ("1", "+"),
-        "water_density": ("kg/m3", "+"),
-        "mass": ("kg", "+"),
-        "x_G": ("m", ""),
-        "KG": ("m", "+"),
-        "I_xx": ("kg m2", "+"),
-        "I_yy": ("kg m2", "+"),
-        "I_zz": ("kg m2", "+"),
-        "m_x": ("kg", "0"),
-        "m_y": ("kg", "0"),
+        "length_overall": ("m", "+"), "length_waterline": ("m", "+"), "beam": ("m", "+"),
+        "draft": ("m", "+"), "block_coefficient": ("1", "+"), "water_density": ("kg/m3", "+"),
+        "mass": ("kg", "+"), "x_G": ("m", ""), "KG": ("m", "+"), "I_xx": ("kg m2", "+"),
+        "I_yy": ("kg m2", "+"), "I_zz": ("kg m2", "+"), "m_x": ("kg", "0"), "m_y": ("kg", "0"),
         "J_zz": ("kg m2", "0"),
     },
     "seakeeping": {
-        "A_wp": ("m2", "+"),
-        "x_F": ("m", ""),
-        "GM_T": ("m", "+"),
-        "GM_L": ("m", "+"),
-        "m_z": ("kg", "0"),
-        "J_xx": ("kg m2", "0"),
-        "J_yy": ("kg m2", "0"),
-        "zeta_heave": ("1", "0"),
-        "zeta_roll": ("1", "0"),
-        "zeta_pitch": ("1", "0"),
+        "A_wp": ("m2", "+"), "x_F": ("m", ""), "GM_T": ("m", "+"), "GM_L": ("m", "+"),
+        "m_z": ("kg", "0"), "J_xx": ("kg m2", "0"), "J_yy": ("kg m2", "0"),
+        "zeta_heave": ("1", "0"), "zeta_roll": ("1", "0"), "zeta_pitch": ("1", "0"),
         "z_H": ("m", ""),
     },
     "hull": {**{key: ("1", "") for key in HULL_TERMS}, "C_d_crossflow": ("1", "0"), **DAMPING},
     "propulsion": {
-        "units": ("1", "+"),
-        "propeller_diameter": ("m", "+"),
-        "k_0": ("1", "+"),
-        "k_1": ("1", ""),
-        "k_2": ("1", ""),
-        "astern": ("1", "0"),
-        "wake_fraction": ("1", ""),
-        "thrust_deduction": ("1", ""),
-        "y_P": ("m", "0"),
-        "z_P": ("m", ""),
-        "shaft_lag": ("s", "+"),
-        "shaft_rate": ("rev/s2", "+"),
-        "shaft_speed_max": ("rev/s", "+"),
-        "shaft_speed_service": ("rev/s", "+"),
-        "shaft_speed_manoeuvring": ("rev/s", "+"),
+        "units": ("1", "+"), "propeller_diameter": ("m", "+"), "k_0": ("1", "+"), "k_1": ("1", ""),
+        "k_2": ("1", ""), "astern": ("1", "0"), "wake_fraction": ("1", ""),
+        "thrust_deduction": ("1", ""), "y_P": ("m", "0"), "z_P": ("m", ""),
+        "shaft_lag": ("s", "+"), "shaft_rate": ("rev/s2", "+"), "shaft_speed_max": ("rev/s", "+"),
+        "shaft_speed_service": ("rev/s", "+"), "shaft_speed_manoeuvring": ("rev/s", "+"),
     },
     "wind": {
-        "A_F": ("m2", "+"),
-        "A_L": ("m2", "+"),
-        "s_L": ("m", ""),
-        "s_H": ("m", "0"),
-        "kappa_wind": ("1", "0"),
-        "CD_t": ("1", "+"),
-        "CD_l_bow": ("1", "+"),
-        "CD_l_stern": ("1", "+"),
-        "delta_wind": ("1", "0"),
+        "A_F": ("m2", "+"), "A_L": ("m2", "+"), "s_L": ("m", ""), "s_H": ("m", "0"),
+        "kappa_wind": ("1", "0"), "CD_t": ("1", "+"), "CD_l_bow": ("1", "+"),
+        "CD_l_stern": ("1", "+"), "delta_wind": ("1", "0"),
     },
 }
 
 _STEERED = {
-    "steer_lag": ("s", "+"),
-    "steer_rate": ("rad/s", "+"),
-    "steer_max": ("rad", "+"),
-    "A_R": ("m2", "0"),
-    "f_alpha": ("1/rad", "0"),
+    "steer_lag": ("s", "+"), "steer_rate": ("rad/s", "+"), "steer_max": ("rad", "+"),
+    "A_R": ("m2", "0"), "f_alpha": ("1/rad", "0"),
 }
 
 # kind of propulsion -> its additional keys in [propulsion]
@@ -143,23 +92,15 @@ KIND_SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
     "steerable_drive": {**_STEERED, "x_P": ("m", ""), "slipstream": ("1", "0")},
     "propeller_rudder": {
         **_STEERED,
-        "rudder_height": ("m", "+"),
-        "C_1": ("1", "0"),
-        "C_2_plus": ("1", "0"),
-        "C_2_minus": ("1", "0"),
-        "x_P_prime": ("1", ""),
-        "epsilon": ("1", "+"),
-        "kappa": ("1", "0"),
-        "l_R_prime": ("1", ""),
-        "gamma_R_plus": ("1", "0"),
-        "gamma_R_minus": ("1", "0"),
-        "t_R": ("1", ""),
-        "a_H": ("1", "0"),
-        "x_H_prime": ("1", ""),
+        "rudder_height": ("m", "+"), "C_1": ("1", "0"), "C_2_plus": ("1", "0"),
+        "C_2_minus": ("1", "0"), "x_P_prime": ("1", ""), "epsilon": ("1", "+"),
+        "kappa": ("1", "0"), "l_R_prime": ("1", ""), "gamma_R_plus": ("1", "0"),
+        "gamma_R_minus": ("1", "0"), "t_R": ("1", ""), "a_H": ("1", "0"), "x_H_prime": ("1", ""),
         "x_R_prime": ("1", ""),
     },
     "thruster_pair": {},
 }
+# fmt: on
 
 MESH_FORMATS = (".glb", ".stl", ".obj", ".ply")
 """Mesh files that a vessel may name."""

@@ -297,14 +297,6 @@ def test_zigzag_equals_the_golden_trajectory(boat: Vessel) -> None:
     assert np.max(np.abs(course[:, [fr.PHI, fr.THETA]])) < math.radians(60.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "n", "speed"), [("kvlcc2_l7", 11.85, 1.179), ("kvlcc2", 1.778, 7.974)]
-)
-def test_tanker_has_its_published_self_propulsion_point(name: str, n: float, speed: float) -> None:
-    # to 0.5 %; docs/explanation/ship_and_sea.md, Vessels
-    assert Vessel.load(name).straight_speed(n) == pytest.approx(speed, rel=5e-3)
-
-
 # ------------------------------------------------- bad files
 
 
@@ -440,16 +432,6 @@ def test_the_constructor_checks_values() -> None:
     without = {key: number for key, number in boat.values.items() if key != "beam"}
     with pytest.raises(VesselError, match="beam"):
         dataclasses.replace(boat, values=without)
-
-
-def test_course_eigenvalues_of_usv75_match_references() -> None:
-    # docs/explanation/ship_and_sea.md, Vessels: at 38 kn, to two figures
-    first, second = course_eigenvalues(Vessel.load("usv75"), 39.7)
-    assert first.real == pytest.approx(-2.65, rel=0.015)
-    assert second.real == pytest.approx(-8.0, rel=0.015)
-
-
-# ------------------------------------------------- units
 
 
 @pytest.mark.parametrize(
