@@ -268,14 +268,16 @@ def inspect(vessel: Vessel) -> Inspection:
 
 Findings = Iterator[Finding]
 
+Range = tuple[str, float, float, float] | tuple[str, float, float, float, str]
+"""What it is, value, smallest and largest typical value, and a hint."""
 
-def _outside(
-    text: str, value: float, low: float, high: float, why: str = "", *, error: bool = False
-) -> Findings:
-    """Yield a finding if a number is outside its typical range."""
-    if not low <= value <= high:
-        because = f"; {why}" if why else "."
-        yield Finding(error, f"{text} is {value:.3g}, typical are {low:g} to {high:g}{because}")
+
+def _outside(*ranges: Range, error: bool = False) -> Findings:
+    """Yield a finding for each number outside its typical range."""
+    for text, value, low, high, *hint in ranges:
+        if not low <= value <= high:
+            end = f"; {hint[0]}" if hint else "."
+            yield Finding(error, f"{text} is {value:.3g}, typical are {low:g} to {high:g}{end}")
 
 
 def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
@@ -287,9 +289,11 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
             f"The mass is {v['mass']:.4g} kg, but block coefficient, length, beam and draft "
             f"displace {facts['displacement of the hull kg']:.4g} kg; both should agree to 3 %.",
         )
-    yield from _outside("Length over beam", L / B, 1.5, 12.0)
     two = "GM_T by KB + BM - KG m" not in facts
-    yield from _outside("Beam over draft", B / d, 1.2, 60.0 if two else 20.0)
+    yield from _outside(
+        ("Length over beam", L / B, 1.5, 12.0),
+        ("Beam over draft", B / d, 1.2, 60.0 if two else 20.0),
+    )
     if v["length_waterline"] > v["length_overall"]:
         yield Finding(
             True,
@@ -307,45 +311,29 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
             f"The water-plane coefficient is {plane:.3g}, below the block coefficient of "
             f"{v['block_coefficient']:.3g}: the hull would widen downwards.",
         )
+    origin = "are both measured from the same origin?"
     yield from _outside(
-        "x_G over the length", v["x_G"] / L, -0.15, 0.15, "it is measured from midship."
+        ("x_G over the length", v["x_G"] / L, -0.15, 0.15, "it is measured from midship."),
+        ("x_F - x_G over the length", (v["x_F"] - v["x_G"]) / L, -0.15, 0.15, origin),
+        ("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0),
+        ("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0),
     )
-    yield from _outside(
-        "x_F - x_G over the length",
-        (v["x_F"] - v["x_G"]) / L,
-        -0.15,
-        0.15,
-        "are both measured from the same origin?",
-    )
-    yield from _outside("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0)
-    yield from _outside("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0)
     if not two:
         for key in ("GM_T", "GM_L"):
             guess = facts[f"{key} by KB + BM - KG m"]
-            yield from _outside(
-                f"{key} ({v[key]:.3g} m) over KB + BM - KG of the water plane ({guess:.3g} m)",
-                v[key] / guess if guess > 0.0 else math.inf,
-                0.5,
-                2.0,
-            )
+            text = f"{key} ({v[key]:.3g} m) over KB + BM - KG of the water plane ({guess:.3g} m)"
+            yield from _outside((text, v[key] / guess if guess > 0.0 else math.inf, 0.5, 2.0))
 
 
 def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
     v, facts = vessel.values, found.particulars
     stale = "does it belong to another mass?"
-    yield from _outside(
-        "The gyradius in roll over the beam", facts["gyradius in roll / beam"], 0.3, 0.5, stale
-    )
+    roll = facts["gyradius in roll / beam"]
+    yield from _outside(("The gyradius in roll over the beam", roll, 0.3, 0.5, stale))
     for axis, key in (("pitch", "I_yy"), ("yaw", "I_zz")):
         gyradius = math.sqrt(v[key] / v["mass"]) / v["length_overall"]
-        yield from _outside(
-            f"The gyradius in {axis} over the length overall",
-            gyradius,
-            0.2,
-            0.3,
-            stale,
-            error=not 0.1 < gyradius < 0.6,
-        )
+        text = f"The gyradius in {axis} over the length overall"
+        yield from _outside((text, gyradius, 0.2, 0.3, stale), error=not 0.1 < gyradius < 0.6)
     if v["I_zz"] < 0.8 * max(v["I_xx"], v["I_yy"]):
         yield Finding(
             False,
@@ -359,9 +347,8 @@ def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
         ("pitch", "J_yy", "I_yy", 0.2, 5.0),
         ("yaw", "J_zz", "I_zz", 0.1, 2.5),
     ):
-        yield from _outside(
-            f"The added mass or inertia in {name} ({key}) over {of}", v[key] / v[of], low, high
-        )
+        text = f"The added mass or inertia in {name} ({key}) over {of}"
+        yield from _outside((text, v[key] / v[of], low, high))
     if v["m_y"] < v["m_x"]:
         yield Finding(
             False,
@@ -379,15 +366,13 @@ def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
                 False, f"The ship at rest does not oscillate in {name}: it is overdamped."
             )
         elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
-            yield from _outside(
+            text = (
                 f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
-                f"({estimate[name]:.3g} s)",
-                period / estimate[name],
-                0.6,
-                1.7,
+                f"({estimate[name]:.3g} s)"
             )
+            yield from _outside((text, period / estimate[name], 0.6, 1.7))
     for key in ("zeta_heave", "zeta_roll", "zeta_pitch"):
-        yield from _outside(key, v[key], 0.02, 0.7)
+        yield from _outside((key, v[key], 0.02, 0.7))
     rows = [*range(fr.Z, fr.THETA + 1), *range(fr.U, fr.R + 1), *range(fr.N_LEFT, fr.STATE_SIZE)]
     fastest = 0.0
     for row in [{"shaft_speed_rps": 0.0, "speed_mps": 0.0}, *found.speeds[-1:]]:
@@ -423,21 +408,14 @@ def _speed_rules(vessel: Vessel, found: Inspection) -> Findings:
     if not found.speeds:
         return
     top = found.speeds[-1]
-    yield from _outside(
-        f"The Froude number at full shaft speed ({top['speed_kn']:.3g} kn)",
-        top["froude"],
-        0.05,
-        2.6,
-        "check thrust and resistance.",
-        error=top["froude"] > 5.0,
-    )
-    weight = v["mass"] * GRAVITY
+    text = f"The Froude number at full shaft speed ({top['speed_kn']:.3g} kn)"
+    froude = (text, top["froude"], 0.05, 2.6, "check thrust and resistance.")
+    yield from _outside(froude, error=top["froude"] > 5.0)
+    weight, pull = v["mass"] * GRAVITY, found.particulars["bollard pull N"]
     resistance = -hull_forces(top["speed_mps"], 0.0, 0.0, vessel.packed.copy())[0]
     yield from _outside(
-        "Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6
-    )
-    yield from _outside(
-        "Bollard pull over the weight", found.particulars["bollard pull N"] / weight, 5e-4, 2.0
+        ("Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6),
+        ("Bollard pull over the weight", pull / weight, 5e-4, 2.0),
     )
 
 
@@ -466,15 +444,10 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
         yield Finding(True, f"With full helm the ship hardly turns: {rate:.3g} deg/s at the end.")
     else:
         L = vessel.values["length_waterline"]
+        radius, drift = turn["steady_radius_m"] / L, turn["drift_angle_deg"]
         yield from _outside(
-            "The steady turning radius in lengths", turn["steady_radius_m"] / L, 0.2, 10.0
-        )
-        yield from _outside(
-            "The drift angle in the steady turn, degrees,", turn["drift_angle_deg"], -10.0, 45.0
-        )
-        yield from _outside(
-            "The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0
-        )
-        yield from _outside(
-            "The ratio of the speed in the steady turn to that of the approach", speed, 0.1, 2.5
+            ("The steady turning radius in lengths", radius, 0.2, 10.0),
+            ("The drift angle in the steady turn, degrees,", drift, -10.0, 45.0),
+            ("The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0),
+            ("The speed in the steady turn over that of the approach", speed, 0.1, 2.5),
         )

@@ -142,48 +142,38 @@ def test_a_drive_turns_by_minus_its_angle() -> None:
     assert 0.8 < X / (straight * turned[0]) < 1.2
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    block=st.floats(0.35, 0.9),
-    slender=st.floats(1.2, 10.0),
-    flat=st.floats(1.5, 12.0),
-    length=st.floats(0.5, 400.0),
-    over=st.none() | st.floats(0.9, 1.4),
-    plane=st.none() | st.floats(0.3, 1.0),
-    aside=st.none() | st.floats(0.0, 0.6),
-    arm=st.none() | st.floats(-0.8, -0.01),
-    kind=st.sampled_from(tuple(KIND_SCHEMA)),
-    units=st.sampled_from([1, 2]),
-)
-def test_any_boat_can_be_drawn(
-    block: float,
-    slender: float,
-    flat: float,
-    length: float,
-    over: float | None,
-    plane: float | None,
-    aside: float | None,
-    arm: float | None,
-    kind: str,
-    units: int,
-) -> None:
-    beam = length / slender
-    form = Form(
+@st.composite
+def forms(draw: st.DrawFn) -> Form:
+    """Draw a form of any shape and size."""
+    length, kind = draw(st.floats(0.5, 400.0)), draw(st.sampled_from(tuple(KIND_SCHEMA)))
+    beam = length / draw(st.floats(1.2, 10.0))
+    draft = beam / draw(st.floats(1.5, 12.0))
+
+    def some(low: float, high: float, scale: float) -> float | None:
+        share = draw(st.none() | st.floats(low, high))
+        return None if share is None else share * scale
+
+    return Form(
         length=length,
         beam=beam,
-        draft=beam / flat,
-        volume=block * length * beam * beam / flat,
-        length_overall=None if over is None else over * length,
-        waterplane=None if plane is None else plane * length * beam,
+        draft=draft,
+        volume=draw(st.floats(0.35, 0.9)) * length * beam * draft,
+        length_overall=some(0.9, 1.4, length),
+        waterplane=some(0.3, 1.0, length * beam),
         kind=kind,
-        units=2 if kind == "thruster_pair" else units,
-        arm=None if arm is None else arm * length,
-        aside=None if aside is None else aside * beam,
+        units=2 if kind == "thruster_pair" else draw(st.sampled_from([1, 2])),
+        arm=some(-0.8, -0.01, length),
+        aside=some(0.0, 0.6, beam),
     )
+
+
+@settings(max_examples=50, deadline=None)
+@given(forms())
+def test_any_boat_can_be_drawn(form: Form) -> None:
     hull = HullLines(form).mesh
     check_solid(hull)
     assert submerged(hull) == pytest.approx(form.volume, rel=0.02)
-    np.testing.assert_allclose(waterline(hull), [length, beam], rtol=1e-6)
+    np.testing.assert_allclose(waterline(hull), [form.length, form.beam], rtol=1e-6)
     assert hull.bounds[1, 2] == pytest.approx(form.draft)
     for part in boat_of(form).parts:
         check_solid(part.mesh)
@@ -221,7 +211,7 @@ def test_an_exported_file_has_the_axes_of_its_format(tmp_path: Path, suffix: str
         boat = Boat(
             tuple(part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION)
         )
-    (aft, port, high), (fore, _, low) = boat.whole().bounds
+    (aft, port, high), (fore, _starboard, low) = boat.whole().bounds
     if suffix == ".glb":  # y up, z forward
         north, west, up, bow, east, top = up, north, west, top, bow, east
     np.testing.assert_allclose([north, bow, west, up, top], [aft, fore, port, -low, -high], 1e-4)

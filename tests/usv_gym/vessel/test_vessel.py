@@ -102,10 +102,9 @@ def run(boat: Vessel, state: np.ndarray, cmd: np.ndarray, seconds: float, dof: i
     steps = int(seconds / dt)
     states = np.empty((steps + 1, fr.STATE_SIZE))
     states[0] = state
-    ship.sail(
-        *(states, np.tile(cmd, (steps, 1)), boat.packed.copy(), calm, gusts, weather.constant()),
-        *(dt, dof, wv.factor_room(0), work),
-    )
+    cmds, p, air = np.tile(cmd, (steps, 1)), boat.packed.copy(), weather.constant()
+    factors = wv.factor_room(0)
+    ship.sail(states, cmds, p, calm, gusts, air, dt, dof, factors, work)
     return states
 
 
@@ -161,7 +160,7 @@ def test_a_heeled_vessel_rights_itself(boat: Vessel) -> None:
 
 
 def test_turns_to_both_sides_are_equally_fast(boat: Vessel) -> None:
-    state, _, speed = underway(boat)
+    state, speed = underway(boat)[::2]
     L, n = boat.values["length_waterline"], boat.values["shaft_speed_manoeuvring"]
     rates = [
         run(boat, state, boat.command(n, sign * boat.helm_max), 10.0 * L / speed, 3)[-1, fr.R]
