@@ -357,7 +357,9 @@ class ModelPredictive:
         h = self.horizon * length / base.speed / K
         dt = base.simulation.dt * base.frame_skip
         usual = shafts[1] / shafts[0]
-        self._told = np.array([h, length, base.speed, base.task.rules["reach"], usual, *self.weights])
+        self._told = np.array(
+            [h, length, base.speed, base.task.rules["reach"], usual, *self.weights]
+        )
         times, each = h * K * np.array(self.knots), np.eye(M)
         between = [
             np.stack([np.interp(t, times, row) for row in each], axis=1)

@@ -15,7 +15,7 @@ from twin.files import write_whole
 from usv_gym.design.checks import Inspection, inspect
 from usv_gym.design.new_vessel import DesignError, design
 from usv_gym.physics import KNOT
-from usv_gym.vessel.geometry import boat_of
+from usv_gym.vessel.geometry import boat_of, encode_mesh
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, Vessel, VesselError, vessel_names
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def vessel_mesh_command(
     if path.exists() and not force:
         raise VesselError(f"{path}: is there already; choose another --out, or --force")
     boat = boat_of(ship)
-    content = boat.encoded(path.suffix.lower())
+    content = encode_mesh(boat, path.suffix.lower())
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
     whole = boat.whole()

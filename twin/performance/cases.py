@@ -376,7 +376,7 @@ def _ship(dof: int, components: int) -> Burst:
     waves = np.zeros((WAVE_ROWS, padded(sea.waves.shape[1])))
     waves[:, : sea.waves.shape[1]] = sea.waves
     factors = factor_workspace(waves.shape[1])
-    cmds = np.tile(boat.helm(20.4, 0.1), (SHIP_STEPS, 1))
+    cmds = np.tile(boat.command(20.4, 0.1), (SHIP_STEPS, 1))
     vessel, around = ship.Ship(boat.packed, dof), ship.Sea(waves, sea.gusts, sea.weather, factors)
     return lambda: ship.sail(states, cmds, vessel, around, H, work), SHIP_STEPS
 

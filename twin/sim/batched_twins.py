@@ -487,7 +487,13 @@ class CompiledTwins(TwinObserver):
         sim, task = self.episodes.simulation, self.episodes.task
         shared = (*self._shared, self._room)
         return (
-            *(sim.rows[rows], task.points[rows], self.episodes.shared, self._told, self.notes[rows]),
+            *(
+                sim.rows[rows],
+                task.points[rows],
+                self.episodes.shared,
+                self._told,
+                self.notes[rows],
+            ),
             *(memory[rows] for memory in self.memories),
             *(copy.deepcopy(shared) if own else shared),
         )
