@@ -102,7 +102,7 @@ def test_a_small_part_of_the_checked_in_benchmark_is_what_the_command_gives(tmp_
 
     from typer.testing import CliRunner
 
-    from twin.cli.common import app
+    from twin.cli.main import app
 
     few = "persistence,ukf,dsw-ukf-plus"
     part = ["--seeds", "0", "--scenarios", "zigzag", "--faults", "gps10", "--predictors", few]

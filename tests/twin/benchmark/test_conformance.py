@@ -254,7 +254,7 @@ def test_the_command(own):
         ("some_body:Nobody", 1, "FAIL"),
     ):
         done = subprocess.run(
-            [sys.executable, "-m", "twin.cli.main", "benchmark", "--check", name],
+            [sys.executable, "-m", "twin.cli", "benchmark", "--check", name],
             cwd=own,
             capture_output=True,
             text=True,

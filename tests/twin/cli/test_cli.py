@@ -30,7 +30,7 @@ from usv_gym import Vessel
 
 def run(*arguments: str, cwd=None, check: int | None = 0) -> subprocess.CompletedProcess[str]:
     result = subprocess.run(
-        [sys.executable, "-m", "twin.cli.main", *arguments],
+        [sys.executable, "-m", "twin.cli", *arguments],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -311,7 +311,7 @@ def test_the_table_fits_into_80_columns(capsys, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="signals are POSIX")
 def test_ctrl_c_keeps_what_is_finished(tmp_path):
     arguments = [
-        *(sys.executable, "-m", "twin.cli.main", "benchmark", "--scenarios", "turn,zigzag"),
+        *(sys.executable, "-m", "twin.cli", "benchmark", "--scenarios", "turn,zigzag"),
         *("--seeds", "0:20", "--predictors", "persistence,ukf", "--jobs", "1", "--out", "out"),
     ]
     process = subprocess.Popen(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin.cli.common import app
+from twin.cli.main import app
 from twin.filters.ukf import measurement_update
 from twin.model.augmented import joint_predict
 from twin.performance import cases

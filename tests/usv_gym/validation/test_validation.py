@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin.cli import common
+from twin.cli.main import app
 from usv_gym.validation import manoeuvring, sea, sections
 from usv_gym.validation.page import FOLDER, PAGE, compare, failures, render, to_json
 from usv_gym.validation.study import Row, Section, Study, shared_folder
@@ -147,7 +147,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[Row]:
 
 
 def invoke(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(common.app, ["validate", *arguments])
+    result = CliRunner().invoke(app, ["validate", *arguments])
     assert result.exception is None or isinstance(result.exception, SystemExit)
     return result.exit_code, " ".join((result.stdout + result.stderr).split())
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import usv_gym
-from twin.cli.common import app
+from twin.cli.main import app
 from usv_gym import Vessel, vessel_names
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
