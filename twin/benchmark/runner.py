@@ -25,20 +25,16 @@ from numpy.typing import NDArray
 
 from twin.benchmark.figures.data import PredictorFigure, RunFigure
 from twin.benchmark.metrics import (
-    STUDY_HORIZONS,
-    Reference,
-    Score,
     channel_table,
     compare,
     recorded_table,
     rows_of,
     run_rows,
-    score,
     summarise,
-    table_of,
     trends,
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
+from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
 from twin.digital_twin import Twin, known_plan
 from twin.logs.log import Log, beside, files_of, recorded_runs
 from twin.parallel import results_of
@@ -166,7 +162,7 @@ def run_unit(
     -------
     dict
         ``unit``, ``plans`` with a table of scores each (see
-        :func:`twin.benchmark.metrics.table_of`), and what the pictures need.
+        :func:`twin.benchmark.scores.table_of`), and what the pictures need.
     """
     run = run or load_run(settings, unit)
     seen, identify = run.seen, run.identify
@@ -230,11 +226,10 @@ def run_unit(
     }
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
-        times, params, params_sd = zip(*history, strict=True)
         result["history"] = {
-            "t": list(times),
-            "params": [values.tolist() for values in params],
-            "params_sd": [values.tolist() for values in params_sd],
+            "t": [t for t, _, _ in history],
+            "params": [params.tolist() for _, params, _ in history],
+            "params_sd": [params_sd.tolist() for _, _, params_sd in history],
             "names": twin.predictor.parameter_names,
             "units": twin.predictor.parameter_units,
             "blocks": dict(twin.predictor.parameter_blocks),

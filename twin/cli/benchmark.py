@@ -353,7 +353,7 @@ HEADS = {
     "J": "J",
     "E": "E",
     "start_error": "start",
-    "coverage90": "cover.",
+    "coverage90": "cov.",
 }
 """Columns of the tables by metric."""
 
@@ -396,7 +396,7 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
         "skill (1 - error / error of raw persistence): means over channels and horizons. "
         "J: MAE over that of the oracle, mean of u, v, r, heading and displacement over every "
         "half second up to 10 s; E is J - 1. start: error of the estimated position at the time "
-        "of the prediction, m. cover.: share of errors inside the 90 % prediction intervals. "
+        "of the prediction, m. cov.: share of errors inside the 90 % prediction intervals. "
         "results.json and the report have all intervals and medians, and errors, CRPS and "
         "coverage by channel and horizon."
     )

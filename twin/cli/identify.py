@@ -181,9 +181,14 @@ def _print_identifiability(seen: Identifiability) -> None:
             numbers = (f"{item.prior_sd:.3g}", f"{item.sd:.3g}", f"{item.ratio:.2f}")
             table.add_row(item.name, *numbers, _source(item))
         console.print(table)
-    heads = ("sub-model", "parameters", "effective rank", "condition number")
-    title = f"identifiability on {seen.seconds:.0f} s of data"
-    table = new_table(title, *heads, left=("sub-model",))
+    table = new_table(
+        f"identifiability on {seen.seconds:.0f} s of data",
+        "sub-model",
+        "parameters",
+        "effective rank",
+        "condition number",
+        left=("sub-model",),
+    )
     for model in seen.submodels:
         rank, condition = f"{model.effective_rank:.1f}", f"{model.condition_number:.1e}"
         table.add_row(model.name, str(len(model.parameters)), rank, condition)

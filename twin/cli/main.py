@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import typer
 
@@ -38,7 +39,7 @@ vessel_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Check, begin or draw a vessel."
 )
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., None]] = {
     "simulate": simulate_command,
     "identify": identify_command,
     "predict": predict_command,
@@ -53,7 +54,7 @@ COMMANDS = {
 }
 """Commands by name, in the order of the help page."""
 
-VESSEL_COMMANDS = {
+VESSEL_COMMANDS: dict[str, Callable[..., None]] = {
     "check": vessel_check_command,
     "new": vessel_new_command,
     "mesh": vessel_mesh_command,
