@@ -108,8 +108,12 @@ def _compare(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]],
     _print_rates(chosen, rows, measured)
     try:
         for name, (options, limit) in () if measured.interrupted else compiles.items():
-            with errors.status(f"{name}: compiling"):
-                seconds = cases.cold_compile_seconds(options)
+            try:
+                with errors.status(f"{name}: compiling"):
+                    seconds = cases.cold_compile_seconds(options)
+            except RuntimeError as error:
+                note(f"left out: {name}: {error}")
+                continue
             timed = {"rate_per_s": 1.0 / seconds, "median_us": 1e6 * seconds}
             rows.append({"name": name, **timed, "relative_to": None, "ratio": None})
             at_most = "" if limit is None else f"; at most {limit:g} s"
