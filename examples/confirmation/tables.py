@@ -6,7 +6,7 @@ They were made by::
         --seeds 200-295 --plans known --out confirmation
 
 of whose ``results.json`` only what the tables need is kept. In ``class_unknown.json`` are
-the numbers of ``dsw-ukf-plus`` where it is told the main particulars alone: the same command, with
+the numbers of ``dsw-ukf-plus`` where it knows the main particulars alone: the same command, with
 ``--vessel`` naming a copy of the file of ``usv75``, which is of no class.
 """
 

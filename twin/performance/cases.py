@@ -141,11 +141,11 @@ ANGLE = 2
 
 
 @kernel
-def _update_often(count, x, P, act, wind, kit, h, Q, q_xi, weights, terms, work, z, mask, R):
-    """Predict and correct ``count`` times; arguments as for the two kernels."""
+def _update_often(count, predict, correct):
+    """Predict and correct ``count`` times with the arguments of the two kernels."""
     for _ in range(count):
-        joint_predict(x, P, act, wind, kit, h, Q, q_xi, weights, terms, work)
-        measurement_update(x, P, z, mask, R, ANGLE, math.inf, work)
+        joint_predict(*predict)
+        measurement_update(*correct)
 
 
 class Problem:
@@ -207,11 +207,10 @@ def _states(x: Array) -> Array:
 def _structured(count: int = 200) -> Burst:
     problem = Problem()
     predict, correct = problem.arguments()
-    arguments: tuple[Any, ...] = (count, *predict, *correct[2:5])
 
     def run() -> None:
         problem.begin()
-        _update_often(*arguments)
+        _update_often(count, predict, correct)
 
     return run, count
 
