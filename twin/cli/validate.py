@@ -11,14 +11,12 @@ from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from twin.cli.common import INTERRUPTED, _speaking, _write_json, app, console, errors, note
+from twin.cli.common import INTERRUPTED, console, errors, note, write_json
 
 if TYPE_CHECKING:
     from usv_gym.validation.study import Section, Study
 
 
-@app.command("validate")
-@_speaking
 def validate_command(
     check: Annotated[
         bool, typer.Option("--check", help="Write nothing; fail if the page is out of date.")
@@ -54,7 +52,7 @@ def validate_command(
         raise typer.Exit(INTERRUPTED) from None
     _print_validation(sections)
     if json_file is not None:
-        _write_json(json_file, validation_page.to_json(sections))
+        write_json(json_file, validation_page.to_json(sections))
     wrong = validation_page.failures(sections)
     if check:
         wrong += validation_page.compare(before, sections)

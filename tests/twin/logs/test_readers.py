@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from twin import Twin
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
-from twin.cli.common import app
+from twin.cli.main import app
 from twin.logs import readers as table
 from twin.logs.columns import LogError
 from twin.logs.log import Log, beside
