@@ -53,7 +53,6 @@ __all__ = [
     "scaled_weights",
     "sigma_points",
     "time_update",
-    "ukf_workspace",
     "workspace",
 ]
 
@@ -111,26 +110,9 @@ class UKFWorkspace(NamedTuple):
     scratch: Any  # (1 + 2 n_s, width) for what is in between
 
 
-@inlined
-def ukf_workspace(work):
-    """Open a flat workspace (4, 1 + 2 n_s, width)."""
-    return UKFWorkspace(work[0], work[1], work[2], work[3])
-
-
-def workspace(n_s: int, n_xi: int) -> Array:
-    """Return the memory of a :class:`UKFWorkspace`; :func:`ukf_workspace` opens it.
-
-    Parameters
-    ----------
-    n_s, n_xi : int
-        Number of states and of parameters.
-
-    Returns
-    -------
-    (4, 1 + 2 n_s, width) array
-        Zeros; the width is a multiple of :data:`usv_kernel.simd.LANES`.
-    """
-    return np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1)))
+def workspace(n_s: int, n_xi: int) -> UKFWorkspace:
+    """Return a workspace for so many states and parameters; zeros."""
+    return UKFWorkspace(*np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1))))
 
 
 @inlined
@@ -196,7 +178,7 @@ def _decorrelate(P):
 
 @kernel
 def sigma_points(x, P, weights, work):
-    """Write the sigma points that move a state to ``work[POINTS]``.
+    """Write the sigma points that move a state.
 
     Parameters
     ----------
@@ -469,7 +451,7 @@ class StructuredUKF:
         everywhere = np.tile(np.array([n_s, n]), (n_s, 1))
         self.limits = everywhere if limits is None else np.array(limits, dtype=np.int64)
         self.weights = scaled_weights(n, alpha, beta, kappa)
-        self.work = UKFWorkspace(*workspace(n_s, n - n_s))
+        self.work = workspace(n_s, n - n_s)
         self.n_s = n_s
 
     def predict(

@@ -25,17 +25,24 @@ from twin.identification.prediction_error import (
     ACT,
     COLUMNS,
     GOOD,
-    GRID,
     LOW,
     MIDDLE,
     STATE,
     WIND,
     RefitSettings,
-    Segments,
 )
+from twin.identification.segments import Segments
 from twin.model.dynamics import model_of
 from twin.model.priors import KINDS, TANKER, Prior, PriorError
-from twin.model.rollout import ROOM, roll_out
+from twin.model.rollout import (
+    GRID,
+    Paths,
+    RolloutConfig,
+    RolloutStart,
+    Waves,
+    rollout,
+    rollout_size,
+)
 from twin.model.structure import (
     COS,
     COS_TWICE,
@@ -228,15 +235,14 @@ def rolled(
     envelope = np.array([4.0 * about.speed, 4.0 * about.speed, 8.0 * turn])
     units = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     actuators, plan = run.actuators * units, run.commands * units
-    still, ripple = np.zeros(2), np.zeros((0, 3))
-    out_act, room = np.empty((horizon, 4)), np.zeros(ROOM)
+    config, none = RolloutConfig(lags, envelope, structure.terms), Waves(np.zeros((1, 0, 3)), 0.0)
+    still, out_act, work = np.zeros(2), np.empty((horizon, 4)), np.zeros(rollout_size())
     starts = range(0, len(plan) - horizon + 1, stride)
     errors = np.empty((len(starts), horizon, 6))
     for out, k in zip(errors, starts, strict=True):
-        roll_out(
-            *(run.states[k], xi, actuators[k], plan[k : k + horizon], ROW, lags, envelope),
-            *(still, structure.kit, ripple, 0.0, out, out_act, room),
-        )
+        start = RolloutStart(run.states[k : k + 1], xi[None], actuators[k], still)
+        paths = Paths(out[None], out_act)
+        rollout(start, plan[k : k + horizon], ROW, config, none, paths, work)
         out -= run.states[k + 1 : k + 1 + horizon]
     errors /= np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
     return errors
@@ -245,7 +251,7 @@ def rolled(
 def _shown(structure: Structure) -> Any:
     """Return which parameters calm water can show: no wind, no biases."""
     hidden = (COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, ONE, WIND_X, WIND_Y, WIND_N)
-    return ~np.isin(structure.kit[0], hidden).any(axis=0)
+    return ~np.isin(structure.terms.which, hidden).any(axis=0)
 
 
 def _window(structure: Structure, run: CalmRun) -> Array:
@@ -305,7 +311,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     # a second ahead the errors are nearly linear in the parameters: from there the way is safe
     for horizon in (NEAR, HORIZON):
         ahead = dataclasses.replace(settings, horizon=ROW * horizon)
-        segments = Segments(structure.kit, structure.mean, np.diag(sd**2), ahead, len(starts))
+        segments = Segments(structure.terms, structure.mean, np.diag(sd**2), ahead, len(starts))
         segments.params[:] = xi
         for start in starts:
             segments.add(start, rows, xi)
