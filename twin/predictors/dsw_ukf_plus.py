@@ -256,11 +256,9 @@ class PlusPredictor(UKFPredictor):
         """Return the predicted states alone; see :meth:`twin.predictors.base.Predictor.mean`."""
         return np.array(self._mean_forecast(plan, dt).states[0])
 
-    def predict(self, plan: Array, dt: float) -> Prediction:
-        """Predict the motion under a plan; see :meth:`twin.predictors.base.Predictor.predict`."""
-        central = self._mean_forecast(plan, dt)
-        mean = central.states[0]
-        # the draws are rolled at coarse steps: only how far they part is used
+    def _draws(self, central: MeanForecast, plan: Array, dt: float) -> tuple[Draws, int]:
+        """Return draws around a mean forecast, and how many rows of the plan are one of theirs."""
+        # they are rolled at coarse steps: only how far they part is used
         coarse, every = coarse_plan(plan, dt)
         K, h, p, D = len(coarse), dt * every, len(self.segments.prior), len(self.normal[0])
         N = _grid_steps(K * h)
@@ -270,6 +268,13 @@ class PlusPredictor(UKFPredictor):
             plan_draws(coarse, h, self.memory, self.config, own)
         out: Draws = python_views(draws_of)(np.empty(_draws_size(p, K, N, D)), p, K, N, D)
         plus_draws((central, own), dt, self.memory, self.config, self.normal, out)
+        return out, every
+
+    def predict(self, plan: Array, dt: float) -> Prediction:
+        """Predict the motion under a plan; see :meth:`twin.predictors.base.Predictor.predict`."""
+        central = self._mean_forecast(plan, dt)
+        mean, (out, every) = central.states[0], self._draws(central, plan, dt)
+        K = out.act.shape[0]
         covs = np.empty((K + 1, N_STATES, N_STATES))
         mean_products(out.deviations, np.arange(K + 1), covs)
         start_cov = self.with_common_error(np.zeros((N_STATES, N_STATES)))

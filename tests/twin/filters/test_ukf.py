@@ -286,7 +286,10 @@ def test_a_prediction_that_overflows_is_dropped() -> None:
     Q_s, q_xi = np.diag(STEP_SD**2), np.full(25, 1e-6)
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     act = np.array([6.33, 6.33, 0.0, 0.0])
-    state, config = augmented.JointState(x, P, act, CALM), augmented.JointConfig(PAPER.terms, weights)
+    state, config = (
+        augmented.JointState(x, P, act, CALM),
+        augmented.JointConfig(PAPER.terms, weights),
+    )
     scratch = augmented.JointWorkspace(Q_s, q_xi, np.empty(N_TERMS), work)
     assert augmented.joint_predict(state, H, config, scratch) == 1
     assert np.array_equal(x, before_x)

@@ -129,7 +129,8 @@ def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
     # the choice pays on what comes later
     later = window(structure, truth, np.random.default_rng(2))
     errors = [
-        np.mean([error_of(structure, later, xi, k) for k in (40, 120, 200)]) for xi in selector.params
+        np.mean([error_of(structure, later, xi, k) for k in (40, 120, 200)])
+        for xi in selector.params
     ]
     assert errors[selector.chosen] < errors[0]
 

@@ -12,7 +12,6 @@ import pytest
 from twin import Twin
 from twin.digital_twin import known_plan
 from twin.identification.filter_settings import plain_settings
-from twin.identification.joint_ukf import wave_parts
 from twin.logs.datasets import ESSO as TANKER
 from twin.model.dynamics import all_terms, model_of
 from twin.model.priors import TANKER as KIND
@@ -24,7 +23,6 @@ from twin.training import prior_population as pop
 from usv_gym import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import parse_faults
-from usv_kernel.jit import py_func
 
 
 def turning(boat: Particulars, n: float) -> float:
@@ -33,8 +31,8 @@ def turning(boat: Particulars, n: float) -> float:
     mean, _ = population_prior(structure, boat)
     terms, state = np.zeros(N_TERMS), np.zeros(6)
     shaft = structure.n_unit * n
-    all_terms(state, np.array([shaft, shaft, 0.0, 0.0]), np.zeros(2), structure.kit, terms)
-    return float(accelerations(terms, structure.kit, mean, 0)[2])
+    all_terms(state, np.array([shaft, shaft, 0.0, 0.0]), np.zeros(2), structure.terms, terms)
+    return float(accelerations(terms, structure.terms, mean, 0)[2])
 
 
 @pytest.mark.parametrize(
@@ -76,8 +74,8 @@ def test_she_turns_to_port_as_she_does_not_turn_to_starboard() -> None:
     for side in (1.0, -1.0):
         terms, act = np.zeros(N_TERMS), np.array([0.36, 0.36, 0.3 * side, 0.3 * side])
         state = np.array([0.0, 0.0, 0.0, 0.3, -0.05 * side, 0.05 * side])
-        all_terms(state, act, np.zeros(2), structure.kit, terms)
-        turned.append(side * accelerations(terms, structure.kit, mean, 0)[2])
+        all_terms(state, act, np.zeros(2), structure.terms, terms)
+        turned.append(side * accelerations(terms, structure.terms, mean, 0)[2])
     # behind a right-handed screw a turn to port is the tighter one
     assert turned[0] < turned[1]
 
@@ -137,9 +135,9 @@ def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> Non
     assert errors[None] < 0.75 * errors["paper"]
 
 
-def test_her_noises_follow_the_waves_that_are_felt() -> None:
+def test_noises_follow_the_waves() -> None:
     vessel = Vessel.load("kvlcc2_l7")
-    felt = {}
+    heights = {}
     for sea in ("calm", "1", "3"):
         twin = Twin(particulars_of(vessel), "ukf")
         ukf = twin.predictor.ukf
@@ -147,16 +145,16 @@ def test_her_noises_follow_the_waves_that_are_felt() -> None:
             "random", vessel=vessel, sea=SeaState.named(sea), duration=40.0, seed=1
         ):
             twin.step(t, z, cmd)
-        felt[sea] = np.sqrt(py_func(wave_parts)(ukf.memory, ukf.constants, ukf.kit)[0])
+        heights[sea] = np.sqrt(ukf.wave_power)
     # m/s, m/s and rad/s; nothing to add to the noises of a pond but what is in the gyro
-    assert not felt["calm"][:2].any()
-    assert felt["calm"][2] < 5e-4 < 5e-3 < felt["1"][2]
-    assert felt["3"][0] > 0.05
+    assert not heights["calm"][:2].any()
+    assert heights["calm"][2] < 5e-4 < 5e-3 < heights["1"][2]
+    assert heights["3"][0] > 0.05
     assert plain_settings(particulars_of(Vessel.load("usv75"))).waves == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
+def test_position_without_gps_in_waves_stays_within_5_m(seed: int) -> None:
     vessel = Vessel.load("kvlcc2_l7")
     log = simulate(
         "random",
@@ -177,7 +175,7 @@ def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
 
 
 def test_a_wild_prediction_is_no_wave() -> None:
-    """After a gap the model that is hardly known may predict anything: nothing of it is felt."""
+    """After a gap the model that is hardly known may predict anything: none of it is taken for waves."""
     ship = Vessel.load("kvlcc2_l7")
     log = simulate("random", vessel=ship, sea=SeaState.named("3"), duration=30.0, seed=1)
     twin = Twin(particulars_of(ship), "ukf")
