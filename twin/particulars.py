@@ -267,10 +267,26 @@ class Particulars:
                     "expected the tables [particulars] and, if wished, [instruments]; "
                     f"found {', '.join(sorted(table)) or 'none'}"
                 )
-            instruments = Instruments(**_known(Instruments, table.get("instruments", {})))
-            return cls(**_known(cls, table["particulars"]), instruments=instruments)
+            return cls.from_tables(table["particulars"], table.get("instruments", {}))
         except ParticularsError as error:
             raise ParticularsError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_tables(cls, particulars: Any, instruments: Any) -> Particulars:
+        """Return particulars from plain tables.
+
+        Parameters
+        ----------
+        particulars, instruments : dict
+            Values by name of field, SI units; without ``instruments`` among the first.
+
+        Raises
+        ------
+        ParticularsError
+            Names the key and the remedy.
+        """
+        on_board = Instruments(**_known(Instruments, instruments))
+        return cls(**_known(cls, particulars), instruments=on_board)
 
     @property
     def time_scale(self) -> float:
@@ -340,7 +356,7 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
         if key not in fields:
             raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
         if key.endswith("_arm"):
-            continue  # told by the class itself
+            continue  # the class itself checks it
         text = key in ("name", "steering", "design")
         wanted = str if text else (int, float)
         if not isinstance(value, wanted) or isinstance(value, bool):

@@ -40,6 +40,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.checkpoint import FLAG, Field, State, check_fields, fill
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel.jit import kernel
 from usv_kernel.scalar import wrap
@@ -718,6 +719,39 @@ def initial_navigation(settings: Array) -> tuple[Array, Array, Array]:
     return np.zeros(N_NAV), P, status
 
 
+def navigation_views(n: Array, P: Array, status: Array) -> dict[str, Array]:
+    """Return what the filter remembers as fields by name, which are views."""
+    places = {
+        "ready": (READY_FIX, GPS_AGE),
+        "ages": (GPS_AGE, REFUSED),
+        "refused": (REFUSED, _LAST),
+        "last_samples": (_LAST, _STAYED),
+        "unchanged_for": (_STAYED, _CLOCK),
+        "clock": (_CLOCK, _PATH),
+        "dead_reckoning": (_PATH, _CORRECTED),
+        "corrected": (_CORRECTED, _COUNT),
+        "ring_count": (_COUNT, _RING),
+        "ring": (_RING, _LOST),
+        "lost": (_LOST, STATUS_SIZE),
+    }
+    views = {name: status[a:b] for name, (a, b) in places.items()}
+    return {"mean": n, "covariance": P, **views}
+
+
+NAVIGATION_FIELDS = {
+    "covariance": Field(covariance=True),
+    "ready": FLAG,
+    "ages": Field(low=0.0),
+    "refused": Field(low=0.0),
+    "last_samples": Field(nan=True, infinite=True),
+    "unchanged_for": Field(low=0.0),
+    "clock": Field(low=0.0),
+    "ring_count": Field(low=0.0, high=2.0 * _ROWS, integer=True),
+    "lost": FLAG,
+}
+"""What the fields of :func:`navigation_views` may hold."""
+
+
 class Navigator:
     """The filter with its arrays, for those who need no model.
 
@@ -741,6 +775,18 @@ class Navigator:
     def reset(self) -> None:
         """Forget everything."""
         self.n, self.P, self.status = initial_navigation(self._settings)
+
+    def _views(self) -> dict[str, Array]:
+        return navigation_views(self.n, self.P, self.status)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        return {name: view.copy() for name, view in self._views().items()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        check_fields(state, self._views(), NAVIGATION_FIELDS)
+        fill(self._views(), state)
 
     @property
     def ready(self) -> bool:

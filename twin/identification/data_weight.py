@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import COUNT, Field
 from twin.identification.prediction_error import (
     ACT,
     EVERY,
@@ -213,6 +214,15 @@ def settle(record, memory, rules, kit, room):
     use(xi[chosen], factors[chosen], _TRUSTS[chosen], memory, room)
 
 
+RIVAL_FIELDS = {
+    "judged": COUNT,
+    "chosen": Field(low=0.0, high=len(TRUSTS) - 1.0, integer=True),
+    "turn": COUNT,
+    "noted": Field(low=-1.0, high=COUNT.high, integer=True),
+}
+"""What the fields of :meth:`Rivals.views` may hold."""
+
+
 class Rivals:
     """Refits of the same segments with unequal trust, and the record of each.
 
@@ -241,6 +251,16 @@ class Rivals:
         )
         self.errors, self.params, _, _ = py_func(record_parts)(self.record, p)
         self.reset()
+
+    def views(self) -> dict[str, Array]:
+        """Return what is remembered as fields by name, which are views."""
+        _, _, factors, then = py_func(record_parts)(self.record, len(self.segments.prior))
+        return {
+            **{"judged": self.record[JUDGED:CHOSEN], "chosen": self.record[CHOSEN:_TURN]},
+            **{"turn": self.record[_TURN:_NOTED], "noted": self.record[_NOTED : _NOTED + 1]},
+            **{"errors": self.errors, "parameters": self.params},
+            **{"factors": factors, "parameters_noted": then},
+        }
 
     def reset(self) -> None:
         """Forget everything; all begin with the prior."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.ukf import scaled_weights, workspace
 from twin.identification.filter_settings import FilterSettings
@@ -272,6 +273,13 @@ def spread_ahead(command, gps_var, P_nav, memory, constants, scratch, work, kit,
 _NO_RIPPLE = np.empty((0, 3))
 
 
+JOINT_FIELDS = {
+    "covariance": Field(covariance=True),
+    **dict.fromkeys(("wave_power", "since_counted", "seconds_seen"), Field(low=0.0)),
+}
+"""What the fields of :meth:`JointUKF.views` may hold."""
+
+
 class JointUKF:
     """State and parameters of the twin's model in the structured UKF.
 
@@ -326,6 +334,18 @@ class JointUKF:
         self._scaled = np.empty((0, 4))
         self._copy = np.empty_like(self.memory)
         self.reset()
+
+    def views(self) -> dict[str, Array]:
+        """Return what the filter remembers as fields by name, which are views."""
+        first = len(self.memory) - len(self.seen) - 1
+        grams = zip(("surge", "sway", "yaw"), self.grams, strict=True)
+        return {
+            **{"mean": self.x, "covariance": self.P, "actuators": self.act, "wind": self.wind},
+            "wave_power": self.memory[first - 3 : first],
+            "since_counted": self.memory[first : first + 1],
+            "seconds_seen": self.seen[:1],
+            **{f"gram.{name}": gram for name, gram in grams},
+        }
 
     def reset(self) -> None:
         """Go back to the prior."""

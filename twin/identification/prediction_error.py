@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import COUNT, Field
 from twin.filters.linalg import add_square, cholesky, dot, invert, packed_size, solve_factored
 from twin.model.structure import (
     BY_PSI,
@@ -44,6 +45,7 @@ from twin.model.structure import (
     thrust_terms,
 )
 from usv_kernel.arrays import shaped
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel, py_func
 from usv_kernel.scalar import fma
 
@@ -68,6 +70,14 @@ STATE, LOW, WIND, GOOD, ACT, MIDDLE = 0, 6, 9, 11, 12, 16
 COLUMNS = 20
 """Navigation state (6), low-frequency velocities (3), true wind (2), whether the row may be
 fitted, actuators then (4) and half a step later (4)."""
+
+
+SPAN_MAX = 3600.0
+"""Longest window, s."""
+
+
+class RefitError(UsvTwinError):
+    """Settings of the refit that cannot be used; the message names the field."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +107,18 @@ class RefitSettings:
     offset_sd: Array
     scale: float
     knee: float
+
+    def __post_init__(self) -> None:
+        for name, size in (("sd", N_STATES), ("offset_sd", N_OFFSETS)):
+            value = np.asarray(getattr(self, name))
+            if value.shape != (size,) or not (np.isfinite(value) & (value > 0.0)).all():
+                raise RefitError(f"{name} = {value} must be {size} finite numbers above 0")
+        for name in ("span", "spacing", "horizon"):
+            value = getattr(self, name)
+            if not GRID <= value <= SPAN_MAX:
+                raise RefitError(f"{name} = {value} must be {GRID} to {SPAN_MAX:g} s")
+        if not 1 <= self.every <= self.horizon / GRID or self.every != int(self.every):
+            raise RefitError(f"every = {self.every} must be 1 to {self.horizon / GRID:g}, whole")
 
 
 _SQUARE = N_STATES * N_STATES
@@ -604,6 +626,14 @@ def use(xi, factor, trust, memory, room):
         invert(factor, cov, _solving(room, p)[4])
 
 
+SEGMENT_FIELDS = {
+    "trust": Field(low=0.0),
+    "covariance": Field(covariance=True),
+    "first_row": Field(low=-1.0, high=COUNT.high, integer=True),
+}
+"""What the fields of :meth:`Segments.views` may hold."""
+
+
 class Segments:
     """The segments of a window as quadratics, and the parameters that suit them best.
 
@@ -665,6 +695,14 @@ class Segments:
         self._first[:] = -1.0
         self.params[:], self.cov[:] = self.prior, self.prior_cov
         self.trust = 1.0
+
+    def views(self) -> dict[str, Array]:
+        """Return what is remembered as fields by name, which are views."""
+        return {
+            **{"trust": self.memory[:1], "parameters": self.params, "covariance": self.cov},
+            **{"first_row": self._first, "cost": self.c, "gradient": self.b},
+            **{"linearised_at": self.at, "curvature": self.packed},
+        }
 
     @property
     def trust(self) -> float:

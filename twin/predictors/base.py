@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State, restore_attributes, saved_attributes
 from twin.identification.identifiability import Identifiability
 from twin.particulars import Particulars
 
@@ -157,6 +158,17 @@ class Predictor(ABC):
     """Whether the class takes ``vessel``, ``sea`` and ``dof``: the true ones, for a floor."""
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
+    constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
+    """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
+    A subclass names its own; those of its bases count too."""
+    made_with: tuple[tuple[Any, ...], dict[str, Any]]
+    """Arguments of the constructor, with which a copy is made."""
+
+    def __new__(cls, *args: Any, **options: Any) -> Any:
+        """Keep the constructor's arguments."""
+        predictor = super().__new__(cls)
+        predictor.made_with = args, options
+        return predictor
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Leave the tuning of a subclass unstated: it is not that of its base."""
@@ -225,6 +237,49 @@ class Predictor(ABC):
             As for :meth:`predict`.
         """
         return self.predict(plan, dt).mean
+
+    def _left_out(self) -> set[str]:
+        """Return the constants of the class and its bases, and the constructor's arguments."""
+        names = {name for kind in type(self).__mro__ for name in vars(kind).get("constants", ())}
+        given = [*self.made_with[0], *self.made_with[1].values()]
+        plain = (bool, int, float, str, type(None), np.ndarray, list)
+        return names | {
+            name
+            for name, value in vars(self).items()
+            if not isinstance(value, plain) and any(value is one for one in given)
+        }
+
+    def state_dict(self) -> State:
+        """Return all that the predictor remembers, as fields by name.
+
+        This one walks the attributes: see :func:`twin.checkpoint.saved_attributes`.
+
+        Returns
+        -------
+        dict of str to ndarray, float, int, bool, str or None
+            Copies.
+
+        Raises
+        ------
+        StateError
+            Names an attribute that cannot be saved.
+        """
+        return saved_attributes(self, self._left_out())
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned, of the same class, boat and options.
+
+        Parameters
+        ----------
+        state : dict
+            Fields by name.
+
+        Raises
+        ------
+        StateError
+            Names the field that does not fit, and the remedy.
+        """
+        restore_attributes(self, state, self._left_out())
 
     @abstractmethod
     def predict(self, plan: Array, dt: float) -> Prediction:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import ANY, GAPS, Field, State, StateError, restore_attributes
 from twin.filters.navigation_ekf import Navigator
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
@@ -69,6 +70,7 @@ class HistoryPredictor(Predictor):
     """
 
     memory = 90.0
+    constants = ("_errors", "_errors_at")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         super().__init__(particulars, seed=seed)
@@ -86,6 +88,30 @@ class HistoryPredictor(Predictor):
         self._next = math.inf
         self._errors_at = -math.inf
         self._errors = np.zeros((0, 6))
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
+        state = super().state_dict()
+        state["rows"] = np.array(self._rows).reshape(-1, len(self._last))
+        return state
+
+    def fields(self) -> dict[str, Field]:
+        """Return what the fields of a saved state may hold, where attributes do not say it."""
+        return {
+            **{"t": ANY, "cmd": ANY, "beside": GAPS, "last": GAPS, "next": Field(infinite=True)},
+            "rows": Field(nan=True, shape=(None, len(self._last))),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        restore_attributes(self, state, self._left_out(), self.fields())
+        if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
+            raise StateError(
+                f"field 'next' = {self._next} is no time within {2.0 * GRID} s of t = {self.t}; use "
+                "an earlier copy of the file"
+            )
+        # errors of past forecasts follow from the history
+        self._errors_at = -math.inf
 
     @abstractmethod
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:

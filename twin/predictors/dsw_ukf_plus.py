@@ -28,11 +28,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.identification.data_weight import Rivals
+from twin.checkpoint import COUNT, Field, State, StateError, with_prefix
+from twin.identification.data_weight import RIVAL_FIELDS, Rivals
 from twin.identification.filter_settings import plain_settings
 from twin.identification.prediction_error import (
     COLUMNS,
     GRID,
+    SEGMENT_FIELDS,
     STEPS,
     RefitSettings,
     Segments,
@@ -63,8 +65,12 @@ from twin.predictors.plus_ensemble import (
     _root,
 )
 from twin.predictors.plus_update import (
+    _HALVES,
     _HERE,
+    _LAST,
+    _LAST_ACT,
     _NEXT_START,
+    _ORIGIN,
     _REFIT_AT,
     _RULES,
     _SECTORS,
@@ -91,8 +97,8 @@ Array = NDArray[Any]
 UNHURRIED = 1.5
 """Time to sail a length, in units of the study boat's, from which on segments are too alike."""
 
-DRAWS_MIN = 20
-"""Fewer draws give no 5 % point."""
+DRAWS_MIN, DRAWS_MAX = 20, 10_000
+"""Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
 
 def refit_settings(particulars: Particulars) -> RefitSettings:
@@ -154,10 +160,11 @@ class PlusPredictor(UKFPredictor):
         draws: int = 100,
         seed: int = 0,
     ) -> None:
-        if not (math.isfinite(period) and period > 0.0 and renewed >= 0 and draws >= DRAWS_MIN):
+        sound = math.isfinite(period) and period > 0.0 and renewed >= 0
+        if not (sound and DRAWS_MIN <= draws <= DRAWS_MAX):
             raise ValueError(
                 f"period = {period}, renewed = {renewed}, draws = {draws}: must be above 0 s, 0 or "
-                f"more, and at least {DRAWS_MIN}"
+                f"more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
         structure = model_of(particulars, model, biased=True)
         mean, cov = prior or population_prior(structure, particulars)
@@ -222,6 +229,46 @@ class PlusPredictor(UKFPredictor):
         self.track[_REFIT_AT] = -math.inf
         # until the waves have been seen: as high as a refit takes them to be, and without memory
         self._wave_sd[:] = self._sectors[:, FACTOR::4] = self.refit.sd[3:]
+
+    def views(self) -> dict[str, Array]:
+        """See :meth:`ModelPredictor.views`."""
+        track = self.track
+        window = {
+            **{"origin": track[_ORIGIN:_HALVES], "half_steps": track[_HALVES:_LAST]},
+            **{"last_state": track[_LAST:_LAST_ACT], "last_actuators": track[_LAST_ACT:_SLOW]},
+            **{"slow_velocity": track[_SLOW:_NEXT_START]},
+            **{"next_start": track[_NEXT_START:_REFIT_AT], "refit_at": track[_REFIT_AT:_SEEN]},
+            **{"largest_velocity": self._seen, "rows": self.rows},
+        }
+        waves = {"sd": self._wave_sd, "forecast_model": self._here, "sectors": self._sectors}
+        return {
+            **super().views(),
+            **with_prefix("window", window),
+            **with_prefix("waves", waves),
+            **with_prefix("segments", self.segments.views()),
+            **with_prefix("trust", self.rivals.views()),
+        }
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        return {
+            **super().fields(),
+            **{"window.half_steps": COUNT, "window.next_start": COUNT},
+            "window.refit_at": Field(infinite=True),
+            **with_prefix("segments", SEGMENT_FIELDS),
+            **with_prefix("trust", RIVAL_FIELDS),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        super().load_state_dict(state)
+        # rows are written up to the time, one by one
+        newest = float(self.track[_ORIGIN] + 0.5 * GRID * self.track[_HALVES])
+        if self.ready and not abs(newest - self.t) <= GRID + 1e-6:
+            raise StateError(
+                f"field 'window.half_steps' ends at {newest} s, and t = {self.t}; use an earlier "
+                "copy of the file"
+            )
 
     @property
     def remembered(self) -> tuple[Array, ...]:

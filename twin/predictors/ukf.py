@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import copied, pack
+from twin.checkpoint import FLAG, Field, State, check_fields, fill, with_prefix
 from twin.filters.navigation_ekf import (
     GPS_AGE,
     IMU_AGE,
     N_NAV,
+    NAVIGATION_FIELDS,
     READY_FIX,
     READY_HEADING,
     STATUS_SIZE,
@@ -28,11 +29,13 @@ from twin.filters.navigation_ekf import (
     initial_navigation,
     navigate,
     navigation_settings,
+    navigation_views,
 )
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, judge
 from twin.identification.joint_ukf import (
+    JOINT_FIELDS,
     PSI,
     STEP_MAX,
     JointUKF,
@@ -240,8 +243,27 @@ class ModelPredictor(Predictor):
         self.t = 0.0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let copies (``copy.deepcopy``, ``pickle``) share memory as the compiled filters need."""
-        return copied, (type(self), pack({"it": self}))
+        """Make copies (``copy.deepcopy``, ``pickle``) by the constructor, which lays out memory."""
+        return _copy_of, (type(self), *self.made_with, self.state_dict())
+
+    def views(self) -> dict[str, Array]:
+        """Return the arrays that the predictor remembers, by field; they are views."""
+        return with_prefix("filter", self.ukf.views())
+
+    def fields(self) -> dict[str, Field]:
+        """Return what the fields of a saved state may hold."""
+        return with_prefix("filter", JOINT_FIELDS)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; a subclass that remembers more adds its fields."""
+        return {"t": self.t, **{name: view.copy() for name, view in self.views().items()}}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        views = self.views()
+        check_fields(state, {"t": self.t, **views}, self.fields())
+        self.t = float(state["t"])
+        fill(views, state)
 
     @property
     @abstractmethod
@@ -306,6 +328,14 @@ class ModelPredictor(Predictor):
         # the product first: it is symmetric to the last bit
         within: Array = cov * (shrink[:, :, None] * shrink[:, None, :])
         return within
+
+
+def _copy_of(
+    kind: type[ModelPredictor], arguments: tuple[Any, ...], options: dict[str, Any], state: State
+) -> ModelPredictor:
+    predictor = kind(*arguments, **options)
+    predictor.load_state_dict(state)
+    return predictor
 
 
 class RolloutInputs(NamedTuple):
@@ -384,6 +414,21 @@ class UKFPredictor(ModelPredictor):
         self.nav[:] = 0.0
         self.n[:], self.P_nav[:], self.status[:] = initial_navigation(self._nav_settings)
         self.t = 0.0
+
+    def views(self) -> dict[str, Array]:
+        """See :meth:`ModelPredictor.views`."""
+        return {
+            **with_prefix("navigation", navigation_views(self.n, self.P_nav, self.status)),
+            "since_aid": self.nav[_SINCE_AID:BEGUN],
+            "begun": self.nav[BEGUN:_HAS_IMU],
+            "has_imu": self.nav[_HAS_IMU:NAV_SIZE],
+            **super().views(),
+        }
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        own = {"since_aid": Field(low=0.0), "begun": FLAG, "has_imu": FLAG}
+        return {**super().fields(), **with_prefix("navigation", NAVIGATION_FIELDS), **own}
 
     @property
     def remembered(self) -> tuple[Array, ...]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.logs.log import Log
 from twin.particulars import Particulars
@@ -170,6 +171,7 @@ class Oracle(HistoryPredictor):
 
     tuning = "none: it knows the boat"
     needs_simulator = True
+    constants = ("_arguments", "_told")
 
     def __init__(
         self,
@@ -197,6 +199,11 @@ class Oracle(HistoryPredictor):
         self._beside = np.zeros(_SIZE)
         self._last = np.zeros(10 + _SIZE)
         self._begun = False
+        self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        super().load_state_dict(state)
         self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
     def beside(self, dt: float) -> Array:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import GAPS, Field
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
 
@@ -113,6 +114,8 @@ class ActuatedPredictor(HistoryPredictor):
     Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are believed to be.
     """
 
+    constants = ("usual", "bound")
+
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         U, L = particulars.speed, particulars.length
         self.usual = np.array([U, U, U / L])
@@ -120,6 +123,10 @@ class ActuatedPredictor(HistoryPredictor):
         self.bound = 3.0 * self.usual
         """Largest u, v, r of a forecast, and of a row worth learning from."""
         super().__init__(particulars, seed=seed)
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "act": GAPS}
 
     def reset(self) -> None:
         """Forget everything that was seen."""

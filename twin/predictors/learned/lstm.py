@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State, check_fields, with_prefix, without_prefix
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
 from twin.predictors.learned.features import fill_forward, thrust_features
@@ -144,6 +145,7 @@ class LSTMPredictor(HistoryPredictor):
 
     tuning = "16 configurations in the study"
     trains = True
+    constants = ("train_at", "_net")
 
     warm = 12
     """Steps that the net sees before it predicts."""
@@ -176,6 +178,23 @@ class LSTMPredictor(HistoryPredictor):
         super().reset()
         self._net: _Net | None = None
         self._trained = False
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
+        net = {} if self._net is None else vars(self._net)
+        return {**super().state_dict(), **with_prefix("net", net)}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        net = with_prefix("net", without_prefix("net", state))
+        super().load_state_dict({k: v for k, v in state.items() if k not in net})
+        self._net = None
+        if net:
+            H = self.hidden
+            shapes = ((9,), (9,), (3,), (9, 4 * H), (H, 4 * H), (4 * H,), (H, 3), (3,))
+            names = with_prefix("net", _Net.__dataclass_fields__)
+            check_fields(net, {k: np.zeros(n) for k, n in zip(names, shapes, strict=True)}, {})
+            self._net = _Net(**without_prefix("net", net))
 
     @property
     def trained(self) -> bool:

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import Field
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.baselines import GRID
 from twin.predictors.learned.features import (
@@ -334,6 +335,10 @@ class FleetPredictor(ActuatedPredictor):
         super().reset()
         self._age = np.full(3, math.inf)
         self._beside, self._last = np.zeros(ROW - 10), np.zeros(ROW)
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "age": Field(low=0.0, infinite=True)}
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""

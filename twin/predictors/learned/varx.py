@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import ANY, Field, State, check_fields
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID
 from twin.predictors.learned.features import (
@@ -56,6 +57,8 @@ class VARPredictor(ActuatedPredictor):
 
     tuning = "39 configurations on 12 tuning seeds"
 
+    constants = ("stride", "_fit")
+
     order = 4
     """Steps looked back on."""
     ridge = 3e-3
@@ -73,6 +76,27 @@ class VARPredictor(ActuatedPredictor):
         super().reset()
         self._due = self.first
         self._fit: tuple[Array, Array] | None = None
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
+        coefficients, constant = self._fit or (None, None)
+        return {**super().state_dict(), "coefficients": coefficients, "constant": constant}
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "due": ANY}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        names = ("coefficients", "constant")
+        fit = {name: state.get(name) for name in names}
+        super().load_state_dict({k: v for k, v in state.items() if k not in names})
+        self._fit = None
+        W, b = fit.values()
+        if W is not None and b is not None:
+            # u, v, r and eight inputs of each step
+            check_fields(fit, {names[0]: np.zeros((11 * self.order, 3)), names[1]: np.zeros(3)}, {})
+            self._fit = W, b
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`. A refit takes a millisecond."""
