@@ -17,7 +17,7 @@ import gzip
 import zlib
 from pathlib import Path
 
-from twin.logs.log import Log, beside, recorded_runs
+from twin.logs.log import Log, recorded_runs, sibling_path
 from twin.particulars import Instruments, Particulars
 from usv_kernel.errors import UsvTwinError
 
@@ -209,7 +209,7 @@ def ship(path: str | Path) -> Particulars:
         return ESSO
     if folder == "boat1_usv":
         file = recorded_runs()["boat1_usv_circle"]
-        return Particulars.load(beside(file, ".toml"))
+        return Particulars.load(sibling_path(file, ".toml"))
     lab = Path(path).name.split("_", 1)[0]
     return KVLCC2[lab if lab in KVLCC2 else "marin" if "x_int_m" in _header(Path(path)) else "hsva"]
 

@@ -82,7 +82,7 @@ class HistoryPredictor(Predictor):
         self.navigator.reset()
         self.t = 0.0
         self._cmd = np.zeros(4)
-        self._beside = np.zeros(0)
+        self._extra = np.zeros(0)
         self._last = np.zeros(10)
         self._rows: list[Array] = []
         self._next = math.inf
@@ -98,7 +98,7 @@ class HistoryPredictor(Predictor):
     def fields(self) -> dict[str, Field]:
         """Return what the fields of a saved state may hold, where attributes do not say it."""
         return {
-            **{"t": ANY, "cmd": ANY, "beside": GAPS, "last": GAPS, "next": Field(infinite=True)},
+            **{"t": ANY, "cmd": ANY, "extra": GAPS, "last": GAPS, "next": Field(infinite=True)},
             "rows": Field(nan=True, shape=(None, len(self._last))),
         }
 
@@ -121,7 +121,7 @@ class HistoryPredictor(Predictor):
         ----------
         rows : ndarray, shape (M, 10 + n)
             History every :data:`GRID` seconds: six states, then the four commands that were
-            in force before the row, then what :meth:`beside` gave.
+            in force before the row, then what :meth:`extra_columns` gave.
         origins : ndarray of int, shape (B,)
             Rows to start from; only rows up to and with each may be used for it.
         plans : ndarray, shape (B, K, 4)
@@ -133,9 +133,9 @@ class HistoryPredictor(Predictor):
             States at the ends of the steps.
         """
 
-    def beside(self, dt: float) -> Array:
+    def extra_columns(self, dt: float) -> Array:
         """Return what a subclass keeps beside the row that just came, shape (n,)."""
-        return self._beside
+        return self._extra
 
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan; see :meth:`Predictor.predict`."""
@@ -145,7 +145,7 @@ class HistoryPredictor(Predictor):
         middle = (np.arange(K) + 0.5) * GRID
         grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
         start = self.navigator.n[:6]
-        rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._beside])])
+        rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._extra])])
         path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
         path = np.concatenate([start[None], np.nan_to_num(path)])
         times = GRID * np.arange(K + 1)
@@ -156,10 +156,10 @@ class HistoryPredictor(Predictor):
         self.t = t
         s = self.navigator.update(dt, z)
         self._cmd = np.array(cmd, dtype=np.float64)
-        self._beside = self.beside(dt)
+        self._extra = self.extra_columns(dt)
         if not self.navigator.ready:
             return
-        now = np.concatenate([s, self._cmd, self._beside])
+        now = np.concatenate([s, self._cmd, self._extra])
         if dt > GAP_MAX:  # nothing on the far side of it bears on what comes
             self._rows.clear()
             self._errors_at = self._next = -math.inf

@@ -196,7 +196,7 @@ class Oracle(HistoryPredictor):
     def reset(self) -> None:
         """Forget everything that was seen."""
         super().reset()
-        self._beside = np.zeros(_SIZE)
+        self._extra = np.zeros(_SIZE)
         self._last = np.zeros(10 + _SIZE)
         self._begun = False
         self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
@@ -206,9 +206,9 @@ class Oracle(HistoryPredictor):
         super().load_state_dict(state)
         self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
-    def beside(self, dt: float) -> Array:
+    def extra_columns(self, dt: float) -> Array:
         """Return the time and the state of the ship that sails along, shape (17,)."""
-        out = self._beside.copy()
+        out = self._extra.copy()
         state, n = out[_SHIP:], self.navigator.n
         _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), *self._arguments)
         if not self._begun:
@@ -223,7 +223,7 @@ class Oracle(HistoryPredictor):
 
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan."""
-        return self._paths(self._beside[None], plan[None], dt)[0]
+        return self._paths(self._extra[None], plan[None], dt)[0]
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`.

@@ -20,7 +20,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
 from twin.cli.common import app
 from twin.logs import readers as table
 from twin.logs.columns import LogError
-from twin.logs.log import Log, beside
+from twin.logs.log import Log, sibling_path
 from twin.logs.mapping import Layout
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
@@ -80,7 +80,7 @@ def written(path: Path, text: str) -> Path:
     "name", ["a.b.csv", "a.b.csv.gz", "a.b.parquet", "a.b.mcap", "a.b.db3", "a.b"]
 )
 def test_files_beside_a_log_of_any_kind(name: str) -> None:
-    assert beside(Path("x") / name, ".toml") == Path("x") / "a.b.toml"
+    assert sibling_path(Path("x") / name, ".toml") == Path("x") / "a.b.toml"
 
 
 # --- mappings of columns ----------------------------------------------------------------------
@@ -384,7 +384,7 @@ def test_a_bag_reads_back_as_the_log_it_was_made_from(
     assert "/imu/data: time of receipt" in back.notes
     assert "t_s: counted from 2025-07-24 15:45:00 UTC" in back.notes
     assert "gps_x_m: 161 of 200 cells empty" in " ".join(back.notes)
-    mapping.rename(beside(path, ".mapping.toml"))
+    mapping.rename(sibling_path(path, ".mapping.toml"))
     assert np.array_equal(Log.read(path).z, back.z, equal_nan=True)
 
 

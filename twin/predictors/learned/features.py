@@ -132,7 +132,7 @@ class ActuatedPredictor(HistoryPredictor):
         """Forget everything that was seen."""
         super().reset()
         self._act = np.full(4, math.nan)
-        self._beside = np.zeros(4)
+        self._extra = np.zeros(4)
         self._last = np.zeros(14)
 
     def held(self, start: Array, steps: int) -> Array:
@@ -140,7 +140,7 @@ class ActuatedPredictor(HistoryPredictor):
         nu = np.clip(start[:, 3:], -self.bound, self.bound)
         return hold_velocity(start, nu, GRID * np.arange(1, steps + 1))
 
-    def beside(self, dt: float) -> Array:
+    def extra_columns(self, dt: float) -> Array:
         """Return the actuators at the row that just came, shape (4,)."""
         known = np.isfinite(self._act).all()
         self._act = lagged(self._act, self._cmd, dt, self.particulars) if known else self._cmd

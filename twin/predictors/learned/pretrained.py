@@ -334,7 +334,7 @@ class FleetPredictor(ActuatedPredictor):
         """Forget everything that was seen."""
         super().reset()
         self._age = np.full(3, math.inf)
-        self._beside, self._last = np.zeros(ROW - 10), np.zeros(ROW)
+        self._extra, self._last = np.zeros(ROW - 10), np.zeros(ROW)
 
     def fields(self) -> dict[str, Field]:
         """See :meth:`HistoryPredictor.fields`."""
@@ -345,9 +345,9 @@ class FleetPredictor(ActuatedPredictor):
         self._age = np.where(np.isfinite(z[list(SENSORS)]), 0.0, self._age + dt)
         super().update(t, dt, z, cmd)
 
-    def beside(self, dt: float) -> Array:
+    def extra_columns(self, dt: float) -> Array:
         """Return actuators and masks at the row that just came, shape (7,)."""
-        return np.concatenate([super().beside(dt), np.exp(-self._age / FADE)])
+        return np.concatenate([super().extra_columns(dt), np.exp(-self._age / FADE)])
 
     @staticmethod
     def windows(rows: Array, origins: Array) -> tuple[Array, Array]:
