@@ -1,4 +1,4 @@
-"""The twin as its users meet it: fed row by row or with a log, asked for predictions."""
+"""The digital twin: it takes rows of a log one by one, estimates, and predicts."""
 
 from __future__ import annotations
 
@@ -40,25 +40,25 @@ class TwinError(UsvTwinError):
 
 
 class Twin:
-    """What a computer on the boat can know of it, kept up to date row by row.
+    """The digital twin of a boat, updated row by row from measurements and commands.
 
     Parameters
     ----------
     particulars : Particulars
         The boat and its instruments.
     predictor : str or Predictor
-        A name in ``twin.PREDICTORS``, or a predictor of your own.
+        A name in ``twin.PREDICTORS``, or a predictor object.
     seed : int
-        For predictors that draw random numbers.
+        Of predictors that draw random numbers.
     **options
-        Handed to the predictor's class.
+        Options of the predictor's class.
 
     Attributes
     ----------
     predictor : Predictor
-        What believes and predicts.
+        Estimates and predicts.
     name : str or None
-        Its name in ``twin.PREDICTORS``; None for one of your own.
+        Its name in ``twin.PREDICTORS``; None for an object.
     t : float
         Time of the last row, s; NaN before the first.
     cmd : ndarray, shape (4,)
@@ -94,7 +94,7 @@ class Twin:
         self.cmd = np.zeros(len(COMMANDS))
 
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """Return to the state before the first row."""
         self.predictor.reset()
         self.t = math.nan
         self.cmd = np.zeros(len(COMMANDS))
@@ -227,10 +227,10 @@ class Twin:
         t : float
             Time, s; later than that of the row before.
         z : array_like, shape (10,)
-            Measurements in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
+            Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
         cmd : array_like, shape (4,)
             Command that was in force since the row before, in the order of
-            ``twin.logs.log.COMMANDS``.
+            ``twin.channels.COMMANDS``.
 
         Raises
         ------
@@ -238,21 +238,21 @@ class Twin:
             Names what is wrong; the twin is then as it was before.
         """
         z = np.asarray(z, dtype=np.float64)
-        # what the caller does to its array later is no command
+        # a copy: the caller may reuse its array
         cmd = np.array(cmd, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
                 f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
-                f"({len(MEASUREMENTS)},) and ({len(COMMANDS)},): see twin.logs.log"
+                f"({len(MEASUREMENTS)},) and ({len(COMMANDS)},): see twin.channels"
             )
         if not math.isfinite(t) or t <= self.t:
             raise TwinError(f"t = {t} must be finite and later than the row before ({self.t})")
         if not math.isfinite(cmd.sum()):
-            raise TwinError(f"cmd = {cmd} holds NaN or infinity; hand in the last command")
+            raise TwinError(f"cmd = {cmd} holds NaN or infinity; give the last command")
         self.feed(t, z, cmd)
 
     def feed(self, t: float, z: Array, cmd: Array) -> None:
-        """Take one row that is known to be sound: :meth:`step` without its checks."""
+        """Take one row without checks; see :meth:`step`."""
         self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
         self.t, self.cmd = t, cmd
 
@@ -262,7 +262,7 @@ class Twin:
             self.step(t, z, cmd)
 
     def estimate(self) -> Estimate:
-        """Return state and parameters as believed now, with standard deviations."""
+        """Return state and parameters with their standard deviations."""
         return self.predictor.estimate()
 
     def predict(

@@ -2,11 +2,11 @@
 
 Three folders are known by their names: ``esso_osaka_frt`` (a 3 m tanker on a pond, gusty wind
 measured), ``kvlcc2_simman2008`` (a 7 m tanker in the basins of MARIN and HSVA, calm water) and
-``boat1_usv`` (the field run that also ships with the package). Their licences forbid to pass
-the first two on: nothing of them is in this project, and what :func:`export` writes from them
-is for the user's own eyes.
+``boat1_usv`` (the field run that also ships with the package). Their licences forbid
+passing the first two on. So nothing of them is in this project, and what :func:`export` writes
+from them is for private use.
 
-``Log.read`` knows the columns of these files (``twin/mappings``); here is what boats they are.
+``Log.read`` knows the columns of these files (``twin/logs/mappings``). Here are their boats.
 
 Source: the README of each folder.
 """
@@ -45,7 +45,7 @@ ESSO = Particulars(
     speed=0.36,
     shaft_speed=10.0,
     shaft_lag=0.5,
-    # the recorded angle is a command that jumps; the lag is twin.md's, the rate the default
+    # the recorded angle is a command that jumps; the lag was fitted, the rate is the default
     steer_lag=0.7,
     instruments=Instruments(
         gps_sd=0.012,  # jitter of 3 to 12 mm
@@ -215,7 +215,7 @@ def ship(path: str | Path) -> Particulars:
 
 
 def _folder_of(path: Path) -> str | None:
-    """Return the folder that a file is from; none if it has the header of a usual log."""
+    """Return the folder that a file is from; none if it has the header of any other log."""
     header = _header(path)
     return next((name for name, columns in _HEADERS.items() if columns <= header), None)
 

@@ -24,7 +24,7 @@ __all__ = [
 Array = NDArray[Any]
 
 GAP_MAX = 300.0
-"""After a longer gap, s, a history begins anew."""
+"""After a longer gap, s, a history starts again."""
 
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
@@ -61,10 +61,10 @@ def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
 
 
 class HistoryPredictor(Predictor):
-    """A predictor that looks back on its navigation filter's states, on an even grid.
+    """A predictor from the past states of its navigation filter, on an even grid.
 
-    Its bands come from its own forecasts of the last :attr:`memory` seconds: the root mean
-    square of their errors at each horizon, judged by what the navigation filter said later.
+    Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the
+    root mean square of their errors at each horizon, against later navigation states.
 
     Subclasses provide :meth:`forecast`.
     """
@@ -78,7 +78,7 @@ class HistoryPredictor(Predictor):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """See :meth:`Predictor.reset`."""
         self.navigator.reset()
         self.t = 0.0
         self._cmd = np.zeros(4)
@@ -107,8 +107,8 @@ class HistoryPredictor(Predictor):
         restore_attributes(self, state, self._left_out(), self.fields())
         if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
             raise StateError(
-                f"field 'next' = {self._next} is no time within {2.0 * GRID} s of t = {self.t}; use "
-                "an earlier copy of the file"
+                f"field 'next' = {self._next} is not within {2.0 * GRID} s of t = {self.t}; use an "
+                "earlier copy of the file"
             )
         # errors of past forecasts follow from the history
         self._errors_at = -math.inf
@@ -134,7 +134,7 @@ class HistoryPredictor(Predictor):
         """
 
     def extra_columns(self, dt: float) -> Array:
-        """Return what a subclass keeps beside the row that just came, shape (n,)."""
+        """Return the extra columns that a subclass keeps with each row, shape (n,)."""
         return self._extra
 
     def path(self, plan: Array, dt: float) -> Array:
@@ -160,7 +160,7 @@ class HistoryPredictor(Predictor):
         if not self.navigator.ready:
             return
         now = np.concatenate([s, self._cmd, self._extra])
-        if dt > GAP_MAX:  # nothing on the far side of it bears on what comes
+        if dt > GAP_MAX:  # the history before a long gap is of no use
             self._rows.clear()
             self._errors_at = self._next = -math.inf
         if not math.isfinite(self._next):
@@ -180,7 +180,7 @@ class HistoryPredictor(Predictor):
         return self.navigator.n[:6]
 
     def estimate(self) -> Estimate:
-        """Return what is believed now."""
+        """See :meth:`Predictor.estimate`."""
         sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[:6, :6])))
         none = np.zeros(0)
         return Estimate(self.t, self.state.copy(), sd, none, none, self.navigator.ready)
@@ -192,7 +192,7 @@ class HistoryPredictor(Predictor):
         errors = self._own_errors()
         known = GRID * np.arange(1, len(errors) + 1)
         grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
-        # further than was ever looked back, place and heading part at the same pace
+        # beyond the longest known horizon, errors of position and heading grow linearly
         grow[:, :3] *= np.maximum(after / known[-1], 1.0)[:, None]
         start_cov = self.with_common_error(self.navigator.P[:6, :6])
         cov = np.repeat(start_cov[None], len(plan), axis=0)

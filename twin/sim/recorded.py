@@ -1,4 +1,4 @@
-"""Recorded runs as the benchmark reads them, with the particulars that lie beside them."""
+"""Recorded runs with the particulars of their boats."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
+    "lacks_particulars",
     "particulars_for_log",
     "read_run",
-    "lacks_particulars",
 ]
 
 
@@ -45,15 +45,15 @@ NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FI
 
 
 def lacks_particulars(path: str) -> bool:
-    """Return whether nobody says what boat a log is of."""
+    """Return whether a log has no particulars of its boat."""
     return not (sibling_path(path, ".toml").exists() or archive.known(path))
 
 
 def particulars_for_log(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
     """Return the particulars for a log, and whether any were given for it.
 
-    They are those of ``ship``, else those in ``<log>.toml`` beside the log, else those of an
-    archive's boat, else the usv75's, of whose class nobody says that the boat is.
+    They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
+    archive's boat, else the usv75's without its class.
 
     Parameters
     ----------

@@ -183,13 +183,3 @@ def test_a_run_is_known_by_its_header_wherever_it_lies(tmp_path: Path) -> None:
         assert not archive.known(there)
     with pytest.raises(ArchiveError, match="its header is that of no archive"):
         archive.ship(there)
-
-
-def test_the_particulars_that_come_with_the_project_are_the_archives() -> None:
-    file = Path(__file__).resolve().parents[3] / "particulars.toml"
-    for path, boat in {
-        "data/esso_osaka_frt/turn_1.csv.gz": archive.ESSO,
-        "data/kvlcc2_simman2008/marin_zz_10.csv.gz": archive.KVLCC2["marin"],
-        "data/kvlcc2_simman2008/hsva_z_05_01.csv.gz": archive.KVLCC2["hsva"],
-    }.items():
-        assert Particulars.load(file, log=path) == boat

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from twin import Twin
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
-from twin.cli.common import app
+from twin.cli.main import app
 from twin.logs import readers as table
 from twin.logs.columns import LogError
 from twin.logs.log import Log, sibling_path
@@ -422,7 +422,7 @@ def test_a_bag_without_what_is_asked_for(tmp_path: Path) -> None:
     path = record(tmp_path / "a", run(), "MCAP")
     message = refused(path)
     assert (
-        "a bag needs a mapping of its topics: --mapping FILE, or a.mapping.toml beside" in message
+        "a bag needs a mapping of its topics: --mapping FILE, or a.mapping.toml next to" in message
     )
     assert "/gps/fix (sensor_msgs/msg/NavSatFix), " in message
     mapping = written(tmp_path / "m.toml", ALL_ROWS.replace("/steering", "/rudder"))

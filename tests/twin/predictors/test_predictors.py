@@ -218,7 +218,7 @@ def test_registry_speaks(boat):
         (-1.0, np.zeros(len(MEASUREMENTS)), np.zeros(4), "later than the row before"),
         (1.0, np.zeros(8), np.zeros(4), r"z has shape \(8,\)"),
         (1.0, np.zeros(len(MEASUREMENTS)), np.zeros(3), r"cmd \(3,\)"),
-        (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "hand in the last command"),
+        (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "give the last command"),
     ],
 )
 def test_bad_rows(boat, zigzag, t, z, cmd, message):

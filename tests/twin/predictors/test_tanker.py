@@ -86,7 +86,7 @@ def test_her_sisters_are_fitted_better_where_sides_may_differ() -> None:
     """Against the same boats, fitted as ships whose sides are alike."""
     draw = functools.partial(pop.random_boat, KIND)
     errors = {
-        kind: [pop.member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
+        kind: [pop.fit_member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
         for kind in (KIND, "rudder")
     }
     # measured: 0.5 of the yaw rate's error

@@ -163,7 +163,9 @@ def test_the_gate_closes_where_a_sensor_is_missing() -> None:
         np.testing.assert_array_equal(past[..., 3:], rows[:, :PAST, :, 3:])
 
 
-def test_late_errors_weigh_more_if_told_so(sailed: tuple[list[Run], Path], tmp_path: Path) -> None:
+def test_late_errors_weigh_more_by_the_option(
+    sailed: tuple[list[Run], Path], tmp_path: Path
+) -> None:
     """Another weighting of the horizon is another training."""
     pytest.importorskip("torch")
     one, other = (
@@ -260,7 +262,9 @@ def test_weights_come_back_and_others_are_refused(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.arrays["a"], weights.arrays["a"], rtol=5e-4)
     with pytest.raises(WeightsError, match=r"weights of a lstm.*needs a transformer"):
         Weights.read(path, "transformer")
-    with pytest.raises(WeightsError, match=r"none\.npz: is missing.*python -m twin\.fleet lstm"):
+    with pytest.raises(
+        WeightsError, match=r"none\.npz: is missing.*python -m twin\.training\.fleet lstm"
+    ):
         Weights.read(tmp_path / "none.npz", "lstm")
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(WeightsError, match="holds no weights"):

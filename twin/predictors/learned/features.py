@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 
 
 def thrust_features(cmd: Array) -> Array:
-    """Return what a net is told of commands: thrust, sideways and forward part, per side.
+    """Return the inputs of a net from commands: thrust, sideways and forward part, per side.
 
     Parameters
     ----------
     cmd : ndarray, shape (..., 4)
-        Commands in the order of ``twin.logs.log.COMMANDS``, rev/s and rad.
+        Commands in the order of ``twin.channels.COMMANDS``, rev/s and rad.
 
     Returns
     -------
@@ -111,16 +111,16 @@ def integrate(start: Array, velocity: Array) -> Array:
 class ActuatedPredictor(HistoryPredictor):
     """A predictor whose history holds the actuators, which follow the commands with a lag.
 
-    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are believed to be.
+    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are estimated to be.
     """
 
-    constants = ("usual", "bound")
+    constants = ("typical", "bound")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         U, L = particulars.speed, particulars.length
-        self.usual = np.array([U, U, U / L])
+        self.typical = np.array([U, U, U / L])
         """Size of u, v, r: m/s and rad/s."""
-        self.bound = 3.0 * self.usual
+        self.bound = 3.0 * self.typical
         """Largest u, v, r of a forecast, and of a row worth learning from."""
         super().__init__(particulars, seed=seed)
 
@@ -129,7 +129,7 @@ class ActuatedPredictor(HistoryPredictor):
         return {**super().fields(), "act": GAPS}
 
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """See :meth:`Predictor.reset`."""
         super().reset()
         self._act = np.full(4, math.nan)
         self._extra = np.zeros(4)

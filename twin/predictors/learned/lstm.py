@@ -111,17 +111,17 @@ class _Net:
 class LSTMPredictor(HistoryPredictor):
     """An LSTM trained once on the run's own past, then rolled out under the plan.
 
-    It is fed with the last :attr:`warm` steps of (u, v, r) and of the commands, and from there
-    with its own predictions and the plan; it predicts increments of (u, v, r), from which
+    Its inputs are the last :attr:`warm` steps of (u, v, r) and of the commands, then its own
+    predictions and the plan. It predicts increments of (u, v, r), from which
     heading and position follow by integration. It is trained on roll-outs of :attr:`ahead`
     steps from every :attr:`stride`-th row, and its loss is that of whole roll-outs. Until it
-    is trained, and where the past is too short, never moves or teaches nothing, the
+    is trained, and where the past is too short, never moves or shows nothing, the
     velocities of the moment are held.
 
-    Its bands are somewhat narrow at first: forecasts of rows that it was trained on count as
-    its own past forecasts until :attr:`memory` has gone by.
+    Its prediction intervals are somewhat narrow at first: forecasts of rows that it was trained
+    on count as past forecasts until :attr:`memory` has gone by.
 
-    Tuning budget: 16 configurations, judged on the turn and the zigzag of four seeds
+    Tuning budget: 16 configurations, scored on the turn and the zigzag of four seeds
     (100-103) by 10 s forecasts with known commands; none was tried on other seeds.
 
     Source: Qu et al. 2025, Table 4, compares with an LSTM; the design of this one is ours.
@@ -129,8 +129,8 @@ class LSTMPredictor(HistoryPredictor):
     Parameters
     ----------
     particulars : Particulars
-        What is known of the boat beforehand; usual speed, length and shaft speed set the
-        size below which a column counts as constant.
+        Main particulars; typical speed, length and shaft speed set the size
+        below which a column counts as constant.
     seed : int
         Of the initial weights, the noise and the dropout; the same seed gives the same bits
         on the same machine.
@@ -174,7 +174,7 @@ class LSTMPredictor(HistoryPredictor):
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:
-        """Forget everything that was seen, and what was learned from it."""
+        """See :meth:`Predictor.reset`; the net is forgotten too."""
         super().reset()
         self._net: _Net | None = None
         self._trained = False
@@ -243,14 +243,14 @@ class LSTMPredictor(HistoryPredictor):
         return out
 
     @property
-    def _usual(self) -> Array:
+    def _typical(self) -> Array:
         U, L = self.particulars.speed, self.particulars.length
         return np.array([U, U, U / L])
 
     @property
     def _bound(self) -> Array:
         """Largest u, v, r of a forecast, and of a row worth learning from."""
-        return 3.0 * self._usual
+        return 3.0 * self._typical
 
     def _train(self, rows: Array) -> _Net | None:
         """Return a net that learned from rows (M, 10), or None where nothing can be learned."""
@@ -264,18 +264,18 @@ class LSTMPredictor(HistoryPredictor):
         used = rows[np.unique(index)]
         inputs = np.concatenate([used[:, 3:6], thrust_features(used[:, 6:])], axis=1)
         sd = inputs.std(axis=0)
-        if (sd[:3] < 1e-3 * self._usual).all():
+        if (sd[:3] < 1e-3 * self._typical).all():
             return None
         # a command that never changed teaches nothing: it must not matter later either
         shaft = self.particulars.shaft_speed
         scale = np.concatenate(
             [
-                1.0 / np.maximum(sd[:3], 1e-2 * self._usual),
+                1.0 / np.maximum(sd[:3], 1e-2 * self._typical),
                 np.where(sd[3:] > 1e-2 * shaft**2, 1.0 / np.maximum(sd[3:], 1e-9), 0.0),
             ]
         )
         nu, cmd = rows[index, 3:6], rows[index[:, 1:], 6:]
-        step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self._usual)
+        step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self._typical)
         H, rng = self.hidden, np.random.default_rng(self.seed)
         bound = 1.0 / math.sqrt(H)
         bias = rng.uniform(-bound, bound, 4 * H)

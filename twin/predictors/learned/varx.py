@@ -1,4 +1,4 @@
-"""The statistician's comparator: a vector autoregression that a run fits to its own past."""
+"""Vector autoregression with inputs (VARX), fitted to the run's own past."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class VARPredictor(ActuatedPredictor):
     velocities are held.
 
     Tuning budget: 39 configurations (order 2 to 10, of the inputs 1 to 8, ridge 1e-4 to .1,
-    five sets of inputs, wind by heading, products of velocities, a window of 60 s), judged on
+    five sets of inputs, wind by heading, products of velocities, a window of 60 s), scored on
     the four manoeuvres of twelve seeds (100-111) by 10 s forecasts with known commands.
 
-    Source: twin.md, sections 1 and 4 (VARX(6), .25 s); the inputs are ours.
+    Source: docs/explanation/twin.md, Learned predictors; the inputs are ours.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class VARPredictor(ActuatedPredictor):
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:
-        """Forget everything that was seen, and what was fitted to it."""
+        """See :meth:`Predictor.reset`; the fit is forgotten too."""
         super().reset()
         self._due = self.first
         self._fit: tuple[Array, Array] | None = None
@@ -110,10 +110,10 @@ class VARPredictor(ActuatedPredictor):
             self._due = self.first  # a long gap took the history
 
     def _past(self, rows: Array, at: Array) -> Array:
-        """Return u, v, r over usual at rows (B,) and the steps before, newest first (B, 3 p)."""
+        """Return scaled u, v, r at rows (B,) and the steps before, newest first (B, 3 p)."""
         back = np.maximum(at[:, None] - self.stride * np.arange(self.order), 0)
-        size = self.bound / self.usual
-        return np.clip(rows[back, 3:6] / self.usual, -size, size).reshape(len(at), -1)
+        size = self.bound / self.typical
+        return np.clip(rows[back, 3:6] / self.typical, -size, size).reshape(len(at), -1)
 
     def _inputs(self, rows: Array, at: Array, ahead: Array) -> Array:
         """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q).
@@ -149,9 +149,9 @@ class VARPredictor(ActuatedPredictor):
         X = np.concatenate(
             [self._past(rows, at), self._inputs(rows, at, ahead).reshape(len(at), -1)], axis=1
         )
-        Y = (rows[at + m, 3:6] - rows[at, 3:6]) / self.usual
+        Y = (rows[at + m, 3:6] - rows[at, 3:6]) / self.typical
         centre, sd = X.mean(axis=0), X.std(axis=0)
-        # a column that never changed teaches nothing: it must not matter later either
+        # a column that never changed shows nothing: it must have no weight later
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
         Z = (X - centre) * scale
         A = Z.T @ Z / len(at) + self.ridge * np.eye(Z.shape[1])
@@ -170,7 +170,7 @@ class VARPredictor(ActuatedPredictor):
         plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % m, axis=1)], axis=1)
         inputs = self._inputs(rows, origins, self.follow(rows[origins, 10:14], plans))
         past = self._past(rows, origins)
-        size, path = self.bound / self.usual, [past[:, :3]]
+        size, path = self.bound / self.typical, [past[:, :3]]
         for k in range(plans.shape[1] // m):
             # newest first, as the past is
             did = inputs[:, k : k + p].reshape(len(origins), -1)
@@ -181,4 +181,4 @@ class VARPredictor(ActuatedPredictor):
         low = np.minimum(place.astype(int), len(path) - 2)
         nodes = np.stack(path, axis=1)
         between = nodes[:, low] + (place - low)[:, None] * (nodes[:, low + 1] - nodes[:, low])
-        return integrate(start, between * self.usual)
+        return integrate(start, between * self.typical)
