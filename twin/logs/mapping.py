@@ -362,11 +362,7 @@ def radii(latitude: float) -> tuple[float, float]:
 def _projection(
     datum: tuple[float, ...] | None, source: str
 ) -> Callable[[Sequence[Array]], Sequence[Array]]:
-    """Return the conversion of latitude and longitude, degrees, to metres north and east.
-
-    On the plane that touches the ellipsoid at the datum (10 km north of it at 60 degrees the
-    east is 0.3 % off).
-    """
+    """Return the conversion of latitude and longitude, degrees, to metres north and east."""
 
     def convert(values: Sequence[Array]) -> list[Array]:
         latitude, longitude = (value.copy() for value in values[:2])

@@ -200,17 +200,7 @@ def _boat(rng: np.random.Generator) -> Vessel:
 
 
 def _commands(vessel: Vessel, slow: float, rng: np.random.Generator) -> Array:
-    """Return the commands of a run: a manoeuvre of the benchmark, or throttle steps, at random.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Whose commands.
-    slow : float
-        How much longer than the study boat's legs are.
-    rng : numpy.random.Generator
-        Draws kind, angles, throttle and times.
-    """
+    """Return the commands of a run: a manoeuvre of the benchmark, or throttle steps, at random."""
     t = DT * np.arange(round(SPAN / DT))
     kind = rng.choice(("turn", "zigzag", "turn-zigzag", "random", "throttle"))
     share, angle = np.full(len(t), rng.uniform(0.75, 1.05)), np.zeros(len(t))

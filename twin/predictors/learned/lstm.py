@@ -68,19 +68,7 @@ def _sigmoid(a: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Net:
-    """A trained net, in numpy.
-
-    Parameters
-    ----------
-    centre, scale : ndarray, shape (9,)
-        Inputs (u, v, r, six features of the command) enter as (input - centre) * scale.
-    step : ndarray, shape (3,)
-        Size of the increments of u, v, r that an output of 1 stands for, m/s and rad/s.
-    w_in, w_rec, bias : ndarray, shapes (9, 4 H), (H, 4 H), (4 H,)
-        The LSTM; gates in torch's order (input, forget, cell, output).
-    w_out, b_out : ndarray, shapes (H, 3), (3,)
-        Read-out.
-    """
+    """A trained net, in numpy."""
 
     centre: Array
     scale: Array
@@ -296,19 +284,7 @@ class LSTMPredictor(HistoryPredictor):
     def _fit(
         self, net: _Net, inputs: Array, target: Array, rng: np.random.Generator
     ) -> _Net | None:
-        """Return the net after training, or None if it does not beat its start.
-
-        Parameters
-        ----------
-        net : _Net
-            Scales and initial weights.
-        inputs : ndarray, shape (B, warm + ahead, 9)
-            Scaled inputs of the windows.
-        target : ndarray, shape (B, ahead, 3)
-            True u, v, r of the roll-outs, m/s and rad/s.
-        rng : numpy.random.Generator
-            Of noise and dropout.
-        """
+        """Return the net after training, or None if it does not beat its start."""
         torch = import_torch()
         W, H, B = self.warm, self.hidden, len(inputs)
 

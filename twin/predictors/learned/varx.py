@@ -116,17 +116,7 @@ class VARPredictor(ActuatedPredictor):
         return np.clip(rows[back, 3:6] / self.typical, -size, size).reshape(len(at), -1)
 
     def _inputs(self, rows: Array, at: Array, ahead: Array) -> Array:
-        """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q).
-
-        Parameters
-        ----------
-        rows : ndarray, shape (M, 14)
-            History.
-        at : ndarray of int, shape (B,)
-            Rows that the first step ahead begins with.
-        ahead : ndarray, shape (B, n * stride, 4)
-            Actuators at the grid steps after them.
-        """
+        """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q)."""
         back = np.maximum(at[:, None] + np.arange(-self.stride * (self.order - 1), 1), 0)
         acts = np.concatenate([rows[back, 10:14], ahead], axis=1)
         acts[..., :2] /= self.particulars.shaft_speed
