@@ -303,11 +303,11 @@ def seen(log: Any, particulars: Particulars) -> Run:
 
 
 CHUNK = 20
-"""Boats that sail between two files."""
+"""Boats in one file."""
 
 
 def sail_fleet(settings: FleetSettings, folder: Path, jobs: int = 1) -> list[Run]:
-    """Sail the fleet, or take what an earlier call has sailed.
+    """Simulate the fleet, or read what an earlier call has simulated.
 
     Parameters
     ----------
@@ -324,10 +324,10 @@ def sail_fleet(settings: FleetSettings, folder: Path, jobs: int = 1) -> list[Run
         numbers = range(first, min(first + CHUNK, settings.boats))
         part = folder / f"fleet_{settings.seed}_{settings.runs}_{first}_{len(numbers)}.npz"
         if not part.exists():
-            sailed = Parallel(n_jobs=jobs)(
+            found = Parallel(n_jobs=jobs)(
                 delayed(sail_boat)(settings.seed, i, settings.runs) for i in numbers
             )
-            _keep([run for runs in sailed for run in runs], part)
+            _keep([run for runs in found for run in runs], part)
         fleet += _kept(part)
     return fleet
 

@@ -185,7 +185,7 @@ def test_unknown_predictor_is_named(boat):
         (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "give the last command"),
     ],
 )
-def test_bad_rows(boat, zigzag, t, z, cmd, message):
+def test_bad_rows_are_refused(boat, zigzag, t, z, cmd, message):
     twin = twin_for("ukf", boat)
     feed(twin, zigzag, 10)
     before = twin.estimate()
@@ -205,7 +205,7 @@ def test_bad_rows(boat, zigzag, t, z, cmd, message):
         ("hold", {"dt": math.inf}, "above 0"),
     ],
 )
-def test_bad_plans(boat, plan, options, message):
+def test_bad_plans_are_refused(boat, plan, options, message):
     with pytest.raises(TwinError, match=message):
         Twin(boat).predict(plan, **options)
 

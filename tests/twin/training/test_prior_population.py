@@ -66,7 +66,7 @@ def test_a_prior_ships_for_each_model_and_kind(model: str, kind: str) -> None:
     np.linalg.cholesky(covariance)
     # far from singular even where left and right propeller always turn at one speed
     assert np.linalg.eigvalsh(covariance / np.outer(sd, sd))[0] > 1e-4
-    # what the structure thinks by hand is no other world: within twelve of the wider spreads
+    # what the structure thinks by hand is near: within twelve of the wider spreads
     assert np.all(np.abs(mean - structure.mean) < 12.0 * np.maximum(sd, structure.sd))
 
 
@@ -128,7 +128,7 @@ def prior_mean(boat: Particulars) -> np.ndarray:
     return population_prior(model_of(boat, "mmg", biased=True), boat)[0]
 
 
-def test_a_boat_of_a_known_class_is_expected_to_be_like_her_sisters() -> None:
+def test_boat_of_a_known_class_gets_its_prior() -> None:
     usv75 = Vessel.load("usv75")
     for vessel in (usv75, usv75.varied(np.random.default_rng(0))):
         boat = particulars_of(vessel)
@@ -142,7 +142,7 @@ def test_a_boat_of_a_known_class_is_expected_to_be_like_her_sisters() -> None:
         np.testing.assert_array_equal(predictor.segments.prior, mean)
 
 
-def test_main_particulars_alone_say_less(tmp_path: Path) -> None:
+def test_prior_without_class_is_wider(tmp_path: Path) -> None:
     own = tmp_path / "usv75.toml"
     own.write_bytes(Path(str(files("usv_gym.vessel") / "vessels" / "usv75.toml")).read_bytes())
     known, alone = (particulars_of(Vessel.load(vessel)) for vessel in ("usv75", own))
@@ -161,7 +161,7 @@ def test_class_without_prior_is_ignored(name: str) -> None:
     assert (vessel.design, boat.design) == (name, "")
 
 
-def test_the_model_of_a_class_is_off() -> None:
+def test_model_of_a_class_has_errors() -> None:
     """Benchmarks vary the vessel itself: a prior around it would hold the answer."""
     nominal, vessel = pop.nominal("usv75"), Vessel.load("usv75")
     ratios = np.array([nominal.values[k] / value for k, value in vessel.values.items() if value])
@@ -225,7 +225,7 @@ def test_random_boats_hold_their_course(kind: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["usv75", "kvlcc2_l7", "otter"])
-def test_runs_tell_one_story(name: str) -> None:
+def test_states_of_a_run_are_consistent(name: str) -> None:
     run = run_of(name)
     x, _, psi, u, v, r = run.states.T
     # trapezes over rows of a quarter second: curvature leaves some 2 %
@@ -241,7 +241,7 @@ def test_runs_tell_one_story(name: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
+def test_parameters_of_the_model_itself_are_recovered(model: str) -> None:
     run = run_of("usv75")
     structure = model_of(run.particulars, model)
     truth = pop.project(structure, [run])[0]
@@ -259,7 +259,7 @@ def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
     assert np.max(np.abs(pop.rolled(structure, xi, twin))) < 0.03
 
 
-def test_a_projection_predicts_runs_that_it_has_not_seen() -> None:
+def test_fit_predicts_other_runs() -> None:
     structure = model_of(run_of("usv75").particulars, "mmg")
     xi, _ = pop.project(structure, [run_of("usv75")])
     by_hand = pop.rolled(structure, structure.mean, run_of("usv75", 1))
@@ -274,7 +274,7 @@ def test_boats_that_the_model_does_not_fit_are_counted(monkeypatch: pytest.Monke
         pop.make_prior("paper", "drives", drawn=2)
 
 
-def test_sisters_of_a_class_lie_around_its_vessel() -> None:
+def test_samples_of_a_class_lie_around_its_vessel() -> None:
     vessel, rng = Vessel.load("usv75"), np.random.default_rng(0)
     boats = [pop.sample_from_class(vessel, rng)[0] for _ in range(200)]
     assert pop.sample_from_class(vessel, rng)[1] == vessel.values["shaft_speed_manoeuvring"]
