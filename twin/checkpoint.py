@@ -161,8 +161,8 @@ class Field:
 
     Parameters
     ----------
-    low, high : float
-        Bounds of its numbers, inclusive.
+    low, high : float or tuple of float
+        Bounds of its numbers, inclusive; a tuple for those of a vector.
     integer : bool
         Only whole numbers, as for what a kernel uses as an index or a counter.
     nan, infinite : bool
@@ -175,8 +175,8 @@ class Field:
         Whether None is allowed.
     """
 
-    low: float = -HUGE
-    high: float = HUGE
+    low: float | tuple[float, ...] = -HUGE
+    high: float | tuple[float, ...] = HUGE
     integer: bool = False
     nan: bool = False
     infinite: bool = False
@@ -208,11 +208,11 @@ class Field:
             return "holds NaN"
         if not self.infinite and np.isinf(array).any():
             return "holds infinity"
-        known = array[np.isfinite(array)]
-        if self.integer and (known != np.floor(known)).any():
+        finite = np.isfinite(array)
+        if self.integer and (array != np.floor(array))[finite].any():
             return "holds numbers that are not whole"
-        if ((known < self.low) | (known > self.high)).any():
-            return f"holds numbers outside {self.low:g} to {self.high:g}"
+        if (finite & ((array < self.low) | (array > self.high))).any():
+            return f"holds numbers outside {self.low} to {self.high}"
         if self.covariance and array.size:
             variances = np.einsum("...ii->...i", array)
             bound = 1e-6 * (np.abs(array).max() + 1e-300)
@@ -232,7 +232,10 @@ GAPS = Field(nan=True)
 FLAG = Field(low=0.0, high=1.0, integer=True)
 """0 or 1."""
 
-COUNT = Field(low=0.0, high=2.0**52, integer=True)
+COUNT_MAX = 2.0**52
+"""Whole numbers up to it are exact in a double."""
+
+COUNT = Field(low=0.0, high=COUNT_MAX, integer=True)
 """A whole number, 0 or more, that a double holds exactly."""
 
 
@@ -266,16 +269,11 @@ def check_fields(
             raise StateError(f"field {name!r} {problem}; {_SAME}, or {_EARLIER}")
 
 
-def record_views(record: NDArray[Any], prefix: str = "") -> dict[str, NDArray[Any]]:
-    """Return the fields of a structured array as writable views by dotted name."""
-    views: dict[str, NDArray[Any]] = {}
-    for name in record.dtype.names or ():
-        part = record[name]
-        if part.dtype.names:
-            views |= record_views(part, f"{prefix}{name}.")
-        else:
-            views[prefix + name] = part
-    return views
+def record_views(memory: NDArray[Any], dtype: np.dtype[Any]) -> dict[str, NDArray[Any]]:
+    """Return the fields of one record on flat memory as writable views; a number has shape (1,)."""
+    record = memory.view(dtype)
+    fields = {name: record[name] for name in dtype.names or ()}
+    return {name: view[0] if view.ndim > 1 else view for name, view in fields.items()}
 
 
 def fill(views: Mapping[str, NDArray[Any]], state: Mapping[str, Any]) -> None:

@@ -7,13 +7,12 @@ generators. Outputs are written in place.
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
 from numba.core import event
 
-from usv_kernel.arrays import reshaped
+from usv_kernel.arrays import python_views
 from usv_kernel.cache import _MODULES, cache_directory
 from usv_kernel.compiler import Kernel
 from usv_kernel.warmup import Compiling
@@ -85,8 +84,7 @@ def inlined(function: F) -> F:
 def py_func(compiled: F) -> F:
     """Return what a kernel was compiled from, for those that return views of their arguments.
 
-    Python would free a view that nobody has counted. ``shaped`` becomes its twin for Python.
+    Python would free a view that numba has not counted; see
+    :func:`usv_kernel.arrays.python_views`.
     """
-    function = compiled.py_func  # type: ignore[attr-defined]
-    names = {**function.__globals__, "shaped": reshaped}
-    return FunctionType(function.__code__, names)  # type: ignore[return-value]
+    return python_views(compiled)  # type: ignore[return-value]

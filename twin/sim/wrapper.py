@@ -139,7 +139,7 @@ class TwinObservation(
         whole = np.empty(self.observation_space.shape or (), np.float32)
         whole[: len(obs)] = obs
         self._observer.observe(whole[None])
-        info["twin_position_error_m"] = self._observer.off.item(0)
+        info["twin_position_error_m"] = self._observer.position_error.item(0)
         if self._renderer:
             self._renderer.look()
         return whole
