@@ -50,7 +50,7 @@ from twin.logs.columns import LogError
 from twin.logs.rosbag import is_bag
 from twin.parallel import BACKENDS, check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
-from twin.sim.recorded import NO_PARTICULARS, without_particulars
+from twin.sim.recorded import NO_PARTICULARS, lacks_particulars
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sensors import FAULTS_HELP
@@ -210,9 +210,7 @@ def benchmark_command(
     Vessel.load(vessel)
     notes += left_out(settings)
     notes += tuple(
-        NO_PARTICULARS.format(path)
-        for path in recorded
-        if ship is None and without_particulars(path)
+        NO_PARTICULARS.format(path) for path in recorded if ship is None and lacks_particulars(path)
     )
     for line in notes:
         note(line)

@@ -28,7 +28,7 @@ from twin.model.structure import MODELS
 from twin.particulars import ParticularsError
 from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_beside
+from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
 from usv_gym.design.new_vessel import DesignError
 from usv_gym.envs.tasks import TaskError
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
@@ -162,7 +162,7 @@ def _begin(
     if resume is not None:
         found, twin = True, _resumed(resume, predictor, ship, model)
     else:
-        particulars, found = particulars_beside(path, ship)
+        particulars, found = particulars_for_log(path, ship)
         check_simulator(predictor or DEFAULT, log, particulars)
         options: dict[str, Any] = {} if model is None else {"model": model}
         twin = Twin(particulars, predictor or DEFAULT, **options)

@@ -27,7 +27,7 @@ from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_beside
+from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.sea import SEA_STATES, SeaState
@@ -196,7 +196,7 @@ def _recorded(
     log = Log.read(path, mapping)
     for line in log.notes:
         note(line)
-    particulars, found = particulars_beside(path, ship)
+    particulars, found = particulars_for_log(path, ship)
     if not found:
         note(NO_PARTICULARS.format(path))
     check_simulator(predictor, log, particulars)
@@ -216,7 +216,7 @@ def _fed(
 
     if predictor_class(predictor).needs_simulator:
         raise PredictorError(f"predictor {predictor!r}: nobody can tell it of a real boat's sea")
-    particulars, _ = particulars_beside(Path("feed"), ship or "usv75")
+    particulars, _ = particulars_for_log(Path("feed"), ship or "usv75")
     if ship is None:
         particulars = dataclasses.replace(particulars, design="")
         note("the boat is taken to be the usv75; --vessel names another")
@@ -295,7 +295,7 @@ def replay_command(
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
     else:
-        particulars, _ = particulars_beside(log, ship)
+        particulars, _ = particulars_for_log(log, ship)
         angle = None if steer_max is None else math.radians(steer_max)
         stream = MavlinkStream(Servos.of(particulars, shaft_max, angle), place)
     counts: Counter[str] = Counter()

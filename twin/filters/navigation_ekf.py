@@ -41,10 +41,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.checkpoint import State, check_fields, fill, record_views
 from twin.filters.dead_reckoning import past_motion, remember
 from twin.filters.navigation_state import (
     N_NAV,
     NAVIGATION,
+    NAVIGATION_FIELDS,
     NAVIGATION_WORK,
     VARIANCE_MIN,
     initial_navigation,
@@ -573,6 +575,18 @@ class Navigator:
     def reset(self) -> None:
         """Forget everything."""
         self.memory[:] = initial_navigation(self._settings)
+
+    def _views(self) -> dict[str, Array]:
+        return record_views(self.memory, NAVIGATION)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        return {name: view.copy() for name, view in self._views().items()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        check_fields(state, self._views(), NAVIGATION_FIELDS)
+        fill(self._views(), state)
 
     @property
     def ready(self) -> bool:

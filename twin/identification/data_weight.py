@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import COUNT_MAX, Field
 from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
 from twin.identification.segments import ITERATIONS, Segments, solve, store_factor, use
 from usv_kernel.arrays import flat_size, named_dtype, python_views, take
@@ -152,6 +153,16 @@ def select_trust(state, segments, config, work):
                 chosen = r
         count[CHOSEN] = chosen
     use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
+
+
+SELECTOR_FIELDS = {
+    "count": Field(
+        low=(0.0, 0.0, 0.0, -1.0),
+        high=(COUNT_MAX, len(TRUSTS) - 1.0, COUNT_MAX, COUNT_MAX),
+        integer=True,
+    )
+}
+"""What the fields of a saved :class:`SelectorState` may hold."""
 
 
 class TrustSelector:

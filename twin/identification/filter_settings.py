@@ -13,6 +13,7 @@ from twin.model.dynamics import model_of
 from twin.model.priors import population_prior
 from twin.model.structure import Structure
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "FilterSettings",
@@ -43,6 +44,10 @@ WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 
 PRIOR_INFLATION = 1.5
 """How much larger than in the population the variances of a tanker's parameters are taken."""
+
+
+class FilterError(UsvTwinError):
+    """Settings of a filter that cannot be used; the message names the field."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,16 @@ class FilterSettings:
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
+
+    def __post_init__(self) -> None:
+        p = len(self.structure)
+        shapes = {"q": (6,), "r": (6,), "p0": (6,), "q_xi": (p,), "xi0": (p,), "xi0_cov": (p, p)}
+        for name, shape in {**shapes, "waves": (3,)}.items():
+            value = np.asarray(getattr(self, name))
+            if value.shape != shape or not np.isfinite(value).all():
+                raise FilterError(
+                    f"{name} has shape {value.shape}; give finite numbers of shape {shape}"
+                )
 
 
 def plain_settings(particulars: Particulars, model: str | None = None) -> FilterSettings:

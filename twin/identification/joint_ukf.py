@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.ukf import UKFWorkspace, scaled_weights
 from twin.identification.filter_settings import FilterSettings
@@ -357,6 +358,13 @@ def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
     every = max(1, min(round(GRID / dt), len(plan)))
     K = math.ceil(len(plan) / every)
     return plan[np.minimum(np.arange(K) * every + every // 2, len(plan) - 1)], every
+
+
+JOINT_FIELDS = {
+    "P": Field(covariance=True),
+    **dict.fromkeys(("wave_power", "counted"), Field(low=0.0)),
+}
+"""What the fields of a saved :class:`FilterState` may hold."""
 
 
 class JointUKF:

@@ -26,6 +26,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.linalg import add_square, packed_size
@@ -44,6 +45,7 @@ from twin.model.structure import (
     thrust_terms,
 )
 from usv_kernel.arrays import take
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import fma
 
@@ -69,6 +71,14 @@ STATE, LOW, WIND, GOOD, ACT, MIDDLE = 0, 6, 9, 11, 12, 16
 COLUMNS = 20
 """Navigation state (6), low-frequency velocities (3), true wind (2), whether the row may be
 fitted, actuators then (4) and half a step later (4)."""
+
+
+SPAN_MAX = 3600.0
+"""Longest window, s."""
+
+
+class RefitError(UsvTwinError):
+    """Settings of the refit that cannot be used; the message names the field."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +108,18 @@ class RefitSettings:
     offset_sd: Array
     scale: float
     knee: float
+
+    def __post_init__(self) -> None:
+        for name, size in (("sd", N_STATES), ("offset_sd", N_OFFSETS)):
+            value = np.asarray(getattr(self, name))
+            if value.shape != (size,) or not (np.isfinite(value) & (value > 0.0)).all():
+                raise RefitError(f"{name} = {value} must be {size} finite numbers above 0")
+        for name in ("span", "spacing", "horizon"):
+            value = getattr(self, name)
+            if not GRID <= value <= SPAN_MAX:
+                raise RefitError(f"{name} = {value} must be {GRID} to {SPAN_MAX:g} s")
+        if not 1 <= self.every <= self.horizon / GRID or self.every != int(self.every):
+            raise RefitError(f"every = {self.every} must be 1 to {self.horizon / GRID:g}, whole")
 
 
 _ROWS = N_STATES + 12

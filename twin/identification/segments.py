@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import cholesky, dot, invert, packed_size, solve_factored
 from twin.identification.prediction_error import (
     LineariseWork,
@@ -316,6 +317,14 @@ def use(xi, factor, trust, state, work):
         state.params[k] = xi[k]
     if factor[0, 0] > 0.0:
         invert(factor, state.cov, work.solve.inverse)
+
+
+SEGMENT_FIELDS = {
+    "trust": Field(low=0.0),
+    "cov": Field(covariance=True),
+    "first": Field(low=-1.0, high=COUNT_MAX, integer=True),
+}
+"""What the fields of a saved :class:`SegmentState` may hold."""
 
 
 class Segments:

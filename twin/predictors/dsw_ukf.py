@@ -25,6 +25,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import MEASUREMENTS
+from twin.checkpoint import (
+    COUNT,
+    GAPS,
+    Field,
+    State,
+    StateError,
+    check_fields,
+    load_part,
+    with_prefix,
+)
 from twin.filters.late_fusion import LateFusion
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.ukf import measurement_update
@@ -60,6 +70,9 @@ Array = NDArray[np.float64]
 WINDOWS = ("dynamic", "fixed", "off")
 
 ADAPTED = ("Q", "R", "QR")
+
+ROWS_MAX = 100_000
+"""Longest window, rows."""
 
 RATED_SHAFT_SPEED = 380.0 / 60.0
 """Rated shaft speed of the paper, rev/s: the unit in which its thrust parameters are sized."""
@@ -314,8 +327,10 @@ class DSWPredictor(ModelPredictor):
                 raise ValueError(f"{name} = {value!r} is unknown; use one of {', '.join(known)}")
         if stride < 1:
             raise ValueError(f'stride = {stride} must be 1 or more; window="off" for no re-run')
-        if not 1 <= w_min <= w_max:
-            raise ValueError(f"w_min = {w_min} must be 1 or more, and w_max = {w_max} no less")
+        if not 1 <= w_min <= w_max <= ROWS_MAX:
+            raise ValueError(
+                f"w_min = {w_min} must be 1 or more, and w_max = {w_max} no less, to {ROWS_MAX}"
+            )
         if not (math.isfinite(adapt_gain) and adapt_gain >= 0.0):
             raise ValueError(f"adapt_gain = {adapt_gain} must be a finite number, 0 or more")
         self.fusion = LateFusion(particulars.instruments, particulars.length, feedback=feedback)
@@ -358,6 +373,42 @@ class DSWPredictor(ModelPredictor):
         self.t = 0.0
         self.q, self.r = self.ukf.q, self.ukf.r
         self.q[:], self.r[:] = self.ukf.settings.q, self.ukf.settings.r
+
+    def views(self) -> dict[str, Array]:
+        """See :meth:`ModelPredictor.views`."""
+        return {
+            **super().views(),
+            **{"noise.process": self.q, "noise.measurement": self.r},
+            **with_prefix("ring", self._ring._asdict()),
+        }
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        positive = ("noise.process", "noise.measurement", "ring.dts")
+        return {**super().fields(), **dict.fromkeys(positive, Field(low=0.0))}
+
+    def state_dict(self) -> State:
+        """See :meth:`ModelPredictor.state_dict`."""
+        return {
+            **super().state_dict(),
+            **{"count": self._count, "wind": self._wind},
+            **with_prefix("fusion", self.fusion.state_dict()),
+            **with_prefix("window", self.window.state_dict()),
+            **with_prefix("waves", self.waves.state_dict()),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        parts = {"fusion": self.fusion, "window": self.window, "waves": self.waves}
+        own = {k: v for k, v in state.items() if k.partition(".")[0] not in parts}
+        count = {name: own.pop(name, None) for name in ("count", "wind")}
+        check_fields(count, {"count": 0, "wind": 0.0}, {"count": COUNT, "wind": GAPS})
+        for name, part in parts.items():
+            load_part(name, part, state)
+        super().load_state_dict(own)
+        self._count, self._wind = int(count["count"]), count["wind"]
+        if not self.window._latest <= self.t:
+            raise StateError("field 'window.latest' is later than 't'; use an earlier copy")
 
     @property
     def ready(self) -> bool:

@@ -29,12 +29,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import COUNT, Field, State, StateError, with_prefix
 from twin.filters.linalg import cholesky
-from twin.identification.data_weight import TrustSelector
+from twin.identification.data_weight import SELECTOR_FIELDS, TrustSelector
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import coarse_plan
 from twin.identification.prediction_error import COLUMNS, RefitSettings
-from twin.identification.segments import Segments
+from twin.identification.segments import SEGMENT_FIELDS, Segments
 from twin.identification.wave_residual import FACTOR
 from twin.model.dynamics import model_of
 from twin.model.priors import population_prior
@@ -74,8 +75,8 @@ Array = NDArray[Any]
 UNHURRIED = 1.5
 """Time scale, in units of the study boat's, from which on segments are too correlated."""
 
-DRAWS_MIN = 20
-"""Fewer draws give no 5 % point."""
+DRAWS_MIN, DRAWS_MAX = 20, 10_000
+"""Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
 
 def refit_settings(particulars: Particulars) -> RefitSettings:
@@ -137,11 +138,11 @@ class PlusPredictor(UKFPredictor):
         draws: int = 100,
         seed: int = 0,
     ) -> None:
-        enough = relinearised >= 0 and draws >= DRAWS_MIN
+        enough = relinearised >= 0 and DRAWS_MIN <= draws <= DRAWS_MAX
         if not (math.isfinite(period) and period > 0.0 and enough):
             raise ValueError(
                 f"period = {period}, relinearised = {relinearised}, draws = {draws}: must be "
-                f"above 0 s, 0 or more, and at least {DRAWS_MIN}"
+                f"above 0 s, 0 or more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
         structure = model_of(particulars, model, biased=True)
         mean, cov = prior or population_prior(structure, particulars)
@@ -197,6 +198,27 @@ class PlusPredictor(UKFPredictor):
         window["refit_at"] = -math.inf
         # until the waves have been seen: as high as a refit takes them to be, and without memory
         window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        return {
+            **super().fields(),
+            **{"window.halves": COUNT, "window.next_start": COUNT},
+            "window.refit_at": Field(infinite=True),
+            **with_prefix("segments", SEGMENT_FIELDS),
+            **with_prefix("selector", SELECTOR_FIELDS),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        super().load_state_dict(state)
+        # rows are written up to the time, one by one
+        newest = float(self.window["origin"] + 0.5 * GRID * self.window["halves"])
+        if self.ready and not abs(newest - self.t) <= GRID + 1e-6:
+            raise StateError(
+                f"field 'window.halves' ends at {newest} s, and t = {self.t}; use an earlier copy "
+                "of the file"
+            )
 
     @property
     def dtypes(self) -> dict[str, np.dtype[Any]]:

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import copied, pack
+from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
 from twin.filters.navigation_ekf import aid, is_ready, navigate
 from twin.filters.navigation_state import (
     NAVIGATION,
+    NAVIGATION_FIELDS,
     NAVIGATION_WORK,
     initial_navigation,
     navigation_of,
@@ -29,6 +30,7 @@ from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, judge
 from twin.identification.joint_ukf import (
+    JOINT_FIELDS,
     PSI,
     STEP_MAX,
     JointUKF,
@@ -253,8 +255,27 @@ class ModelPredictor(Predictor):
         self.t = 0.0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let copies (``copy.deepcopy``, ``pickle``) share memory as the compiled filters need."""
-        return copied, (type(self), pack({"it": self}))
+        """Make copies (``copy.deepcopy``, ``pickle``) by the constructor, which lays out memory."""
+        return _copy_of, (type(self), *self.made_with, self.state_dict())
+
+    def views(self) -> dict[str, Array]:
+        """Return the arrays that the predictor remembers, by field; they are views."""
+        return with_prefix("filter", record_views(self.ukf.memory, self.ukf.dtype))
+
+    def fields(self) -> dict[str, Field]:
+        """Return what the fields of a saved state may hold."""
+        return with_prefix("filter", JOINT_FIELDS)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; a subclass that remembers more adds its fields."""
+        return {"t": self.t, **{name: view.copy() for name, view in self.views().items()}}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        views = self.views()
+        check_fields(state, {"t": self.t, **views}, self.fields())
+        self.t = float(state["t"])
+        fill(views, state)
 
     @property
     @abstractmethod
@@ -299,6 +320,14 @@ class ModelPredictor(Predictor):
         limit_covariances(cov, start_cov, dt, self.ukf.envelope)
         after = self.t + dt * np.arange(1, len(plan) + 1)
         return Prediction(self.t, self.state.copy(), start_cov, after, mean, cov)
+
+
+def _copy_of(
+    kind: type[ModelPredictor], arguments: tuple[Any, ...], options: dict[str, Any], state: State
+) -> ModelPredictor:
+    predictor = kind(*arguments, **options)
+    predictor.load_state_dict(state)
+    return predictor
 
 
 class RolloutInputs(NamedTuple):
@@ -373,6 +402,20 @@ class UKFPredictor(ModelPredictor):
         self.ukf.reset()
         self.memory.nav[:] = initial_navigation(self.config.nav)
         self.t = 0.0
+
+    def views(self) -> dict[str, Array]:
+        """See :meth:`ModelPredictor.views`: the fields of :attr:`dtypes`, and other arrays."""
+        found: dict[str, Array] = {}
+        for part, memory in self.memory._asdict().items():
+            if part in self.dtypes:
+                found |= with_prefix(part, record_views(memory, self.dtypes[part]))
+            else:
+                found[part] = memory
+        return found
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        return {**super().fields(), **with_prefix("nav", NAVIGATION_FIELDS)}
 
     @property
     def dtypes(self) -> dict[str, np.dtype[Any]]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.logs.log import Log
 from twin.particulars import Particulars
@@ -36,7 +37,10 @@ __all__ = [
 Array = NDArray[Any]
 
 GAIN = 0.5
-"""How fast the oracle's velocities follow those of the navigation, 1/s (docs/explanation/twin.md, Waves and prediction intervals)."""
+"""How fast the oracle's velocities follow those of the navigation, 1/s.
+
+Source: docs/explanation/twin.md, Waves and prediction intervals.
+"""
 
 STEP = 0.05
 """Longest integration step, s: that of the simulation."""
@@ -194,6 +198,7 @@ class Oracle(HistoryPredictor):
 
     tuning = "none: it knows the boat"
     needs_simulator = True
+    constants = ("_arguments", "_told")
 
     def __init__(
         self,
@@ -223,14 +228,19 @@ class Oracle(HistoryPredictor):
     def reset(self) -> None:
         """Forget everything that was seen."""
         super().reset()
-        self._beside = np.zeros(_SIZE)
+        self._extra = np.zeros(_SIZE)
         self._last = np.zeros(10 + _SIZE)
         self._begun = False
         self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
-    def beside(self, dt: float) -> Array:
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        super().load_state_dict(state)
+        self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
+
+    def extra_columns(self, dt: float) -> Array:
         """Return the time and the state of the ship that sails along, shape (17,)."""
-        out = self._beside.copy()
+        out = self._extra.copy()
         state, n = out[_SHIP:], self.navigator.n
         _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), self._true)
         if not self._begun:
@@ -245,7 +255,7 @@ class Oracle(HistoryPredictor):
 
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan."""
-        return self._paths(self._beside[None], plan[None], dt)[0]
+        return self._paths(self._extra[None], plan[None], dt)[0]
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`.

@@ -1,11 +1,11 @@
-"""Priors of the twin's parameters, from populations of random boats that sail in calm water.
+"""Priors of the twin's parameters, from populations of random boats in calm water.
 
-Each boat is a first draft from main particulars (``usv_gym.design.new_vessel``) whose coefficients are
-drawn anew (``Vessel.varied``). It sails steps of throttle and steering, and the twin's model
+Each boat is a first draft from main particulars (``usv_gym.design.new_vessel``) with random
+coefficients (``Vessel.varied``). It makes steps of throttle and steering, and the twin's model
 is fitted to what it does. Everything is counted in lengths and in the time that the boat takes
 to sail one, so that a population serves boats of every size.
 
-Source: twin.md, sections 10 B2 and 13.
+Source: docs/explanation/twin.md, The refit.
 """
 
 from __future__ import annotations
@@ -65,22 +65,22 @@ from usv_gym.vessel.vessel import Vessel, state_at
 
 __all__ = [
     "CalmRun",
-    "boat_like",
+    "fit_member",
     "make_prior",
-    "member",
     "nominal",
     "project",
     "random_boat",
     "rolled",
     "sail_calm",
-    "sister",
+    "sample_from_class",
+    "sample_like",
 ]
 
 Array = NDArray[np.float64]
 
 LENGTH_TIME = STUDY_LENGTH / STUDY_SPEED
-"""Time in which the study boat of twin.md sails its length, s. Runs are told as a film shown at
-such a speed that every boat takes as long, so that the times below hold for all."""
+"""Time in which the study boat moves by its length, s. The clock of a run is scaled so that every
+boat takes as long, and the times below hold for all."""
 
 SPAN, ROW = 150.0, GRID
 """Length of a run, and of one of its rows, s."""
@@ -100,10 +100,10 @@ ERROR_SD = np.array(
         *(0.2 / STUDY_SPEED, 0.2 / STUDY_SPEED, 0.025 * LENGTH_TIME),
     ]
 )
-"""Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
+"""Errors of equal weight in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
 
 LARGEST_ERROR = np.array([1.0 / STUDY_SPEED, 1.0 / STUDY_SPEED, 0.3 * LENGTH_TIME])
-"""Root mean square errors of u, v, r above which a boat is no boat for the model."""
+"""Root mean square errors of u, v, r above which a boat is left out."""
 
 FINE = 1e-4
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
@@ -121,14 +121,14 @@ BIAS = 0.20
 """How far the coefficients of the model of a class are off, as a standard deviation."""
 
 MEASURED = "kvlcc2_l7"
-"""Whose sisters tankers are taken for."""
+"""The vessel around which tankers are sampled."""
 
 LARGEST_HELM = math.radians(25.0)
 
 
 @dataclass(frozen=True, eq=False)
 class CalmRun:
-    """A run in calm water, as it truly was but for the clock: rows are :data:`ROW` apart.
+    """A run in calm water with a scaled clock; rows are :data:`ROW` apart.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
     rng : numpy.random.Generator
         Draws the steps.
     n : float, optional
-        Usual shaft speed, rev/s; the vessel's for manoeuvring if left out.
+        Nominal shaft speed, rev/s; the vessel's for manoeuvring if left out.
     """
     n = vessel.values["shaft_speed_manoeuvring"] if n is None else n
     speed = vessel.straight_speed(n)
@@ -227,7 +227,7 @@ def rolled(
     Returns
     -------
     ndarray, shape (starts, horizon, 6)
-        Of x, y (lengths), psi (rad), u, v (usual speeds), r (usual speeds over length).
+        Of x, y (lengths), psi (rad), u, v (typical speeds), r (typical speeds over length).
     """
     about = run.particulars
     lags = np.array([about.shaft_lag, about.steer_lag, about.steer_rate])
@@ -267,8 +267,8 @@ def _window(structure: Structure, run: CalmRun) -> Array:
 def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array]:
     """Return the parameters with which the model predicts the runs of a boat best.
 
-    The refit of :mod:`twin.identification.prediction_error` without its excuses for waves; the structure's own mean and
-    standard deviation decide where the runs say little.
+    The refit of :mod:`twin.identification.prediction_error` without waves. The structure's own
+    mean and standard deviation decide where the runs show little.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     xi : ndarray, shape (p,)
         Parameters, SI units.
     error : ndarray, shape (3,)
-        Root mean square errors of u, v (usual speeds) and r (usual speeds over length).
+        Root mean square errors of u, v (typical speeds) and r (typical speeds over length).
     """
     # what calm water does not show stays where it is
     sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
@@ -295,7 +295,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
         horizon=ROW * HORIZON,
         every=2,
         sd=ERROR_SD * units,
-        # there are no waves that the model must be excused from
+        # no waves
         offset_sd=1e-6 * units[3:],
         scale=1.0,
         knee=1e9,
@@ -322,7 +322,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
 
 
 def _drafted(kind: str, rng: np.random.Generator, **particulars: Any) -> tuple[Vessel, float]:
-    """Return a boat around the first draft of main particulars, and its usual shaft speed."""
+    """Return a boat around the first draft of main particulars, and its nominal shaft speed."""
     propulsion = {
         "drives": "steerable_drive",
         "rudder": "propeller_rudder",
@@ -345,7 +345,7 @@ _RANGES = {
 
 
 def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
-    """Return a random boat of a kind, and its usual shaft speed in rev/s.
+    """Return a random boat of a kind, and its nominal shaft speed in rev/s.
 
     Parameters
     ----------
@@ -356,9 +356,9 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
         Draws main particulars and coefficients.
     """
     if kind == TANKER:
-        return sister(Vessel.load(MEASURED), rng, SPREAD)
+        return sample_from_class(Vessel.load(MEASURED), rng, SPREAD)
     if kind in DESIGNS:
-        return sister(nominal(kind), rng, SPREAD)
+        return sample_from_class(nominal(kind), rng, SPREAD)
     if kind not in KINDS:
         known = ", ".join((*KINDS, TANKER, *DESIGNS))
         raise PriorError(f"kind = {kind!r}: must be one of {known}")
@@ -377,15 +377,15 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
     )
 
 
-def boat_like(
+def sample_like(
     particulars: Particulars, kind: str, rng: np.random.Generator
 ) -> tuple[Vessel, float]:
-    """Return a random boat of given main particulars, and its usual shaft speed in rev/s.
+    """Return a random boat of given main particulars, and its nominal shaft speed in rev/s.
 
     Parameters
     ----------
     particulars : Particulars
-        Length, beam, draft, mass and usual speed are used.
+        Length, beam, draft, mass and typical speed are used.
     kind : str
         One of ``twin.model.priors.KINDS``.
     rng : numpy.random.Generator
@@ -397,29 +397,30 @@ def boat_like(
 
 @functools.cache
 def nominal(name: str) -> Vessel:
-    """Return what is known of a class before any of its boats has sailed: a model that is off.
+    """Return the model of a class as known before any data: with errors of its coefficients.
 
-    A vessel of the package is what its simulated boats truly vary around, which nobody knows of
-    a real class. So each of its coefficients is drawn anew, by :data:`BIAS`.
+    Simulated boats vary around the vessel of the package; of a real class that is not known. So
+    each coefficient gets a random error, by :data:`BIAS`.
 
     Parameters
     ----------
     name : str
         Of a vessel that comes with the package.
 
-    Source: twin.md, sections 4 and 13.
+    Source: docs/explanation/twin.md, The refit.
     """
-    # the number after those of the boats, so that none is like it by chance
+    # the number after those of the boats, so that none equals it
     return Vessel.load(name).varied(np.random.default_rng((SEED, DRAWN)), BIAS, BUILT)
 
 
-def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> tuple[Vessel, float]:
-    """Return a random boat of a vessel's class, and its usual shaft speed in rev/s.
+def sample_from_class(
+    vessel: Vessel, rng: np.random.Generator, spread: float = CLASS
+) -> tuple[Vessel, float]:
+    """Return a random boat of a vessel's class, and its nominal shaft speed in rev/s.
 
-    Whoever has a model of the class knows more than main particulars tell. For a class of one's
-    own::
+    A model of the class tells more than main particulars. For a class of your own::
 
-        draw = functools.partial(sister, Vessel.load("my_class.toml"))
+        draw = functools.partial(sample_from_class, Vessel.load("my_class.toml"))
         prior = make_prior("mmg", "drives", draw).of(model_of(particulars, "mmg", biased=True))
         twin = Twin(particulars, prior=prior)
 
@@ -438,7 +439,7 @@ def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> t
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 
 
-def member(
+def fit_member(
     model: str, kind: str, draw: Draw, seed: int, i: int
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Return one boat of a population.
@@ -448,7 +449,7 @@ def member(
     model, kind : str
         Model structure, and kind of boats as for :func:`random_boat`.
     draw : callable
-        From a generator to a boat and its usual shaft speed.
+        From a generator to a boat and its nominal shaft speed.
     seed, i : int
         Seed of the population, and number of the boat.
 
@@ -488,7 +489,7 @@ def make_prior(
     model, kind : str
         Model structure, and kind of boats as for :func:`random_boat`.
     draw : callable, optional
-        From a generator to a boat and its usual shaft speed; :func:`random_boat` of the
+        From a generator to a boat and its nominal shaft speed; :func:`random_boat` of the
         kind if left out.
     drawn : int
         Boats to draw; those that the model does not fit are left out.
@@ -503,10 +504,10 @@ def make_prior(
         If the model does not fit half of them.
     """
     draw = draw or functools.partial(random_boat, kind)
-    members = Parallel(n_jobs=workers)(
-        delayed(member)(model, kind, draw, seed, i) for i in range(drawn)
+    found = Parallel(n_jobs=workers)(
+        delayed(fit_member)(model, kind, draw, seed, i) for i in range(drawn)
     )
-    fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
+    fitted = [i for i, (_, error, _) in enumerate(found) if np.all(error <= LARGEST_ERROR)]
     if len(fitted) < max(2, drawn // 2):
         raise PriorError(
             f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "
@@ -514,10 +515,10 @@ def make_prior(
         )
     what = f"kind {kind}"
     if kind in DESIGNS:
-        what = f"class {kind}, sisters of a model that is itself {BIAS:.0%} off"
+        what = f"class {kind}, around a model with errors of {BIAS:.0%}"
     return Prior(
-        about=f"model {model}, {what}, seed {seed}, {drawn} boats drawn; twin.training.prior_population",
-        parameters=members[0][2],
+        about=f"model {model}, {what}, seed {seed}, {drawn} boats drawn; {__name__}",
+        parameters=found[0][2],
         boats=np.array(fitted),
-        members=np.array([members[i][0] for i in fitted]),
+        fits=np.array([found[i][0] for i in fitted]),
     )
