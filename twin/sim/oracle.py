@@ -198,7 +198,7 @@ class Oracle(HistoryPredictor):
 
     tuning = "none: it knows the boat"
     needs_simulator = True
-    constants = ("_arguments", "_told")
+    constants = ("_true", "_known")
 
     def __init__(
         self,
@@ -236,7 +236,7 @@ class Oracle(HistoryPredictor):
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
         super().load_state_dict(state)
-        self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
+        self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
     def extra_columns(self, dt: float) -> Array:
         """Return the time and the state of the ship that sails along, shape (17,)."""
