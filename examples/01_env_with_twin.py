@@ -1,18 +1,16 @@
-"""Sail USVTwin-v0 with its twin, lose the GPS on the way, and grade the twin."""
+"""Run USVTwin-v0 with its twin, lose the GPS for 10 s, and grade the twin against the truth."""
 
 import gymnasium as gym
 import numpy as np
 
 import usv_gym
-from twin.sim.batched_twins import TWIN_OBSERVATION
-from usv_gym.envs.episodes import OBSERVATION
 
-names = (*OBSERVATION, *TWIN_OBSERVATION)
 faults = [usv_gym.Fault("gps", start=20.0, duration=10.0)]
 env = gym.make("USVTwin-v0", sea="2", faults=faults)
 obs, info = env.reset(seed=1)
+names = env.unwrapped.observation_names
 for step in range(800):
-    # steer back to the leg by what the twin believes of it
+    # steer back to the leg, by the twin's estimate alone
     seen = dict(zip(names, obs.tolist(), strict=True))
     course = np.arctan2(seen["twin_sin_course_error"], seen["twin_cos_course_error"])
     drive = 1.5 * course - 0.6 * seen["twin_cross_track"] - 0.5 * seen["twin_yaw_rate"]
@@ -21,8 +19,8 @@ for step in range(800):
     if step % 100 == 99:
         print(
             f"t = {info['t_s']:5.1f} s  GPS age {10 * seen['gps_age']:4.1f} s  "
-            f"off the leg {info['cross_track_m']:5.1f} m  "
-            f"twin off the truth {info['twin_position_error_m']:.1f} m"
+            f"cross-track error {info['cross_track_m']:5.1f} m  "
+            f"position error of the twin {info['twin_position_error_m']:.1f} m"
         )
     if terminated or truncated:
         break

@@ -1,4 +1,4 @@
-"""Feed the recorded run of a real boat to a twin, and ask it for the next 10 s."""
+"""Run a twin over the log of a real boat, and forecast the next 10 s with standard deviations."""
 
 import numpy as np
 

@@ -10,7 +10,7 @@ from usv_gym import SeaState, Vessel
 
 
 class FadingTurn(HistoryPredictor):
-    """Hold the speed, and let the yaw rate of the last two seconds fade within 5 s."""
+    """Hold the speed, and let the mean yaw rate of the last two seconds fade within 5 s."""
 
     def forecast(self, rows, origins, plans):
         last = np.stack([rows[np.maximum(origins - k, 0), 3:6] for k in range(8)]).mean(axis=0)

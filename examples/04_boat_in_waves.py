@@ -15,15 +15,16 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames
+from usv_gym.world.channels import CHANNELS
 from usv_gym.world.sea import Sea
-from usv_gym.world.sensors import CHANNELS, SensorSuite
+from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 
 SECONDS, AT = 60.0, 41.0
 
 
 def sail(vessel: Vessel, state: SeaState) -> tuple[Simulation, np.ndarray, np.ndarray]:
-    """Return the simulation, and at 20 Hz the true states and what the sensors said."""
+    """Return the simulation, and at 20 Hz the true states and the measurements."""
     simulation = Simulation(1, vessel, state, dof=6, suite=SensorSuite.perfect())
     simulation.reset([0], [np.random.default_rng(3)])
     states, seen = [], []
@@ -78,7 +79,7 @@ def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
         for face in hull(vessel)
     ]
     colours = ["#d55e00"] * (len(faces) - 6) + ["#f2e6d8"] + ["#777777"] * 4 + ["#999999"]
-    # matplotlib cannot cut surfaces with each other: the hull goes on top of the sea
+    # matplotlib cannot intersect surfaces: the hull is drawn on top of the sea
     ax.add_collection3d(
         Poly3DCollection(faces, facecolors=colours, edgecolor="#552200", lw=0.2, zorder=10)
     )
@@ -90,7 +91,7 @@ def draw_sea(ax, sea: Sea, vessel: Vessel, state: np.ndarray, t: float) -> None:
 
 
 def main(path: str = "boat_in_waves.png") -> None:
-    """Sail a minute and draw it."""
+    """Simulate a minute and draw it."""
     vessel = Vessel.load("usv75")
     state = SeaState.named("3").replace(wind_from=np.radians(35.0), spreading=4.0)
     simulation, states, seen = sail(vessel, state)

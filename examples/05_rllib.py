@@ -30,7 +30,7 @@ def boats(config):
     import usv_gym  # noqa: F401 - registers the environment, in every worker
 
     envs = gym.make_vec("USVTwin-v0", **config)
-    # returns in the thousands are more than a value function soon learns
+    # a value function learns returns in the thousands too slowly
     return gym.wrappers.vector.TransformReward(envs, lambda reward: reward * SCALE)
 
 

@@ -1,7 +1,7 @@
-"""Three trained agents lose the GPS on their way: one sees sensors, one its twin, one the truth.
+"""Three trained agents follow a path while the GPS is lost for 30 s.
 
-They are the shipped policies of the study in ``gps_loss_study``, which numpy alone can read. All
-three sail the same path in the same sea. Run ``python examples/06_gps_loss_agents.py
+One sees the sensors, one the twin too, one the truth. They are the policies that ship with the
+study in ``gps_loss_study``; numpy alone reads them. Run ``python examples/06_gps_loss_agents.py
 [picture.png]``.
 """
 

@@ -1,8 +1,10 @@
-"""Every example runs as it stands, and so do the README's blocks of Python."""
+"""Examples and README run as they stand, and their tables are those of checked-in results."""
 
 from __future__ import annotations
 
+import json
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +14,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+STUDY_PAGE = (ROOT / "docs/explanation/study.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+OPTIONAL = {"05_rllib.py"}  # tests/twin/agents/test_ray.py runs it, where Ray RLlib is installed
+EXAMPLES = [p for p in sorted((ROOT / "examples").glob("*.py")) if p.name not in OPTIONAL]
 
 
 def run(code: list[str], cwd: Path) -> str:
@@ -23,33 +28,24 @@ def run(code: list[str], cwd: Path) -> str:
     return result.stdout
 
 
-OPTIONAL = {"05_rllib.py": "tests/agents/test_ray.py runs it, where Ray RLlib is installed"}
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
-def test_example(path, tmp_path):
-    if path.name in OPTIONAL:
-        pytest.skip(OPTIONAL[path.name])
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
+def test_example_runs(path, tmp_path):
     assert run([str(path)], tmp_path).strip()
 
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_readme_block(number, tmp_path):
+def test_readme_block_runs(number, tmp_path):
     run(["-c", BLOCKS[number]], tmp_path)
 
 
-def test_readme_has_its_blocks():
+def test_readme_is_two_screens_of_existing_links():
     assert len(BLOCKS) >= 2
+    assert len(README.splitlines()) <= 200
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", README)
+    assert not [target for target in targets if not (ROOT / target).exists()]
 
 
-def test_readme_files_exist():
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
-
-
-def test_readme_results_are_those_of_the_checked_in_benchmark():
-    import json
-
+def test_readme_results_equal_the_benchmark():
     results = json.loads((ROOT / "examples/benchmark/results.json").read_text())
     value = {
         (i["scenario"], i["fault"], i["predictor"]): i
@@ -77,32 +73,24 @@ def test_readme_results_are_those_of_the_checked_in_benchmark():
     ("script", "function", "rows"),
     [("confirmation", "lines", 25), ("benchmark", "full", 14), ("benchmark", "recorded", 6)],
 )
-def test_study_tables_are_those_of_the_checked_in_results(script, function, rows):
-    import runpy
-
-    study = (ROOT / "STUDY.md").read_text(encoding="utf-8").splitlines()
+def test_study_tables_equal_the_results(script, function, rows):
     lines = runpy.run_path(str(ROOT / "examples" / script / "tables.py"))[function]()
     assert len(lines) >= rows
-    missing = [line for line in lines if line not in study]
-    assert not missing
+    assert not set(lines) - set(STUDY_PAGE.splitlines())
 
 
-def test_tables_of_the_speed_run_are_those_of_its_measurements():
-    import runpy
-
+def test_speed_tables_equal_the_measurements():
     page = (ROOT / "examples/speed/README.md").read_text(encoding="utf-8").splitlines()
     tables = runpy.run_path(str(ROOT / "examples/speed/tables.py"))
     lines = [*tables["beside_peers"](), *tables["growing"]()]
     assert len(lines) > 50
-    assert not [line for line in lines if line not in page]
+    assert not set(lines) - set(page)
 
 
-def test_a_small_part_of_the_checked_in_benchmark_is_what_the_command_gives(tmp_path):
-    import json
-
+def test_benchmark_reproduces_a_part_of_the_results(tmp_path):
     from typer.testing import CliRunner
 
-    from twin.cli.common import app
+    from twin.cli.main import app
 
     few = "persistence,ukf,dsw-ukf-plus"
     part = ["--seeds", "0", "--scenarios", "zigzag", "--faults", "gps10", "--predictors", few]
@@ -128,27 +116,24 @@ STUDY = ROOT / "examples/gps_loss_study"
 
 
 def study():
-    import json
-
     return json.loads((STUDY / "results.json").read_text(encoding="utf-8"))
 
 
-def test_tables_of_the_gps_loss_study_are_those_of_its_results():
+def test_agent_tables_equal_the_results():
     from twin.agents.study import markdown
 
     results = study()
     text = markdown(results)
     assert (STUDY / "tables.md").read_text(encoding="utf-8") == text
-    known = set(text.splitlines())
-    section = README[README.index("### What the twin is worth") : README.index("## The ship and")]
+    section = STUDY_PAGE[STUDY_PAGE.index("## What the twin is worth to an agent") :]
     agents = {cell["agent"] for cell in results["cells"]}
-    shown = [line for line in section.splitlines() if line.split(" | ")[0][2:] in agents]
+    shown = {line for line in section.splitlines() if line.split(" | ")[0][2:] in agents}
     assert len(shown) >= 12
-    assert not [line for line in shown if line not in known]
+    assert not shown - set(text.splitlines())
 
 
 @pytest.mark.parametrize("agent", ["los-twin", "ppo-raw", "ppo-twin", "sac-oracle"])
-def test_a_part_of_the_gps_loss_study_is_what_its_agents_do(agent):
+def test_agents_reproduce_a_part_of_the_study(agent):
     from twin.agents.controllers import CONTROLLERS, make_controller
     from twin.agents.evaluation import evaluate
     from twin.agents.policy import Policy
@@ -167,7 +152,7 @@ def test_a_part_of_the_gps_loss_study_is_what_its_agents_do(agent):
     seeds = results["settings"]["evaluation_seeds"][:6]
     found = evaluate(steers, seeds=seeds, sea="2", faults="gps30", twin="ukf")
     for name in ("off_path_m", "return"):
-        # wave sums are rounded otherwise on other processors, and an agent may answer to that
+        # wave sums round differently on other processors, and an agent may react to that
         np.testing.assert_allclose([one[name] for one in found], row[name][:6], rtol=1e-3)
 
 
@@ -177,8 +162,8 @@ def test_shipped_policies_are_small():
     assert max(sizes) < 200_000
 
 
-def test_the_agent_of_the_default_task_is_as_good_as_line_of_sight():
-    """On a few episodes; the README's are 200."""
+def test_default_task_agent_reaches_line_of_sight():
+    """On 20 episodes; those of the study are 200."""
     from twin.agents.controllers import make_controller
     from twin.agents.evaluation import evaluate
     from twin.agents.policy import Policy

@@ -3,8 +3,9 @@
 from gymnasium.envs.registration import register, registry
 
 from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.faults import Bursts, Fault, RandomFaults
 from usv_gym.world.sea import SEA_STATES, SeaState, Stage
-from usv_gym.world.sensors import Bursts, Fault, RandomFaults, SensorSuite
+from usv_gym.world.sensors import SensorSuite
 
 __all__ = [
     "SEA_STATES",

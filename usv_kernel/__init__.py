@@ -1,6 +1,6 @@
-"""What simulator and twin compile with: kernels, their cache, and functions that both need.
+"""Compilation of numba kernels, their disk cache, and small functions for kernels.
 
-``usv_gym`` (the simulator) and ``twin`` both import this package; it imports neither.
+``usv_gym`` (the simulator) and ``twin`` import this package; it imports neither.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

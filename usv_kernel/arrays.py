@@ -23,7 +23,6 @@ __all__ = [
     "flat_size",
     "named_dtype",
     "python_views",
-    "record_view",
     "reshaped",
     "shaped",
     "take",
@@ -160,31 +159,6 @@ def take(typing_context, array, at, shape):
         return context.make_tuple(builder, sig.return_type, found)
 
     return pair(array, types.intp, shape), generate
-
-
-def record_view(dtype: np.dtype[Any]) -> Any:
-    """Return a kernel function that sees a flat array of float64 as a record of a dtype.
-
-    Parameters
-    ----------
-    dtype : np.dtype
-        Structured, all its numbers float64. ``record.field`` reads and writes in place; a record
-        goes into calls as one pointer, but no kernel can return it.
-    """
-
-    @intrinsic
-    def view(typing_context, array):
-        from numba.np.numpy_support import from_dtype
-
-        _contiguous(array)
-
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            whole = context.make_array(sig.args[0])(context, builder, args[0])
-            return builder.bitcast(whole.data, context.get_value_type(sig.return_type))
-
-        return from_dtype(dtype)(array), generate
-
-    return view
 
 
 @intrinsic(prefer_literal=True)

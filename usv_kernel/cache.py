@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept on disk, and which sources they were compiled from."""
+"""Disk cache of compiled kernels: its folders and the digests of sources that name them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import platformdirs
 
 __all__ = [
+    "KERNEL_MODULES",
     "cache_directory",
     "cached",
     "module_digest",
@@ -25,9 +26,12 @@ _PROGRAM = {".py", ".csv", ".npz", ".toml"}
 
 _PACKAGES = ("usv_kernel", "usv_gym", "twin")
 
+KERNEL_MODULES: set[str] = set()
+"""Imported modules that define kernels."""
+
 
 def sources_digest(root: Path = _ROOT) -> str:
-    """Return one digest over the whole program.
+    """Return a digest of the whole program.
 
     Parameters
     ----------
@@ -37,8 +41,8 @@ def sources_digest(root: Path = _ROOT) -> str:
     Returns
     -------
     str
-        Twenty hexadecimal digits; another value after any edit of a source, or of the vessels,
-        priors and weights that ship with it.
+        Twenty hexadecimal digits. They change with every edit of a source, vessel, prior or
+        weight file.
     """
     digest = hashlib.sha256()
     for package in _PACKAGES:
@@ -52,15 +56,15 @@ def sources_digest(root: Path = _ROOT) -> str:
 
 @functools.cache
 def running_program() -> str:
-    """Return :func:`sources_digest` of the running program, as it was when first asked for."""
+    """Return :func:`sources_digest` of the running program, computed once per process."""
     return sources_digest()
 
 
 def module_digest(module: str, root: Path = _ROOT) -> str:
-    """Return one digest over a module and all that it imports from the three packages.
+    """Return a digest of a module and of all that it imports from the three packages.
 
-    numba's disk cache looks at the file of the outermost function only, so that an edit of
-    a function that it calls in another file would go on running the old machine code.
+    numba's own cache checks the file of the outermost function only. It would run old machine
+    code after an edit of a function that this one calls in another file.
 
     Parameters
     ----------
@@ -72,7 +76,7 @@ def module_digest(module: str, root: Path = _ROOT) -> str:
     Returns
     -------
     str
-        Twenty hexadecimal digits; another value after any edit of any of those files.
+        Twenty hexadecimal digits. They change with every edit of any of these files.
     """
     found: set[Path] = set()
     todo = _files_of(module, root)
@@ -88,7 +92,7 @@ def module_digest(module: str, root: Path = _ROOT) -> str:
 
 
 def _files_of(module: str, root: Path) -> list[Path]:
-    """Return the file of a module of ours; none for others, and for names inside a module."""
+    """Return the file of a module of the three packages; none for any other name."""
     if module.partition(".")[0] not in _PACKAGES:
         return []
     path = root.joinpath(*module.split("."))
@@ -102,10 +106,8 @@ _COMMENT = re.compile(rb"#[^\n]*")
 
 @functools.cache
 def _source(path: Path) -> tuple[bytes, frozenset[str]]:
-    """Return a file's content and the dotted names that it imports, those of a ``from`` both ways.
-
-    By pattern and not by parsing: every import of the packages waits for it.
-    """
+    """Return a file's content and the dotted names that it may import."""
+    # a pattern, as parsing would slow down every import of the packages
     content = path.read_bytes()
     names = set()
     for origin, listed in _IMPORT.findall(_COMMENT.sub(b"", content)):
@@ -119,8 +121,8 @@ def _source(path: Path) -> tuple[bytes, frozenset[str]]:
 def cache_directory(module: str) -> Path | None:
     """Return the folder for a module's compiled kernels, or None where none can be written.
 
-    It is named by :func:`module_digest`; of earlier ones the newest three are kept.
-    ``NUMBA_CACHE_DIR`` moves it.
+    Its name ends with :func:`module_digest`; the newest three of earlier versions are kept.
+    ``NUMBA_CACHE_DIR`` sets the folder that holds it.
     """
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("usv-twin"))
     ours = bool(_files_of(module, _ROOT))
@@ -136,24 +138,17 @@ def cache_directory(module: str) -> Path | None:
 
 
 def _of_module(folder: Path) -> list[Path]:
-    """Return the folders of all versions of a module, oldest first."""
+    """Return the cache folders of all versions of a module, oldest first."""
     name = folder.name.rpartition("-")[0]
     return sorted(folder.parent.glob(f"{name}-*"), key=lambda path: path.stat().st_mtime)
 
 
 def cached() -> bool:
-    """Return whether the kernels of today's sources have been compiled before.
-
-    A module that was compiled in an earlier version only is going to be compiled again.
-    """
+    """Return whether the imported kernels are on disk, compiled from the present sources."""
     fresh = False
-    for folder in filter(None, map(cache_directory, _MODULES)):
+    for folder in filter(None, map(cache_directory, KERNEL_MODULES)):
         compiled = {path for path in _of_module(folder) if next(path.rglob("*.nbi"), None)}
         if compiled and folder not in compiled:
             return False
         fresh = fresh or folder in compiled
     return fresh
-
-
-_MODULES: set[str] = set()
-"""Those that hold kernels, as far as they were imported."""

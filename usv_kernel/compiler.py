@@ -1,14 +1,13 @@
-"""How kernels are compiled: machine code for those that Python calls, LLVM code for their parts.
+"""Compiler of kernels: machine code for calls from Python, LLVM code for calls from kernels.
 
-numba compiles every function to optimised machine code of its own, and then puts a copy of its
-LLVM code into each caller, where it is translated again; with a hundred kernels that call each
-other, half of the time went into code that nobody runs. So a kernel has two dispatchers here: its
-own answers Python, as ever, and that of its ``part`` answers other kernels. A part stays LLVM
-code, and is optimised and translated once, with the kernel that Python calls. Both are kept on
-disk.
+numba compiles every function to machine code, and then copies its LLVM code into each caller and
+translates it again. With a hundred kernels that call each other, half of the compile time goes
+into machine code that never runs. So a kernel has two dispatchers. Its own serves Python. That of
+its ``part`` serves other kernels: it keeps LLVM code only, which is translated once, with the
+kernel that Python calls. Both are kept on disk.
 
-What this needs of numba beyond its documented pipeline is named in ``_NEEDED``; where an
-attribute of these is missing, kernels are compiled in numba's way, to the same results.
+``_NEEDED`` lists the internals of numba that this relies on. Where one is missing, numba compiles
+in its own way, with the same results.
 """
 
 from __future__ import annotations
@@ -58,10 +57,9 @@ _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name i
 
 
 class _Typing(Context):  # type: ignore[misc]
-    """numba's knowledge of types, with a memory of what operators give.
+    """numba's typing context with a cache for operators: their look-up is an eighth of a compile.
 
-    numba looks through its candidates anew for every sum: an eighth of the compiling. Functions are
-    looked up anew: what numba keeps of them, another target (CUDA) may have changed meanwhile.
+    Functions are not cached, as another target (CUDA) may change them.
     """
 
     _known: ClassVar[dict[tuple[Any, ...], Any]] = {}
@@ -85,17 +83,17 @@ class _Typing(Context):  # type: ignore[misc]
         return signature
 
 
-# numba keeps what it has compiled of its functions by the context that asked
+# one object for each context: numba caches compiled functions by it
 _typing = functools.cache(_Typing)
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
-    """The code of a kernel that Python calls."""
+    """Code of a kernel that Python calls."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         if PipelineTuningOptions is None:
             super()._optimize_functions(ll_module)
-        else:  # all at once, below
+        else:  # _optimize_final_module does it
             ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
@@ -105,20 +103,20 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
         tuning = PipelineTuningOptions(config.OPT)
         tuning.loop_vectorization = bool(config.LOOP_VECTORIZE)
         tuning.slp_vectorization = bool(config.SLP_VECTORIZE)
-        # what gains by it is unrolled by hand: of the rest it only made twice as much code
+        # loops that gain by it are unrolled by hand; of the others it doubles the code
         tuning.loop_unrolling = tuning.loop_interleaving = False
         builder = PassBuilder(self._codegen._tm, tuning)
         builder.getModulePassManager().run(self._final_module, builder)
 
 
 class _PartLibrary(_Library):
-    """LLVM code to put into others: not translated."""
+    """LLVM code for other kernels; never translated on its own."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        # numba makes the passes anew for each function, and for all that are only declared
+        # numba would create the passes for each function, also for mere declarations
         try:
             passes, builder = self._codegen._function_pass_manager()
-        except TypeError:  # numba before 0.62 makes them for a module
+        except TypeError:  # numba before 0.62 creates them for a module
             super()._optimize_functions(ll_module)
             return
         ll_module.data_layout = self._codegen._data_layout
@@ -127,7 +125,7 @@ class _PartLibrary(_Library):
                 passes.run(function, builder)
 
     def _optimize_final_module(self) -> None:
-        # sums and the like become vectors before they are inlined: in a long kernel LLVM gives up
+        # vectorise leaf functions before they are inlined: LLVM gives up in long kernels
         if not self._linking_libraries:
             super()._optimize_final_module()
 
@@ -138,13 +136,13 @@ class _PartLibrary(_Library):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):  # type: ignore[misc]
-    """Lower to LLVM code, optimised in our way."""
+    """Lowering to LLVM code with a library of this module."""
 
     _name = "kernel_lowering"
     _library = _Library
 
     def run_pass(self, state: Any) -> bool:
-        """Do as numba does, with a library of ours."""
+        """Run numba's pass with our library."""
         name = state.func_id.func_qualname
         state.library = self._library(state.targetctx.codegen(), name)
         state.library.enable_object_caching()
@@ -153,13 +151,13 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _PartLowering(_Lowering):
-    """Lower to LLVM code, and let other functions call it by that."""
+    """Lowering to LLVM code that other kernels call."""
 
     _name = "part_lowering"
     _library = _PartLibrary
 
     def run_pass(self, state: Any) -> bool:
-        """Do as numba does for what is executed, but for the executing."""
+        """Run the pass without translation to machine code."""
         state.flags.no_compile = True
         super().run_pass(state)
         lowered, key = state["cr"], object()
@@ -169,7 +167,7 @@ class _PartLowering(_Lowering):
 
 
 class _Compiler(CompilerBase):  # type: ignore[misc]
-    """numba's pipeline with a lowering and a typing of our own."""
+    """numba's pipeline with the lowering and the typing context of this module."""
 
     _lowering = _Lowering
 
@@ -187,17 +185,17 @@ class _Compiler(CompilerBase):  # type: ignore[misc]
 
 
 class _PartCompiler(_Compiler):
-    """The same for parts."""
+    """Compiler of parts."""
 
     _lowering = _PartLowering
 
 
 class _PartCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
-    """What of a part is written to disk, and how it is read."""
+    """Writes a part to disk and reads it."""
 
     def reduce(self, cres: Any) -> tuple[Any, ...]:
         library, description = cres.library, cres.fndesc
-        description.typemap = description.calltypes = None  # as numba does: for the lowering only
+        description.typemap = description.calltypes = None  # needed for the lowering only
         code = library._final_module.as_bitcode()
         return library.name, code, description, cres.environment, cres.signature
 
@@ -222,16 +220,15 @@ class _PartCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _PartCache(Cache):  # type: ignore[misc]
-    """Parts on disk."""
+    """Disk cache of parts."""
 
     _impl_class = _PartCacheImpl
 
 
 class _Flags(Flags):  # type: ignore[misc]
-    """Flags that compare by what was set.
+    """Flags that compare by the options that were set.
 
-    numba looks its overloads up by type and flags, many times for every operator, and compares
-    all options with their defaults each time: a tenth of the compiling.
+    numba compares all options with their defaults at each look-up: a tenth of a compile.
     """
 
     __slots__ = ()
@@ -244,19 +241,19 @@ class _Flags(Flags):  # type: ignore[misc]
 
 
 class _Dispatcher(CPUDispatcher):  # type: ignore[misc]
-    """numba's dispatcher for types without the values of literals, and with quick flags."""
+    """numba's dispatcher, without specialisation for literal arguments."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._compiler._customize_flags = _Flags
 
     def compile(self, sig: Any) -> Any:
-        # a number written out in a call would have the kernel compiled once more for that number
+        # else a constant in a call would compile the kernel once more for its value
         return super().compile(tuple(map(unliteral, sig)))
 
 
 class _Part(_Dispatcher):
-    """What other kernels call of a kernel; Python cannot."""
+    """Dispatcher for calls from other kernels; Python cannot call it."""
 
     def add_overload(self, cres: Any) -> None:
         self.overloads[tuple(cres.signature.args)] = cres
@@ -266,7 +263,7 @@ class _Part(_Dispatcher):
 
 
 class Kernel(_Dispatcher):
-    """A compiled function; other kernels that call it get its ``part``.
+    """A compiled function; other kernels call its ``part``.
 
     Parameters
     ----------

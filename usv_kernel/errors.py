@@ -1,7 +1,7 @@
-"""The base of all errors that a user can mend."""
+"""Base class of the errors that a user can correct."""
 
 __all__ = ["UsvTwinError"]
 
 
 class UsvTwinError(ValueError):
-    """Wrong input; the message names the value, where it stands, and the remedy."""
+    """Invalid input; the message names the value, its place and the remedy."""

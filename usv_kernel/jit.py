@@ -1,7 +1,7 @@
-"""Kernels: plain functions of scalars and float64 arrays that numba compiles to machine code.
+"""Kernels: functions of scalars and float64 arrays that numba compiles to machine code.
 
-A kernel does not allocate, calls no linear-algebra library, and uses no strings, exceptions or
-generators. Outputs are written in place.
+A kernel does not allocate memory and calls no linear-algebra library. It uses no strings,
+exceptions or generators, and writes its outputs in place.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numba
 from numba.core import event
 
 from usv_kernel.arrays import python_views
-from usv_kernel.cache import _MODULES, cache_directory
+from usv_kernel.cache import KERNEL_MODULES, cache_directory
 from usv_kernel.compiler import Kernel
-from usv_kernel.warmup import Compiling
+from usv_kernel.warmup import CompileListener
 
 __all__ = [
     "inlined",
@@ -25,7 +25,7 @@ __all__ = [
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-event.register("numba:compile", Compiling(_MODULES))
+event.register("numba:compile", CompileListener(KERNEL_MODULES))
 
 _OPTIONS = {
     "nopython": True,
@@ -40,28 +40,28 @@ _OPTIONS = {
 def kernel(function: F, inline: bool = False) -> F:
     """Compile a function to machine code on its first call, and keep the code on disk.
 
-    No kernel allocates: one that would does not compile. So there are no references to count
-    either, which took up to half of the time of those that hand views on. A kernel that returns
-    views is for other kernels: see :func:`py_func`.
+    A kernel that would allocate memory fails to compile. So nothing counts references, which
+    would double the run time of kernels that pass views on. A kernel that returns views is for
+    other kernels only: see :func:`py_func`.
 
-    Floating-point rules stay strict: a relaxed sum compiles to other roundings wherever it
-    is inlined, and the same seed would no longer give the same bits in every process.
+    Floating-point rules are strict. With fast math, sums would round differently wherever they
+    are inlined, and equal seeds would no longer give equal bits.
 
     Parameters
     ----------
     function : callable
-        Plain function of scalars and arrays.
+        Function of scalars and arrays.
     inline : bool
-        Always put it in place of its calls; see :func:`inlined`.
+        Inline it into every caller; see :func:`inlined`.
 
     Returns
     -------
     callable
         The compiled function; it releases the interpreter lock while it runs.
     """
-    _MODULES.add(function.__module__)
+    KERNEL_MODULES.add(function.__module__)
     folder = cache_directory(function.__module__)
-    # The folder is chosen when the function is decorated, so the setting can go back at once.
+    # numba reads this setting when a function is decorated
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     numba.config.CACHE_DIR = str(folder) if folder else before  # type: ignore[attr-defined]
     try:
@@ -74,15 +74,15 @@ def kernel(function: F, inline: bool = False) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile as :func:`kernel` does what is so short that a call would cost more.
+    """Compile a short function as :func:`kernel` does, and inline it into every caller.
 
-    An array goes into a call as seven or more numbers, each of them by way of the stack.
+    A call passes seven or more numbers per array on the stack, which can cost more than the body.
     """
     return kernel(function, inline=True)
 
 
 def py_func(compiled: F) -> F:
-    """Return what a kernel was compiled from, for those that return views of their arguments.
+    """Return the Python function of a kernel that returns views of its arguments.
 
     Python would free a view that numba has not counted; see
     :func:`usv_kernel.arrays.python_views`.

@@ -21,7 +21,7 @@ __all__ = [
 def fma(typing_context, a, b, c):
     """Return a * b + c with one rounding, in one instruction; for kernels only.
 
-    Written out, so that every compiler rounds alike: none of them may fuse by itself.
+    An explicit instruction rounds in the same way with every compiler.
     """
 
     def generate(context, builder, signature, arguments):
@@ -30,22 +30,22 @@ def fma(typing_context, a, b, c):
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-# 33 bits of pi/2 and the rest: their products with a whole number are exact (Cody-Waite)
+# pi/2 as 33 bits and a rest: their products with an integer are exact (Cody-Waite)
 _TWO_OVER_PI = 6.36619772367581382433e-01
 
 _PIO2_HIGH = 1.57079632673412561417e00
 
 _PIO2_LOW = 6.07710050650619224932e-11
 
-# adding 1.5 * 2^52 leaves no room for a fraction; floor() would go through integers, one by one
+# adding and subtracting 1.5 * 2^52 rounds to an integer, and vectorises, unlike floor()
 _ROUND = 6755399441055744.0
 
 
 @inlined
 def sincos(x: float) -> tuple[float, float]:
-    """Return sine and cosine to 2e-15, in straight-line code that vectorises.
+    """Return sine and cosine to 2e-15 without branches, so that loops vectorise.
 
-    Meant for |x| below 1e6, where the reduction loses nothing.
+    For |x| below 1e6, where the argument reduction is exact.
     """
     n = fma(x, _TWO_OVER_PI, _ROUND) - _ROUND
     r = fma(-n, _PIO2_LOW, fma(-n, _PIO2_HIGH, x))
@@ -61,7 +61,7 @@ def sincos(x: float) -> tuple[float, float]:
     c = fma(z, fma(z, c, -2.75573192239858906526e-07), 2.48015873015873015873e-05)
     c = fma(z, fma(z, c, -1.38888888888888888889e-03), 4.16666666666666666667e-02)
     c = fma(z, fma(z, c, -0.5), 1.0)
-    # one of two terms is 0, so that sin(-x) = -sin(x) and cos(-x) = cos(x) to the bit
+    # one of two terms is 0: sin(-x) = -sin(x) and cos(-x) = cos(x) to the bit
     even = 1.0 - odd
     return sign * fma(odd, c, even * s), sign * fma(-odd, s, even * c)
 
@@ -74,22 +74,22 @@ def wrap(angle: float) -> float:
 
 @kernel
 def actuate(value: float, target: float, lag: float, rate: float) -> float:
-    """Return the speed at which a lagged, rate-limited actuator moves to its target.
+    """Return the rate of change of a first-order actuator with a rate limit.
 
-    Replaces the paper's Eq (11) and (27), which can only move away from zero.
+    It replaces Eq (11) and (27) of Qu et al. 2025, which can only move away from zero.
 
     Parameters
     ----------
     value, target : float
-        Where the actuator is and where it is told to go, in its own unit.
+        Present and commanded value, in the unit of the actuator.
     lag : float
-        Time constant in s; above 0.
+        Time constant, s; above 0.
     rate : float
-        Largest speed, in units per s.
+        Largest rate, units per s.
 
     Returns
     -------
     float
-        Speed in units per s.
+        Rate, units per s.
     """
     return min(max((target - value) / lag, -rate), rate)

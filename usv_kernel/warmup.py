@@ -1,4 +1,4 @@
-"""What happens around compiling: a word to whoever waits, and no garbage collector meanwhile."""
+"""While kernels compile: a message on stderr, and no garbage collection."""
 
 from __future__ import annotations
 
@@ -15,56 +15,56 @@ from numba.core import event
 
 __all__ = [
     "QUIET",
-    "Compiling",
+    "CompileListener",
 ]
 
 QUIET = "USV_TWIN_QUIET"
-"""Environment variable; anything in it silences the word."""
+"""Environment variable; any value silences the message."""
 
-TEXT = "usv-twin: compiling kernels, once for each part after an installation or an update"
+MESSAGE = "usv-twin: compiling kernels (first use after an install or update)"
 
-PATIENCE = 0.3
-"""What is compiled sooner is not worth a word, s."""
+MESSAGE_DELAY = 0.3
+"""Compilation time before the message appears, s."""
 
 
-class Compiling(event.Listener):  # type: ignore[misc]
-    """Told by numba when it begins and ends to compile; what is read from disk is no such event.
+class CompileListener(event.Listener):  # type: ignore[misc]
+    """Listener of numba's compile events; kernels that are read from disk raise none.
 
-    On a terminal a spinner turns on stderr while a kernel is being compiled; elsewhere one line
-    is printed. Worker processes say nothing.
+    On a terminal it shows a spinner on stderr during compilation. Elsewhere it prints one line.
+    Worker processes print nothing.
 
     Parameters
     ----------
     modules : set of str
-        Those whose kernels are ours.
+        Names of the modules with kernels of this project.
     """
 
     def __init__(self, modules: set[str]) -> None:
         self._modules = modules
-        self._depth = 0  # numba compiles under a lock of its own, so plain counting will do
+        self._depth = 0  # numba compiles under a lock: no other thread counts
         self._began = 0.0
-        self._said = False
+        self._shown = False
         self._collecting = False
         self._done = threading.Event()
         self._thread: threading.Thread | None = None
 
     def on_start(self, event: Any) -> None:
-        """Begin with the outermost kernel."""
+        """Start the message with the outermost kernel."""
         if self._depth or event.data["dispatcher"].py_func.__module__ in self._modules:
             self._depth += 1
         if self._depth != 1:
             return
         self._began = self._began or time.monotonic()
-        # the compiler leaves few cycles and looks for them often: an eighth of its time
+        # collections would take an eighth of the compile time and free little
         self._collecting = gc.isenabled()
         gc.disable()
         if not (os.environ.get(QUIET) or multiprocessing.parent_process()):
             self._done.clear()
-            self._thread = threading.Thread(target=self._say, daemon=True)
+            self._thread = threading.Thread(target=self._show_message, daemon=True)
             self._thread.start()
 
     def on_end(self, event: Any) -> None:
-        """End with the outermost kernel."""
+        """Stop the message with the outermost kernel."""
         self._depth = max(self._depth - 1, 0)
         if self._depth:
             return
@@ -75,21 +75,21 @@ class Compiling(event.Listener):  # type: ignore[misc]
             self._thread.join()
             self._thread = None
 
-    def _say(self) -> None:
+    def _show_message(self) -> None:
         stream = sys.stderr
-        if stream is None or self._done.wait(0.0 if self._said else PATIENCE):
+        if stream is None or self._done.wait(0.0 if self._shown else MESSAGE_DELAY):
             return
         try:
             if not stream.isatty():
-                if not self._said:
-                    print(TEXT, file=stream, flush=True)
+                if not self._shown:
+                    print(MESSAGE, file=stream, flush=True)
             else:
                 for sign in cycle("-\\|/"):
                     seconds = time.monotonic() - self._began
-                    print(f"\r{TEXT} {sign} {seconds:.0f} s", end="", file=stream, flush=True)
+                    print(f"\r{MESSAGE} {sign} {seconds:.0f} s", end="", file=stream, flush=True)
                     if self._done.wait(0.2):
                         break
                 print("\r\x1b[K", end="", file=stream, flush=True)
-        except (OSError, ValueError):  # closed meanwhile: there is nobody to tell
+        except (OSError, ValueError):  # stderr was closed meanwhile
             return
-        self._said = True
+        self._shown = True

@@ -1,4 +1,4 @@
-"""Print the tables of STUDY.md of the full protocol and of the recorded runs.
+"""Print tables 4 and 5 of docs/explanation/study.md: full protocol and recorded runs.
 
 The numbers lie beside this file. Those of the full protocol were made by::
 

@@ -1,13 +1,13 @@
-"""Print the tables of STUDY.md from the confirmation's results, which lie beside this file.
+"""Print tables 1 to 3 of docs/explanation/study.md from the results beside this file.
 
 They were made by::
 
     usv-twin benchmark --scenarios turn,zigzag,turn-zigzag,random --faults none \
         --seeds 200-295 --plans known --out confirmation
 
-of whose ``results.json`` only what the tables need is kept. In ``class_unknown.json`` are
-the numbers of ``dsw-ukf-plus`` where it is told the main particulars alone: the same command, with
-``--vessel`` naming a copy of the file of ``usv75``, which is of no class.
+Only what the tables need is kept of its ``results.json``. ``class_unknown.json`` has the numbers of
+``dsw-ukf-plus`` with main particulars alone: the same command, with ``--vessel`` naming a copy of
+the file of ``usv75``, which is of no class.
 """
 
 from __future__ import annotations

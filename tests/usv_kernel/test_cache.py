@@ -1,4 +1,4 @@
-"""Compiled code on disk: any edit of any kernel source must be seen by every caller of it."""
+"""Disk cache of kernels: an edit of a source recompiles every caller of it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ import numba
 import pytest
 
 import usv_kernel
-from usv_kernel import cache, compiler, jit
-from usv_kernel import warmup as first_use
+from usv_kernel import cache, compiler, jit, warmup
 
 ROOT = Path(usv_kernel.__file__).resolve().parent.parent
 PACKAGES = ("usv_kernel", "usv_gym", "twin")
@@ -40,52 +39,52 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
-def test_the_digest_sees_every_source(tree: Path) -> None:
-    seen = {cache.sources_digest(tree)}
-    assert seen == {cache.sources_digest(tree)}
-    assert seen == {cache.sources_digest()}  # where the tree lies does not matter
-    sources = sorted(path for package in PACKAGES for path in (tree / package).rglob("*.py"))
-    assert len(sources) > 20
-    for number, path in enumerate(sources, start=1):
-        path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
-        seen.add(cache.sources_digest(tree))
-        assert len(seen) == number + 1, f"an edit of {path.relative_to(tree)} was not seen"
+def test_sources_digest_changes_with_every_program_file(tmp_path: Path) -> None:
+    names = ("usv_kernel/a.py", "usv_gym/vessels/b.toml", "twin/priors/c.csv", "twin/d/e.npz")
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("1", encoding="utf-8")
+    seen = [cache.sources_digest(tmp_path)]
+    for name in names:
+        (tmp_path / name).write_text("2", encoding="utf-8")
+        seen.append(cache.sources_digest(tmp_path))
+    (tmp_path / names[0]).rename(tmp_path / "usv_kernel" / "b.py")
+    seen.append(cache.sources_digest(tmp_path))
+    (tmp_path / "twin" / "new.py").write_text("", encoding="utf-8")
+    seen.append(cache.sources_digest(tmp_path))
+    assert len(set(seen)) == len(seen)
+    (tmp_path / "twin" / "notes.txt").write_text("", encoding="utf-8")
+    assert cache.sources_digest(tmp_path) == seen[-1]
 
 
-def test_the_digest_sees_a_file_moved_renamed_or_added(tree: Path) -> None:
-    seen = {cache.sources_digest(tree)}
-    (tree / "usv_gym" / "physics" / "hull.py").rename(tree / "usv_gym" / "physics" / "body.py")
-    seen.add(cache.sources_digest(tree))
-    (tree / "twin" / "new.py").write_text("", encoding="utf-8")
-    seen.add(cache.sources_digest(tree))
-    assert len(seen) == 3
+def test_digests_do_not_depend_on_the_folder(tree: Path) -> None:
+    assert cache.sources_digest(tree) == cache.sources_digest()
+    name = "usv_gym.physics.ship"
+    assert cache.module_digest(name, tree) == cache.module_digest(name)
 
 
-CALLS = {
-    # usv_gym/envs/tasks.py calls usv_kernel.scalar.wrap, which numba compiles into it
-    "wrap": """
+# an inlined function of another package, and a kernel of another file
+CALLS = """
 import numpy as np
+import usv_kernel.warmup
+usv_kernel.warmup.MESSAGE_DELAY = 0.0
 from usv_gym.envs.tasks import path_errors
+from usv_gym.physics import parameters, wind
 errors = np.zeros(4)
 path_errors(0.0, 0.0, 0.5, np.array([[0.0, 0.0], [10.0, 0.0]]), 0, errors)
-print(repr(float(errors[2])))
-""",
-    # usv_gym/physics/wind.py calls frames.to_body
-    "frames": """
-import numpy as np
-from usv_gym.physics import parameters, wind
 p = np.ones(parameters.PACKED_SIZE)
-print(repr(float(wind.wind_loads(0.0, 0.0, 0.0, 10.0, 0.0, p)[0])))
-""",
-}
+load = wind.wind_loads(0.0, 0.0, 0.0, 10.0, 0.0, p)[0]
+print(usv_kernel.__file__, repr(float(errors[2])), repr(float(load)))
+"""
 
 
-def run(tree: Path, cache: Path, call: str) -> float:
-    environment = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(cache)}
-    where = f"import usv_kernel\nassert usv_kernel.__file__.startswith({str(tree)!r})\n"
+def run(tree: Path, folder: Path) -> tuple[float, float, str]:
+    """Return the heading error, the wind load and what was printed on stderr."""
+    environment = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(folder)}
+    environment.pop(warmup.QUIET, None)
     done = subprocess.run(
-        [sys.executable, "-c", where + CALLS[call]],
-        cwd=cache,
+        [sys.executable, "-c", CALLS],
+        cwd=folder,
         env=environment,
         capture_output=True,
         text=True,
@@ -93,81 +92,71 @@ def run(tree: Path, cache: Path, call: str) -> float:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return float(done.stdout)
+    file, error, load = done.stdout.split()
+    assert Path(file).is_relative_to(tree)
+    return float(error), float(load), done.stderr
 
 
-@pytest.mark.parametrize(
-    ("call", "source", "old", "new"),
-    [
-        (
-            "wrap",
-            "usv_kernel/__init__.py",
-            "    return angle - 2.0 * math.pi * math",
-            "    return 7.0 + angle - 2.0 * math.pi * math",
-        ),
-        (
-            "frames",
-            "usv_gym/physics/frames.py",
-            "    return north * c + east * s, east",
-            "    return 2.0 * (north * c + east * s), east",
-        ),
-    ],
-)
-def test_stale_machine_code_cannot_run(
-    tree: Path, tmp_path: Path, call: str, source: str, old: str, new: str
-) -> None:
-    """Edit a kernel that another file's kernel calls: the next process must feel it."""
-    cache = tmp_path / "cache"
-    cache.mkdir()
-    before = run(tree, cache, call)
-    compiled = list(cache.rglob("*.nbi"))
-    assert compiled, "nothing was kept on disk: this test would prove nothing"
-    assert run(tree, cache, call) == before
-    edit(tree / source, old, new)
-    after = run(tree, cache, call)
-    # wrap gains 7 rad; twice the wind makes four times the load
-    expected = before + 7.0 if call == "wrap" else 4.0 * before
-    assert after == pytest.approx(expected, rel=1e-12)
+def test_an_edit_of_a_called_kernel_recompiles_its_callers(tree: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    error, load, message = run(tree, folder)
+    assert message == warmup.MESSAGE + "\n"
+    assert list(folder.rglob("*.nbi"))
+    assert run(tree, folder) == (error, load, "")
+    edit(
+        tree / "usv_kernel" / "scalar.py",
+        "    return angle - 2.0 * math.pi * math",
+        "    return 7.0 + angle - 2.0 * math.pi * math",
+    )
+    edit(
+        tree / "usv_gym" / "physics" / "frames.py",
+        "    return north * c + east * s, east",
+        "    return 2.0 * (north * c + east * s), east",
+    )
+    # twice the wind speed makes four times the load
+    assert run(tree, folder)[:2] == pytest.approx((error + 7.0, 4.0 * load), rel=1e-12)
 
 
-def test_a_module_sees_what_it_imports_and_nothing_else(tree: Path) -> None:
+def test_module_digest_covers_its_imports_only(tree: Path) -> None:
     def digest() -> str:
         cache._source.cache_clear()
         return cache.module_digest("usv_gym.physics.ship", tree)
 
-    before = digest()
-    assert cache.module_digest("usv_gym.physics.ship") == before
-    for source in (
-        "usv_gym/physics/frames.py",
-        "usv_gym/physics/__init__.py",
-        "usv_kernel/__init__.py",
-    ):
-        path = tree / source
-        path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
-        after = digest()
-        assert after != before, f"an edit of {source} was not seen"
-        before = after
+    def append_to(source: str) -> None:
+        with (tree / source).open("a", encoding="utf-8") as file:
+            file.write("#\n")
+
+    seen = [digest()]
+    for source in ("physics/frames.py", "physics/__init__.py", "../usv_kernel/scalar.py"):
+        append_to(f"usv_gym/{source}")
+        seen.append(digest())
+    assert len(set(seen)) == 4
     for source in ("twin/filters/ukf.py", "usv_gym/envs/env.py"):
-        path = tree / source
-        path.write_text(path.read_text(encoding="utf-8") + "#\n", encoding="utf-8")
-    assert digest() == before
+        append_to(source)
+    assert digest() == seen[-1]
 
 
 def test_imports_are_found_in_every_form(tmp_path: Path) -> None:
     path = tmp_path / "some.py"
     path.write_text(
-        "import usv_gym.manoeuvring.rao, math\nfrom twin import (\n    ukf as u,  # (one)\n    model,\n)\n"
+        "import usv_gym.manoeuvring.rao, math\n"
+        "from twin.filters import (\n    ukf as u,  # (one)\n    linalg,\n)\n"
         "def f():\n    from usv_gym.physics import hull  # late\n",
         encoding="utf-8",
     )
     assert cache._source(path)[1] == {
-        *("usv_gym.manoeuvring.rao", "math", "twin", "twin.filters.ukf", "twin.model.rollout"),
-        *("usv_gym.physics", "usv_gym.physics.hull"),
+        "usv_gym.manoeuvring.rao",
+        "math",
+        "twin.filters",
+        "twin.filters.ukf",
+        "twin.filters.linalg",
+        "usv_gym.physics",
+        "usv_gym.physics.hull",
     }
 
 
-def test_no_import_of_ours_is_overlooked() -> None:
-    """A name that the pattern misses would be a source whose edits are not seen."""
+def test_every_import_of_the_packages_is_found() -> None:
     for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
         found = cache._source(path)[1]
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -182,7 +171,7 @@ def test_no_import_of_ours_is_overlooked() -> None:
             assert ours <= found, f"{path.name}, line {node.lineno}"
 
 
-LOOK = """
+OPENED_FILES = """
 import pkgutil, importlib, sys
 opened = set()
 sys.addaudithook(lambda event, args: opened.add(str(args[0])) if event == "open" else None)
@@ -196,10 +185,10 @@ print(*sorted(path for path in opened if path.endswith((".csv", ".toml", ".npz",
 """
 
 
-def test_kernels_cannot_depend_on_data() -> None:
-    """The digest of a module covers sources only, so nothing else may be read while importing."""
+def test_imports_of_kernels_read_no_data_files() -> None:
+    """The digest of a module covers Python sources only."""
     found = subprocess.run(
-        [sys.executable, "-c", LOOK],
+        [sys.executable, "-c", OPENED_FILES],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -210,9 +199,11 @@ def test_kernels_cannot_depend_on_data() -> None:
 
 @pytest.fixture
 def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have kernels of this file kept in an empty folder."""
+    """Compile the kernels of this file into an empty cache."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(usv_kernel, "_MODULES", set())
+    modules: set[str] = set()
+    monkeypatch.setattr(cache, "KERNEL_MODULES", modules)
+    monkeypatch.setattr(jit, "KERNEL_MODULES", modules)
     cache.cache_directory.cache_clear()
     yield
     cache.cache_directory.cache_clear()
@@ -222,7 +213,7 @@ def twice(x: float) -> float:
     return 2.0 * x
 
 
-def test_another_numba_compiles_anew(fresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_numba_version_recompiles(fresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
     def hits() -> int:
         compiled = jit.kernel(twice)
         assert compiled(3.0) == 6.0
@@ -233,7 +224,7 @@ def test_another_numba_compiles_anew(fresh: None, monkeypatch: pytest.MonkeyPatc
     assert hits() == 0
 
 
-def test_a_number_in_a_call_costs_no_specialisation(fresh: None) -> None:
+def test_literal_arguments_add_no_specialisation(fresh: None) -> None:
     @jit.kernel
     def power(x, n):
         result = 1.0
@@ -249,7 +240,7 @@ def test_a_number_in_a_call_costs_no_specialisation(fresh: None) -> None:
     assert len(power.part.signatures) == 1
 
 
-def test_what_only_kernels_call_is_no_machine_code_until_python_calls_it(fresh: None) -> None:
+def test_parts_are_translated_only_when_python_calls_them(fresh: None) -> None:
     def pair():
         inner = jit.kernel(twice)
         return inner, jit.kernel(lambda x: inner(x) + 1.0)
@@ -268,7 +259,9 @@ def test_what_only_kernels_call_is_no_machine_code_until_python_calls_it(fresh: 
     assert inner.part.stats.cache_hits
 
 
-def test_without_parts_kernels_give_the_same(fresh: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_without_parts_give_equal_results(
+    fresh: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiler, "_PARTS", False)
     inner = jit.kernel(twice)
     assert inner.part is inner
@@ -281,7 +274,7 @@ def test_without_parts_kernels_give_the_same(fresh: None, monkeypatch: pytest.Mo
     assert len(inner.signatures) == 1
 
 
-def test_without_tuning_of_passes_kernels_give_the_same(
+def test_kernels_without_pass_tuning_give_equal_results(
     fresh: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiler, "PipelineTuningOptions", None)  # as llvmlite had it before 0.45
@@ -294,7 +287,7 @@ def test_without_tuning_of_passes_kernels_give_the_same(
     assert outer(3.0) == 7.0
 
 
-def test_remembered_types_are_those_of_the_arguments(fresh: None) -> None:
+def test_cached_operator_types_depend_on_the_arguments(fresh: None) -> None:
     @jit.kernel
     def added(x, y):
         return x + y
@@ -316,18 +309,18 @@ class Event:
 
 
 @pytest.mark.parametrize(("stream", "quiet"), [("file", ""), ("terminal", ""), ("file", "1")])
-def test_whoever_waits_is_told_once(
+def test_compile_message_appears_once(
     monkeypatch: pytest.MonkeyPatch, stream: str, quiet: str
 ) -> None:
     shown = Terminal() if stream == "terminal" else io.StringIO()
     monkeypatch.setattr(sys, "stderr", shown)
-    monkeypatch.setattr(first_use, "PATIENCE", 0.0)
-    monkeypatch.setenv(first_use.QUIET, quiet)
-    listener = first_use.Compiling({__name__})
+    monkeypatch.setattr(warmup, "MESSAGE_DELAY", 0.0)
+    monkeypatch.setenv(warmup.QUIET, quiet)
+    listener = warmup.CompileListener({__name__})
     for _ in range(2):
         listener.on_start(Event(twice))
         assert not gc.isenabled()
-        listener.on_start(Event(ast.parse))  # what a kernel of ours calls
+        listener.on_start(Event(ast.parse))  # called by our kernel
         time.sleep(0.05)
         listener.on_end(Event(ast.parse))
         assert not gc.isenabled()
@@ -337,45 +330,30 @@ def test_whoever_waits_is_told_once(
     if quiet:
         assert text == ""
     elif stream == "file":
-        assert text == first_use.TEXT + "\n"
+        assert text == warmup.MESSAGE + "\n"
     else:
-        assert text.count(first_use.TEXT) >= 2 and text.endswith("\r\x1b[K") and "\n" not in text
+        assert text.count(warmup.MESSAGE) >= 2 and text.endswith("\r\x1b[K") and "\n" not in text
 
 
-def test_others_kernels_and_short_waits_are_not_worth_a_word(
+def test_no_message_for_other_kernels_or_short_compiles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shown = io.StringIO()
     monkeypatch.setattr(sys, "stderr", shown)
-    monkeypatch.delenv(first_use.QUIET, raising=False)
-    listener = first_use.Compiling({__name__})
+    monkeypatch.delenv(warmup.QUIET, raising=False)
+    listener = warmup.CompileListener({__name__})
     listener.on_start(Event(twice))
     listener.on_end(Event(twice))
-    monkeypatch.setattr(first_use, "PATIENCE", 0.0)
+    monkeypatch.setattr(warmup, "MESSAGE_DELAY", 0.0)
     listener.on_start(Event(ast.parse))
     time.sleep(0.05)
     listener.on_end(Event(ast.parse))
     assert shown.getvalue() == ""
 
 
-def test_a_plain_script_says_that_it_compiles_the_first_time_only(tmp_path: Path) -> None:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    environment.pop(first_use.QUIET, None)
-    impatient = "from usv_kernel import compiler, first_use\nfirst_use.PATIENCE = 0.0\n"
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", impatient + CALLS["wrap"]],
-            capture_output=True,
-            text=True,
-            env=environment,
-            check=True,
-        ).stderr
-        for _ in range(2)
-    ]
-    assert said == [first_use.TEXT + "\n", ""]
-
-
-def test_only_the_newest_folders_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_keeps_three_earlier_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     cache.cache_directory.cache_clear()
     for age in range(1, 7):
@@ -393,11 +371,9 @@ def test_only_the_newest_folders_are_kept(tmp_path: Path, monkeypatch: pytest.Mo
     }
 
 
-def test_an_edited_module_counts_as_not_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_edited_module_is_not_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(usv_kernel, "_MODULES", {"twin.filters.ukf", "twin.predictors.dsw_ukf"})
+    monkeypatch.setattr(cache, "KERNEL_MODULES", {"twin.filters.ukf", "twin.predictors.dsw_ukf"})
     cache.cache_directory.cache_clear()
     assert not cache.cached()
     folder = cache.cache_directory("twin.filters.ukf")
@@ -411,13 +387,13 @@ def test_an_edited_module_counts_as_not_compiled(
     cache.cache_directory.cache_clear()
 
 
-def test_without_a_writable_folder_kernels_are_still_compiled(
+def test_kernels_compile_without_a_writable_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("", encoding="utf-8")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocked))
-    monkeypatch.setattr(usv_kernel, "_MODULES", set())
+    monkeypatch.setattr(cache, "KERNEL_MODULES", set())
     cache.cache_directory.cache_clear()
     assert cache.cache_directory("twin.filters.ukf") is None
     assert not cache.cached()
@@ -429,7 +405,7 @@ def test_without_a_writable_folder_kernels_are_still_compiled(
     cache.cache_directory.cache_clear()
 
 
-SAIL = """
+SIMULATE = """
 import numpy as np
 from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
@@ -442,12 +418,12 @@ print(simulation.state.tobytes().hex())
 """
 
 
-def test_fresh_and_cached_code_give_the_same_bits(tmp_path: Path) -> None:
-    """What was just compiled and what was read from disk are two pieces of machine code."""
+@pytest.mark.slow
+def test_fresh_and_cached_code_give_equal_bits(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     ends = [
         subprocess.run(
-            [sys.executable, "-c", SAIL],
+            [sys.executable, "-c", SIMULATE],
             capture_output=True,
             text=True,
             env=environment,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from twin.agents.agent import Agent, ControllerError, check_actions, shaft_speeds
 from twin.agents.mpc import ModelPredictive
 from usv_gym.envs.episodes import AGE_SCALE
-from usv_gym.envs.tasks import ERRORS, KNOWN_LEG, REACH, UNIT, follow
+from usv_gym.envs.tasks import ERRORS, follow
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.vessel.vessel import Vessel
 from usv_kernel.jit import kernel
@@ -100,9 +100,9 @@ class LOS:
         base = envs.unwrapped
         check_actions(self.name, base)
         self._places = places(base, (*(self.source + name for name in PATH), *NAMES[self.source]))
-        self.unit = base.task.rules[UNIT]
+        self.unit = float(base.task.rules["unit"])
         dt = base.simulation.dt * base.frame_skip
-        self.fit(base.vessel, base.speed, dt, base.task.rules[REACH], base.num_envs)
+        self.fit(base.vessel, base.speed, dt, float(base.task.rules["reach"]), base.num_envs)
 
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
         """Take over n boats: what :meth:`begin` does, where there is no environment.
@@ -201,7 +201,7 @@ class DeadReckoningLOS(LOS):
         super().begin(envs)
         base = envs.unwrapped
         self._more = places(base, ("cos_heading", "sin_heading", "gps_age", "speed_starboard"))
-        self._points, self._legs_at_fix = base.task.points, base.task.records[:, KNOWN_LEG]
+        self._points, self._legs_at_fix = base.task.points, base.task.records["known_leg"]
         n = base.num_envs
         self._legs, self._errors = np.zeros(n), np.zeros((n, len(ERRORS)))
         self._place = np.zeros((n, 2))

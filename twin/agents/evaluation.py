@@ -15,9 +15,9 @@ from gymnasium.vector import AutoresetMode
 import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
 from twin.agents.policy import AgentError
-from usv_gym.envs.tasks import AREA, STATION
+from usv_gym.envs.tasks import STATION
 from usv_gym.envs.vector import USVVectorEnv
-from usv_gym.world.sensors import BITS, END, GPS_BIT, START
+from usv_gym.world.channels import GPS_BIT
 
 __all__ = [
     "EVALUATION_SEEDS",
@@ -148,7 +148,7 @@ def evaluate(
     finally:
         envs.close()
     sailed = _mean(off)
-    off[np.isnan(off) & failed] = envs.task.rules[AREA]
+    off[np.isnan(off) & failed] = envs.task.rules["area"]
     during = (first <= times) & (times <= last + AFTER_OUTAGE)
     whole, lost = _mean(off), _mean(np.where(during, off, np.nan))
     return [
@@ -182,9 +182,9 @@ def on_grid(
 def _outages(envs: USVVectorEnv) -> tuple[np.ndarray, np.ndarray]:
     """Return when each boat's GPS is first lost and back, s; NaN where it is not."""
     first, last = np.full((2, envs.num_envs), np.nan)
-    for rows in np.moveaxis(envs.simulation.faults, 1, 0):
-        gps = (rows[:, BITS] == GPS_BIT) & ~(rows[:, START] >= first)
-        first[gps], last[gps] = rows[gps, START], rows[gps, END]
+    for faults in envs.simulation.faults.T:
+        gps = (faults["bits"] == GPS_BIT) & ~(faults["start"] >= first)
+        first[gps], last[gps] = faults["start"][gps], faults["end"][gps]
     return first, last
 
 

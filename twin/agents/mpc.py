@@ -33,7 +33,7 @@ from twin.model.rollout import (
 from twin.model.structure import N_STATES
 from twin.predictors.plus_forecast import PRIOR_SHRINKAGE
 from twin.sim.batched_twins import CompiledTwins
-from usv_gym.envs.tasks import ERRORS, REACH, follow, path_errors
+from usv_gym.envs.tasks import ERRORS, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import kernel
@@ -366,7 +366,7 @@ class ModelPredictive:
             h,
             length,
             base.speed,
-            float(base.task.rules[REACH]),
+            float(base.task.rules["reach"]),
             nominal,
             *self.weights,
             self.steps,

@@ -349,7 +349,7 @@ class _Learner:
         except (AssertionError, AttributeError, TypeError, ValueError) as error:
             made.close()
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
-        _begin_usual(self.model, made.episodes.usual_action)
+        _begin_usual(self.model, made.episodes.nominal_action)
         if importlib.util.find_spec("tensorboard") is None:
             raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
         self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))

@@ -23,8 +23,9 @@ from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
-from usv_gym.world.sensors import SensorSuite, parse_faults
+from usv_gym.world.sensors import SensorSuite
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [

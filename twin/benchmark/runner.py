@@ -48,15 +48,9 @@ from twin.predictors.registry import predictor_class
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import read_run
-from usv_gym.world.sensors import (
-    FAULT_KINDS,
-    GPS_BIT,
-    Disturbance,
-    Fault,
-    SensorSuite,
-    parse_faults,
-    spoiled,
-)
+from usv_gym.world.channels import GPS_BIT
+from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, apply_faults, parse_faults
+from usv_gym.world.sensors import SensorSuite
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
 
@@ -87,7 +81,7 @@ def fault_start(settings: Settings, identify: float) -> float:
 
 def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
     """Return a log with what the faults do to its sensors; the same whenever it is asked."""
-    return dataclasses.replace(log, z=spoiled(log.t, log.z, faults, np.random.default_rng(0)))
+    return dataclasses.replace(log, z=apply_faults(log.t, log.z, faults, np.random.default_rng(0)))
 
 
 def _recorded_identify(log: Log) -> float:

@@ -53,7 +53,7 @@ from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.recorded import NO_PARTICULARS, lacks_particulars
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, vessel_names
-from usv_gym.world.sensors import FAULTS_HELP
+from usv_gym.world.faults import FAULTS_HELP
 
 
 @app.command("benchmark")

@@ -33,8 +33,8 @@ from usv_gym.design.new_vessel import DesignError
 from usv_gym.envs.tasks import TaskError
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
 from usv_gym.vessel.vessel import VesselError
+from usv_gym.world.faults import FaultError
 from usv_gym.world.sea import SeaError
-from usv_gym.world.sensors import FaultError
 from usv_gym.world.simulation import SimulationError
 from usv_kernel.cache import cached
 

@@ -30,8 +30,9 @@ from twin.sim.oracle import check_simulator
 from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
+from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
-from usv_gym.world.sensors import FAULTS_HELP, GRADES, parse_faults
+from usv_gym.world.sensors import GRADES
 
 if TYPE_CHECKING:
     from twin.live.sessions.session import Session

@@ -23,8 +23,9 @@ from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
-from usv_gym.world.sensors import FAULTS_HELP, GRADES, SensorSuite, parse_faults
+from usv_gym.world.sensors import GRADES, SensorSuite
 
 
 @app.command("simulate")

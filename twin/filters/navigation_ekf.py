@@ -47,16 +47,15 @@ from twin.filters.navigation_state import (
     N_NAV,
     NAVIGATION,
     NAVIGATION_FIELDS,
+    NAVIGATION_SETTINGS,
     NAVIGATION_WORK,
     VARIANCE_MIN,
     initial_navigation,
-    navigation_of,
     navigation_settings,
-    navigation_settings_of,
-    navigation_work_of,
 )
 from twin.particulars import Particulars
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
 from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combine
 
@@ -539,12 +538,12 @@ def navigate(nav, dt, z, model, settings, work):
 def _take_row(nav, dt, z, model, settings, work):
     """Do :func:`navigate` on flat memory."""
     navigate(
-        navigation_of(nav),
+        as_record(nav, NAVIGATION),
         dt,
         z,
         model,
-        navigation_settings_of(settings),
-        navigation_work_of(work),
+        as_record(settings, NAVIGATION_SETTINGS),
+        as_record(work, NAVIGATION_WORK),
     )
 
 

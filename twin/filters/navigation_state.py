@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import FLAG, Field
 from twin.particulars import GRAVITY, Particulars
-from usv_kernel.arrays import record_view
 
 __all__ = [
     "NAVIGATION",
@@ -24,10 +23,7 @@ __all__ = [
     "NAVIGATION_WORK",
     "N_NAV",
     "initial_navigation",
-    "navigation_of",
     "navigation_settings",
-    "navigation_settings_of",
-    "navigation_work_of",
 ]
 
 Array = NDArray[np.float64]
@@ -116,10 +112,6 @@ NAVIGATION_WORK = np.dtype(
     ]
 )
 """Scratch of the filter."""
-
-navigation_of = record_view(NAVIGATION)
-navigation_settings_of = record_view(NAVIGATION_SETTINGS)
-navigation_work_of = record_view(NAVIGATION_WORK)
 
 
 def navigation_settings(particulars: Particulars) -> Array:

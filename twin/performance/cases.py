@@ -42,7 +42,7 @@ from twin.performance.harness import FLOOR, Burst, Case, Measured
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
+from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
 from usv_kernel.jit import kernel
 from usv_kernel.simd import padded
 from usv_kernel.warmup import QUIET
@@ -377,10 +377,10 @@ def _ship(dof: int, components: int) -> Burst:
     states[0, 6] = 5.6
     waves = np.zeros((WAVE_ROWS, padded(sea.waves.shape[1])))
     waves[:, : sea.waves.shape[1]] = sea.waves
-    factors = factor_room(waves.shape[1])
+    factors = factor_workspace(waves.shape[1])
     cmds = np.tile(boat.helm(20.4, 0.1), (SHIP_STEPS, 1))
-    arguments = (states, cmds, boat.packed, waves, sea.gusts, sea.weather)
-    return lambda: ship.sail(*arguments, H, dof, factors, work), SHIP_STEPS
+    vessel, around = ship.Ship(boat.packed, dof), ship.Sea(waves, sea.gusts, sea.weather, factors)
+    return lambda: ship.sail(states, cmds, vessel, around, H, work), SHIP_STEPS
 
 
 def _otter() -> Burst:

@@ -12,16 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.filters.linalg import cholesky
-from twin.filters.navigation_state import navigation_of
+from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import filter_config, filter_state, scale_plan
 from twin.identification.prediction_error import LOW, refit_config
 from twin.identification.wave_residual import ORDER, between, forecast_waves, simulate_waves
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size
 from twin.model.structure import N_STATES
-from twin.predictors.plus_update import OBSERVER_GAIN, all_good, last_row, window_of
+from twin.predictors.plus_update import OBSERVER_GAIN, WINDOW, all_good, last_row
 from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 
 __all__ = [
     "FORECAST_WAVE_GAIN",
@@ -164,7 +165,7 @@ def _is_plausible(states, fastest, nominal):
 @kernel
 def _begin(dt, memory, out):
     """Write start, times and predicted waves of a forecast."""
-    nav, window = navigation_of(memory.nav), window_of(memory.window)
+    nav, window = as_record(memory.nav, NAVIGATION), as_record(memory.window, WINDOW)
     for k in range(3):
         out.start[0, k], out.start[0, 3 + k] = nav.n[k], window.slow[k]
     for k in range(out.after.shape[0]):
@@ -191,7 +192,7 @@ def plus_mean(plan, dt, memory, config, out):
     out : MeanForecast
         Written.
     """
-    model, window = config.model, window_of(memory.window)
+    model, window = config.model, as_record(memory.window, WINDOW)
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     refit = refit_config(config.refit, model.which.shape[1])
     scale_plan(plan, given.n_unit, out.plan)
@@ -252,7 +253,7 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
     central, own = mean
     by_params, by_start, by_waves = normal
     model, D = config.model, by_params.shape[0]
-    nav, window = navigation_of(memory.nav), window_of(memory.window)
+    nav, window = as_record(memory.nav, NAVIGATION), as_record(memory.window, WINDOW)
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     p, small, P_nav = by_params.shape[1], out.small, nav.P
     cholesky(state.P[N_STATES:, N_STATES:], out.root, out.line)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.filters.navigation_state import navigation_of
+from twin.filters.navigation_state import NAVIGATION
 from twin.identification.data_weight import note, score, select_trust, selector_state
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
@@ -42,8 +42,9 @@ from twin.model.rollout import GRID, rotate_body_velocity
 from twin.model.structure import N_STATES, accelerations, state_terms, thrust_terms
 from twin.predictors.baselines import GAP_MAX
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
-from usv_kernel.arrays import record_view, shaped
+from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 
 __all__ = [
     "OBSERVER_GAIN",
@@ -55,7 +56,6 @@ __all__ = [
     "plus_step",
     "refit_work",
     "take_segments",
-    "window_of",
 ]
 
 OBSERVER_GAIN = 0.5
@@ -89,8 +89,6 @@ WINDOW = np.dtype(
     ]
 )
 """What a predictor remembers of its observer, window and waves, besides the rows."""
-
-window_of = record_view(WINDOW)
 
 
 class PlusMemory(NamedTuple):
@@ -218,7 +216,7 @@ def take_segments(memory, config, work):
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
     room = refit_work(work, p, given.capacity)
-    window = window_of(memory.window)
+    window = as_record(memory.window, WINDOW)
     return _take_segments(memory.rows, window, selector, segments, given, config.model, room)
 
 
@@ -273,7 +271,7 @@ def _fit_waves(rows, window, config, work):
 @kernel
 def _refit(memory, config, work):
     """Bring segments, waves and refits up to date, and write the best parameters to the filter."""
-    model, rows, window = config.model, memory.rows, window_of(memory.window)
+    model, rows, window = config.model, memory.rows, as_record(memory.window, WINDOW)
     p = model.which.shape[1]
     given = refit_config(config.refit, p)
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
@@ -310,7 +308,11 @@ def plus_step(t, dt, z, cmd, memory, config, work):
     memory, config, work : PlusMemory, PlusConfig, PlusWork
         The memory is advanced in place.
     """
-    nav, window, model = navigation_of(memory.nav), window_of(memory.window), config.model
+    nav, window, model = (
+        as_record(memory.nav, NAVIGATION),
+        as_record(memory.window, WINDOW),
+        config.model,
+    )
     begun = nav.begun > 0.0
     tight_step(
         dt,

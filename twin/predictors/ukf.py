@@ -19,12 +19,10 @@ from twin.filters.navigation_ekf import aid, is_ready, navigate
 from twin.filters.navigation_state import (
     NAVIGATION,
     NAVIGATION_FIELDS,
+    NAVIGATION_SETTINGS,
     NAVIGATION_WORK,
     initial_navigation,
-    navigation_of,
     navigation_settings,
-    navigation_settings_of,
-    navigation_work_of,
 )
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
@@ -48,6 +46,7 @@ from twin.model.structure import N_STATES, accelerations
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -118,7 +117,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     memory, config, work : UKFMemory, UKFConfig, UKFWork
         The memory is advanced in place.
     """
-    nav, nav_work = navigation_of(memory.nav), navigation_work_of(work.nav)
+    nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
@@ -145,7 +144,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         # a model that has never been held to a measured motion may spin the navigation
         accel[3] = nav.has_imu
     age = nav.gps_age + dt
-    navigate(nav, dt, z, accel, navigation_settings_of(config.nav), nav_work)
+    navigate(nav, dt, z, accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
     if nav.begun == 0.0:
         for k in range(2):
             act[k], act[2 + k] = given.n_unit * cmd[k], cmd[2 + k]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin
-from twin.filters.navigation_state import navigation_of
+from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     JointUKF,
     filter_config,
@@ -46,14 +46,15 @@ from twin.predictors.registry import PredictorError, predictor_class
 from twin.predictors.ukf import RolloutInputs, UKFMemory, UKFPredictor, tight_step
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
-from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
+from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import TwinOverlay
-from usv_gym.envs.tasks import ERRORS, REACH, SPEED, UNIT, follow
+from usv_gym.envs.tasks import ERRORS, follow
 from usv_gym.physics import frames as fr
-from usv_gym.world.sensors import CHANNELS
-from usv_gym.world.simulation import CMD, STATE, TIME, Z
-from usv_kernel.arrays import flat_size, record_view
+from usv_gym.world.channels import CHANNELS
+from usv_gym.world.state import BOAT
+from usv_kernel.arrays import flat_size
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
 __all__ = [
@@ -111,16 +112,14 @@ SETTINGS = np.dtype(
 )
 """What all boats of a batch have in common."""
 
-note_of, settings_of = record_view(NOTE), record_view(SETTINGS)
-
 
 class Boats(NamedTuple):
     """The simulated boats, row by row, and what is noted of each."""
 
-    simulation: Any  # see usv_gym.world.simulation
+    rows: Any  # see usv_gym.world.state.BOAT
     points: Any  # (n, P, 2) way points, m
     notes: Any  # see NOTE
-    rules: Any  # of the task
+    shared: Any  # see usv_gym.envs.episodes.EPISODES
     settings: Any  # see SETTINGS
 
 
@@ -162,12 +161,12 @@ def _next_row(boat, note):
 
     -1 stands for no new row: the boat is idle.
     """
-    t, last = boat[TIME], note.last
+    t, last = boat.t, note.last
     if t == last:
         return -1.0
     note.last = t
     for k in range(len(CHANNELS)):
-        note.z[k] = boat[Z + k]
+        note.z[k] = boat.measurement[k]
     for k in range(len(CHANNELS), len(MEASUREMENTS)):
         note.z[k] = math.nan
     return t - last if math.isfinite(last) else 0.0
@@ -176,7 +175,7 @@ def _next_row(boat, note):
 @kernel
 def _next_row_of(boat, note):
     """Do :func:`_next_row` on flat memory."""
-    return _next_row(boat, note_of(note))
+    return _next_row(boat, as_record(note, NOTE))
 
 
 @inlined
@@ -199,15 +198,15 @@ def _hold(command, plan):
 @inlined
 def describe(s, boat, note, points, rules, obs):
     """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
-    errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules[SPEED], s[2]
+    errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules.speed, s[2]
     d, c = sincos(psi)
-    note.leg = follow(s[0], s[1], psi, points, int(note.leg), rules[REACH], errors)
+    note.leg = follow(s[0], s[1], psi, points, int(note.leg), rules.reach, errors)
     o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
     o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
-    o[5], o[6] = errors[0] / rules[UNIT], 0.1 * errors[1] / rules[UNIT]
+    o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
     o[8], o[7] = sincos(errors[2])
     o[10], o[9] = sincos(errors[3])
-    _spread(note.now, (c, d), rules[UNIT], speed, o, 11)
+    _spread(note.now, (c, d), rules.unit, speed, o, 11)
     at = 17
     for j in range(ahead.shape[0]):
         m = ahead[j]
@@ -221,13 +220,13 @@ def describe(s, boat, note, points, rules, obs):
         at += 13
     for j in range(o.shape[0]):
         o[j] = min(max(o[j], -BOUND), BOUND)
-    note.position_error = math.hypot(s[0] - boat[STATE + fr.X], s[1] - boat[STATE + fr.Y])
+    note.position_error = math.hypot(s[0] - boat.state[fr.X], s[1] - boat.state[fr.Y])
 
 
 @kernel
 def _describe(s, boat, note, points, rules, obs):
     """Do :func:`describe` on flat memory."""
-    describe(s, boat, note_of(note), points, rules, obs)
+    describe(s, boat, as_record(note, NOTE), points, rules, obs)
 
 
 @inlined
@@ -259,19 +258,21 @@ def _write_variances(P, P_nav, gps_var, now):
 @kernel
 def _ukf_all(boats, memories, config, work, forecast, obs):
     """Let the twins of boats with a new row take it, and write their parts of the observations."""
-    settings, model = settings_of(boats.settings), config.model
+    settings, model = as_record(boats.settings, SETTINGS), config.model
+    rules = as_record(boats.shared, EPISODES).rules
     given = filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
     out = forecast_buffers(forecast.buffers, ROWS)
-    for i in range(boats.simulation.shape[0]):
-        boat, note = boats.simulation[i], note_of(boats.notes[i])
+    for i in range(boats.rows.shape[0]):
+        boat = as_record(boats.rows[i], BOAT)
+        note = as_record(boats.notes[i], NOTE)
         memory = _row_of(memories, i)
-        dt, cmd = _next_row(boat, note), boat[CMD : CMD + N_ACT]
+        dt, cmd = _next_row(boat, note), boat.command
         if dt >= 0.0:
             tight_step(dt, note.z[:], cmd, memory, config, work)
         if not _is_due(note, settings.look):
             continue
-        nav, state = navigation_of(memory.nav), filter_state(memory.filter, model)
+        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         _hold(cmd, forecast.plan)
         forecast_mean(forecast.plan, GRID, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
@@ -293,7 +294,7 @@ def _ukf_all(boats, memories, config, work, forecast, obs):
                 if renew:
                     for k in range(N_STATES):
                         note.covs[h, j, k] = out.covs[row, j, k]
-        describe(state.x, boat, note, boats.points[i], boats.rules, obs[i])
+        describe(state.x, boat, note, boats.points[i], rules, obs[i])
 
 
 _DRAWN_ROWS = HORIZON_ROWS + 1
@@ -302,19 +303,21 @@ _DRAWN_ROWS = HORIZON_ROWS + 1
 @kernel
 def _plus_all(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`_ukf_all` does for ``ukf``."""
-    settings, model = settings_of(boats.settings), config.model
+    settings, model = as_record(boats.settings, SETTINGS), config.model
+    rules = as_record(boats.shared, EPISODES).rules
     p, D = model.which.shape[1], forecast.normal[0].shape[0]
     mean = mean_forecast_of(forecast.mean, p, ROWS, ROWS)
     draws = draws_of(forecast.draws, p, ROWS, ROWS, D)
-    for i in range(boats.simulation.shape[0]):
-        boat, note = boats.simulation[i], note_of(boats.notes[i])
+    for i in range(boats.rows.shape[0]):
+        boat = as_record(boats.rows[i], BOAT)
+        note = as_record(boats.notes[i], NOTE)
         memory = _plus_row_of(memories, i)
-        dt, cmd = _next_row(boat, note), boat[CMD : CMD + N_ACT]
+        dt, cmd = _next_row(boat, note), boat.command
         if dt >= 0.0:
             plus_step(note.last, dt, note.z[:], cmd, memory, config, work)
         if not _is_due(note, settings.look):
             continue
-        nav, state = navigation_of(memory.nav), filter_state(memory.filter, model)
+        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         _hold(cmd, forecast.plan)
         plus_mean(forecast.plan, GRID, memory, config, mean)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
@@ -331,7 +334,7 @@ def _plus_all(boats, memories, config, work, forecast, obs):
                     for k in range(2):
                         covs[h, j, k] += nav.P[j, k]
                     covs[h, j, j] += settings.gps_var
-        describe(state.x, boat, note, boats.points[i], boats.rules, obs[i])
+        describe(state.x, boat, note, boats.points[i], rules, obs[i])
 
 
 class TwinObserver(Observer):
@@ -565,7 +568,11 @@ class CompiledTwins(TwinObserver):
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
         sim, task, predictor = self.episodes.simulation, self.episodes.task, self._predictor
         boats = Boats(
-            sim.boats[rows], task.points[rows], self._notes[rows], task.rules, self._settings
+            sim.rows[rows],
+            task.points[rows],
+            self._notes[rows],
+            self.episodes.shared,
+            self._settings,
         )
         memory = type(self.memory)(*(array[rows] for array in self.memory))
         scratch = predictor.work, self._forecast

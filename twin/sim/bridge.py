@@ -14,9 +14,10 @@ from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world import sensors
+from usv_gym.world.channels import CHANNELS
+from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
-from usv_gym.world.sensors import Disturbance, SensorSuite
+from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 
 __all__ = [
@@ -37,8 +38,10 @@ TILT_SD, TILT_TIME = 0.08, 1.0
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
 
-if MEASUREMENTS[: len(sensors.CHANNELS)] != sensors.CHANNELS:
-    raise ImportError("usv_gym.world.sensors.CHANNELS and twin.channels.MEASUREMENTS differ")
+if MEASUREMENTS[: len(CHANNELS)] != CHANNELS:
+    raise ImportError(
+        "usv_gym.world.channels.CHANNELS and twin.logs.log.MEASUREMENTS have come apart"
+    )
 
 
 def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
@@ -156,6 +159,6 @@ def simulate(
         if k:
             simulation.step(given[k - 1 : k])
         t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
-        z[k, : len(sensors.CHANNELS)] = simulation.z[0]
+        z[k, : len(CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
     return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{called}_{seed}")

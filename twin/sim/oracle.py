@@ -22,7 +22,6 @@ from twin.predictors.registry import PredictorError, predictor_class
 from twin.sim.bridge import TRUE_STATE, particulars_of
 from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sea import SeaState
 from usv_kernel.jit import kernel
@@ -51,17 +50,13 @@ _TIME, _SHIP = 0, 1
 _SIZE = _SHIP + fr.STATE_SIZE
 
 
-class _Ship(NamedTuple):
+class _True(NamedTuple):
     """The true ship in steady weather, and scratch."""
 
-    parameters: Any  # packed, see usv_gym.physics.parameters
-    waves: Any  # none
-    gusts: Any  # none
-    weather: Any  # mean wind and current
-    dof: int  # 3 or 6
+    vessel: Any  # usv_gym.physics.ship.Ship
+    sea: Any  # mean wind and current, no waves
     limits: Any  # (3,) largest abs(u), abs(v), m/s, and abs(r), rad/s
-    factors: Any  # of the waves
-    work: Any  # of a step
+    work: Any  # (ship.WORK_ROWS + 1, 16) of a step, and a state
 
 
 @kernel
@@ -70,19 +65,7 @@ def _sail(state, cmd, t, dt, true):
     steps, limits = math.ceil(dt / STEP - 1e-9), true.limits
     for j in range(steps):
         h = dt / steps
-        ship.step(
-            state,
-            cmd,
-            true.parameters,
-            true.waves,
-            true.gusts,
-            true.weather,
-            t + j * h,
-            h,
-            true.dof,
-            true.factors,
-            true.work,
-        )
+        ship.step(state, cmd, true.vessel, true.sea, t + j * h, h, true.work)
         total = 0.0
         for i in range(fr.STATE_SIZE):
             total += state[i]
@@ -95,8 +78,9 @@ def _sail(state, cmd, t, dt, true):
 
 
 @kernel
-def _roll(starts, plans, dt, true, state, out):
+def _roll(starts, plans, dt, true, out):
     """Write where ships get from their starts (B, 17) under plans (B, K, 4): (B, K, 16)."""
+    state = true.work[ship.WORK_ROWS]
     for b in range(plans.shape[0]):
         for i in range(fr.STATE_SIZE):
             state[i] = starts[b, _SHIP + i]
@@ -213,15 +197,11 @@ class Oracle(HistoryPredictor):
         quiet = np.random.default_rng(0)
         weather = (sea or SeaState()).realise(vessel, quiet, quiet).weather
         U, L = particulars.speed, particulars.length
-        self._true = _Ship(
-            vessel.packed.copy(),
-            np.zeros((WAVE_ROWS, 0)),
-            np.zeros((3, 0)),
-            weather,
-            dof,
+        self._true = _True(
+            ship.Ship(vessel.packed.copy(), dof),
+            ship.calm_sea(weather),
             np.array([4.0 * U, 4.0 * U, 4.0 * U / L]),
-            factor_room(0),
-            np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
+            np.zeros((ship.WORK_ROWS + 1, fr.STATE_SIZE)),
         )
         super().__init__(particulars, seed=seed)
 
@@ -278,5 +258,5 @@ class Oracle(HistoryPredictor):
     def _paths(self, starts: Array, plans: Array, dt: float) -> Array:
         out = np.empty((*plans.shape[:2], fr.STATE_SIZE))
         plans = np.ascontiguousarray(plans)
-        _roll(starts, plans, dt, self._true, np.zeros(fr.STATE_SIZE), out)
+        _roll(starts, plans, dt, self._true, out)
         return out[:, :, TRUE_STATE]

@@ -49,8 +49,9 @@ from twin.sim.bridge import particulars_of, simulate
 from twin.training.prior_population import random_boat
 from usv_gym.manoeuvring.manoeuvres import ANGLE, APPROACH, LEG, SWITCH
 from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.faults import Bursts, Disturbance, Fault, RandomFaults
 from usv_gym.world.sea import SeaState
-from usv_gym.world.sensors import Bursts, Disturbance, Fault, RandomFaults, SensorSuite
+from usv_gym.world.sensors import SensorSuite
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [

@@ -58,9 +58,8 @@ from twin.model.structure import (
 from twin.particulars import DESIGNS, STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.sim.bridge import TRUE_STATE, particulars_of
 from usv_gym.design.new_vessel import design
-from usv_gym.physics import GRAVITY, ship, weather
+from usv_gym.physics import GRAVITY, ship
 from usv_gym.physics import frames as fr
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_gym.vessel.vessel import Vessel, state_at
 
 __all__ = [
@@ -180,13 +179,9 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
     ship.sail(
         states,
         np.repeat(commands, STEPS, axis=0),
-        vessel.packed.copy(),
-        np.zeros((WAVE_ROWS, 0)),
-        np.zeros((3, 0)),
-        weather.constant(),
+        ship.Ship(vessel.packed, 3),
+        ship.calm_sea(),
         slow * ROW / STEPS,
-        3,
-        factor_room(0),
         np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
     )
     shown = states[::STEPS]

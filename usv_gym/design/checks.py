@@ -15,7 +15,7 @@ from usv_gym.physics import GRAVITY, KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.physics.waves import factor_room
+from usv_gym.physics.waves import factor_workspace
 from usv_gym.vessel.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
 from usv_gym.world.sea import Sea
 
@@ -41,7 +41,7 @@ NO_TURN = 100.0
 TWO_HULLS = 0.5
 """Below this water-plane coefficient the box is taken to hold two hulls."""
 
-_CALM, _FACTORS = Sea.calm(), factor_room(0)
+_CALM, _FACTORS = Sea.calm(), factor_workspace(0)
 
 
 @dataclass(frozen=True)
@@ -152,14 +152,12 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
         *(0.05 * period for period in periods),
     )
     state, cmd = state_at(vessel, n, speed), vessel.helm(n, vessel.helm_max)
-    p, work = vessel.packed.copy(), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+    free, calm = ship.Ship(vessel.packed, 6), ship.calm_sea()
+    work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
     heel = 0.0
     for k in range(int(120.0 * L / speed / dt)):
-        ship.step(
-            *(state, cmd, p, _CALM.waves, _CALM.gusts, _CALM.weather),
-            *(k * dt, dt, 6, _FACTORS, work),
-        )
+        ship.step(state, cmd, free, calm, k * dt, dt, work)
         heading, heel = abs(state[fr.PSI]), max(heel, abs(state[fr.PHI]))
         if not heel < CAPSIZED or heading > 4.0 * math.pi:
             break

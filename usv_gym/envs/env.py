@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
-from usv_gym.envs.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED
-from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.sea import SeaState
-from usv_gym.world.sensors import Disturbance, SensorSuite
+from usv_gym.envs.tasks import TASK
+from usv_kernel.records import field_at, record_size
 
 __all__ = [
     "USVEnv",
 ]
 
 
+_LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
+    field_at(TASK, name)
+    for name in ("leg", "errors", "terms", "reward", "terminated", "success", "capsized")
+)
+"""Where these stand in a task's flat record: one list a step is quicker than seven views."""
+
+
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):
-    """An unmanned surface vessel in wind and waves, seen through its sensors.
+    """An unmanned surface vessel in wind and waves, observed through its sensors.
 
     Description
     -----------
@@ -91,34 +96,6 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
 
     Parameters
     ----------
-    vessel : str or Path or Vessel
-        Name, TOML file or object.
-    sea : str or SeaState or sequence of them
-        Name in :data:`usv_gym.world.sea.SEA_STATES`, or an object. Of several, as in ``"0|2|4"``,
-        each episode draws one.
-    hs, wind, wind_from_deg : float, optional
-        Change the sea state's wave height (m), wind speed (m/s) and where the wind comes
-        from (degrees).
-    suite : SensorSuite or str, optional
-        Errors and rates of the sensors, or one of :data:`usv_gym.world.sensors.GRADES`
-        (``"typical"``, ``"best"``, ``"consumer"``, ``"perfect"``).
-    faults : str or sequence of Disturbance
-        ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
-        without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,
-        see :func:`usv_gym.world.sensors.parse_faults`; or faults with their times. Of several texts,
-        as in ``"none|gps10|gps30"``, each episode draws one.
-    task : str
-        One of :data:`usv_gym.envs.tasks.TASKS`.
-    actions : str
-        ``"common"`` or ``"units"``.
-    frame_skip : int
-        Steps of ``dt`` that an action is held for; the reward is their sum, and sensors (and
-        a twin) run in each of them.
-    dof : int
-        Degrees of freedom of the ship: 3 (surge, sway, yaw), or 6, with heave, roll and pitch
-        in the waves, and their share of gravity in the accelerometers.
-    dt, dt_physics : float
-        Control and integration step, s.
     record : bool
         Keep every row, for :func:`twin.sim.wrapper.log_of`.
     observer : callable, optional
@@ -128,6 +105,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         shows each decision. Both need the extra ``render``.
     render_size : tuple of int
         Width and height of a picture, pixels; at least 400 x 360.
+    **options
+        Those of :class:`~usv_gym.envs.config.EnvConfig`: vessel, sea, sensors, faults, task,
+        actions and time steps.
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's attribute
@@ -138,40 +118,14 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     def __init__(
         self,
         *,
-        vessel: str | Path | Vessel = "usv75",
-        sea: str | SeaState | Sequence[str | SeaState] = "2",
-        hs: float | None = None,
-        wind: float | None = None,
-        wind_from_deg: float | None = None,
-        suite: SensorSuite | str | None = None,
-        faults: str | Sequence[Disturbance] = "none",
-        task: str = "path",
-        actions: str = "common",
-        frame_skip: int = 1,
-        dof: int = 3,
-        dt: float = 0.05,
-        dt_physics: float = 0.05,
         record: bool = False,
         observer: Callable[[Episodes], Observer] | None = None,
         render_mode: str | None = None,
         render_size: tuple[int, int] = RENDER_SIZE,
+        **options: Any,
     ) -> None:
-        self.episodes = Episodes(
-            1,
-            vessel=vessel,
-            sea=sea,
-            hs=hs,
-            wind=wind,
-            wind_from_deg=wind_from_deg,
-            suite=suite,
-            faults=faults,
-            task=task,
-            actions=actions,
-            frame_skip=frame_skip,
-            dof=dof,
-            dt=dt,
-            dt_physics=dt_physics,
-        )
+        own = "record", "render_mode", "render_size"
+        self.episodes = Episodes(1, EnvConfig.of(options, own))
         self.simulation, self.task = self.episodes.simulation, self.episodes.task
         self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
         self.speed = self.episodes.speed
@@ -183,17 +137,18 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         )
         self._shape, self._obs_shape = (self.episodes.width,), (1, len(self.observation_names))
         self._action = self.episodes.actions[1, 0]
-        self._record, self._time = self.task.records[0], self.simulation.t
+        self._progress = self.episodes.memory[0, : record_size(TASK)]
+        self._time = self.simulation.t
         self._started = False
         if self.observer:
-            self.episodes.watchers.append(self.observer.observe)
+            self.episodes.callbacks.append(self.observer.observe)
         self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         self.history: list[np.ndarray] | None = [] if record else None
         """With ``record``: a row of time, command, measurement and true state per step."""
         if record:
-            self.episodes.watchers.append(self._remember)
+            self.episodes.callbacks.append(self._remember)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -225,7 +180,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.history.clear()
             self._remember(obs)
         self._show()
-        return obs[0], self._info(self._record.tolist())
+        return obs[0], self._info(self._progress.tolist())
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Sail for one decision; see :meth:`gymnasium.Env.step`.
@@ -258,8 +213,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
         self._show()
-        record = self._record.tolist()
-        return obs[0], record[REWARD], record[TERMINATED] != 0.0, False, self._info(record)
+        progress = self._progress.tolist()
+        terminated = progress[_TERMINATED] != 0.0
+        return obs[0], progress[_REWARD], terminated, False, self._info(progress)
 
     def render(self) -> Frame | None:  # type: ignore[override]
         """Return a picture, shape (height, width, 3), if the mode is ``"rgb_array"``."""
@@ -281,20 +237,14 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         assert self.history is not None
         self.history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
 
-    def _info(self, record: list[float]) -> dict[str, Any]:
-        names = self.task.terms
+    def _info(self, progress: list[float]) -> dict[str, Any]:
         info = {
             "t_s": self._time.item(0),
-            "cross_track_m": record[ERROR],
-            "leg": int(record[LEG]),
-            "is_success": record[SUCCESS] != 0.0,
-            "capsized": record[CAPSIZED] != 0.0,
-            "reward_terms": {
-                names[0]: record[TERM],
-                names[1]: record[TERM + 1],
-                names[2]: record[TERM + 2],
-                names[3]: record[TERM + 3],
-            },
+            "cross_track_m": progress[_ERRORS],
+            "leg": int(progress[_LEG]),
+            "is_success": progress[_SUCCESS] != 0.0,
+            "capsized": progress[_CAPSIZED] != 0.0,
+            "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_REWARD], strict=True)),
         }
         if self.observer:
             for name, values in self.observer.infos().items():

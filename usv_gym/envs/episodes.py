@@ -1,4 +1,4 @@
-"""n episodes at once: boats, their tasks, and what their agents see. Behind every environment."""
+"""n episodes at once: boats, their tasks, and their observations. Behind every environment."""
 
 from __future__ import annotations
 
@@ -6,35 +6,29 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.envs.tasks import (
-    ERRORS,
-    KNOWN_LEG,
-    REACH,
-    SPEED,
-    TERM,
-    TERMINATED,
-    UNIT,
-    follow,
-    judge,
-    make_task,
-)
+from usv_gym.envs.config import EnvConfig, check_count
+from usv_gym.envs.tasks import ERRORS, RULES, TASK, follow, make_task, score_step
 from usv_gym.physics import GRAVITY
+from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world import sensors
-from usv_gym.world.sea import SeaState, choice
-from usv_gym.world.sensors import Disturbance, FaultError, SensorSuite
-from usv_gym.world.simulation import BIAS, CMD, COUNT, STEP, Simulation, Z, advance, out_of_noise
+from usv_gym.world.channels import CHANNELS
+from usv_gym.world.faults import Disturbance, FaultError, fault_records, parse_faults
+from usv_gym.world.sea import choice
+from usv_gym.world.simulation import Simulation, advance, out_of_numbers
+from usv_gym.world.state import BOAT, SIMULATION
 from usv_kernel.jit import kernel
+from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
 
 __all__ = [
     "BOUND",
+    "EPISODE",
+    "EPISODES",
     "OBSERVATION",
     "Episodes",
     "Observer",
@@ -58,44 +52,41 @@ AGE_SCALE = 10.0
 FAULT_START = (10.0, 60.0)
 """A fault given by its name begins at random between these times, s."""
 
-# one row of numbers per boat: the last samples, their ages, task errors as known on board, and how
-# many steps the boat lets pass, because it has just been reset or its episode is over
-HELD = 0
+EPISODE = np.dtype(
+    [
+        ("task", TASK),
+        ("held", float, len(CHANNELS)),  # last sample of each channel, its unit
+        ("age", float, 3),  # s, of the last sample of GPS, compass, IMU
+        ("known_errors", float, len(ERRORS)),  # errors of the task as known on board
+        ("idle_steps", float),  # steps to let pass, after a reset or the end of an episode
+    ]
+)
+"""What lasts of one episode besides the boat."""
 
-AGE = HELD + len(sensors.CHANNELS)
+EPISODES = np.dtype(
+    [
+        ("simulation", SIMULATION),
+        ("rules", RULES),
+        ("frames", float),  # control steps of a decision
+        ("scale", float, COMMAND_SIZE),  # command of a full action: rev/s, rad
+        ("mixing", float, (COMMAND_SIZE, COMMAND_SIZE)),  # share of each action in each command
+    ]
+)
+"""What all episodes share, and never changes."""
 
-KNOWN_ERROR = AGE + 3
-
-RESTS = KNOWN_ERROR + len(ERRORS)
-
-RECORD_SIZE = RESTS + 1
-
-# rules of the task are followed by the steps of a decision and what turns actions into commands
-FRAMES = 5
-
-SCALE = FRAMES + 1
-
-MIXING = SCALE + 4
-
-DONE, NOT_FINITE, NO_NOISE = 0, 1, 2
-"""What a step may say."""
+DONE, NOT_FINITE, NO_NUMBERS = 0, 1, 2
+"""Results of a step."""
 
 _ALL = slice(None)
 
 
 @kernel
 def observe(
-    boat: np.ndarray,
-    task: np.ndarray,
-    points: np.ndarray,
-    rules: np.ndarray,
-    dt: float,
-    seen: np.ndarray,
-    o: np.ndarray,
+    boat: Record, episode: Record, points: np.ndarray, config: Record, o: np.ndarray
 ) -> None:
     """Hold the last sample of each sensor of one boat, and write the observation from it."""
-    z, held = boat[Z:BIAS], seen[HELD:AGE]
-    age, errors = seen[AGE:KNOWN_ERROR], seen[KNOWN_ERROR:RESTS]
+    z, held, age, errors = boat.measurement, episode.held, episode.age, episode.known_errors
+    rules, dt = config.rules, config.simulation.dt
     for j in range(3):
         age[j] += dt
     if math.isfinite(z[0]):
@@ -109,24 +100,23 @@ def observe(
         age[2] = 0.0
         for j in range(5, 8):
             held[j] = z[j]
-    leg = int(task[KNOWN_LEG])
-    leg = follow(held[0], held[1], held[4], points, leg, rules[REACH], errors)
-    task[KNOWN_LEG] = leg
-    speed = rules[SPEED]
+    leg = int(episode.task.known_leg)
+    leg = follow(held[0], held[1], held[4], points, leg, rules.reach, errors)
+    episode.task.known_leg = leg
     # new since the last decision, and there was one at all
-    fresh = (min(rules[FRAMES] - 1.0, boat[COUNT]) + 0.5) * dt
+    fresh = (min(config.frames - 1.0, boat.step) + 0.5) * dt
     s, c = sincos(held[4])
     o[0], o[1], o[2] = c, s, held[5]
     o[3], o[4] = held[6] / GRAVITY, held[7] / GRAVITY
-    o[5] = (held[2] * c + held[3] * s) / speed
-    o[6] = (held[3] * c - held[2] * s) / speed
+    o[5] = (held[2] * c + held[3] * s) / rules.speed
+    o[6] = (held[3] * c - held[2] * s) / rules.speed
     for j in range(3):
         o[7 + j] = 1.0 if age[j] < fresh else 0.0
         o[10 + j] = age[j] / AGE_SCALE
     for j in range(4):
-        o[13 + j] = boat[CMD + j] / rules[SCALE + j]
-    o[17] = errors[0] / rules[UNIT]
-    o[18] = 0.1 * errors[1] / rules[UNIT]
+        o[13 + j] = boat.command[j] / config.scale[j]
+    o[17] = errors[0] / rules.unit
+    o[18] = 0.1 * errors[1] / rules.unit
     o[20], o[19] = sincos(errors[2])
     o[22], o[21] = sincos(errors[3])
     for j in range(len(OBSERVATION)):  # more may follow
@@ -135,54 +125,64 @@ def observe(
 
 @kernel
 def _step(
-    boats: np.ndarray,
-    layout: np.ndarray,
-    constants: np.ndarray,
+    rows: np.ndarray,
+    episodes: np.ndarray,
+    shared: np.ndarray,
     factors: np.ndarray,
-    tasks: np.ndarray,
     points: np.ndarray,
-    rules: np.ndarray,
-    seen: np.ndarray,
     actions: np.ndarray,
     obs: np.ndarray,
     left: int,
 ) -> int:
-    """Take one step of every boat, but those that rest; unless it says DONE, nothing was done.
+    """Take one step of every boat that is not idle; unless it returns DONE, nothing was done.
 
-    ``actions`` (2, n, A) holds the action of the last step, and this one; ``left`` says how many
+    ``rows`` and ``episodes`` are the flat memory of BOAT and EPISODE, ``shared`` of EPISODES.
+    ``actions`` (2, n, A) holds the action of the last step, and this one. ``left`` is how many
     steps of this decision follow.
     """
-    first = left + 1 == int(rules[FRAMES])
+    config = as_record(shared, EPISODES)
+    first = left + 1 == int(config.frames)
     width = actions.shape[2]
-    for i in range(boats.shape[0]):
+    for i in range(rows.shape[0]):
+        idle = as_record(episodes[i], EPISODE).idle_steps
         for j in range(width):
-            if not math.isfinite(actions[1, i, j]) and seen[i, RESTS] == 0.0:
+            if not math.isfinite(actions[1, i, j]) and idle == 0.0:
                 return NOT_FINITE
-    if out_of_noise(boats):
-        return NO_NOISE
-    for i in range(boats.shape[0]):
-        if seen[i, RESTS] > 0.0:
-            seen[i, RESTS] -= 1.0
+    if out_of_numbers(rows):
+        return NO_NUMBERS
+    for i in range(rows.shape[0]):
+        episode = as_record(episodes[i], EPISODE)
+        if episode.idle_steps > 0.0:
+            episode.idle_steps -= 1.0
             continue
-        before, action = actions[0, i], actions[1, i]
+        boat, before, action = as_record(rows[i], BOAT), actions[0, i], actions[1, i]
         for j in range(width):
             action[j] = min(max(action[j], -1.0), 1.0)
         for j in range(4):
             share = 0.0
             for k in range(width):
-                share += rules[MIXING + j * width + k] * action[k]
-            boats[i, CMD + j] = rules[SCALE + j] * min(max(share, -1.0), 1.0)
-        advance(boats[i], layout, constants, factors)
+                share += config.mixing[j, k] * action[k]
+            boat.command[j] = config.scale[j] * min(max(share, -1.0), 1.0)
+        advance(rows[i], config.simulation, factors)
         if first:
-            for j in range(TERM, TERMINATED):
-                tasks[i, j] = 0.0
-        judge(boats[i, :CMD], action, before, points[i], rules, tasks[i])
-        observe(boats[i], tasks[i], points[i], rules, constants[STEP], seen[i], obs[i])
+            episode.task.terms[:] = 0.0
+            episode.task.reward = 0.0
+        score_step(boat.state, action, before, points[i], config.rules, episode.task)
+        observe(boat, episode, points[i], config, obs[i])
         for j in range(width):
             before[j] = action[j]
-        if tasks[i, TERMINATED] != 0.0:
-            seen[i, RESTS] = left
+        if episode.task.terminated != 0.0:
+            episode.idle_steps = left
     return DONE
+
+
+@kernel
+def _observe(
+    row: np.ndarray, episode: np.ndarray, points: np.ndarray, shared: np.ndarray, obs: np.ndarray
+) -> None:
+    """Write the observation of one boat, from flat memory."""
+    boat, memory = as_record(row, BOAT), as_record(episode, EPISODE)
+    observe(boat, memory, points, as_record(shared, EPISODES), obs)
 
 
 class Observer(ABC):
@@ -202,7 +202,7 @@ class Observer(ABC):
 
     @abstractmethod
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
-        """See a step of the boats that did not rest, and write their entries.
+        """Take in a step of the boats that are not idle, and write their entries.
 
         Parameters
         ----------
@@ -226,101 +226,84 @@ class Episodes:
     ----------
     n : int
         Number of boats.
+    config : EnvConfig
+        Options of the environment.
     threads : int
-        Threads that share the boats; the results do not hang on it.
-    vessel, sea, hs, wind, wind_from_deg, suite, faults, task, actions, frame_skip, dof, dt, \
-    dt_physics
-        See :class:`usv_gym.envs.env.USVEnv`.
+        Threads that share the boats; results do not depend on it.
 
     Attributes
     ----------
     simulation : Simulation
-        The world.
+        The simulator.
     task : Task
         What is asked of the boats.
     speed : float
-        Usual speed, m/s.
+        Nominal speed, m/s.
     width : int
         Numbers in an action.
-    watchers : list of callable
+    records : ndarray of EPISODE, shape (n,)
+        What lasts of each episode.
+    config, shared : record of EPISODES, ndarray
+        What kernels read of the options, and the same as flat memory.
+    callbacks : list of callable
         Called after each step with the observations, and whether it is the last of a decision.
     """
 
-    def __init__(
-        self,
-        n: int,
-        *,
-        threads: int = 1,
-        vessel: str | Path | Vessel = "usv75",
-        sea: str | SeaState | Sequence[str | SeaState] = "2",
-        hs: float | None = None,
-        wind: float | None = None,
-        wind_from_deg: float | None = None,
-        suite: SensorSuite | str | None = None,
-        faults: str | Sequence[Disturbance] = "none",
-        task: str = "path",
-        actions: str = "common",
-        frame_skip: int = 1,
-        dof: int = 3,
-        dt: float = 0.05,
-        dt_physics: float = 0.05,
-    ) -> None:
-        if actions not in ("common", "units"):
-            raise ValueError(f"actions = {actions!r}; use 'common' or 'units'")
-        for name, count in (("num_threads", threads), ("frame_skip", frame_skip)):
-            if isinstance(count, bool) or not (isinstance(count, (int, np.integer)) and count >= 1):
-                raise ValueError(f"{name} = {count!r}: must be a whole number, 1 or more")
-        self.vessel = Vessel.load(vessel)
-        if wind_from_deg is not None and not isinstance(wind_from_deg, (int, float, np.number)):
-            raise ValueError(f"wind_from_deg = {wind_from_deg!r}: must be a number of degrees")
-        wind_from = None if wind_from_deg is None else math.radians(wind_from_deg % 360.0)
-        self.seas = tuple(
-            state.replace(hs=hs, wind=wind, wind_from=wind_from) for state in SeaState.any_of(sea)
-        )
-        given, most = _faults(faults, dt)
+    def __init__(self, n: int, config: EnvConfig, *, threads: int = 1) -> None:
+        check_count("num_threads", threads)
+        self.vessel, self.seas = Vessel.load(config.vessel), config.seas()
+        given, most = _faults(config.faults, config.dt)
         self.simulation = Simulation(
             n,
             self.vessel,
             self.seas,
-            suite=suite,
+            suite=config.suite,
             faults=given,
             max_faults=most,
-            dof=dof,
-            dt=dt,
-            dt_physics=dt_physics,
+            dof=config.dof,
+            dt=config.dt,
+            dt_physics=config.dt_physics,
         )
         limits = self.vessel.values
-        self.n, self.frame_skip = n, int(frame_skip)
+        self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
-        self.watchers: list[Callable[[NDArray[np.float32], bool], None]] = []
-        self.speed = self.vessel.straight_speed(limits["shaft_speed_manoeuvring"])
-        self.task = make_task(task, n, self.speed, limits["length_waterline"])
-        n_max, delta_max = limits["shaft_speed_service"], self.vessel.helm_max
-        self._scale = np.array([n_max, n_max, delta_max, delta_max])
-        mixing = self.vessel.mixing if actions == "common" else self.vessel.actuators
+        self.callbacks: list[Callable[[NDArray[np.float32], bool], None]] = []
+        n_manoeuvring, n_max = limits["shaft_speed_manoeuvring"], limits["shaft_speed_service"]
+        self.speed = self.vessel.straight_speed(n_manoeuvring)
+        self.task = make_task(config.task, n, self.speed, limits["length_waterline"])
+        self.memory = np.zeros((n, record_size(EPISODE)))
+        """What lasts of each episode, as kernels take it."""
+        self.records = structured(self.memory, EPISODE)
+        self.task.records = self.records["task"]
+        common = config.actions == "common"
+        mixing = self.vessel.mixing if common else self.vessel.actuators
         self.width = mixing.shape[1]
-        n_usual = limits["shaft_speed_manoeuvring"]
-        self.usual_action = np.linalg.pinv(mixing) @ (
-            np.array([n_usual, n_usual, 0.0, 0.0]) / self._scale
+        shared = np.zeros(1, EPISODES)
+        self.config, self.shared = shared[0], shared.view(float)
+        self.config["simulation"], self.config["rules"] = self.simulation.config, self.task.rules
+        self.config["frames"] = self.frame_skip
+        self.config["scale"] = scale = np.array([n_max, n_max, *2 * (self.vessel.helm_max,)])
+        self.config["mixing"][:, : self.width] = mixing
+        self.nominal_action = np.linalg.pinv(mixing) @ (
+            np.array([n_manoeuvring, n_manoeuvring, 0.0, 0.0]) / scale
         )
-        """The action that holds the usual speed, straight ahead; episodes begin with it."""
+        """The action that holds the nominal speed, straight ahead; episodes begin with it."""
         self.actions = np.zeros((2, n, self.width))
         """Those of the last step, and of this one."""
-        self.seen = np.zeros((n, RECORD_SIZE))
-        boats, layout, constants, factors = self.simulation.arguments
-        self.rules = np.concatenate(
-            [self.task.rules, [self.frame_skip], self._scale, mixing.ravel()]
-        )
         parts = np.array_split(np.arange(n), min(threads, n))
         self.blocks = [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
         """The boats of each thread."""
+        sim = self.simulation
         self._arguments: list[tuple[Any, ...]] = [
             (
-                *(boats[rows], layout, constants, factors.copy()),
-                *(self.task.records[rows], self.task.points[rows], self.rules),
-                *(self.seen[rows], self.actions[:, rows]),
+                sim.rows[block],
+                self.memory[block],
+                self.shared,
+                sim.factors.copy(),
+                self.task.points[block],
+                self.actions[:, block],
             )
-            for rows in self.blocks
+            for block in self.blocks
         ]
         self._pool = ThreadPoolExecutor(len(self.blocks)) if len(self.blocks) > 1 else None
 
@@ -348,15 +331,12 @@ class Episodes:
         obs : ndarray, shape (23,)
             Its first observation is written there.
         """
-        for_world, for_task = rng.spawn(2)
-        self.simulation.reset([i], [for_world])
+        for_simulation, for_task = rng.spawn(2)
+        self.simulation.reset([i], [for_simulation])
+        self.records[i] = 0.0
         self.task.reset(i, for_task)
-        self.actions[:, i] = self.usual_action
-        self.seen[i] = 0.0
-        observe(
-            *(self.simulation.boats[i], self.task.records[i], self.task.points[i], self.rules),
-            *(self.simulation.dt, self.seen[i], obs),
-        )
+        self.actions[:, i] = self.nominal_action
+        _observe(self.simulation.rows[i], self.memory[i], self.task.points[i], self.shared, obs)
 
     def step(self, obs: np.ndarray) -> bool:
         """Take the steps of one decision by ``actions[1]``.
@@ -364,7 +344,7 @@ class Episodes:
         Parameters
         ----------
         obs : ndarray, shape (n, 23 or more)
-            The observations are written there, but for boats that rest.
+            The observations are written there, but for idle boats.
 
         Returns
         -------
@@ -374,23 +354,23 @@ class Episodes:
         for left in self._countdown:
             if not self._step(obs, left):
                 return False
-            for watch in self.watchers:
-                watch(obs, left == 0)
+            for callback in self.callbacks:
+                callback(obs, left == 0)
         return True
 
     def _step(self, obs: np.ndarray, left: int) -> bool:
         if self._pool is None:
             arguments = (*self._arguments[0], obs, left)
-            said = _step(*arguments)
-            if said == NO_NOISE:
-                self.simulation.draw_noise()
-                said = _step(*arguments)
-            return bool(said == DONE)
-        awake = self.seen[:, RESTS] == 0.0
-        if not np.isfinite(self.actions[1, awake]).all():
+            result = _step(*arguments)
+            if result == NO_NUMBERS:
+                self.simulation.draw_numbers()
+                result = _step(*arguments)
+            return bool(result == DONE)
+        active = self.records["idle_steps"] == 0.0
+        if not np.isfinite(self.actions[1, active]).all():
             return False
-        if out_of_noise(self.simulation.boats):
-            self.simulation.draw_noise()
+        if out_of_numbers(self.simulation.rows):
+            self.simulation.draw_numbers()
         self.each(lambda j: _step(*(*self._arguments[j], obs[self.blocks[j]], left)))
         return True
 
@@ -404,19 +384,19 @@ class Episodes:
     @property
     def steps(self) -> np.ndarray:
         """Steps since the reset, shape (n,), as floats; a view."""
-        return self.simulation.records[:, COUNT]
+        return self.simulation.boats["step"]
 
 
 def _faults(faults: str | Sequence[Disturbance], dt: float) -> tuple[Any, int]:
     """Return faults, or a function that draws them, and how many there are at most."""
     if isinstance(faults, str):
         texts = faults.split("|")
-        # a wrong name dies here, not at the first reset
-        most = max(len(sensors.fault_rows(sensors.parse_faults(one, 0.0), dt)) for one in texts)
+        # a wrong name fails here, not at the first reset
+        most = max(len(fault_records(parse_faults(one, 0.0), dt)) for one in texts)
 
         def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
             start = rng.uniform(*FAULT_START)
-            return sensors.parse_faults(choice(texts, rng), start)
+            return parse_faults(choice(texts, rng), start)
 
         return draw, most
     items = list(faults) if isinstance(faults, Sequence) else [faults]

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.envs.episodes import BOUND, OBSERVATION, SCALE, Episodes, Observer
-from usv_gym.envs.tasks import ERROR, SPEED, TERM, UNIT
+from usv_gym.envs.episodes import BOUND, EPISODE, EPISODES, OBSERVATION, Episodes, Observer
 from usv_gym.physics import frames as fr
-from usv_gym.world.simulation import CMD
+from usv_gym.world.state import BOAT
 from usv_kernel.jit import kernel
+from usv_kernel.records import as_record
 
 __all__ = [
     "OBSERVERS",
@@ -62,19 +62,21 @@ class Stacked(Observer):
 
 
 @kernel
-def _true_state(boats, tasks, rules, obs):
+def _true_state(rows, episodes, shared, obs):
     """Write the truth behind the sensors' entries of each boat's observation."""
-    speed = rules[SPEED]
-    for i in range(boats.shape[0]):
-        state, errors, o = boats[i, :CMD], tasks[i, ERROR:TERM], obs[i, len(OBSERVATION) :]
+    config = as_record(shared, EPISODES)
+    rules = config.rules
+    for i in range(rows.shape[0]):
+        state, errors = as_record(rows[i], BOAT).state, as_record(episodes[i], EPISODE).task.errors
+        o = obs[i, len(OBSERVATION) :]
         psi = state[fr.PSI]
-        o[0], o[1], o[2] = state[fr.U] / speed, state[fr.V] / speed, state[fr.R]
+        o[0], o[1], o[2] = state[fr.U] / rules.speed, state[fr.V] / rules.speed, state[fr.R]
         o[3], o[4] = math.cos(psi), math.sin(psi)
-        o[5], o[6] = errors[0] / rules[UNIT], 0.1 * errors[1] / rules[UNIT]
+        o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
         o[7], o[8] = math.cos(errors[2]), math.sin(errors[2])
         o[9], o[10] = math.cos(errors[3]), math.sin(errors[3])
         for j in range(4):
-            o[11 + j] = state[fr.N_LEFT + j] / rules[SCALE + j]
+            o[11 + j] = state[fr.N_LEFT + j] / config.scale[j]
         for j in range(o.shape[0]):
             o[j] = min(max(o[j], -BOUND), BOUND)
 
@@ -95,8 +97,7 @@ class TrueState(Observer):
         if look:
             episodes = self._episodes
             _true_state(
-                *(episodes.simulation.boats[rows], episodes.task.records[rows], episodes.rules),
-                obs[rows],
+                episodes.simulation.rows[rows], episodes.memory[rows], episodes.shared, obs[rows]
             )
 
 

@@ -15,8 +15,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.envs.episodes import AGE, HELD, Episodes, Observer
-from usv_gym.envs.tasks import ERROR, LEG, NOTHING, REWARD, TERM
+from usv_gym.envs.episodes import Episodes, Observer
+from usv_gym.envs.tasks import NOTHING
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
@@ -156,7 +156,7 @@ class Scene:
         Terms of the last step's reward; none without a goal.
     heeling : bool
         Whether the boat rolls and pitches at all.
-    belief : Belief, optional
+    overlay : TwinOverlay, optional
         What its twin believes.
     """
 
@@ -248,7 +248,7 @@ class Renderer:
     episodes : Episodes
         The boats.
     observer : Observer, optional
-        Its method ``belief``, if it has one, returns what the twin of boat i believes.
+        Its method ``overlay``, if it has one, returns the estimate of the twin of boat i.
     mode : str
         ``"rgb_array"`` or ``"human"``.
     size : tuple of int
@@ -274,7 +274,9 @@ class Renderer:
             )
         self.episodes, self.mode = episodes, mode
         self.painter = Painter(size)
-        self.overlay: Callable[[int], TwinOverlay | None] | None = getattr(observer, "belief", None)
+        self.overlay: Callable[[int], TwinOverlay | None] | None = getattr(
+            observer, "overlay", None
+        )
         self.waits = False
         self._window = Window(self.painter.size, fps_of(episodes)) if mode == "human" else None
         length = episodes.vessel.values["length_overall"]
@@ -282,7 +284,7 @@ class Renderer:
             Trail(0.05 * length, 0.2 * _span(episodes.vessel, episodes.speed))
             for _ in range(episodes.n)
         ]
-        episodes.watchers.append(self._remember)
+        episodes.callbacks.append(self._remember)
 
     @classmethod
     def of(
@@ -297,9 +299,11 @@ class Renderer:
 
     def _remember(self, obs: NDArray[np.float32], look: bool = True) -> None:
         """Watch a step of every boat, as :class:`Episodes` has it."""
-        sim, seen = self.episodes.simulation, self.episodes.seen
+        sim, records = self.episodes.simulation, self.episodes.records
         for i, trail in enumerate(self.trails):
-            trail.add(sim.t.item(i), sim.state[i], seen[i, HELD : HELD + 2], seen.item(i, AGE))
+            trail.add(
+                sim.t.item(i), sim.state[i], records["held"][i, :2], records["age"].item(i, 0)
+            )
 
     def look(self) -> None:
         """Remember also what a reset made new; show the first boat where there is a window."""
@@ -313,9 +317,9 @@ class Renderer:
             *(self.episodes, self.episodes.simulation, self.episodes.task),
             self.trails[i],
         )
-        t, age = sim.t.item(i), self.episodes.seen.item(i, AGE)
-        record, goal = task.records[i].tolist(), task.kind != NOTHING
-        terms = record[TERM:REWARD]
+        t, age = sim.t.item(i), self.episodes.records["age"].item(i, 0)
+        record, goal = task.records[i], task.kind != NOTHING
+        terms = record["terms"].tolist()
         north, east = wx.air_velocity(t, sim.gusts[i], sim.weather[i])
         waves = sim.waves[i]
         # the components' mean direction, weighted with their energy
@@ -331,8 +335,8 @@ class Renderer:
             view=trail.view,
             track=np.array([*trail.track, sim.state[i, :2]]),
             path=task.points[i].copy() if goal else np.empty((0, 2)),
-            leg=int(record[LEG]),
-            off_path=record[ERROR],
+            leg=int(record["leg"]),
+            off_path=float(record["errors"][0]),
             fixes=np.array(trail.fixes).reshape(-1, 2),
             gps_age=age,
             gps_lost=age > max(3.0 / sim.suite.gps_rate, 0.5),

@@ -8,9 +8,12 @@ import numpy as np
 
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
+from usv_kernel.records import Record
 from usv_kernel.scalar import wrap
 
 __all__ = [
+    "RULES",
+    "TASK",
     "TASKS",
     "Curves",
     "FreeManoeuvre",
@@ -21,7 +24,7 @@ __all__ = [
     "TaskError",
     "WayPoints",
     "follow",
-    "judge",
+    "score_step",
 ]
 
 ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
@@ -87,40 +90,43 @@ def follow(
     return leg
 
 
-# one row of numbers per boat: where each part begins
-LEG = 0
-
-ERROR = LEG + 1
-
-TERM = ERROR + len(ERRORS)
-
-REWARD = TERM + N_TERMS
-
-TERMINATED, SUCCESS = REWARD + 1, REWARD + 2
-
-CAPSIZED = SUCCESS + 1
-
-KNOWN_LEG = CAPSIZED + 1
-
-RECORD_SIZE = KNOWN_LEG + 1
-
-# and what is common to all boats: what is rated, the distance at which a way point counts as
-# reached (m), the usual speed (m/s), the distance that ends the episode (m), and the unit of
-# distances off the path (m)
-KIND, REACH, SPEED, AREA, UNIT = 0, 1, 2, 3, 4
-
 NOTHING, PATH, STATION = 0, 1, 2
 """Kinds of tasks."""
 
+TASK = np.dtype(
+    [
+        ("leg", float),  # from way point ``leg`` to the next
+        ("errors", float, len(ERRORS)),  # true errors, see ERRORS
+        ("terms", float, N_TERMS),  # reward since the last decision, term by term
+        ("reward", float),  # and their sum
+        ("terminated", float),  # 1 where the episode is over
+        ("success", float),
+        ("capsized", float),
+        ("known_leg", float),  # leg by what is known on board
+    ]
+)
+"""Progress of one boat in its task."""
+
+RULES = np.dtype(
+    [
+        ("kind", float),  # NOTHING, PATH or STATION
+        ("reach", float),  # m, distance at which a way point counts as reached
+        ("speed", float),  # m/s, nominal speed
+        ("area", float),  # m, distance that ends the episode
+        ("unit", float),  # m, distance off the path that counts as 1
+    ]
+)
+"""What is common to the tasks of all boats."""
+
 
 @kernel
-def judge(
+def score_step(
     state: np.ndarray,
     action: np.ndarray,
     before: np.ndarray,
     points: np.ndarray,
-    rules: np.ndarray,
-    record: np.ndarray,
+    rules: Record,
+    task: Record,
 ) -> None:
     """Write errors and end of one step of one boat, and add its reward terms, from the truth.
 
@@ -132,47 +138,47 @@ def judge(
         Action of this step and of the step before.
     points : ndarray, shape (K, 2)
         Path.
-    rules : ndarray, shape (5,)
-        What is common to all boats; parts as named above.
-    record : ndarray, shape (RECORD_SIZE,)
-        Parts as named above; written, but for the leg that the boat believes to be on.
+    rules : record of :data:`RULES`
+        What is common to all boats.
+    task : record of :data:`TASK`
+        Written, but for ``known_leg``.
     """
-    errors = record[ERROR:TERM]
-    leg = follow(state[0], state[1], state[5], points, int(record[LEG]), rules[REACH], errors)
-    record[LEG] = leg
+    errors = task.errors
+    leg = follow(state[0], state[1], state[5], points, int(task.leg), rules.reach, errors)
+    task.leg = leg
     # the mast points below the horizon
     capsized = math.cos(state[3]) * math.cos(state[4]) < 0.0
-    record[CAPSIZED] = record[TERMINATED] = 1.0 if capsized else 0.0
-    if rules[KIND] == NOTHING:
+    task.capsized = task.terminated = 1.0 if capsized else 0.0
+    if rules.kind == NOTHING:
         return
     change = 0.0
     for j in range(action.shape[0]):
         change += abs(action[j] - before[j])
-    if rules[KIND] == PATH:
+    if rules.kind == PATH:
         along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
         # as much too fast costs what as much too slow does
-        first = 1.0 - abs(along / rules[SPEED] - 1.0)
-        second = -min(abs(errors[0]) / rules[UNIT], 2.0)
-        reached = leg + 2 == points.shape[0] and errors[1] < rules[REACH]
-        far = abs(errors[0]) > rules[AREA]
+        first = 1.0 - abs(along / rules.speed - 1.0)
+        second = -min(abs(errors[0]) / rules.unit, 2.0)
+        reached = leg + 2 == points.shape[0] and errors[1] < rules.reach
+        far = abs(errors[0]) > rules.area
         over = reached or far
     else:
         distance = math.hypot(errors[0], errors[1])
         speed = math.hypot(state[6], state[7])
-        first = -0.5 * distance / rules[UNIT]
-        second = -0.1 * speed / rules[SPEED]
-        reached = distance < rules[REACH]
-        over = far = distance > rules[AREA]
+        first = -0.5 * distance / rules.unit
+        second = -0.1 * speed / rules.speed
+        reached = distance < rules.reach
+        over = far = distance > rules.area
     third = -0.05 * change
     fourth = -FAILURE if far or capsized else 0.0
-    record[TERM] += first
-    record[TERM + 1] += second
-    record[TERM + 2] += third
-    record[TERM + 3] += fourth
-    record[REWARD] += first + second + third + fourth
-    record[SUCCESS] = 1.0 if reached and not capsized else 0.0
+    task.terms[0] += first
+    task.terms[1] += second
+    task.terms[2] += third
+    task.terms[3] += fourth
+    task.reward += first + second + third + fourth
+    task.success = 1.0 if reached and not capsized else 0.0
     if over:
-        record[TERMINATED] = 1.0
+        task.terminated = 1.0
 
 
 class Task:
@@ -183,7 +189,7 @@ class Task:
     n : int
         Number of boats.
     speed : float
-        Usual speed of the boat, m/s.
+        Nominal speed of the boat, m/s.
     length : float
         Length of the boat, m.
 
@@ -191,10 +197,10 @@ class Task:
     ----------
     points : ndarray, shape (n, K, 2)
         Paths, m north and east.
-    records : ndarray, shape (n, RECORD_SIZE)
-        Leg, errors, reward terms and ends; parts as named at the top of this file.
-    rules : ndarray, shape (5,)
-        See :func:`judge`.
+    records : ndarray of TASK, shape (n,)
+        Leg, errors, reward terms and ends.
+    rules : record of RULES
+        See :func:`score_step`.
     unit : float
         Distance off the path that counts as 1, in rewards and observations: 10 m, or 4/3
         lengths of a boat for which that is more.
@@ -211,22 +217,23 @@ class Task:
 
     def __init__(self, n: int, speed: float, length: float) -> None:
         self.length, self.unit = length, max(10.0, 4.0 / 3.0 * length)
-        self.rules = np.array(
-            [float(self.kind), self.reach * length, speed, self.area * self.unit, self.unit]
-        )
+        self.rules = np.zeros(1, RULES)[0]
+        self.rules["kind"], self.rules["speed"] = self.kind, speed
+        self.rules["reach"], self.rules["area"] = self.reach * length, self.area * self.unit
+        self.rules["unit"] = self.unit
         self.points = np.zeros((n, self.legs + 1, 2))
-        self.records = np.zeros((n, RECORD_SIZE))
+        self.records = np.zeros(n, TASK)
 
     @property
     def errors(self) -> np.ndarray:
         """True errors, shape (n, 4) in the order of ``ERRORS``; a view."""
-        return self.records[:, ERROR:TERM]
+        return self.records["errors"]
 
     def reset(self, i: int, rng: np.random.Generator) -> None:
         """Draw the path of boat i; it starts at the origin, heading north."""
         self.points[i] = self._path(rng)
         self.records[i] = 0.0
-        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records[i, ERROR:TERM])
+        path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records["errors"][i])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
         raise TypeError("a task must draw its path")
@@ -242,7 +249,7 @@ class FreeManoeuvre(Task):
 class PathFollowing(Task):
     """Follow straight legs of 10 to 20 lengths, with turns of up to 70 degrees between them.
 
-    Reward per step of ``dt``, from the truth: ``progress`` (1 at the usual speed along the leg, 0
+    Reward per step of ``dt``, from the truth: ``progress`` (1 at the nominal speed along the leg, 0
     at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
     most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
     once). A way point is reached where the boat passes, two lengths before it, the line across the
@@ -307,7 +314,7 @@ class StationKeeping(Task):
     """Go to a point 4 to 8 lengths away, ahead or to one side, and stay there.
 
     Reward per step of ``dt``, from the truth: ``distance`` (minus half the distance in units),
-    ``speed`` (minus a tenth of the speed over ground over the usual speed), ``effort`` and
+    ``speed`` (minus a tenth of the speed over ground over the nominal speed), ``effort`` and
     ``failure`` as on a path. The boat succeeds while it is within two lengths; the episode ends
     with failure 10 units away or capsized. Errors are those of the leg to the point: how far
     to starboard of it, and how far to go.

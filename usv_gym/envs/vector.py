@@ -1,8 +1,7 @@
-"""Many environments as one: Gymnasium's vector interface over the same compiled step."""
+"""Many environments in one: Gymnasium's vector interface over the same compiled step."""
 
 from __future__ import annotations
 
-import inspect
 import math
 import operator
 from collections.abc import Callable, Sequence
@@ -14,10 +13,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import names_of, spaces_of
-from usv_gym.envs.episodes import OBSERVATION, RESTS, Episodes, Observer
+from usv_gym.envs.episodes import OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
-from usv_gym.envs.tasks import CAPSIZED, ERROR, LEG, REWARD, SUCCESS, TERM, TERMINATED
 
 __all__ = [
     "USVVectorEnv",
@@ -48,8 +47,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         The results do not hang on it.
     observer : callable, optional
         As for :class:`usv_gym.envs.env.USVEnv`.
-    **kwargs
-        As for :class:`usv_gym.envs.env.USVEnv`.
+    **options
+        Those of :class:`~usv_gym.envs.config.EnvConfig`.
 
     Notes
     -----
@@ -76,7 +75,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         observer: Callable[[Episodes], Observer] | None = None,
         render_mode: str | None = None,
         render_size: tuple[int, int] = RENDER_SIZE,
-        **kwargs: Any,
+        **options: Any,
     ) -> None:
         if not _count(num_envs):
             raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
@@ -85,14 +84,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"max_episode_steps = {max_episode_steps!r}: must be a whole number, 1 or more, "
                 "or None"
             )
-        known = [name for name in inspect.signature(Episodes).parameters if name != "n"]
-        unknown = ", ".join(name for name in kwargs if name not in known or name == "threads")
-        if unknown:
-            others = "observation, twin, max_episode_steps, autoreset_mode, num_threads"
-            raise TypeError(
-                f"the vector environment has no option {unknown}; it has {others}, "
-                f"{', '.join(name for name in known if name != 'threads')}"
-            )
+        own = ["observation", "twin", "max_episode_steps", "autoreset_mode", "num_threads"]
+        config = EnvConfig.of(options, own)
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -100,14 +93,14 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = int(num_envs), max_episode_steps
-        self.episodes = Episodes(self.num_envs, threads=num_threads, **kwargs)
+        self.episodes = Episodes(self.num_envs, config, threads=num_threads)
         self.simulation, self.task = self.episodes.simulation, self.episodes.task
         self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
         self.speed = self.episodes.speed
         self.frame_skip = self.episodes.frame_skip
         self.observer = observer(self.episodes) if observer else None
         if self.observer:
-            self.episodes.watchers.append(self.observer.observe)
+            self.episodes.callbacks.append(self.observer.observe)
         self.metadata["render_fps"] = fps_of(self.episodes)
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
@@ -125,7 +118,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         # steps after which each boat's episode is truncated
         self._limit = (max_episode_steps or math.inf) * self.frame_skip
         self._limits = np.full(self.num_envs, self._limit)
-        self._unborn = np.ones(self.num_envs, dtype=np.bool_)
+        self._not_reset = np.ones(self.num_envs, dtype=np.bool_)
         self.closed = False
 
     @property
@@ -207,7 +200,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 )
         for i in np.flatnonzero(mask):
             self._rng(int(i), seeds[i])
-        self._begin(mask)
+        self._restart(mask)
         if limits is not None:
             self._limits[mask] = limits[mask].astype(np.int64) * self.frame_skip
         self._over[mask] = False
@@ -215,7 +208,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.renderer.look()
         return self._obs.copy(), self._infos(mask)
 
-    def _begin(self, mask: np.ndarray) -> None:
+    def _restart(self, mask: np.ndarray) -> None:
         """Reset some boats, and write their observations."""
         for i in np.flatnonzero(mask):
             one = slice(int(i), int(i) + 1)
@@ -223,7 +216,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if self.observer:
                 self.observer.reset(int(i))
                 self.observer.observe(self._obs, rows=one)
-        self._unborn[mask] = False
+        self._not_reset[mask] = False
         self._limits[mask] = self._limit
 
     def step(
@@ -242,7 +235,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             Observations (n, ...), rewards, terminations, truncations (n,), infos.
         """
         self._refuse_closed()
-        if self._unborn.any():
+        if self._not_reset.any():
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
             values = np.asarray(actions, dtype=np.float64)
@@ -268,13 +261,13 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 "must lie in [-1, 1]"
             )
         if late.any():
-            self._begin(late)
-            self.episodes.seen[late, RESTS] = self.frame_skip
+            self._restart(late)
+            self.episodes.records["idle_steps"][late] = self.frame_skip
         self.episodes.actions[1] = values
         self.episodes.step(self._obs)
         record = self.task.records
-        rewards = record[:, REWARD].copy()
-        terminations = record[:, TERMINATED] != 0.0
+        rewards = record["reward"].copy()
+        terminations = record["terminated"] != 0.0
         truncations = self.episodes.steps >= self._limits
         rewards[late] = 0.0
         over = terminations | truncations
@@ -284,7 +277,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             for i in np.flatnonzero(over):
                 final[i] = self._obs[i].copy()
             ended = self._infos(over)
-            self._begin(over)
+            self._restart(over)
             infos = self._infos(None)
             infos |= {"final_obs": final, "_final_obs": over.copy()}
             infos |= {"final_info": ended, "_final_info": over.copy()}
@@ -297,18 +290,18 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def render(self) -> tuple[Frame, ...] | None:  # type: ignore[override]
         """Return a picture of each boat if the mode is ``"rgb_array"``."""
         self._refuse_closed()
-        return pictures(self.renderer, not self._unborn.any())
+        return pictures(self.renderer, not self._not_reset.any())
 
     def _infos(self, mask: np.ndarray | None) -> Info:
         """Return the infos of some boats, or of all of them."""
         record = self.task.records
-        terms = {name: record[:, TERM + k] for k, name in enumerate(self.task.terms)}
+        terms = {name: record["terms"][:, k] for k, name in enumerate(self.task.terms)}
         values = {
             "t_s": self.simulation.t,
-            "cross_track_m": record[:, ERROR],
-            "leg": record[:, LEG].astype(np.int64),
-            "is_success": record[:, SUCCESS] != 0.0,
-            "capsized": record[:, CAPSIZED] != 0.0,
+            "cross_track_m": record["errors"][:, 0],
+            "leg": record["leg"].astype(np.int64),
+            "is_success": record["success"] != 0.0,
+            "capsized": record["capsized"] != 0.0,
             **(self.observer.infos() if self.observer else {}),
         }
         infos = masked(values, mask, self.num_envs)

@@ -113,9 +113,8 @@ def _respond(
     states = np.zeros((math.ceil(seconds / _DT) + 1, fr.STATE_SIZE))
     states[0, [fr.U, fr.N_LEFT, fr.N_RIGHT]] = speed, n, n
     cmds = np.tile(vessel.helm(n, 0.0), (len(states) - 1, 1))
-    factors, work = waves.factor_room(1), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-    p = vessel.packed.copy()
-    ship.sail(states, cmds, p, sea.waves, sea.gusts, sea.weather, _DT, 6, factors, work)
+    work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+    ship.sail(states, cmds, ship.Ship(vessel.packed, 6), sea.arrays(), _DT, work)
     t = _DT * np.arange(len(states))
     late = t >= SETTLE
     t, states = t[late], states[late]

@@ -1,16 +1,18 @@
-"""The packed vessel: which number stands where in the flat vector that kernels read.
+"""The parameters of a vessel as kernels read them: one record with a named field for each.
 
-It holds the vessel file's numbers in SI units and nothing computed from them, so that there
-is one truth for each. :attr:`usv_gym.Vessel.packed` writes it.
+They are the numbers of the vessel file in SI units. Nothing derived is stored.
+:attr:`usv_gym.Vessel.packed` writes the record.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 RESISTANCE_POINTS = 16
 """Room for the points of a resistance curve; unused ones repeat the last."""
 
 KINDS = ("steerable_drive", "propeller_rudder", "thruster_pair")
-"""Kinds of propulsion; the packed vector holds the place in this list."""
+"""Kinds of propulsion; the record holds the index in this list."""
 
 STEERABLE_DRIVE, PROPELLER_RUDDER, THRUSTER_PAIR = 0, 1, 2
 
@@ -120,200 +122,11 @@ SCALARS = (
     "delta_wind",
 )
 
-INDEX = {name: i for i, name in enumerate(SCALARS)}
-
-RESISTANCE_SPEEDS = len(SCALARS)
-
-RESISTANCE_FORCES = RESISTANCE_SPEEDS + RESISTANCE_POINTS
-
-PACKED_SIZE = RESISTANCE_FORCES + RESISTANCE_POINTS
-
-LENGTH_OVERALL = INDEX["length_overall"]
-
-LENGTH = INDEX["length_waterline"]
-
-BEAM = INDEX["beam"]
-
-DRAFT = INDEX["draft"]
-
-BLOCK = INDEX["block_coefficient"]
-
-DENSITY = INDEX["water_density"]
-
-MASS = INDEX["mass"]
-
-X_G = INDEX["x_G"]
-
-KG = INDEX["KG"]
-
-I_XX = INDEX["I_xx"]
-
-I_YY = INDEX["I_yy"]
-
-I_ZZ = INDEX["I_zz"]
-
-M_X = INDEX["m_x"]
-
-M_Y = INDEX["m_y"]
-
-J_ZZ = INDEX["J_zz"]
-
-A_WP = INDEX["A_wp"]
-
-X_F = INDEX["x_F"]
-
-GM_T = INDEX["GM_T"]
-
-GM_L = INDEX["GM_L"]
-
-M_Z = INDEX["m_z"]
-
-J_XX = INDEX["J_xx"]
-
-J_YY = INDEX["J_yy"]
-
-ZETA_HEAVE = INDEX["zeta_heave"]
-
-ZETA_ROLL = INDEX["zeta_roll"]
-
-ZETA_PITCH = INDEX["zeta_pitch"]
-
-Z_H = INDEX["z_H"]
-
-R_0 = INDEX["R_0"]
-
-X_VV = INDEX["X_vv"]
-
-X_VR = INDEX["X_vr"]
-
-X_RR = INDEX["X_rr"]
-
-X_VVVV = INDEX["X_vvvv"]
-
-Y_V = INDEX["Y_v"]
-
-Y_R = INDEX["Y_r"]
-
-Y_VVV = INDEX["Y_vvv"]
-
-Y_VVR = INDEX["Y_vvr"]
-
-Y_VRR = INDEX["Y_vrr"]
-
-Y_RRR = INDEX["Y_rrr"]
-
-N_V = INDEX["N_v"]
-
-N_R = INDEX["N_r"]
-
-N_VVV = INDEX["N_vvv"]
-
-N_VVR = INDEX["N_vvr"]
-
-N_VRR = INDEX["N_vrr"]
-
-N_RRR = INDEX["N_rrr"]
-
-CROSSFLOW = INDEX["C_d_crossflow"]
-
-D_U = INDEX["D_u"]
-
-D_UU = INDEX["D_uu"]
-
-D_V = INDEX["D_v"]
-
-D_VV = INDEX["D_vv"]
-
-D_R = INDEX["D_r"]
-
-D_RR = INDEX["D_rr"]
-
-D_RRR = INDEX["D_rrr"]
-
-KIND = INDEX["kind"]
-
-UNITS = INDEX["units"]
-
-DIAMETER = INDEX["propeller_diameter"]
-
-K_0 = INDEX["k_0"]
-
-K_1 = INDEX["k_1"]
-
-K_2 = INDEX["k_2"]
-
-ASTERN = INDEX["astern"]
-
-WAKE = INDEX["wake_fraction"]
-
-DEDUCTION = INDEX["thrust_deduction"]
-
-Y_P = INDEX["y_P"]
-
-Z_P = INDEX["z_P"]
-
-SHAFT_LAG = INDEX["shaft_lag"]
-
-SHAFT_RATE = INDEX["shaft_rate"]
-
-SHAFT_MAX = INDEX["shaft_speed_max"]
-
-STEER_LAG = INDEX["steer_lag"]
-
-STEER_RATE = INDEX["steer_rate"]
-
-STEER_MAX = INDEX["steer_max"]
-
-A_R = INDEX["A_R"]
-
-F_ALPHA = INDEX["f_alpha"]
-
-X_P = INDEX["x_P"]
-
-SLIPSTREAM = INDEX["slipstream"]
-
-RUDDER_HEIGHT = INDEX["rudder_height"]
-
-C_1 = INDEX["C_1"]
-
-C_2_PLUS = INDEX["C_2_plus"]
-
-C_2_MINUS = INDEX["C_2_minus"]
-
-X_P_PRIME = INDEX["x_P_prime"]
-
-EPSILON = INDEX["epsilon"]
-
-KAPPA = INDEX["kappa"]
-
-L_R_PRIME = INDEX["l_R_prime"]
-
-GAMMA_R_PLUS = INDEX["gamma_R_plus"]
-
-GAMMA_R_MINUS = INDEX["gamma_R_minus"]
-
-T_R = INDEX["t_R"]
-
-A_H = INDEX["a_H"]
-
-X_H_PRIME = INDEX["x_H_prime"]
-
-X_R_PRIME = INDEX["x_R_prime"]
-
-A_F = INDEX["A_F"]
-
-A_L = INDEX["A_L"]
-
-S_L = INDEX["s_L"]
-
-S_H = INDEX["s_H"]
-
-KAPPA_WIND = INDEX["kappa_wind"]
-
-CD_T = INDEX["CD_t"]
-
-CD_L_BOW = INDEX["CD_l_bow"]
-
-CD_L_STERN = INDEX["CD_l_stern"]
-
-DELTA_WIND = INDEX["delta_wind"]
+PARAMETERS = np.dtype(
+    [(name, float) for name in SCALARS]
+    + [
+        ("resistance_speed", float, RESISTANCE_POINTS),  # m/s, increasing
+        ("resistance_force", float, RESISTANCE_POINTS),  # N
+    ]
+)
+"""A vessel, as every kernel of the physics takes it."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from usv_gym.physics import parameters as par
 from usv_kernel.jit import kernel
+from usv_kernel.records import Record
 
 
 @kernel
 def accelerate_3(
-    X: float, Y: float, N: float, u: float, v: float, r: float, p: np.ndarray
+    X: float, Y: float, N: float, u: float, v: float, r: float, p: Record
 ) -> tuple[float, float, float]:
     """Return the accelerations of surge, sway and yaw; heave, roll and pitch are held.
 
@@ -20,29 +18,29 @@ def accelerate_3(
         Forces and moment about the origin, N and N m.
     u, v, r : float
         Velocity through water, m/s and rad/s.
-    p : ndarray, shape (PACKED_SIZE,)
-        Packed vessel.
+    p : record
+        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
 
     Notes
     -----
     Source: Yasukawa and Yoshimura 2015, midship origin. The moment that the added masses make
     in drift (Munk) stands in N_v.
     """
-    m, m_x, m_y, x_G = p[par.MASS], p[par.M_X], p[par.M_Y], p[par.X_G]
+    m, m_x, m_y, x_G = p.mass, p.m_x, p.m_y, p.x_G
     m_xG = m * x_G
     X += (m + m_y) * v * r + m_xG * r * r
     Y -= (m + m_x) * u * r
     N -= m_xG * u * r
-    a, c = m + m_y, p[par.I_ZZ] + m_xG * x_G + p[par.J_ZZ]
+    a, c = m + m_y, p.I_zz + m_xG * x_G + p.J_zz
     det = a * c - m_xG * m_xG
     return X / (m + m_x), (c * Y - m_xG * N) / det, (a * N - m_xG * Y) / det
 
 
 @kernel
-def _solve(
-    a: float, b: float, c: float, d: float, e: float, f: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Solve the symmetric system with rows (a b c), (b d e), (c e f) for the right side x, y, z."""
+def _solve(rows: tuple[float, ...], right: tuple[float, float, float]) -> tuple[float, ...]:
+    """Solve the symmetric system with rows (a b c), (b d e), (c e f)."""
+    a, b, c, d, e, f = rows
+    x, y, z = right
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
     D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
     det = a * A + b * B + c * C
@@ -55,30 +53,18 @@ def _solve(
 
 @kernel
 def accelerate_6(
-    X: float,
-    Y: float,
-    Z: float,
-    K: float,
-    M: float,
-    N: float,
-    u: float,
-    v: float,
-    w: float,
-    p: float,
-    q: float,
-    r: float,
-    vessel: np.ndarray,
-) -> tuple[float, float, float, float, float, float]:
+    forces: tuple[float, ...], velocity: tuple[float, ...], vessel: Record
+) -> tuple[float, ...]:
     """Return the accelerations in all six degrees of freedom.
 
     Parameters
     ----------
-    X, Y, Z, K, M, N : float
-        Forces and moments about the origin in the water line, N and N m.
-    u, v, w, p, q, r : float
-        Velocity through water, m/s and rad/s.
-    vessel : ndarray, shape (PACKED_SIZE,)
-        Packed vessel.
+    forces : tuple of six floats
+        X, Y, Z, K, M, N about the origin in the water line, N and N m.
+    velocity : tuple of six floats
+        u, v, w, p, q, r through water, m/s and rad/s.
+    vessel : record
+        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
 
     Notes
     -----
@@ -89,11 +75,13 @@ def accelerate_6(
     theory's lift at speed would be wrong for planing hulls). With w = p = q = 0 and held,
     the rows of X, Y and N are those of :func:`accelerate_3`.
     """
-    m, m_x, m_y, m_z = vessel[par.MASS], vessel[par.M_X], vessel[par.M_Y], vessel[par.M_Z]
-    x_G, z_G, z_H = vessel[par.X_G], vessel[par.DRAFT] - vessel[par.KG], vessel[par.Z_H]
-    I_x = vessel[par.I_XX] + vessel[par.J_XX] + m * z_G * z_G
-    I_y = vessel[par.I_YY] + vessel[par.J_YY] + m * (x_G * x_G + z_G * z_G)
-    I_z = vessel[par.I_ZZ] + vessel[par.J_ZZ] + m * x_G * x_G
+    X, Y, Z, K, M, N = forces
+    u, v, w, p, q, r = velocity
+    m, m_x, m_y, m_z = vessel.mass, vessel.m_x, vessel.m_y, vessel.m_z
+    x_G, z_G, z_H = vessel.x_G, vessel.draft - vessel.KG, vessel.z_H
+    I_x = vessel.I_xx + vessel.J_xx + m * z_G * z_G
+    I_y = vessel.I_yy + vessel.J_yy + m * (x_G * x_G + z_G * z_G)
+    I_z = vessel.I_zz + vessel.J_zz + m * x_G * x_G
     I_xz = m * x_G * z_G
 
     # the added masses, at their depth
@@ -108,25 +96,9 @@ def accelerate_6(
     N += -(I_y - I_x) * p * q - r * q * I_xz + m * x_G * a_y
 
     du, dw, dq = _solve(
-        m + m_x,
-        0.0,
-        m * z_G + m_x * z_H,
-        m + m_z,
-        -m * x_G,
-        I_y + m_x * z_H * z_H,
-        X,
-        Z,
-        M,
+        (m + m_x, 0.0, m * z_G + m_x * z_H, m + m_z, -m * x_G, I_y + m_x * z_H * z_H), (X, Z, M)
     )
     dv, dp, dr = _solve(
-        m + m_y,
-        -m * z_G - m_y * z_H,
-        m * x_G,
-        I_x + m_y * z_H * z_H,
-        -I_xz,
-        I_z,
-        Y,
-        K,
-        N,
+        (m + m_y, -m * z_G - m_y * z_H, m * x_G, I_x + m_y * z_H * z_H, -I_xz, I_z), (Y, K, N)
     )
     return du, dv, dw, dp, dq, dr

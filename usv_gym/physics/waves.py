@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from usv_gym.physics import parameters as par
 from usv_kernel.jit import kernel
+from usv_kernel.records import Record
 from usv_kernel.scalar import fma, sincos
 from usv_kernel.simd import dots, padded
 
@@ -83,7 +83,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
     return total
 
 
-def factor_room(components: int) -> np.ndarray:
+def factor_workspace(components: int) -> np.ndarray:
     """Return room for :func:`box_factors` of so many components, shape (13, width).
 
     Rows are filled up with zeros, see :func:`~usv_kernel.simd.padded`.
@@ -118,9 +118,7 @@ def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
 
 
 @kernel
-def box_factors(
-    psi: float, waves: np.ndarray, p: np.ndarray, dof: int, factors: np.ndarray
-) -> None:
+def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.ndarray) -> None:
     """Write what the length and the beam of the hull make of each component.
 
     They hang on the heading only, so that one evaluation, at its middle, serves a step.
@@ -131,17 +129,17 @@ def box_factors(
         Heading, rad.
     waves : ndarray, shape (7, M)
         Wave components.
-    p : ndarray, shape (PACKED_SIZE,)
-        Packed vessel.
+    p : record
+        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
     dof : int
         3 or 6: with 3, lift, trim and heel are left out.
     factors : ndarray, shape (13, filled(M))
-        From :func:`factor_room`; written, rows as named at the top of this file.
+        From :func:`factor_workspace`; written, rows as named at the top of this file.
     """
     M = waves.shape[1]
-    half_length, half_beam = 0.5 * p[par.LENGTH], 0.5 * p[par.BEAM]
-    area = p[par.BLOCK] * p[par.LENGTH] * p[par.BEAM]
-    mass = p[par.DENSITY] * p[par.DRAFT] * area
+    half_length, half_beam = 0.5 * p.length_waterline, 0.5 * p.beam
+    area = p.block_coefficient * p.length_waterline * p.beam
+    mass = p.water_density * p.draft * area
     sp, cp = sincos(psi)
     north, east, pressure = waves[K_NORTH], waves[K_EAST], waves[PRESSURE]
     S, C = factors[SCRATCH, :M], factors[SCRATCH + 1, :M]
@@ -181,7 +179,7 @@ def first_order_loads(
     psi: float,
     t: float,
     waves: np.ndarray,
-    p: np.ndarray,
+    p: Record,
     dof: int,
     factors: np.ndarray,
 ) -> tuple[float, float, float, float, float, float, float, float]:
@@ -201,8 +199,8 @@ def first_order_loads(
         Time, s.
     waves : ndarray, shape (7, M)
         Wave components.
-    p : ndarray, shape (PACKED_SIZE,)
-        Packed vessel.
+    p : record
+        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
     dof : int
         3 or 6.
     factors : ndarray, shape (13, filled(M))
@@ -235,12 +233,12 @@ def first_order_loads(
         return X, Y, N, 0.0, 0.0, 0.0, u, v
     lift, _ = dots(factors[LIFT], factors[LIFT], cosines)
     trim, heel = dots(factors[TRIM], factors[HEEL], sines)
-    L, B = p[par.LENGTH], p[par.BEAM]
-    area = p[par.BLOCK] * L * B
-    restoring = 12.0 * p[par.MASS] / (p[par.DENSITY] * area)
-    Z = -lift * p[par.A_WP] / area
-    K = heel * restoring * p[par.GM_T] / (B * B)
-    M_pitch = -trim * restoring * p[par.GM_L] / (L * L)
+    L, B = p.length_waterline, p.beam
+    area = p.block_coefficient * L * B
+    restoring = 12.0 * p.mass / (p.water_density * area)
+    Z = -lift * p.A_wp / area
+    K = heel * restoring * p.GM_T / (B * B)
+    M_pitch = -trim * restoring * p.GM_L / (L * L)
     return X, Y, N, Z, K, M_pitch, u, v
 
 

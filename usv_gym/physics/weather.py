@@ -1,7 +1,7 @@
-"""Weather of one boat: a flat vector of course, current, drift and slow wind, and its kernels.
+"""Weather of one boat: schedule of wind and waves, current, mean drift and slow wind.
 
-The course is one to eight moments between which wave height and wind change linearly; before
-the first and after the last they are held. A vector of zeros is calm.
+The schedule is one to eight keyframes, between which wave height and wind change linearly.
+Before the first and after the last they are held.
 """
 
 from __future__ import annotations
@@ -13,43 +13,44 @@ import numpy as np
 from usv_gym.physics.waves import DRIFT_SUMS, elevation
 from usv_gym.physics.wind import gust
 from usv_kernel.jit import kernel
+from usv_kernel.records import Record
 from usv_kernel.scalar import wrap
 
-# the first moment of the course; each further one is COURSE_COLUMNS on
-START, WAVE_GAIN, WIND_SPEED, WIND_FROM = 0, 1, 2, 3
+KEYFRAMES = 8
+"""Largest number of keyframes of a schedule."""
 
-COURSE_COLUMNS = 4
-
-COURSE_ROWS = 8
-
-# how many moments follow the first
-CHANGES = COURSE_ROWS * COURSE_COLUMNS
-
-# mean wind speed (m/s) that the gusts are drawn for
-GUST_WIND = CHANGES + 1
-
-# slow wind: Gauss-Markov state, its standard deviation and time constant (s)
-SPEED_DRIFT, SPEED_SD, SPEED_TAU = GUST_WIND + 1, GUST_WIND + 2, GUST_WIND + 3
-
-FROM_DRIFT, FROM_SD, FROM_TAU = SPEED_TAU + 1, SPEED_TAU + 2, SPEED_TAU + 3
-
-CURRENT_NORTH, CURRENT_EAST = FROM_TAU + 1, FROM_TAU + 2
-
-# sums of the waves' mean drift at gain 1; see waves.mean_drift_loads
-DRIFT = CURRENT_EAST + 1
-
-DRIFT_END = DRIFT + DRIFT_SUMS
-
-WEATHER_SIZE = DRIFT_END
+WEATHER = np.dtype(
+    [
+        # the schedule: time (s), factor of wave amplitudes, wind speed (m/s) and the direction
+        # it comes from (rad, clockwise from north), at each keyframe
+        ("keyframe_t", float, KEYFRAMES),
+        ("wave_gain", float, KEYFRAMES),
+        ("wind_speed", float, KEYFRAMES),
+        ("wind_from", float, KEYFRAMES),
+        ("changes", float),  # number of keyframes after the first
+        ("gust_wind", float),  # mean wind speed that the gusts are drawn for, m/s
+        # slow wind: Gauss-Markov state, standard deviation and time constant (s)
+        ("speed_drift", float),  # m/s
+        ("speed_sd", float),
+        ("speed_tau", float),
+        ("from_drift", float),  # rad
+        ("from_sd", float),
+        ("from_tau", float),
+        ("current_north", float),  # velocity of the water, m/s
+        ("current_east", float),
+        ("drift_sums", float, DRIFT_SUMS),  # see waves.mean_drift_loads, at gain 1
+    ]
+)
+"""Weather of one boat; zeros are calm."""
 
 NOISE_SIZE = 2
-"""Normal numbers that :func:`drift_on` takes."""
+"""Standard normal numbers that :func:`advance_slow_wind` takes."""
 
 
 def constant(
     wind: float = 0.0, wind_from: float = 0.0, north: float = 0.0, east: float = 0.0
-) -> np.ndarray:
-    """Return the vector of a weather that stays as it is, with waves as they come.
+) -> Record:
+    """Return weather that stays as it is, with waves as given.
 
     Parameters
     ----------
@@ -60,47 +61,46 @@ def constant(
 
     Returns
     -------
-    ndarray, shape (WEATHER_SIZE,)
+    record of :data:`WEATHER`
     """
-    weather = np.zeros(WEATHER_SIZE)
-    weather[WAVE_GAIN] = 1.0
-    weather[WIND_SPEED] = weather[GUST_WIND] = wind
-    weather[WIND_FROM] = wind_from
-    weather[CURRENT_NORTH], weather[CURRENT_EAST] = north, east
+    weather = np.zeros(1, WEATHER)[0]
+    weather["wave_gain"][0] = 1.0
+    weather["wind_speed"][0] = weather["gust_wind"] = wind
+    weather["wind_from"][0] = wind_from
+    weather["current_north"], weather["current_east"] = north, east
     return weather
 
 
 @kernel
-def _between(t: float, weather: np.ndarray) -> tuple[int, int, float]:
-    """Return where the moments of the course around t begin, and the share of the later one."""
-    i, last = 0, COURSE_COLUMNS * int(weather[CHANGES])
-    while i < last and t >= weather[i + COURSE_COLUMNS + START]:
-        i += COURSE_COLUMNS
-    begin = weather[i + START]
+def _between(t: float, weather: Record) -> tuple[int, int, float]:
+    """Return the keyframes before and after t, and the share of the later one."""
+    i, last = 0, int(weather.changes)
+    while i < last and t >= weather.keyframe_t[i + 1]:
+        i += 1
+    begin = weather.keyframe_t[i]
     if i == last or t <= begin:
         return i, i, 0.0
-    j = i + COURSE_COLUMNS
-    return i, j, (t - begin) / (weather[j + START] - begin)
+    return i, i + 1, (t - begin) / (weather.keyframe_t[i + 1] - begin)
 
 
 @kernel
-def wave_gain(t: float, weather: np.ndarray) -> float:
+def wave_gain(t: float, weather: Record) -> float:
     """Return what the amplitude of every wave is multiplied by at time t.
 
     Parameters
     ----------
     t : float
         Time, s.
-    weather : ndarray, shape (WEATHER_SIZE,)
-        Weather; layout at the top of this file.
+    weather : record of :data:`WEATHER`
+        Weather.
     """
     i, j, share = _between(t, weather)
-    gain = weather[i + WAVE_GAIN]
-    return gain + share * (weather[j + WAVE_GAIN] - gain)
+    gain = weather.wave_gain[i]
+    return gain + share * (weather.wave_gain[j] - gain)
 
 
 @kernel
-def air_velocity(t: float, gusts: np.ndarray, weather: np.ndarray) -> tuple[float, float]:
+def air_velocity(t: float, gusts: np.ndarray, weather: Record) -> tuple[float, float]:
     """Return the velocity of the air in m/s, north and east, at time t.
 
     The direction turns the short way round. Gusts grow and fall with the mean speed (their
@@ -113,16 +113,16 @@ def air_velocity(t: float, gusts: np.ndarray, weather: np.ndarray) -> tuple[floa
         Time, s.
     gusts : ndarray, shape (3, G)
         Gusts; see :func:`usv_gym.physics.wind.gust`.
-    weather : ndarray, shape (WEATHER_SIZE,)
-        Weather; layout at the top of this file.
+    weather : record of :data:`WEATHER`
+        Weather.
     """
     i, j, share = _between(t, weather)
-    speed, come_from = weather[i + WIND_SPEED], weather[i + WIND_FROM]
-    speed += share * (weather[j + WIND_SPEED] - speed)
-    come_from += share * wrap(weather[j + WIND_FROM] - come_from) + weather[FROM_DRIFT]
-    speed += max(min(weather[SPEED_DRIFT], speed), -speed)
+    speed, come_from = weather.wind_speed[i], weather.wind_from[i]
+    speed += share * (weather.wind_speed[j] - speed)
+    come_from += share * wrap(weather.wind_from[j] - come_from) + weather.from_drift
+    speed += max(min(weather.speed_drift, speed), -speed)
     if speed > 0.0 and gusts.shape[1] > 0:
-        speed = max(speed + gust(t, gusts) * (speed / weather[GUST_WIND]), 0.0)
+        speed = max(speed + gust(t, gusts) * (speed / weather.gust_wind), 0.0)
     return -speed * math.cos(come_from), -speed * math.sin(come_from)
 
 
@@ -133,25 +133,27 @@ def _gauss_markov(value: float, sd: float, tau: float, dt: float, normal: float)
 
 
 @kernel
-def drift_on(weather: np.ndarray, dt: float, normal_speed: float, normal_direction: float) -> None:
+def advance_slow_wind(
+    weather: Record, dt: float, normal_speed: float, normal_direction: float
+) -> None:
     """Advance the slow changes of wind speed and direction, in place.
 
     Parameters
     ----------
-    weather : ndarray, shape (WEATHER_SIZE,)
-        Weather; layout at the top of this file.
+    weather : record of :data:`WEATHER`
+        Weather.
     dt : float
         Step, s; infinity draws the states that an episode starts with.
     normal_speed, normal_direction : float
         Standard normal numbers.
     """
-    if weather[SPEED_SD] > 0.0:
-        weather[SPEED_DRIFT] = _gauss_markov(
-            weather[SPEED_DRIFT], weather[SPEED_SD], weather[SPEED_TAU], dt, normal_speed
+    if weather.speed_sd > 0.0:
+        weather.speed_drift = _gauss_markov(
+            weather.speed_drift, weather.speed_sd, weather.speed_tau, dt, normal_speed
         )
-    if weather[FROM_SD] > 0.0:
-        weather[FROM_DRIFT] = _gauss_markov(
-            weather[FROM_DRIFT], weather[FROM_SD], weather[FROM_TAU], dt, normal_direction
+    if weather.from_sd > 0.0:
+        weather.from_drift = _gauss_markov(
+            weather.from_drift, weather.from_sd, weather.from_tau, dt, normal_direction
         )
 
 
@@ -161,7 +163,7 @@ def surface(
     y: np.ndarray,
     t: np.ndarray,
     waves: np.ndarray,
-    weather: np.ndarray,
+    weather: Record,
     out: np.ndarray,
 ) -> None:
     """Write the height of the sea surface above rest in m at many places and times.
@@ -172,8 +174,8 @@ def surface(
         Places (m north and east) and times (s), and where to write.
     waves : ndarray, shape (7, M)
         Wave components.
-    weather : ndarray, shape (WEATHER_SIZE,)
-        Weather; layout at the top of this file.
+    weather : record of :data:`WEATHER`
+        Weather.
     """
     for i in range(out.size):
         out[i] = wave_gain(t[i], weather) * elevation(x[i], y[i], t[i], waves)

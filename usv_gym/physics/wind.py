@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from usv_gym.physics import AIR_DENSITY, frames
-from usv_gym.physics import parameters as par
 from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import kernel
+from usv_kernel.records import Record
 from usv_kernel.scalar import sincos
 from usv_kernel.simd import LANES
 
@@ -46,15 +46,15 @@ def gust(t: float, gusts: np.ndarray) -> float:
 
 
 @kernel
-def coefficients(gamma: float, p: np.ndarray) -> tuple[float, float, float]:
+def coefficients(gamma: float, p: Record) -> tuple[float, float, float]:
     """Return the Blendermann wind coefficients C_X, C_Y, C_N.
 
     Parameters
     ----------
     gamma : float
         Direction of the apparent wind off the bow, rad; above 0 comes over the port bow.
-    p : ndarray, shape (PACKED_SIZE,)
-        Packed vessel.
+    p : record
+        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
 
     Notes
     -----
@@ -66,24 +66,24 @@ def coefficients(gamma: float, p: np.ndarray) -> tuple[float, float, float]:
 
 @kernel
 def _coefficients(
-    gamma: float, cosine: float, sine: float, p: np.ndarray
+    gamma: float, cosine: float, sine: float, p: Record
 ) -> tuple[float, float, float]:
     """Return :func:`coefficients` with cosine and sine of the direction at hand."""
-    AL_AF = p[par.A_L] / p[par.A_F]
-    CD_l_AF = p[par.CD_L_BOW] if cosine >= 0.0 else p[par.CD_L_STERN]
+    AL_AF = p.A_L / p.A_F
+    CD_l_AF = p.CD_l_bow if cosine >= 0.0 else p.CD_l_stern
     CD_l = CD_l_AF / AL_AF
-    CD_t = p[par.CD_T]
+    CD_t = p.CD_t
     twice = 2.0 * sine * cosine
-    den = 1.0 - 0.5 * p[par.DELTA_WIND] * (1.0 - CD_l / CD_t) * twice * twice
+    den = 1.0 - 0.5 * p.delta_wind * (1.0 - CD_l / CD_t) * twice * twice
     C_X = -CD_l_AF * cosine / den
     C_Y = CD_t * sine / den
-    arm = p[par.S_L] / p[par.LENGTH_OVERALL] - 0.18 * (abs(gamma) - 0.5 * math.pi)
+    arm = p.s_L / p.length_overall - 0.18 * (abs(gamma) - 0.5 * math.pi)
     return C_X, C_Y, arm * C_Y
 
 
 @kernel
 def wind_loads(
-    u: float, v: float, psi: float, north: float, east: float, p: np.ndarray
+    u: float, v: float, psi: float, north: float, east: float, p: Record
 ) -> tuple[float, float, float]:
     """Return surge force, sway force (N) and yaw moment (N m) of the apparent wind.
 
@@ -95,8 +95,8 @@ def wind_loads(
         Heading, rad.
     north, east : float
         Velocity of the air over the ground, m/s.
-    p : ndarray, shape (PACKED_SIZE,)
-        Packed vessel.
+    p : record
+        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
 
     Notes
     -----
@@ -107,12 +107,12 @@ def wind_loads(
 
 
 @kernel
-def apparent_loads(u_rw: float, v_rw: float, p: np.ndarray) -> tuple[float, float, float]:
+def apparent_loads(u_rw: float, v_rw: float, p: Record) -> tuple[float, float, float]:
     """Return :func:`wind_loads` of a boat that moves through the air, forward and to starboard."""
     speed = math.sqrt(u_rw * u_rw + v_rw * v_rw)
     if speed == 0.0:
         return 0.0, 0.0, 0.0
     pressure = 0.5 * AIR_DENSITY * speed * speed
     C_X, C_Y, C_N = _coefficients(-math.atan2(v_rw, u_rw), u_rw / speed, -v_rw / speed, p)
-    side = pressure * p[par.A_L]
-    return pressure * p[par.A_F] * C_X, side * C_Y, side * p[par.LENGTH_OVERALL] * C_N
+    side = pressure * p.A_L
+    return pressure * p.A_F * C_X, side * C_Y, side * p.length_overall * C_N

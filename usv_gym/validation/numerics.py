@@ -97,7 +97,7 @@ def numerics(study: Study) -> Section:
             mirror = max(mirror, float(np.max(np.abs(mirrored(tracks[1]) - tracks[0]))))
             level = realise(SeaState(hs=0.5, components=20), boat)
             level.waves[[waves.AMPLITUDE, waves.PRESSURE, waves.BOTTOM]] = 0.0
-            level.weather[:] = wx.constant()
+            level = dataclasses.replace(level, weather=wx.constant())
             still = Sailor(boat, level, dof).derivative(state) - calm.derivative(state)
             flat = max(flat, float(np.max(np.abs(still))))
         # heave and roll of 2 s: the integrator's own error at 20 Hz is 1e-7 a step

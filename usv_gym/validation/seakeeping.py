@@ -77,7 +77,7 @@ def quadrature_error(boat: Vessel, count: int = 200) -> float:
     for _ in range(count):
         k, to, psi, phase = rng.uniform((0.02, -math.pi, -7.0, 0.0), (8.0, math.pi, 7.0, 6.2))
         rows = Sea.regular(vessel, math.sqrt(GRAVITY * k), 0.2, to, phase).waves
-        factors = waves.factor_room(1)
+        factors = waves.factor_workspace(1)
         waves.box_factors(psi, rows, p, 6, factors)
         got = np.array(waves.first_order_loads(2.0, -5.0, psi, 3.3, rows, p, 6, factors))[:6]
         hull_box = {"length": L, "beam": B, "draft": d, "density": rho}

@@ -296,36 +296,33 @@ class Hour(NamedTuple):
 class Sailor:
     """One boat in one sea, step by step."""
 
-    def __init__(self, vessel: Vessel, sea: Sea | None = None, dof: int = 3) -> None:
+    def __init__(self, vessel: Vessel, sea: Sea | ship.Sea | None = None, dof: int = 3) -> None:
         self.p, self.dof = vessel.packed.copy(), dof
-        self.sea = Sea.calm() if sea is None else sea
-        self.factors = waves.factor_room(self.sea.waves.shape[1])
+        self.sea = sea.arrays() if isinstance(sea, Sea) else sea or ship.calm_sea()
         self.work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
 
     def step(self, state: Array, cmd: Array, dt: float) -> None:
         """Advance a state in place, from time 0."""
-        sea = self.sea.waves, self.sea.gusts, self.sea.weather
-        ship.step(state, cmd, self.p, *sea, 0.0, dt, self.dof, self.factors, self.work)
+        ship.step(state, cmd, ship.Ship(self.p, self.dof), self.sea, 0.0, dt, self.work)
 
     def sail(self, state: Array, cmd: Array, seconds: float, dt: float = 0.05) -> Array:
         """Return the states of a run with one command, the first included."""
         steps = round(seconds / dt)
         states = np.empty((steps + 1, fr.STATE_SIZE))
         states[0] = state
-        sea = self.sea.waves, self.sea.gusts, self.sea.weather
         cmds = np.tile(np.asarray(cmd, dtype=float), (steps, 1))
-        ship.sail(states, cmds, self.p, *sea, dt, self.dof, self.factors, self.work)
+        ship.sail(states, cmds, ship.Ship(self.p, self.dof), self.sea, dt, self.work)
         return states
 
     def derivative(self, state: Array, cmd: Array | None = None) -> Array:
         """Return the time derivative of a state at time 0; actuators stay without a command."""
         out = np.zeros(fr.STATE_SIZE)
         weather, gusts = self.sea.weather, self.sea.gusts
-        waves.box_factors(state[fr.PSI], self.sea.waves, self.p, 6, self.factors)
+        waves.box_factors(state[fr.PSI], self.sea.waves, self.p, 6, self.sea.factors)
         air, gain = wx.air_velocity(0.0, gusts, weather), wx.wave_gain(0.0, weather)
         cmd = state[fr.N_LEFT :].copy() if cmd is None else cmd
-        rest = self.factors, weather, *air, gain, 0.0, self.dof, out
-        ship.derivative(state, cmd, self.p, self.sea.waves, *rest)
+        moving = ship.Ship(self.p, self.dof)
+        ship.derivative(state, cmd, moving, self.sea, ship.Air(*air, gain), 0.0, out)
         return out
 
 

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from usv_gym.physics import KNOT, ship, weather
+from usv_gym.physics import KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.records import Record
 
 __all__ = [
     "Vessel",
@@ -444,20 +444,18 @@ class Vessel:
             )
 
     @cached_property
-    def packed(self) -> np.ndarray:
-        """Flat float64 vector for the kernels, read-only; layout in ``physics.parameters``."""
-        vector = np.zeros(par.PACKED_SIZE)
+    def packed(self) -> Record:
+        """Record for the kernels; fields in ``physics.parameters``. Copy it before a change."""
+        record = np.zeros(1, par.PARAMETERS)[0]
         values = {**_ABSENT, **self.values, "kind": par.KINDS.index(self.kind)}
-        vector[: len(par.SCALARS)] = [values[key] for key in par.SCALARS]
-        for start, points in (
-            (par.RESISTANCE_SPEEDS, self.resistance_speed),
-            (par.RESISTANCE_FORCES, self.resistance_force),
-        ):
+        for key in par.SCALARS:
+            record[key] = values[key]
+        for key in ("resistance_speed", "resistance_force"):
+            points = getattr(self, key)
             if points:
-                vector[start : start + par.RESISTANCE_POINTS] = points[-1]
-                vector[start : start + len(points)] = points
-        vector.setflags(write=False)
-        return vector
+                record[key] = points[-1]
+                record[key][: len(points)] = points
+        return record
 
     @property
     def helm_max(self) -> float:
@@ -638,17 +636,14 @@ def jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) -
     dof : int
         Degrees of freedom, 3 or 6.
     """
-    p, calm, factors = vessel.packed.copy(), np.zeros((WAVE_ROWS, 0)), factor_room(0)
+    still, calm, air = ship.Ship(vessel.packed, dof), ship.calm_sea(), ship.Air(0.0, 0.0, 1.0)
     cmd, out, h = state[fr.N_LEFT :].copy(), np.zeros(fr.STATE_SIZE), 1e-6
     slopes = np.empty((len(rows), len(rows)))
     for j, row in enumerate(rows):
         for sign in (1.0, -1.0):
             trial = state.copy()
             trial[row] += sign * h
-            ship.derivative(
-                *(trial, cmd, p, calm, factors, weather.constant()),
-                *(0.0, 0.0, 1.0, 0.0, dof, out),
-            )
+            ship.derivative(trial, cmd, still, calm, air, 0.0, out)
             slopes[:, j] = out[rows] if sign > 0.0 else (slopes[:, j] - out[rows]) / (2.0 * h)
     return slopes
 

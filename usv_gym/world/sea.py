@@ -15,10 +15,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usv_gym.physics import GRAVITY, spectra, waves
+from usv_gym.physics import GRAVITY, ship, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.records import Record
 
 __all__ = [
     "SEA_STATES",
@@ -317,8 +318,8 @@ class SeaState:
         object.__setattr__(self, "course", course)
         if not course:
             return
-        if len(course) > wx.COURSE_ROWS:
-            raise SeaError(f"course of {len(course)} moments: must have {wx.COURSE_ROWS} or fewer")
+        if len(course) > wx.KEYFRAMES:
+            raise SeaError(f"course of {len(course)} moments: must have {wx.KEYFRAMES} or fewer")
         for i, stage in enumerate(course):
             for name, value in stage._asdict().items():
                 _check(name, value, f"course[{i}].", optional=name == "wind_from")
@@ -429,7 +430,7 @@ class SeaState:
         -------
         Sea
             Its slow changes of the wind start at the mean;
-            :func:`usv_gym.physics.weather.drift_on` draws and moves them.
+            :func:`usv_gym.physics.weather.advance_slow_wind` draws and moves them.
         """
         to = self.current_to
         weather = wx.constant(
@@ -438,14 +439,15 @@ class SeaState:
             north=self.current * math.cos(to),
             east=self.current * math.sin(to),
         )
-        weather[wx.SPEED_SD : wx.SPEED_TAU + 1] = self.wind_sd, self.wind_tau
-        weather[wx.FROM_SD : wx.FROM_TAU + 1] = self.wind_from_sd, self.wind_from_tau
-        weather[wx.CHANGES] = max(len(self.course) - 1, 0)
+        weather["speed_sd"], weather["speed_tau"] = self.wind_sd, self.wind_tau
+        weather["from_sd"], weather["from_tau"] = self.wind_from_sd, self.wind_from_tau
+        weather["changes"] = max(len(self.course) - 1, 0)
         for i, stage in enumerate(self.course):
             gain = stage.hs / self.hs if self.hs > 0.0 else 1.0
-            row = stage.time, gain, stage.wind, self._wind_from(stage)
-            weather[i * wx.COURSE_COLUMNS : (i + 1) * wx.COURSE_COLUMNS] = row
-        components = self._waves(vessel, rng_waves, weather[wx.DRIFT : wx.DRIFT_END])
+            weather["keyframe_t"][i], weather["wave_gain"][i] = stage.time, gain
+            weather["wind_speed"][i] = stage.wind
+            weather["wind_from"][i] = self._wind_from(stage)
+        components = self._waves(vessel, rng_waves, weather["drift_sums"])
         return Sea(waves=components, gusts=self._gusts(rng_gusts), weather=weather)
 
     def _wind_from(self, stage: Stage) -> float:
@@ -570,13 +572,13 @@ class Sea:
         Wave components; rows in :mod:`usv_gym.physics.waves`.
     gusts : ndarray, shape (3, G)
         Circular frequency, phase and amplitude of the gusts.
-    weather : ndarray, shape (WEATHER_SIZE,)
-        Course, current, mean drift and slow wind; layout in :mod:`usv_gym.physics.weather`.
+    weather : record of :data:`usv_gym.physics.weather.WEATHER`
+        Schedule, current, mean drift and slow wind.
     """
 
     waves: Array
     gusts: Array
-    weather: Array
+    weather: Record
 
     @classmethod
     def calm(cls) -> Sea:
@@ -603,6 +605,11 @@ class Sea:
         """
         rows, _ = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
         return dataclasses.replace(cls.calm(), waves=rows)
+
+    def arrays(self) -> ship.Sea:
+        """Return the arrays that the ship's kernels take, with scratch of their own."""
+        scratch = waves.factor_workspace(self.waves.shape[1])
+        return ship.Sea(self.waves, self.gusts, self.weather, scratch)
 
     def elevation(self, x: ArrayLike, y: ArrayLike, t: ArrayLike) -> Array:
         """Return the height of the sea surface above rest in m, as the boat feels it.

@@ -1,4 +1,4 @@
-"""n boats in n seas with their sensors: all that happens in the world, without any API."""
+"""n boats in n seas with their sensors, stepped together."""
 
 from __future__ import annotations
 
@@ -9,147 +9,105 @@ from pathlib import Path
 import numpy as np
 
 from usv_gym.physics import frames as fr
-from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
-from usv_gym.physics.waves import WAVE_ROWS, factor_room
+from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import sensors
+from usv_gym.world.faults import FAULT, FAULT_NUMBERS, Disturbance, fault_records, fault_sources
 from usv_gym.world.sea import Sea, SeaState, choice
-from usv_gym.world.sensors import Disturbance, SensorSuite
-from usv_kernel.arrays import shaped
+from usv_gym.world.sensors import SensorSuite
+from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.jit import inlined, kernel
+from usv_kernel.jit import kernel
+from usv_kernel.records import Record, as_record, field_at, record_size, structured
 from usv_kernel.simd import padded
 
 __all__ = [
     "Simulation",
     "SimulationError",
+    "advance",
+    "out_of_numbers",
 ]
 
-NOISE_ROWS = 512, 128
-"""Control steps of noise that are drawn at a time: for one boat, and for each of many."""
+BLOCK_STEPS = 512, 128
+"""Control steps of random numbers drawn at a time: for one boat, and for each of many."""
 
 
 class SimulationError(UsvTwinError):
     """A simulation that cannot be set up; the message names the argument and the remedy."""
 
 
-# one row of numbers per boat: where each part begins
-STATE = 0
-
-CMD = STATE + fr.STATE_SIZE
-
-Z = CMD + fr.COMMAND_SIZE
-
-BIAS = Z + len(sensors.CHANNELS)
-
-WEATHER = BIAS + sensors.MEMORY_SIZE
-
-TIME = WEATHER + wx.WEATHER_SIZE
-
-COUNT = TIME + 1
-
-NOISE_UNTIL = COUNT + 1  # the step for which no noise has been drawn yet
-
-WORK = NOISE_UNTIL + 1
-
-MEAN_RATE = WORK + ship.WORK_ROWS * fr.STATE_SIZE
-
-RECORD_SIZE = MEAN_RATE + fr.STATE_SIZE
-
-# then parts whose size hangs on sea, faults and delay: their places and sizes in the layout
-WAVES, COMPONENTS, GUSTS, GUST_COMPONENTS = 0, 1, 2, 3
-
-NOISE, BLOCK, NOISE_WIDTH, FAULTS, MAX_FAULTS, RING, RING_ROWS, ROW_SIZE = 4, 5, 6, 7, 8, 9, 10, 11
-
-# what all boats share: control step in s, integration steps in it, degrees of freedom, then the
-# packed vessel and the packed sensor suite
-STEP, SUBSTEPS, DOF, VESSEL = 0, 1, 2, 3
-
-SUITE = VESSEL + par.PACKED_SIZE
-
-
-@inlined
-def sea_parts(boat: np.ndarray, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return waves (7, M) and gusts (3, G) of a boat's row, as views."""
-    M, G = layout[COMPONENTS], layout[GUST_COMPONENTS]
-    waves = shaped(boat, layout[WAVES], (WAVE_ROWS, M))
-    return waves, shaped(boat, layout[GUSTS], (3, G))
-
-
-@inlined
-def sensor_parts(boat: np.ndarray, layout: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return noise (B, W), faults (F, FAULT_SIZE) and delay line (D, 4) of a row, as views."""
-    B, W, F, D = layout[BLOCK], layout[NOISE_WIDTH], layout[MAX_FAULTS], layout[RING_ROWS]
-    width = sensors.FAULT_SIZE
-    noise = shaped(boat, layout[NOISE], (B, W))
-    faults = shaped(boat, layout[FAULTS], (F, width))
-    return noise, faults, shaped(boat, layout[RING], (D, 4))
-
-
 @kernel
-def advance(
-    boat: np.ndarray, layout: np.ndarray, constants: np.ndarray, factors: np.ndarray
-) -> None:
+def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     """Advance one boat by one control step and let its sensors measure.
 
     Parameters
     ----------
-    boat : ndarray, shape (layout[ROW_SIZE],)
-        All numbers of the boat; parts as named above. The command is read from it.
-    layout : ndarray of int, shape (12,)
-        Places and sizes of the parts that follow the record.
-    constants : ndarray, shape (SUITE + ...,)
+    row : ndarray
+        The boat; see :mod:`usv_gym.world.state`. Its command is read.
+    config : record of :data:`usv_gym.world.state.SIMULATION`
         What all boats share.
-    factors : ndarray, shape (13, M)
-        Scratch, from :func:`usv_gym.physics.waves.factor_room`.
+    factors : ndarray, shape (13, width)
+        Scratch, from :func:`usv_gym.physics.waves.factor_workspace`.
     """
-    state, cmd = boat[STATE:CMD], boat[CMD:Z]
-    work = shaped(boat, WORK, (ship.WORK_ROWS, fr.STATE_SIZE))
-    waves, gusts = sea_parts(boat, layout)
-    noise, faults, ring = sensor_parts(boat, layout)
-    p, suite = constants[VESSEL:SUITE], constants[SUITE:]
-    dt, substeps, dof = constants[STEP], int(constants[SUBSTEPS]), int(constants[DOF])
-    h = dt / substeps
-    count = int(boat[COUNT]) + 1
-    normal = noise[count % noise.shape[0]]
-    weather = boat[WEATHER:TIME]
-    wx.drift_on(weather, dt, normal[normal.size - 2], normal[normal.size - 1])
-    mean = boat[MEAN_RATE:RECORD_SIZE]
+    boat = as_record(row, BOAT)
+    waves, gusts = sea_arrays(row, config)
+    sea = ship.Sea(waves, gusts, boat.weather, factors)
+    numbers, faults, delay_line = sensor_arrays(row, config)
+    vessel = ship.Ship(config.vessel, config.dof)
+    h = config.dt / config.substeps
+    step = int(boat.step) + 1
+    now = numbers[step % numbers.shape[0]]
+    wx.advance_slow_wind(boat.weather, config.dt, now[now.size - 2], now[now.size - 1])
+    mean, rate = boat.mean_rate, boat.work[0]
     mean[:] = 0.0
-    for j in range(substeps):
-        t = boat[TIME] + j * h
-        ship.step(state, cmd, p, waves, gusts, weather, t, h, dof, factors, work)
+    for j in range(config.substeps):
+        ship.step(boat.state, boat.command, vessel, sea, boat.t + j * h, h, boat.work)
         for i in range(fr.STATE_SIZE):
-            mean[i] += work[0, i] / substeps
-    boat[COUNT] = count
-    boat[TIME] = count * dt  # whole multiples of the step do not drift
-    sensors.measure(
-        *(state, mean, boat[TIME], count, dt, suite, normal, faults),
-        *(boat[BIAS:WEATHER], ring, boat[Z:BIAS]),
-    )
+            mean[i] += rate[i] / config.substeps
+    boat.step = step
+    boat.t = step * config.dt  # whole multiples of the step do not drift
+    sensors.measure(boat, config.dt, config.suite, now, faults, delay_line)
 
 
 @kernel
-def out_of_noise(boats: np.ndarray) -> bool:
-    """Return whether some boat needs a new block of noise before its next step."""
+def out_of_numbers(rows: np.ndarray) -> bool:
+    """Return whether some boat needs new random numbers before its next step."""
     out = False
-    for i in range(boats.shape[0]):
-        out = out or boats[i, COUNT] + 1.0 >= boats[i, NOISE_UNTIL]
+    for i in range(rows.shape[0]):
+        boat = as_record(rows[i], BOAT)
+        out = out or boat.step + 1.0 >= boat.noise_until
     return out
 
 
 @kernel
-def _advance_all(
-    boats: np.ndarray, layout: np.ndarray, constants: np.ndarray, factors: np.ndarray
-) -> bool:
-    """Advance every boat; return False, with nothing done, if noise is to be drawn first."""
-    if out_of_noise(boats):
+def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> bool:
+    """Advance every boat; return False, with nothing done, if numbers are to be drawn first."""
+    if out_of_numbers(rows):
         return False
-    for i in range(boats.shape[0]):
-        advance(boats[i], layout, constants, factors)
+    for i in range(rows.shape[0]):
+        advance(rows[i], as_record(shared, SIMULATION), factors)
     return True
+
+
+@kernel
+def _start(row: np.ndarray, config: Record) -> None:
+    """Draw the slow wind of a boat, and let its sensors begin."""
+    boat = as_record(row, BOAT)
+    numbers, faults, delay_line = sensor_arrays(row, config)
+    now = numbers[0]
+    wx.advance_slow_wind(boat.weather, math.inf, now[now.size - 2], now[now.size - 1])
+    sensors.start_sensors(config.suite, now, boat.sensors)
+    sensors.measure(boat, 0.0, config.suite, now, faults, delay_line)
+
+
+@kernel
+def _float(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
+    """Set a boat on the surface of its sea."""
+    boat = as_record(row, BOAT)
+    waves, gusts = sea_arrays(row, config)
+    ship.float_on(boat.state, config.vessel, ship.Sea(waves, gusts, boat.weather, factors))
 
 
 class Simulation:
@@ -185,14 +143,20 @@ class Simulation:
     state : ndarray, shape (n, 16)
         True state; layout in :mod:`usv_gym.physics.frames`.
     z : ndarray, shape (n, 8)
-        What the sensors said last; order of :data:`usv_gym.world.sensors.CHANNELS`.
+        What the sensors said last; order of :data:`usv_gym.world.channels.CHANNELS`.
     cmd : ndarray, shape (n, 4)
         Command of the last step.
     t : ndarray, shape (n,)
         Time since reset, s.
-    faults : ndarray, shape (n, F, FAULT_SIZE)
-        Faults of sensors of this episode, as :func:`usv_gym.world.sensors.fault_rows` gives them; NaN
-        where there are fewer.
+    faults : ndarray of FAULT, shape (n, F)
+        Faults of this episode, see :func:`usv_gym.world.faults.fault_records`; those that are not
+        used start at NaN.
+    boats : ndarray of BOAT, shape (n,)
+        All of the above by name, see :data:`usv_gym.world.state.BOAT`; a view of ``rows``.
+    rows : ndarray
+        What the kernels take; see :mod:`usv_gym.world.state`.
+    config, shared : record of SIMULATION, ndarray
+        What all boats share, and the same as flat memory for kernels.
     """
 
     def __init__(
@@ -230,50 +194,61 @@ class Simulation:
         if not all(isinstance(fault, Disturbance) for fault in fixed):
             raise SimulationError(
                 f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
-                "(usv_gym.world.sensors.parse_faults reads a text)"
+                "(usv_gym.world.faults.parse_faults reads a text)"
             )
-        sensors.fault_rows(fixed, dt)  # what does not fit dies here, not at the first reset
+        fault_records(fixed, dt)  # what does not fit fails here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
         examples = [sea.realise(vessel, quiet, quiet) for sea in seas]
-        width = sensors.NOISE_SIZE + sensors.NOISE_FAULT * max_faults + wx.NOISE_SIZE
-        self._block = NOISE_ROWS[n > 1]
+        self._block = BLOCK_STEPS[n > 1]
         shapes = {
-            WAVES: (WAVE_ROWS, padded(max(example.waves.shape[1] for example in examples))),
-            GUSTS: max(example.gusts.shape for example in examples),
-            NOISE: (self._block, width),
-            FAULTS: (max_faults, sensors.FAULT_SIZE),
-            RING: (self.suite.delay_steps(dt) + 1, 4),
+            "waves": (WAVE_ROWS, padded(max(example.waves.shape[1] for example in examples))),
+            "gusts": max(example.gusts.shape for example in examples),
+            "numbers": (
+                self._block,
+                sensors.NOISE_SIZE + FAULT_NUMBERS * max_faults + wx.NOISE_SIZE,
+            ),
+            "faults": (max_faults, record_size(FAULT)),
+            "delay_line": (self.suite.delay_steps(dt) + 1, 4),
         }
-        ends = np.cumsum([RECORD_SIZE, *map(math.prod, shapes.values())])
-        self.boats = np.zeros((n, ends[-1]))
+        ends = np.cumsum([record_size(BOAT), *map(math.prod, shapes.values())])
+        self.rows = np.zeros((n, ends[-1]))
+        at = dict(zip(shapes, ends[:-1].tolist(), strict=True))
         parts = {
-            part: self.boats[:, begin:end].reshape(n, *shape)
-            for (part, shape), begin, end in zip(shapes.items(), ends[:-1], ends[1:], strict=True)
+            name: self.rows[:, at[name] : at[name] + math.prod(shape)].reshape(n, *shape)
+            for name, shape in shapes.items()
         }
-        self.waves, self.gusts, self._noise = parts[WAVES], parts[GUSTS], parts[NOISE]
-        self.faults, self._rings = parts[FAULTS], parts[RING]
-        self.records = self.boats[:, :RECORD_SIZE]
-        self.state = self.records[:, STATE:CMD]
-        self.cmd = self.records[:, CMD:Z]
-        self.z = self.records[:, Z:BIAS]
+        self.waves, self.gusts = parts["waves"], parts["gusts"]
+        self._numbers, self._delay_lines = parts["numbers"], parts["delay_line"]
+        self.faults = parts["faults"].view(FAULT)[..., 0]
+        self.boats = structured(self.rows, BOAT)
+        self.state, self.cmd = self.boats["state"], self.boats["command"]
+        self.z, self.weather, self.t = (
+            self.boats["measurement"],
+            self.boats["weather"],
+            self.boats["t"],
+        )
         self.z[:] = math.nan
-        self.weather = self.records[:, WEATHER:TIME]
-        self.t = self.records[:, TIME]
-        self.faults[:] = math.nan
-        layout = np.zeros(ROW_SIZE + 1, dtype=np.int64)
-        layout[list(shapes)] = ends[:-1]
-        layout[[COMPONENTS, GUST_COMPONENTS]] = shapes[WAVES][1], shapes[GUSTS][1]
-        layout[[BLOCK, NOISE_WIDTH]] = shapes[NOISE]
-        layout[[MAX_FAULTS, RING_ROWS, ROW_SIZE]] = max_faults, shapes[RING][0], ends[-1]
-        shared = [dt, substeps, dof], vessel.packed, self.suite.pack(dt)
-        self.constants = np.concatenate(shared)
-        self.arguments = (self.boats, layout, self.constants, factor_room(shapes[WAVES][1]))
-        """What the kernels :func:`advance` and those built on it take, for all boats."""
+        self.faults["start"] = math.nan
+        shared = np.zeros(1, SIMULATION)
+        config = shared[0]
+        config["dt"], config["substeps"], config["dof"] = dt, substeps, dof
+        config["vessel"], config["suite"] = vessel.packed, self.suite.pack(dt)
+        for name, begin in at.items():
+            config[f"{name}_at"] = begin
+        config["wave_components"], config["gust_components"] = (
+            shapes["waves"][1],
+            shapes["gusts"][1],
+        )
+        config["numbers_rows"], config["numbers_width"] = shapes["numbers"]
+        config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
+        self.config, self.shared = config, shared.view(float)
+        self.factors = factor_workspace(shapes["waves"][1])
+        """Scratch of the kernels that advance boats; threads need copies."""
         self._noise_rngs: list[tuple[np.random.Generator, ...]] = [()] * n
-        self._asleep = set(range(n))
+        self._not_reset = set(range(n))
         self._start_speed = vessel.straight_speed(vessel.values["shaft_speed_manoeuvring"])
 
     def reset(self, boats: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
@@ -302,7 +277,7 @@ class Simulation:
                     f"{rng!r} is no generator; use numpy.random.default_rng(seed)"
                 )
         for i, rng in zip(boats, rngs, strict=True):
-            self._asleep.discard(i)
+            self._not_reset.discard(i)
             rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = rng.spawn(7)
             rng_faults, rng_sea = others
             self._fill(i, choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts))
@@ -310,28 +285,24 @@ class Simulation:
             (rng_weather,) = rng_gusts.spawn(1)
             given = self._given_faults
             faults = tuple(given(rng_faults) if callable(given) else given)
-            self.faults[i] = math.nan
-            self.faults[i, : len(faults)] = sensors.fault_rows(faults, self.dt)
-            sources = sensors.fault_sources(faults, rng_faults)
+            self.faults[i] = 0.0
+            self.faults[i]["start"] = math.nan
+            self.faults[i, : len(faults)] = fault_records(faults, self.dt)
+            sources = fault_sources(faults, rng_faults)
             self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, rng_weather, *sources)
-            self.records[i, TIME] = self.records[i, COUNT] = self.records[i, NOISE_UNTIL] = 0.0
+            boat = self.boats[i]
+            boat["t"] = boat["step"] = boat["noise_until"] = 0.0
             self._refill(int(i))
-            self.state[i] = 0.0
-            self.state[i, fr.U] = self._start_speed
-            self.state[i, fr.N_LEFT] = self.state[i, fr.N_RIGHT] = n_start
-            self.cmd[i] = n_start, n_start, 0.0, 0.0
-            self._float(i)
-            self.records[i, WORK:] = 0.0
-            self._rings[i] = 0.0
-            noise, memory = self._noise[i, 0], self.records[i, BIAS:WEATHER]
-            wx.drift_on(self.weather[i], math.inf, *noise[-wx.NOISE_SIZE :])
-            suite = self.constants[SUITE:]
-            still = np.zeros(fr.STATE_SIZE)
-            sensors.start_memory(suite, noise, memory)
-            sensors.measure(
-                *(self.state[i], still, 0.0, 0, 0.0, suite, noise, self.faults[i], memory),
-                *(self._rings[i], self.z[i]),
-            )
+            state = boat["state"]
+            state[:] = 0.0
+            state[fr.U] = self._start_speed
+            state[fr.N_LEFT] = state[fr.N_RIGHT] = n_start
+            boat["command"] = n_start, n_start, 0.0, 0.0
+            if self.dof == 6:
+                _float(self.rows[i], self.config, self.factors)
+            boat["mean_rate"] = boat["work"] = 0.0
+            self._delay_lines[i] = 0.0
+            _start(self.rows[i], self.config)
 
     def change_sea(
         self, i: int, sea: str | SeaState, rng: np.random.Generator, *, waves: bool = True
@@ -364,25 +335,19 @@ class Simulation:
                     "of as many components"
                 )
         self._fill(i, new, waves=waves)
-        if waves:
-            self._float(i)
+        if waves and self.dof == 6:
+            _float(self.rows[i], self.config, self.factors)
 
     def _fill(self, i: int, sea: Sea, *, waves: bool = True) -> None:
-        """Write a sea to the room of boat i, or its wind alone."""
-        drift = self.weather[i, wx.DRIFT : wx.DRIFT_END].copy()
-        # where seas differ in their number of waves, the rest of the room holds none
-        for room, components in ((self.waves, sea.waves), (self.gusts, sea.gusts))[not waves :]:
-            room[i] = 0.0
-            room[i, :, : components.shape[1]] = components
+        """Write a sea to the arrays of boat i, or its wind alone."""
+        drift = self.weather[i]["drift_sums"].copy()
+        # where seas differ in their number of components, the others are zeros
+        for array, components in ((self.waves, sea.waves), (self.gusts, sea.gusts))[not waves :]:
+            array[i] = 0.0
+            array[i, :, : components.shape[1]] = components
         self.weather[i] = sea.weather
-        if not waves:  # the mean drift is theirs
-            self.weather[i, wx.DRIFT : wx.DRIFT_END] = drift
-
-    def _float(self, i: int) -> None:
-        """Set boat i on the surface of its sea, where it may heave."""
-        if self.dof == 6:
-            p, factors = self.constants[VESSEL:SUITE], self.arguments[3]
-            ship.float_on(self.state[i], self.waves[i], self.weather[i], p, factors)
+        if not waves:  # the mean drift is that of the waves
+            self.weather[i]["drift_sums"] = drift
 
     def step(self, cmd: np.ndarray) -> None:
         """Advance every boat by one control step.
@@ -392,7 +357,7 @@ class Simulation:
         cmd : ndarray, shape (n, 4)
             Left and right shaft speed (rev/s), left and right drive angle (rad); finite.
         """
-        if self._asleep:
+        if self._not_reset:
             raise SimulationError("call reset() for every boat before step()")
         cmd = np.asarray(cmd, dtype=float)
         if cmd.shape != self.cmd.shape or not np.isfinite(cmd).all():
@@ -400,26 +365,28 @@ class Simulation:
                 f"cmd of shape {cmd.shape}: must be finite numbers of shape {self.cmd.shape}"
             )
         self.cmd[:] = cmd
-        if not _advance_all(*self.arguments):
-            self.draw_noise()
-            _advance_all(*self.arguments)
+        if not _advance_all(self.rows, self.shared, self.factors):
+            self.draw_numbers()
+            _advance_all(self.rows, self.shared, self.factors)
 
-    def draw_noise(self) -> None:
-        """Draw the next block of noise of every boat whose block is used up."""
-        used_up = self.records[:, COUNT] + 1.0 >= self.records[:, NOISE_UNTIL]
+    def draw_numbers(self) -> None:
+        """Draw the next block of random numbers of every boat whose block is used up."""
+        used_up = self.boats["step"] + 1.0 >= self.boats["noise_until"]
         for i in np.flatnonzero(used_up):
             self._refill(int(i))
 
     def _refill(self, i: int) -> None:
-        """Draw the next block of noise of one boat, each source from its own generator."""
+        """Draw the next block of random numbers of one boat, each source from its generator."""
         rng_gps, rng_compass, rng_imu, rng_weather, *rngs_faults = self._noise_rngs[i]
-        a, b = sensors.NOISE_GPS, sensors.NOISE_GPS + sensors.NOISE_COMPASS
-        c, width = sensors.NOISE_SIZE, sensors.NOISE_FAULT
-        noise, rows = self._noise[i], self._block
-        noise[:, :a] = rng_gps.standard_normal((rows, sensors.NOISE_GPS))
-        noise[:, a:b] = rng_compass.standard_normal((rows, sensors.NOISE_COMPASS))
-        noise[:, b:c] = rng_imu.standard_normal((rows, sensors.NOISE_IMU))
+        numbers, rows = self._numbers[i], self._block
+        gps = field_at(sensors.NOISE, "compass")
+        imu = field_at(sensors.NOISE, "gyro")
+        faults = sensors.NOISE_SIZE
+        numbers[:, :gps] = rng_gps.standard_normal((rows, gps))
+        numbers[:, gps:imu] = rng_compass.standard_normal((rows, imu - gps))
+        numbers[:, imu:faults] = rng_imu.standard_normal((rows, faults - imu))
         for j, rng in enumerate(rngs_faults):
-            noise[:, c + width * j : c + width * (j + 1)] = rng.random((rows, width))
-        noise[:, -wx.NOISE_SIZE :] = rng_weather.standard_normal((rows, wx.NOISE_SIZE))
-        self.records[i, NOISE_UNTIL] += rows
+            first = faults + FAULT_NUMBERS * j
+            numbers[:, first : first + FAULT_NUMBERS] = rng.random((rows, FAULT_NUMBERS))
+        numbers[:, -wx.NOISE_SIZE :] = rng_weather.standard_normal((rows, wx.NOISE_SIZE))
+        self.boats["noise_until"][i] += rows

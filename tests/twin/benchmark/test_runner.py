@@ -33,8 +33,8 @@ from twin.sim.bridge import particulars_of
 from twin.sim.recorded import particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.faults import Fault, FaultError
 from usv_gym.world.sea import SeaError
-from usv_gym.world.sensors import Fault, FaultError
 
 SMALL = Settings(
     scenarios=("zigzag",),

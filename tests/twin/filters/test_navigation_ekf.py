@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from twin.channels import MEASUREMENTS
 from twin.filters.navigation_ekf import Navigator, aid
-from twin.filters.navigation_state import NAVIGATION_WORK, navigation_of, navigation_work_of
+from twin.filters.navigation_state import NAVIGATION, NAVIGATION_WORK
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -21,6 +21,7 @@ from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.world.sensors import SensorSuite
 from usv_kernel.jit import kernel
+from usv_kernel.records import as_record
 
 
 def run(log: Log, boat: Particulars, z: np.ndarray | None = None) -> tuple[np.ndarray, Navigator]:
@@ -270,7 +271,7 @@ def test_losses_of_thirty_seconds(manoeuvre, dof):
 
 @kernel
 def aid_velocity(nav, work, value, variance):
-    aid(navigation_of(nav), navigation_work_of(work), 3, value, variance)
+    aid(as_record(nav, NAVIGATION), as_record(work, NAVIGATION_WORK), 3, value, variance)
 
 
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.5])

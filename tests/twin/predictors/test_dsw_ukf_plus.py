@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import lfilter
 
 from twin.channels import MEASUREMENTS
-from twin.filters.navigation_state import navigation_of
+from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
     ACT,
@@ -32,16 +32,17 @@ from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_forecast import past_waves
 from twin.predictors.plus_update import (
     OBSERVER_GAIN,
+    WINDOW,
     PlusMemory,
     _fit_waves,
     _slow_step,
     plus_step,
     take_segments,
-    window_of,
 )
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_kernel.jit import kernel
+from usv_kernel.records import as_record
 
 NOTHING = np.full(len(MEASUREMENTS), math.nan)
 PLAN = np.tile([20.0, 20.0, 0.2, 0.2], (40, 1))
@@ -106,7 +107,7 @@ def slow(predictor: PlusPredictor) -> np.ndarray:
 
 @kernel
 def waves_of(memory, rows, w):
-    past_waves(navigation_of(memory.nav), rows, window_of(memory.window), w)
+    past_waves(as_record(memory.nav, NAVIGATION), rows, as_record(memory.window, WINDOW), w)
 
 
 def past(predictor: PlusPredictor) -> np.ndarray:
@@ -119,7 +120,7 @@ def past(predictor: PlusPredictor) -> np.ndarray:
 @kernel
 def waves_fitted(rows, memory, config, work):
     given = refit_config(config.refit, config.model.which.shape[1])
-    _fit_waves(rows, window_of(memory.window), given, work.waves)
+    _fit_waves(rows, as_record(memory.window, WINDOW), given, work.waves)
 
 
 @kernel
@@ -127,7 +128,9 @@ def observed(dt, memory, config, work):
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     terms = filter_workspace(work.filter, model.which.shape[1]).terms
-    _slow_step(dt, navigation_of(memory.nav), window_of(memory.window), state, given, terms)
+    _slow_step(
+        dt, as_record(memory.nav, NAVIGATION), as_record(memory.window, WINDOW), state, given, terms
+    )
 
 
 # The window

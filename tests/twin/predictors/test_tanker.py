@@ -21,8 +21,8 @@ from twin.particulars import GRAVITY, Particulars
 from twin.sim.bridge import particulars_of, simulate
 from twin.training import prior_population as pop
 from usv_gym import Vessel
+from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SeaState
-from usv_gym.world.sensors import parse_faults
 
 
 def turning(boat: Particulars, n: float) -> float:

@@ -26,10 +26,9 @@ from usv_gym.envs.env import USVEnv
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import TaskError
 from usv_gym.physics import frames as fr
-from usv_gym.physics.weather import WIND_SPEED
 from usv_gym.vessel.vessel import VesselError
+from usv_gym.world.faults import FaultError
 from usv_gym.world.sea import SeaError
-from usv_gym.world.sensors import FaultError
 from usv_gym.world.simulation import SimulationError
 
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -373,7 +372,7 @@ def test_sea_arguments_change_the_sea_state() -> None:
     env = make_env(twin=None, sea="3", hs=0.2, wind=3.0, wind_from_deg=90.0)
     assert env.seas[0] == SeaState(hs=0.2, wind=3.0, wind_from=0.5 * math.pi)
     env.reset(seed=0)
-    assert env.simulation.weather[0, WIND_SPEED] == 3.0
+    assert env.simulation.weather["wind_speed"][0, 0] == 3.0
     calm = make_env(twin=None, hs=0.0, wind=0.0)
     assert (calm.seas[0].hs, calm.seas[0].wind) == (0.0, 0.0)
 
@@ -562,7 +561,7 @@ def pilot(env: USVEnv) -> np.ndarray:
     cross_track, _, course_error, _ = env.task.errors[0]
     towards = course_error - math.atan(cross_track / 15.0)
     rate = env.simulation.state[0, fr.R]
-    usual = env.episodes.usual_action[0]
+    usual = env.episodes.nominal_action[0]
     return np.array([usual, np.clip(1.5 * towards - 0.8 * rate, -1.0, 1.0)])
 
 

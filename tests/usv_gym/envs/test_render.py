@@ -270,7 +270,7 @@ def test_an_unsure_twin_far_away_is_painted() -> None:
     overlay = TwinOverlay(
         ahead[0] * 0.5, np.eye(2) * 1e8, np.array([10.0]), ahead, np.eye(2)[None] * 1e9
     )
-    object.__setattr__(shown, "belief", overlay)
+    object.__setattr__(shown, "overlay", overlay)
     begin = time.perf_counter()
     assert count(Painter((720, 720)).paint(shown), BAND) > 50_000
     assert time.perf_counter() - begin < 2.0

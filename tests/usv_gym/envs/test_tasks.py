@@ -147,7 +147,7 @@ def test_a_boat_on_her_station_succeeds_and_one_that_leaves_fails():
 def test_success_ends_a_path_without_a_penalty():
     env = make_env(twin=None, sea="calm")
     env.reset(seed=0)
-    env.task.records[0, 0] = len(env.task.points[0]) - 2  # on the last leg, 20 m before its end
+    env.task.records["leg"][0] = len(env.task.points[0]) - 2  # on the last leg, 20 m before its end
     a, b = env.task.points[0, -2:]
     along = (b - a) / np.hypot(*(b - a))
     env.simulation.state[0, :2] = b - 20.0 * along
@@ -197,8 +197,9 @@ def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
     for seed in range(40):
         env.reset(seed=seed)
         waves.add(round(float(np.square(env.simulation.waves[0, 4]).sum()), 6))
-        rows = env.simulation.faults[0]
-        losses.add(() if np.isnan(rows[0, 0]) else tuple(rows[0, :2]))
+        fault = env.simulation.faults[0, 0]
+        lost = not np.isnan(fault["start"])
+        losses.add((float(fault["bits"]), float(fault["start"])) if lost else ())
     assert len(waves) == 3 and 0.0 in waves
     kinds = {loss[:1] for loss in losses}
     assert len(kinds) >= 3

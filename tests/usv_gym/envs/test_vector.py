@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import usv_gym  # noqa: F401 - registers the environment
 from usv_gym import SeaState
 from usv_gym.envs.vector import USVVectorEnv
-from usv_gym.world.sensors import Fault
+from usv_gym.world.faults import Fault
 
 N = 3
 FAULTS = "gps3@2+imu-spikes-random"
@@ -201,7 +201,7 @@ def test_each_boat_has_a_twin_that_can_be_asked():
 def test_memory_of_a_boat_in_a_batch():
     """64 kB with the twin ``ukf``; twenty is the aim."""
     envs = natives(8, twin="ukf").unwrapped
-    arrays = [envs.simulation.boats, envs.task.points, envs.task.records, envs.episodes.seen]
+    arrays = [envs.simulation.rows, envs.task.points, envs.episodes.memory]
     arrays += [envs.observer.notes, *envs.observer.memories]
     assert sum(array.nbytes for array in arrays) / 8 < 64_000
 

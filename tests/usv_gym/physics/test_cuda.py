@@ -28,8 +28,9 @@ from twin.model.structure import N_STATES, N_TERMS
 from twin.predictors.ukf import UKFMemory, UKFPredictor, UKFWork, tight_step
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
-from usv_gym.physics import ship
 from usv_gym.world.simulation import Simulation, advance
+from usv_gym.world.state import SIMULATION
+from usv_kernel.records import as_record
 
 pytest.importorskip("numba_cuda", reason="needs numba-cuda: pip install 'usv-twin[cuda]'")
 from numba import cuda
@@ -45,19 +46,10 @@ BOAT = particulars_of(Vessel.load("usv75"))
 # each a kernel of a thread per boat: what all boats share comes whole, and of the rest a row
 
 
-def sail(states, cmds, p, waves, gusts, weather, t, dt, dof, factors, work):
+def simulate(rows, shared, factors):
     i = cuda.grid(1)
-    if i < states.shape[0]:
-        ship.step(
-            *(states[i], cmds[i], p, waves[i], gusts[i], weather[i], t, dt, dof),
-            *(factors[i], work[i]),
-        )
-
-
-def simulate(boats, layout, constants, factors):
-    i = cuda.grid(1)
-    if i < boats.shape[0]:
-        advance(boats[i], layout, constants, factors[i])
+    if i < rows.shape[0]:
+        advance(rows[i], as_record(shared, SIMULATION), factors[i])
 
 
 def correct(state, h, config, work, z, mask, R):
@@ -90,18 +82,10 @@ def each(*arrays):
     return [np.repeat(array[None], N, axis=0) for array in arrays]
 
 
-def of_ship():
-    boats = Simulation(N, "usv75", "2", dof=6)
-    layout_and_more = boats.arguments
-    states, cmds, work = each(np.zeros(16), np.zeros(4), np.zeros((ship.WORK_ROWS, 16)))
-    sea = (np.ascontiguousarray(part) for part in (boats.waves, boats.gusts, boats.weather))
-    (factors,) = each(layout_and_more[3])
-    return states, cmds, boats.vessel.packed, *sea, 0.0, 0.05, 6, factors, work
-
-
 def of_simulation():
-    boats, layout, constants, factors = Simulation(N, "usv75", "2", dof=6).arguments
-    return boats, layout, constants, each(factors)[0]
+    simulation = Simulation(N, "usv75", "2", dof=6)
+    (factors,) = each(simulation.factors)
+    return simulation.rows, simulation.shared, factors
 
 
 def of_ukf():
@@ -130,7 +114,6 @@ def of_rollout():
 
 
 KERNELS = {
-    "ship.step": (sail, of_ship),
     "simulation.advance": (simulate, of_simulation),
     "joint_predict, measurement_update": (correct, of_ukf),
     "tight_step": (identify, of_twin),

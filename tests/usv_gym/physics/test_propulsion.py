@@ -179,4 +179,4 @@ def test_resistance_of_the_mmg_method_and_of_small_craft() -> None:
 
 def test_kinds_stand_where_the_kernels_look() -> None:
     for boat in KINDS.values():
-        assert par.KINDS[int(boat.packed[par.KIND])] == boat.kind
+        assert par.KINDS[int(boat.packed["kind"])] == boat.kind

@@ -58,12 +58,12 @@ def derivative(
     dof: int = 3,
 ) -> np.ndarray:
     out = np.zeros(fr.STATE_SIZE)
-    factors = waves.factor_room(sea.waves.shape[1])
-    waves.box_factors(state[fr.PSI], sea.waves, p, 6, factors)
+    around = sea.arrays()
+    waves.box_factors(state[fr.PSI], sea.waves, p, 6, around.factors)
     air = wx.air_velocity(0.0, sea.gusts, sea.weather)
     gain = wx.wave_gain(0.0, sea.weather)
     cmd = state[fr.N_LEFT :].copy() if cmd is None else cmd
-    ship.derivative(state, cmd, p, sea.waves, factors, sea.weather, *air, gain, 0.0, dof, out)
+    ship.derivative(state, cmd, ship.Ship(p, dof), around, ship.Air(*air, gain), 0.0, out)
     return out
 
 
@@ -80,10 +80,9 @@ def sail(
     steps = round(seconds / dt)
     states = np.empty((steps + 1, fr.STATE_SIZE))
     states[0] = state
-    factors = waves.factor_room(sea.waves.shape[1])
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     cmds = np.tile(cmd, (steps, 1))
-    ship.sail(states, cmds, p, sea.waves, sea.gusts, sea.weather, dt, dof, factors, work)
+    ship.sail(states, cmds, ship.Ship(p, dof), sea.arrays(), dt, work)
     return states
 
 
@@ -191,18 +190,19 @@ def test_zigzag_overshoot() -> None:
 def mirrored_sea(sea: Sea) -> Sea:
     rows, weather = sea.waves.copy(), sea.weather.copy()
     rows[waves.K_EAST] *= -1.0
-    weather[[wx.WIND_FROM, wx.CURRENT_EAST]] *= -1.0
-    weather[wx.DRIFT + 1 : wx.DRIFT_END : 2] *= -1.0  # sums over the sine of the direction
+    weather["wind_from"] *= -1.0
+    weather["current_east"] = -weather["current_east"]
+    weather["drift_sums"][1::2] *= -1.0  # sums over the sine of the direction
     return dataclasses.replace(sea, waves=rows, weather=weather)
 
 
 def turned_sea(sea: Sea, by: float) -> Sea:
     rows, weather = sea.waves.copy(), sea.weather.copy()
     rows[waves.K_NORTH], rows[waves.K_EAST] = turn(rows[waves.K_NORTH], rows[waves.K_EAST], by)
-    weather[wx.WIND_FROM] += by
-    current = weather[wx.CURRENT_NORTH : wx.DRIFT]
-    pairs = current, *weather[wx.DRIFT : wx.DRIFT_END].reshape(3, 2)
-    for pair in pairs:
+    weather["wind_from"][0] += by
+    current = turn(weather["current_north"], weather["current_east"], by)
+    weather["current_north"], weather["current_east"] = current
+    for pair in weather["drift_sums"].reshape(3, 2):
         pair[:] = turn(pair[0], pair[1], by)
     return dataclasses.replace(sea, waves=rows, weather=weather)
 
@@ -325,7 +325,7 @@ def test_a_sea_of_no_height_is_no_sea(
     state = tilted(start(u, v, r, n=15.0, delta=0.1, psi=psi), tilt, dof)
     flat = a_sea(0)
     flat.waves[[waves.AMPLITUDE, waves.PRESSURE, waves.BOTTOM]] = 0.0
-    flat.weather[:] = wx.constant()
+    flat = dataclasses.replace(flat, weather=wx.constant())
     calm = derivative(state, dof=dof)
     np.testing.assert_array_equal(derivative(state, sea=flat, dof=dof), calm)
     named = SeaState.named("calm").realise(BOAT, np.random.default_rng(0), np.random.default_rng(0))
@@ -362,10 +362,13 @@ def test_without_thrust_the_energy_only_falls(
 def test_energy_is_kept_without_damping() -> None:
     """Weight, buoyancy and rigid body alone turn one form of energy into the other."""
     p = P.copy()
-    p[[par.ZETA_HEAVE, par.ZETA_ROLL, par.ZETA_PITCH, par.M_X, par.M_Y]] = 0.0
-    p[par.R_0 : par.KIND] = 0.0  # no hull forces
-    p[[par.RESISTANCE_SPEEDS + i for i in range(2 * par.RESISTANCE_POINTS)]] = 0.0
-    p[[par.A_R, par.K_1, par.K_2, par.Z_H]] = 0.0
+    names = par.SCALARS
+    no_hull_forces = names[names.index("R_0") : names.index("kind")]
+    no_damping = "zeta_heave", "zeta_roll", "zeta_pitch", "m_x", "m_y"
+    for name in (*no_damping, *no_hull_forces, "resistance_speed", "resistance_force"):
+        p[name] = 0.0
+    for name in ("A_R", "k_1", "k_2", "z_H"):
+        p[name] = 0.0
     state = tilted(start(3.0, 0.5, 0.3), (0.3, 0.5, 0.2, 0.2, -0.4, 0.3), 6)
     cmd = np.zeros(4)
     track = sail(state, cmd, 5.0, dt=0.005, dof=6, p=p)
@@ -384,7 +387,7 @@ def test_three_degrees_are_six_with_heave_roll_and_pitch_held(
 ) -> None:
     """Inertia without bounds holds what 3-DOF holds; the other three rows must agree."""
     heavy = P.copy()
-    heavy[[par.M_Z, par.J_XX, par.J_YY]] = 1e15
+    heavy["m_z"] = heavy["J_xx"] = heavy["J_yy"] = 1e15
     state, sea = start(u, v, r, n=15.0, delta=delta, psi=0.4), a_sea(3, current=0.5)
     three = derivative(state, sea=sea, p=heavy)
     six = derivative(state, sea=sea, p=heavy, dof=6)
@@ -650,11 +653,8 @@ def test_the_step_reports_its_mean_derivative() -> None:
     """Row 0 of the scratch is what an IMU reads: the change over the step, over dt."""
     sea, s = a_sea(1), start(6.0, v=0.3, r=0.1, n=20.0, delta=0.1)
     before = s.copy()
-    factors, work = (
-        waves.factor_room(sea.waves.shape[1]),
-        np.zeros((ship.WORK_ROWS, fr.STATE_SIZE)),
-    )
-    ship.step(s, helm(22.0, 5.0), P, sea.waves, sea.gusts, sea.weather, 1.0, 0.05, 3, factors, work)
+    work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
+    ship.step(s, helm(22.0, 5.0), ship.Ship(P, 3), sea.arrays(), 1.0, 0.05, work)
     np.testing.assert_allclose(work[0], (s - before) / 0.05, rtol=1e-9, atol=1e-11)
 
 

@@ -12,17 +12,15 @@ from hypothesis import strategies as st
 from usv_gym import SeaState, Vessel
 from usv_gym.manoeuvring.rao import box_loads
 from usv_gym.physics import GRAVITY, spectra, waves
-from usv_gym.physics import parameters as par
-from usv_gym.physics.weather import DRIFT, DRIFT_END
 
 BOAT = Vessel.load("usv75")
 RHO_G = BOAT.values["water_density"] * GRAVITY
 LENGTH, BEAM, DRAFT = (BOAT.values[key] for key in ("length_waterline", "beam", "draft"))
 BOX = BOAT.packed.copy()
-BOX[par.BLOCK] = 1.0  # the loads are those of a box times the block coefficient
-BOX[par.MASS] = BOAT.values["water_density"] * LENGTH * BEAM * DRAFT
-BOX[par.A_WP] = LENGTH * BEAM
-BOX[par.GM_L], BOX[par.GM_T] = LENGTH**2 / (12.0 * DRAFT), BEAM**2 / (12.0 * DRAFT)
+BOX["block_coefficient"] = 1.0  # the loads are those of a box times the block coefficient
+BOX["mass"] = BOAT.values["water_density"] * LENGTH * BEAM * DRAFT
+BOX["A_wp"] = LENGTH * BEAM
+BOX["GM_L"], BOX["GM_T"] = LENGTH**2 / (12.0 * DRAFT), BEAM**2 / (12.0 * DRAFT)
 
 
 def components(
@@ -41,7 +39,7 @@ def loads(
     x: float, y: float, psi: float, t: float, rows: np.ndarray, p: np.ndarray = BOX
 ) -> np.ndarray:
     """Return X, Y, N."""
-    factors = waves.factor_room(rows.shape[1])
+    factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(psi, rows, p, 6, factors)
     return np.array(waves.first_order_loads(x, y, psi, t, rows, p, 3, factors))[:3]
 
@@ -50,7 +48,7 @@ def vertical_loads(
     x: float, y: float, psi: float, t: float, rows: np.ndarray, p: np.ndarray = BOX
 ) -> np.ndarray:
     """Return Z (down), K (starboard down), M (bow up)."""
-    factors = waves.factor_room(rows.shape[1])
+    factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(psi, rows, p, 6, factors)
     six = np.array(waves.first_order_loads(x, y, psi, t, rows, p, 6, factors))
     np.testing.assert_array_equal(six[:3], loads(x, y, psi, t, rows, p))
@@ -320,7 +318,7 @@ def test_drift_sums_of_a_realised_sea() -> None:
     direction = math.radians(40.0)
     rng = np.random.default_rng(5)
     sea = SeaState(hs=0.5, wave_to=direction).realise(BOAT, rng, rng)
-    drift = sea.weather[DRIFT:DRIFT_END]
+    drift = sea.weather["drift_sums"]
     fine = sums(limited=True)
     # one frequency at random in each of 100 bins: 8 % (the spread over seeds is 1 to 4 %)
     np.testing.assert_allclose(drift[0::2], fine * math.cos(direction), rtol=0.16)
@@ -333,7 +331,7 @@ def test_mean_drift_signs() -> None:
     """A head sea pushes astern, a sea from port pushes to starboard (physics.md 5.3)."""
     rng = np.random.default_rng(5)
     sea = SeaState(hs=0.5, wave_to=0.0).realise(BOAT, rng, rng)
-    drift = sea.weather[DRIFT:DRIFT_END].copy()
+    drift = sea.weather["drift_sums"].copy()
     following, head = waves.mean_drift_loads(0.0, drift), waves.mean_drift_loads(math.pi, drift)
     assert following[0] > 0.0
     assert head[0] == pytest.approx(-following[0])

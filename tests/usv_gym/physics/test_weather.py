@@ -24,9 +24,11 @@ angles = st.floats(-math.pi, math.pi)
 def on_course(*rows: tuple[float, float, float, float]) -> np.ndarray:
     """Return a weather by (time, wave gain, wind speed, wind from)."""
     weather = wx.constant()
-    weather[wx.CHANGES] = len(rows) - 1
-    weather[: 4 * len(rows)] = np.ravel(rows)
-    weather[wx.GUST_WIND] = max(row[2] for row in rows)
+    weather["changes"], weather["gust_wind"] = len(rows) - 1, max(row[2] for row in rows)
+    for name, values in zip(
+        ("keyframe_t", "wave_gain", "wind_speed", "wind_from"), np.transpose(rows), strict=True
+    ):
+        weather[name][: len(rows)] = values
     return weather
 
 
@@ -34,14 +36,6 @@ def wind_at(t: float, weather: np.ndarray, gusts: np.ndarray = NO_GUSTS) -> tupl
     """Return speed and where from, in [0, 2 pi)."""
     north, east = wx.air_velocity(t, gusts, weather)
     return math.hypot(north, east), math.atan2(-east, -north) % (2.0 * math.pi)
-
-
-def test_parts_of_the_vector_do_not_overlap() -> None:
-    first = np.arange(wx.COURSE_ROWS * wx.COURSE_COLUMNS).tolist()
-    slow = [wx.SPEED_DRIFT, wx.SPEED_SD, wx.SPEED_TAU, wx.FROM_DRIFT, wx.FROM_SD, wx.FROM_TAU]
-    single = [wx.CHANGES, wx.GUST_WIND, *slow, wx.CURRENT_NORTH, wx.CURRENT_EAST]
-    places = [*first, *single, *range(wx.DRIFT, wx.DRIFT_END)]
-    assert places == list(range(wx.WEATHER_SIZE))
 
 
 # ---------------------------------------------------------------- course
@@ -72,7 +66,7 @@ def test_a_course_is_continuous_at_its_moments(t: float) -> None:
 
 
 def test_a_full_course_ends_within_itself() -> None:
-    rows = [(10.0 * i, 0.1 * i, float(i), 0.1 * i) for i in range(wx.COURSE_ROWS)]
+    rows = [(10.0 * i, 0.1 * i, float(i), 0.1 * i) for i in range(wx.KEYFRAMES)]
     weather = on_course(*rows)
     assert wx.wave_gain(69.0, weather) == pytest.approx(0.69, rel=1e-12)
     assert wx.wave_gain(70.0, weather) == wx.wave_gain(1e9, weather) == rows[-1][1]
@@ -107,11 +101,11 @@ def test_slow_wind_has_its_standard_deviation_and_time_constant() -> None:
     states = np.zeros((boats, steps + 1, 2))
     for i in range(boats):
         weather = wx.constant(wind=8.0, wind_from=1.0)
-        weather[wx.SPEED_SD : wx.SPEED_TAU + 1] = sd[0], tau[0]
-        weather[wx.FROM_SD : wx.FROM_TAU + 1] = sd[1], tau[1]
+        weather["speed_sd"], weather["speed_tau"] = sd[0], tau[0]
+        weather["from_sd"], weather["from_tau"] = sd[1], tau[1]
         for k in range(steps + 1):
-            wx.drift_on(weather, dt if k else math.inf, *normal[i, k])
-            states[i, k] = weather[[wx.SPEED_DRIFT, wx.FROM_DRIFT]]
+            wx.advance_slow_wind(weather, dt if k else math.inf, *normal[i, k])
+            states[i, k] = weather["speed_drift"], weather["from_drift"]
     # N = boats * T / (2 tau) = 1600 and 667 independent values: the standard error of a
     # standard deviation is 1/sqrt(2 N) = 1.8 and 2.7 %; three of them
     np.testing.assert_allclose(np.std(states, axis=(0, 1)), sd, rtol=0.08)
@@ -128,21 +122,21 @@ def test_slow_wind_has_its_standard_deviation_and_time_constant() -> None:
 
 def test_slow_wind_turns_about_the_mean_wind() -> None:
     weather = wx.constant(wind=8.0, wind_from=1.0)
-    weather[[wx.SPEED_DRIFT, wx.FROM_DRIFT]] = -0.5, 0.25
+    weather["speed_drift"], weather["from_drift"] = -0.5, 0.25
     assert wind_at(0.0, weather) == pytest.approx((7.5, 1.25), rel=1e-12)
     # without noise it goes back to the mean, by 1/e in a time constant
-    weather[wx.SPEED_SD : wx.SPEED_TAU + 1] = 0.5, 60.0
+    weather["speed_sd"], weather["speed_tau"] = 0.5, 60.0
     for _ in range(60):
-        wx.drift_on(weather, 1.0, 0.0, 0.0)
+        wx.advance_slow_wind(weather, 1.0, 0.0, 0.0)
     assert wind_at(0.0, weather)[0] == pytest.approx(8.0 - 0.5 * math.exp(-1.0), rel=1e-9)
-    assert weather[wx.FROM_DRIFT] == 0.25  # a standard deviation of nought leaves it alone
+    assert weather["from_drift"] == 0.25  # a standard deviation of nought leaves it alone
 
 
 @given(mean=st.floats(0.0, 20.0), drift=st.floats(-40.0, 40.0))
 @settings(max_examples=100, deadline=None)
 def test_slow_wind_stays_within_the_mean_either_way(mean: float, drift: float) -> None:
     weather = wx.constant(wind=mean)
-    weather[wx.SPEED_DRIFT] = drift
+    weather["speed_drift"] = drift
     speed = wind_at(0.0, weather)[0]
     assert speed == pytest.approx(mean + min(max(drift, -mean), mean), abs=1e-12)
     if mean == 0.0:
@@ -159,16 +153,17 @@ def accelerations(
     rng = np.random.default_rng(4)
     sea = SeaState(hs=0.5, wave_to=0.7).realise(BOAT, rng, rng)
     rows, weather = sea.waves.copy(), sea.weather.copy()
-    weather[wx.WAVE_GAIN] = gain
+    weather["wave_gain"][0] = gain
     if not first_order:
         rows[[waves.PRESSURE, waves.BOTTOM]] = 0.0
     if not drift:
-        weather[wx.DRIFT : wx.DRIFT_END] = 0.0
+        weather["drift_sums"] = 0.0
     state, out = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
-    factors = waves.factor_room(rows.shape[1])
+    factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(0.0, rows, P, 6, factors)
     share = wx.wave_gain(0.0, weather)
-    ship.derivative(state, np.zeros(4), P, rows, factors, weather, 0.0, 0.0, share, 0.0, dof, out)
+    around, air = ship.Sea(rows, NO_GUSTS, weather, factors), ship.Air(0.0, 0.0, share)
+    ship.derivative(state, np.zeros(4), ship.Ship(P, dof), around, air, 0.0, out)
     return out[[fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R] if dof == 6 else [fr.U, fr.V, fr.R]]
 
 
@@ -188,14 +183,14 @@ def test_a_step_takes_the_gain_of_its_time() -> None:
     """Waves that grow from nothing move a boat as waves of the gain in that moment do."""
     rng = np.random.default_rng(4)
     sea = SeaState(course=[(0.0, 0.0, 0.0), (100.0, 1.0, 0.0)]).realise(BOAT, rng, rng)
-    factors = waves.factor_room(sea.waves.shape[1])
+    factors = waves.factor_workspace(sea.waves.shape[1])
     held = sea.weather.copy()
-    held[wx.CHANGES], held[wx.WAVE_GAIN] = 0.0, 0.25
+    held["changes"], held["wave_gain"][0] = 0.0, 0.25
     ends = []
     for weather in (sea.weather, held):
         state, work = np.zeros(fr.STATE_SIZE), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-        args = (sea.waves, sea.gusts, weather, 25.0, 0.05, 6, factors, work)
-        ship.step(state, np.zeros(4), P, *args)
+        around = ship.Sea(sea.waves, sea.gusts, weather, factors)
+        ship.step(state, np.zeros(4), ship.Ship(P, 6), around, 25.0, 0.05, work)
         ends.append(state)
     np.testing.assert_allclose(ends[0], ends[1], rtol=1e-12)
     assert np.all(ends[0][[fr.U, fr.V, fr.R]] != 0.0)

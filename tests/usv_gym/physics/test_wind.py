@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.physics import parameters as par
 from usv_gym.physics import ship, weather, wind
 
 BOAT = Vessel.load("usv75")
@@ -138,13 +137,14 @@ def test_no_wind_no_load(u: float, v: float, r: float, psi: float, n: float, del
     state[[fr.PSI, fr.U, fr.V, fr.R]] = psi, u, v, r
     state[fr.N_LEFT :] = n, n, delta, -delta
     cmd, still = state[fr.N_LEFT :].copy(), weather.constant()
+    sea = ship.calm_sea(still)
     bare = P.copy()
-    bare[[par.A_F, par.A_L]] *= 0.5
+    bare["A_F"], bare["A_L"] = 0.5 * bare["A_F"], 0.5 * bare["A_L"]
     north, east = weather.air_velocity(3.0, np.zeros((3, 0)), still)
     assert (north, east) == (0.0, 0.0)
     out, out_bare = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
     for p, o in ((P, out), (bare, out_bare)):
-        ship.derivative(state, cmd, p, CALM, NO_FACTORS, still, north, east, 1.0, 3.0, 3, o)
+        ship.derivative(state, cmd, ship.Ship(p, 3), sea, ship.Air(north, east, 1.0), 3.0, o)
     np.testing.assert_array_equal(out, out_bare)
 
 
@@ -152,10 +152,11 @@ def test_wind_load_vanishes_with_the_wind() -> None:
     """The ship feels wind less still air, so that a breath of wind makes no jump."""
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.U, fr.V]] = 10.0, 0.5
-    cmd, still = np.zeros(4), weather.constant()
+    cmd, sea = np.zeros(4), ship.calm_sea()
     calm, breath = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
-    ship.derivative(state, cmd, P, CALM, NO_FACTORS, still, 0.0, 0.0, 1.0, 0.0, 3, calm)
-    ship.derivative(state, cmd, P, CALM, NO_FACTORS, still, 1e-8, 1e-8, 1.0, 0.0, 3, breath)
+    for speed, out in ((0.0, calm), (1e-8, breath)):
+        air = ship.Air(speed, speed, 1.0)
+        ship.derivative(state, cmd, ship.Ship(P, 3), sea, air, 0.0, out)
     # 1e-8 m/s on 10 m/s: loads of 5e-7 N on 3.4 t
     np.testing.assert_allclose(breath, calm, atol=1e-8)
     assert np.any(breath != calm)

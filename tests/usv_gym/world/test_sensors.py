@@ -18,21 +18,23 @@ from usv_gym.envs.env import USVEnv
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 from usv_gym.world import sensors
-from usv_gym.world.sensors import (
-    CHANNELS,
-    COMPASS_BIT,
+from usv_gym.world.channels import CHANNELS, COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.faults import (
     EFFECTS,
     FAULT_KINDS,
-    GPS_BIT,
-    GRADES,
-    IMU_BIT,
+    FAULT_NUMBERS,
     ON,
     SPIKE_SIZES,
     Disturbance,
     FaultError,
+    apply_faults,
+    fault_records,
+    fault_sources,
     parse_faults,
 )
-from usv_gym.world.simulation import NOISE_ROWS, Simulation
+from usv_gym.world.sensors import GRADES
+from usv_gym.world.simulation import BLOCK_STEPS, Simulation
+from usv_gym.world.state import BOAT as BOAT_RECORD
 
 DT = 0.05
 BOAT = Vessel.load("usv75")
@@ -52,26 +54,27 @@ def rows(
     """Return what the sensors of a boat that stays as it is say, first row at t = 0."""
     rng = np.random.default_rng(seed)
     normals = rng.standard_normal((count, sensors.NOISE_SIZE))
-    draws = [s.random((count, sensors.NOISE_FAULT)) for s in sensors.fault_sources(faults, rng)]
-    noise, wrong = np.hstack([normals, *draws]), sensors.fault_rows(faults, dt)
-    packed, memory = suite.pack(dt), np.zeros(sensors.MEMORY_SIZE)
-    ring = np.zeros((suite.delay_steps(dt) + 1, 4))
-    state = np.zeros(fr.STATE_SIZE) if state is None else state
-    rate, z = np.zeros(fr.STATE_SIZE), np.zeros((count, 8))
-    sensors.start_memory(packed, noise[0], memory)
+    draws = [s.random((count, FAULT_NUMBERS)) for s in fault_sources(faults, rng)]
+    numbers, records = np.hstack([normals, *draws]), fault_records(faults, dt)
+    packed, delay_line = suite.pack(dt), np.zeros((suite.delay_steps(dt) + 1, 4))
+    boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, 8))
+    if state is not None:
+        boat["state"] = state
+    sensors.start_sensors(packed, numbers[0], boat["sensors"])
     for k in range(count):
-        step = dt if k else 0.0
-        sensors.measure(state, rate, k * dt, k, step, packed, noise[k], wrong, memory, ring, z[k])
+        boat["t"], boat["step"] = k * dt, k
+        sensors.measure(boat, dt if k else 0.0, packed, numbers[k], records, delay_line)
+        z[k] = boat["measurement"]
     return z
 
 
 def sample(suite: SensorSuite, state: np.ndarray, rate: np.ndarray, dt: float = DT) -> np.ndarray:
     """Return one row of sensors without noise."""
-    z, noise = np.zeros(8), np.zeros(sensors.NOISE_SIZE)
-    memory, ring = np.zeros(sensors.MEMORY_SIZE), np.zeros((1, 4))
-    without = sensors.fault_rows((), dt)
-    sensors.measure(state, rate, 1.0, 20, dt, suite.pack(dt), noise, without, memory, ring, z)
-    return z
+    boat = np.zeros(1, BOAT_RECORD)[0]
+    boat["state"], boat["mean_rate"], boat["t"], boat["step"] = state, rate, 1.0, 20
+    numbers, delay_line = np.zeros(sensors.NOISE_SIZE), np.zeros((1, 4))
+    sensors.measure(boat, dt, suite.pack(dt), numbers, fault_records((), dt), delay_line)
+    return boat["measurement"].copy()
 
 
 def only(**values: object) -> SensorSuite:
@@ -221,7 +224,7 @@ def test_the_rate_does_not_depend_on_the_control_step() -> None:
     suite = only(imu_rate=20.0)
     z = rows(suite, 500, dt=0.01)
     np.testing.assert_array_equal(np.isfinite(z[:, GYRO]), np.arange(500) % 5 == 0)
-    share = suite.pack(0.01)[sensors.SHARE + 2]
+    share = suite.pack(0.01)["imu_share"]
     late = [sensors._due(1_000_000 + k, share) for k in range(50)]
     np.testing.assert_array_equal(late, np.arange(50) % 5 == 0)
 
@@ -476,7 +479,7 @@ def spans(gone: np.ndarray) -> np.ndarray:
 def test_bursts_have_their_share_and_length(loss: float, mean: float) -> None:
     count = 400_000
     t, z = DT * np.arange(count), np.zeros((count, 8))
-    out = sensors.spoiled(t, z, [Bursts("gps", loss, mean)], np.random.default_rng(5))
+    out = apply_faults(t, z, [Bursts("gps", loss, mean)], np.random.default_rng(5))
     gone = np.isnan(out[:, 0])
     np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (BIT == GPS_BIT))
     r = DT / mean
@@ -494,7 +497,7 @@ def test_random_faults_keep_their_gaps_and_lengths() -> None:
     count = 400_000
     t, z = DT * np.arange(count), np.zeros((count, 8))
     fault = RandomFaults("imu", gap=(2.0, 6.0), duration=(1.0, 3.0), start=10.0)
-    out = sensors.spoiled(t, z, [fault], np.random.default_rng(6))
+    out = apply_faults(t, z, [fault], np.random.default_rng(6))
     gone = np.isnan(out[:, GYRO])
     np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (BIT == IMU_BIT))
     assert not gone[: round(12.0 / DT)].any()
@@ -539,18 +542,18 @@ def test_recorded_measurements_with_faults() -> None:
     z, t = rng.normal(size=(200, 10)), 100.0 + 0.1 * np.arange(200)
     given = z.copy()
     faults = [Fault("gps", 5.0, 2.0), Fault("compass", 10.0, 1.0, effect="frozen")]
-    out = sensors.spoiled(t, z, faults, rng)
+    out = apply_faults(t, z, faults, rng)
     np.testing.assert_array_equal(z, given)
     expected = z.copy()
     expected[50:70, :4] = math.nan
     expected[100:110, 4] = z[99, 4]
     np.testing.assert_array_equal(out, expected)
-    np.testing.assert_array_equal(sensors.spoiled(t, z, [], rng), z)
+    np.testing.assert_array_equal(apply_faults(t, z, [], rng), z)
 
 
 # ------------------------------------------------- faults in a simulation
 
-STEPS = 2 * NOISE_ROWS[0] + 50
+STEPS = 2 * BLOCK_STEPS[0] + 50
 
 
 def sailed(faults: Sequence[Disturbance], seed: int = 3, steps: int = STEPS) -> np.ndarray:
@@ -713,14 +716,14 @@ TEXTS = st.one_of(
 def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
     try:
         faults = parse_faults(text, 10.0)
-        packed = sensors.fault_rows(faults, DT)
+        packed = fault_records(faults, DT)
     except FaultError as error:
         words = ("use ", "must ", "write ", "make them longer")
         clear = any(word in str(error) for word in words)
     else:
         clear = True
-        assert packed.shape == (len(faults), sensors.FAULT_SIZE)
-        assert np.all(np.isfinite(packed))
+        assert packed.shape == (len(faults),)
+        assert np.all(np.isfinite(packed.view(float)))
         assert not np.any(np.isinf(rows(SensorSuite(), 300, faults=faults)))
     assert clear
 

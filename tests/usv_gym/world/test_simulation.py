@@ -11,12 +11,12 @@ import pytest
 
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
 from usv_gym.physics import frames as fr
-from usv_gym.world.sensors import COMPASS, GPS, IMU
-from usv_gym.world.simulation import MEAN_RATE, NOISE_ROWS, Simulation, SimulationError
+from usv_gym.world.channels import COMPASS, GPS, IMU
+from usv_gym.world.simulation import BLOCK_STEPS, Simulation, SimulationError
 
 BOAT = Vessel.load("usv75")
 SEA = SeaState.named("2").replace(current=0.4, current_to=1.0)
-STEPS = NOISE_ROWS[0] + 100  # past a new block of noise
+STEPS = BLOCK_STEPS[0] + 100  # past a new block of noise
 CMD = np.random.default_rng(9).uniform([5, 5, -0.4, -0.4], [25, 25, 0.4, 0.4], (STEPS, 4))
 
 
@@ -211,7 +211,7 @@ def test_the_imu_reports_the_mean_of_the_whole_control_step() -> None:
     for _ in range(100):
         before = simulation.state[0].copy()
         simulation.step(simulation.cmd)
-        mean = simulation.records[0, MEAN_RATE:]
+        mean = simulation.boats["mean_rate"][0]
         change = (simulation.state[0] - before) / simulation.dt
         np.testing.assert_allclose(mean, change, rtol=1e-9, atol=1e-9)
 
@@ -235,7 +235,7 @@ def test_what_a_simulation_cannot_do_is_told(call: Callable[[], object], words: 
 def test_a_bad_command_changes_nothing(cmd: np.ndarray) -> None:
     simulation = Simulation(1, "usv75", "2", suite="best")
     simulation.reset([0], [np.random.default_rng(0)])
-    before = simulation.records.copy()
+    before = simulation.rows.copy()
     with pytest.raises(SimulationError, match=r"finite numbers of shape \(1, 4\)"):
         simulation.step(cmd)
-    np.testing.assert_array_equal(simulation.records, before)
+    np.testing.assert_array_equal(simulation.rows, before)

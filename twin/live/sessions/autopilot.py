@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin.agents.controllers import LOS
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
-from usv_gym.envs.tasks import REACH, Curves, follow
+from usv_gym.envs.tasks import Curves, follow
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, commands
 from usv_gym.vessel.vessel import Vessel
 
@@ -111,7 +111,7 @@ class Helm:
         x, y, psi = state[:3]
         c, s = math.cos(psi), math.sin(psi)
         self.path = task.points[0] @ np.array([[c, s], [-s, c]]) + [x, y]
-        self._leg, self._reach, self._decided = 0, float(task.rules[REACH]), -math.inf
+        self._leg, self._reach, self._decided = 0, float(task.rules["reach"]), -math.inf
         self._los = LOS()
         self._los.fit(self.vessel, self.speed, DECISION, self._reach)
 

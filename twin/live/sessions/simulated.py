@@ -20,8 +20,9 @@ from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from twin.sim.oracle import simulator_options
 from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.faults import Disturbance, Fault
 from usv_gym.world.sea import Sea, SeaState
-from usv_gym.world.sensors import END, START, Disturbance, Fault, SensorSuite
+from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 
 __all__ = [
@@ -135,11 +136,12 @@ class SimulatedSession(Session):
     def lose(self, kind: str, seconds: float) -> None:
         """Lose ``gps`` or ``imu`` from now on for so long; infinity is until it is found again."""
         row = self.simulation.faults[0, ("gps", "imu").index(kind)]
-        row[START], row[END] = self.t, self.t + seconds
+        row["start"], row["end"] = self.t, self.t + seconds
 
     def is_lost(self, kind: str) -> bool:
         """Whether ``gps`` or ``imu`` was lost until it is found again."""
-        begin, end = self.simulation.faults[0, ("gps", "imu").index(kind), [START, END]]
+        fault = self.simulation.faults[0, ("gps", "imu").index(kind)]
+        begin, end = fault["start"], fault["end"]
         return bool(begin <= self.t and end == math.inf)
 
     def toggle_loss(self, kind: str) -> None:

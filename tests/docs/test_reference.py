@@ -1,0 +1,57 @@
+"""The tables of the reference are those of the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import gymnasium as gym
+
+import usv_gym  # noqa: F401 - registers the environment
+from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.logs.columns import UNITS
+from twin.predictors.registry import PREDICTORS
+from usv_gym.envs.tasks import TASKS
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (DOCS / "reference/environment.md").read_text(encoding="utf-8")
+LOGS = (DOCS / "reference/logs.md").read_text(encoding="utf-8")
+
+
+def test_observation_table_names_every_entry_in_order():
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| ([^|]+) \| ([^|]+) \|$", PAGE, flags=re.MULTILINE)
+    single = [name for _, name, _, _ in rows if "Hs" not in name]
+    block = [name for _, name, _, _ in rows if "Hs" in name]
+    ahead = [name.replace("Hs", f"{h}s") for h in (1, 2, 5, 10) for name in block]
+    env = gym.make("USVTwin-v0", twin="ukf")
+    assert (*single, *ahead) == env.unwrapped.observation_names
+    assert [int(row[0]) for row in rows] == [*range(len(single)), *range(len(block))]
+    assert not [row for row in rows if "above" in row[3] or not row[3].strip()]
+    env.close()
+
+
+def test_reward_table_names_every_task_and_term():
+    section = PAGE[PAGE.index("## Reward") : PAGE.index("## Info")]
+    for name, task in TASKS.items():
+        assert f"`{name}`" in section
+        assert name == "free" or all(f"`{term}`" in section for term in task.terms)
+
+
+def test_info_table_names_every_key():
+    env = gym.make("USVTwin-v0", twin="ukf")
+    _, info = env.reset(seed=0)
+    env.close()
+    section = PAGE[PAGE.index("## Info") : PAGE.index("## Classes")]
+    assert re.findall(r"^\| `(\w+)` \|", section, flags=re.MULTILINE) == list(info)
+
+
+def test_log_tables_name_every_column_and_unit():
+    assert not [name for name in (*COMMANDS, *MEASUREMENTS, *TRUTH) if f"`{name}`" not in LOGS]
+    for ending, units in UNITS.items():
+        (row,) = re.findall(rf"^\| `_{ending}` \| (.*) \|$", LOGS, flags=re.MULTILINE)
+        assert not [unit for unit in units if f"`{unit}`" not in row]
+
+
+def test_predictor_table_names_every_predictor():
+    page = (DOCS / "reference/twin.md").read_text(encoding="utf-8")
+    assert not [name for name in PREDICTORS if f"`{name}`" not in page]

@@ -1,0 +1,114 @@
+"""The options of the environment, documented once."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.faults import Disturbance
+from usv_gym.world.sea import SeaState
+from usv_gym.world.sensors import SensorSuite
+
+__all__ = ["EnvConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """Options of ``gym.make("USVTwin-v0", ...)`` that every environment takes.
+
+    Parameters
+    ----------
+    vessel : str or Path or Vessel
+        Name, TOML file or object.
+    sea : str or SeaState or sequence of them
+        Name in :data:`usv_gym.world.sea.SEA_STATES`, or an object. Of several, as in ``"0|2|4"``,
+        each episode draws one.
+    hs, wind, wind_from_deg : float, optional
+        Change the sea state's wave height (m), wind speed (m/s) and where the wind comes
+        from (degrees).
+    suite : SensorSuite or str, optional
+        Errors and rates of the sensors, or one of :data:`usv_gym.world.sensors.GRADES`
+        (``"typical"``, ``"best"``, ``"consumer"``, ``"perfect"``).
+    faults : str or sequence of Disturbance
+        ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
+        without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,
+        see :func:`usv_gym.world.faults.parse_faults`; or faults with their times. Of several
+        texts, as in ``"none|gps10|gps30"``, each episode draws one.
+    task : str
+        One of :data:`usv_gym.envs.tasks.TASKS`.
+    actions : str
+        ``"common"`` or ``"units"``.
+    frame_skip : int
+        Steps of ``dt`` that an action is held for; the reward is their sum, and sensors (and
+        a twin) run in each of them.
+    dof : int
+        Degrees of freedom of the ship: 3 (surge, sway, yaw), or 6, with heave, roll and pitch
+        in the waves, and their share of gravity in the accelerometers.
+    dt, dt_physics : float
+        Control and integration step, s.
+    """
+
+    vessel: str | Path | Vessel = "usv75"
+    sea: str | SeaState | Sequence[str | SeaState] = "2"
+    hs: float | None = None
+    wind: float | None = None
+    wind_from_deg: float | None = None
+    suite: SensorSuite | str | None = None
+    faults: str | Sequence[Disturbance] = "none"
+    task: str = "path"
+    actions: str = "common"
+    frame_skip: int = 1
+    dof: int = 3
+    dt: float = 0.05
+    dt_physics: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.actions not in ("common", "units"):
+            raise ValueError(f"actions = {self.actions!r}; use 'common' or 'units'")
+        check_count("frame_skip", self.frame_skip)
+        angle = self.wind_from_deg
+        if angle is not None and not isinstance(angle, (int, float, np.number)):
+            raise ValueError(f"wind_from_deg = {angle!r}: must be a number of degrees")
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Return the names of the options."""
+        return tuple(field.name for field in dataclasses.fields(cls))
+
+    @classmethod
+    def of(cls, options: dict[str, Any], others: Sequence[str]) -> EnvConfig:
+        """Return the configuration of options by name.
+
+        Raises
+        ------
+        TypeError
+            Names the options that exist; ``others`` are those of the environment itself.
+        """
+        unknown = ", ".join(name for name in options if name not in cls.names())
+        if unknown:
+            raise TypeError(
+                f"the environment has no option {unknown}; it has {', '.join((*others, *cls.names()))}"
+            )
+        return cls(**options)
+
+    def seas(self) -> tuple[SeaState, ...]:
+        """Return the sea states, with wave height and wind as asked for."""
+        angle = self.wind_from_deg
+        wind_from = None if angle is None else math.radians(angle % 360.0)
+        return tuple(
+            state.replace(hs=self.hs, wind=self.wind, wind_from=wind_from)
+            for state in SeaState.any_of(self.sea)
+        )
+
+
+def check_count(name: str, value: Any) -> None:
+    """Refuse what is no whole number of 1 or more."""
+    if isinstance(value, bool) or not (isinstance(value, (int, np.integer)) and value >= 1):
+        raise ValueError(f"{name} = {value!r}: must be a whole number, 1 or more")

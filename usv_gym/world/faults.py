@@ -1,0 +1,455 @@
+"""Faults of sensors: lost, frozen or spiked samples, once, at random or in bursts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from usv_gym.world.channels import CHANNELS, COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_kernel.errors import UsvTwinError
+from usv_kernel.jit import kernel
+from usv_kernel.records import Record
+
+__all__ = [
+    "EFFECTS",
+    "FAULT",
+    "FAULTS_HELP",
+    "FAULT_KINDS",
+    "FAULT_NUMBERS",
+    "ON",
+    "Bursts",
+    "Disturbance",
+    "Fault",
+    "FaultError",
+    "RandomFaults",
+    "apply_faults",
+    "fault_records",
+    "fault_sources",
+    "is_finite",
+    "parse_faults",
+    "strike",
+]
+
+FAULT_NUMBERS = 3
+"""Uniform random numbers that each fault takes in a control step."""
+
+FAULT_KINDS = {
+    "gps": GPS_BIT,
+    "imu": IMU_BIT,
+    "compass": COMPASS_BIT,
+    "all": GPS_BIT | COMPASS_BIT | IMU_BIT,
+}
+"""Which sensors each kind of fault strikes."""
+
+LOSS, FROZEN, SPIKES = 0, 1, 2
+
+EFFECTS = {"loss": LOSS, "frozen": FROZEN, "spikes": SPIKES}
+"""What a fault does: no sample; the last sample again, as if new; samples far off."""
+
+FAULT = np.dtype(
+    [
+        ("bits", float),  # sum of the bits of the sensors that it strikes
+        ("start", float),  # s, of the present window; NaN: not used
+        ("end", float),  # s
+        ("effect", float),  # one of EFFECTS
+        ("chance", float),  # share of samples with a spike
+        ("gap", float, 2),  # s, shortest and longest time between random windows; 0: none
+        ("length", float, 2),  # s, shortest and longest random window
+        ("enter", float),  # probability that a burst begins in a step
+        ("leave", float),  # probability that it ends; 0: no bursts
+        ("bursting", float),  # 1 within a burst
+        ("sizes", float, len(CHANNELS)),  # spike of each channel, in its unit
+    ]
+)
+"""A fault as kernels read and advance it."""
+
+
+def is_finite(value: object) -> bool:
+    """Return whether something is a finite number."""
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    return number and math.isfinite(value)  # type: ignore[arg-type]
+
+
+class FaultError(UsvTwinError):
+    """A sensor or a fault that cannot be; the message names it and the remedy."""
+
+
+SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
+"""How far a spike is off, in the unit of each of :data:`CHANNELS`. By judgement: far beyond
+the noise, not beyond belief."""
+
+
+@dataclass(frozen=True)
+class Disturbance(ABC):
+    """What a fault does to which sensors; when it does so is the subclass's affair.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`FAULT_KINDS`. ``all`` strikes the three at the same moments.
+    effect : str
+        One of :data:`EFFECTS`.
+    chance : float
+        Share of samples that a fault of ``spikes`` spoils.
+    sizes : tuple of float
+        How far a spike is off in each of :data:`CHANNELS`, each with a random sign.
+    """
+
+    kind: str
+    effect: str = dataclasses.field(default="loss", kw_only=True)
+    chance: float = dataclasses.field(default=0.1, kw_only=True)
+    sizes: tuple[float, ...] = dataclasses.field(default=SPIKE_SIZES, kw_only=True)
+
+    code: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULT_KINDS:
+            raise FaultError(
+                f"no sensor fault is called {self.kind!r}; use {', '.join(FAULT_KINDS)}"
+            )
+        if self.effect not in EFFECTS:
+            raise FaultError(
+                f"{self.kind} fault: there is no effect {self.effect!r}; use {', '.join(EFFECTS)}"
+            )
+        if not (is_finite(self.chance) and 0.0 <= self.chance <= 1.0):
+            raise FaultError(
+                f"{self.kind} fault: the chance of a spike must lie in [0, 1], got {self.chance}"
+            )
+        if np.shape(self.sizes) != (len(CHANNELS),) or not all(map(is_finite, self.sizes)):
+            raise FaultError(
+                f"{self.kind} fault: sizes must be {len(CHANNELS)} finite numbers, one for each "
+                f"of usv_gym.world.channels.CHANNELS, got {self.sizes}"
+            )
+
+    @abstractmethod
+    def _timing(self, dt: float) -> dict[str, Any]:
+        """Return the fields of the record that say when it strikes."""
+
+    def record(self, dt: float) -> Record:
+        """Return the record that :func:`measure` reads, for control steps of dt s."""
+        record = np.zeros(1, FAULT)[0]
+        record["bits"], record["effect"] = FAULT_KINDS[self.kind], EFFECTS[self.effect]
+        record["chance"], record["sizes"] = self.chance, self.sizes
+        for name, value in self._timing(dt).items():
+            record[name] = value
+        return record
+
+
+@dataclass(frozen=True)
+class Fault(Disturbance):
+    """A fault of the sensors of one kind, for a while.
+
+    Parameters
+    ----------
+    kind, effect, chance, sizes
+        What is struck and how: see :class:`Disturbance`.
+    start, duration : float
+        When it begins and how long it lasts, s.
+    """
+
+    start: float
+    duration: float
+
+    code = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (is_finite(self.start) and is_finite(self.duration) and self.duration > 0):
+            raise FaultError(
+                f"{self.kind} fault: start and duration must be finite and the duration above 0, "
+                f"got {self.start} and {self.duration}"
+            )
+
+    def _timing(self, dt: float) -> dict[str, Any]:
+        return {"start": self.start, "end": self.start + self.duration}
+
+
+@dataclass(frozen=True)
+class RandomFaults(Disturbance):
+    """Faults that come and go at random without end.
+
+    Parameters
+    ----------
+    kind, effect, chance, sizes
+        What is struck and how: see :class:`Disturbance`.
+    gap, duration : tuple of float
+        Shortest and longest time between two, and of each, s; uniform.
+    start : float
+        When the first gap begins, s.
+    """
+
+    gap: tuple[float, float] = (20.0, 60.0)
+    duration: tuple[float, float] = (2.0, 10.0)
+    start: float = 0.0
+
+    code = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, span in (("gap", self.gap), ("duration", self.duration)):
+            sound = np.shape(span) == (2,) and all(map(is_finite, span))
+            if not (sound and 0.0 < span[0] <= span[1]):
+                raise FaultError(
+                    f"{self.kind} fault: {name} must be the shortest and the longest time in s, "
+                    f"both above 0 and finite, got {span}"
+                )
+        _finite_start(self.kind, self.start)
+
+    def _timing(self, dt: float) -> dict[str, Any]:
+        # a window that is over when it begins: the first one is drawn then
+        return {"start": self.start, "end": self.start, "gap": self.gap, "length": self.duration}
+
+
+@dataclass(frozen=True)
+class Bursts(Disturbance):
+    """Faults in bursts: a Gilbert-Elliott chain, drawn anew with each control step.
+
+    Source: Gilbert 1960, Elliott 1963: p from good to bad and r back in each step give the
+    share p / (p + r) and bursts of 1 / r steps.
+
+    Parameters
+    ----------
+    kind, effect, chance, sizes
+        What is struck and how: see :class:`Disturbance`.
+    loss : float
+        Mean share of steps that are struck, above 0 and below 1.
+    mean : float
+        Mean length of a burst, s.
+    start : float
+        When they begin, s.
+    """
+
+    loss: float = 0.1
+    mean: float = 2.0
+    start: float = 0.0
+
+    code = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (is_finite(self.loss) and 0.0 < self.loss < 1.0):
+            raise FaultError(
+                f"{self.kind} bursts: the loss must be a share above 0 and below 1, got {self.loss}"
+            )
+        if not (is_finite(self.mean) and self.mean > 0.0):
+            raise FaultError(
+                f"{self.kind} bursts: the mean length must be finite and above 0 s, got {self.mean}"
+            )
+        _finite_start(self.kind, self.start)
+
+    def _timing(self, dt: float) -> dict[str, Any]:
+        leave = dt / self.mean
+        enter = leave * self.loss / (1.0 - self.loss)
+        if max(leave, enter) > 1.0 + 1e-9:
+            raise FaultError(
+                f"{self.kind} bursts of {self.mean:g} s with a loss of {self.loss:g} do not fit "
+                f"steps of {dt:g} s; make them longer or the loss smaller"
+            )
+        return {"start": self.start, "enter": enter, "leave": leave}
+
+
+def _finite_start(kind: str, start: float) -> None:
+    if not is_finite(start):
+        raise FaultError(f"{kind} fault: the start must be finite, got {start!r}")
+
+
+ON: tuple[Disturbance, ...] = (
+    Bursts("gps"),
+    RandomFaults("gps", effect="spikes"),
+    RandomFaults("gps", effect="frozen", duration=(1.0, 5.0)),
+    Bursts("compass", loss=0.05, mean=0.5),
+    RandomFaults("compass", effect="spikes"),
+    RandomFaults("compass", effect="frozen", duration=(1.0, 5.0)),
+    Bursts("imu", loss=0.02, mean=0.2),
+    RandomFaults("imu", effect="spikes"),
+    RandomFaults("imu", effect="frozen", duration=(0.5, 2.0)),
+    RandomFaults("all", gap=(60.0, 180.0), duration=(1.0, 5.0)),
+)
+"""What the text ``on`` stands for: everything that can go wrong does, again and again."""
+
+_NUMBER = r"(\d+(?:\.\d+)?)"
+
+_FAULT = re.compile(
+    rf"([a-z]+)(?:-({'|'.join(EFFECTS)}))?"
+    rf"(?:{_NUMBER}|(-random)|-bursts(?:{_NUMBER}x{_NUMBER})?)(?:@{_NUMBER})?",
+    re.ASCII,
+)
+
+FAULTS_HELP = (
+    "none, or a kind and seconds such as gps10, from a given second on gps10@30, with an effect "
+    "gps-frozen5 or imu-spikes20, again and again gps-random, in bursts gps-bursts or "
+    "gps-bursts10x2 (10 % of the time, 2 s each), several joined by +; or on for all of them "
+    f"(kinds: {', '.join(FAULT_KINDS)}; effects: {', '.join(EFFECTS)})"
+)
+"""What a text of faults may be, for messages."""
+
+
+def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
+    """Return the faults that a text such as ``gps10`` or ``none`` stands for.
+
+    Parameters
+    ----------
+    text : str
+        ``none``; ``on``, see :data:`ON`; or parts joined by ``+``. A part is a kind, then
+        ``-`` and an effect (``loss`` if left out), then when: seconds, ``-random`` (see
+        :class:`RandomFaults`) or ``-bursts`` (see :class:`Bursts`; per cent and mean
+        seconds may follow as in ``gps-bursts10x2``), and last ``@`` and its start in s.
+    start : float
+        When windows without ``@`` begin, s; random ones and bursts begin at 0.
+
+    Raises
+    ------
+    FaultError
+        Names the text and what it may be.
+    """
+    if text == "none":
+        return ()
+    if text == "on":
+        return ON
+    faults = []
+    for part in text.split("+"):
+        match = _FAULT.fullmatch(part)
+        if not match:
+            raise FaultError(f"fault {text!r} is not understood; write {FAULTS_HELP}")
+        try:
+            faults.append(_fault(match, start))
+        except FaultError as error:
+            raise FaultError(f"fault {part!r}: {error}") from None
+    return tuple(faults)
+
+
+def _fault(match: re.Match[str], start: float) -> Disturbance:
+    """Return the fault that the groups of a match stand for."""
+    kind, effect, seconds, random, loss, mean, at = match.groups()
+    effect = effect or "loss"
+    if seconds:
+        return Fault(kind, float(at) if at else start, float(seconds), effect=effect)
+    begin = float(at or 0.0)
+    if random:
+        return RandomFaults(kind, effect=effect, start=begin)
+    if loss:
+        return Bursts(kind, float(loss) / 100.0, float(mean), begin, effect=effect)
+    return Bursts(kind, start=begin, effect=effect)
+
+
+def fault_records(faults: Sequence[Disturbance], dt: float) -> np.ndarray:
+    """Return an array (F,) of :data:`FAULT` for :func:`measure` with control steps of dt s."""
+    records = np.zeros(len(faults), FAULT)
+    for i, fault in enumerate(faults):
+        records[i] = fault.record(dt)
+    return records
+
+
+def fault_sources(
+    faults: Sequence[Disturbance], rng: np.random.Generator
+) -> list[np.random.Generator]:
+    """Return a generator for each fault; it stays the same whatever faults are beside it."""
+    (child,) = rng.spawn(1)
+    seed = int(child.integers(2**63))
+    seen: dict[tuple[int, ...], int] = {}
+    sources = []
+    for fault in faults:
+        key = (fault.code, FAULT_KINDS[fault.kind], EFFECTS[fault.effect])
+        seen[key] = seen.get(key, -1) + 1
+        sources.append(np.random.default_rng([seed, *key, seen[key]]))
+    return sources
+
+
+def apply_faults(
+    t: np.ndarray, z: np.ndarray, faults: Sequence[Disturbance], rng: np.random.Generator
+) -> np.ndarray:
+    """Return recorded measurements as they would be with faults of the sensors.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Time, s; starts of faults count from the first.
+    z : ndarray, shape (N, 8 or more)
+        Rows that begin with :data:`CHANNELS`; what follows is kept.
+    faults : sequence of Disturbance
+        What goes wrong.
+    rng : numpy.random.Generator
+        Its randomness.
+
+    Returns
+    -------
+    ndarray, shape of z
+    """
+    if not faults:
+        return z.copy()
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+    records, out, last = fault_records(faults, step), z.copy(), np.full(len(CHANNELS), math.nan)
+    numbers = np.hstack(
+        [source.random((len(t), FAULT_NUMBERS)) for source in fault_sources(faults, rng)]
+    )
+    for k in range(len(t)):
+        strike(float(t[k] - t[0]), numbers[k], records, last, out[k, : len(CHANNELS)])
+    return out
+
+
+@kernel
+def strike(
+    t: float, numbers: np.ndarray, faults: np.ndarray, last: np.ndarray, z: np.ndarray
+) -> None:
+    """Apply the faults to the samples of time t.
+
+    Parameters
+    ----------
+    t : float
+        Time, s.
+    numbers : ndarray, shape (3 F,)
+        Uniform random numbers of this step, three for each fault.
+    faults : ndarray of :data:`FAULT`, shape (F,)
+        Advanced in place.
+    last : ndarray, shape (8,)
+        The samples handed out last; advanced in place.
+    z : ndarray, shape (8,)
+        Samples of :data:`~usv_gym.world.channels.CHANNELS`, changed in place; NaN: none.
+    """
+    lost, frozen = 0, 0
+    for i in range(faults.shape[0]):
+        fault = faults[i]
+        if not t >= fault.start:  # NaN: not used
+            continue
+        first = FAULT_NUMBERS * i
+        draw, hit, signs = numbers[first], numbers[first + 1], numbers[first + 2]
+        if fault.leave > 0.0:
+            bursting = draw >= fault.leave if fault.bursting > 0.0 else draw < fault.enter
+            fault.bursting = 1.0 if bursting else 0.0
+            if not bursting:
+                continue
+        elif t >= fault.end:
+            if fault.gap[0] > 0.0:
+                fault.start = t + fault.gap[0] + (fault.gap[1] - fault.gap[0]) * draw
+                fault.end = (
+                    fault.start + fault.length[0] + (fault.length[1] - fault.length[0]) * hit
+                )
+            continue
+        bits = int(fault.bits)
+        if fault.effect == LOSS:
+            lost |= bits
+        elif fault.effect == FROZEN:
+            frozen |= bits
+        elif hit < fault.chance:
+            # the binary digits of one number are as many signs
+            for j in range(z.shape[0]):
+                signs *= 2.0
+                up = signs >= 1.0
+                signs -= 1.0 if up else 0.0
+                if bits & (GPS_BIT if j < 4 else COMPASS_BIT if j == 4 else IMU_BIT):
+                    z[j] += fault.sizes[j] if up else -fault.sizes[j]
+    for j in range(z.shape[0]):
+        bit = GPS_BIT if j < 4 else COMPASS_BIT if j == 4 else IMU_BIT
+        if lost & bit:
+            z[j] = math.nan
+        elif math.isfinite(z[j]):
+            if frozen & bit:
+                z[j] = last[j]
+            last[j] = z[j]

@@ -1,0 +1,78 @@
+"""What lasts of one simulated boat, and what all boats of a simulation share.
+
+A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, random numbers,
+faults and the delay line of the GPS, whose sizes depend on sea, faults and delay. One array a
+call keeps the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts names.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from usv_gym.physics import frames as fr
+from usv_gym.physics.parameters import PARAMETERS
+from usv_gym.physics.ship import WORK_ROWS
+from usv_gym.physics.waves import WAVE_ROWS
+from usv_gym.physics.weather import WEATHER
+from usv_gym.world.channels import CHANNELS
+from usv_gym.world.faults import FAULT
+from usv_gym.world.sensors import SENSORS, SUITE
+from usv_kernel.arrays import shaped
+from usv_kernel.jit import inlined
+from usv_kernel.records import Record, as_records
+
+__all__ = ["BOAT", "SIMULATION", "sea_arrays", "sensor_arrays"]
+
+BOAT = np.dtype(
+    [
+        ("state", float, fr.STATE_SIZE),  # true state; order and units in physics.frames
+        ("command", float, fr.COMMAND_SIZE),  # n_left, n_right (rev/s), delta_left, right (rad)
+        ("measurement", float, len(CHANNELS)),  # of the last step; NaN: no new sample
+        ("sensors", SENSORS),  # biases and last samples
+        ("weather", WEATHER),  # wind, current, schedule
+        ("t", float),  # s, since the reset
+        ("step", float),  # control steps since the reset
+        ("noise_until", float),  # first step for which no random numbers have been drawn
+        ("mean_rate", float, fr.STATE_SIZE),  # mean time derivative over the last step
+        ("work", float, (WORK_ROWS, fr.STATE_SIZE)),  # scratch of the Runge-Kutta step
+    ]
+)
+"""One boat of a simulation."""
+
+SIMULATION = np.dtype(
+    [
+        ("dt", float),  # s, control step
+        ("substeps", int),  # integration steps in a control step
+        ("dof", int),  # degrees of freedom, 3 or 6
+        # where the parts that follow the record begin in a row, and their sizes
+        ("waves_at", int),
+        ("wave_components", int),
+        ("gusts_at", int),
+        ("gust_components", int),
+        ("numbers_at", int),  # random numbers: a block of control steps, one a row
+        ("numbers_rows", int),
+        ("numbers_width", int),
+        ("faults_at", int),
+        ("fault_count", int),
+        ("delay_line_at", int),
+        ("delay_rows", int),
+        ("vessel", PARAMETERS),
+        ("suite", SUITE),
+    ]
+)
+"""What all boats of a simulation share, and never changes."""
+
+
+@inlined
+def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return waves (7, M) and gusts (3, G) of a boat."""
+    waves = shaped(row, config.waves_at, (WAVE_ROWS, config.wave_components))
+    return waves, shaped(row, config.gusts_at, (3, config.gust_components))
+
+
+@inlined
+def sensor_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return random numbers (B, W), faults (F,) and the delay line (D, 4) of a boat."""
+    numbers = shaped(row, config.numbers_at, (config.numbers_rows, config.numbers_width))
+    faults = as_records(row, config.faults_at, config.fault_count, FAULT)
+    return numbers, faults, shaped(row, config.delay_line_at, (config.delay_rows, 4))
