@@ -1,4 +1,4 @@
-"""The belief: a digital twin that sees measurements and commands, and nothing else.
+"""Digital twin of a surface vessel: it uses measurements and commands, and nothing else.
 
 >>> from twin import Log, Particulars, Twin
 """

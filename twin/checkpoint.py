@@ -1,122 +1,99 @@
-"""Objects in a file, to go on from later: all that they remember, and nothing that could run.
+"""Files of saved state: fields by name, checked as they are read.
 
-:func:`write` walks the attributes of objects into plain data: numbers, texts, containers,
-arrays, generators of random numbers, torch modules, and objects of such. :func:`read` puts
-them back. What was shared stays shared: two names of one list, and arrays that are views of
-one memory, which compiled filters rely on. So an object that goes on from its file gives the
-same bits as one that never stopped.
-
-The file is a zip archive in numpy's npz format with two entries: ``header`` (JSON, UTF-8) and
-``memory`` (the bytes of all arrays, one after the other). It holds no code and no pickles:
-classes are looked up by name in the packages of :data:`PACKAGES` or in the object that is
-restored into, their constructors do not run, and functions stay those of that object.
-
-Compiled code finds what it needs by places that are fixed in the program. So a file is read by the
-very program that wrote it, known by a digest of its sources; another may have moved them.
+A file is a zip archive with ``header.json`` and one ``.npy`` file for each array. It holds no
+code, no pickles and no memory layout. So it is read after any edit of the program, as long as
+the fields keep their names and meanings and :data:`VERSION` stays.
 """
 
 from __future__ import annotations
 
-import ctypes
 import io
 import json
-import sys
 import zipfile
+import zlib
 from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path, PurePath
-from types import FunctionType, MappingProxyType, MethodType
-from typing import Any, NoReturn
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.files import write_whole
 from usv_kernel import __version__
-from usv_kernel.cache import running_program
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "VERSION",
-    "Reader",
+    "Field",
+    "State",
     "StateError",
+    "check_fields",
     "read",
+    "record_views",
+    "restore_attributes",
+    "saved_attributes",
     "write",
 ]
 
+State: TypeAlias = dict[str, Any]
+"""Fields by name: arrays of numbers or texts, numbers, truth values, texts, None."""
+
 FORMAT = "usv-twin state"
 
-VERSION = 2
-"""Version of the format; a file of another one is refused."""
+VERSION = 3
+"""Version of the format. It rises when a field changes its name or meaning."""
 
-PACKAGES = ("twin", "filterpy", "usv_gym", "usv_kernel")
-"""Packages whose classes a file may name."""
+_HEADER = "header.json"
 
-_SCALARS = (type(None), bool, int, float, str)
+_SCALARS = (bool, int, float, str, type(None))
 
-_SEQUENCES: dict[str, Any] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
+HUGE = 1e60
+"""Larger numbers are damage: their squares and products must stay finite."""
 
-_ALIGNED = 64
-"""Bytes between which the memories of arrays begin."""
+_EARLIER = "use an earlier copy of the file"
+
+_SAME = "load it with the predictor, options and boat that it was saved with"
+
+_GENERATORS = (np.random.PCG64, np.random.PCG64DXSM, np.random.SFC64)
+"""Their states hold no index, which a damaged file could set out of range."""
 
 
 class StateError(UsvTwinError):
-    """A file or object that cannot be used; the message names it and the remedy."""
+    """A saved state that cannot be used; the message names the file, the field and the remedy."""
 
 
-def write(path: str | Path, parts: dict[str, Any]) -> None:
-    """Write objects to a file, whole or not at all: a power cut leaves the file before.
+def write(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a header and arrays to one file, whole or not at all.
 
     Parameters
     ----------
     path : str or Path
-        File; written over if it is there.
-    parts : dict
-        What to write, by name; what they share stays shared.
-
-    Raises
-    ------
-    StateError
-        Names what in them is no plain data.
+        The file. One that is there is replaced once the new one is on the disk.
+    header : mapping
+        Plain data for JSON.
+    arrays : mapping of str to ndarray
+        Numbers, truth values or texts.
     """
-    write_whole(Path(path), pack(parts))
+    content = io.BytesIO()
+    about = {"format": FORMAT, "version": VERSION, "software": __version__, **header}
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        # an entry without a date: the same state gives the same bytes
+        archive.writestr(zipfile.ZipInfo(_HEADER), json.dumps(about, indent=1))
+        for name, array in arrays.items():
+            entry = io.BytesIO()
+            np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
+            info = zipfile.ZipInfo(f"{name}.npy")
+            info.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(info, entry.getvalue())
+    write_whole(Path(path), content.getvalue())
 
 
-def pack(parts: dict[str, Any]) -> bytes:
-    """Return what :func:`write` writes; arguments and errors are the same."""
-    walk = _Walk()
-    values = {name: walk.value(part, name) for name, part in parts.items()}
-    memory, blocks, places = walk.memory()
-    header = {
-        **{"format": FORMAT, "version": VERSION, "software": __version__},
-        **{"program": running_program()},
-        **{"parts": values, "nodes": walk.nodes, "blocks": blocks, "arrays": places},
-    }
-    text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    file = io.BytesIO()
-    np.savez(file, header=text, memory=memory)
-    return file.getvalue()
-
-
-def copied(kind: type[Any], content: bytes) -> Any:
-    """Return the object that :func:`pack` packed as the part ``it``: a deep copy.
-
-    Unlike one by ``copy.deepcopy``, its arrays share memory where the original's do.
-
-    Parameters
-    ----------
-    kind : type
-        Its class.
-    content : bytes
-        What :func:`pack` gave.
-    """
-    reader = unpack(content, Path("copy"))
-    reader.trusted = True
-    return reader.restore("it", object.__new__(kind))
-
-
-def read(path: str | Path) -> Reader:
-    """Open what :func:`write` wrote.
+def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return header and arrays of a file that :func:`write` wrote.
 
     Parameters
     ----------
@@ -126,375 +103,373 @@ def read(path: str | Path) -> Reader:
     Raises
     ------
     StateError
-        It is no such file, is cut off or damaged, or has another format.
+        It is no such file, is damaged, or has another format version.
     """
-    return unpack(Path(path).read_bytes(), Path(path))
-
-
-def unpack(content: bytes, path: Path) -> Reader:
-    """Return a reader of the content of a file; ``path`` is for messages."""
+    content = Path(path).read_bytes()
     header: Any = None
+    arrays: dict[str, NDArray[Any]] = {}
     try:
         if content.startswith(b"PK"):
-            with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-                if {"header", "memory"} <= set(archive.files):
-                    header, memory = json.loads(archive["header"].tobytes()), archive["memory"]
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError, NotImplementedError):
-        raise StateError(f"{path}: is cut off or damaged; use an earlier copy") from None
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                names = archive.namelist()
+                if {"header.npy", "memory.npy"} <= set(names):
+                    _refuse_version(path, 2, "0.1")
+                if _HEADER in names:
+                    header = json.loads(archive.read(_HEADER))
+                    _check_header(path, header)
+                    arrays = {name[:-4]: _array(archive, name) for name in names if name != _HEADER}
+    except StateError:
+        raise
+    except (
+        *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
+        *(NotImplementedError, RecursionError, RuntimeError, SyntaxError, TypeError, ValueError),
+        *(zipfile.BadZipFile, zlib.error),
+    ):
+        raise StateError(f"{path}: is cut off or damaged; {_EARLIER}") from None
+    if header is None:
+        raise StateError(f"{path}: is no saved twin; choose a file that Twin.save wrote")
+    return header, arrays
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    """Return one array of an archive."""
+    array: NDArray[Any] = np.lib.format.read_array(
+        io.BytesIO(archive.read(name)), allow_pickle=False
+    )
+    return array
+
+
+def _check_header(path: str | Path, header: Any) -> None:
+    """Refuse what is no header of this format and version."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise StateError(
-            f"{path}: is no saved state of a twin; choose a file that was saved by one"
-        )
+        raise StateError(f"{path}: is no saved twin; choose a file that Twin.save wrote")
     if header.get("version") != VERSION:
-        raise StateError(
-            f"{path}: has format {header.get('version')}, and this usv-twin reads {VERSION}; "
-            f"load it with usv-twin {header.get('software')}, which wrote it"
-        )
-    if header.get("program") != running_program():
-        raise StateError(
-            f"{path}: was saved by another version of usv-twin ({header.get('software')}, program "
-            f"{header.get('program')}; this is {__version__}, {running_program()}), which may lay "
-            "out its memory otherwise; load it with that one, or begin anew"
-        )
-    return Reader(path, header, memory)
+        _refuse_version(path, header.get("version"), header.get("software"))
 
 
-class _Walk:
-    """Turns objects into a table of nodes, each object once, and blocks of memory.
-
-    A value is a scalar, or [i] for the i-th node; a node is its kind and what that needs.
-    """
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.arrays: list[NDArray[Any]] = []
-        self._seen: dict[int, int] = {}
-        # an id is that of one object only as long as the object lives
-        self._alive: list[Any] = []
-
-    def value(self, value: Any, where: str) -> Any:
-        """Return the value, or the reference to its node."""
-        if type(value) in _SCALARS:
-            return value
-        if id(value) not in self._seen:
-            self._seen[id(value)] = len(self.nodes)
-            self._alive.append(value)
-            self.nodes.append(None)
-            index = self._seen[id(value)]
-            self.nodes[index] = self._node(value, where)
-        return [self._seen[id(value)]]
-
-    def _node(self, value: Any, where: str) -> list[Any]:
-        kind = type(value)
-        if kind is np.ndarray and value.dtype == object:
-            return ["objects", value.shape, self._items(value.ravel(), where)]
-        if kind is np.ndarray:
-            return ["array", *self._array(value, where)]
-        if isinstance(value, np.generic):
-            return ["scalar", self.value(np.array(value), where)]
-        if kind.__name__ in _SEQUENCES and kind is _SEQUENCES[kind.__name__]:
-            return [kind.__name__, self._items(value, where)]
-        if kind is deque:
-            return ["deque", self._items(value, where), value.maxlen]
-        if kind is dict or kind is MappingProxyType:
-            pairs = [
-                [self.value(k, f"{where} (key)"), self.value(v, f"{where}[{k!r}]")]
-                for k, v in value.items()
-            ]
-            return ["dict" if kind is dict else "mapping", pairs]
-        if kind is bytes:
-            return ["bytes", value.hex()]
-        if isinstance(value, PurePath):
-            return ["path", str(value)]
-        if isinstance(value, np.random.Generator):
-            state = value.bit_generator.state
-            return ["generator", self.value(state, where)]
-        if hasattr(value, "load_state_dict"):
-            weights = {k: v.detach().cpu().numpy() for k, v in value.state_dict().items()}
-            return ["torch", _name_of(kind), self.value(weights, where)]
-        if callable(value) and hasattr(value, "__qualname__") and _found(_name_of(value)) is value:
-            return ["function", _name_of(value)]
-        if isinstance(value, tuple):
-            return ["named", _name_of(kind), self._items(value, where)]
-        names = _attributes(value)
-        strange = (*_SCALARS[1:], list, dict, set, deque, FunctionType, MethodType)
-        if names is None or isinstance(value, strange):
-            raise StateError(
-                f"{where} is a {kind.__name__}, which cannot be saved; "
-                "keep numbers, texts, arrays, containers and objects of those in it"
-            )
-        fields = [[n, self.value(getattr(value, n), f"{where}.{n}")] for n in names]
-        return ["object", _name_of(kind), fields]
-
-    def _items(self, values: Any, where: str) -> list[Any]:
-        return [self.value(item, f"{where}[{i}]") for i, item in enumerate(values)]
-
-    def _array(self, array: NDArray[Any], where: str) -> list[Any]:
-        """Return block, offset, type, shape, strides, and whether it may be written."""
-        if array.dtype.kind not in "biufcSUmM":
-            raise StateError(
-                f"{where} is an array of {array.dtype}, which cannot be saved; use numbers"
-            )
-        self.arrays.append(array)
-        return [
-            len(self.arrays) - 1,
-            array.dtype.str,
-            array.shape,
-            array.strides,
-            bool(array.flags.writeable),
-        ]
-
-    def memory(self) -> tuple[NDArray[np.uint8], list[list[int]], list[list[int]]]:
-        """Return the memory of all arrays, its blocks, and block and offset of each array.
-
-        A block (first byte, size) is what arrays that overlap cover together.
-        """
-        spans = [_span(array) for array in self.arrays]
-        blocks: list[list[int]] = []
-        places = [[0, 0] for _ in spans]
-        content, end = bytearray(), -1
-        for i in sorted(range(len(spans)), key=spans.__getitem__):
-            first, last = spans[i]
-            if first >= end:
-                blocks.append([first, 0])
-            places[i] = [len(blocks) - 1, _address(self.arrays[i]) - blocks[-1][0]]
-            end = max(end, last) if first < end else last
-            blocks[-1][1] = end - blocks[-1][0]
-        for block in blocks:
-            # the arrays are alive, and so is all that lies between their ends
-            address, block[0] = block[0], len(content)
-            content += ctypes.string_at(address, block[1]) + bytes(-block[1] % _ALIGNED)
-        return np.frombuffer(content, dtype=np.uint8), blocks, places
+def _refuse_version(path: str | Path, version: Any, software: Any) -> None:
+    raise StateError(
+        f"{path}: has format version {version}, written by usv-twin {software}; this is usv-twin "
+        f"{__version__}, which reads version {VERSION}: load it with that one, or start a new twin "
+        "from the log"
+    )
 
 
-class Reader:
-    """A file that was read: gives back its parts.
+@dataclass(frozen=True)
+class Field:
+    """What a field of a saved state may hold.
 
     Parameters
     ----------
-    path : Path
-        Where it was, for messages.
-    header : dict
-        Its header.
-    memory : ndarray of uint8
-        Its memory.
+    low, high : float or tuple of float
+        Bounds of its numbers, inclusive; a tuple for those of a vector.
+    integer : bool
+        Only whole numbers, as for what a kernel uses as an index or a counter.
+    nan, infinite : bool
+        Whether NaN and infinity are allowed.
+    covariance : bool
+        Symmetric in its last two axes, with variances of 0 or more.
+    shape : tuple, optional
+        Its shape, None for any length; that of the present value if left out.
+    none : bool
+        Whether None is allowed.
     """
 
-    def __init__(self, path: Path, header: dict[str, Any], memory: NDArray[np.uint8]) -> None:
-        self.path = path
-        self.trusted = False
-        """Whether functions are looked up: in a copy within a program, never in a file."""
-        self._header, self._memory = header, memory
-        self._made: dict[int, Any] = {}
-        self._blocks: dict[int, NDArray[np.uint8]] = {}
+    low: float | tuple[float, ...] = -HUGE
+    high: float | tuple[float, ...] = HUGE
+    integer: bool = False
+    nan: bool = False
+    infinite: bool = False
+    covariance: bool = False
+    shape: tuple[int | None, ...] | None = None
+    none: bool = False
 
-    def restore(self, part: str, fresh: Any = None) -> Any:
-        """Return a part of the file.
+    def problem(self, value: Any, like: Any) -> str | None:
+        """Return what is wrong with a value in the place of another; None if nothing is."""
+        if value is None:
+            return None if self.none or like is None else "is None"
+        if isinstance(like, (bool, np.bool_)):
+            return None if isinstance(value, bool) else "is no truth value"
+        if isinstance(like, str):
+            return None if isinstance(value, str) else "is no text"
+        array = np.asarray(value)
+        if array.dtype.kind not in "iuf":
+            return f"is of type {array.dtype} where numbers are needed"
+        shape = np.shape(like) if self.shape is None else self.shape
+        if array.ndim != len(shape) or any(
+            n not in (None, m) for n, m in zip(shape, array.shape, strict=True)
+        ):
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            return f"has shape {array.shape} where ({wanted}) is needed"
+        return self._number_problem(array)
 
-        Parameters
-        ----------
-        part : str
-            Its name.
-        fresh : object, optional
-            A newly made object of the same kind: it is given the attributes of the saved one,
-            keeps its functions, and is returned. Its memory is not written to.
+    def _number_problem(self, array: NDArray[Any]) -> str | None:
+        if not self.nan and np.isnan(array).any():
+            return "holds NaN"
+        if not self.infinite and np.isinf(array).any():
+            return "holds infinity"
+        finite = np.isfinite(array)
+        if self.integer and (array != np.floor(array))[finite].any():
+            return "holds numbers that are not whole"
+        if (finite & ((array < self.low) | (array > self.high))).any():
+            return f"holds numbers outside {self.low} to {self.high}"
+        if self.covariance and array.size:
+            variances = np.einsum("...ii->...i", array)
+            bound = 1e-6 * (np.abs(array).max() + 1e-300)
+            if (variances < 0.0).any() or (
+                np.abs(array - np.swapaxes(array, -1, -2)) > bound
+            ).any():
+                return "is no covariance"
+        return None
 
-        Raises
-        ------
-        StateError
-            The part is damaged, or not made for the fresh object.
-        """
+
+ANY = Field()
+"""Finite numbers of the present shape."""
+
+GAPS = Field(nan=True)
+"""The same, or NaN."""
+
+FLAG = Field(low=0.0, high=1.0, integer=True)
+"""0 or 1."""
+
+COUNT_MAX = 2.0**52
+"""Whole numbers up to it are exact in a double."""
+
+COUNT = Field(low=0.0, high=COUNT_MAX, integer=True)
+"""A whole number, 0 or more, that a double holds exactly."""
+
+
+def check_fields(
+    found: Mapping[str, Any], wanted: Mapping[str, Any], fields: Mapping[str, Field]
+) -> None:
+    """Compare saved fields with those of the object that they are for.
+
+    Parameters
+    ----------
+    found : mapping
+        Saved fields.
+    wanted : mapping
+        Present values by name, which shapes and types must equal.
+    fields : mapping of str to Field
+        What each may hold; :data:`ANY` where it is left out.
+
+    Raises
+    ------
+    StateError
+        Names the field and the remedy.
+    """
+    for name in wanted:
+        if name not in found:
+            raise StateError(f"field {name!r} is missing; {_SAME}")
+    for name, value in found.items():
+        if name not in wanted:
+            raise StateError(f"field {name!r} is unknown here; {_SAME}")
+        problem = fields.get(name, ANY).problem(value, wanted[name])
+        if problem is not None:
+            raise StateError(f"field {name!r} {problem}; {_SAME}, or {_EARLIER}")
+
+
+def record_views(memory: NDArray[Any], dtype: np.dtype[Any]) -> dict[str, NDArray[Any]]:
+    """Return the fields of one record on flat memory as writable views; a number has shape (1,)."""
+    record = memory.view(dtype)
+    fields = {name: record[name] for name in dtype.names or ()}
+    return {name: view[0] if view.ndim > 1 else view for name, view in fields.items()}
+
+
+def fill(views: Mapping[str, NDArray[Any]], state: Mapping[str, Any]) -> None:
+    """Write saved fields into arrays of the same names, in place."""
+    for name, view in views.items():
+        view[...] = state[name]
+
+
+def with_prefix(prefix: str, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with a component's name before theirs."""
+    return {f"{prefix}.{name}": value for name, value in state.items()}
+
+
+def without_prefix(prefix: str, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of one component, under its own names."""
+    start = f"{prefix}."
+    return {name[len(start) :]: v for name, v in state.items() if name.startswith(start)}
+
+
+def load_part(prefix: str, part: Any, state: Mapping[str, Any]) -> None:
+    """Load the fields of one component; a message names them as the file does."""
+    own = without_prefix(prefix, state)
+    try:
+        if hasattr(part, "named_parameters"):  # a module of torch
+            own = {name: import_module("torch").from_numpy(v) for name, v in own.items()}
+        part.load_state_dict(own)
+    except StateError as error:
+        raise StateError(str(error).replace("field '", f"field '{prefix}.", 1)) from None
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise StateError(f"field {prefix!r} cannot be loaded ({error}); {_SAME}") from None
+
+
+def _part_state(part: Any) -> State:
+    """Return the fields of a component; tensors become arrays."""
+    return {
+        name: value.detach().cpu().numpy() if hasattr(value, "detach") else value
+        for name, value in part.state_dict().items()
+    }
+
+
+# State of objects whose class says nothing of it: their attributes
+
+
+def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
+    """Return the attributes of an object as fields.
+
+    Saved are numbers, truth values, texts, None, arrays of numbers, lists and deques of numbers
+    or of arrays of one shape, random generators, and objects with ``state_dict`` and
+    ``load_state_dict`` (torch modules too). Functions, classes and modules are constants, and
+    left out. A leading underscore is no part of a field's name.
+
+    Parameters
+    ----------
+    owner : object
+        Any.
+    leave_out : iterable of str
+        Attributes that are constants, or follow from others.
+
+    Raises
+    ------
+    StateError
+        Names an attribute of another kind.
+    """
+    state: State = {}
+    for name, value in _attributes(owner, leave_out):
+        key = name.lstrip("_")
+        if isinstance(value, np.random.Generator) and isinstance(value.bit_generator, _GENERATORS):
+            state[key] = json.dumps(value.bit_generator.state, default=int)
+        elif _is_part(value):
+            state |= with_prefix(key, _part_state(value))
+        elif isinstance(value, np.generic):
+            state[key] = value.item()
+        elif isinstance(value, _SCALARS):
+            state[key] = value
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "biufU":
+            state[key] = value.copy()
+        elif isinstance(value, (list, deque)) and _is_stackable(value):
+            state[key] = np.array(list(value))
+        else:
+            raise StateError(
+                f"attribute {name!r} of {type(owner).__name__} is a {type(value).__name__}, which "
+                "cannot be saved; write state_dict and load_state_dict, or name it in the class's "
+                "`constants` if it never changes"
+            )
+    return state
+
+
+def restore_attributes(
+    owner: Any,
+    state: Mapping[str, Any],
+    leave_out: Iterable[str] = (),
+    fields: Mapping[str, Field] | None = None,
+) -> None:
+    """Give an object the attributes that :func:`saved_attributes` returned.
+
+    Parameters
+    ----------
+    owner : object
+        A newly made one of the same class.
+    state : mapping
+        Fields by name.
+    leave_out : iterable of str
+        As for :func:`saved_attributes`.
+    fields : mapping of str to Field, optional
+        What fields may hold. Without one, an array keeps its type and number of axes.
+
+    Raises
+    ------
+    StateError
+        Names the field and the remedy.
+    """
+    checks = fields or {}
+    attributes = dict(_attributes(owner, leave_out))
+    rest, restored = dict(state), {}
+    for name, value in attributes.items():
+        key = name.lstrip("_")
+        if _is_part(value):
+            for field in without_prefix(key, state):
+                del rest[f"{key}.{field}"]
+            continue
+        if key not in rest:
+            raise StateError(f"field {key!r} is missing; {_SAME}")
+        found = rest.pop(key)
+        field_check = checks.get(key)
+        problem = field_check.problem(found, value) if field_check else _other_kind(found, value)
+        if problem is not None:
+            raise StateError(f"field {key!r} {problem}; {_SAME}, or {_EARLIER}")
+        restored[name] = _restored(key, found, value)
+    if rest:
+        raise StateError(f"field {min(rest)!r} is unknown here; {_SAME}")
+    for name, value in attributes.items():
+        if name not in restored:
+            load_part(name.lstrip("_"), value, state)
+    for name, value in restored.items():
+        setattr(owner, name, value)
+
+
+def _other_kind(found: Any, present: Any) -> str | None:
+    """Return what is wrong with a field of which only the present value is known."""
+    if found is None or present is None:
+        return None
+    if isinstance(present, np.ndarray):
+        same = isinstance(found, np.ndarray) and (found.dtype.kind, found.ndim) == (
+            present.dtype.kind,
+            present.ndim,
+        )
+    elif isinstance(present, (list, deque)):
+        same = isinstance(found, np.ndarray) and found.ndim > 0
+    elif isinstance(present, np.random.Generator):
+        same = isinstance(found, str)
+    else:
+        numbers = (bool,) if isinstance(present, (bool, np.bool_)) else (int, float)
+        kinds = str if isinstance(present, str) else numbers
+        same = isinstance(found, kinds) and (kinds is not numbers or type(found) in numbers)
+    return None if same else f"is no {type(present).__name__}"
+
+
+def _restored(key: str, found: Any, present: Any) -> Any:
+    """Return the value of an attribute from its field."""
+    if isinstance(present, np.random.Generator):
+        bits = type(present.bit_generator)()
         try:
-            return self._value(self._header["parts"][part], fresh)
-        except StateError:
-            raise
-        except (ArithmeticError, AttributeError, ImportError, LookupError, TypeError, ValueError):
-            raise StateError(f"{self.path}: is damaged in {part!r}; use an earlier copy") from None
-
-    def _value(self, value: Any, fresh: Any = None) -> Any:
-        if not isinstance(value, list):
-            return value
-        index = value[0]
-        if index not in self._made:
-            kind, *rest = self._header["nodes"][index]
-            self._made[index] = getattr(self, f"_read_{kind}")(index, fresh, *rest)
-        return self._made[index]
-
-    def _read_array(
-        self,
-        index: int,
-        fresh: Any,
-        which: int,
-        dtype: str,
-        shape: list[int],
-        strides: list[int],
-        writeable: bool,
-    ) -> NDArray[Any]:
-        block, offset = self._header["arrays"][which]
-        first, size = self._header["blocks"][block]
-        if block not in self._blocks:
-            self._blocks[block] = self._memory[first : first + size].copy()
-        array: NDArray[Any] = np.ndarray(
-            tuple(shape), np.dtype(dtype), self._blocks[block], offset, tuple(strides)
-        )
-        array.flags.writeable = writeable
-        shared = isinstance(fresh, np.ndarray) and fresh.base is not None and array.nbytes < size
-        # what others look into, in the file and in the fresh object, cannot change its shape
-        if shared and fresh.shape != array.shape:
-            self._refuse(f"an array of shape {array.shape} where {fresh.shape} is needed")
-        return array
-
-    def _read_objects(
-        self, index: int, fresh: Any, shape: list[int], items: list[Any]
-    ) -> NDArray[Any]:
-        made = self._made[index] = np.empty(shape, dtype=object)
-        made.ravel()[:] = self._fill(items, None)
-        return made
-
-    def _read_scalar(self, index: int, fresh: Any, array: Any) -> Any:
-        return self._value(array)[()]
-
-    def _fill(self, items: list[Any], fresh: Any) -> list[Any]:
-        others = list(fresh) if isinstance(fresh, (list, tuple, deque)) else []
-        others += [None] * (len(items) - len(others))
-        return [self._value(item, other) for item, other in zip(items, others, strict=False)]
-
-    def _read_list(self, index: int, fresh: Any, items: list[Any]) -> list[Any]:
-        made = self._made[index] = []
-        made += self._fill(items, fresh)
-        return made
-
-    def _read_tuple(self, index: int, fresh: Any, items: list[Any]) -> tuple[Any, ...]:
-        return tuple(self._fill(items, fresh))
-
-    def _read_set(self, index: int, fresh: Any, items: list[Any]) -> set[Any]:
-        return set(self._fill(items, None))
-
-    def _read_frozenset(self, index: int, fresh: Any, items: list[Any]) -> frozenset[Any]:
-        return frozenset(self._fill(items, None))
-
-    def _read_deque(
-        self, index: int, fresh: Any, items: list[Any], maxlen: int | None
-    ) -> deque[Any]:
-        made = self._made[index] = deque(maxlen=maxlen)
-        made.extend(self._fill(items, fresh))
-        return made
-
-    def _read_dict(self, index: int, fresh: Any, pairs: list[Any]) -> dict[Any, Any]:
-        made = self._made[index] = {}
-        others = fresh if isinstance(fresh, (dict, MappingProxyType)) else {}
-        for key, value in pairs:
-            name = self._value(key)
-            made[name] = self._value(value, others.get(name))
-        return made
-
-    def _read_mapping(self, index: int, fresh: Any, pairs: list[Any]) -> MappingProxyType[Any, Any]:
-        return MappingProxyType(self._read_dict(index, fresh, pairs))
-
-    def _read_bytes(self, index: int, fresh: Any, text: str) -> bytes:
-        return bytes.fromhex(text)
-
-    def _read_path(self, index: int, fresh: Any, text: str) -> Path:
-        return Path(text)
-
-    def _read_generator(self, index: int, fresh: Any, state: Any) -> np.random.Generator:
-        state = self._value(state)
-        kind = getattr(np.random, state["bit_generator"])
-        if not issubclass(kind, np.random.BitGenerator):
-            raise TypeError(kind)
-        bits = kind()
-        bits.state = state
+            bits.state = json.loads(found)
+        except (ArithmeticError, LookupError, TypeError, ValueError):
+            raise StateError(f"field {key!r} is no state of its generator; {_EARLIER}") from None
         return np.random.Generator(bits)
-
-    def _read_torch(self, index: int, fresh: Any, name: str, weights: Any) -> Any:
-        if fresh is None or _name_of(type(fresh)) != name:
-            self._refuse(f"a {name} where there is none")
-        torch = import_module("torch")
-        fresh.load_state_dict({k: torch.from_numpy(v) for k, v in self._value(weights).items()})
-        return fresh
-
-    def _read_function(self, index: int, fresh: Any, name: str) -> Any:
-        if self.trusted:
-            return _found(name)
-        if fresh is None or _name_of(fresh) != name:
-            self._refuse(f"the function {name} where there is none")
-        return fresh
-
-    def _read_named(self, index: int, fresh: Any, name: str, items: list[Any]) -> Any:
-        return tuple.__new__(self._class(name, fresh), self._fill(items, fresh))
-
-    def _read_object(self, index: int, fresh: Any, name: str, fields: list[Any]) -> Any:
-        kind = self._class(name, fresh)
-        other = fresh if type(fresh) is kind else None
-        saved = {n for n, _ in fields}
-        missing = set(_attributes(other) or ()) - saved
-        if missing:
-            self._refuse(f"no {', '.join(sorted(missing))} for {name}")
-        # what cannot change may belong to others: it is made anew
-        made = kind.__new__(kind) if other is None or _frozen(kind) else other
-        self._made[index] = made
-        for n, value in fields:
-            object.__setattr__(made, n, self._value(value, getattr(other, n, None)))
-        return made
-
-    def _class(self, name: str, fresh: Any) -> Any:
-        """Return a class by name: that of the fresh object, or one of the packages."""
-        if _name_of(type(fresh)) == name:
-            return type(fresh)
-        kind = _found(name) if name.partition(".")[0] in PACKAGES else None
-        if not isinstance(kind, type):
-            self._refuse(f"the class {name}, which is not known here")
-        return kind
-
-    def _refuse(self, what: str) -> NoReturn:
-        raise StateError(
-            f"{self.path}: was made for another predictor, boat or version of usv-twin "
-            f"(it holds {what}); load it with those that it was saved with"
-        )
-
-
-def _address(array: NDArray[Any]) -> int:
-    return int(array.__array_interface__["data"][0])
-
-
-def _span(array: NDArray[Any]) -> tuple[int, int]:
-    """Return the addresses of an array's first byte and of the one after its last."""
-    first = _address(array)
-    if array.size == 0:
-        return first, first
-    steps = [step * (n - 1) for step, n in zip(array.strides, array.shape, strict=True)]
-    low = first + sum(step for step in steps if step < 0)
-    return low, first + sum(step for step in steps if step > 0) + array.itemsize
-
-
-def _name_of(kind: Any) -> str:
-    return f"{getattr(kind, '__module__', None)}:{getattr(kind, '__qualname__', None)}"
-
-
-def _found(name: str) -> Any:
-    """Return what a name of :func:`_name_of` stands for, or None."""
-    module, _, path = name.partition(":")
-    if module.partition(".")[0] in PACKAGES:
-        import_module(module)
-    found: Any = sys.modules.get(module)
-    for part in path.split("."):
-        found = getattr(found, part, None)
+    if isinstance(present, (list, deque)) and found is not None:
+        items = found.tolist() if found.ndim == 1 else [row.copy() for row in found]
+        return deque(items, present.maxlen) if isinstance(present, deque) else items
     return found
 
 
-def _frozen(kind: type) -> bool:
-    parameters = getattr(kind, "__dataclass_params__", None)
-    return bool(parameters and parameters.frozen)
-
-
-def _attributes(value: Any) -> list[str] | None:
-    """Return the names of an object's attributes, in slots or not; None if it can have none."""
-    slots = [
-        name
-        for kind in type(value).__mro__
-        for name in np.atleast_1d(kind.__dict__.get("__slots__", ())).tolist()
-        if name not in ("__dict__", "__weakref__")
+def _attributes(owner: Any, leave_out: Iterable[str]) -> list[tuple[str, Any]]:
+    """Return names and values of what may change in an object."""
+    leave_out = set(leave_out)
+    return [
+        (name, value)
+        for name, value in vars(owner).items()
+        if name not in leave_out and not _is_constant(value)
     ]
-    if not slots and not hasattr(value, "__dict__"):
-        return None
-    return [n for n in slots if hasattr(value, n)] + list(getattr(value, "__dict__", ()))
+
+
+def _is_constant(value: Any) -> bool:
+    return isinstance(value, (type, ModuleType)) or (callable(value) and not _is_part(value))
+
+
+def _is_part(value: Any) -> bool:
+    return hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
+
+
+def _is_stackable(values: Any) -> bool:
+    """Return whether a list holds only numbers of one type, or arrays of one shape and type."""
+    kinds = {
+        (v.shape, v.dtype) if isinstance(v, np.ndarray) else type(v)
+        for v in values
+        if isinstance(v, (np.ndarray, bool, int, float))
+    }
+    count = sum(isinstance(v, (np.ndarray, bool, int, float)) for v in values)
+    return len(kinds) <= 1 and count == len(values)

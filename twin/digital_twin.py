@@ -1,7 +1,8 @@
-"""The twin as its users meet it: fed row by row or with a log, asked for predictions."""
+"""The digital twin: it takes rows of a log one by one, estimates, and predicts."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.checkpoint import StateError, read, write
+from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, write
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
+from twin.predictors.saved_options import pack_option, unpack_option
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -26,6 +28,9 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+_DAMAGE = (OSError, RuntimeError, TypeError, ValueError)
+"""What constructors raise, among others, of options and particulars that make no sense."""
+
 PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
 
@@ -35,25 +40,25 @@ class TwinError(UsvTwinError):
 
 
 class Twin:
-    """What a computer on the boat can know of it, kept up to date row by row.
+    """The digital twin of a boat, updated row by row from measurements and commands.
 
     Parameters
     ----------
     particulars : Particulars
         The boat and its instruments.
     predictor : str or Predictor
-        A name in ``twin.PREDICTORS``, or a predictor of your own.
+        A name in ``twin.PREDICTORS``, or a predictor object.
     seed : int
-        For predictors that draw random numbers.
+        Of predictors that draw random numbers.
     **options
-        Handed to the predictor's class.
+        Options of the predictor's class.
 
     Attributes
     ----------
     predictor : Predictor
-        What believes and predicts.
+        Estimates and predicts.
     name : str or None
-        Its name in ``twin.PREDICTORS``; None for one of your own.
+        Its name in ``twin.PREDICTORS``; None for an object.
     t : float
         Time of the last row, s; NaN before the first.
     cmd : ndarray, shape (4,)
@@ -89,7 +94,7 @@ class Twin:
         self.cmd = np.zeros(len(COMMANDS))
 
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """Return to the state before the first row."""
         self.predictor.reset()
         self.t = math.nan
         self.cmd = np.zeros(len(COMMANDS))
@@ -97,25 +102,32 @@ class Twin:
     def save(self, path: str | Path) -> None:
         """Write all that the twin knows to a file, to go on from later with :meth:`load`.
 
+        The file holds fields by name. It stays readable as long as the format version does.
+
         Parameters
         ----------
         path : str or Path
             File, for instance ``boat.twin``. One that is there is replaced once the new one
-            is whole on the disk, so that a power cut costs no more than the time since.
+            is whole on the disk.
 
         Raises
         ------
         StateError
-            A predictor of your own keeps what is no plain data.
+            The predictor or its options hold something that cannot be saved.
         """
-        write(
-            path,
-            {
-                **{"name": self.name, "seed": self.seed, "options": self.options},
-                **{"particulars": self.particulars, "predictor": self.predictor},
-                **{"t": self.t, "cmd": self.cmd},
-            },
-        )
+        arrays: dict[str, Array] = {"command": self.cmd}
+        options = {
+            name: pack_option(value, f"options.{name}", arrays)
+            for name, value in self.options.items()
+        }
+        state = self.predictor.state_dict()
+        kept = {f"state.{k}": v for k, v in state.items() if isinstance(v, np.ndarray)}
+        header = {
+            **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
+            **{"options": options, "particulars": dataclasses.asdict(self.particulars)},
+            **{"t": self.t, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
+        }
+        write(path, header, arrays | kept)
 
     @classmethod
     def load(cls, path: str | Path, predictor: Predictor | None = None) -> Twin:
@@ -127,50 +139,84 @@ class Twin:
             The file.
         predictor : Predictor, optional
             Where the saved one was handed in as an object: a newly made one of the same class
-            for the same boat, which is given what the saved one remembers.
+            for the same boat. It takes over what the saved one remembers.
 
         Returns
         -------
         Twin
-            Continuing it gives the same bits, by the same versions of the packages.
+            With the same versions of the packages, going on from it gives the same bits.
 
         Raises
         ------
         StateError
-            The file is no saved twin, is damaged, of another format, or not made for this
-            predictor or boat; the message says which.
+            The file is no saved twin, is damaged, has another format version, or was not made
+            for this predictor or boat. The message names the file, the field and the remedy.
         """
-        saved = read(path)
-        particulars: Particulars = saved.restore("particulars")
-        name, seed = saved.restore("name"), saved.restore("seed")
-        options = saved.restore("options")
+        header, arrays = read(path)
+        try:
+            return cls._from_saved(header, arrays, predictor)
+        except ImportError:
+            raise
+        except StateError as error:
+            raise StateError(f"{path}: {error}") from None
+        except (ArithmeticError, AttributeError, LookupError, MemoryError, *_DAMAGE) as error:
+            raise StateError(
+                f"{path}: is damaged ({type(error).__name__}: {error}); use an earlier copy of the "
+                "file"
+            ) from None
+
+    @classmethod
+    def _from_saved(
+        cls, header: dict[str, Any], arrays: dict[str, Array], predictor: Predictor | None
+    ) -> Twin:
+        """Return the twin of a header and its arrays."""
+        about = dict(header["particulars"])
+        instruments = _floats(about.pop("instruments"))
+        particulars = Particulars.from_tables(_floats(about), instruments)
+        name, seed, t = header["predictor"], header["seed"], header["t"]
+        options = {
+            key: unpack_option(value, arrays, particulars)
+            for key, value in header["options"].items()
+        }
         if predictor is not None:
             if predictor.particulars != particulars:
                 raise StateError(
-                    f"{path}: was made for the boat {particulars.name!r} with other particulars "
-                    f"or instruments than {predictor.particulars.name!r}; use the same ones"
+                    f"was made for the boat {particulars.name!r} with other particulars or "
+                    f"instruments than {predictor.particulars.name!r}; use the same ones"
                 )
             twin = cls(particulars, predictor)
         elif name is None:
             raise StateError(
-                f"{path}: was saved with a predictor of its owner's; hand a new one of that "
-                "class in: Twin.load(path, predictor=...)"
+                f"was saved with a predictor given as an object (of class {header['class']}); give "
+                "a new one: Twin.load(path, predictor=...)"
             )
         elif name not in PREDICTORS:
             raise StateError(
-                f"{path}: was saved with the predictor {name!r}, which is not known here; known: "
-                f"{', '.join(PREDICTORS)}"
+                f"was saved with the predictor {name!r}, which is not known here; known: "
+                f"{', '.join(PREDICTORS)}; give one of its class: Twin.load(path, predictor=...)"
             )
         else:
             twin = cls(particulars, name, seed=seed, **options)
         twin.name, twin.seed, twin.options = name, seed, options
-        kept = saved.restore("predictor", twin.predictor)
-        if kept is not twin.predictor:
+        if header["class"] != type(twin.predictor).__name__:
             raise StateError(
-                f"{path}: holds a {type(kept).__name__}, not a "
-                f"{type(twin.predictor).__name__}; hand in a predictor of that class"
+                f"holds a {header['class']}, not a {type(twin.predictor).__name__}; give a "
+                "predictor of that class"
             )
-        twin.t, twin.cmd = saved.restore("t"), saved.restore("cmd")
+        saved = {k[len("state.") :]: v for k, v in arrays.items() if k.startswith("state.")}
+        twin.predictor.load_state_dict(saved | header["state"])
+        check_fields(
+            {"t": t, "command": arrays["command"]},
+            {"t": twin.t, "command": twin.cmd},
+            {"t": GAPS},
+        )
+        twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
+        now = twin.predictor.estimate()
+        if now.ready and not abs(now.t - twin.t) <= 1e-6:
+            raise StateError(
+                f"field 't' = {t} is not the time of the predictor's last row ({now.t}); use an "
+                "earlier copy of the file"
+            )
         return twin
 
     def step(self, t: float, z: ArrayLike, cmd: ArrayLike) -> None:
@@ -181,10 +227,10 @@ class Twin:
         t : float
             Time, s; later than that of the row before.
         z : array_like, shape (10,)
-            Measurements in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
+            Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
         cmd : array_like, shape (4,)
             Command that was in force since the row before, in the order of
-            ``twin.logs.log.COMMANDS``.
+            ``twin.channels.COMMANDS``.
 
         Raises
         ------
@@ -192,21 +238,21 @@ class Twin:
             Names what is wrong; the twin is then as it was before.
         """
         z = np.asarray(z, dtype=np.float64)
-        # what the caller does to its array later is no command
+        # a copy: the caller may reuse its array
         cmd = np.array(cmd, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
                 f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
-                f"({len(MEASUREMENTS)},) and ({len(COMMANDS)},): see twin.logs.log"
+                f"({len(MEASUREMENTS)},) and ({len(COMMANDS)},): see twin.channels"
             )
         if not math.isfinite(t) or t <= self.t:
             raise TwinError(f"t = {t} must be finite and later than the row before ({self.t})")
         if not math.isfinite(cmd.sum()):
-            raise TwinError(f"cmd = {cmd} holds NaN or infinity; hand in the last command")
+            raise TwinError(f"cmd = {cmd} holds NaN or infinity; give the last command")
         self.feed(t, z, cmd)
 
     def feed(self, t: float, z: Array, cmd: Array) -> None:
-        """Take one row that is known to be sound: :meth:`step` without its checks."""
+        """Take one row without checks; see :meth:`step`."""
         self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
         self.t, self.cmd = t, cmd
 
@@ -216,7 +262,7 @@ class Twin:
             self.step(t, z, cmd)
 
     def estimate(self) -> Estimate:
-        """Return state and parameters as believed now, with standard deviations."""
+        """Return state and parameters with their standard deviations."""
         return self.predictor.estimate()
 
     def predict(
@@ -265,6 +311,14 @@ class Twin:
             if not np.isfinite(rows).all():
                 raise TwinError("plan holds NaN or infinity; every command must be a number")
         return self.predictor.predict(rows, dt)
+
+
+def _floats(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table of a file with its whole numbers as floats."""
+    for name, value in table.items():
+        if isinstance(value, (int, float)) and not abs(value) <= HUGE:
+            raise StateError(f"field {name!r} = {value} is too large; use an earlier copy")
+    return {k: float(v) if type(v) is int else v for k, v in table.items()}
 
 
 def known_plan(log: Log, row: int, horizon: float, dt: float) -> Array:

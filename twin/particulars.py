@@ -1,7 +1,7 @@
-"""What the twin is told of its boat before it sees data: main particulars and instruments.
+"""Main particulars and instruments of a boat: what its twin knows before any data.
 
-Everything that a setting scales with stands here, so that one set of dimensionless settings
-serves a 1 m model and a 300 m tanker (Froude scaling).
+All settings scale with these numbers. So one set of dimensionless settings serves a 1 m model
+and a 300 m tanker (Froude scaling).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SEA_WATER = 1025.0
 """Density, kg/m3."""
 
 FAST = 0.35
-"""Froude number of the usual speed above which a boat is taken to have drives, not rudders."""
+"""Froude number of the service speed above which a boat is taken to have drives, not rudders."""
 
 FULL_FORM = 0.75
 """Block coefficient from which on a ship is a tanker or a bulk carrier."""
@@ -52,7 +52,7 @@ DESIGNS = ("usv75",)
 """Classes of boats of which a model is known: a prior of theirs comes with the package."""
 
 STUDY_LENGTH, STUDY_SPEED = 6.336, 5.4
-"""Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for (twin.md)."""
+"""Waterline (m) and speed (m/s) of the boat that filters and learners were tuned for."""
 
 
 class ParticularsError(UsvTwinError):
@@ -110,8 +110,8 @@ class Instruments:
         Where antenna and IMU sit: m forward and m to starboard of the origin, which is the
         point whose position and velocity are wanted.
     tilt_sd, tilt_time : float
-        Typical roll and pitch (rad) of a boat whose accelerometers feel them, 0 for one that
-        stays upright or whose IMU takes gravity out; and how long a tilt lasts (s).
+        Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them,
+        0 for one that stays upright or whose IMU removes gravity; and how long a tilt lasts (s).
     """
 
     gps_sd: float = 0.4
@@ -164,9 +164,9 @@ class Particulars:
     mass : float
         Displacement, kg.
     speed : float
-        A usual speed, m/s ...
+        A typical speed, m/s.
     shaft_speed : float
-        ... and the shaft speed of each propeller that keeps it, rev/s. Where the unit of
+        Shaft speed of each propeller at that speed, rev/s. Where the unit of
         the recorded command is unknown (per cent, pulse width), any unit will do, if the
         log uses the same.
     steering : str
@@ -176,8 +176,8 @@ class Particulars:
     steer_rate : float
         Largest turning speed of the drive, rad/s.
     design : str
-        The boat's class, one of :data:`DESIGNS`, if she is known to be of one: her sisters tell
-        ``dsw-ukf-plus`` more than main particulars do (:mod:`twin.model.priors`). Empty: of none.
+        The boat's class, one of :data:`DESIGNS`, or empty. The prior of a class tells
+        ``dsw-ukf-plus`` more than main particulars do: see :mod:`twin.model.priors`.
     instruments : Instruments
         Sensors on board.
     """
@@ -218,8 +218,8 @@ class Particulars:
         if self.design != "" and self.design not in DESIGNS:
             raise ParticularsError(
                 f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
-                f"{', '.join(DESIGNS)}, leave it out, or hand one of your own to the twin "
-                "(twin.training.prior_population.sister)"
+                f"{', '.join(DESIGNS)}, leave it out, or give the twin a prior of your own "
+                "(twin.training.prior_population.sample_from_class)"
             )
         if self.design and (self.steering != "drives" or self.tanker):
             raise ParticularsError(
@@ -267,10 +267,26 @@ class Particulars:
                     "expected the tables [particulars] and, if wished, [instruments]; "
                     f"found {', '.join(sorted(table)) or 'none'}"
                 )
-            instruments = Instruments(**_known(Instruments, table.get("instruments", {})))
-            return cls(**_known(cls, table["particulars"]), instruments=instruments)
+            return cls.from_tables(table["particulars"], table.get("instruments", {}))
         except ParticularsError as error:
             raise ParticularsError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_tables(cls, particulars: Any, instruments: Any) -> Particulars:
+        """Return particulars from plain tables.
+
+        Parameters
+        ----------
+        particulars, instruments : dict
+            Values by name of field, SI units; without ``instruments`` among the first.
+
+        Raises
+        ------
+        ParticularsError
+            Names the key and the remedy.
+        """
+        on_board = Instruments(**_known(Instruments, instruments))
+        return cls(**_known(cls, particulars), instruments=on_board)
 
     @property
     def time_scale(self) -> float:
@@ -279,12 +295,12 @@ class Particulars:
 
     @property
     def froude(self) -> float:
-        """Froude number of the usual speed."""
+        """Froude number of the typical speed."""
         return self.speed / math.sqrt(GRAVITY * self.length)
 
     @property
     def tanker(self) -> bool:
-        """Whether she is a slow ship of full form, which has one propeller and one rudder."""
+        """Whether it is a slow ship of full form, which has one propeller and one rudder."""
         box = SEA_WATER * self.length * self.beam * self.draft
         full = FULL_FORM * box <= self.mass <= box  # no hull fills more than the box around it
         return self.steering == "drives" and self.froude <= FAST and full
@@ -310,13 +326,13 @@ class Particulars:
 def _ship_of(table: dict[str, Any], log: str | Path | None) -> dict[str, Any]:
     """Return the tables of the first ship whose patterns a log matches."""
     ships = table["ship"]
-    told = isinstance(ships, list) and all(
+    sound = isinstance(ships, list) and all(
         isinstance(ship, dict)
         and isinstance(ship.get("logs"), list)
         and all(isinstance(pattern, str) for pattern in ship["logs"])
         for ship in ships
     )
-    if len(table) > 1 or not told:
+    if len(table) > 1 or not sound:
         raise ParticularsError(
             'expected only [[ship]], each with logs = ["pattern"], [ship.particulars] and, if '
             "wished, [ship.instruments]"
@@ -340,7 +356,7 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
         if key not in fields:
             raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
         if key.endswith("_arm"):
-            continue  # told by the class itself
+            continue  # the class itself checks it
         text = key in ("name", "steering", "design")
         wanted = str if text else (int, float)
         if not isinstance(value, wanted) or isinstance(value, bool):

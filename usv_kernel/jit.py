@@ -7,13 +7,12 @@ exceptions or generators, and writes its outputs in place.
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
 from numba.core import event
 
-from usv_kernel.arrays import reshaped
+from usv_kernel.arrays import python_views
 from usv_kernel.cache import KERNEL_MODULES, cache_directory
 from usv_kernel.compiler import Kernel
 from usv_kernel.warmup import CompileListener
@@ -85,9 +84,7 @@ def inlined(function: F) -> F:
 def py_func(compiled: F) -> F:
     """Return the Python function of a kernel that returns views of its arguments.
 
-    Python cannot own such views, as kernels count no references. ``shaped`` is replaced by
-    :func:`usv_kernel.arrays.reshaped`.
+    Python would free a view that numba has not counted; see
+    :func:`usv_kernel.arrays.python_views`.
     """
-    function = compiled.py_func  # type: ignore[attr-defined]
-    names = {**function.__globals__, "shaped": reshaped}
-    return FunctionType(function.__code__, names)  # type: ignore[return-value]
+    return python_views(compiled)  # type: ignore[return-value]

@@ -7,7 +7,7 @@ overlaps the one before instead, and nothing is stored before all of it has been
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from llvmlite import ir
 from numba.core import cgutils, types
@@ -16,6 +16,10 @@ from numba.extending import intrinsic
 
 __all__ = [
     "LANES",
+    "Block",
+    "Factors",
+    "Rows",
+    "Strip",
     "accumulate",
     "accumulate_rows",
     "combine",
@@ -45,21 +49,77 @@ def padded(count: int) -> int:
     return -(-count // LANES) * LANES
 
 
-@intrinsic
-def accumulate(typing_context, to, at, count, factors, start, step, sign, rows, first, width, many):
-    """Add ``sign * factors[start + j step] * rows[first + j width + k]`` to ``to[at + k]``.
+class Strip(NamedTuple):
+    """The numbers ``array[at : at + count]``; arrays are indexed as they lie in memory."""
 
-    The sum is over j = 0 ... many - 1, in this order and each term fused; k = 0 ... count - 1.
-    All arrays are contiguous float64, and indexed as they lie in memory. What is added may lie in
-    the same array, but not in those ``count`` numbers. For kernels only.
+    array: Any
+    at: int
+    count: int
+
+
+class Block(NamedTuple):
+    """So many strips of ``count`` numbers, ``apart`` from each other."""
+
+    array: Any
+    at: int
+    apart: int
+    size: int
+    count: int
+
+
+class Factors(NamedTuple):
+    """``sign * array[start + j step]`` for j = 0, 1, ..."""
+
+    array: Any
+    start: int
+    step: int
+    sign: float
+
+
+class Rows(NamedTuple):
+    """``many`` rows, of which row j begins at ``array[first + j width]``."""
+
+    array: Any
+    first: int
+    width: int
+    many: int
+
+
+@intrinsic
+def accumulate(typing_context, to, factors, rows):
+    """Add the sum over j of factor j times row j to a strip.
+
+    Parameters
+    ----------
+    to : Strip
+        What is added to. What is added may lie in the same array, but not in the strip.
+    factors : Factors
+        Those of the rows.
+    rows : Rows
+        Added in their order, each term fused.
+
+    All arrays are contiguous float64. For kernels only.
     """
     return _sums(to, factors, rows, add=True)
 
 
 @intrinsic
-def combine(typing_context, to, at, count, factors, start, step, sign, rows, first, width, many):
+def combine(typing_context, to, factors, rows):
     """Write what :func:`accumulate` adds; what was there before does not matter."""
     return _sums(to, factors, rows, add=False)
+
+
+def _members(context: Any, builder: Any, kinds: Any, args: Any) -> list[Any]:
+    """Return the members of NamedTuples in a row: arrays as they are, numbers cast."""
+    found = []
+    for kind, arg in zip(kinds, args, strict=True):
+        values = cgutils.unpack_tuple(builder, arg)
+        for name, member, value in zip(kind.fields, kind.types, values, strict=True):
+            if not isinstance(member, types.Array):
+                number = types.float64 if name == "sign" else types.intp
+                value = context.cast(builder, value, member, number)
+            found.append(value)
+    return found
 
 
 def _fused(builder: ir.IRBuilder, lanes: int) -> tuple[Any, Any]:
@@ -85,17 +145,17 @@ def _pointer(context: Any, builder: ir.IRBuilder, kind: Any, array: Any, at: Any
 
 def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
     """Return signature and code of the sums."""
-    _check_rows(to, factors, rows)
-    whole, real = types.intp, types.float64
-    signature = types.void(
-        *(to, whole, whole, factors, whole, whole, real, rows, whole, whole, whole)
-    )
+    arrays = [kind.types[0] for kind in (to, factors, rows)]
+    _check_rows(*arrays)
+    signature = types.void(to, factors, rows)
 
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
-        to, at, count, factors, start, step, sign, rows, first, width, many = args
-        target = _pointer(context, builder, sig.args[0], to, at)
-        each = _pointer(context, builder, sig.args[3], factors, start)
-        source = _pointer(context, builder, sig.args[7], rows, first)
+        to, at, count, factors, start, step, sign, rows, first, width, many = _members(
+            context, builder, sig.args, args
+        )
+        target = _pointer(context, builder, arrays[0], to, at)
+        each = _pointer(context, builder, arrays[1], factors, start)
+        source = _pointer(context, builder, arrays[2], rows, first)
         index = count.type
 
         def sums(offset: Any, lanes: int, vectors: int) -> list[Any]:
@@ -117,7 +177,7 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
                 factor = builder.fmul(
                     sign, builder.load(builder.gep(each, [builder.mul(loop.index, step)]))
                 )
-                factor = _alike(builder, factor, lanes)
+                factor = _broadcast(builder, factor, lanes)
                 row = builder.gep(source, [builder.mul(loop.index, width)])
                 for v, total in enumerate(totals):
                     term = builder.load(place(row, v), align=8)
@@ -154,25 +214,23 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
 
 
 @intrinsic
-def accumulate_rows(
-    typing_context, to, at, apart, size, count, factors, start, step, sign, rows, first, width, many
-):
-    """Do :func:`accumulate` for a matrix of ``size`` rows, ``apart`` from each other.
+def accumulate_rows(typing_context, to, factors, rows):
+    """Do :func:`accumulate` for each strip of a block.
 
-    To row i the numbers from ``factors[start + i]`` on belong; the added rows serve all and stay in
-    registers. They may not lie in the numbers that are added to; ``sign`` is 1 or -1.
+    To strip i the factors from ``array[start + i]`` on belong; the rows serve all and stay in
+    registers. They may not lie in the block; ``sign`` is 1 or -1.
     """
-    _check_rows(to, factors, rows)
-    whole, real = types.intp, types.float64
-    signature = types.void(
-        *(to, whole, whole, whole, whole, factors, whole, whole, real, rows, whole, whole, whole)
-    )
+    arrays = [kind.types[0] for kind in (to, factors, rows)]
+    _check_rows(*arrays)
+    signature = types.void(to, factors, rows)
 
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
-        to, at, apart, size, count, factors, start, step, sign, rows, first, width, many = args
-        target = _pointer(context, builder, sig.args[0], to, at)
-        each = _pointer(context, builder, sig.args[5], factors, start)
-        source = _pointer(context, builder, sig.args[9], rows, first)
+        to, at, apart, size, count, factors, start, step, sign, rows, first, width, many = _members(
+            context, builder, sig.args, args
+        )
+        target = _pointer(context, builder, arrays[0], to, at)
+        each = _pointer(context, builder, arrays[1], factors, start)
+        source = _pointer(context, builder, arrays[2], rows, first)
         index = count.type
 
         def columns(offset: Any, lanes: int, begin: Any, block: int, seen: Any = None) -> None:
@@ -187,7 +245,7 @@ def accumulate_rows(
                 return builder.bitcast(builder.gep(base, [at]), kind.as_pointer())
 
             numbers = [builder.add(begin, index(k)) for k in range(block)]
-            with_sign = _alike(builder, sign, lanes)
+            with_sign = _broadcast(builder, sign, lanes)
             held = [
                 builder.fmul(with_sign, builder.load(place(source, j, width), align=8))
                 for j in numbers
@@ -200,7 +258,7 @@ def accumulate_rows(
                 total = builder.load(where, align=8)
                 for j, row in zip(numbers, held, strict=True):
                     one = builder.gep(each, [builder.add(builder.mul(j, step), loop.index)])
-                    factor = _alike(builder, builder.load(one), lanes)
+                    factor = _broadcast(builder, builder.load(one), lanes)
                     total = builder.call(fused, [factor, row, total])
                 builder.store(total, where, align=8)
 
@@ -240,7 +298,7 @@ def accumulate_rows(
     return signature, generate
 
 
-def _alike(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
+def _broadcast(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
     """Return a number in all lanes."""
     if lanes == 1:
         return number
@@ -286,7 +344,7 @@ def dot3(typing_context, first, factors, rows, count):
         with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as (at, _):
             for k, total in enumerate(totals):
                 number = builder.add(at, index(k))
-                factor = _alike(builder, builder.load(builder.gep(each, [number])), 4)
+                factor = _broadcast(builder, builder.load(builder.gep(each, [number])), 4)
                 place = builder.gep(source, [builder.mul(number, index(4))])
                 row = builder.load(builder.bitcast(place, kind.as_pointer()), align=8)
                 builder.store(builder.call(fused, [factor, row, builder.load(total)]), total)
@@ -348,7 +406,7 @@ def _from(builder: ir.IRBuilder, lane: Any, lanes: int) -> Any:
     """Return which lanes are not before the given one."""
     numbers = ir.Constant(ir.VectorType(_DOUBLE, lanes), [float(k) for k in range(lanes)])
     return builder.fcmp_ordered(
-        ">=", numbers, _alike(builder, builder.sitofp(lane, _DOUBLE), lanes)
+        ">=", numbers, _broadcast(builder, builder.sitofp(lane, _DOUBLE), lanes)
     )
 
 

@@ -7,7 +7,7 @@ The numbers lie beside this file. Those of the full protocol were made by::
 
 and those of the recorded runs, which are not part of the project, by::
 
-    usv-twin benchmark --plans known --ship particulars.toml --out recorded \
+    usv-twin benchmark --plans known --out recorded \
         --predictors persistence,persistence-8s,var,ukf,dsw-ukf,dsw-ukf-plus \
         --log ../shared/data/esso_osaka_frt/*.csv.gz ../shared/data/kvlcc2_simman2008/*.csv.gz
 

@@ -86,7 +86,7 @@ def test_round_trip(tmp_path: Path, data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("name", POSITIVE)
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_values_that_no_boat_has(name: str, value: float) -> None:
+def test_impossible_values_of_a_boat_are_refused(name: str, value: float) -> None:
     words = "must be above 0" if math.isfinite(value) else "is not a finite number"
     change: dict[str, Any] = {name: value}
     with pytest.raises(ParticularsError, match=f"^{name} = {value} {words}"):
@@ -107,12 +107,12 @@ def test_a_class_that_the_other_particulars_contradict_is_refused():
 @pytest.mark.parametrize(
     "value", [(1.0,), (1.0, 2.0, 3.0), 1.0, (1.0, math.nan), (True, 0.0), "ab"]
 )
-def test_arms_that_no_instrument_has(name: str, value: Any) -> None:
+def test_impossible_arms_are_refused(name: str, value: Any) -> None:
     with pytest.raises(ParticularsError, match=f"^{name} = .* must be two finite numbers"):
         Instruments(**{name: value})
 
 
-def test_a_fix_that_is_too_old() -> None:
+def test_too_large_latency_is_refused() -> None:
     with pytest.raises(ParticularsError, match=r"^gps_latency = 11\.0 must be 10 s or less"):
         Instruments(gps_latency=11.0)
 
@@ -120,7 +120,7 @@ def test_a_fix_that_is_too_old() -> None:
 @pytest.mark.parametrize(
     "name", [item.name for item in dataclasses.fields(Instruments) if item.name not in ARMS]
 )
-def test_values_that_no_instrument_has(name: str) -> None:
+def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
     with pytest.raises(ParticularsError, match=f"^{name} = -1.0 must be"):
         Instruments(**{name: -1.0})
     with pytest.raises(ParticularsError, match=f"^{name} = nan is not a finite number"):
@@ -159,12 +159,12 @@ def test_values_that_no_instrument_has(name: str) -> None:
         ),
     ],
 )
-def test_mistakes_in_a_file(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_mistakes_in_a_file_are_named(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert TEXT.count(old) >= 1
     assert words in refused(tmp_path / "boat.toml", TEXT.replace(old, new, 1))
 
 
-def test_files_that_hold_no_particulars(tmp_path: Path) -> None:
+def test_files_without_particulars_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "boat.toml"
     assert "found none" in refused(path, "")
     assert "expected a table of keys and values" in refused(path, "particulars = 3")
@@ -175,7 +175,7 @@ def test_files_that_hold_no_particulars(tmp_path: Path) -> None:
         Particulars.load(tmp_path / "absent.toml")
 
 
-def test_a_file_of_several_ships(tmp_path):
+def test_file_of_several_ships_is_matched_by_log(tmp_path):
     boats = [
         dataclasses.replace(BOAT, name=name, length=length)
         for name, length in (("a", 3.0), ("b", 7.0))

@@ -7,10 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usv_kernel.arrays import shaped, stack
+from usv_kernel.arrays import alloca_f64, shaped
 from usv_kernel.jit import kernel, py_func
 from usv_kernel.simd import (
     LANES,
+    Block,
+    Factors,
+    Rows,
+    Strip,
     accumulate,
     accumulate_rows,
     combine,
@@ -25,18 +29,24 @@ GUARD = 12345.0
 
 @kernel
 def add(to, at, count, factors, start, step, sign, rows, first, width, many):
-    accumulate(to, at, count, factors, start, step, sign, rows, first, width, many)
+    accumulate(
+        Strip(to, at, count), Factors(factors, start, step, sign), Rows(rows, first, width, many)
+    )
 
 
 @kernel
 def write(to, at, count, factors, start, step, sign, rows, first, width, many):
-    combine(to, at, count, factors, start, step, sign, rows, first, width, many)
+    combine(
+        Strip(to, at, count), Factors(factors, start, step, sign), Rows(rows, first, width, many)
+    )
 
 
 @kernel
 def add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many):
     accumulate_rows(
-        *(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many)
+        Block(to, at, apart, size, count),
+        Factors(factors, start, step, sign),
+        Rows(rows, first, width, many),
     )
 
 
@@ -62,7 +72,7 @@ def two_dots(a, b, x):
 
 @kernel
 def reversed_by_the_stack(numbers):
-    room = stack(5)
+    room = alloca_f64(5)
     for i in range(5):
         room[i] = numbers[i]
     for i in range(5):

@@ -82,10 +82,10 @@ def paper_run(xi: Array, angle: float, seconds: float) -> tuple[float, Array]:
         End time (s) and state.
     """
     act, out, terms = np.array([RATED, RATED, angle, angle]), np.empty(6), np.empty(N_TERMS)
-    calm = np.zeros(2)
+    model, calm = PAPER.terms, np.zeros(2)
 
     def move(_: float, s: Array) -> Array:
-        dynamics.derivative(np.ascontiguousarray(s), xi, act, calm, PAPER.kit, terms, out)
+        dynamics.derivative(np.ascontiguousarray(s), xi, act, calm, model, terms, out)
         return out.copy()
 
     def fast(_: float, s: Array) -> float:

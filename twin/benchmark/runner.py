@@ -36,7 +36,7 @@ from twin.benchmark.metrics import (
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
 from twin.digital_twin import Twin, known_plan
-from twin.logs.log import Log, beside, files_of, recorded_runs
+from twin.logs.log import Log, files_of, recorded_runs, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
@@ -277,7 +277,7 @@ def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
     log.write(partial)
     partial.replace(path)
     partial.write_text(particulars.to_toml(), encoding="utf-8")
-    partial.replace(beside(path, ".toml"))
+    partial.replace(sibling_path(path, ".toml"))
 
 
 def digest(settings: Settings, unit: Unit) -> str:
@@ -293,7 +293,7 @@ def digest(settings: Settings, unit: Unit) -> str:
     ship = settings.ship if unit.log else settings.vessel
     read = list(files_of(unit.log, settings.mapping)) if unit.log else []
     if unit.log and settings.ship is None:
-        read.append(beside(unit.log, ".toml"))
+        read.append(sibling_path(unit.log, ".toml"))
     for path in (*read, Path(ship or "")):
         if path.is_file():
             with path.open("rb") as file:

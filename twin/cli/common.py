@@ -26,7 +26,7 @@ from twin.model.structure import MODELS
 from twin.parallel import BACKENDS
 from twin.predictors.registry import DEFAULT, PREDICTORS
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_beside
+from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError
 
@@ -153,7 +153,7 @@ def open_log(
         twin = _load_twin(resume, predictor, ship, model)
     else:
         name = predictor or DEFAULT
-        particulars, found = particulars_beside(path, ship)
+        particulars, found = particulars_for_log(path, ship)
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     log = log.without_truth()

@@ -23,7 +23,7 @@ from twin.live.protocols.feed import FeedError
 from twin.live.protocols.mavlink import Servos
 from twin.live.protocols.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
 from twin.logs.log import Log
-from twin.sim.recorded import particulars_beside
+from twin.sim.recorded import particulars_for_log
 
 
 def replay_command(
@@ -77,7 +77,7 @@ def replay_command(
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
     else:
-        particulars, _ = particulars_beside(log, ship)
+        particulars, _ = particulars_for_log(log, ship)
         stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)
     counts: Counter[str] = Counter()
     length = float(run.t[-1] - run.t[0])

@@ -30,7 +30,7 @@ from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_beside
+from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
@@ -188,7 +188,7 @@ def _log_session(
     log = Log.read(path, mapping)
     for line in log.notes:
         note(line)
-    particulars, found = particulars_beside(path, ship)
+    particulars, found = particulars_for_log(path, ship)
     if not found:
         note(NO_PARTICULARS.format(path))
     check_simulator(predictor, log, particulars)
@@ -199,7 +199,7 @@ def _feed_twin(ship: str | None, predictor: str) -> tuple[Twin, Vessel | None]:
     """Return the twin of a boat that sends its measurements, and the vessel to show."""
     if predictor_class(predictor).needs_simulator:
         raise PredictorError(f"predictor {predictor!r}: the sea of a real boat is not known to it")
-    particulars, _ = particulars_beside(Path("feed"), ship or "usv75")
+    particulars, _ = particulars_for_log(Path("feed"), ship or "usv75")
     if ship is None:
         particulars = dataclasses.replace(particulars, design="")
         note("the boat is taken to be the usv75; --vessel names another")

@@ -35,6 +35,7 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import MEASUREMENTS
+from twin.checkpoint import Field, State, StateError, check_fields
 from twin.particulars import Instruments
 from usv_kernel.scalar import wrap
 
@@ -54,6 +55,15 @@ SAME_DT = 1e-9
 HEADING_VAR_MAX = 0.5**2
 """Heading variance, rad2, above which the accelerometer, whose direction is then unknown,
 counts as missing."""
+
+FIELDS = {
+    **dict.fromkeys(
+        ("gps.covariance", "imu.covariance", "fused_covariance"), Field(covariance=True)
+    ),
+    **dict.fromkeys(("gps_age", "yaw_age", "free_time"), Field(low=0.0)),
+    "step": Field(low=0.0, high=1e4, nan=True),
+}
+"""What the fields of a saved state may hold."""
 
 _GPS_TO_FUSED = np.array([0, 3, 1, 4])
 
@@ -200,6 +210,37 @@ class LateFusion:
         self._yaw_age = 0.0
         self._free_time = 0.0
         self._dt = math.nan
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        return {
+            **{"gps.mean": self.gps.x.copy(), "gps.covariance": self.gps.P.copy()},
+            **{"imu.mean": self.imu.x.copy(), "imu.covariance": self.imu.P.copy()},
+            **{"mean": self.state.copy(), "fused": self.fused.copy()},
+            "fused_covariance": self.fused_covariance.copy(),
+            "weight_gps": self.weight_gps.copy(),
+            **{"have_fix": self._have_fix, "have_heading": self._have_heading},
+            **{"gps_age": self._gps_age, "yaw_age": self._yaw_age},
+            **{"free_time": self._free_time, "step": self._dt},
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        check_fields(state, self.state_dict(), FIELDS)
+        for name in ("gps.covariance", "imu.covariance"):
+            if (np.linalg.eigvalsh(state[name]) <= 0.0).any():
+                raise StateError(f"field {name!r} is not positive definite; use an earlier copy")
+        self.gps.x, self.gps.P = state["gps.mean"].copy(), state["gps.covariance"].copy()
+        self.imu.x, self.imu.P = state["imu.mean"].copy(), state["imu.covariance"].copy()
+        self.state, self.fused = state["mean"].copy(), state["fused"].copy()
+        self.fused_covariance = state["fused_covariance"].copy()
+        self.weight_gps = state["weight_gps"].copy()
+        self._have_fix, self._have_heading = state["have_fix"], state["have_heading"]
+        self._gps_age, self._yaw_age = state["gps_age"], state["yaw_age"]
+        self._free_time = state["free_time"]
+        self._dt = math.nan
+        if math.isfinite(state["step"]):
+            self._prepare(state["step"])
 
     @property
     def ready(self) -> bool:

@@ -6,7 +6,7 @@ import math
 
 from usv_kernel.jit import kernel
 from usv_kernel.scalar import fma
-from usv_kernel.simd import accumulate, accumulate_rows
+from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate, accumulate_rows
 
 __all__ = [
     "add_product",
@@ -134,33 +134,38 @@ def add_rows(target, i, start, stop, factors, row, rows, first, last):
     """
     across = rows.shape[1]
     accumulate(
-        *(target, i * target.shape[1] + start, stop - start),
-        *(factors, row * factors.shape[1] + first, 1, 1.0),
-        *(rows, first * across + start, across, last - first),
+        Strip(target, i * target.shape[1] + start, stop - start),
+        Factors(factors, row * factors.shape[1] + first, 1, 1.0),
+        Rows(rows, first * across + start, across, last - first),
     )
 
 
 @kernel
-def add_product(target, left, right, size, start, stop, first, last, sign):
-    """Add sign * left' right, summed over their rows first to last, to the target.
+def add_product(target, left, right, columns, rows, sign):
+    """Add sign * left' right, summed over some of their rows, to the target.
 
     With left = right and sign = 1 or -1, what is added is symmetric to the last bit.
 
     Parameters
     ----------
     target : (a, b) array
-        Its rows are the first ``size`` columns of left, its columns ``start`` to ``stop`` of
-        right.
+        Its rows are the first ``size`` columns of left, its columns those of right.
     left, right : (c, a), (c, b) arrays
         Factors.
+    columns : (size, start, stop)
+        Rows of the target, and its columns from start to stop.
+    rows : (first, last)
+        Rows of the factors.
     sign : float
         1 or -1.
     """
+    size, start, stop = columns
+    first, last = rows
     down, across = left.shape[1], right.shape[1]
     accumulate_rows(
-        *(target, start, target.shape[1], size, stop - start),
-        *(left, first * down, down, sign),
-        *(right, first * across + start, across, last - first),
+        Block(target, start, target.shape[1], size, stop - start),
+        Factors(left, first * down, down, sign),
+        Rows(right, first * across + start, across, last - first),
     )
 
 
@@ -177,7 +182,11 @@ def add_square(target, rows):
     """
     n = target.shape[0]
     for i in range(n):
-        accumulate(target, i * n + i, n - i, rows, i, n, 1.0, rows, i, n, rows.shape[0])
+        accumulate(
+            Strip(target, i * n + i, n - i),
+            Factors(rows, i, n, 1.0),
+            Rows(rows, i, n, rows.shape[0]),
+        )
 
 
 @kernel

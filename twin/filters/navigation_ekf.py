@@ -36,29 +36,37 @@ The filter knows nothing of waves: what it says moves with them.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.particulars import GRAVITY, Particulars
-from usv_kernel.jit import kernel
+from twin.checkpoint import State, check_fields, fill, record_views
+from twin.filters.dead_reckoning import past_motion, remember
+from twin.filters.navigation_state import (
+    N_NAV,
+    NAVIGATION,
+    NAVIGATION_FIELDS,
+    NAVIGATION_SETTINGS,
+    NAVIGATION_WORK,
+    VARIANCE_MIN,
+    initial_navigation,
+    navigation_settings,
+)
+from twin.particulars import Particulars
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
-from usv_kernel.simd import accumulate_rows, combine
+from usv_kernel.simd import Block, Factors, Rows, Strip, accumulate_rows, combine
 
 __all__ = [
-    "GPS_AGE",
-    "N_NAV",
     "Navigator",
-    "aid_velocity",
+    "aid",
+    "is_ready",
     "navigate",
-    "navigation_settings",
 ]
 
 Array = NDArray[np.float64]
-
-N_NAV = 12
-
-WORK_ROWS = N_NAV + 4
 
 GATE = 6.0
 """Standard deviations beyond which a number is refused ..."""
@@ -82,112 +90,8 @@ STEP_MAX = 0.1
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 
-AIDED, AIDED_TURN = 0.05, 0.05
-"""How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
-
-_VARIANCE_MIN = 1e-12
-"""Below this a variance is rounding."""
-
 _SHARP = 1e4
 """A correction that shrinks a variance by more than this may leave rounding behind."""
-
-# entries of the settings
-(
-    _GPS_VAR,
-    _DOPPLER_VAR,
-    _COMPASS_VAR,
-    _GYRO_VAR,
-    _GYRO_BIAS_VAR,
-    _ACCEL_VAR,
-    _ACCEL_BIAS_VAR,
-    _LATENCY,
-    _BIAS_TIME,
-    _R_DENSITY,
-    _HELD_DENSITY,
-    _AIDED_DENSITY,
-    _VELOCITY_VAR_0,
-    _R_VAR_0,
-    _R_AIDED_DENSITY,
-    _COMPASS_BIAS_VAR,
-    _TILT_VAR,
-    _TILT_TIME,
-    _GPS_X,
-    _GPS_Y,
-    _IMU_X,
-    _IMU_Y,
-    _LEAP,
-) = range(23)
-
-# entries of the status: flags, ages (s), runs of refused numbers, samples of the row before,
-# how long they have stayed (s), clock (s), path by dead reckoning, sums of corrections, ring,
-# whether a number was taken by force
-READY_FIX, READY_HEADING, GPS_AGE, COMPASS_AGE, IMU_AGE, REFUSED = 0, 1, 2, 3, 4, 5
-
-_LAST = REFUSED + 8
-
-_STAYED = _LAST + 8
-
-_CLOCK = _STAYED + 3
-
-# integrals of speed north and east, cos and sin of the heading; all without corrections
-_PATH = _CLOCK + 1
-
-# of heading, u, v
-_CORRECTED = _PATH + 4
-
-_COUNT = _CORRECTED + 3
-
-_RING = _COUNT + 1
-
-_ROWS, _COLUMNS = 64, 9
-
-_LOST = _RING + _ROWS * _COLUMNS
-
-STATUS_SIZE = _LOST + 1
-
-
-def navigation_settings(particulars: Particulars) -> Array:
-    """Return the packed settings of the filter for a boat.
-
-    Parameters
-    ----------
-    particulars : Particulars
-        Length, speed and instruments are used; what no data sheet states scales with speed
-        and length (Froude).
-
-    Returns
-    -------
-    ndarray, shape (23,)
-    """
-    I, U, L = particulars.instruments, particulars.speed, particulars.length
-    accel = U * U / L
-    turn = U / L
-    tilt = GRAVITY * I.tilt_sd
-    return np.array(
-        [
-            I.gps_sd**2 + I.gps_bias_sd**2,
-            I.doppler_sd**2,
-            I.compass_sd**2,
-            I.gyro_sd**2,
-            max(I.gyro_bias_sd**2, _VARIANCE_MIN),
-            I.accel_sd**2,
-            I.accel_bias_sd**2,
-            I.gps_latency,
-            200.0,
-            (0.5 * turn) ** 2 * turn,  # yaw rate wanders by half its size in one L/U
-            (0.25 * U) ** 2 * turn,  # velocity without accelerometers, likewise
-            (AIDED * U) ** 2 * turn,
-            U**2,
-            turn**2,
-            (AIDED_TURN * turn) ** 2 * turn,
-            max(I.compass_bias_sd**2, _VARIANCE_MIN),
-            max(tilt**2, _VARIANCE_MIN),
-            I.tilt_time,
-            *I.gps_arm,
-            *I.imu_arm,
-            0.5 * accel + 8.0 * math.hypot(I.accel_sd, 0.5 * tilt),
-        ]
-    )
 
 
 @kernel
@@ -196,7 +100,7 @@ def _cap(P, settings):
 
     Left with them it would be a gain that is too large, and the filter would run away.
     """
-    speed, turn = settings[_VELOCITY_VAR_0], settings[_R_VAR_0]
+    speed, turn = settings.velocity_var_0, settings.r_var_0
     for i in range(6):
         top = 1e8 * speed / turn  # ten thousand lengths
         if i == 2:
@@ -232,13 +136,25 @@ def _mend(P, root):
                 return
 
 
-@kernel
-def _predict(n, P, h, ax, ay, accel_var, driven, r_mean, r_rate, r_var, settings, path, A):
-    """Advance mean and covariance by h; ``driven`` says that ax, ay are specific forces.
+class _Motion(NamedTuple):
+    """What drives a step of the prediction."""
 
-    ``r_mean`` is the yaw rate in the middle of the step, ``r_rate`` its growth where nothing
-    will be measured.
-    """
+    h: float  # s
+    ax: float  # specific force or acceleration forward and to starboard, m/s2
+    ay: float
+    var: float  # what it adds to the variances of u and v
+    is_force: bool  # whether ax and ay are specific forces
+    r_mean: float  # yaw rate in the middle of the step, rad/s
+    r_rate: float  # its growth where it will not be measured, rad/s2
+    r_var: float  # what is added to its variance
+
+
+@kernel
+def _predict(nav, settings, motion, A):
+    """Advance mean and covariance by a step."""
+    n, P, path, corrected = nav.n, nav.P, nav.path, nav.corrected
+    h, ax, ay, driven = motion.h, motion.ax, motion.ay, motion.is_force
+    r_mean, r_rate = motion.r_mean, motion.r_rate
     u, v, r = n[3], n[4], n[5]
     psi = n[2] + 0.5 * h * r_mean
     c, s = math.cos(psi), math.sin(psi)
@@ -282,20 +198,20 @@ def _predict(n, P, h, ax, ay, accel_var, driven, r_mean, r_rate, r_var, settings
     for i in range(5):
         for k in range(i):
             P[i, k] = P[k, i]
-    decay = h / settings[_BIAS_TIME]
-    P[3, 3] += accel_var
-    P[4, 4] += accel_var
-    P[5, 5] += r_var
-    P[6, 6] += 2.0 * decay * (settings[_GYRO_BIAS_VAR] - P[6, 6])
-    P[7, 7] += 2.0 * decay * (settings[_ACCEL_BIAS_VAR] - P[7, 7])
-    P[8, 8] += 2.0 * decay * (settings[_ACCEL_BIAS_VAR] - P[8, 8])
-    P[9, 9] += 2.0 * decay * (settings[_COMPASS_BIAS_VAR] - P[9, 9])
-    stay = math.exp(-h / settings[_TILT_TIME])
+    decay = h / settings.bias_time
+    P[3, 3] += motion.var
+    P[4, 4] += motion.var
+    P[5, 5] += motion.r_var
+    P[6, 6] += 2.0 * decay * (settings.gyro_bias_var - P[6, 6])
+    P[7, 7] += 2.0 * decay * (settings.accel_bias_var - P[7, 7])
+    P[8, 8] += 2.0 * decay * (settings.accel_bias_var - P[8, 8])
+    P[9, 9] += 2.0 * decay * (settings.compass_bias_var - P[9, 9])
+    stay = math.exp(-h / settings.tilt_time)
     for i in range(10, N_NAV):
         for k in range(N_NAV):
             P[i, k] *= stay
             P[k, i] *= stay
-        P[i, i] += (1.0 - stay * stay) * settings[_TILT_VAR]
+        P[i, i] += (1.0 - stay * stay) * settings.tilt_var
         n[i] *= stay
     _cap(P, settings)
     n[0] += h * north
@@ -306,246 +222,180 @@ def _predict(n, P, h, ax, ay, accel_var, driven, r_mean, r_rate, r_var, settings
     n[5] += h * r_rate
     for i in range(6, 10):
         n[i] *= 1.0 - decay
-    fastest = SPEED_LIMIT * math.sqrt(settings[_VELOCITY_VAR_0])
+    fastest = SPEED_LIMIT * math.sqrt(settings.velocity_var_0)
     n[3] = min(max(n[3], -fastest), fastest)
     n[4] = min(max(n[4], -fastest), fastest)
     n[5] = min(max(n[5], -TURN_LIMIT), TURN_LIMIT)
     # the same step without the corrections that were made so far
-    c, s = math.cos(psi - path[4]), math.sin(psi - path[4])
-    path[0] += h * ((u_mean - path[5]) * c - (v_mean - path[6]) * s)
-    path[1] += h * ((u_mean - path[5]) * s + (v_mean - path[6]) * c)
+    c, s = math.cos(psi - corrected[0]), math.sin(psi - corrected[0])
+    path[0] += h * ((u_mean - corrected[1]) * c - (v_mean - corrected[2]) * s)
+    path[1] += h * ((u_mean - corrected[1]) * s + (v_mean - corrected[2]) * c)
     path[2] += h * c
     path[3] += h * s
 
 
 @kernel
-def _correct(n, P, H, innovation, variance, age, status, channel, gain, A):
+def _correct(nav, work, innovation, variance, age, channel):
     """Correct by one number with measurement row H; return False where it is refused.
 
     ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing.
     """
+    n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
     if channel >= 0:
         if innovation * innovation > GATE * GATE * S:
-            status[REFUSED + channel] += max(1.0, REFUSED_RATE * age)
-            if status[REFUSED + channel] <= REFUSED_MAX:
+            nav.refused[channel] += max(1.0, REFUSED_RATE * age)
+            if nav.refused[channel] <= REFUSED_MAX:
                 return False
             # the filter is lost: take the number as if nothing had been known
-            status[_LOST] = 1.0
+            nav.lost = 1.0
             for i in range(6):
                 size = H[i] * H[i]
                 # a jump of the position says nothing of the heading
                 if size > 0.25 and (channel > 1 or i == channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
             S = _gain(P, H, variance, gain)
-        status[REFUSED + channel] = 0.0
+        nav.refused[channel] = 0.0
     step = innovation / S
     for i in range(N_NAV):
         n[i] += gain[i] * step
     for i in range(3):
-        status[_CORRECTED + i] += gain[2 + i] * step
+        nav.corrected[i] += gain[2 + i] * step
     root = 1.0 / math.sqrt(S)
     for i in range(N_NAV):
         gain[i] *= root
-    accumulate_rows(P, 0, N_NAV, N_NAV, N_NAV, gain, 0, 1, -1.0, gain, 0, N_NAV, 1)
+    accumulate_rows(
+        Block(P, 0, N_NAV, N_NAV, N_NAV), Factors(gain, 0, 1, -1.0), Rows(gain, 0, N_NAV, 1)
+    )
     for i in range(N_NAV):
-        P[i, i] = max(P[i, i], _VARIANCE_MIN)
+        P[i, i] = max(P[i, i], VARIANCE_MIN)
     if S / variance > _SHARP:
-        _mend(P, A)
+        _mend(P, work.A)
     return True
 
 
 @kernel
-def _forget_biases(n, P, settings):
-    """Begin anew with what was learned from numbers that have turned out to be false."""
+def _forget_biases(nav, settings):
+    """Restart what was learned from numbers that have turned out to be false."""
+    n, P = nav.n, nav.P
     for i in range(6, N_NAV):
         for k in range(N_NAV):
             P[i, k] = 0.0
             P[k, i] = 0.0
         n[i] = 0.0
-    P[6, 6] = settings[_GYRO_BIAS_VAR]
-    P[7, 7] = P[8, 8] = settings[_ACCEL_BIAS_VAR]
-    P[9, 9] = settings[_COMPASS_BIAS_VAR]
-    P[10, 10] = P[11, 11] = settings[_TILT_VAR]
+    P[6, 6] = settings.gyro_bias_var
+    P[7, 7] = P[8, 8] = settings.accel_bias_var
+    P[9, 9] = settings.compass_bias_var
+    P[10, 10] = P[11, 11] = settings.tilt_var
 
 
 @kernel
 def _gain(P, H, variance, gain):
     """Write P H' and return the variance of the innovation."""
     S = variance
-    combine(gain, 0, N_NAV, H, 0, 1, 1.0, P, 0, N_NAV, N_NAV)
+    combine(Strip(gain, 0, N_NAV), Factors(H, 0, 1, 1.0), Rows(P, 0, N_NAV, N_NAV))
     for i in range(N_NAV):
         S += H[i] * gain[i]
     return max(S, variance)  # rounding apart it is no less
 
 
 @kernel
-def aid_velocity(n, P, u, v, variance, status, H, gain):
-    """Correct the velocity by what a model says of it.
+def aid(nav, work, entry, value, variance):
+    """Correct one entry of the state by what a model says of it.
 
     Parameters
     ----------
-    n, P : ndarray, shapes (12,), (12, 12)
-        State and covariance, corrected in place.
-    u, v : float
-        Velocity over the ground that the model gives, m/s.
-    variance : float
-        Of each, (m/s)^2.
-    status, H, gain : ndarray
-        Status and scratch as in :func:`navigate`.
+    nav, work : record
+        :data:`NAVIGATION`, corrected in place; :data:`NAVIGATION_WORK`.
+    entry : int
+        Of the state.
+    value, variance : float
+        In its unit.
     """
-    aid(n, P, 3, u, variance, status, H, gain)
-    aid(n, P, 4, v, variance, status, H, gain)
+    work.H[:] = 0.0
+    work.H[entry] = 1.0
+    # a model is never so much surer than the filter that the covariance needs a repair
+    variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
+    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
+
+
+@inlined
+def is_ready(nav):
+    """Return whether a fix and a heading have come."""
+    return nav.has_fix * nav.has_heading > 0.0
 
 
 @kernel
-def aid(n, P, entry, value, variance, status, H, gain):
-    """Correct one entry of the state by what a model says of it; see :func:`aid_velocity`."""
-    for i in range(N_NAV):
-        H[i] = 0.0
-    H[entry] = 1.0
-    # a model is never so much surer than the filter that the covariance needs mending, for
-    # which there is no scratch here
-    variance = max(variance, 2.0 * P[entry, entry] / _SHARP)
-    _correct(n, P, H, value - n[entry], variance, 0.0, status, -1, gain, P)
-
-
-@kernel
-def _start(n, P, z, settings, status):
+def _start(nav, z, settings):
     """Take heading and fix as they come, until both are there."""
-    speed = settings[_VELOCITY_VAR_0]
+    n, P = nav.n, nav.P
+    speed = settings.velocity_var_0
     fastest = SPEED_LIMIT * math.sqrt(speed)
     if abs(z[4]) < ROUNDS:
         n[2] = z[4]
-        status[READY_HEADING] = 1.0
+        nav.has_heading = 1.0
     if abs(z[0]) < REACH and abs(z[1]) < REACH:
         n[0], n[1] = z[0], z[1]
         n[3] = n[4] = 0.0
         if abs(z[2]) < fastest and abs(z[3]) < fastest:
             n[3], n[4] = z[2], z[3]
-        status[READY_FIX] = 1.0
-        status[GPS_AGE] = 0.0
+        nav.has_fix = 1.0
+        nav.gps_age = 0.0
     if abs(z[5]) < TURN_LIMIT:
         n[5] = z[5]
-    if status[READY_FIX] * status[READY_HEADING] == 0.0:
+    if not is_ready(nav):
         return
-    old = settings[_LATENCY] + status[GPS_AGE]
+    old = settings.latency + nav.gps_age
     c, s = math.cos(n[2]), math.sin(n[2])
-    forward, side = settings[_GPS_X], settings[_GPS_Y]
+    forward, side = settings.gps_x, settings.gps_y
     north, east = n[3], n[4]
     n[0] += old * north - c * forward + s * side
     n[1] += old * east - s * forward - c * side
     n[3] = north * c + east * s + n[5] * side
     n[4] = east * c - north * s - n[5] * forward
-    P[0, 0] = P[1, 1] = settings[_GPS_VAR] + old * old * speed
-    P[2, 2] = settings[_COMPASS_VAR] + settings[_COMPASS_BIAS_VAR]
-    P[2, 9] = P[9, 2] = -settings[_COMPASS_BIAS_VAR]
-    status[GPS_AGE] = status[COMPASS_AGE] = status[IMU_AGE] = 0.0
+    P[0, 0] = P[1, 1] = settings.gps_var + old * old * speed
+    P[2, 2] = settings.compass_var + settings.compass_bias_var
+    P[2, 9] = P[9, 2] = -settings.compass_bias_var
+    nav.gps_age = nav.compass_age = nav.imu_age = 0.0
 
 
 @kernel
-def _same(z, status, sensor, first, last, dt):
+def _same(z, nav, sensor, first, last, dt):
     """Return whether all numbers that a sensor gives are those that it gave last."""
     given, same = False, True
     for j in range(first, last):
         if math.isfinite(z[j]):
             given = True
-            same = same and z[j] == status[_LAST + j]
-    status[_STAYED + sensor] += dt
+            same = same and z[j] == nav.last[j]
+    nav.unchanged[sensor] += dt
     if not given:
         return False
     if not same:
-        status[_STAYED + sensor] = 0.0
+        nav.unchanged[sensor] = 0.0
         for j in range(first, last):
-            status[_LAST + j] = z[j]
+            nav.last[j] = z[j]
     return same
 
 
 @kernel
-def _remember(n, status, settings):
-    """Write the present into the ring, unless the last entry is too near."""
-    count = int(status[_COUNT])
-    newest = _RING + _COLUMNS * ((count - 1) % _ROWS)
-    if count > 0:
-        apart = settings[_LATENCY] / (_ROWS - 4)
-        if status[_CLOCK] - status[newest] < apart:
-            return
-    row = _RING + _COLUMNS * (count % _ROWS)
-    _present(n, status, status[row : row + _COLUMNS])
-    # the remainder alone counts, and that the ring is full
-    status[_COUNT] = count + 1 if count + 1 < 2 * _ROWS else _ROWS
-
-
-@kernel
-def _present(n, status, row):
-    """Write time, path, and heading, u, v without corrections, then yaw rate."""
-    row[0] = status[_CLOCK]
-    for i in range(4):
-        row[1 + i] = status[_PATH + i]
-    for i in range(3):
-        row[5 + i] = n[2 + i] - status[_CORRECTED + i]
-    row[8] = n[5]
-
-
-@kernel
-def _back_then(n, status, settings, past):
-    """Write where the boat was when the fix was taken.
-
-    ``past`` becomes the way made since to north and east (m), the integrals of cos and sin
-    of the heading (s), and then heading, u, v and r of that time.
-    """
-    _present(n, status, past)
-    late = settings[_LATENCY]
-    if late > 0.0:
-        then = status[_CLOCK] - late
-        count = int(status[_COUNT])
-        depth = min(count, _ROWS)
-        newer = past
-        share = 0.0
-        older = past
-        for back in range(1, depth + 1):
-            row = _RING + _COLUMNS * ((count - back) % _ROWS)
-            newer, older = older, status[row : row + _COLUMNS]
-            if older[0] <= then:
-                break
-        span = newer[0] - older[0]
-        # before the oldest entry, the way goes on as it began
-        if span > 0.0:
-            share = min((newer[0] - then) / span, 1e3)
-        for i in range(_COLUMNS):
-            # ``newer`` may be ``past`` itself
-            past[i] = (
-                newer[i] + share * (older[i] - newer[i]) if i < 5 or share <= 1.0 else older[i]
-            )
-    turned, du, dv = status[_CORRECTED], status[_CORRECTED + 1], status[_CORRECTED + 2]
-    c, s = math.cos(turned), math.sin(turned)
-    C, S = status[_PATH + 2] - past[3], status[_PATH + 3] - past[4]
-    north = status[_PATH] - past[1] + du * C - dv * S
-    east = status[_PATH + 1] - past[2] + du * S + dv * C
-    past[0], past[1] = c * north - s * east, s * north + c * east
-    past[2], past[3] = c * C - s * S, s * C + c * S
-    past[4], past[5], past[6] = past[5] + turned, past[6] + du, past[7] + dv
-    past[7] = past[8]
-
-
-@kernel
-def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A, past, before):
+def _take_fix(nav, z, dt, repeats, settings, work):
     """Correct by position and velocity of the antenna when the fix was taken."""
-    _back_then(n, status, settings, past)
+    n, P, H, past, before = nav.n, nav.P, work.H, work.past[:], work.before
+    past_motion(nav, settings, past)
     for i in range(N_NAV):
         before[i] = n[i]
     c, s = math.cos(past[4]), math.sin(past[4])
-    late, age = settings[_LATENCY], status[GPS_AGE]
-    # what velocity gains on its way from then to now, that nobody knows of
-    drift = settings[_ACCEL_VAR] * min(dt, STEP_MAX) * late
-    drift += settings[_TILT_VAR] * late * min(late, 2.0 * settings[_TILT_TIME])
+    late, age = settings.latency, nav.gps_age
+    # unknown change of velocity from then to now
+    drift = settings.accel_var * min(dt, STEP_MAX) * late
+    drift += settings.tilt_var * late * min(late, 2.0 * settings.tilt_time)
     drift += max(P[7, 7], P[8, 8]) * late * late
     # ... shared by all fixes of that time
     drift *= max(late / max(age, dt, 1e-3), 1.0)
-    gps_var = settings[_GPS_VAR] + drift * late * late / 3.0
-    doppler_var = settings[_DOPPLER_VAR] + drift
-    fastest = SPEED_LIMIT * math.sqrt(settings[_VELOCITY_VAR_0])
-    forward, side = settings[_GPS_X], settings[_GPS_Y]
+    gps_var = settings.gps_var + drift * late * late / 3.0
+    doppler_var = settings.doppler_var + drift
+    fastest = SPEED_LIMIT * math.sqrt(settings.velocity_var_0)
+    forward, side = settings.gps_x, settings.gps_y
     for j in range(4):
         if not abs(z[j]) < (REACH if j < 2 else fastest):
             continue
@@ -572,18 +422,18 @@ def _take_fix(n, P, z, dt, repeats, settings, status, H, gain, A, past, before):
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        if _correct(n, P, H, innovation, variance, age, status, j, gain, A):
-            status[GPS_AGE] = 0.0
+        if _correct(nav, work, innovation, variance, age, j):
+            nav.gps_age = 0.0
 
 
 @kernel
-def navigate(n, P, dt, z, model, settings, status, work):
+def navigate(nav, dt, z, model, settings, work):
     """Take one row of measurements.
 
     Parameters
     ----------
-    n, P : ndarray, shapes (12,), (12, 12)
-        State and covariance, advanced in place.
+    nav : record
+        :data:`NAVIGATION`, advanced in place.
     dt : float
         Time since the row before, s; 0 or more.
     z : ndarray, shape (10,)
@@ -591,135 +441,114 @@ def navigate(n, P, dt, z, model, settings, status, work):
     model : ndarray, shape (4,)
         Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use:
         1 if a model gave them, 0 if there is none and velocities are held.
-    settings : ndarray, shape (23,)
-        From :func:`navigation_settings`.
-    status : ndarray, shape (STATUS_SIZE,)
-        Two flags (fix and heading there), ages of the last GPS, compass and IMU sample (s),
-        runs of refused numbers, and what the filter remembers; advanced in place.
-    work : ndarray, shape (WORK_ROWS, 12)
-        Scratch.
+    settings, work : record
+        :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """
-    H, gain, A = work[0], work[1], work[2 : 2 + N_NAV]
+    n, P, H = nav.n, nav.P, work.H
     dt = min(max(dt, 0.0), GAP_MAX)
-    status[_CLOCK] += dt
-    status[GPS_AGE] += dt
-    status[COMPASS_AGE] += dt
-    status[IMU_AGE] += dt
-    last_gyro = status[_LAST + 5]
-    last_x, last_y = status[_LAST + 6], status[_LAST + 7]
-    gps_repeats = _same(z, status, 0, 0, 4, dt)
-    compass_repeats = _same(z, status, 1, 4, 5, dt)
-    imu = not _same(z, status, 2, 5, 8, dt)
-    if status[READY_FIX] * status[READY_HEADING] == 0.0:
-        _start(n, P, z, settings, status)
-        if status[READY_FIX] * status[READY_HEADING] > 0.0:
-            _remember(n, status, settings)
+    nav.clock += dt
+    nav.gps_age += dt
+    nav.compass_age += dt
+    nav.imu_age += dt
+    last_gyro = nav.last[5]
+    last_x, last_y = nav.last[6], nav.last[7]
+    gps_repeats = _same(z, nav, 0, 0, 4, dt)
+    compass_repeats = _same(z, nav, 1, 4, 5, dt)
+    imu = not _same(z, nav, 2, 5, 8, dt)
+    if not is_ready(nav):
+        _start(nav, z, settings)
+        if is_ready(nav):
+            remember(nav, settings)
         return
     # a gyro that follows its row before, and an IMU whose arm it can be used for
-    follows = dt > 0.0 and dt <= STEP_MAX and status[IMU_AGE] <= 1.5 * dt
+    follows = dt > 0.0 and dt <= STEP_MAX and nav.imu_age <= 1.5 * dt
     gyro = imu and abs(z[5]) < TURN_LIMIT
     driven = imu and abs(z[6]) < ACCEL_LIMIT and abs(z[7]) < ACCEL_LIMIT
     if driven and follows:
         leap = max(abs(z[6] - last_x), abs(z[7] - last_y))
-        if leap > settings[_LEAP] and status[REFUSED + 6] < 0.5 * REFUSED_MAX:
-            status[REFUSED + 6] += 1.0
+        if leap > settings.leap and nav.refused[6] < 0.5 * REFUSED_MAX:
+            nav.refused[6] += 1.0
             driven = False
-            status[_LAST + 6], status[_LAST + 7] = last_x, last_y
+            nav.last[6], nav.last[7] = last_x, last_y
         else:
-            status[REFUSED + 6] = 0.0
+            nav.refused[6] = 0.0
     # what a model gives for this moment does not last through a gap
-    modelled = model[3] > 0.0 and dt * dt * settings[_R_VAR_0] <= 1.0
-    r_rate, r_mean, r_var = 0.0, n[5], settings[_R_DENSITY]
+    modelled = model[3] > 0.0 and dt * dt * settings.r_var_0 <= 1.0
+    r_rate, r_mean, r_var = 0.0, n[5], settings.r_density
     if gyro:
         change = z[5] - n[6] - n[5]
-        S = P[5, 5] + 2.0 * P[5, 6] + P[6, 6] + settings[_GYRO_VAR] + r_var * dt
+        S = P[5, 5] + 2.0 * P[5, 6] + P[6, 6] + settings.gyro_var + r_var * dt
         if change * change < GATE * GATE * S:
             r_mean += 0.5 * change
     elif modelled:
-        r_rate, r_var = model[2], settings[_R_AIDED_DENSITY]
+        r_rate, r_var = model[2], settings.r_aided_density
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
-    ax, ay, held = 0.0, 0.0, settings[_HELD_DENSITY] * h
+    ax, ay, held = 0.0, 0.0, settings.held_density * h
     if modelled:
-        ax, ay, held = model[0], model[1], settings[_AIDED_DENSITY] * h
-    path = status[_PATH:_COUNT]
+        ax, ay, held = model[0], model[1], settings.aided_density * h
     for j in range(steps):
         # a sample is the mean over its interval; a gap is not filled with it
         if driven and j == steps - 1:
-            forward, side = settings[_IMU_X], settings[_IMU_Y]
+            forward, side = settings.imu_x, settings.imu_y
             turn = r_mean * r_mean
             spin = (z[5] - last_gyro) / dt if gyro and follows else 0.0
             if not abs(spin) * STEP_MAX < 1.0:
                 spin = 0.0
             force_x = z[6] + turn * forward + spin * side
             force_y = z[7] + turn * side - spin * forward
-            var = settings[_ACCEL_VAR] * h * h
-            _predict(
-                *(n, P, h, force_x, force_y, var, True, r_mean, r_rate, r_var * h),
-                *(settings, path, A),
-            )
+            var = settings.accel_var * h * h
+            motion = _Motion(h, force_x, force_y, var, True, r_mean, r_rate, r_var * h)
         else:
             if not gyro:
                 r_mean = n[5] + 0.5 * h * r_rate
-            _predict(n, P, h, ax, ay, held, False, r_mean, r_rate, r_var * h, settings, path, A)
+            motion = _Motion(h, ax, ay, held, False, r_mean, r_rate, r_var * h)
+        _predict(nav, settings, motion, work.A)
     if steps > 1:
-        _mend(P, A)
+        _mend(P, work.A)
 
     for i in range(N_NAV):
         H[i] = 0.0
     if gyro:
         H[5] = H[6] = 1.0
         innovation = z[5] - n[5] - n[6]
-        age = status[IMU_AGE]
-        if _correct(n, P, H, innovation, settings[_GYRO_VAR], age, status, 5, gain, A):
-            status[IMU_AGE] = 0.0
+        age = nav.imu_age
+        if _correct(nav, work, innovation, settings.gyro_var, age, 5):
+            nav.imu_age = 0.0
         H[5] = H[6] = 0.0
     if abs(z[4]) < ROUNDS:
         innovation = wrap(z[4] - n[2] - n[9])
-        var, age = settings[_COMPASS_VAR], status[COMPASS_AGE]
+        var, age = settings.compass_var, nav.compass_age
         if not compass_repeats or (
-            status[_STAYED + 1] >= FROZEN_TIME and innovation * innovation < var
+            nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
             H[2] = H[9] = 1.0
-            if _correct(n, P, H, innovation, var, age, status, 4, gain, A):
-                status[COMPASS_AGE] = 0.0
+            if _correct(nav, work, innovation, var, age, 4):
+                nav.compass_age = 0.0
             H[2] = H[9] = 0.0
-    if not gps_repeats or status[_STAYED] >= FROZEN_TIME:
-        _take_fix(
-            *(n, P, z, dt, gps_repeats, settings, status),
-            *(H, gain, A, work[2 + N_NAV], work[3 + N_NAV]),
-        )
-    if status[_LOST] > 0.0:
-        status[_LOST] = 0.0
-        _forget_biases(n, P, settings)
-    _remember(n, status, settings)
+    if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
+        _take_fix(nav, z, dt, gps_repeats, settings, work)
+    if nav.lost > 0.0:
+        nav.lost = 0.0
+        _forget_biases(nav, settings)
+    remember(nav, settings)
 
 
-def initial_navigation(settings: Array) -> tuple[Array, Array, Array]:
-    """Return state (12,), covariance (12, 12) and status of a filter that knows nothing."""
-    P = np.diag(
-        [
-            settings[_GPS_VAR],
-            settings[_GPS_VAR],
-            settings[_COMPASS_VAR],
-            settings[_VELOCITY_VAR_0],
-            settings[_VELOCITY_VAR_0],
-            settings[_R_VAR_0],
-            settings[_GYRO_BIAS_VAR],
-            settings[_ACCEL_BIAS_VAR],
-            settings[_ACCEL_BIAS_VAR],
-            settings[_COMPASS_BIAS_VAR],
-            settings[_TILT_VAR],
-            settings[_TILT_VAR],
-        ]
+@kernel
+def _take_row(nav, dt, z, model, settings, work):
+    """Do :func:`navigate` on flat memory."""
+    navigate(
+        as_record(nav, NAVIGATION),
+        dt,
+        z,
+        model,
+        as_record(settings, NAVIGATION_SETTINGS),
+        as_record(work, NAVIGATION_WORK),
     )
-    status = np.zeros(STATUS_SIZE)
-    status[_LAST:_STAYED] = math.nan
-    return np.zeros(N_NAV), P, status
 
 
 class Navigator:
-    """The filter with its arrays, for those who need no model.
+    """The filter with its arrays, for predictors without a model.
 
     Parameters
     ----------
@@ -729,23 +558,40 @@ class Navigator:
     Attributes
     ----------
     n, P : ndarray, shapes (12,), (12, 12)
-        State and covariance.
+        State and covariance; views of the memory.
+    memory : ndarray
+        All that the filter remembers, in the order of :data:`NAVIGATION`.
     """
 
     def __init__(self, particulars: Particulars) -> None:
         self._settings = navigation_settings(particulars)
-        self._work = np.zeros((WORK_ROWS, N_NAV))
+        self._work = np.zeros(NAVIGATION_WORK.itemsize // 8)
         self._model = np.zeros(4)
-        self.reset()
+        self.memory = initial_navigation(self._settings)
+        self.n = self.memory.view(NAVIGATION)[0]["n"]
+        self.P = self.memory.view(NAVIGATION)[0]["P"]
 
     def reset(self) -> None:
         """Forget everything."""
-        self.n, self.P, self.status = initial_navigation(self._settings)
+        self.memory[:] = initial_navigation(self._settings)
+
+    def _views(self) -> dict[str, Array]:
+        return record_views(self.memory, NAVIGATION)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        return {name: view.copy() for name, view in self._views().items()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        check_fields(state, self._views(), NAVIGATION_FIELDS)
+        fill(self._views(), state)
 
     @property
     def ready(self) -> bool:
         """True once a fix and a heading have come."""
-        return bool(self.status[READY_FIX] and self.status[READY_HEADING])
+        nav = self.memory.view(NAVIGATION)[0]
+        return bool(nav["has_fix"] and nav["has_heading"])
 
     @property
     def state(self) -> Array:
@@ -768,5 +614,5 @@ class Navigator:
             State (x, y, psi, u, v, r), a view.
         """
         z = np.ascontiguousarray(z, dtype=np.float64)
-        navigate(self.n, self.P, dt, z, self._model, self._settings, self.status, self._work)
+        _take_row(self.memory, dt, z, self._model, self._settings, self._work)
         return self.n[:6]

@@ -1,4 +1,4 @@
-"""The unscented Kalman filter for a state plus many constant parameters; it knows no ship.
+"""The unscented Kalman filter for a state plus many constant parameters; it has no ship in it.
 
 The filter's vector is x = (s, xi): ``n_s`` states that move and are measured, then ``n_xi``
 parameters that stand still but for a random walk. The caller's model must be affine in xi,
@@ -6,7 +6,7 @@ parameters that stand still but for a random walk. The caller's model must be af
     f(s, xi) = f(s, 0) + slope(s) xi,
 
 and the measurement is z = s + noise, each entry present or not. Then, of the 1 + 2 (n_s +
-n_xi) sigma points, those that move xi alone can be summed by hand: only 1 + 2 n_s are sent
+n_xi) sigma points, those that move xi alone can be summed in closed form: only 1 + 2 n_s are sent
 through the model, and the result is that of the full filter for any alpha, beta and kappa.
 
 A step is three calls, with the model in the middle:
@@ -16,36 +16,27 @@ A step is three calls, with the model in the middle:
    at the centre point;
 3. :func:`time_update` forms the predicted mean and covariance;
 
-and :func:`measurement_update` when something was measured. All three share one array
-``work`` from :func:`workspace`; its slots hold
-
-- ``work[POINTS]`` (1 + 2 n_s rows): sigma points, the centre first, then those up, then down;
-- ``work[ROOT]`` (n_s rows): the first rows of the upper Cholesky factor of P;
-- ``work[SLOPE]`` (n_s rows): derivative of the model's answer by x, of which only the xi
-  columns (n_s and up) are read, and there only those within ``limits``;
-- ``work[SCRATCH]``: room for what is in between.
-
-Their first n = n_s + n_xi columns count. Rows are filled up with zeros to whole groups of lanes, so
-that what one sum has written in vectors the next one reads in the same.
+and :func:`measurement_update` when something was measured. All share one :class:`UKFWorkspace`.
 
 P is kept exactly symmetric, and neither x nor P ever becomes NaN or infinite:
 
 - Where rounding has left P without a Cholesky factor, its correlations are dropped;
 - where a prediction overflows, x stays, and P loses its correlations and grows by Q;
-- an entry of z that is not finite counts as missing, and none is believed beyond 1e-10 of the
-  variance that it meets.
+- an entry of z that is not finite counts as missing, and none reduces a variance to less than
+  1e-10 of itself.
 
 The first two are counted in what the functions return. They tell of a filter that followed an
 absurd measurement for want of a gate, or that predicted for too long without any.
 
 Source: Qu et al. 2025, Eq (28)-(34) with the corrections of Wan and van der Merwe (2000);
-physics.md section 7, performance.md "The structured UKF".
+docs/explanation/twin.md, Joint filter; docs/explanation/performance.md, The structured UKF.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,14 +44,11 @@ from numpy.typing import ArrayLike, NDArray
 from twin.filters.linalg import add_product
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
-from usv_kernel.simd import accumulate, combine, inner, padded, transpose
+from usv_kernel.simd import Factors, Rows, Strip, accumulate, combine, inner, padded, transpose
 
 __all__ = [
-    "POINTS",
-    "ROOT",
-    "SCRATCH",
-    "SLOPE",
     "StructuredUKF",
+    "UKFWorkspace",
     "measurement_update",
     "scaled_weights",
     "sigma_points",
@@ -70,9 +58,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-POINTS, ROOT, SLOPE, SCRATCH = 0, 1, 2, 3
-"""Slots of the work array."""
-
 SPREAD, MEAN_0, COVARIANCE_0, OTHERS = 0, 1, 2, 3
 """Entries of the weights."""
 
@@ -80,7 +65,7 @@ _PIVOT_MIN = 1e-14
 """Below this part of a variance, what a difference leaves of it is rounding."""
 
 _NOISE_MIN = 1e-10
-"""A measurement is not believed beyond this part of the variance that it meets."""
+"""The least measurement noise, as a part of the variance that it meets."""
 
 _OVERFLOW = 1e12
 """No state in SI units is as large as this, nor its variance as its square."""
@@ -103,7 +88,7 @@ def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float =
         Square of the points' distance in standard deviations, alpha^2 (n + kappa); weight of
         the centre in the mean; in the covariance; weight of each other point.
 
-    Source: physics.md section 7.1; Wan and van der Merwe 2000.
+    Source: docs/explanation/twin.md, Joint filter; Wan and van der Merwe 2000.
     """
     spread = alpha**2 * (n + kappa)
     if not spread > 0.0:
@@ -112,27 +97,33 @@ def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float =
     return np.array([spread, mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / spread])
 
 
-def workspace(n_s: int, n_xi: int) -> Array:
-    """Return the array that the kernels work in; see the head of this file for its slots.
+class UKFWorkspace(NamedTuple):
+    """Scratch of the filter; the first n = n_s + n_xi columns of each count.
 
-    Parameters
-    ----------
-    n_s, n_xi : int
-        Number of states and of parameters.
-
-    Returns
-    -------
-    (4, 1 + 2 n_s, width) array
-        Zeros; the width is a multiple of :data:`usv_kernel.simd.LANES`.
+    Rows are padded with zeros to whole groups of lanes, so that what one sum has written in
+    vectors the next one reads in the same.
     """
-    return np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1)))
+
+    points: Any  # (1 + 2 n_s, width) sigma points: the centre, those up, those down
+    root: Any  # (1 + 2 n_s, width) first rows of the upper Cholesky factor of P
+    slope: Any  # (1 + 2 n_s, width) derivative of the model's answer by x: within ``limits``
+    scratch: Any  # (1 + 2 n_s, width) for what is in between
+
+
+def workspace(n_s: int, n_xi: int) -> UKFWorkspace:
+    """Return a workspace for so many states and parameters; zeros."""
+    return UKFWorkspace(*np.zeros((4, 1 + 2 * n_s, padded(2 * n_s + n_xi + 1))))
 
 
 @inlined
 def _eliminate(rows, factors, j):
     """Write factors[0, j] of row j and factors[0, i] of the rows i before it to row j."""
     width = rows.shape[1]
-    combine(rows, j * width, width, factors, j, -1, 1.0, rows, j * width, -width, j + 1)
+    combine(
+        Strip(rows, j * width, width),
+        Factors(factors, j, -1, 1.0),
+        Rows(rows, j * width, -width, j + 1),
+    )
 
 
 @kernel
@@ -187,7 +178,7 @@ def _decorrelate(P):
 
 @kernel
 def sigma_points(x, P, weights, work):
-    """Write the sigma points that move a state to ``work[POINTS]``.
+    """Write the sigma points that move a state.
 
     Parameters
     ----------
@@ -197,37 +188,37 @@ def sigma_points(x, P, weights, work):
         Covariance; changed only where it has no Cholesky factor, see the head of this file.
     weights : (4,) array
         From :func:`scaled_weights`.
-    work : (4, 1 + 2 n_s, width) array
-        From :func:`workspace`; fills the points and the root.
+    work : UKFWorkspace
+        Its points and root are filled.
 
     Returns
     -------
     int
         Number of repairs of P; 0 as a rule.
 
-    Source: Eq (29) with n + lambda in place of n + k; physics.md section 7.2.
+    Source: Eq (29) with n + lambda in place of n + k; docs/explanation/twin.md, Joint filter.
     """
     n = x.shape[0]
-    n_s = (work.shape[1] - 1) // 2
-    points = work[POINTS]
-    root = work[ROOT]
+    points, root = work.points, work.root
+    n_s = (points.shape[0] - 1) // 2
     repairs = 0
-    if not _factorise(P, root, work[SCRATCH], n_s):
+    if not _factorise(P, root, work.scratch, n_s):
         _decorrelate(P)
-        _factorise(P, root, work[SCRATCH], n_s)
+        _factorise(P, root, work.scratch, n_s)
         repairs = 1
     distance = math.sqrt(weights[SPREAD])
     for k in range(n):
         points[0, k] = x[k]
         root[n_s, k] = x[k]
     # each is a row of the root, so many standard deviations off the mean, which follows the root
-    sides, width = work[SCRATCH], points.shape[1]
+    sides, width = work.scratch, points.shape[1]
     sides[0, 0], sides[0, 1], sides[0, 2] = distance, 1.0, -distance
     for j in range(n_s):
         row, apart = j * width, (n_s - j) * width
-        combine(points, width + row, n, sides, 0, 1, 1.0, root, row, apart, 2)
+        rows = Rows(root, row, apart, 2)
+        combine(Strip(points, width + row, n), Factors(sides, 0, 1, 1.0), rows)
         down = width * (1 + n_s) + row
-        combine(points, down, n, sides, 2, -1, 1.0, root, row, apart, 2)
+        combine(Strip(points, down, n), Factors(sides, 2, -1, 1.0), rows)
     return repairs
 
 
@@ -263,23 +254,21 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
         counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one.
     weights : (4,) array
         From :func:`scaled_weights`.
-    work : (4, 1 + 2 n_s, width) array
+    work : UKFWorkspace
         As :func:`sigma_points` left it, but with the model's answer in the first n_s columns
-        of ``work[POINTS]`` and its slope in ``work[SLOPE]``; both are used up.
+        of the points, and with its slope; both are used up.
 
     Returns
     -------
     int
         1 if the prediction was dropped because it overflowed, else 0.
 
-    Source: Eq (30) with the noise added once; performance.md "The structured UKF".
+    Source: Eq (30) with the noise added once; docs/explanation/performance.md, The structured UKF.
     """
     n = x.shape[0]
-    n_s = (work.shape[1] - 1) // 2
-    points = work[POINTS]
-    root = work[ROOT]
-    slope = work[SLOPE]
-    rows = work[SCRATCH]  # The first n_s become rows of P'_sx.
+    points, root, slope = work.points, work.root, work.slope
+    n_s = (points.shape[0] - 1) // 2
+    rows = work.scratch  # The first n_s become rows of P'_sx.
     width = rows.shape[1]
     common = n_s  # rows[common + j, i] is slope_l . G_j, what slope and root have in common.
     error = 2 * n_s  # rows[error] is the answer at the centre less the mean.
@@ -316,9 +305,9 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
     for i in range(n_s):
         first = limits[i, 0]
         combine(
-            *(rows, i * width + n_s, n - n_s),
-            *(slope, i * width + first, 1, 1.0),
-            *(P, first * n + n_s, n, limits[i, 1] - first),
+            Strip(rows, i * width + n_s, n - n_s),
+            Factors(slope, i * width + first, 1, 1.0),
+            Rows(P, first * n + n_s, n, limits[i, 1] - first),
         )
         # P'_ss takes the slope's s columns until all of it is known to be finite.
         for q in range(i + 1):
@@ -327,9 +316,9 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
             product += Q_s[i, q] + centre * rows[error, i] * rows[error, q]
             slope[i, q] = product
             slope[q, i] = product
-    add_product(rows, root, root, n_s, n_s, n, 0, n_s, 1.0)
-    add_product(slope, points, points, n_s, 0, n_s, 1, 1 + 2 * n_s, 1.0)
-    add_product(slope, rows, rows, n_s, 0, n_s, common, common + n_s, -1.0)
+    add_product(rows, root, root, (n_s, n_s, n), (0, n_s), 1.0)
+    add_product(slope, points, points, (n_s, 0, n_s), (1, 1 + 2 * n_s), 1.0)
+    add_product(slope, rows, rows, (n_s, 0, n_s), (common, common + n_s), -1.0)
 
     for i in range(n_s):
         tame = tame and slope[i, i] < _OVERFLOW**2
@@ -371,8 +360,8 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     gate : float
         Normalised innovation squared above which the measurement is refused as a whole;
         infinity to refuse none.
-    work : (4, 1 + 2 n_s, width) array
-        From :func:`workspace`.
+    work : UKFWorkspace
+        Scratch.
 
     Returns
     -------
@@ -380,17 +369,16 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
         Normalised innovation squared; chi-square of as many degrees as there were entries.
         Above ``gate``, or infinite, it says that x and P were left as they were.
 
-    Source: Eq (31)-(33) for z = s + noise; physics.md section 7.2.
+    Source: Eq (31)-(33) for z = s + noise; docs/explanation/twin.md, Joint filter.
     """
     # Elimination turns the rows (P_s | S | y) of what was measured, with S = P_ss + R = L L',
     # into L^-1 P_s, L' and L^-1 y; those of what was not are left 0.
     n = x.shape[0]
     n_s = z.shape[0]
-    rows = work[SCRATCH]
+    rows, factors = work.scratch, work.points
     width = rows.shape[1]
     S = n
     y = n + n_s
-    factors = work[POINTS]
     for i in range(n_s):
         row, origin = rows[i], P[i]
         for k in range(n):
@@ -420,11 +408,11 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
     if not (nis <= gate and nis < math.inf):
         return nis
 
-    accumulate(x, 0, n, rows, y, width, 1.0, rows, 0, width, n_s)
-    least = work[ROOT, 0]
+    accumulate(Strip(x, 0, n), Factors(rows, y, width, 1.0), Rows(rows, 0, width, n_s))
+    least = work.root[0]
     for i in range(n):
         least[i] = _PIVOT_MIN * P[i, i]
-    add_product(P, rows, rows, n, 0, n, 0, n_s, -1.0)
+    add_product(P, rows, rows, (n, 0, n), (0, n_s), -1.0)
     for i in range(n):
         P[i, i] = max(P[i, i], least[i])
     return nis
@@ -489,7 +477,7 @@ class StructuredUKF:
         """
         repairs = sigma_points(self.x, self.P, self.weights, self.work)
         n = len(self.x)
-        model(self.work[POINTS, :, :n], self.work[SLOPE, : self.n_s, :n])
+        model(self.work.points[:, :n], self.work.slope[: self.n_s, :n])
         return repairs + time_update(
             self.x,
             self.P,

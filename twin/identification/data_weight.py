@@ -1,55 +1,45 @@
-"""How far to trust the data against the prior: rival refits, judged by what they foretold.
+"""How far to trust the data against the prior: several refits, compared by their forecasts.
 
-A boat of which the prior knows little, in waves that are high for her, must lean on her data; one
+A boat of which the prior says little, in waves that are high for it, must lean on its data; one
 that has only been turning must not. No setting suits both, so several refits run side by side
-over the same segments, each with another ``trust``, and the one in use is the one whose forecasts
-were best. Every forecast is one of a segment that had not been seen: with the parameters that
-each rival had when it began, from the low-frequency velocities, under the actuators as they were.
+over the same segments, each with another ``trust``. The one in use is the one with the best
+forecasts. Every forecast is one of a segment that had not been seen: with the parameters that
+each refit had when it began, from the low-frequency velocities, under the actuators as they were.
 
-Place and heading are what is judged: they add velocities up, and the waves cancel.
+Place and heading are compared: they add velocities up, and the waves cancel.
 
-Source: twin.md section 14.1 asks for the choice; prequential validation, Dawid 1984.
+Source: docs/explanation/twin.md, The refit; prequential validation, Dawid 1984.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.identification.prediction_error import (
-    ACT,
-    EVERY,
-    GOOD,
-    GRID,
-    ITERATIONS,
-    LOW,
-    MIDDLE,
-    STEPS,
-    WIND,
-    Segments,
-    drive,
-    keep_factor,
-    roll_room,
-    solve,
-    use,
-)
-from twin.model.structure import LEFT_COS, N_STATES, N_TERMS, accelerations, state_terms
-from usv_kernel.arrays import shaped
-from usv_kernel.jit import kernel, py_func
+from twin.checkpoint import COUNT_MAX, Field
+from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
+from twin.identification.segments import ITERATIONS, Segments, solve, store_factor, use
+from usv_kernel.arrays import flat_size, named_dtype, python_views, take
+from usv_kernel.jit import inlined, kernel
 
 __all__ = [
-    "Rivals",
-    "miss",
+    "SelectorState",
+    "TrustSelector",
+    "forecast_error",
+    "note",
+    "score",
+    "select_trust",
+    "selector_state",
 ]
 
 Array = NDArray[Any]
 
 TRUSTS = (1.0, 10.0, 100.0)
-"""How far the rivals trust the data; the first is in use until another has proved better."""
+"""How far the refits trust the data; the first is in use until another has proved better."""
 
 _TRUSTS = np.array(TRUSTS)
 
@@ -63,27 +53,39 @@ LEAST, MOST = 1e-9, 1e9
 """Bounds of a squared error, so that its logarithm is a number."""
 
 
-@kernel
-def _rates(s, xi, wind, kit, terms, k):
-    """Write the derivative of a state; the actuators' terms are there."""
-    c, n = math.cos(s[2]), math.sin(s[2])
-    state_terms(s[3], s[4], s[5], c, n, wind, kit[2], terms)
-    k[0], k[1], k[2] = s[3] * c - s[4] * n, s[3] * n + s[4] * c, s[5]
-    k[3], k[4], k[5] = accelerations(terms, kit, xi, 0)
+class SelectorState(NamedTuple):
+    """What the choice of the trust remembers."""
+
+    count: Any  # (4,) segments compared, refit in use, whose turn it is, last row that was noted
+    errors: Any  # (3,) mean logarithm of each refit's squared errors
+    params: Any  # (3, p) parameters of each refit
+    factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
+    past: Any  # (slots, 3, p) parameters when recent segments began
+
+
+SCORED, CHOSEN, TURN, NOTED = 0, 1, 2, 3
+
+
+@inlined
+def selector_state(memory, p, steps, spacing):
+    """Open the memory of the choice between refits of p parameters."""
+    many = len(TRUSTS)
+    count, at = take(memory, 0, (4,))
+    errors, at = take(memory, at, (many,))
+    params, at = take(memory, at, (many, p))
+    factors, at = take(memory, at, (many, p, p))
+    past, at = take(memory, at, (1 + steps // spacing + 3, many, p))
+    return SelectorState(count, errors, params, factors, past)
 
 
 @kernel
-def miss(first, steps, every, rows, xi, kit, by_place, by_heading, room):
-    """Return how far a forecast from one row of a window was off in place and heading.
+def forecast_error(first, rows, xi, model, config, work):
+    """Return the error of a forecast from one row of a window in place and heading.
 
     Parameters
     ----------
-    first, steps, every, rows, xi, kit
+    first, rows, xi, model, config, work
         See :func:`twin.identification.prediction_error.linearise`.
-    by_place, by_heading : float
-        1 / variance of x or y (m), and of the heading (rad).
-    room : (168,) array
-        Scratch.
 
     Returns
     -------
@@ -91,178 +93,134 @@ def miss(first, steps, every, rows, xi, kit, by_place, by_heading, room):
         Mean over the samples of the squared weighted errors; infinite where the motion leaves all
         bounds.
     """
-    size = rows.shape[0]
-    terms = shaped(room, 0, (3, N_TERMS))
-    rest = room[3 * N_TERMS :]
-    s, place, k, sums = rest[:6], rest[6:12], rest[12:18], rest[18:24]
+    size, s = rows.shape[0], work.s
     start = rows[first % size]
     wind = start[WIND:GOOD]
     for i in range(3):
         s[i], s[3 + i] = start[i], start[LOW + i]
-    drive(start[ACT:MIDDLE], terms[2])
+    drive(start[ACT:MIDDLE], work.terms[3])
     total, count = 0.0, 0
-    for step in range(steps):
-        after = rows[(first + step + 1) % size]
-        for j in range(LEFT_COS, N_TERMS):
-            terms[0, j] = terms[2, j]
-        drive(rows[(first + step) % size, MIDDLE:], terms[1])
-        drive(after[ACT:MIDDLE], terms[2])
-        for i in range(N_STATES):
-            place[i], sums[i] = s[i], 0.0
-        for stage in range(4):
-            _rates(place, xi, wind, kit, terms[(stage + 1) // 2], k)
-            share = 2.0 if stage == 1 or stage == 2 else 1.0
-            h = GRID if stage == 2 else 0.5 * GRID
-            for i in range(N_STATES):
-                sums[i] += share * k[i]
-                place[i] = s[i] + h * k[i]
-        for i in range(N_STATES):
-            s[i] += GRID / 6.0 * sums[i]
-        if not (abs(s[3]) < 1e3 and abs(s[4]) < 1e3 and abs(s[5]) < 1e2):
+    for step in range(config.steps):
+        row, after = rows[(first + step) % size], rows[(first + step + 1) % size]
+        if not rk4_step(row, after, wind, xi, model, work, False):
             return math.inf
-        if (step + 1) % every == 0:
+        if (step + 1) % config.every == 0:
             count += 1
             x, y = after[0] - s[0], after[1] - s[1]
-            total += by_place * (x * x + y * y) + by_heading * (after[2] - s[2]) ** 2
+            place = config.weights[0] * (x * x + y * y)
+            total += place + config.weights[2] * (after[2] - s[2]) ** 2
     return total / count
 
 
-JUDGED, CHOSEN, _TURN, _NOTED = 0, 1, 2, 3
-
-
 @kernel
-def record_size(p, steps, spacing):
-    """Return the length of the record of rivals."""
-    many = len(TRUSTS)
-    return 4 + many * (1 + p * (1 + p + steps // spacing + 3))
-
-
-@kernel
-def record_parts(record, p):
-    """Return errors, parameters, their factors, and what was noted as views of the record.
-
-    Before them stand the number of segments that were judged, the rival in use, whose turn it is,
-    and the last row that was noted. A factor is Cholesky's of the inverse of the covariance.
-    """
-    many = len(TRUSTS)
-    rest = record[4 + many :]
-    xi = shaped(rest, 0, (many, p))
-    factors = shaped(rest, many * p, (many, p, p))
-    rest = rest[many * p * (1 + p) :]
-    slots = rest.shape[0] // (many * p)
-    return record[4 : 4 + many], xi, factors, rest.reshape((slots, many, p))
-
-
-@kernel
-def forget(record, prior):
-    """Let all rivals begin with the prior."""
-    _, xi, _, then = record_parts(record, prior.shape[0])
-    record[:] = 0.0
-    record[_NOTED] = -1.0
-    for r in range(xi.shape[0]):
-        for k in range(prior.shape[0]):
-            xi[r, k] = prior[k]
-            for slot in range(then.shape[0]):
-                then[slot, r, k] = prior[k]
-
-
-@kernel
-def note(start, spacing, record, p):
-    """Keep what the rivals believe now for the segment that begins at a row."""
-    if start <= record[_NOTED]:
+def note(start, spacing, state):
+    """Keep the parameters of all refits for the segment that begins at a row."""
+    if start <= state.count[NOTED]:
         return
-    _, xi, _, then = record_parts(record, p)
-    now = then[start // spacing % then.shape[0]]
-    for r in range(xi.shape[0]):
-        for k in range(p):
-            now[r, k] = xi[r, k]
-    record[_NOTED] = start
+    now = state.past[start // spacing % state.past.shape[0]]
+    for r in range(now.shape[0]):
+        for k in range(now.shape[1]):
+            now[r, k] = state.params[r, k]
+    state.count[NOTED] = start
 
 
 @kernel
-def judge(first, spacing, rows, record, rules, kit, room):
-    """Compare what the rivals foretold at a row with what came."""
-    errors, xi, _, then = record_parts(record, kit[0].shape[1])
-    steps, every = int(rules[STEPS]), int(rules[EVERY])
-    scratch = room[roll_room(kit[0].shape[1]) :]
-    record[JUDGED] += 1.0
-    for r in range(xi.shape[0]):
-        believed = then[first // spacing % then.shape[0], r]
-        missed = miss(first, steps, every, rows, believed, kit, rules[0], rules[2], scratch)
-        error = math.log(min(max(missed, LEAST), MOST))
-        errors[r] += (error - errors[r]) / min(record[JUDGED], MEMORY)
+def score(first, rows, state, config, model, work):
+    """Compare what the refits predicted at a row with what came."""
+    count, errors = state.count, state.errors
+    count[SCORED] += 1.0
+    for r in range(errors.shape[0]):
+        xi = state.past[first // config.spacing % state.past.shape[0], r]
+        error = forecast_error(first, rows, xi, model, config, work.line)
+        error = math.log(min(max(error, LEAST), MOST))
+        errors[r] += (error - errors[r]) / min(count[SCORED], MEMORY)
 
 
 @kernel
-def settle(record, memory, rules, kit, room):
-    """Refit the rival in use and another in turn, and put the best of all to use."""
-    p = kit[0].shape[1]
-    errors, xi, factors, _ = record_parts(record, p)
-    record[_TURN] += 1.0
-    chosen = int(record[CHOSEN])
-    other = int(record[_TURN]) % (xi.shape[0] - 1)
+def select_trust(state, segments, config, work):
+    """Refit with the trust in use and another in turn, and put the best of all to use."""
+    count, errors, params, factors = state.count, state.errors, state.params, state.factors
+    count[TURN] += 1.0
+    chosen = int(count[CHOSEN])
+    other = int(count[TURN]) % (params.shape[0] - 1)
     for r in (chosen, other if other < chosen else other + 1):
-        if solve(xi[r], _TRUSTS[r], ITERATIONS, 0.0, memory, rules, room):
-            keep_factor(room, p, factors[r])
-    if record[JUDGED] >= ENOUGH:
+        if solve(params[r], _TRUSTS[r], ITERATIONS, 0.0, segments, config, work):
+            store_factor(work.solve.U, factors[r])
+    if count[SCORED] >= ENOUGH:
         chosen = 0
-        for r in range(1, xi.shape[0]):
+        for r in range(1, params.shape[0]):
             if errors[r] + MARGIN < errors[chosen] + (MARGIN if chosen > 0 else 0.0):
                 chosen = r
-        record[CHOSEN] = chosen
-    use(xi[chosen], factors[chosen], _TRUSTS[chosen], memory, room)
+        count[CHOSEN] = chosen
+    use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
 
 
-class Rivals:
+SELECTOR_FIELDS = {
+    "count": Field(
+        low=(0.0, 0.0, 0.0, -1.0),
+        high=(COUNT_MAX, len(TRUSTS) - 1.0, COUNT_MAX, COUNT_MAX),
+        integer=True,
+    )
+}
+"""What the fields of a saved :class:`SelectorState` may hold."""
+
+
+class TrustSelector:
     """Refits of the same segments with unequal trust, and the record of each.
 
     Parameters
     ----------
     segments : Segments
-        Theirs; its ``xi`` and ``cov`` are those of the rival in use.
-    spacing : int
-        Rows between the starts of segments.
-    record : ndarray, optional
-        Flat array of :func:`record_size` to remember in.
+        Theirs; its ``params`` and ``cov`` are those of the refit in use.
 
     Attributes
     ----------
-    xi : ndarray, shape (k, p)
-        Parameters of each rival, a view.
+    memory : ndarray
+        What it remembers, flat.
+    state : SelectorState
+        The same by name, as views.
+    params : ndarray, shape (k, p)
+        Parameters of each refit, a view.
     errors : ndarray, shape (k,)
         Mean logarithm of each one's squared errors, a view.
     """
 
-    def __init__(self, segments: Segments, spacing: int, record: Array | None = None) -> None:
-        self.segments, self.spacing = segments, spacing
-        p = len(segments.prior)
-        self.record = (
-            np.zeros(record_size(p, segments.steps, spacing)) if record is None else record
-        )
-        self.errors, self.params, _, _ = py_func(record_parts)(self.record, p)
+    def __init__(self, segments: Segments) -> None:
+        self.segments = segments
+        self._sizes = len(segments.prior), segments.steps, segments.config.spacing
+        self.memory = np.zeros(flat_size(selector_state, *self._sizes))
+        self.state: SelectorState = python_views(selector_state)(self.memory, *self._sizes)
+        self.params, self.errors = self.state.params, self.state.errors
         self.reset()
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Structured dtype of the memory; see :class:`SelectorState`."""
+        return named_dtype(selector_state, *self._sizes)
 
     def reset(self) -> None:
         """Forget everything; all begin with the prior."""
-        forget(self.record, self.segments.prior)
+        self.memory[:] = 0.0
+        self.state.count[NOTED] = -1.0
+        self.params[:] = self.state.past[:] = self.segments.prior
 
     @property
-    def judged(self) -> int:
-        """Segments that were judged."""
-        return int(self.record[JUDGED])
+    def scored(self) -> int:
+        """Segments that were compared."""
+        return int(self.state.count[SCORED])
 
     @property
     def chosen(self) -> int:
-        """The rival in use."""
-        return int(self.record[CHOSEN])
+        """The refit in use."""
+        return int(self.state.count[CHOSEN])
 
     def note(self, starts: Iterable[int]) -> None:
-        """Keep what the rivals believe now for the segments that begin at some rows."""
+        """Keep the parameters of all refits for the segments that begin at some rows."""
         for start in starts:
-            note(start, self.spacing, self.record, len(self.segments.prior))
+            note(start, self.segments.config.spacing, self.state)
 
-    def judge(self, first: int, rows: Array) -> None:
-        """Compare what the rivals foretold at a row with what came.
+    def score(self, first: int, rows: Array) -> None:
+        """Compare what the refits predicted at a row with what came.
 
         Parameters
         ----------
@@ -272,9 +230,9 @@ class Rivals:
             The window.
         """
         own = self.segments
-        judge(first, self.spacing, rows, self.record, own.rules, own.kit, own.room)
+        score(first, rows, self.state, own.config, own.model, own.work)
 
     def solve(self) -> None:
-        """Refit the rival in use and another in turn, and put the best of all to use."""
+        """Refit with the trust in use and another in turn, and put the best of all to use."""
         own = self.segments
-        settle(self.record, own.memory, own.rules, own.kit, own.room)
+        select_trust(self.state, own.state, own.config, own.work)

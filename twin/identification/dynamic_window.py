@@ -25,6 +25,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.checkpoint import Field, State, check_fields
 from twin.identification.lyapunov import rosenstein, rosenstein_length
 
 __all__ = [
@@ -200,6 +201,18 @@ class WaveProxy:
         self._square = 0.0
         self._weight = 0.0
 
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        own = {"mean": self._mean, "square": self._square, "weight": self._weight}
+        return {"value": self.value, **own}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        positive = {"square": Field(low=0.0), "weight": Field(low=0.0, high=1.0)}
+        check_fields(state, self.state_dict(), {"value": Field(low=0.0, nan=True), **positive})
+        self.value, self._mean = state["value"], state["mean"]
+        self._square, self._weight = state["square"], state["weight"]
+
     def update(self, dt: float, accel: float) -> float:
         """Take one sample.
 
@@ -350,6 +363,30 @@ class DynamicWindow:
         self._adjusted = math.nan
         self._latest = -math.inf
         self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=self.base + self.cap)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        return {
+            **{"w_r": self.w_r, "T": self.T, "V": self.V, "S": self.S},
+            **{"lambda_max": self.lambda_max, "adjusted": self._adjusted},
+            **{"latest": self._latest, "rows": np.array(self._rows).reshape(-1, 4)},
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        number = Field(nan=True, infinite=True)
+        fields = dict.fromkeys(("T", "V", "S", "lambda_max", "adjusted", "latest"), number)
+        fields |= {
+            "w_r": Field(low=0.0, high=self.cap, integer=True),
+            "rows": Field(nan=True, shape=(None, 4)),
+        }
+        check_fields(state, self.state_dict(), fields)
+        self.w_r = int(state["w_r"])
+        self.T, self.V, self.S = state["T"], state["V"], state["S"]
+        self.lambda_max = state["lambda_max"]
+        self._adjusted, self._latest = state["adjusted"], state["latest"]
+        self._rows.clear()
+        self._rows.extend(tuple(row) for row in state["rows"].tolist())
 
     @property
     def W(self) -> int:

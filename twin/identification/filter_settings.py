@@ -13,6 +13,7 @@ from twin.model.dynamics import model_of
 from twin.model.priors import population_prior
 from twin.model.structure import Structure
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "FilterSettings",
@@ -33,16 +34,20 @@ WAVELESS, WAVELESS_TURN = 0.05, 0.005
 """Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
 that of the gyro out."""
 
-FELT_TIME, FELT_NOISE, FELT_PUSH = 1.0, 0.3, 10.0
-"""Waves that a tanker feels: time over which they are averaged, and what their mean square adds to
-the densities of measurement noise (both in lengths over usual speed) and of process noise (in
-usual speeds over length)."""
+WAVE_TIME, WAVE_NOISE, WAVE_PUSH = 1.0, 0.3, 10.0
+"""Waves that move a tanker: time over which they are averaged, and what their mean square adds to
+the densities of measurement noise (both in lengths over nominal speed) and of process noise (in
+nominal speeds over length)."""
 
 WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
 
-DOUBT = 1.5
+PRIOR_INFLATION = 1.5
 """How much larger than in the population the variances of a tanker's parameters are taken."""
+
+
+class FilterError(UsvTwinError):
+    """Settings of a filter that cannot be used; the message names the field."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class FilterSettings:
         Variance that each state gains per second.
     r : ndarray, shape (6,)
         Variance of each measured state for rows 0.05 s apart (of the study boat's time);
-        rows further apart count for more, as their waves are less alike.
+        rows further apart count for more, as their waves are less correlated.
     p0 : ndarray, shape (6,)
         Variance of each state at the start.
     q_xi : ndarray, shape (p,)
@@ -87,6 +92,16 @@ class FilterSettings:
     beta: float = 2.0
     kappa: float = 0.0
 
+    def __post_init__(self) -> None:
+        p = len(self.structure)
+        shapes = {"q": (6,), "r": (6,), "p0": (6,), "q_xi": (p,), "xi0": (p,), "xi0_cov": (p, p)}
+        for name, shape in {**shapes, "waves": (3,)}.items():
+            value = np.asarray(getattr(self, name))
+            if value.shape != shape or not np.isfinite(value).all():
+                raise FilterError(
+                    f"{name} has shape {value.shape}; give finite numbers of shape {shape}"
+                )
+
 
 def plain_settings(particulars: Particulars, model: str | None = None) -> FilterSettings:
     """Return the settings of the plain joint UKF.
@@ -97,7 +112,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     boat by length and speed (Froude). The measurement noise is far above that of the
     sensors, because the measured velocities carry the waves and the model does not.
 
-    Source: twin.md section 5.1.
+    Source: docs/explanation/twin.md, Joint filter.
     """
     if model is None and particulars.tanker:
         return _of_a_tanker(particulars)
@@ -123,13 +138,13 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
 def _of_a_tanker(particulars: Particulars) -> FilterSettings:
     """Return the settings of the plain joint UKF for a slow ship of full form.
 
-    She sails a few lengths in the minutes that others are learned in: her filter needs the model
-    and the prior of ships. What disturbs her goes by her length alone, see :data:`DISTURBED`, and
-    of waves her velocities carry those that are felt, none on a pond: both noises grow with how
-    far the innovations exceed what these small ones explain. Wind and current change while she
+    It sails a few lengths in the minutes that others are learned in: its filter needs the model
+    and the prior of ships. What disturbs it goes by its length alone, see :data:`DISTURBED`, and
+    its velocities carry waves in the open, none on a pond: both noises grow with how
+    far the innovations exceed what these small ones explain. Wind and current change while it
     sails a length, so that the biases that stand for them wander.
 
-    Source: twin.md sections 14.2 and 14.4.
+    Source: docs/explanation/twin.md, Tankers.
     """
     L, time = particulars.length, particulars.length / particulars.speed
     along, turning = DISTURBED
@@ -144,6 +159,6 @@ def _of_a_tanker(particulars: Particulars) -> FilterSettings:
         r=np.array([*5 * (WAVELESS,), WAVELESS_TURN]) ** 2 * calm.r,
         q_xi=wander,
         xi0=mean,
-        xi0_cov=DOUBT * covariance,
-        waves=(FELT_TIME * time, FELT_NOISE * time, FELT_PUSH / time),
+        xi0_cov=PRIOR_INFLATION * covariance,
+        waves=(WAVE_TIME * time, WAVE_NOISE * time, WAVE_PUSH / time),
     )

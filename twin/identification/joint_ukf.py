@@ -1,32 +1,50 @@
-"""State and parameters of the twin's model in the structured UKF."""
+"""State and parameters of the twin's model in the structured UKF, and their forecast.
+
+Memory is flat, because the number of parameters differs from model to model and a type for each
+would compile every kernel again. The openers below are its one definition: kernels get NamedTuples
+of views, and Python the structured dtype that :func:`usv_kernel.arrays.named_dtype` makes of them.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
-from twin.filters.ukf import scaled_weights, workspace
+from twin.filters.ukf import UKFWorkspace, scaled_weights
 from twin.identification.filter_settings import FilterSettings
 from twin.identification.identifiability import accumulate
 from twin.model.actuators import follow_all
-from twin.model.augmented import joint_predict
+from twin.model.augmented import JointState, joint_predict
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import LOOK_AHEAD, ROOM, roll_out, upsample
+from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size, upsample
 from twin.model.structure import N_STATES, N_TERMS
 from twin.particulars import Particulars
-from usv_kernel.arrays import shaped
-from usv_kernel.jit import inlined, kernel, py_func
+from usv_kernel.arrays import flat_size, named_dtype, python_views, shaped, take
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.simd import LANES
 
 __all__ = [
+    "FilterConfig",
+    "FilterState",
+    "FilterWorkspace",
+    "Forecast",
     "JointUKF",
+    "accumulate_information",
     "advance",
-    "hold_inside",
+    "clip_velocities",
+    "filter_config",
+    "filter_state",
+    "filter_workspace",
+    "forecast_buffers",
+    "forecast_covariance",
+    "forecast_mean",
+    "limit_covariances",
     "scale_plan",
-    "see",
 ]
 
 Array = NDArray[Any]
@@ -36,65 +54,144 @@ PSI = 2
 STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
 
-BAND_STEP = 0.25
-"""Step at which covariances are carried along a prediction, s."""
+INFORMATION_STEP, INFORMATION_MAX = 0.25, 1.0
+"""Regressors are counted at this step, s, and stand for no more than that of a gap, s."""
 
-SEE_EVERY, SEE_MAX = 0.25, 1.0
-"""Regressors are counted each SEE_EVERY s, and stand for no more than SEE_MAX s of a gap."""
+_ROLLOUT = rollout_size()
+
+
+class FilterState(NamedTuple):
+    """What the joint filter of a boat remembers."""
+
+    x: Any  # (6 + p,) mean: x, y (m), psi (rad), u, v (m/s), r (rad/s), then the parameters
+    P: Any  # (6 + p, 6 + p) its covariance
+    act: Any  # (4,) actuators as followed from the commands: unit of the structure, rad
+    wind: Any  # (2,) true wind to north and east, m/s; zeros until it is measured
+    wave_power: Any  # (3,) mean squares of the waves in u, v (m/s)^2 and r (rad/s)^2
+    counted: Any  # (2,) time since regressors were counted, and time that they stand for, s
+    grams: Any  # Gram matrices of the regressors of surge, sway and yaw
+
+
+class FilterConfig(NamedTuple):
+    """What the joint filter is given; see :class:`FilterSettings`."""
+
+    q: Any  # (6,) variance that each state gains per second
+    q_xi: Any  # (p,) variance that each parameter gains per second
+    r: Any  # (6,) variance of each measured state
+    p0: Any  # (6,) variance of each state at the start
+    lags: Any  # (3,) shaft speed and drive angle, s; speed of the drives, rad/s
+    envelope: Any  # (3,) largest abs(u), abs(v), m/s, and abs(r), rad/s
+    weights: Any  # (4,) of the sigma points
+    n_unit: float  # unit of the structure's shaft speeds
+    wave_time: float  # time over which waves are averaged, s; 0 for none
+    wave_noise: float  # what their power adds to the measurement noise, s
+    wave_push: float  # what it adds to the process noise, 1/s
+    model: Any  # ModelTerms
+
+
+class FilterWorkspace(NamedTuple):
+    """Scratch of the joint filter."""
+
+    Q: Any  # (6, 6) process noise of the states for a step
+    q_xi: Any  # (p,) that of the parameters
+    R: Any  # (6, 6) measurement noise
+    terms: Any  # (50,) terms of the model
+    accel: Any  # (4,) accelerations for the navigation, and whether there are any
+    mask: Any  # (6,) which states were measured
+    limit: Any  # (6,) factors of standard deviations
+    rollout: Any  # of a rollout of one motion
+    ahead: Any  # (6 + p,), (6 + p, 6 + p), (4,) mean, covariance and actuators of a forecast
+    sigma: Any  # UKFWorkspace
+
+
+class Forecast(NamedTuple):
+    """A plan of K rows in the unit of the structure, and what it leads to."""
+
+    plan: Any  # (K, 4) commands
+    states: Any  # (1, K, 6) states at the ends of the rows
+    act: Any  # (K, 4) actuators then
+    covs: Any  # (K, 6, 6) covariances then
 
 
 @inlined
-def parts(memory, constants, kit):
-    """Return x, P, act, wind, q, q_xi, r, p0, lags, envelope, weights and n_unit as views.
-
-    The joint filter has few flat arrays, because each one that a kernel takes costs a call.
-    """
-    p = kit[0].shape[1]
-    n = N_STATES + p
-    end = n + n * n
-    x, act, wind = memory[:n], memory[end : end + N_ACT], memory[end + N_ACT : end + N_ACT + 2]
-    P = shaped(memory, n, (n, n))
-    q, q_xi = constants[:N_STATES], constants[N_STATES:n]
-    r, p0 = constants[n : n + N_STATES], constants[n + N_STATES : n + 2 * N_STATES]
-    rest = constants[n + 2 * N_STATES :]
-    return x, P, act, wind, q, q_xi, r, p0, rest[:3], rest[3:6], rest[6:10], rest[10]
-
-
-@inlined
-def wave_parts(memory, constants, kit):
-    """Return the mean squares of the waves felt, of u, v, r, and ``FilterSettings.waves``."""
-    n = N_STATES + kit[0].shape[1]
-    first = n + n * n + N_ACT + 2
-    return memory[first : first + 3], constants[constants.shape[0] - 3 :]
+def filter_state(memory, model):
+    """Open the memory of a joint filter."""
+    n, limits = N_STATES + model.which.shape[1], model.limits
+    x, at = take(memory, 0, (n,))
+    P, at = take(memory, at, (n, n))
+    act, at = take(memory, at, (N_ACT,))
+    wind, at = take(memory, at, (2,))
+    wave_power, at = take(memory, at, (3,))
+    counted, at = take(memory, at, (2,))
+    k = limits[3, 1] - limits[3, 0]
+    surge, at = take(memory, at, (k, k))
+    k = limits[4, 1] - limits[4, 0]
+    sway, at = take(memory, at, (k, k))
+    k = limits[5, 1] - limits[5, 0]
+    yaw, at = take(memory, at, (k, k))
+    return FilterState(x, P, act, wind, wave_power, counted, (surge, sway, yaw))
 
 
 @inlined
-def rooms(scratch, kit):
-    """Return room for Q, q_xi, R, terms, four numbers, six numbers and a roll-out as views."""
-    square = N_STATES * N_STATES
-    rest = scratch[2 * square :]
-    return (
-        shaped(scratch, 0, (N_STATES, N_STATES)),
-        shaped(scratch, square, (N_STATES, N_STATES)),
-        rest[:N_TERMS],
-        rest[N_TERMS : N_TERMS + 4],
-        rest[N_TERMS + 4 : N_TERMS + 10],
-        rest[N_TERMS + 10 : N_TERMS + 10 + ROOM],
-        rest[N_TERMS + 10 + ROOM :],
+def filter_config(values, model):
+    """Open the configuration of a joint filter."""
+    q, at = take(values, 0, (N_STATES,))
+    q_xi, at = take(values, at, (model.which.shape[1],))
+    r, at = take(values, at, (N_STATES,))
+    p0, at = take(values, at, (N_STATES,))
+    lags, at = take(values, at, (3,))
+    envelope, at = take(values, at, (3,))
+    weights, at = take(values, at, (4,))
+    n, at = take(values, at, (1,))
+    waves, at = take(values, at, (3,))
+    return FilterConfig(
+        q, q_xi, r, p0, lags, envelope, weights, n[0], waves[0], waves[1], waves[2], model
     )
 
 
 @inlined
-def _process_noise(h, memory, constants, kit, Q, qx):
-    """Write the process noise of a step of h: Q (6, 6) of the states, qx (p,) of the parameters."""
-    _, _, _, _, q, q_xi, _, _, _, _, _, _ = parts(memory, constants, kit)
-    felt, waves = wave_parts(memory, constants, kit)
+def filter_workspace(work, p):
+    """Open the scratch of a joint filter of p parameters."""
+    n, points = N_STATES + p, 1 + 2 * N_STATES
+    width = LANES * ((2 * N_STATES + p + LANES) // LANES)
+    Q, at = take(work, 0, (N_STATES, N_STATES))
+    q_xi, at = take(work, at, (p,))
+    R, at = take(work, at, (N_STATES, N_STATES))
+    terms, at = take(work, at, (N_TERMS,))
+    accel, at = take(work, at, (4,))
+    mask, at = take(work, at, (N_STATES,))
+    limit, at = take(work, at, (N_STATES,))
+    room, at = take(work, at, (_ROLLOUT,))
+    x, at = take(work, at, (n,))
+    P, at = take(work, at, (n, n))
+    act, at = take(work, at, (N_ACT,))
+    one, at = take(work, at, (points, width))
+    two, at = take(work, at, (points, width))
+    three, at = take(work, at, (points, width))
+    four, at = take(work, at, (points, width))
+    sigma = UKFWorkspace(one, two, three, four)
+    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, limit, room, (x, P, act), sigma)
+
+
+@inlined
+def forecast_buffers(work, K):
+    """Open the memory of a forecast of K rows."""
+    plan, at = take(work, 0, (K, N_ACT))
+    states, at = take(work, at, (1, K, N_STATES))
+    act, at = take(work, at, (K, N_ACT))
+    covs, at = take(work, at, (K, N_STATES, N_STATES))
+    return Forecast(plan, states, act, covs)
+
+
+@inlined
+def _process_noise(h, state, config, work):
+    """Write the process noise of a step of h."""
     for i in range(N_STATES):
-        Q[i, i] = q[i] * h
+        work.Q[i, i] = config.q[i] * h
     for i in range(3):
-        Q[3 + i, 3 + i] += waves[2] * felt[i] * h
-    for k in range(q_xi.shape[0]):
-        qx[k] = q_xi[k] * h
+        work.Q[3 + i, 3 + i] += config.wave_push * state.wave_power[i] * h
+    for k in range(config.q_xi.shape[0]):
+        work.q_xi[k] = config.q_xi[k] * h
 
 
 @kernel
@@ -107,169 +204,167 @@ def scale_plan(plan, n_unit, scaled):
 
 
 @inlined
-def advance(dt, cmd, memory, constants, scratch, work, kit):
-    """Predict state, parameters and covariance of the joint filter over dt, actuators included.
-
-    Parameters
-    ----------
-    dt : float
-        Time, s.
-    cmd : ndarray, shape (4,)
-        Commands of the actuators.
-    memory, constants, scratch, work, kit
-        Of a :class:`JointUKF`; the memory is advanced in place.
-    """
-    x, P, act, wind, _, _, _, _, lags, _, weights, n_unit = parts(memory, constants, kit)
-    Q, _, terms, _, _, _, qx = rooms(scratch, kit)
+def advance(dt, cmd, state, config, work):
+    """Predict state, parameters and covariance over dt s under a command, in place."""
     dt = min(dt, GAP_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
-    _process_noise(h, memory, constants, kit, Q, qx)
+    _process_noise(h, state, config, work)
     for _ in range(steps):
-        follow_all(act, cmd, lags, n_unit, 0.5 * h)
-        joint_predict(x, P, act, wind, kit, h, Q, qx, weights, terms, work)
-        follow_all(act, cmd, lags, n_unit, 0.5 * h)
-
-
-@kernel
-def see(dt, terms, memory, kit):
-    """Add the terms of the moment to what was seen, at SEE_EVERY.
-
-    Parameters
-    ----------
-    dt : float
-        Time since the call before, s.
-    terms : ndarray
-        All terms of the moment.
-    memory, kit
-        Of a :class:`JointUKF`. Its memory ends with the time since terms were added, the time
-        seen (s), and a Gram matrix for each of surge, sway and yaw.
-    """
-    n = N_STATES + kit[0].shape[1]
-    seen = memory[n + n * n + N_ACT + 5 :]
-    seen[0] += dt
-    if seen[0] < SEE_EVERY - 1e-9:
-        return
-    seconds = min(seen[0], SEE_MAX)
-    seen[0] = 0.0
-    seen[1] += seconds
-    first = 2
-    for i in range(3):
-        low, high = kit[1][3 + i, 0] - N_STATES, kit[1][3 + i, 1] - N_STATES
-        size = (high - low) ** 2
-        gram = shaped(seen, first, (high - low, high - low))
-        accumulate(gram, terms, kit[0][i, low:high], seconds)
-        first += size
+        follow_all(state.act, cmd, config.lags, config.n_unit, 0.5 * h)
+        joint_predict(state, h, config, work)
+        follow_all(state.act, cmd, config.lags, config.n_unit, 0.5 * h)
 
 
 @inlined
-def hold_inside(x, envelope):
-    """Keep the velocities inside what the boat can do: bad parameters must not run away.
+def accumulate_information(dt, terms, state, model):
+    """Add the terms of the moment to the Gram matrices, each :data:`INFORMATION_STEP`."""
+    counted = state.counted
+    counted[0] += dt
+    if counted[0] < INFORMATION_STEP - 1e-9:
+        return
+    seconds = min(counted[0], INFORMATION_MAX)
+    counted[0] = 0.0
+    counted[1] += seconds
+    for i in range(3):
+        low, high = model.limits[3 + i, 0] - N_STATES, model.limits[3 + i, 1] - N_STATES
+        accumulate(state.grams[i], terms, model.which[i, low:high], seconds)
 
-    Parameters
-    ----------
-    x : ndarray, shape (31,)
-        Joint vector, changed in place.
-    envelope : ndarray, shape (3,)
-        Largest size of u, v (m/s) and r (rad/s).
-    """
+
+@inlined
+def clip_velocities(x, envelope):
+    """Clip the velocities of a joint vector to what the boat can do."""
     for i in range(3):
         x[3 + i] = min(max(x[3 + i], -envelope[i]), envelope[i])
 
 
-@kernel
-def _bands(acts, dt, every, memory, constants, scratch, work, kit, copy, out):
-    """Write the covariance of the state after each ``every`` rows of a prediction."""
-    steps = max(1, math.ceil(dt * every / BAND_STEP - 1e-9))
-    h = dt * every / steps
-    for k in range(memory.shape[0]):
-        copy[k] = memory[k]
-    x, P, _, wind, _, _, _, _, _, envelope, weights, _ = parts(copy, constants, kit)
-    Q, _, terms, _, _, _, qx = rooms(scratch, kit)
-    _process_noise(h, copy, constants, kit, Q, qx)
-    for j in range(out.shape[0]):
-        last = min((j + 1) * every, acts.shape[0]) - 1
-        for _ in range(steps):
-            joint_predict(x, P, acts[last], wind, kit, h, Q, qx, weights, terms, work)
-            hold_inside(x, envelope)
-        for i in range(N_STATES):
-            for k in range(N_STATES):
-                out[j, i, k] = P[i, k]
-
-
-@kernel
-def _roll(plan, dt, memory, constants, scratch, kit, ripple, scaled, out, acts):
-    """Roll the model under a plan whose shaft speeds are in the unit of the particulars."""
-    x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory, constants, kit)
-    room = rooms(scratch, kit)[5]
-    scale_plan(plan, n_unit, scaled)
-    s, xi = x[:N_STATES], x[N_STATES:]
-    roll_out(s, xi, act, scaled, dt, lags, envelope, wind, kit, ripple, 0.0, out, acts, room)
-
-
-@kernel
-def spread_now(gps_var, P_nav, memory, kit, now):
-    """Write how unsure the state is now, as variances on the diagonal of ``now`` (6, 6).
-
-    Other arguments as for :func:`spread_ahead`.
-    """
-    n = N_STATES + kit[0].shape[1]
-    P = shaped(memory, n, (n, n))
-    for i in range(N_STATES):
-        now[i, i] = P[i, i] + P_nav[i, i] + (gps_var if i < 2 else 0.0)
-
-
-@kernel
-def spread_ahead(command, gps_var, P_nav, memory, constants, scratch, work, kit, copy, now, out):
-    """Write how unsure the state will be at LOOK_AHEAD under a held command.
-
-    What :meth:`ModelPredictor.predict` says of the same times, but for how the actuators move.
+@inlined
+def forecast_mean(plan, dt, state, config, out, work):
+    """Write the states and actuators that a plan leads to.
 
     Parameters
     ----------
-    command : (4,) array
-        In the unit of the structure, rad.
-    gps_var : float
-        Variance of the drifting part of a fix, m2.
-    P_nav : (12, 12) array
-        Covariance of the navigation.
-    memory, constants, scratch, work, kit
-        Of a :class:`JointUKF`.
-    copy : array
-        Room as large as the memory.
-    now, out : (6, 6), (4, 6, 6) arrays
-        From :func:`spread_now`; covariances ahead, which are written.
+    plan : (K, 4) array
+        Commands; shaft speeds in the unit of the particulars.
+    dt : float
+        Time between rows, s.
+    state, config : FilterState, FilterConfig
+        Of the joint filter.
+    out : Forecast
+        Plan, states and actuators are written.
+    work : array
+        Scratch of a rollout.
     """
-    for k in range(memory.shape[0]):
-        copy[k] = memory[k]
-    x, P, act, wind, _, _, _, _, lags, envelope, weights, _ = parts(copy, constants, kit)
-    Q, _, terms, _, _, _, qx = rooms(scratch, kit)
-    _process_noise(BAND_STEP, copy, constants, kit, Q, qx)
-    before = 0.0
-    for j in range(LOOK_AHEAD.shape[0]):
-        after = LOOK_AHEAD[j]
-        for _ in range(round((after - before) / BAND_STEP)):
-            follow_all(act, command, lags, 1.0, 0.5 * BAND_STEP)
-            joint_predict(x, P, act, wind, kit, BAND_STEP, Q, qx, weights, terms, work)
-            follow_all(act, command, lags, 1.0, 0.5 * BAND_STEP)
-            hold_inside(x, envelope)
-        before = after
-        for i in range(N_STATES):
-            # deviations that no boat could have by then
-            most = 2.0 * envelope[0] * after + math.sqrt(now[i, i])
-            if i == PSI:
-                most = 2.0 * min(envelope[2] * after, math.pi) + math.sqrt(now[i, i])
-            elif i > PSI:
-                most = 2.0 * envelope[i - 3]
-            variance = P[i, i] + P_nav[i, i] + (gps_var if i < 2 else 0.0)
-            terms[i] = min(1.0, most / math.sqrt(max(variance, 1e-300)))
+    scale_plan(plan, config.n_unit, out.plan)
+    n = state.x.shape[0]
+    start = RolloutStart(
+        shaped(state.x, 0, (1, N_STATES)),
+        shaped(state.x, N_STATES, (1, n - N_STATES)),
+        state.act,
+        state.wind,
+    )
+    none = Waves(shaped(state.x, 0, (1, 0, 3)), 0.0)
+    rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
+
+
+@inlined
+def forecast_covariance(plan, dt, state, config, covs, work):
+    """Write the covariances of the state at the ends of the rows of a plan.
+
+    Parameters
+    ----------
+    plan : (K, 4) array
+        Commands in the unit of the structure.
+    dt : float
+        Time between rows, s.
+    state, config, work
+        Of the joint filter.
+    covs : (K, 6, 6) array
+        Written.
+    """
+    x, P, act = work.ahead
+    ahead = JointState(x, P, act, state.wind)
+    for i in range(x.shape[0]):
+        x[i] = state.x[i]
+        for k in range(x.shape[0]):
+            P[i, k] = state.P[i, k]
+    for k in range(N_ACT):
+        act[k] = state.act[k]
+    steps = max(1, math.ceil(dt / GRID - 1e-9))
+    h = dt / steps
+    _process_noise(h, state, config, work)
+    for row in range(plan.shape[0]):
+        for _ in range(steps):
+            follow_all(act, plan[row], config.lags, 1.0, 0.5 * h)
+            joint_predict(ahead, h, config, work)
+            follow_all(act, plan[row], config.lags, 1.0, 0.5 * h)
+            clip_velocities(x, config.envelope)
         for i in range(N_STATES):
             for k in range(N_STATES):
-                total = P[i, k] + P_nav[i, k] + (gps_var if i == k and i < 2 else 0.0)
-                out[j, i, k] = total * (terms[i] * terms[k])
+                covs[row, i, k] = P[i, k]
 
 
-_NO_RIPPLE = np.empty((0, 3))
+@kernel
+def limit_covariances(covs, start_cov, dt, envelope):
+    """Scale down deviations that no boat can have by then.
+
+    Parameters
+    ----------
+    covs : (K, 6, 6) array
+        Covariances at the ends of rows; scaled in place.
+    start_cov : (6, 6) array
+        Covariance at the start; its diagonal counts.
+    dt : float
+        Time between rows, s.
+    envelope : (3,) array
+        Largest size of u, v (m/s) and r (rad/s).
+    """
+    for row in range(covs.shape[0]):
+        after, cov = dt * (row + 1), covs[row]
+        for i in range(N_STATES):
+            most = 2.0 * envelope[max(i - 3, 0)]
+            if i < PSI:
+                most = 2.0 * envelope[0] * after + math.sqrt(start_cov[i, i])
+            elif i == PSI:
+                most = 2.0 * min(envelope[2] * after, math.pi) + math.sqrt(start_cov[i, i])
+            factor = min(1.0, most / math.sqrt(max(cov[i, i], 1e-300)))
+            if factor < 1.0:
+                for k in range(N_STATES):
+                    cov[i, k] *= factor
+                    cov[k, i] *= factor
+
+
+@kernel
+def _forecast_mean(plan, dt, memory, values, model, buffers, work):
+    """Do :func:`forecast_mean` on flat memory."""
+    out = forecast_buffers(buffers, plan.shape[0])
+    state, config = filter_state(memory, model), filter_config(values, model)
+    room = filter_workspace(work, model.which.shape[1]).rollout
+    forecast_mean(plan, dt, state, config, out, room)
+
+
+@kernel
+def _forecast_covariance(plan, dt, memory, values, model, buffers, work):
+    """Do :func:`forecast_covariance` on flat memory; the plan is in the particulars' unit."""
+    out = forecast_buffers(buffers, plan.shape[0])
+    state, config = filter_state(memory, model), filter_config(values, model)
+    scale_plan(plan, config.n_unit, out.plan)
+    room = filter_workspace(work, model.which.shape[1])
+    forecast_covariance(out.plan, dt, state, config, out.covs, room)
+
+
+def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
+    """Return a plan at steps near :data:`GRID`, and how many of its rows are one step."""
+    every = max(1, min(round(GRID / dt), len(plan)))
+    K = math.ceil(len(plan) / every)
+    return plan[np.minimum(np.arange(K) * every + every // 2, len(plan) - 1)], every
+
+
+JOINT_FIELDS = {
+    "P": Field(covariance=True),
+    **dict.fromkeys(("wave_power", "counted"), Field(low=0.0)),
+}
+"""What the fields of a saved :class:`FilterState` may hold."""
 
 
 class JointUKF:
@@ -284,48 +379,58 @@ class JointUKF:
 
     Attributes
     ----------
+    memory : ndarray
+        All that the filter remembers, flat; its fields are those of :class:`FilterState`.
+    dtype : np.dtype
+        Structured dtype of the memory: ``memory.view(dtype)[0]["P"]``.
     x, P : ndarray, shapes (6 + p,), (6 + p, 6 + p)
         Mean and covariance: six states, then the parameters.
     act : ndarray, shape (4,)
-        Where the actuators are believed to be, in the unit of the structure.
-    seen, grams : ndarray, list of three ndarrays
-        Time seen (first entry, s), and the Gram matrices of surge, sway and yaw: see
+        Actuators as followed from the commands, in the unit of the structure.
+    counted, grams : ndarray, tuple of three ndarrays
+        Time counted (last entry, s), and the Gram matrices of surge, sway and yaw: see
         :func:`twin.identification.identifiability.accumulate`.
     wind : ndarray, shape (2,)
         True wind to north and east, m/s; zeros until it is measured.
+    wave_power : ndarray, shape (3,)
+        Mean squares of the waves in u, v and r.
     """
 
     def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:
         self.settings = settings
-        self.kit = settings.structure.kit
+        self.terms = settings.structure.terms
         n = N_STATES + len(settings.structure)
         self.lags = np.array([particulars.shaft_lag, particulars.steer_lag, particulars.steer_rate])
         U, L = particulars.speed, particulars.length
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
         self.weights = scaled_weights(n, settings.alpha, settings.beta, settings.kappa)
-        sizes = [b - a for a, b in settings.structure.blocks.values()]
-        self.memory = np.zeros(n + n * n + N_ACT + 7 + sum(k * k for k in sizes))
-        self.seen = self.memory[n + n * n + N_ACT + 6 :]
-        ends = np.cumsum([1, *(k * k for k in sizes)])
-        self.grams = [
-            self.seen[end - k * k : end].reshape(k, k)
-            for k, end in zip(sizes, ends[1:], strict=True)
-        ]
+        self.memory = np.zeros(flat_size(filter_state, self.terms))
+        state: FilterState = python_views(filter_state)(self.memory, self.terms)
+        self.x, self.P, self.act, self.wind = state.x, state.P, state.act, state.wind
+        self.wave_power, self.counted, self.grams = state.wave_power, state.counted, state.grams
         self.constants = np.concatenate(
             [
-                *(settings.q, settings.q_xi, settings.r, settings.p0),
-                *(self.lags, self.envelope, self.weights),
-                *([settings.n_unit], settings.waves),
+                settings.q,
+                settings.q_xi,
+                settings.r,
+                settings.p0,
+                self.lags,
+                self.envelope,
+                self.weights,
+                [settings.n_unit],
+                settings.waves,
             ]
         )
-        views = py_func(parts)(self.memory, self.constants, self.kit)
-        self.x, self.P, self.act, self.wind, self.q, _, self.r, *_ = views
-        self.scratch = np.zeros(2 * N_STATES**2 + N_TERMS + 10 + ROOM + n - N_STATES)
-        self.work = workspace(N_STATES, n - N_STATES)
-        self.arguments = (self.memory, self.constants, self.scratch, self.work, self.kit)
-        self._scaled = np.empty((0, 4))
-        self._copy = np.empty_like(self.memory)
+        config: FilterConfig = python_views(filter_config)(self.constants, self.terms)
+        self.q, self.r = config.q, config.r
+        self.scratch = np.zeros(flat_size(filter_workspace, n - N_STATES))
+        self._buffers = np.empty(0)
         self.reset()
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Structured dtype of the memory; see :class:`FilterState`."""
+        return named_dtype(filter_state, self.terms)
 
     def reset(self) -> None:
         """Go back to the prior."""
@@ -339,8 +444,15 @@ class JointUKF:
         """Parameters, a view of shape (p,)."""
         return self.x[N_STATES:]
 
-    def roll(self, plan: Array, dt: float) -> tuple[Array, Array]:
-        """Return states (K, 6) and actuators (K, 4) under a plan; nothing is changed.
+    def _opened(self, K: int) -> tuple[Array, Forecast]:
+        """Return buffers of a forecast of K rows, flat and by name."""
+        size = flat_size(forecast_buffers, K)
+        if len(self._buffers) != size:
+            self._buffers = np.empty(size)
+        return self._buffers, python_views(forecast_buffers)(self._buffers, K)
+
+    def mean(self, plan: Array, dt: float) -> Array:
+        """Return states (K, 6) under a plan; nothing is changed.
 
         Parameters
         ----------
@@ -349,22 +461,17 @@ class JointUKF:
         dt : float
             Time between rows, s.
         """
-        K = len(plan)
-        out, acts = np.empty((K, N_STATES)), np.empty((K, 4))
-        if len(self._scaled) != K:
-            self._scaled = np.empty((K, 4))
-        _roll(
-            *(plan, dt, self.memory, self.constants, self.scratch, self.kit),
-            *(_NO_RIPPLE, self._scaled, out, acts),
-        )
-        return out, acts
+        buffers, out = self._opened(len(plan))
+        _forecast_mean(plan, dt, self.memory, self.constants, self.terms, buffers, self.scratch)
+        return np.array(out.states[0])
 
-    def bands(self, acts: Array, dt: float) -> Array:
-        """Return covariances (K, 6, 6) of the states that :meth:`roll` gave with ``acts``."""
-        every = max(1, min(round(BAND_STEP / dt), len(acts)))
-        coarse = np.zeros((math.ceil(len(acts) / every), N_STATES, N_STATES))
-        _bands(acts, dt, every, *self.arguments, self._copy, coarse)
+    def covariances(self, plan: Array, dt: float) -> Array:
+        """Return covariances (K, 6, 6) of the states that :meth:`mean` returns."""
+        coarse, every = coarse_plan(plan, dt)
+        buffers, out = self._opened(len(coarse))
+        given = self.memory, self.constants, self.terms
+        _forecast_covariance(coarse, dt * every, *given, buffers, self.scratch)
         if every == 1:
-            return coarse
-        path = np.concatenate([self.P[None, :N_STATES, :N_STATES], coarse])
-        return upsample(path, every, len(acts))
+            return np.array(out.covs)
+        path = np.concatenate([self.P[None, :N_STATES, :N_STATES], out.covs])
+        return upsample(path, every, len(plan))

@@ -5,12 +5,12 @@ the window's step, is described by an autoregression for each of u, v and r:
 
     w_k = a_1 w_(k-1) + ... + a_6 w_(k-6) + noise
 
-It foretells the next second or so, and its simulated paths say how far waves carry the boat from
-the model's motion later on. How high waves are for a boat, how long they seem to her and how they
-push and turn her at once all hang on her heading: paths are drawn by what was left on headings
+It predicts the next second or so, and its simulated paths say how far waves carry the boat from
+the model's motion later on. How high waves are for a boat, how long their encounter period is and how they
+push and turn it all depend on its heading: paths are drawn by what was left on headings
 like those ahead.
 
-Source: twin.md sections 6 and 10 B4.
+Source: docs/explanation/twin.md, Waves and prediction intervals.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ __all__ = [
     "ORDER",
     "SECTORS",
     "SECTOR_SIZE",
-    "WAVE_ROOM",
+    "WAVE_WORK_SIZE",
     "between",
-    "describe_sectors",
+    "fit_sector_ar",
     "fit_waves",
-    "foretell_waves",
-    "likeness",
-    "sector_room",
+    "forecast_waves",
+    "heading_kernel",
+    "sector_work_size",
     "simulate_waves",
 ]
 
@@ -42,27 +42,27 @@ RIDGE = 1e-3
 """Part of the variance that is taken for white noise of the estimate."""
 
 ROOT_MAX = 0.98
-"""Largest root of what foretells, and largest reflection coefficient of what is drawn: waves die
+"""Largest root of what predicts, and largest reflection coefficient of what is drawn: waves die
 out, and never grow."""
 
-ALIKE = math.radians(20.0)
-"""How often and how hard waves strike hangs on the heading: what was left counts for headings as
-near to its own as this (standard deviation)."""
+HEADING_BANDWIDTH = math.radians(20.0)
+"""Waves depend on the heading: what was left counts for headings as near to its cov as this
+(standard deviation), rad."""
 
-SECTORS, STRANGERS = 24, 3.0
-"""Sectors of headings that are described; rows of all headings that each counts as its own."""
+SECTORS, POOLED_PSEUDO_COUNT = 24, 3.0
+"""Sectors of headings; rows of all headings that each sector's fit includes."""
 
 FACTOR = 3 * ORDER
 """Numbers of a sector before the lower triangular factor (3, 3) of its noise: coefficients."""
 
 SECTOR_SIZE = FACTOR + 9
 
-WAVE_ROOM = ORDER * ORDER + 2 * ORDER
+WAVE_WORK_SIZE = ORDER * ORDER + 2 * ORDER
 """Length of the scratch of :func:`fit_waves`."""
 
 
 @kernel
-def fit_waves(w, coefficients, room):
+def fit_waves(w, coefficients, work):
     """Fit an autoregression to each column, by least squares with a ridge; it is stable.
 
     Parameters
@@ -71,12 +71,12 @@ def fit_waves(w, coefficients, room):
         Evenly sampled residuals, about zero; more than twice :data:`ORDER` rows.
     coefficients : (6, c) array
         Of the last value first; written.
-    room : (WAVE_ROOM,) array
+    work : (WAVE_WORK_SIZE,) array
         Scratch.
     """
     N = w.shape[0]
-    G = shaped(room, 0, (ORDER, ORDER))
-    rest = room[ORDER * ORDER :]
+    G = shaped(work, 0, (ORDER, ORDER))
+    rest = work[ORDER * ORDER :]
     a, b, line = rest[:ORDER], rest[ORDER : 2 * ORDER], shaped(rest, ORDER, (1, ORDER))
     for j in range(w.shape[1]):
         # products with the newest value; those of older values differ in the first and last row
@@ -100,8 +100,8 @@ def fit_waves(w, coefficients, room):
             a[:] = 0.0
         else:
             solve_factored(G, a, a)
-        if not decays(a, ROOT_MAX, b):
-            shrink, part = ROOT_MAX / largest_root(a, b), 1.0
+        if not is_stable(a, ROOT_MAX, b):
+            shrink, part = ROOT_MAX / spectral_radius(a, b), 1.0
             for i in range(ORDER):
                 part *= shrink
                 a[i] *= part
@@ -110,7 +110,7 @@ def fit_waves(w, coefficients, room):
 
 
 @kernel
-def decays(a, size, b):
+def is_stable(a, size, b):
     """Return whether all roots of an autoregression are smaller than a size.
 
     Parameters
@@ -140,14 +140,14 @@ def decays(a, size, b):
 
 
 @kernel
-def largest_root(a, b):
-    """Return the size of the largest root; arguments as for :func:`decays`."""
+def spectral_radius(a, b):
+    """Return the size of the largest root; arguments as for :func:`is_stable`."""
     low, high = 0.0, 1.0
     for i in range(a.shape[0]):
         high = max(high, 1.0 + abs(a[i]))  # Cauchy's bound
     while high - low > 1e-14 * high:
         middle = 0.5 * (low + high)
-        if decays(a, middle, b):
+        if is_stable(a, middle, b):
             high = middle
         else:
             low = middle
@@ -155,7 +155,7 @@ def largest_root(a, b):
 
 
 @kernel
-def foretell_waves(past, coefficients, path):
+def forecast_waves(past, coefficients, path):
     """Write how an autoregression goes on without noise.
 
     Parameters
@@ -178,9 +178,9 @@ def foretell_waves(past, coefficients, path):
 
 
 @inlined
-def likeness(away):
-    """Return the root of what a row counts whose heading is ``away`` (rad) from that described."""
-    return math.exp(0.5 * (math.cos(away) - 1.0) / ALIKE**2)
+def heading_kernel(away):
+    """Return the root of the weight of a row whose heading differs by ``away`` (rad)."""
+    return math.exp(0.5 * (math.cos(away) - 1.0) / HEADING_BANDWIDTH**2)
 
 
 @inlined
@@ -219,16 +219,16 @@ def _add_covariances(w, R):
 
 
 @kernel
-def _join(own, many, row):
+def _join(cov, many, row):
     """Let the noise of u, v and r come together as covariances (3, 3) say; sizes stay.
 
     ``row`` is that of a sector, whose factor has but its diagonal yet; ``many`` is added to the
     variances, so that what was seen of few rows counts for little.
     """
-    a, b, c = own[0] + many[0], own[4] + many[1], own[8] + many[2]
-    ab, ac = own[1] / math.sqrt(a * b), own[2] / math.sqrt(a * c)
+    a, b, c = cov[0] + many[0], cov[4] + many[1], cov[8] + many[2]
+    ab, ac = cov[1] / math.sqrt(a * b), cov[2] / math.sqrt(a * c)
     rest = math.sqrt(1.0 - ab * ab)
-    bc = (own[5] / math.sqrt(b * c) - ab * ac) / rest
+    bc = (cov[5] / math.sqrt(b * c) - ab * ac) / rest
     one, two, three = row[FACTOR], row[FACTOR + 4], row[FACTOR + 8]
     row[FACTOR] = one
     row[FACTOR + 3], row[FACTOR + 4] = ab * two, rest * two
@@ -236,13 +236,13 @@ def _join(own, many, row):
     row[FACTOR + 8] = math.sqrt(max(1.0 - ac * ac - bc * bc, 0.0)) * three
 
 
-def sector_room(N: int) -> int:
-    """Return the length of the scratch of :func:`describe_sectors` for N rows."""
+def sector_work_size(N: int) -> int:
+    """Return the length of the scratch of :func:`fit_sector_ar` for N rows."""
     return 4 * N + 6 * (ORDER + 1) + SECTORS + 9 * SECTORS + 12
 
 
 @kernel
-def describe_sectors(w, psi, good, sectors, room):
+def fit_sector_ar(w, psi, good, sectors, work):
     """Describe the waves of each sector of headings.
 
     Autoregressions of autocovariances that are weighted by how near the heading was, both rows of
@@ -259,14 +259,14 @@ def describe_sectors(w, psi, good, sectors, room):
     sectors : (24, 27) array
         Coefficients (6, 3), of the last value first, and the lower triangular factor (3, 3) of
         the noise; written.
-    room : array
-        Scratch, as long as :func:`sector_room` says.
+    work : array
+        Scratch, as long as :func:`sector_work_size` says.
     """
     N = w.shape[0]
-    near, at, rest = shaped(room, 0, (N, 3)), room[3 * N :][:N], room[4 * N :]
+    near, at, rest = shaped(work, 0, (N, 3)), work[3 * N :][:N], work[4 * N :]
     all_, R = shaped(rest, 0, (3, ORDER + 1)), shaped(rest, 3 * ORDER + 3, (3, ORDER + 1))
     rest = rest[6 * ORDER + 6 :]
-    alike, seen = rest[:SECTORS], shaped(rest, SECTORS, (SECTORS, 9))
+    kernel_of, seen = rest[:SECTORS], shaped(rest, SECTORS, (SECTORS, 9))
     rest = rest[10 * SECTORS :]
     sums, many = rest[:9], rest[9:12]
     a = sums[:ORDER]
@@ -276,19 +276,19 @@ def describe_sectors(w, psi, good, sectors, room):
         at[k] = _sector(psi[k])
     count = max(count, 1.0)
     for m in range(SECTORS):
-        alike[m] = likeness(m * (2.0 * math.pi / SECTORS))
+        kernel_of[m] = heading_kernel(m * (2.0 * math.pi / SECTORS))
     all_[:] = 0.0
     _add_covariances(w, all_)
     for m in range(SECTORS):
-        weight = STRANGERS
+        weight = POOLED_PSEUDO_COUNT
         for k in range(N):
-            share = alike[m - int(at[k])] if good[k] > 0.0 else 0.0
+            share = kernel_of[m - int(at[k])] if good[k] > 0.0 else 0.0
             weight += share * share
             for j in range(3):
                 near[k, j] = share * w[k, j]
         for j in range(3):
             for i in range(ORDER + 1):
-                R[j, i] = STRANGERS / count * all_[j, i]
+                R[j, i] = POOLED_PSEUDO_COUNT / count * all_[j, i]
         _add_covariances(near, R)
         row = sectors[m]
         for j in range(3):
@@ -300,7 +300,7 @@ def describe_sectors(w, psi, good, sectors, room):
                 row[3 * i + j] = a[i]
             for i in range(3):
                 row[FACTOR + 3 * j + i] = math.sqrt(left) if i == j else 0.0
-    # what was not foretold, by sectors
+    # one-step errors, by sectors
     seen[:] = 0.0
     many[:] = 0.0
     run = 0
@@ -313,7 +313,7 @@ def describe_sectors(w, psi, good, sectors, room):
             sums[j] = w[k, j]
             for i in range(ORDER):
                 sums[j] -= sectors[m, 3 * i + j] * w[k - 1 - i, j]
-            many[j] += STRANGERS / count * sums[j] ** 2
+            many[j] += POOLED_PSEUDO_COUNT / count * sums[j] ** 2
         for i in range(3):
             for j in range(3):
                 seen[m, 3 * i + j] += sums[i] * sums[j]
@@ -322,7 +322,7 @@ def describe_sectors(w, psi, good, sectors, room):
     for m in range(SECTORS):
         sums[:] = 0.0
         for k in range(SECTORS):
-            share = alike[m - k] ** 2
+            share = kernel_of[m - k] ** 2
             for i in range(9):
                 sums[i] += share * seen[k, i]
         _join(sums, many, sectors[m])
@@ -335,11 +335,11 @@ def simulate_waves(sectors, psi, shocks, out):
     Parameters
     ----------
     sectors : (24, 27) array
-        From :func:`describe_sectors`.
+        From :func:`fit_sector_ar`.
     psi : (K,) array
         Headings ahead, rad.
-    shocks : (D, K, 3) array
-        Standard normal numbers; zeros stay calm.
+    shocks : (D, k, 3) array
+        Standard normal numbers, used again where they do not reach; zeros stay calm.
     out : (D, K, 3) array
         Paths.
     """
@@ -349,7 +349,7 @@ def simulate_waves(sectors, psi, shocks, out):
             for j in range(3):
                 value = 0.0
                 for i in range(j + 1):
-                    value += row[FACTOR + 3 * j + i] * shocks[d, k, i]
+                    value += row[FACTOR + 3 * j + i] * shocks[d, k % shocks.shape[1], i]
                 for i in range(min(ORDER, k)):
                     value += row[3 * i + j] * out[d, k - 1 - i, j]
                 out[d, k, j] = value

@@ -70,7 +70,7 @@ class Entry:
     topic : str
         Of the messages; empty for a file of columns.
     note : str
-        To be told to the user.
+        For the user.
     clock : bool
         Whether the source is a date and time, not a number.
     """
@@ -84,6 +84,6 @@ class Entry:
 
     def columns(self, values: Sequence[Array]) -> dict[str, Array]:
         """Return the log's columns from the sources' values, each of shape (N,)."""
-        with np.errstate(over="ignore", invalid="ignore"):  # said of the value, later
+        with np.errstate(over="ignore", invalid="ignore"):  # refused later, with its place
             made = [*values] * len(self.names) if self.convert is None else self.convert(values)
         return dict(zip(self.names, made, strict=True))

@@ -2,11 +2,11 @@
 
 Three folders are known by their names: ``esso_osaka_frt`` (a 3 m tanker on a pond, gusty wind
 measured), ``kvlcc2_simman2008`` (a 7 m tanker in the basins of MARIN and HSVA, calm water) and
-``boat1_usv`` (the field run that also ships with the package). Their licences forbid to pass
-the first two on: nothing of them is in this project, and what :func:`export` writes from them
-is for the user's own eyes.
+``boat1_usv`` (the field run that also ships with the package). Their licences forbid
+passing the first two on. So nothing of them is in this project, and what :func:`export` writes
+from them is for private use.
 
-``Log.read`` knows the columns of these files (``twin/mappings``); here is what boats they are.
+``Log.read`` knows the columns of these files (``twin/logs/mappings``). Here are their boats.
 
 Source: the README of each folder.
 """
@@ -17,7 +17,7 @@ import gzip
 import zlib
 from pathlib import Path
 
-from twin.logs.log import Log, beside, recorded_runs
+from twin.logs.log import Log, recorded_runs, sibling_path
 from twin.particulars import Instruments, Particulars
 from usv_kernel.errors import UsvTwinError
 
@@ -45,7 +45,7 @@ ESSO = Particulars(
     speed=0.36,
     shaft_speed=10.0,
     shaft_lag=0.5,
-    # the recorded angle is a command that jumps; the lag is twin.md's, the rate the default
+    # the recorded angle is a command that jumps; the lag was fitted, the rate is the default
     steer_lag=0.7,
     instruments=Instruments(
         gps_sd=0.012,  # jitter of 3 to 12 mm
@@ -209,13 +209,13 @@ def ship(path: str | Path) -> Particulars:
         return ESSO
     if folder == "boat1_usv":
         file = recorded_runs()["boat1_usv_circle"]
-        return Particulars.load(beside(file, ".toml"))
+        return Particulars.load(sibling_path(file, ".toml"))
     lab = Path(path).name.split("_", 1)[0]
     return KVLCC2[lab if lab in KVLCC2 else "marin" if "x_int_m" in _header(Path(path)) else "hsva"]
 
 
 def _folder_of(path: Path) -> str | None:
-    """Return the folder that a file is from; none if it has the header of a usual log."""
+    """Return the folder that a file is from; none if it has the header of any other log."""
     header = _header(path)
     return next((name for name, columns in _HEADERS.items() if columns <= header), None)
 

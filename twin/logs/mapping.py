@@ -24,7 +24,7 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     step_s = 0.1
 
 For a ROS 2 bag each entry names its ``topic`` and ``field`` instead of ``from``; the whole is
-in ``twin/mappings/ros2_example.toml``.
+in ``twin/logs/mappings/ros2_example.toml``.
 """
 
 from __future__ import annotations
@@ -260,7 +260,7 @@ class _Parser:
             (source,),
             _linear(factor, offset, len(names)),
             topic,
-            f"{both}: from {what}" + _told(factor, offset),
+            f"{both}: from {what}" + _conversion(factor, offset),
             clock,
         )
 
@@ -327,7 +327,7 @@ class _Parser:
         )
 
 
-def _told(factor: float, offset: float) -> str:
+def _conversion(factor: float, offset: float) -> str:
     """Return what a conversion does, for the notes."""
     times = "" if factor == 1.0 else f" times {factor:.6g}"
     return times + ("" if offset == 0.0 else f" plus {offset:.6g}")
@@ -362,11 +362,7 @@ def radii(latitude: float) -> tuple[float, float]:
 def _projection(
     datum: tuple[float, ...] | None, source: str
 ) -> Callable[[Sequence[Array]], Sequence[Array]]:
-    """Return the conversion of latitude and longitude, degrees, to metres north and east.
-
-    On the plane that touches the ellipsoid at the datum (10 km north of it at 60 degrees the
-    east is 0.3 % off).
-    """
+    """Return the conversion of latitude and longitude, degrees, to metres north and east."""
 
     def convert(values: Sequence[Array]) -> list[Array]:
         latitude, longitude = (value.copy() for value in values[:2])

@@ -113,7 +113,7 @@ def _asked(path: Path, layout: Layout | None, types: dict[str, str]) -> dict[str
     if layout is None:
         raise LogError(
             f"{path}: a bag needs a mapping of its topics: --mapping FILE, or "
-            f"{name_of(path)}.mapping.toml beside it, made after twin/mappings/ros2_example.toml "
+            f"{name_of(path)}.mapping.toml next to it, after twin/logs/mappings/ros2_example.toml "
             f"(topics: {there or 'none'})"
         )
     topics: dict[str, _Topic] = {}

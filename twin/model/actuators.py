@@ -25,7 +25,7 @@ def follow(value, target, lag, rate, h):
     Parameters
     ----------
     value, target : float
-        Where the actuator is and where it is told to go, in its own unit.
+        Where the actuator is and where its command is, in its own unit.
     lag : float
         Time constant, s; above 0.
     rate : float
@@ -68,7 +68,8 @@ def follow_all(act, command, lags, n_unit, h):
     command : (4,) array
         With shaft speeds in a unit that ``n_unit`` turns into that of the structure, rad.
     lags : (3,) array
-        See :func:`roll_out`.
+        Time constants of shaft speed and drive angle, s, above 0; largest turning speed of
+        the drives, rad/s.
     n_unit, h : float
         Unit of the command's shaft speeds; time, s.
     """
@@ -83,5 +84,5 @@ def _follow_pair(act, at, left, right, lag, rate, h):
     if a != left or b != right:
         stay = math.exp(-h / lag)
         act[at] = _follow(a, left, lag, rate, h, stay)
-        alike = a == b and left == right
-        act[at + 1] = act[at] if alike else _follow(b, right, lag, rate, h, stay)
+        same = a == b and left == right
+        act[at + 1] = act[at] if same else _follow(b, right, lag, rate, h, stay)

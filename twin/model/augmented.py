@@ -2,40 +2,59 @@
 
 from __future__ import annotations
 
-from twin.filters.ukf import POINTS, SLOPE, sigma_points, time_update
+from typing import Any, NamedTuple
+
+from twin.filters.ukf import sigma_points, time_update
 from twin.model.dynamics import all_terms
 from twin.model.structure import N_STATES, accelerations, state_terms
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
 
 __all__ = [
+    "JointConfig",
+    "JointState",
+    "JointWorkspace",
     "joint_predict",
     "propagate_points",
 ]
 
 
-@kernel
-def propagate_points(act, wind, kit, h, terms, work):
-    """Send the sigma points of twin.filters.ukf through :func:`step`, and write the model's slope.
+class JointState(NamedTuple):
+    """What :func:`joint_predict` needs of a state; others may have more fields."""
 
-    Parameters
-    ----------
-    act, wind, kit, terms
-        See :func:`derivative`.
-    h : float
-        Step, s.
-    work : array
-        ``ukf.workspace(6, p)``: the states of its points are replaced, the slope is written.
+    x: Any  # (6 + p,) mean of (s, xi): m, rad, m/s, rad/s, parameters
+    P: Any  # (6 + p, 6 + p) its covariance
+    act: Any  # (4,) actuators during the step: in the unit of the structure, rad
+    wind: Any  # (2,) true wind to north and east, m/s; zeros where it is not known
+
+
+class JointConfig(NamedTuple):
+    """What it needs of a configuration."""
+
+    model: Any  # ModelTerms
+    weights: Any  # (4,) from ``ukf.scaled_weights(6 + p, ...)``
+
+
+class JointWorkspace(NamedTuple):
+    """What it needs of a workspace."""
+
+    Q: Any  # (6, 6) process noise of the states for this step
+    q_xi: Any  # (p,) variance that each parameter's random walk adds in this step
+    terms: Any  # (50,) terms of the model
+    sigma: Any  # UKFWorkspace
+
+
+@kernel
+def propagate_points(act, wind, model, h, terms, sigma):
+    """Send the sigma points through :func:`twin.model.dynamics.step`; write the model's slope.
 
     Source: Eq (25).
     """
-    points = work[POINTS]
-    slope = work[SLOPE]
-    which, limits, hull = kit
-    all_terms(points[0], act, wind, kit, terms)
+    points, slope = sigma.points, sigma.slope
+    all_terms(points[0], act, wind, model, terms)
     for i in range(3):
-        low, high = limits[3 + i, 0], limits[3 + i, 1]
-        row, term = slope[3 + i, low:high], which[i, low - N_STATES :]
+        low, high = model.limits[3 + i, 0], model.limits[3 + i, 1]
+        row, term = slope[3 + i, low:high], model.which[i, low - N_STATES :]
         for k in range(high - low):
             row[k] = h * terms[term[k]]
     psi = points[0, 2]
@@ -48,8 +67,8 @@ def propagate_points(act, wind, kit, h, terms, work):
             cos_psi, sin_psi = cos_0, sin_0
         else:
             sin_psi, cos_psi = sincos(point[2])
-        state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms)
-        du, dv, dr = accelerations(terms, kit, point, N_STATES)
+        state_terms(u, v, r, cos_psi, sin_psi, wind, model.hull, terms)
+        du, dv, dr = accelerations(terms, model, point, N_STATES)
         point[0] += h * (u * cos_psi - v * sin_psi)
         point[1] += h * (u * sin_psi + v * cos_psi)
         point[2] += h * r
@@ -59,27 +78,19 @@ def propagate_points(act, wind, kit, h, terms, work):
 
 
 @inlined
-def joint_predict(x, P, act, wind, kit, h, Q_s, q_xi, weights, terms, work):
+def joint_predict(state, h, config, work):
     """Predict state and parameters over one step with the structured UKF.
 
     Parameters
     ----------
-    x : (6 + p,) array
-        Mean of (s, xi); predicted in place.
-    P : (6 + p, 6 + p) array
-        Its covariance; predicted in place.
-    act, wind, kit, terms
-        See :func:`derivative`; actuators during the step.
+    state : JointState
+        Its mean and covariance are predicted in place.
     h : float
         Step, s.
-    Q_s : (6, 6) array
-        Process noise of the states for this step.
-    q_xi : (p,) array
-        Variance that each parameter's random walk adds in this step.
-    weights : (4,) array
-        From ``ukf.scaled_weights(6 + p, ...)``.
-    work : array
-        From ``ukf.workspace(6, p)``.
+    config : JointConfig
+        Model and weights.
+    work : JointWorkspace
+        Noise of the step, and scratch.
 
     Returns
     -------
@@ -88,6 +99,9 @@ def joint_predict(x, P, act, wind, kit, h, Q_s, q_xi, weights, terms, work):
 
     Source: Eq (28)-(30), (34), (43).
     """
-    repairs = sigma_points(x, P, weights, work)
-    propagate_points(act, wind, kit, h, terms, work)
-    return repairs + time_update(x, P, Q_s, q_xi, kit[1], weights, work)
+    repairs = sigma_points(state.x, state.P, config.weights, work.sigma)
+    propagate_points(state.act, state.wind, config.model, h, work.terms, work.sigma)
+    limits = config.model.limits
+    return repairs + time_update(
+        state.x, state.P, work.Q, work.q_xi, limits, config.weights, work.sigma
+    )

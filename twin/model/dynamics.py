@@ -40,7 +40,7 @@ def model_of(
     biased : bool
         Add two earth-fixed accelerations where the structure has none.
     tanker : bool, optional
-        Whether she is one; what the particulars say if left out.
+        Whether it is one; what the particulars say if left out.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def model_of(
 
 
 @inlined
-def all_terms(s, act, wind, kit, terms):
+def all_terms(s, act, wind, model, terms):
     """Write every term of a state and of its actuators; arguments as for :func:`derivative`."""
     thrust_terms(
         act[0],
@@ -70,11 +70,11 @@ def all_terms(s, act, wind, kit, terms):
         math.sin(act[3]),
         terms,
     )
-    state_terms(s[3], s[4], s[5], math.cos(s[2]), math.sin(s[2]), wind, kit[2], terms)
+    state_terms(s[3], s[4], s[5], math.cos(s[2]), math.sin(s[2]), wind, model.hull, terms)
 
 
 @kernel
-def derivative(s, xi, act, wind, kit, terms, out):
+def derivative(s, xi, act, wind, model, terms, out):
     """Write the time derivative of the state.
 
     Parameters
@@ -87,30 +87,30 @@ def derivative(s, xi, act, wind, kit, terms, out):
         Shaft speeds left and right, in the unit of the structure; drive angles, rad.
     wind : (2,) array
         True wind to north and east, m/s; zeros where it is not known.
-    kit : tuple
+    model : ModelTerms
         Of the structure.
     terms : (50,) array
-        Room for the terms; they are left there.
+        The terms are left there.
     out : (6,) array
         The derivative.
 
     Source: Eq (20), (26).
     """
-    all_terms(s, act, wind, kit, terms)
+    all_terms(s, act, wind, model, terms)
     cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
     out[0] = s[3] * cos_psi - s[4] * sin_psi
     out[1] = s[3] * sin_psi + s[4] * cos_psi
     out[2] = s[5]
-    out[3], out[4], out[5] = accelerations(terms, kit, xi, 0)
+    out[3], out[4], out[5] = accelerations(terms, model, xi, 0)
 
 
 @kernel
-def step(s, xi, act, wind, kit, h, terms, out):
+def step(s, xi, act, wind, model, h, terms, out):
     """Write the state one Euler step later.
 
     Parameters
     ----------
-    s, xi, act, wind, kit, terms
+    s, xi, act, wind, model, terms
         See :func:`derivative`.
     h : float
         Step, s.
@@ -119,6 +119,6 @@ def step(s, xi, act, wind, kit, h, terms, out):
 
     Source: Eq (25).
     """
-    derivative(s, xi, act, wind, kit, terms, out)
+    derivative(s, xi, act, wind, model, terms, out)
     for k in range(N_STATES):
         out[k] = s[k] + h * out[k]

@@ -1,11 +1,12 @@
-"""What is believed of a boat's parameters before any data, from a population of like boats.
+"""Prior of a boat's parameters, from a population of similar boats.
 
-The files in ``twin/priors`` hold, for each model structure and kind of boat, the dimensionless
-parameters that random boats were found to have (:mod:`twin.training.prior_population`), one boat a row. One
-file serves boats of every size. For a class of boats (:data:`twin.particulars.DESIGNS`) the boats
-are sisters of a model of the class, which like every model is not the truth: it is 20 % off.
+The files in ``twin/model/priors`` hold, for each model structure and kind of boat, the
+dimensionless parameters that random boats were found to have (:mod:`twin.training.prior_population`),
+one boat a row. One file serves boats of every size. For a class of boats
+(:data:`twin.particulars.DESIGNS`) the boats vary around a model of the class, whose coefficients
+have errors of 20 %, as those of any model have.
 
-Source: twin.md, sections 10 B2 and 13.
+Source: docs/explanation/twin.md, The refit.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ KINDS = ("drives", "rudder", "differential")
 """Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
 
 TANKER = "tanker"
-"""Ships with rudders that are of full form: sisters of one that was measured, because the drafts
+"""Ships with rudders that are of full form: sampled around one that was measured. The drafts
 of the others are made to hold their course, and few tankers do."""
 
 FLOOR = 0.3
 """Share of each variance that no other parameter explains, at the least."""
 
-TOLD = 1e-3
-"""A spread of so small a part of the structure's own says that the boats told nothing."""
+SPREAD_MIN = 1e-3
+"""A smaller spread, as a share of the structure's own, means that calm water shows nothing."""
 
 
 class PriorError(UsvTwinError):
@@ -63,14 +64,14 @@ class Prior:
         Names of the p parameters.
     boats : ndarray, shape (b,)
         Number of each boat in its population; those that the model did not fit are missing.
-    members : ndarray, shape (b, p)
+    fits : ndarray, shape (b, p)
         Their parameters in the natural units of the structure.
     """
 
     about: str
     parameters: tuple[str, ...]
     boats: NDArray[np.int64]
-    members: Array
+    fits: Array
 
     @classmethod
     def load(cls, path: Path) -> Prior:
@@ -94,14 +95,15 @@ class Prior:
                 raise ValueError(f"{len(parameters)} parameters, table of shape {table.shape}")
         except (OSError, ValueError) as error:
             raise PriorError(
-                f"{path}: is no prior ({error}); make it anew with twin.training.prior_population.make_prior"
+                f"{path}: is no prior ({error}); make a new one with "
+                "twin.training.prior_population.make_prior"
             ) from None
         return cls(about.removeprefix("# "), parameters, table[:, 0].astype(np.int64), table[:, 1:])
 
     def to_csv(self) -> str:
         """Return the text of a file, with six digits."""
         lines = [f"# {self.about}", ",".join(("boat", *self.parameters))]
-        for boat, row in zip(self.boats, self.members, strict=True):
+        for boat, row in zip(self.boats, self.fits, strict=True):
             lines.append(",".join([str(boat), *(f"{value:.6g}" for value in row)]))
         return "\n".join(lines) + "\n"
 
@@ -134,11 +136,11 @@ class Prior:
             )
         mean, covariance = structure.mean.copy(), np.diag(structure.sd**2)
         at = np.array([structure.parameters.index(name) for name in self.parameters])
-        members = self.members * structure.scales[at]
-        told = members.std(axis=0) > TOLD * structure.sd[at]
-        at, members = at[told], members[:, told]
-        mean[at] = np.median(members, axis=0)
-        spread = np.cov(members.T)
+        fits = self.fits * structure.scales[at]
+        shown = fits.std(axis=0) > SPREAD_MIN * structure.sd[at]
+        at, fits = at[shown], fits[:, shown]
+        mean[at] = np.median(fits, axis=0)
+        spread = np.cov(fits.T)
         covariance[np.ix_(at, at)] = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
         return mean, covariance
 
@@ -174,9 +176,9 @@ def shipped_prior(model: str, kind: str) -> Prior:
 def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
     """Return mean and covariance of a boat's parameters before any data, in SI units.
 
-    They are those of her class, if it was told, else those of her kind. Boats with a fixed pair of
-    thrusters get the structure's own prior: the population of drafted hulls does not hold
-    catamarans, and was the worse guess for Otter and for a recorded boat.
+    They are those of its class, if it is given, else those of its kind. Boats with a fixed pair of
+    thrusters get the structure's own prior: the population of drafted hulls has no catamarans,
+    and was the worse prior for Otter and for a recorded boat.
 
     Parameters
     ----------

@@ -1,20 +1,22 @@
-"""The motion of the twin's model: its derivative, its steps in the filter, its prediction.
+"""The forecast of the twin's model: several motions under one plan of commands.
 
 The state is s = (x, y, psi, u, v, r): m north and east, rad clockwise, m/s forward and to
 starboard over the ground, rad/s. The actuators are act = (nL, nR, dL, dR): rev/s, rad. A
 positive drive angle turns to starboard. Accelerations are linear in the parameters xi; which
-terms they have is the business of :mod:`twin.model.structure`.
+terms they have stands in :mod:`twin.model.structure`.
 
     x' = u cos(psi) - v sin(psi),  y' = u sin(psi) + v cos(psi),  psi' = r
 
 Actuators can also return to 0, which those of Eq (27) cannot.
 
-Source: Qu et al. 2025, Eq (20)-(27), with the corrections of physics.md section 10.
+Source: Qu et al. 2025, Eq (20)-(27), with the corrections of docs/explanation/ship_and_sea.md,
+What the paper gets wrong.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,6 @@ from twin.model.dynamics import N_ACT
 from twin.model.structure import (
     BIASED,
     LEFT_COS,
-    LENGTH,
     N_STATES,
     N_TERMS,
     gather,
@@ -33,36 +34,105 @@ from twin.model.structure import (
     thrust_rates,
     thrust_terms,
 )
-from usv_kernel.arrays import shaped
+from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
 
 __all__ = [
-    "LOOK_AHEAD",
-    "ROOM",
-    "look_ahead",
-    "roll_out",
-    "roll_outs",
+    "GRID",
+    "HORIZONS",
+    "HORIZON_ROWS",
+    "Paths",
+    "RolloutConfig",
+    "RolloutStart",
+    "Waves",
+    "rollout",
+    "rollout_size",
+    "rotate_body_velocity",
+    "upsample",
 ]
 
 Array = NDArray[np.float64]
 
-STEP_MAX = 0.25
-"""Longest integration step of :func:`roll_out`, s."""
+GRID = 0.25
+"""Step of a forecast, s: of its integration (at most), and of the plans of an observation."""
+
+HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])
+"""How far ahead an observation looks, s."""
+
+HORIZON_ROWS = np.array([round(h / GRID) - 1 for h in HORIZONS])
+"""Rows of a plan of steps :data:`GRID` that end there."""
 
 SWAY_SLIP = 0.5
 """Inertia in surge over that in sway, added mass included: .5 to .6 of most hulls."""
 
-_THRUST = N_STATES + 2
 
-_SHARES = _THRUST + 9
+class RolloutStart(NamedTuple):
+    """Where D motions begin, and with which parameters."""
 
-_MOTION = _SHARES + 4 * N_TERMS
-"""What a motion needs: state, cosine and sine of the heading; what the actuators add at the start,
-middle and end of a step; its parameters, gathered."""
+    states: Any  # (D, 6) x, y (m), psi (rad), u, v (m/s), r (rad/s)
+    params: Any  # (D, p) parameters
+    act: Any  # (4,) actuators: in the unit of the structure, rad
+    wind: Any  # (2,) true wind to north and east, m/s; it stays
 
-ROOM = 3 * N_TERMS + N_ACT + _MOTION + N_STATES
-"""Length of the scratch of :func:`roll_out`."""
+
+class RolloutConfig(NamedTuple):
+    """What :func:`rollout` needs of a configuration; others may have more fields."""
+
+    lags: Any  # (3,) shaft speed and drive angle, s, above 0; speed of the drives, rad/s
+    envelope: Any  # (3,) largest abs(u), abs(v), m/s, and abs(r), rad/s
+    model: Any  # ModelTerms
+
+
+class Waves(NamedTuple):
+    """Velocities that carry the boat along, on average over each row of the plan."""
+
+    velocity: Any  # (D, K, 3) m/s and rad/s; not in the states. (D, 0, 3) for none
+    gain: float  # how much of them the boat's own velocities take on, 1/s
+
+
+class Paths(NamedTuple):
+    """What :func:`rollout` writes, at the end of each row of the plan."""
+
+    states: Any  # (D, K, 6)
+    act: Any  # (K, 4)
+
+
+class _Motion(NamedTuple):
+    """Workspace of one motion."""
+
+    now: Any  # (8,) state, cosine and sine of the heading
+    thrust: Any  # (3, 3) accelerations by the actuators at start, middle and end of a step
+    shares: Any  # (50, 4) parameters, gathered by terms
+
+
+class _Workspace(NamedTuple):
+    """Workspace of a rollout."""
+
+    terms: Any  # (3, 50) terms at start, middle and end of a step
+    turned: Any  # (4,) cosine and sine of the drive angles, left and right
+    motions: Any  # (D, 8 + 9 + 200) see :class:`_Motion`
+
+
+@inlined
+def _motion(row):
+    now, at = take(row, 0, (N_STATES + 2,))
+    thrust, at = take(row, at, (3, 3))
+    shares, at = take(row, at, (N_TERMS, 4))
+    return _Motion(now, thrust, shares)
+
+
+@inlined
+def _workspace(work, D):
+    terms, at = take(work, 0, (3, N_TERMS))
+    turned, at = take(work, at, (N_ACT,))
+    motions, at = take(work, at, (D, N_STATES + 2 + 9 + 4 * N_TERMS))
+    return _Workspace(terms, turned, motions)
+
+
+def rollout_size(D: int = 1) -> int:
+    """Return the length of the workspace of :func:`rollout` for D motions."""
+    return 3 * N_TERMS + N_ACT + D * (N_STATES + 2 + 9 + 4 * N_TERMS)
 
 
 @inlined
@@ -89,19 +159,25 @@ def _thrust(act, turned, terms):
 
 
 @inlined
-def _rates(u, v, r, c, s, wind, hull, shares, thrust, terms):
-    """Return the derivatives of u, v, r with the actuators' terms in place."""
+def _rates(motion, wind, hull, shares, thrust, terms):
+    """Return the derivatives of u, v, r; a motion is u, v, r, cosine and sine of the heading."""
+    u, v, r, c, s = motion
     state_terms(u, v, r, c, s, wind, hull, terms)
     return rates(terms, shares, hull, thrust)
 
 
 @inlined
-def _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms):
-    """Advance a motion (state, cosine and sine of the heading) by one step of :func:`roll_out`."""
+def _rk4_step(motion, wave, h, envelope, wind, hull, terms):
+    """Advance a motion by one step of the Runge-Kutta scheme of fourth order.
+
+    Heading and place follow the velocities by Simpson's rule, with two sines a step.
+    """
+    now, shares, thrust = motion.now, motion.shares, motion.thrust
+    a, b, w = wave
     x, y, psi, u, v, r = now[0], now[1], now[2], now[3], now[4], now[5]
     c_1, s_1 = now[6], now[7]
     c_2, s_2, c_3, s_3 = c_1, s_1, c_1, s_1
-    du_1, dv_1, dr_1 = _rates(u, v, r, c_1, s_1, wind, hull, shares, thrust[0], terms[0])
+    du_1, dv_1, dr_1 = _rates((u, v, r, c_1, s_1), wind, hull, shares, thrust[0], terms[0])
     if hull[BIASED] > 0.0:  # which way the bias points, as far as this stage can know
         ahead = psi + 0.5 * h * (r + w + 0.25 * h * dr_1)
         s_2, c_2 = sincos(ahead)
@@ -110,20 +186,19 @@ def _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms):
     u_2 = _bounded(u + 0.5 * h * du_1, envelope[0])
     v_2 = _bounded(v + 0.5 * h * dv_1, envelope[1])
     r_2 = _bounded(r + 0.5 * h * dr_1, envelope[2])
-    du_2, dv_2, dr_2 = _rates(u_2, v_2, r_2, c_2, s_2, wind, hull, shares, thrust[1], terms[1])
+    du_2, dv_2, dr_2 = _rates((u_2, v_2, r_2, c_2, s_2), wind, hull, shares, thrust[1], terms[1])
     u_3 = _bounded(u + 0.5 * h * du_2, envelope[0])
     v_3 = _bounded(v + 0.5 * h * dv_2, envelope[1])
     r_3 = _bounded(r + 0.5 * h * dr_2, envelope[2])
-    du_3, dv_3, dr_3 = _rates(u_3, v_3, r_3, c_2, s_2, wind, hull, shares, thrust[1], terms[1])
+    du_3, dv_3, dr_3 = _rates((u_3, v_3, r_3, c_2, s_2), wind, hull, shares, thrust[1], terms[1])
     u_4 = _bounded(u + h * du_3, envelope[0])
     v_4 = _bounded(v + h * dv_3, envelope[1])
     r_4 = _bounded(r + h * dr_3, envelope[2])
-    du_4, dv_4, dr_4 = _rates(u_4, v_4, r_4, c_3, s_3, wind, hull, shares, thrust[2], terms[2])
+    du_4, dv_4, dr_4 = _rates((u_4, v_4, r_4, c_3, s_3), wind, hull, shares, thrust[2], terms[2])
     u_1, v_1, r_1 = u, v, r
     u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), envelope[0])
     v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), envelope[1])
     r = _bounded(r + h / 6.0 * (dr_1 + 2.0 * (dr_2 + dr_3) + dr_4), envelope[2])
-    # heading and place follow the velocities by Simpson's rule, with two sines a step;
     # the velocities in the middle are those of a cubic through both ends
     u_m = _bounded(0.5 * (u_1 + u) + 0.125 * h * (du_1 - du_4), envelope[0])
     v_m = _bounded(0.5 * (v_1 + v) + 0.125 * h * (dv_1 - dv_4), envelope[1])
@@ -140,130 +215,13 @@ def _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms):
     now[6], now[7] = c_1, s_1
 
 
-@kernel
-def roll_out(
-    s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain, out, out_act, room
-):
-    """Predict the motion under a plan of commands, actuators included.
-
-    Runge-Kutta of fourth order at steps of at most :data:`STEP_MAX`. The velocities are held
-    within an envelope throughout, so that the worst parameters give a finite motion.
-
-    Parameters
-    ----------
-    s_0 : (6,) array
-        State at the start: x, y (m), psi (rad), u, v (m/s), r (rad/s).
-    xi : (p,) array
-        Parameters.
-    act_0 : (4,) array
-        Actuators at the start: in the unit of the structure, rad.
-    plan : (K, 4) array
-        Commands; row k is in force from k to k + 1 times ``dt_plan``.
-    dt_plan : float
-        Time between rows, s.
-    lags : (3,) array
-        Time constants of shaft speed and drive angle, s, above 0; largest turning speed of
-        the drives, rad/s.
-    envelope : (3,) array
-        Largest abs(u), abs(v), m/s, and abs(r), rad/s.
-    wind, kit
-        See :func:`derivative`; the wind stays.
-    ripple : (K, 3) or (0, 3) array
-        Velocities that carry the boat along and act on her as ``gain`` says (waves), on average
-        over each row, m/s and rad/s; they are not in ``out[:, 3:]``.
-    gain : float
-        How much of them the boat's own velocities take on, 1/s: that of an observer which counts
-        as ripple what it leaves of the measured ones. Above 0, u and v also turn against the
-        ripple's yaw rate, see :func:`slip`. At 0 ripple carries her, no more.
-    out : (K, 6) array
-        Row k is the state at the end of row k of the plan ...
-    out_act : (K, 4) array
-        ... and this the actuators then.
-    room : (ROOM,) array
-        Scratch.
-
-    Source: Eq (25)-(27), with Eq (27) replaced by ``usv_kernel.scalar.actuate``.
-    """
-    many, K = 1, plan.shape[0]
-    start = room[ROOM - N_STATES : ROOM]
-    for k in range(N_STATES):
-        start[k] = s_0[k]
-    _roll(
-        *(shaped(start, 0, (many, N_STATES)), shaped(xi, 0, (many, xi.shape[0]))),
-        *(act_0, plan, dt_plan),
-        *(lags, envelope, wind, kit, shaped(ripple, 0, (many, ripple.shape[0], 3)), gain),
-        *(shaped(out, 0, (many, K, N_STATES)), out_act, room),
-    )
-
-
-@kernel
-def roll_outs(
-    s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain, out, out_act, room
-):
-    """Predict several motions under one plan; the actuators are followed once.
-
-    Parameters
-    ----------
-    s_0, xi, ripple, out : (D, ...) arrays
-        Those of :func:`roll_out`, one motion's after the other.
-    act_0, plan, dt_plan, lags, envelope, wind, kit, gain, out_act
-        See :func:`roll_out`.
-    room : (ROOM D,) array
-        Scratch.
-    """
-    _roll(
-        *(s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain),
-        *(out, out_act, room),
-    )
-
-
 @inlined
-def _moves(act, command):
-    """Return whether an actuator has not arrived at its command."""
-    moves = False
-    for k in range(N_ACT):
-        moves = moves or act[k] != command[k]
-    return moves
+def rotate_body_velocity(w, h, s, at):
+    """Rotate u and v against a wave that turns the hull at a rate w for h seconds.
 
-
-@inlined
-def _rooms(room, D):
-    """Return views: terms at start, middle and end of a step, sines of the drives, D motions."""
-    end = 3 * N_TERMS + N_ACT
-    return (
-        shaped(room, 0, (3, N_TERMS)),
-        room[3 * N_TERMS : end],
-        shaped(room, end, (D, _MOTION)),
-    )
-
-
-@inlined
-def _motion(row):
-    """Return the parts of a motion as views, see ``_MOTION``."""
-    return row[:_THRUST], shaped(row, _THRUST, (3, 3)), shaped(row, _SHARES, (N_TERMS, 4))
-
-
-@kernel
-def _begin(s_0, xi, act_0, envelope, kit, room):
-    """Write to the room what :func:`_sail` goes on from."""
-    terms, turned, motions = _rooms(room, s_0.shape[0])
-    for d in range(s_0.shape[0]):
-        now, _, shares = _motion(motions[d])
-        for k in range(3):
-            now[k] = s_0[d, k]
-            now[3 + k] = _bounded(s_0[d, 3 + k], envelope[k])
-        now[7], now[6] = sincos(s_0[d, 2])
-        gather(kit, xi[d], shares)
-    _turn_drives(act_0, turned)
-    _thrust(act_0, turned, terms[2])
-
-
-@inlined
-def slip(w, h, s, at):
-    """Let her keep way over ground while a wave turns her at a rate w for h seconds.
-
-    What turns her alone leaves the velocity over ground: u and v turn the other way. The water that
-    moves with her sides makes her near twice as heavy in sway, and v by :data:`SWAY_SLIP` slower.
+    What turns the hull alone leaves the velocity over ground: u and v turn the other way. The
+    water that moves with its sides makes it near twice as heavy in sway, and v by
+    :data:`SWAY_SLIP` slower.
 
     Parameters
     ----------
@@ -276,159 +234,95 @@ def slip(w, h, s, at):
     s[at + 1] -= SWAY_SLIP * h * w * s[at]
 
 
-@kernel
-def _sail(act, command, span, steps, lags, envelope, wind, hull, ripple, gain, row, moved, room):
-    """Advance all motions by ``span`` in so many steps; return whether actuators moved in the last.
-
-    ``moved`` is what the span before returned, True at the start.
-    """
-    D = ripple.shape[0]
-    terms, turned, motions = _rooms(room, D)
-    a, b, w = 0.0, 0.0, 0.0
-    h = span / steps
-    for _ in range(steps):
-        moves = _moves(act, command)
-        if moves or moved:  # else the terms of the actuators stay
-            for k in range(LEFT_COS, N_TERMS):
-                terms[0, k] = terms[2, k]
-            if moves:
-                follow_all(act, command, lags, 1.0, 0.5 * h)
-                _turn_drives(act, turned)
-            _thrust(act, turned, terms[1])
-            if moves:
-                follow_all(act, command, lags, 1.0, 0.5 * h)
-                _turn_drives(act, turned)
-            _thrust(act, turned, terms[2])
-        for d in range(D):
-            now, thrust, shares = _motion(motions[d])
-            if moves or moved:
-                for k in range(3):
-                    thrust_rates(terms[k], shares, thrust[k])
-            if ripple.shape[1] > 0:
-                a, b, w = ripple[d, row, 0], ripple[d, row, 1], ripple[d, row, 2]
-            _advance(now, shares, thrust, a, b, w, h, envelope, wind, hull, terms)
-            if ripple.shape[1] > 0 and gain > 0.0:
-                slip(w, h, now, 3)
-                now[3] = _bounded(now[3] + gain * h * a, envelope[0])
-                now[4] = _bounded(now[4] + gain * h * b, envelope[1])
-                now[5] = _bounded(now[5] + gain * h * w, envelope[2])
-        moved = moves
-    return moved
+@inlined
+def _moves(act, command):
+    """Return whether an actuator has not arrived at its command."""
+    moves = False
+    for k in range(N_ACT):
+        moves = moves or act[k] != command[k]
+    return moves
 
 
 @kernel
-def _roll(
-    s_0, xi, act_0, plan, dt_plan, lags, envelope, wind, kit, ripple, gain, out, out_act, room
-):
-    """Roll out as :func:`roll_outs` does."""
-    D, moved = s_0.shape[0], True
-    motions = _rooms(room, D)[2]
-    steps = max(math.ceil(dt_plan / STEP_MAX - 1e-9), 1)
-    _begin(s_0, xi, act_0, envelope, kit, room)
-    for row in range(plan.shape[0]):
-        act = out_act[row]
-        for k in range(N_ACT):
-            act[k] = out_act[row - 1, k] if row > 0 else act_0[k]
-        moved = _sail(
-            *(act, plan[row], dt_plan, steps, lags, envelope, wind, kit[2], ripple, gain, row),
-            *(moved, room),
-        )
-        for d in range(D):
-            for k in range(N_STATES):
-                out[d, row, k] = motions[d, k]
+def rollout(start, plan, dt, config, waves, out, work):
+    """Predict motions under a plan of commands; the actuators are followed once for all.
 
-
-LOOK_AHEAD = np.array([1.0, 2.0, 5.0, 10.0])
-"""How far ahead an observation looks, s."""
-
-_LONGEST, _STIFFEST = 1.6, 1.3
-"""Longest step of :func:`look_ahead`, in times to sail a length and in the model's own times."""
-
-_STEPS_MAX = 100.0
-"""No more steps from one time to the next: a model as stiff as that is wild at any step."""
-
-_NEAR = 1e-3
-"""An actuator so near to its command (as a part of it) has arrived, in :func:`look_ahead`."""
-
-
-@kernel
-def _stiffness(now, shares, thrust, time_scale, wind, hull, terms):
-    """Return how fast the model's fastest motion dies away, 1/s; surge by itself.
-
-    Radius of the spectrum of the Jacobian, by differences.
-    """
-    u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
-    length = hull[LENGTH]
-    du, dv, dr = _rates(u, v, r, c, s, wind, hull, shares, thrust, terms)
-    small = 1e-3 * length / time_scale
-    du_u, _, _ = _rates(u + small, v, r, c, s, wind, hull, shares, thrust, terms)
-    _, dv_v, dr_v = _rates(u, v + small, r, c, s, wind, hull, shares, thrust, terms)
-    _, dv_r, dr_r = _rates(u, v, r + small / length, c, s, wind, hull, shares, thrust, terms)
-    vv, rr = (dv_v - dv) / small, (dr_r - dr) / small * length
-    half = 0.5 * (vv + rr)
-    bent = half * half - vv * rr + (dv_r - dv) / small * length * (dr_v - dr) / small
-    fast = abs(half) + math.sqrt(bent) if bent > 0.0 else math.sqrt(half * half - bent)
-    return max(fast, abs(du_u - du) / small)
-
-
-@kernel
-def look_ahead(
-    s, xi, act, command, lags, envelope, wind, kit, time_scale, ripple, gain, out, out_act, room
-):
-    """Predict the motion under a held command at a few times, cheaply.
-
-    As :func:`roll_out`, at steps as long as the model's stiffness allows. With a learned model
-    mostly within 1e-3 of the way made of what that says; within 1e-2 in nine of ten random states
-    of a model drawn from the prior, of which two in a hundred are off by more than 5e-2.
+    Runge-Kutta of fourth order at steps of at most :data:`GRID`. The velocities are held
+    within an envelope throughout, so that the worst parameters give a finite motion.
 
     Parameters
     ----------
-    s, xi, act, lags, envelope, wind, kit, room
-        See :func:`roll_out`.
-    command : (4,) array
-        Held all the time; in the unit of the structure, rad.
-    slowness : float
-        Time to sail a length, s.
-    ripple : (4, 3) or (0, 3) array
-        Velocities of the waves, on average from each of the times to the next.
-    gain : float
-        See :func:`roll_out`.
-    out, out_act : (4, 6), (4, 4) arrays
-        States and actuators at :data:`LOOK_AHEAD` are written there.
+    start : RolloutStart
+        Where the motions begin.
+    plan : (K, 4) array
+        Commands in the unit of the structure, rad; row k is in force from k to k + 1 times ``dt``.
+    dt : float
+        Time between rows, s.
+    config : RolloutConfig
+        Boat and model.
+    waves : Waves
+        At a gain above 0, that of an observer which counts as waves what it leaves of the measured
+        velocities, u and v also turn against the waves' yaw rate. At 0 waves carry the boat, no more.
+    out : Paths
+        Written.
+    work : array
+        Scratch, as long as :func:`rollout_size` says.
+
+    Source: Eq (25)-(27), with Eq (27) replaced by ``usv_kernel.scalar.actuate``.
     """
-    many, before, moved = 1, 0.0, True
-    terms, turned, motions = _rooms(room, many)
-    start = room[ROOM - N_STATES : ROOM]
-    for k in range(N_STATES):
-        start[k] = s[k]
-    _begin(
-        *(shaped(start, 0, (many, N_STATES)), shaped(xi, 0, (many, xi.shape[0]))),
-        *(act, envelope, kit, room),
-    )
-    waves = shaped(ripple, 0, (many, ripple.shape[0], 3))
-    for j in range(LOOK_AHEAD.shape[0]):
-        now, span = out_act[j], LOOK_AHEAD[j] - before
-        before = LOOK_AHEAD[j]
+    D, wind, moved = start.states.shape[0], start.wind, True
+    lags, envelope, hull = config.lags, config.envelope, config.model.hull
+    velocity, gain = waves.velocity, waves.gain
+    scratch = _workspace(work, D)
+    terms, turned = scratch.terms, scratch.turned
+    steps = max(math.ceil(dt / GRID - 1e-9), 1)
+    h = dt / steps
+    a, b, w = 0.0, 0.0, 0.0
+    for d in range(D):
+        motion = _motion(scratch.motions[d])
+        now, state = motion.now, start.states[d]
+        for k in range(3):
+            now[k] = state[k]
+            now[3 + k] = _bounded(state[3 + k], envelope[k])
+        now[7], now[6] = sincos(state[2])
+        gather(config.model, start.params[d], motion.shares)
+    _turn_drives(start.act, turned)
+    _thrust(start.act, turned, terms[2])
+    for row in range(plan.shape[0]):
+        act, command = out.act[row], plan[row]
         for k in range(N_ACT):
-            now[k] = out_act[j - 1, k] if j > 0 else act[k]
-        sailed, thrust, shares = _motion(motions[0])
-        thrust_rates(terms[2], shares, thrust[2])
-        fast = _stiffness(sailed, shares, thrust[2], time_scale, wind, kit[2], terms[2])
-        step = time_scale * min(_LONGEST, _STIFFEST / max(fast * time_scale, 1e-9))
-        steps = max(math.ceil(min(span / step, _STEPS_MAX)), 1)
-        moved = _sail(
-            *(now, command, span, steps, lags, envelope, wind, kit[2], waves, gain, j),
-            *(moved, room),
-        )
-        for k in range(N_STATES):
-            out[j, k] = motions[0, k]
-        for k in range(N_ACT):
-            if now[k] != command[k] and abs(now[k] - command[k]) <= _NEAR * abs(command[k]):
-                now[k] = command[k]
-                moved = True
-        if moved:
-            _turn_drives(now, turned)
-            _thrust(now, turned, terms[2])
+            act[k] = out.act[row - 1, k] if row > 0 else start.act[k]
+        for _ in range(steps):
+            moves = _moves(act, command)
+            if moves or moved:  # else the terms of the actuators stay
+                for k in range(LEFT_COS, N_TERMS):
+                    terms[0, k] = terms[2, k]
+                if moves:
+                    follow_all(act, command, lags, 1.0, 0.5 * h)
+                    _turn_drives(act, turned)
+                _thrust(act, turned, terms[1])
+                if moves:
+                    follow_all(act, command, lags, 1.0, 0.5 * h)
+                    _turn_drives(act, turned)
+                _thrust(act, turned, terms[2])
+            for d in range(D):
+                motion = _motion(scratch.motions[d])
+                now = motion.now
+                if moves or moved:
+                    for k in range(3):
+                        thrust_rates(terms[k], motion.shares, motion.thrust[k])
+                if velocity.shape[1] > 0:
+                    a, b, w = velocity[d, row, 0], velocity[d, row, 1], velocity[d, row, 2]
+                _rk4_step(motion, (a, b, w), h, envelope, wind, hull, terms)
+                if velocity.shape[1] > 0 and gain > 0.0:
+                    rotate_body_velocity(w, h, now, 3)
+                    now[3] = _bounded(now[3] + gain * h * a, envelope[0])
+                    now[4] = _bounded(now[4] + gain * h * b, envelope[1])
+                    now[5] = _bounded(now[5] + gain * h * w, envelope[2])
+            moved = moves
+        for d in range(D):
+            for k in range(N_STATES):
+                out.states[d, row, k] = scratch.motions[d, k]
 
 
 def upsample(path: Array, every: int, rows: int) -> Array:

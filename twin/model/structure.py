@@ -20,7 +20,7 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
     heading, once and twice around: wind and waves turn a boat that lies across them, and what
     nobody measures must be learned. Left and right propeller enter
-    as their mean and difference, because nothing tells them apart when they turn alike. A tanker
+    as their mean and difference, because nothing tells them apart when they turn at the same speed. A tanker
     has one propeller: in the place of the difference, N_dn is the turning of one that runs astern.
     Behind it, flow from port is not straightened as flow from starboard is: Y_S and N_S, of tankers
     alone, are what the rudder's lift gains from one side and loses from the other.
@@ -28,14 +28,15 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
 current do and the model does not know; they enter surge and sway together.
 
-Source: Qu et al. 2025, Eq (20)-(22), with the corrections of physics.md section 10; twin.md
-section 14.2.
+Source: Qu et al. 2025, Eq (20)-(22), with the corrections of
+docs/explanation/ship_and_sea.md, What the paper gets wrong; docs/explanation/twin.md, Tankers.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ __all__ = [
     "MODELS",
     "N_STATES",
     "N_TERMS",
-    "Kit",
+    "ModelTerms",
     "Structure",
     "StructureError",
     "accelerations",
@@ -68,8 +69,14 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-Kit = tuple[NDArray[np.uint64], NDArray[np.int64], Array]
-"""What kernels take of a structure: terms, limits and hull constants."""
+
+class ModelTerms(NamedTuple):
+    """What kernels take of a structure."""
+
+    which: NDArray[np.uint64]  # (3, p) term of each parameter in surge, sway and yaw
+    limits: NDArray[np.int64]  # (6, 2) columns of (s, xi) that the rate of each state depends on
+    hull: Array  # (4,) constants: FULL, BIASED, LENGTH, SOFT
+
 
 N_STATES = 6
 """States that stand before the parameters in a joint vector: x, y, psi, u, v, r."""
@@ -106,7 +113,7 @@ WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
 
 STRAIGHTENING, LEVER = 0.5, 0.71
-"""Flow straightening and effective lever over length at the stern. Source: twin.md 14.2."""
+"""Flow straightening and effective lever over length at the stern. Source: docs/explanation/twin.md, Tankers."""
 
 
 @inlined
@@ -197,18 +204,22 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
 
 
 @kernel
-def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
+def term_slopes(velocity, heading, wind, hull, terms, slopes):
     """Write the derivatives of the state's terms by u, v, r and psi.
 
     Parameters
     ----------
-    u, v, r, cos_psi, sin_psi, wind, hull
+    velocity, heading : tuple of float
+        u, v (m/s), r (rad/s); cosine and sine of the heading.
+    wind, hull
         See :func:`state_terms`.
     terms : (50,) array
         As :func:`state_terms` left it.
     slopes : (4, 50) array
         Written where a derivative is not always 0; hand in zeros.
     """
+    u, v, r = velocity
+    cos_psi, sin_psi = heading
     slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
     slopes[1, VR], slopes[2, VR], slopes[2, RR] = r, v, 2.0 * r
     slopes[0, U], slopes[1, V], slopes[2, R] = 1.0, 1.0, 1.0
@@ -265,14 +276,14 @@ def term_slopes(u, v, r, cos_psi, sin_psi, wind, hull, terms, slopes):
 
 
 @inlined
-def accelerations(terms, kit, xi, first):
+def accelerations(terms, model, xi, first):
     """Return the three accelerations from terms and parameters.
 
     Parameters
     ----------
     terms : (50,) array
         All terms.
-    kit : tuple
+    model : ModelTerms
         Of the structure.
     xi : (first + p,) array
         Parameters, from entry ``first`` on.
@@ -287,16 +298,16 @@ def accelerations(terms, kit, xi, first):
     Source: Eq (20), (23).
     """
     return (
-        _sum(0, terms, kit, xi, first),
-        _sum(1, terms, kit, xi, first),
-        _sum(2, terms, kit, xi, first),
+        _sum(0, terms, model, xi, first),
+        _sum(1, terms, model, xi, first),
+        _sum(2, terms, model, xi, first),
     )
 
 
 @inlined
-def _sum(i, terms, kit, xi, first):
+def _sum(i, terms, model, xi, first):
     """Return one of :func:`accelerations`."""
-    which, limits, _ = kit
+    which, limits = model.which, model.limits
     low, high = limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES
     term, factor = which[i, low:high], xi[first + low :]
     total = 0.0
@@ -306,19 +317,19 @@ def _sum(i, terms, kit, xi, first):
 
 
 @kernel
-def gather(kit, xi, shares):
+def gather(model, xi, shares):
     """Write what each term adds to the accelerations, for many calls of :func:`rates`.
 
     Parameters
     ----------
-    kit : tuple
+    model : ModelTerms
         Of the structure.
     xi : (p,) array
         Parameters.
     shares : (50, 4) array
         Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
     """
-    which, limits, _ = kit
+    which, limits = model.which, model.limits
     shares[:] = 0.0
     for i in range(3):
         for k in range(limits[3 + i, 0] - N_STATES, limits[3 + i, 1] - N_STATES):
@@ -368,21 +379,19 @@ class Structure:
         Their units.
     scales : ndarray, shape (p,)
         Natural unit of each in powers of L, U and n, by which it becomes dimensionless.
-    kit : tuple
-        ``terms`` (3, p): term of each parameter in each equation; ``limits`` (6, 2): for each
-        state, first and last + 1 column of the joint vector (s, xi) that its rate depends on;
-        ``hull`` (4,): constants.
+    terms : ModelTerms
+        Terms, limits and hull constants, for kernels.
     n_unit : float
         Shaft speeds are multiplied by this before they enter the terms.
     mean, sd : ndarray, shape (p,)
-        What a hand would write down of each parameter before any data, in SI units.
+        Prior of each parameter before any data, in SI units.
     """
 
     name: str
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     scales: Array
-    kit: Kit
+    terms: ModelTerms
     n_unit: float
     mean: Array
     sd: Array
@@ -394,13 +403,13 @@ class Structure:
     @property
     def blocks(self) -> dict[str, tuple[int, int]]:
         """First and last + 1 of the parameters in the equations of surge, sway and yaw."""
-        first = (self.kit[1][3:] - N_STATES).tolist()
+        first = (self.terms.limits[3:] - N_STATES).tolist()
         return {name: (a, b) for name, (a, b) in zip(("surge", "sway", "yaw"), first, strict=True)}
 
 
 # name, unit, equation, term, powers of (L, U, n) in the natural unit, dimensionless mean and sd.
-# An equation "E" is surge and sway together. Source of means: twin.md section 13; those of
-# `mmg` are the same boat's at its usual speed.
+# An equation "E" is surge and sway together. Source of means: docs/explanation/twin.md, Identifiability; those of
+# `mmg` are the same boat's at its nominal speed.
 _PAPER = (
     ("X_uu", "1/m", "X", U_U, (-1, 0, 0), -0.1901, 0.06336),
     ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.1521, 0.3168),
@@ -495,7 +504,7 @@ _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
 
 # A laden ship of full form: more water than wind takes hold of (drag of 0.3 m2 of side and 0.06 m2
 # of front for each tonne of a 3 m model; centre of pressure forward in a quartering wind). The
-# race of a right-handed propeller that runs astern pushes her stern to port.
+# race of a right-handed propeller that runs astern pushes its stern to port.
 _TANKER: dict[str, tuple[int, float, float]] = {
     "X_w": (WIND_X, 0.0009, 0.0006),
     "Y_w": (WIND_Y, 0.002, 0.0012),
@@ -521,11 +530,11 @@ def structure_of(
     name : str
         One of :data:`MODELS`.
     length, speed, shaft_speed : float
-        On the waterline, m; usual speed, m/s, and shaft speed at it, rev/s.
+        On the waterline, m; nominal speed, m/s, and shaft speed at it, rev/s.
     differential : bool
         The boat steers by unequal thrust.
     tanker : bool
-        She is a laden ship of full form, with one propeller.
+        It is a laden ship of full form, with one propeller.
     biased : bool
         Add the two earth-fixed accelerations where the structure has none.
 
@@ -544,9 +553,9 @@ def structure_of(
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
         rows[sway:sway] = _BIASES
-    told = _DIFFERENTIAL if differential else _TANKER if tanker else {}
+    special = _DIFFERENTIAL if differential else _TANKER if tanker else {}
     rows = [
-        (*row[:3], known[0], row[4], *known[1:]) if (known := told.get(row[0])) else row
+        (*row[:3], known[0], row[4], *known[1:]) if (known := special.get(row[0])) else row
         for row in rows
     ]
     equations = [row[2] for row in rows]
@@ -569,8 +578,10 @@ def structure_of(
         parameters=tuple(row[0] for row in rows),
         units=tuple(row[1] for row in rows),
         scales=scales,
-        kit=(which, limits, np.array([float(mixed), heading, length, (0.05 * speed) ** 2])),
-        # in `mmg` a shaft speed is the boat's speed that it usually gives
+        terms=ModelTerms(
+            which, limits, np.array([float(mixed), heading, length, (0.05 * speed) ** 2])
+        ),
+        # in `mmg` a shaft speed is the boat's speed that it gives in calm water
         n_unit=speed / shaft_speed if mixed else 1.0,
         mean=scales * np.array([row[5] for row in rows]),
         sd=scales * np.array([row[6] for row in rows]),

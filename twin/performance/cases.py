@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.digital_twin import Twin
-from twin.filters.ukf import measurement_update
+from twin.filters.ukf import measurement_update, workspace
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import JointUKF
-from twin.model.augmented import joint_predict
+from twin.model.augmented import JointConfig, JointState, JointWorkspace, joint_predict
 from twin.model.dynamics import derivative
 from twin.model.structure import N_STATES, N_TERMS
 from twin.performance.harness import BASELINE, Burst, Case
@@ -174,7 +174,7 @@ class Problem:
     def move(self, x: Array, dt: float) -> Array:
         """Return the model's step from one sigma point."""
         s, xi, ukf = x[:N_STATES], x[N_STATES:], self.ukf
-        derivative(s, xi, ukf.act, ukf.wind, ukf.kit, self._terms, self._rate)
+        derivative(s, xi, ukf.act, ukf.wind, ukf.terms, self._terms, self._rate)
         return np.concatenate([s + dt * self._rate, xi])
 
     def begin(self) -> None:
@@ -184,9 +184,11 @@ class Problem:
     def arguments(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Return those of the two kernels of the structured filter, prediction and correction."""
         ukf, mask = self.ukf, np.ones(N_STATES, dtype=bool)
-        step = (H, self.Q, self.settings.q_xi, ukf.weights, self._terms, ukf.work)
-        before = (ukf.x, ukf.P, ukf.act, ukf.wind, ukf.kit, *step)
-        return before, (ukf.x, ukf.P, self.z, mask, self.R, ANGLE, math.inf, ukf.work)
+        sigma = workspace(N_STATES, len(ukf.xi))
+        state = JointState(ukf.x, ukf.P, ukf.act, ukf.wind)
+        scratch = JointWorkspace(self.Q, self.settings.q_xi, self._terms, sigma)
+        before = (state, H, JointConfig(ukf.terms, ukf.weights), scratch)
+        return before, (ukf.x, ukf.P, self.z, mask, self.R, ANGLE, math.inf, sigma)
 
     def filterpy(self) -> Any:
         """Return filterpy's filter at the start."""

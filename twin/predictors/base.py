@@ -1,8 +1,7 @@
-"""Predictors: what they are asked, what they answer, and the simple ones.
+"""The contract of predictors: rows of measurements and commands in, forecasts out.
 
-A predictor is fed one row of measurements and commands after the other, and may at any time
-be asked where the boat will be under a plan of commands. It sees nothing else: not the truth,
-not the future beyond the plan, not another predictor.
+A predictor takes one row after the other, and forecasts the motion under a plan of commands at
+any time. It uses neither the truth, nor later rows, nor another predictor.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State, restore_attributes, saved_attributes
 from twin.identification.identifiability import Identifiability
 from twin.particulars import Particulars
 
@@ -34,7 +34,7 @@ Z90 = 1.6448536269514722
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a predictor believes now.
+    """State and parameters, estimated by a predictor.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Where the boat will be, and how sure that is.
+    """Forecast states and their uncertainty.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Prediction:
     start, start_cov : ndarray, shapes (6,), (6, 6)
         State that it starts from, in the order of :data:`CHANNELS`, and its covariance.
     t : ndarray, shape (K,)
-        Times that it speaks of, s.
+        Times of the forecast, s.
     mean : ndarray, shape (K, 6)
         Predicted states; heading not wrapped.
     cov : ndarray, shape (K, 6, 6)
@@ -138,7 +138,7 @@ class Predictor(ABC):
     Parameters
     ----------
     particulars : Particulars
-        What is known of the boat beforehand.
+        Main particulars and instruments.
     seed : int
         For predictors that draw random numbers; the same seed gives the same bits.
     """
@@ -154,12 +154,23 @@ class Predictor(ABC):
     parameter_blocks: Mapping[str, tuple[int, int]] = MappingProxyType({})
     """... and first and last + 1 of those in the equation of each motion."""
     needs_simulator = False
-    """Whether the class takes ``vessel``, ``sea`` and ``dof``: the true ones, for a floor."""
+    """Whether the class takes the simulator's ``vessel``, ``sea`` and ``dof``."""
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
+    constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
+    """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
+    A subclass names its own; those of its bases count too."""
+    made_with: tuple[tuple[Any, ...], dict[str, Any]]
+    """Arguments of the constructor, with which a copy is made."""
+
+    def __new__(cls, *args: Any, **options: Any) -> Any:
+        """Keep the constructor's arguments."""
+        predictor = super().__new__(cls)
+        predictor.made_with = args, options
+        return predictor
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Leave the tuning of a subclass unstated: it is not that of its base."""
+        """Leave the tuning of a subclass unstated."""
         super().__init_subclass__(**options)
         if "tuning" not in vars(cls):
             cls.tuning = "not stated"
@@ -171,8 +182,7 @@ class Predictor(ABC):
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances (..., 6, 6) with the drifting part of the GPS error added.
 
-        It is the same at every time of a prediction, and no filter can tell it from the
-        position.
+        It is the same throughout a prediction, and no filter can tell it from the position.
         """
         cov = cov.copy()
         for i in (0, 1):
@@ -181,7 +191,7 @@ class Predictor(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """Return to the state before the first row."""
 
     @abstractmethod
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
@@ -192,28 +202,28 @@ class Predictor(ABC):
         t, dt : float
             Time of the row and time since the row before, s; dt is 0 in the first row.
         z : ndarray, shape (10,)
-            Measurements in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
+            Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
         cmd : ndarray, shape (4,)
             Command that was in force since the row before, in the order of
-            ``twin.logs.log.COMMANDS``.
+            ``twin.channels.COMMANDS``.
         """
 
     @property
     @abstractmethod
     def state(self) -> Array:
-        """State believed now, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
+        """Estimated state, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
 
     @abstractmethod
     def estimate(self) -> Estimate:
-        """Return what is believed now."""
+        """Return the estimate after the last row."""
 
     @property
     def window_s(self) -> float:
-        """Length of the data that the identifier looks back on now, s; NaN where it does not."""
+        """Length of the identifier's window of data, s; NaN where it has none."""
         return math.nan
 
     def identifiability(self) -> Identifiability | None:
-        """Return what the data seen say of the parameters; None where there is no model."""
+        """Return how well the data determine the parameters; None where there is no model."""
         return None
 
     def mean(self, plan: Array, dt: float) -> Array:
@@ -225,6 +235,49 @@ class Predictor(ABC):
             As for :meth:`predict`.
         """
         return self.predict(plan, dt).mean
+
+    def _left_out(self) -> set[str]:
+        """Return the constants of the class and its bases, and the constructor's arguments."""
+        names = {name for kind in type(self).__mro__ for name in vars(kind).get("constants", ())}
+        given = [*self.made_with[0], *self.made_with[1].values()]
+        plain = (bool, int, float, str, type(None), np.ndarray, list)
+        return names | {
+            name
+            for name, value in vars(self).items()
+            if not isinstance(value, plain) and any(value is one for one in given)
+        }
+
+    def state_dict(self) -> State:
+        """Return all that the predictor remembers, as fields by name.
+
+        This one walks the attributes: see :func:`twin.checkpoint.saved_attributes`.
+
+        Returns
+        -------
+        dict of str to ndarray, float, int, bool, str or None
+            Copies.
+
+        Raises
+        ------
+        StateError
+            Names an attribute that cannot be saved.
+        """
+        return saved_attributes(self, self._left_out())
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned, of the same class, boat and options.
+
+        Parameters
+        ----------
+        state : dict
+            Fields by name.
+
+        Raises
+        ------
+        StateError
+            Names the field that does not fit, and the remedy.
+        """
+        restore_attributes(self, state, self._left_out())
 
     @abstractmethod
     def predict(self, plan: Array, dt: float) -> Prediction:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import ANY, GAPS, Field, State, StateError, restore_attributes
 from twin.filters.navigation_ekf import Navigator
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
@@ -23,7 +24,7 @@ __all__ = [
 Array = NDArray[Any]
 
 GAP_MAX = 300.0
-"""After a longer gap, s, a history begins anew."""
+"""After a longer gap, s, a history starts again."""
 
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
@@ -60,15 +61,16 @@ def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
 
 
 class HistoryPredictor(Predictor):
-    """A predictor that looks back on its navigation filter's states, on an even grid.
+    """A predictor from the past states of its navigation filter, on an even grid.
 
-    Its bands come from its own forecasts of the last :attr:`memory` seconds: the root mean
-    square of their errors at each horizon, judged by what the navigation filter said later.
+    Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the
+    root mean square of their errors at each horizon, against later navigation states.
 
     Subclasses provide :meth:`forecast`.
     """
 
     memory = 90.0
+    constants = ("_errors", "_errors_at")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         super().__init__(particulars, seed=seed)
@@ -76,16 +78,40 @@ class HistoryPredictor(Predictor):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """See :meth:`Predictor.reset`."""
         self.navigator.reset()
         self.t = 0.0
         self._cmd = np.zeros(4)
-        self._beside = np.zeros(0)
+        self._extra = np.zeros(0)
         self._last = np.zeros(10)
         self._rows: list[Array] = []
         self._next = math.inf
         self._errors_at = -math.inf
         self._errors = np.zeros((0, 6))
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
+        state = super().state_dict()
+        state["rows"] = np.array(self._rows).reshape(-1, len(self._last))
+        return state
+
+    def fields(self) -> dict[str, Field]:
+        """Return what the fields of a saved state may hold, where attributes do not say it."""
+        return {
+            **{"t": ANY, "cmd": ANY, "extra": GAPS, "last": GAPS, "next": Field(infinite=True)},
+            "rows": Field(nan=True, shape=(None, len(self._last))),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        restore_attributes(self, state, self._left_out(), self.fields())
+        if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
+            raise StateError(
+                f"field 'next' = {self._next} is not within {2.0 * GRID} s of t = {self.t}; use an "
+                "earlier copy of the file"
+            )
+        # errors of past forecasts follow from the history
+        self._errors_at = -math.inf
 
     @abstractmethod
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
@@ -95,7 +121,7 @@ class HistoryPredictor(Predictor):
         ----------
         rows : ndarray, shape (M, 10 + n)
             History every :data:`GRID` seconds: six states, then the four commands that were
-            in force before the row, then what :meth:`beside` gave.
+            in force before the row, then what :meth:`extra_columns` gave.
         origins : ndarray of int, shape (B,)
             Rows to start from; only rows up to and with each may be used for it.
         plans : ndarray, shape (B, K, 4)
@@ -107,9 +133,9 @@ class HistoryPredictor(Predictor):
             States at the ends of the steps.
         """
 
-    def beside(self, dt: float) -> Array:
-        """Return what a subclass keeps beside the row that just came, shape (n,)."""
-        return self._beside
+    def extra_columns(self, dt: float) -> Array:
+        """Return the extra columns that a subclass keeps with each row, shape (n,)."""
+        return self._extra
 
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan; see :meth:`Predictor.predict`."""
@@ -119,7 +145,7 @@ class HistoryPredictor(Predictor):
         middle = (np.arange(K) + 0.5) * GRID
         grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
         start = self.navigator.n[:6]
-        rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._beside])])
+        rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._extra])])
         path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
         path = np.concatenate([start[None], np.nan_to_num(path)])
         times = GRID * np.arange(K + 1)
@@ -130,11 +156,11 @@ class HistoryPredictor(Predictor):
         self.t = t
         s = self.navigator.update(dt, z)
         self._cmd = np.array(cmd, dtype=np.float64)
-        self._beside = self.beside(dt)
+        self._extra = self.extra_columns(dt)
         if not self.navigator.ready:
             return
-        now = np.concatenate([s, self._cmd, self._beside])
-        if dt > GAP_MAX:  # nothing on the far side of it bears on what comes
+        now = np.concatenate([s, self._cmd, self._extra])
+        if dt > GAP_MAX:  # the history before a long gap is of no use
             self._rows.clear()
             self._errors_at = self._next = -math.inf
         if not math.isfinite(self._next):
@@ -154,7 +180,7 @@ class HistoryPredictor(Predictor):
         return self.navigator.n[:6]
 
     def estimate(self) -> Estimate:
-        """Return what is believed now."""
+        """See :meth:`Predictor.estimate`."""
         sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[:6, :6])))
         none = np.zeros(0)
         return Estimate(self.t, self.state.copy(), sd, none, none, self.navigator.ready)
@@ -166,7 +192,7 @@ class HistoryPredictor(Predictor):
         errors = self._own_errors()
         known = GRID * np.arange(1, len(errors) + 1)
         grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
-        # further than was ever looked back, place and heading part at the same pace
+        # beyond the longest known horizon, errors of position and heading grow linearly
         grow[:, :3] *= np.maximum(after / known[-1], 1.0)[:, None]
         start_cov = self.with_common_error(self.navigator.P[:6, :6])
         cov = np.repeat(start_cov[None], len(plan), axis=0)

@@ -19,24 +19,43 @@ Source: Qu et al. 2025, sections 3.2.2 and 3.2.3.
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import MEASUREMENTS
+from twin.checkpoint import (
+    COUNT,
+    GAPS,
+    Field,
+    State,
+    StateError,
+    check_fields,
+    load_part,
+    with_prefix,
+)
 from twin.filters.late_fusion import LateFusion
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.ukf import measurement_update
 from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings
-from twin.identification.joint_ukf import PSI, advance, hold_inside, parts, rooms, see
+from twin.identification.joint_ukf import (
+    PSI,
+    accumulate_information,
+    advance,
+    clip_velocities,
+    filter_config,
+    filter_state,
+    filter_workspace,
+)
 from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
 from twin.model.dynamics import N_ACT, all_terms, model_of
 from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.ukf import ModelPredictor
-from usv_kernel.arrays import stack
-from usv_kernel.jit import kernel, py_func
+from usv_kernel.arrays import alloca_f64
+from usv_kernel.jit import kernel
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -51,6 +70,9 @@ Array = NDArray[np.float64]
 WINDOWS = ("dynamic", "fixed", "off")
 
 ADAPTED = ("Q", "R", "QR")
+
+ROWS_MAX = 100_000
+"""Longest window, rows."""
 
 RATED_SHAFT_SPEED = 380.0 / 60.0
 """Rated shaft speed of the paper, rev/s: the unit in which its thrust parameters are sized."""
@@ -129,51 +151,80 @@ RIDGE = 1e-9
 _WIND, _ACCEL_Y = MEASUREMENTS.index("wind_mps"), MEASUREMENTS.index("accel_y_mps2")
 
 
-@kernel
-def _rerun(states, cmds, dts, first, count, innovation, memory, constants, scratch, work, kit):
-    """Run the filter over ``count`` rows of the ring buffers from row ``first`` on.
+class _Filter(NamedTuple):
+    """A joint filter, flat."""
 
-    The innovation of the last row and its expected variances end in ``innovation``, (2, 6).
-    """
-    x, P, _, _, _, _, r, _, _, _, _, _ = parts(memory, constants, kit)
-    _, R, _, _, mask, _, _ = rooms(scratch, kit)
-    size = states.shape[0]
+    memory: Any  # see FilterState
+    config: Any  # see FilterConfig
+    model: Any  # ModelTerms
+    work: Any  # see FilterWorkspace
+
+
+class _Ring(NamedTuple):
+    """The last rows, in a ring."""
+
+    states: Any  # (M, 6) fused states
+    acts: Any  # (M, 4) actuators before the row
+    cmds: Any  # (M, 4) commands
+    dts: Any  # (M,) times since the row before, s
+    innovation: Any  # (2, 6) innovation of the last row, and its expected variances
+
+
+@kernel
+def _rerun(first, count, ring, joint):
+    """Run the filter over ``count`` rows of the ring from row ``first`` on."""
+    model = joint.model
+    state, config = filter_state(joint.memory, model), filter_config(joint.config, model)
+    work = filter_workspace(joint.work, model.which.shape[1])
+    x, P, size = state.x, state.P, ring.states.shape[0]
     for i in range(N_STATES):
-        R[i, i] = r[i]
-        mask[i] = 1.0
+        work.R[i, i] = config.r[i]
+        work.mask[i] = 1.0
     for j in range(count):
         row = (first + j) % size
-        advance(dts[row], cmds[row], memory, constants, scratch, work, kit)
+        advance(ring.dts[row], ring.cmds[row], state, config, work)
         for i in range(N_STATES):
-            innovation[0, i] = states[row, i] - x[i]
-            innovation[1, i] = P[i, i] + r[i]
-        measurement_update(x, P, states[row], mask, R, PSI, math.inf, work)
+            ring.innovation[0, i] = ring.states[row, i] - x[i]
+            ring.innovation[1, i] = P[i, i] + config.r[i]
+        z = ring.states[row]
+        measurement_update(x, P, z, work.mask, work.R, PSI, math.inf, work.sigma)
 
 
 @kernel
-def _restart(
-    states, acts, cmds, dts, first, count, innovation, memory, constants, scratch, work, kit
-):
+def _restart(first, count, ring, joint):
     """Run the filter over the ``count`` rows after ``first`` once more, from what it measured.
 
     Parameters and their covariance go on as they are, and the actuators end where they were.
     """
-    x, P, act, _, _, _, _, p0, _, _, _, _ = parts(memory, constants, kit)
-    now, size = stack(N_ACT), states.shape[0]
+    model = joint.model
+    state, config = filter_state(joint.memory, model), filter_config(joint.config, model)
+    x, P, act = state.x, state.P, state.act
+    now, size = alloca_f64(N_ACT), ring.states.shape[0]
     for k in range(N_ACT):
-        now[k], act[k] = act[k], acts[(first + 1) % size, k]
+        now[k], act[k] = act[k], ring.acts[(first + 1) % size, k]
     for i in range(N_STATES):
-        x[i] = states[first, i]
+        x[i] = ring.states[first, i]
         row = P[i]
         row[:] = 0.0
-        P[i, i] = p0[i]
+        P[i, i] = config.p0[i]
     for k in range(N_STATES, x.shape[0]):
         row = P[k]
         for i in range(N_STATES):
             row[i] = 0.0
-    _rerun(states, cmds, dts, first + 1, count, innovation, memory, constants, scratch, work, kit)
+    _rerun(first + 1, count, ring, joint)
     for k in range(N_ACT):
         act[k] = now[k]
+
+
+@kernel
+def _finish_row(dt, joint):
+    """Clip the velocities, and count the regressors of the moment."""
+    model = joint.model
+    state, config = filter_state(joint.memory, model), filter_config(joint.config, model)
+    terms = filter_workspace(joint.work, model.which.shape[1]).terms
+    clip_velocities(state.x, config.envelope)
+    all_terms(state.x, state.act, state.wind, model, terms)
+    accumulate_information(dt, terms, state, model)
 
 
 class DSWPredictor(ModelPredictor):
@@ -276,8 +327,10 @@ class DSWPredictor(ModelPredictor):
                 raise ValueError(f"{name} = {value!r} is unknown; use one of {', '.join(known)}")
         if stride < 1:
             raise ValueError(f'stride = {stride} must be 1 or more; window="off" for no re-run')
-        if not 1 <= w_min <= w_max:
-            raise ValueError(f"w_min = {w_min} must be 1 or more, and w_max = {w_max} no less")
+        if not 1 <= w_min <= w_max <= ROWS_MAX:
+            raise ValueError(
+                f"w_min = {w_min} must be 1 or more, and w_max = {w_max} no less, to {ROWS_MAX}"
+            )
         if not (math.isfinite(adapt_gain) and adapt_gain >= 0.0):
             raise ValueError(f"adapt_gain = {adapt_gain} must be a finite number, 0 or more")
         self.fusion = LateFusion(particulars.instruments, particulars.length, feedback=feedback)
@@ -305,16 +358,57 @@ class DSWPredictor(ModelPredictor):
         self.fusion.reset()
         self.window.reset()
         self.waves.reset()
-        self._states = np.zeros((self._size, N_STATES))
-        self._acts = np.zeros((self._size, 4))
-        self._cmds = np.zeros((self._size, 4))
-        self._dts = np.zeros(self._size)
-        self._innovation = np.zeros((2, N_STATES))
+        size = self._size
+        self._ring = _Ring(
+            np.zeros((size, N_STATES)),
+            np.zeros((size, N_ACT)),
+            np.zeros((size, N_ACT)),
+            np.zeros(size),
+            np.zeros((2, N_STATES)),
+        )
+        ukf = self.ukf
+        self._joint = _Filter(ukf.memory, ukf.constants, ukf.terms, ukf.scratch)
         self._count = 0
         self._wind = math.nan
         self.t = 0.0
         self.q, self.r = self.ukf.q, self.ukf.r
         self.q[:], self.r[:] = self.ukf.settings.q, self.ukf.settings.r
+
+    def views(self) -> dict[str, Array]:
+        """See :meth:`ModelPredictor.views`."""
+        return {
+            **super().views(),
+            **{"noise.process": self.q, "noise.measurement": self.r},
+            **with_prefix("ring", self._ring._asdict()),
+        }
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        positive = ("noise.process", "noise.measurement", "ring.dts")
+        return {**super().fields(), **dict.fromkeys(positive, Field(low=0.0))}
+
+    def state_dict(self) -> State:
+        """See :meth:`ModelPredictor.state_dict`."""
+        return {
+            **super().state_dict(),
+            **{"count": self._count, "wind": self._wind},
+            **with_prefix("fusion", self.fusion.state_dict()),
+            **with_prefix("window", self.window.state_dict()),
+            **with_prefix("waves", self.waves.state_dict()),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        parts = {"fusion": self.fusion, "window": self.window, "waves": self.waves}
+        own = {k: v for k, v in state.items() if k.partition(".")[0] not in parts}
+        count = {name: own.pop(name, None) for name in ("count", "wind")}
+        check_fields(count, {"count": 0, "wind": 0.0}, {"count": COUNT, "wind": GAPS})
+        for name, part in parts.items():
+            load_part(name, part, state)
+        super().load_state_dict(own)
+        self._count, self._wind = int(count["count"]), count["wind"]
+        if not self.window._latest <= self.t:
+            raise StateError("field 'window.latest' is later than 't'; use an earlier copy")
 
     @property
     def ready(self) -> bool:
@@ -328,7 +422,7 @@ class DSWPredictor(ModelPredictor):
             return math.nan
         W = self.window.base if self.use == "fixed" else self.window.W
         last = np.arange(self._count - min(W, self._count), self._count) % self._size
-        return float(self._dts[last].sum())
+        return float(self._ring.dts[last].sum())
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
@@ -342,11 +436,12 @@ class DSWPredictor(ModelPredictor):
                 return
             ukf.x[:N_STATES] = s
         row = self._count % self._size
-        self._states[row], self._cmds[row], self._dts[row] = s, cmd, dt
-        self._acts[row] = ukf.act
+        ring = self._ring
+        ring.states[row], ring.cmds[row], ring.dts[row] = s, cmd, dt
+        ring.acts[row] = ukf.act
         self._count += 1
         self._run(row, 1)
-        error, expected = self._innovation.copy()
+        error, expected = self._ring.innovation.copy()
         if self.adapt != "off":
             error[PSI] = wrap(error[PSI])
             self._adapt(error, expected, cmd)
@@ -356,10 +451,7 @@ class DSWPredictor(ModelPredictor):
             W = self.window.base if self.use == "fixed" else self._length(z, dt, s, expected)
             if self._count % self.stride == 0 and self._count > W:
                 self._restart(W)
-        hold_inside(ukf.x, ukf.envelope)
-        terms = py_func(rooms)(ukf.scratch, ukf.kit)[2]
-        all_terms(ukf.x, ukf.act, ukf.wind, ukf.kit, terms)
-        see(dt, terms, ukf.memory, ukf.kit)
+        _finish_row(dt, self._joint)
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias added, positive definite however large."""
@@ -380,17 +472,10 @@ class DSWPredictor(ModelPredictor):
 
     def _restart(self, W: int) -> None:
         """Use the last W rows once more, starting from the measured state."""
-        _restart(
-            *(self._states, self._acts, self._cmds, self._dts),
-            *((self._count - W) % self._size, W - 1, self._innovation),
-            *self.ukf.arguments,
-        )
+        _restart((self._count - W) % self._size, W - 1, self._ring, self._joint)
 
     def _run(self, first: int, count: int) -> None:
-        _rerun(
-            *(self._states, self._cmds, self._dts, first, count, self._innovation),
-            *self.ukf.arguments,
-        )
+        _rerun(first, count, self._ring, self._joint)
 
     def _adapt(self, error: Array, expected: Array, cmd: Array) -> None:
         """Move Q and R by Eq 52."""

@@ -1,6 +1,6 @@
 """The predictors by name: the one place to add one.
 
-A predictor of somebody else joins by an entry point of its package in the group
+A predictor of another package joins by an entry point in the group
 :data:`GROUP`, for example in ``pyproject.toml``::
 
     [project.entry-points."usv_twin.predictors"]
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 GROUP = "usv_twin.predictors"
-"""Group of the entry points by which other packages bring predictors."""
+"""Group of the entry points by which other packages add predictors."""
 
 PREDICTORS: dict[str, str | type[Predictor]] = {
     "persistence": "twin.predictors.baselines:Persistence",
@@ -77,15 +77,17 @@ def predictor_class(name: str) -> type[Predictor]:
             entry = PREDICTORS[name]
         except (KeyError, TypeError):
             raise PredictorError(
-                f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}; one of your "
-                "own is named module:Class"
+                f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}; others are "
+                "named module:Class"
             ) from None
     if isinstance(entry, str):
         entry = _imported(name, entry)
     if not (isinstance(entry, type) and issubclass(entry, Predictor)):
         raise PredictorError(f"predictor {name!r}: {entry!r} is not a subclass of Predictor")
     if entry.needs_simulator and not entry.__module__.startswith("twin."):
-        raise PredictorError(f"predictor {name!r}: only the oracle is told of the true world")
+        raise PredictorError(
+            f"predictor {name!r}: only the oracle may use the simulator's vessel and sea"
+        )
     return entry
 
 
@@ -97,7 +99,7 @@ def _imported(name: str, entry: str) -> Any:
         sys.path.append(here)  # as for python -m, and in the workers of any backend too
     try:
         return getattr(import_module(module), attribute)
-    except Exception as error:  # whatever the code of somebody else does when it is imported
+    except Exception as error:  # whatever foreign code does when it is imported
         if name in EXTRAS and isinstance(error, ImportError):
             raise  # names the command that installs it
         raise PredictorError(
@@ -121,7 +123,7 @@ def make_predictor(
     seed : int
         For those that draw random numbers.
     **options
-        Handed to the class; those with a model structure take ``model``.
+        Options of the class; those with a model structure take ``model``.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """The twin's model in the structured UKF, and the plain predictor built on it.
 
-:class:`JointUKF` holds state and parameters, follows the actuators from the commands, and
-rolls the model into the future. :class:`ModelPredictor` makes a predictor of it.
-:class:`UKFPredictor` feeds it from the tight navigation filter, in one compiled call a row.
+:class:`twin.identification.joint_ukf.JointUKF` holds state and parameters, follows the actuators
+from the commands, and forecasts. :class:`ModelPredictor` makes a predictor of it.
+:class:`UKFPredictor` updates it from the tight navigation filter, in one compiled call a row.
 """
 
 from __future__ import annotations
@@ -14,48 +14,49 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import copied, pack
-from twin.filters.navigation_ekf import (
-    GPS_AGE,
-    IMU_AGE,
-    N_NAV,
-    READY_FIX,
-    READY_HEADING,
-    STATUS_SIZE,
-    WORK_ROWS,
-    aid,
-    aid_velocity,
+from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
+from twin.filters.navigation_ekf import aid, is_ready, navigate
+from twin.filters.navigation_state import (
+    NAVIGATION,
+    NAVIGATION_FIELDS,
+    NAVIGATION_SETTINGS,
+    NAVIGATION_WORK,
     initial_navigation,
-    navigate,
     navigation_settings,
 )
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
 from twin.identification.identifiability import Identifiability, judge
 from twin.identification.joint_ukf import (
+    JOINT_FIELDS,
     PSI,
     STEP_MAX,
     JointUKF,
+    accumulate_information,
     advance,
-    hold_inside,
-    parts,
-    rooms,
-    see,
-    wave_parts,
+    clip_velocities,
+    filter_config,
+    filter_state,
+    filter_workspace,
+    limit_covariances,
 )
 from twin.model.actuators import follow_all
-from twin.model.dynamics import N_ACT, all_terms
+from twin.model.dynamics import all_terms
 from twin.model.structure import N_STATES, accelerations
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
-from usv_kernel.arrays import shaped
 from usv_kernel.jit import inlined, kernel
+from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
 
 __all__ = [
     "ModelPredictor",
     "RolloutInputs",
+    "UKFConfig",
+    "UKFMemory",
     "UKFPredictor",
+    "UKFWork",
+    "tight_step",
 ]
 
 Array = NDArray[Any]
@@ -64,128 +65,149 @@ WIND_LIMIT = 100.0
 """No wind is faster, m/s."""
 
 AID_SD = 0.5 / STUDY_SPEED
-"""Standard deviation of the model's velocity as an aid, in usual speeds."""
+"""Standard deviation of the model's velocity as an aid, in nominal speeds."""
 
 AID_TURN = 0.04
-"""Standard deviation of the model's yaw rate as an aid, in usual speeds over length."""
+"""Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
 
-ECHO = 400.0
+OUTAGE_NOISE_FACTOR = 400.0
 """Without GPS the error of the navigation's velocity lasts: so many rows count as one."""
 
 RESTART_AFTER = 4.0
-"""After so long without GPS (in lengths over usual speed) the state starts anew with the next
+"""After so long without GPS (in lengths over nominal speed) the state restarts with the next
 fix; the parameters stay ..."""
 
-ASTRAY = 10.0
+DIVERGENCE_GATE = 10.0
 """... as where it is so many standard deviations from what the navigation says."""
 
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
-# flat memory of the navigation filter
-_NAV_P = N_NAV
 
-_STATUS = _NAV_P + N_NAV * N_NAV
+class UKFMemory(NamedTuple):
+    """What a predictor remembers, flat; in a batch each row is a boat's."""
 
-_SINCE_AID, BEGUN, _HAS_IMU = range(_STATUS + STATUS_SIZE, _STATUS + STATUS_SIZE + 3)
-
-NAV_SIZE = _HAS_IMU + 1
+    nav: Any  # see NAVIGATION
+    filter: Any  # see FilterState
 
 
-@inlined
-def nav_parts(nav):
-    """Return state and covariance of the navigation filter as views."""
-    return nav[:_NAV_P], shaped(nav, _NAV_P, (N_NAV, N_NAV))
+class UKFConfig(NamedTuple):
+    """What a predictor is given of its boat."""
+
+    nav: Any  # see NAVIGATION_SETTINGS
+    filter: Any  # see FilterConfig
+    model: Any  # ModelTerms
+
+
+class UKFWork(NamedTuple):
+    """Scratch, which predictors of like boats can share."""
+
+    nav: Any  # see NAVIGATION_WORK
+    filter: Any  # see FilterWorkspace
 
 
 @kernel
-def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work, kit):
-    """One row of the plain predictor: navigate, predict, correct; all memory in place."""
-    n, P_nav = nav_parts(nav)
-    status = nav[_STATUS:_SINCE_AID]
-    x, P, act, wind, _, _, r, p0, lags, envelope, _, n_unit = parts(memory, constants, kit)
-    _, R, terms, model, mask, _, _ = rooms(scratch, kit)
-    felt, waves = wave_parts(memory, constants, kit)
+def tight_step(dt, z, cmd, memory, config, work):
+    """Take one row: navigate, predict, correct.
 
-    feel_wind(z, wind)
+    Parameters
+    ----------
+    dt, z, cmd
+        See :meth:`twin.predictors.base.Predictor.update`.
+    memory, config, work : UKFMemory, UKFConfig, UKFWork
+        The memory is advanced in place.
+    """
+    nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
+    model = config.model
+    state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
+    scratch = filter_workspace(work.filter, model.which.shape[1])
+    x, P, act, wave_power, n, P_nav = state.x, state.P, state.act, state.wave_power, nav.n, nav.P
+    envelope, R, terms, accel, mask = (
+        given.envelope,
+        scratch.R,
+        scratch.terms,
+        scratch.accel,
+        scratch.mask,
+    )
+
+    update_wind(z, state.wind)
     for k in range(4):
-        model[k] = 0.0
-    if nav[BEGUN] > 0.0:
-        all_terms(x, act, wind, kit, terms)
-        see(dt, terms, memory, kit)
-        du, dv, dr = accelerations(terms, kit, x, N_STATES)
+        accel[k] = 0.0
+    if nav.begun > 0.0:
+        all_terms(x, act, state.wind, model, terms)
+        accumulate_information(dt, terms, state, model)
+        du, dv, dr = accelerations(terms, model, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
-        model[0] = min(max(du, -speed * turn), speed * turn)
-        model[1] = min(max(dv, -speed * turn), speed * turn)
-        model[2] = min(max(dr, -turn * turn), turn * turn)
+        accel[0] = min(max(du, -speed * turn), speed * turn)
+        accel[1] = min(max(dv, -speed * turn), speed * turn)
+        accel[2] = min(max(dr, -turn * turn), turn * turn)
         # a model that has never been held to a measured motion may spin the navigation
-        model[3] = nav[_HAS_IMU]
-    age = status[GPS_AGE] + dt
-    navigate(n, P_nav, dt, z, model, nav_settings, status, nav_work)
-    if nav[BEGUN] == 0.0:
+        accel[3] = nav.has_imu
+    age = nav.gps_age + dt
+    navigate(nav, dt, z, accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
+    if nav.begun == 0.0:
         for k in range(2):
-            act[k], act[2 + k] = n_unit * cmd[k], cmd[2 + k]
-        if status[READY_FIX] * status[READY_HEADING] > 0.0:
+            act[k], act[2 + k] = given.n_unit * cmd[k], cmd[2 + k]
+        if is_ready(nav):
             for i in range(N_STATES):
                 x[i] = n[i]
-                P[i, i] = p0[i]
-            nav[BEGUN] = 1.0
+                P[i, i] = given.p0[i]
+            nav.begun = 1.0
         return
-    # so long a roll-out is far from linear in the parameters: its error would ruin them
-    astray = age > RESTART_AFTER * 4.0 / envelope[2] and status[GPS_AGE] == 0.0
+    # so long a rollout is far from linear in the parameters: its error would ruin them
+    diverged = age > RESTART_AFTER * 4.0 / envelope[2] and nav.gps_age == 0.0
     for i in range(N_STATES):
-        off = n[i] - x[i]
+        error = n[i] - x[i]
         if i == PSI:
-            off = wrap(off)
-        wavy = felt[i - PSI - 1] if i > PSI else 0.0
-        astray = astray or off * off > ASTRAY**2 * (P[i, i] + P_nav[i, i] + r[i] + wavy)
-    if astray:
+            error = wrap(error)
+        waves = wave_power[i - PSI - 1] if i > PSI else 0.0
+        variance = P[i, i] + P_nav[i, i] + given.r[i] + waves
+        diverged = diverged or error * error > DIVERGENCE_GATE**2 * variance
+    if diverged:
         for i in range(N_STATES):
             for k in range(x.shape[0]):
                 P[i, k] = P[k, i] = 0.0
-            x[i], P[i, i] = n[i], p0[i] + P_nav[i, i]
-        follow_all(act, cmd, lags, n_unit, dt)
+            x[i], P[i, i] = n[i], given.p0[i] + P_nav[i, i]
+        follow_all(act, cmd, given.lags, given.n_unit, dt)
         return
-    advance(dt, cmd, memory, constants, scratch, work, kit)
+    advance(dt, cmd, state, given, scratch)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
-        R[i, i] = STUDY_STEP * r[i] / row + P_nav[i, i]
+        R[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
-    if status[IMU_AGE] == 0.0:
-        nav[_HAS_IMU] = 1.0
+    if nav.imu_age == 0.0:
+        nav.has_imu = 1.0
     # a boat without IMU has not lost it: its navigation goes by fixes and compass alone
-    no_gps = status[GPS_AGE] > AID_AFTER
-    no_imu = nav[_HAS_IMU] > 0.0 and status[IMU_AGE] > AID_AFTER
+    no_gps = nav.gps_age > AID_AFTER
+    no_imu = nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
     if no_gps:
         # what the navigation then says of them is in part the model's own
         mask[0] = mask[1] = 0.0
-        R[3, 3] *= ECHO
-        R[4, 4] *= ECHO
+        R[3, 3] *= OUTAGE_NOISE_FACTOR
+        R[4, 4] *= OUTAGE_NOISE_FACTOR
     if no_imu:
         mask[5] = 0.0
-    if waves[0] > 0.0:
+    if given.wave_time > 0.0:
         for k in range(3):
             i = PSI + 1 + k
-            # held while the sensor that would feel them is gone
+            # held while the sensor that would measure them is gone
             if not (no_imu if k == 2 else no_gps):
-                # a prediction gone wild is no wave: none moves her faster than she sails
-                off = min(abs(n[i] - x[i]), 0.25 * envelope[k])
-                more = off * off - P[i, i] - R[i, i]
-                share = min(min(row, STEP_MAX) / waves[0], 1.0)
-                felt[k] = max(felt[k] + share * (more - felt[k]), 0.0)
-            R[i, i] += waves[1] * felt[k] / row
-    measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, work)
-    hold_inside(x, envelope)
-    nav[_SINCE_AID] += dt
-    if (no_gps or no_imu) and nav[_SINCE_AID] >= AID_EVERY:
-        nav[_SINCE_AID] = 0.0
+                # a prediction gone wild is no wave: none moves the boat faster than it sails
+                error = min(abs(n[i] - x[i]), 0.25 * envelope[k])
+                more = error * error - P[i, i] - R[i, i]
+                share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
+                wave_power[k] = max(wave_power[k] + share * (more - wave_power[k]), 0.0)
+            R[i, i] += given.wave_noise * wave_power[k] / row
+    measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, scratch.sigma)
+    clip_velocities(x, envelope)
+    nav.since_aid += dt
+    if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
+        nav.since_aid = 0.0
         speed, turn = 0.25 * envelope[0], 0.25 * envelope[2]
-        aid_velocity(
-            *(n, P_nav, x[3], x[4], (AID_SD * speed) ** 2, status),
-            *(nav_work[0], nav_work[1]),
-        )
+        aid(nav, nav_work, 3, x[3], (AID_SD * speed) ** 2)
+        aid(nav, nav_work, 4, x[4], (AID_SD * speed) ** 2)
         if no_imu:
-            aid(n, P_nav, 5, x[5], (AID_TURN * turn) ** 2, status, nav_work[0], nav_work[1])
+            aid(nav, nav_work, 5, x[5], (AID_TURN * turn) ** 2)
     if no_gps:
         for i in range(2):
             spread = P[i, i]
@@ -195,16 +217,8 @@ def tight_step(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scrat
 
 
 @inlined
-def feel_wind(z, wind):
-    """Take the velocity of the true wind from a row of measurements, if both parts are there.
-
-    Parameters
-    ----------
-    z : ndarray, shape (10,)
-        Measurement row.
-    wind : ndarray, shape (2,)
-        To north and east, m/s; kept where nothing new is said.
-    """
+def update_wind(z, wind):
+    """Take the velocity of the true wind (m/s) from a row (10,), if both parts are there."""
     if 0.0 <= z[8] < WIND_LIMIT and math.isfinite(z[9]):
         wind[0], wind[1] = -z[8] * math.cos(z[9]), -z[8] * math.sin(z[9])
 
@@ -240,8 +254,27 @@ class ModelPredictor(Predictor):
         self.t = 0.0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let copies (``copy.deepcopy``, ``pickle``) share memory as the compiled filters need."""
-        return copied, (type(self), pack({"it": self}))
+        """Make copies (``copy.deepcopy``, ``pickle``) by the constructor, which lays out memory."""
+        return _copy_of, (type(self), *self.made_with, self.state_dict())
+
+    def views(self) -> dict[str, Array]:
+        """Return the arrays that the predictor remembers, by field; they are views."""
+        return with_prefix("filter", record_views(self.ukf.memory, self.ukf.dtype))
+
+    def fields(self) -> dict[str, Field]:
+        """Return what the fields of a saved state may hold."""
+        return with_prefix("filter", JOINT_FIELDS)
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; a subclass that remembers more adds its fields."""
+        return {"t": self.t, **{name: view.copy() for name, view in self.views().items()}}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        views = self.views()
+        check_fields(state, {"t": self.t, **views}, self.fields())
+        self.t = float(state["t"])
+        fill(views, state)
 
     @property
     @abstractmethod
@@ -254,7 +287,7 @@ class ModelPredictor(Predictor):
         return self.ukf.x[:N_STATES]
 
     def estimate(self) -> Estimate:
-        """Return what is believed now."""
+        """Return state and parameters as estimated now."""
         x, P = self.ukf.x.copy(), self.ukf.P
         state = self.with_common_error(P[:N_STATES, :N_STATES])
         sd, params_sd = (
@@ -263,7 +296,7 @@ class ModelPredictor(Predictor):
         return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], params_sd, self.ready)
 
     def identifiability(self) -> Identifiability:
-        """Return what the data seen say of the parameters."""
+        """Return what the data so far say of the parameters."""
         ukf, settings = self.ukf, self.ukf.settings
         return judge(
             self.parameter_names,
@@ -272,40 +305,28 @@ class ModelPredictor(Predictor):
             settings.q[3:],
             settings.xi0_cov,
             ukf.P[N_STATES:, N_STATES:],
-            float(ukf.seen[0]),
+            float(ukf.counted[1]),
         )
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return the predicted states alone; see :meth:`twin.predictors.base.Predictor.mean`."""
-        return self.ukf.roll(plan, dt)[0]
+        return self.ukf.mean(plan, dt)
 
     def predict(self, plan: Array, dt: float) -> Prediction:
         """Predict the motion under a plan; see :meth:`twin.predictors.base.Predictor.predict`."""
-        mean, acts = self.ukf.roll(plan, dt)
-        after = dt * np.arange(1, len(plan) + 1)
+        mean, cov = self.ukf.mean(plan, dt), self.with_common_error(self.ukf.covariances(plan, dt))
         start_cov = self.with_common_error(self.ukf.P[:N_STATES, :N_STATES])
-        return Prediction(
-            self.t,
-            self.state.copy(),
-            start_cov,
-            self.t + after,
-            mean,
-            self._within_reach(self.with_common_error(self.ukf.bands(acts, dt)), start_cov, after),
-        )
+        limit_covariances(cov, start_cov, dt, self.ukf.envelope)
+        after = self.t + dt * np.arange(1, len(plan) + 1)
+        return Prediction(self.t, self.state.copy(), start_cov, after, mean, cov)
 
-    def _within_reach(self, cov: Array, start_cov: Array, after: Array) -> Array:
-        """Return covariances (K, 6, 6) without deviations that no boat could have by then."""
-        envelope = self.ukf.envelope
-        most = np.zeros((len(after), N_STATES))
-        most[:, :2] = 2.0 * envelope[0] * after[:, None]
-        most[:, 2] = 2.0 * np.minimum(envelope[2] * after, np.pi)
-        most += np.sqrt(np.diag(start_cov))
-        most[:, 3:] = 2.0 * envelope
-        sd = np.sqrt(np.maximum(np.einsum("kii->ki", cov), 1e-300))
-        shrink = np.minimum(1.0, most / sd)
-        # the product first: it is symmetric to the last bit
-        within: Array = cov * (shrink[:, :, None] * shrink[:, None, :])
-        return within
+
+def _copy_of(
+    kind: type[ModelPredictor], arguments: tuple[Any, ...], options: dict[str, Any], state: State
+) -> ModelPredictor:
+    predictor = kind(*arguments, **options)
+    predictor.load_state_dict(state)
+    return predictor
 
 
 class RolloutInputs(NamedTuple):
@@ -318,11 +339,11 @@ class RolloutInputs(NamedTuple):
     parameters : ndarray, shape (n, p)
         Of the structure.
     actuators, winds : ndarray, shapes (n, 4), (n, 2)
-        See :func:`twin.model.rollout.roll_out`.
-    seen : ndarray, shape (n, 3) or (1, 3)
+        See :class:`twin.model.rollout.RolloutStart`.
+    fastest : ndarray, shape (n, 3) or (1, 3)
         Largest velocities met so far; infinite where no model is too wild.
-    usual : ndarray, shape (3,)
-        Velocities that any such boat may be foretold to have.
+    nominal : ndarray, shape (3,)
+        Velocities that may be predicted for any such boat.
     prior : ndarray, shape (p,)
         Parameters to fall back to where a model exceeds both by far.
     """
@@ -332,8 +353,8 @@ class RolloutInputs(NamedTuple):
     parameters: Array
     actuators: Array
     winds: Array
-    seen: Array
-    usual: Array
+    fastest: Array
+    nominal: Array
     prior: Array
 
 
@@ -367,55 +388,64 @@ class UKFPredictor(ModelPredictor):
         seed: int = 0,
     ) -> None:
         super().__init__(particulars, settings or plain_settings(particulars, model), seed=seed)
-        self.nav = np.zeros(NAV_SIZE)
-        self.n = self.nav[:_NAV_P]
-        self.P_nav = self.nav[_NAV_P:_STATUS].reshape(N_NAV, N_NAV)
-        self.status = self.nav[_STATUS:_SINCE_AID]
-        self._nav_settings = navigation_settings(particulars)
-        self._arguments = (
-            *(self.nav, self._nav_settings, np.zeros((WORK_ROWS, N_NAV))),
-            *self.ukf.arguments,
-        )
+        settings_nav = navigation_settings(particulars)
+        self.memory: Any = UKFMemory(initial_navigation(settings_nav), self.ukf.memory)
+        self.config: Any = UKFConfig(settings_nav, self.ukf.constants, self.ukf.terms)
+        self.work: Any = UKFWork(np.zeros(NAVIGATION_WORK.itemsize // 8), self.ukf.scratch)
+        nav = self.memory.nav.view(NAVIGATION)[0]
+        self.n, self.P_nav = nav["n"], nav["P"]
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.ukf.reset()
-        self.nav[:] = 0.0
-        self.n[:], self.P_nav[:], self.status[:] = initial_navigation(self._nav_settings)
+        self.memory.nav[:] = initial_navigation(self.config.nav)
         self.t = 0.0
 
-    @property
-    def remembered(self) -> tuple[Array, ...]:
-        """All that the filter remembers; arrays whose rows stand for boats in a batch."""
-        return self.nav, self.ukf.memory
+    def views(self) -> dict[str, Array]:
+        """See :meth:`ModelPredictor.views`: the fields of :attr:`dtypes`, and other arrays."""
+        found: dict[str, Array] = {}
+        for part, memory in self.memory._asdict().items():
+            if part in self.dtypes:
+                found |= with_prefix(part, record_views(memory, self.dtypes[part]))
+            else:
+                found[part] = memory
+        return found
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`ModelPredictor.fields`."""
+        return {**super().fields(), **with_prefix("nav", NAVIGATION_FIELDS)}
 
     @property
-    def shared(self) -> tuple[Any, ...]:
-        """What twins of like boats can share, in the order of :func:`tight_step`."""
-        _, settings, nav_work, _, *rest = self._arguments
-        return settings, nav_work, *rest
+    def dtypes(self) -> dict[str, np.dtype[Any]]:
+        """Structured dtypes of the parts of the memory, by name."""
+        return {"nav": NAVIGATION, "filter": self.ukf.dtype}
 
-    def rollout_inputs(self, *remembered: Array) -> RolloutInputs:
-        """Return what :func:`twin.model.rollout.roll_out` needs, of many boats, as views.
+    def rollout_inputs(self, memory: Any) -> RolloutInputs:
+        """Return what rollouts of many boats begin with, as views.
 
         Parameters
         ----------
-        *remembered : ndarrays
-            As :attr:`remembered`, but with a row for each boat.
+        memory : UKFMemory
+            Like :attr:`memory`, but with a row for each boat.
         """
-        memory, n = remembered[1], len(self.ukf.x)
-        end = n + n * n
+        boats = memory.filter.view(self.ukf.dtype)[:, 0]
+        x = boats["x"]
         return RolloutInputs(
-            *(memory[:, : PSI + 1], memory[:, PSI + 1 : N_STATES], memory[:, N_STATES:n]),
-            *(memory[:, end : end + N_ACT], memory[:, end + N_ACT : end + N_ACT + 2]),
-            *(np.full((1, 3), math.inf), np.full(3, math.inf), self.ukf.settings.xi0),
+            x[:, : PSI + 1],
+            x[:, PSI + 1 : N_STATES],
+            x[:, N_STATES:],
+            boats["act"],
+            boats["wind"],
+            np.full((1, 3), math.inf),
+            np.full(3, math.inf),
+            self.ukf.settings.xi0,
         )
 
     @property
     def ready(self) -> bool:
         """True once the filter has begun."""
-        return bool(self.nav[BEGUN])
+        return bool(self.memory.nav.view(NAVIGATION)[0]["begun"])
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias and the error of the navigation added.
@@ -428,4 +458,4 @@ class UKFPredictor(ModelPredictor):
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
         self.t = t
-        tight_step(dt, z, cmd, *self._arguments)
+        tight_step(dt, z, cmd, self.memory, self.config, self.work)

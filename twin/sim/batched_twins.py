@@ -1,7 +1,8 @@
 """What twins add to observations: n boats in one compiled call where the predictor has one.
 
 The ``ukf`` and ``dsw-ukf-plus`` keep all that they remember in flat arrays, which stand here row by
-row, one for each boat. Every other predictor is asked boat by boat.
+row, one for each boat; :attr:`CompiledTwins.boats` gives them by name. Every other predictor is
+asked boat by boat.
 """
 
 from __future__ import annotations
@@ -9,31 +10,40 @@ from __future__ import annotations
 import copy
 import math
 from abc import abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin
+from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     JointUKF,
-    parts,
-    rooms,
-    scale_plan,
-    spread_ahead,
-    spread_now,
+    filter_config,
+    filter_state,
+    filter_workspace,
+    forecast_buffers,
+    forecast_covariance,
+    forecast_mean,
+    limit_covariances,
 )
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import LOOK_AHEAD, look_ahead
+from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS
 from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.dsw_ukf_plus import PlusPredictor
-from twin.predictors.plus_ensemble import plus_look, plus_spread
-from twin.predictors.plus_update import plus_step
+from twin.predictors.plus_forecast import (
+    draws_of,
+    mean_forecast_of,
+    mean_products,
+    plus_draws,
+    plus_mean,
+)
+from twin.predictors.plus_update import PlusMemory, plus_step
 from twin.predictors.registry import PredictorError, predictor_class
-from twin.predictors.ukf import RolloutInputs, UKFPredictor, nav_parts, tight_step
+from twin.predictors.ukf import RolloutInputs, UKFMemory, UKFPredictor, tight_step
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
 from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION, Episodes, Observer
@@ -42,8 +52,8 @@ from usv_gym.envs.tasks import ERRORS, follow
 from usv_gym.physics import frames as fr
 from usv_gym.world.channels import CHANNELS
 from usv_gym.world.state import BOAT
-from usv_kernel.arrays import shaped
-from usv_kernel.jit import inlined, kernel, py_func
+from usv_kernel.arrays import flat_size
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
@@ -56,13 +66,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-HORIZONS: tuple[float, ...] = tuple(LOOK_AHEAD.tolist())
-"""How far ahead the observation looks, s."""
-
-PLAN_STEP = 0.25
-
-_ROWS = np.array([round(h / PLAN_STEP) - 1 for h in HORIZONS])
-
 _SD = ("sd_forward", "sd_starboard", "sd_heading", "sd_surge", "sd_sway", "sd_yaw_rate")
 
 TWIN_OBSERVATION = (
@@ -72,7 +75,7 @@ TWIN_OBSERVATION = (
     *(f"twin_{name}" for name in _SD),
     *(
         f"ahead_{h:g}s_{name}"
-        for h in HORIZONS
+        for h in HORIZONS.tolist()
         for name in (
             *("forward", "starboard", "cos_turn", "sin_turn", "surge", "sway", "yaw_rate"),
             *_SD,
@@ -81,34 +84,68 @@ TWIN_OBSERVATION = (
 )
 """Names of the entries that the twin adds; scales in :class:`twin.sim.wrapper.TwinObservation`."""
 
-# one row of numbers per boat: time of the last row, of the one last looked at, of the next bands,
-# leg, errors of the path, how far the believed position is off, the measurements, variances now,
-# states and covariances ahead
-LAST, SHOWN, RENEW_AT, LEG, PATH_ERRORS = 0, 1, 2, 3, 4
+ROWS = int(HORIZON_ROWS[-1]) + 1
+"""Rows of the plan of a forecast."""
 
-OFF = PATH_ERRORS + len(ERRORS)
+NOTE = np.dtype(
+    [
+        ("last", "f8"),  # time of the last row, s; NaN before the first
+        ("shown", "f8"),  # time of the last row that was written to the observation, s
+        ("covs_due", "f8"),  # time of the next covariances ahead, s
+        ("leg", "f8"),  # leg of the path, by the twin's state
+        ("path_errors", "f8", len(ERRORS)),  # see usv_gym.envs.tasks.ERRORS
+        ("position_error", "f8"),  # distance of the twin's position from the true one, m
+        ("z", "f8", len(MEASUREMENTS)),  # measurement row
+        ("now", "f8", (N_STATES, N_STATES)),  # variances of the state, on the diagonal
+        ("ahead", "f8", (len(HORIZONS), N_STATES)),  # states at HORIZONS
+        ("covs", "f8", (len(HORIZONS), N_STATES, N_STATES)),  # their covariances
+    ]
+)
+"""What is noted of each boat between observations."""
 
-ROW = OFF + 1
+SETTINGS = np.dtype(
+    [
+        ("period", "f8"),  # the covariances ahead are updated this often, s
+        ("gps_var", "f8"),  # variance of the drifting part of a fix, m2
+        ("look", "f8"),  # 1 where observations are to be written
+    ]
+)
+"""What all boats of a batch have in common."""
 
-NOW = ROW + len(MEASUREMENTS)
 
-AHEAD = NOW + N_STATES**2
+class Boats(NamedTuple):
+    """The simulated boats, row by row, and what is noted of each."""
 
-COVS = AHEAD + len(HORIZONS) * N_STATES
+    rows: Any  # see usv_gym.world.state.BOAT
+    points: Any  # (n, P, 2) way points, m
+    notes: Any  # see NOTE
+    shared: Any  # see usv_gym.envs.episodes.EPISODES
+    settings: Any  # see SETTINGS
 
-NOTE_SIZE = COVS + len(HORIZONS) * N_STATES**2
 
-# what all boats of a batch are told alike
-PERIOD, GPS_VAR, TIME_SCALE, LOOK = 0, 1, 2, 3
+class UKFForecast(NamedTuple):
+    """Buffers of a forecast of the plain filter."""
 
-_CALM = np.empty((0, 3))
+    plan: Any  # (40, 4) the command, held
+    buffers: Any  # see Forecast
+
+
+class PlusForecast(NamedTuple):
+    """Buffers of a forecast of DSW-UKF+."""
+
+    plan: Any  # (40, 4) the command, held
+    mean: Any  # see MeanForecast
+    draws: Any  # see Draws
+    normal: Any  # standard normal numbers of the draws
+
 
 _ALL = slice(None)
 
 
 @inlined
-def _spread(cov, c, s, length, speed, out, at):
+def _spread(cov, heading, length, speed, out, at):
     """Write the six standard deviations of a state, position turned into the body frame."""
+    c, s = heading
     a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
     out[at] = math.sqrt(max(c * c * a + 2.0 * c * s * b + s * s * d, 0.0)) / length
     out[at + 1] = math.sqrt(max(s * s * a - 2.0 * c * s * b + c * c * d, 0.0)) / length
@@ -119,149 +156,185 @@ def _spread(cov, c, s, length, speed, out, at):
 
 
 @inlined
-def note_parts(note):
-    """Return path errors, measurements, variances now, states and covariances ahead as views."""
-    many = (COVS - AHEAD) // N_STATES
-    return (
-        note[PATH_ERRORS:OFF],
-        note[ROW:NOW],
-        shaped(note, NOW, (N_STATES, N_STATES)),
-        shaped(note, AHEAD, (many, N_STATES)),
-        shaped(note, COVS, (many, N_STATES, N_STATES)),
-    )
-
-
-@inlined
 def _next_row(boat, note):
     """Write a boat's measurements to its note; return the time since the row before, or -1.
 
-    -1 stands for no new row: the boat rests.
+    -1 stands for no new row: the boat is idle.
     """
-    t, last = boat.t, note[LAST]
+    t, last = boat.t, note.last
     if t == last:
         return -1.0
-    note[LAST] = t
+    note.last = t
     for k in range(len(CHANNELS)):
-        note[ROW + k] = boat.measurement[k]
+        note.z[k] = boat.measurement[k]
     for k in range(len(CHANNELS), len(MEASUREMENTS)):
-        note[ROW + k] = math.nan
+        note.z[k] = math.nan
     return t - last if math.isfinite(last) else 0.0
 
 
+@kernel
+def _next_row_of(boat, note):
+    """Do :func:`_next_row` on flat memory."""
+    return _next_row(boat, as_record(note, NOTE))
+
+
 @inlined
-def _is_looked_for(note, look):
+def _is_due(note, look):
     """Return whether a boat's part of the observation is to be written, and is not yet."""
-    if look == 0.0 or note[SHOWN] == note[LAST]:
+    if look == 0.0 or note.shown == note.last:
         return False
-    note[SHOWN] = note[LAST]
+    note.shown = note.last
     return True
 
 
-@kernel
+@inlined
+def _hold(command, plan):
+    """Write a plan that holds a command."""
+    for row in range(plan.shape[0]):
+        for k in range(N_ACT):
+            plan[row, k] = command[k]
+
+
+@inlined
 def describe(s, boat, note, points, rules, obs):
     """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
-    errors, _, now, ahead, covs = note_parts(note)
-    speed, psi = rules.speed, s[2]
+    errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules.speed, s[2]
     d, c = sincos(psi)
-    note[LEG] = follow(s[0], s[1], psi, points, int(note[LEG]), rules.reach, errors)
+    note.leg = follow(s[0], s[1], psi, points, int(note.leg), rules.reach, errors)
     o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
     o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
     o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
     o[8], o[7] = sincos(errors[2])
     o[10], o[9] = sincos(errors[3])
-    _spread(now, c, d, rules.unit, speed, o, 11)
+    _spread(note.now, (c, d), rules.unit, speed, o, 11)
     at = 17
     for j in range(ahead.shape[0]):
         m = ahead[j]
-        length = speed * LOOK_AHEAD[j]
+        length = speed * HORIZONS[j]
         dx, dy, turn = m[0] - s[0], m[1] - s[1], m[2] - psi
         o[at] = (dx * c + dy * d) / length
         o[at + 1] = (dy * c - dx * d) / length
         o[at + 3], o[at + 2] = sincos(turn)
         o[at + 4], o[at + 5], o[at + 6] = m[3] / speed, m[4] / speed, m[5]
-        _spread(covs[j], c, d, length, speed, o, at + 7)
+        _spread(note.covs[j], (c, d), length, speed, o, at + 7)
         at += 13
     for j in range(o.shape[0]):
         o[j] = min(max(o[j], -BOUND), BOUND)
-    note[OFF] = math.hypot(s[0] - boat.state[fr.X], s[1] - boat.state[fr.Y])
+    note.position_error = math.hypot(s[0] - boat.state[fr.X], s[1] - boat.state[fr.Y])
 
 
 @kernel
-def _ukf_all(
-    boats, points, shared, told, notes, nav, memory, nav_settings, nav_work, constants, scratch,
-    work, kit, room, obs,
-):  # fmt: skip
-    """Let the twins of boats with a new row take it, and write their parts of the observations.
+def _describe(s, boat, note, points, rules, obs):
+    """Do :func:`describe` on flat memory."""
+    describe(s, boat, as_record(note, NOTE), points, rules, obs)
 
-    ``room`` is for one memory, four actuators at each horizon, and a command.
-    """
-    rules = as_record(shared, EPISODES).rules
-    copied = room[: memory.shape[1]]
-    acts = shaped(room, memory.shape[1], (len(HORIZONS) + 1, N_ACT))
-    held = acts[acts.shape[0] - 1]
-    for i in range(boats.shape[0]):
-        boat, note = as_record(boats[i], BOAT), notes[i]
-        dt = _next_row(boat, note)
-        _, z, now, ahead, covs = note_parts(note)
-        x, _, act, wind, _, _, _, _, lags, envelope, _, n_unit = parts(memory[i], constants, kit)
-        cmd = boat.command
+
+@inlined
+def _row_of(memory, i):
+    """Return what boat i remembers."""
+    return UKFMemory(memory.nav[i], memory.filter[i])
+
+
+@inlined
+def _plus_row_of(memory, i):
+    """Return what boat i remembers."""
+    return PlusMemory(
+        memory.nav[i],
+        memory.filter[i],
+        memory.rows[i],
+        memory.window[i],
+        memory.selector[i],
+        memory.segments[i],
+    )
+
+
+@inlined
+def _write_variances(P, P_nav, gps_var, now):
+    """Write how uncertain the state is now."""
+    for i in range(N_STATES):
+        now[i, i] = P[i, i] + P_nav[i, i] + (gps_var if i < 2 else 0.0)
+
+
+@kernel
+def _ukf_all(boats, memories, config, work, forecast, obs):
+    """Let the twins of boats with a new row take it, and write their parts of the observations."""
+    settings, model = as_record(boats.settings, SETTINGS), config.model
+    rules = as_record(boats.shared, EPISODES).rules
+    given = filter_config(config.filter, model)
+    scratch = filter_workspace(work.filter, model.which.shape[1])
+    out = forecast_buffers(forecast.buffers, ROWS)
+    for i in range(boats.rows.shape[0]):
+        boat = as_record(boats.rows[i], BOAT)
+        note = as_record(boats.notes[i], NOTE)
+        memory = _row_of(memories, i)
+        dt, cmd = _next_row(boat, note), boat.command
         if dt >= 0.0:
-            tight_step(
-                *(dt, z, cmd, nav[i], nav_settings, nav_work),
-                *(memory[i], constants, scratch, work, kit),
-            )
-        if not _is_looked_for(note, told[LOOK]):
+            tight_step(dt, note.z[:], cmd, memory, config, work)
+        if not _is_due(note, settings.look):
             continue
-        scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
-        look_ahead(
-            *(x[:N_STATES], x[N_STATES:], act, held, lags, envelope, wind, kit, told[TIME_SCALE]),
-            *(_CALM, 0.0, ahead, acts, rooms(scratch, kit)[5]),
-        )
-        spread_now(told[GPS_VAR], nav_parts(nav[i])[1], memory[i], kit, now)
-        if note[LAST] >= note[RENEW_AT]:
-            note[RENEW_AT] = note[LAST] + told[PERIOD] - 1e-9
-            spread_ahead(
-                *(held, told[GPS_VAR], nav_parts(nav[i])[1], memory[i], constants, scratch),
-                *(work, kit, copied, now, covs),
-            )
-        describe(x[:N_STATES], boat, note, points[i], rules, obs[i])
+        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
+        _hold(cmd, forecast.plan)
+        forecast_mean(forecast.plan, GRID, state, given, out, scratch.rollout)
+        _write_variances(state.P, nav.P, settings.gps_var, note.now)
+        renew = note.last >= note.covs_due
+        if renew:
+            note.covs_due = note.last + settings.period - 1e-9
+            forecast_covariance(out.plan, GRID, state, given, out.covs, scratch)
+            for row in range(ROWS):
+                for j in range(N_STATES):
+                    for k in range(N_STATES):
+                        out.covs[row, j, k] += nav.P[j, k]
+                for j in range(2):
+                    out.covs[row, j, j] += settings.gps_var
+            limit_covariances(out.covs, note.now[:], GRID, given.envelope)
+        for h in range(HORIZON_ROWS.shape[0]):
+            row = HORIZON_ROWS[h]
+            for j in range(N_STATES):
+                note.ahead[h, j] = out.states[0, row, j]
+                if renew:
+                    for k in range(N_STATES):
+                        note.covs[h, j, k] = out.covs[row, j, k]
+        describe(state.x, boat, note, boats.points[i], rules, obs[i])
+
+
+_DRAWN_ROWS = HORIZON_ROWS + 1
 
 
 @kernel
-def _plus_all(
-    boats, points, shared, told, notes, nav, memory, rows, book, nav_settings, nav_work, constants,
-    scratch, work, kit, refit_rules, refit_room, usual, look_room, shocks, room, obs,
-):  # fmt: skip
+def _plus_all(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`_ukf_all` does for ``ukf``."""
-    rules = as_record(shared, EPISODES).rules
-    held = room[room.shape[0] - N_ACT :]
-    for i in range(boats.shape[0]):
-        boat, note = as_record(boats[i], BOAT), notes[i]
-        dt = _next_row(boat, note)
-        _, z, now, ahead, covs = note_parts(note)
-        cmd = boat.command
+    settings, model = as_record(boats.settings, SETTINGS), config.model
+    rules = as_record(boats.shared, EPISODES).rules
+    p, D = model.which.shape[1], forecast.normal[0].shape[0]
+    mean = mean_forecast_of(forecast.mean, p, ROWS, ROWS)
+    draws = draws_of(forecast.draws, p, ROWS, ROWS, D)
+    for i in range(boats.rows.shape[0]):
+        boat = as_record(boats.rows[i], BOAT)
+        note = as_record(boats.notes[i], NOTE)
+        memory = _plus_row_of(memories, i)
+        dt, cmd = _next_row(boat, note), boat.command
         if dt >= 0.0:
-            plus_step(
-                *(note[LAST], dt, z, cmd, nav[i], nav_settings, nav_work, memory[i], constants),
-                *(scratch, work, kit, rows[i], book[i], refit_rules, refit_room),
-            )
-        if not _is_looked_for(note, told[LOOK]):
+            plus_step(note.last, dt, note.z[:], cmd, memory, config, work)
+        if not _is_due(note, settings.look):
             continue
-        n, P_nav = nav_parts(nav[i])
-        x, _, _, _, _, _, _, _, _, _, _, n_unit = parts(memory[i], constants, kit)
-        scale_plan(shaped(cmd, 0, (1, N_ACT)), n_unit, shaped(held, 0, (1, N_ACT)))
-        plus_look(
-            *(held, n, usual, told[TIME_SCALE], rows[i], book[i], refit_rules, memory[i]),
-            *(constants, kit, ahead, look_room),
-        )
-        spread_now(told[GPS_VAR], P_nav, memory[i], kit, now)
-        if note[LAST] >= note[RENEW_AT]:
-            note[RENEW_AT] = note[LAST] + told[PERIOD] - 1e-9
-            plus_spread(
-                *(held, told[GPS_VAR], told[TIME_SCALE], P_nav, ahead, book[i], memory[i]),
-                *(constants, kit, shocks, look_room, covs),
-            )
-        describe(x[:N_STATES], boat, note, points[i], rules, obs[i])
+        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
+        _hold(cmd, forecast.plan)
+        plus_mean(forecast.plan, GRID, memory, config, mean)
+        _write_variances(state.P, nav.P, settings.gps_var, note.now)
+        for h in range(HORIZON_ROWS.shape[0]):
+            for j in range(N_STATES):
+                note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
+        if note.last >= note.covs_due:
+            note.covs_due = note.last + settings.period - 1e-9
+            plus_draws((mean, mean), GRID, memory, config, forecast.normal, draws)
+            covs = note.covs[:]
+            mean_products(draws.deviations, _DRAWN_ROWS, covs)
+            for h in range(HORIZON_ROWS.shape[0]):
+                for j in range(2):
+                    for k in range(2):
+                        covs[h, j, k] += nav.P[j, k]
+                    covs[h, j, j] += settings.gps_var
+        describe(state.x, boat, note, boats.points[i], rules, obs[i])
 
 
 class TwinObserver(Observer):
@@ -270,11 +343,11 @@ class TwinObserver(Observer):
     Parameters
     ----------
     episodes : Episodes
-        The boats; only their measurements, commands and paths are looked at.
+        The boats; only their measurements, commands and paths are used.
     twin : Twin
         That of the first boat, as new.
     band_period : float
-        The standard deviations ahead are renewed this often, s; 0 for every step.
+        The standard deviations ahead are updated this often, s; 0 for every step.
     parameters : bool
         Add the parameters of the identified model and their standard deviations, both in units
         of the standard deviations that they had at the start.
@@ -284,8 +357,9 @@ class TwinObserver(Observer):
         self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
     ) -> None:
         self.episodes, self.first, self.band_period = episodes, twin, band_period
-        self.notes = np.zeros((episodes.n, NOTE_SIZE))
-        self.notes[:, [LAST, SHOWN]] = math.nan
+        self._notes = np.zeros((episodes.n, NOTE.itemsize // 8))
+        self.notes = self._notes.view(NOTE)[:, 0]
+        self.notes["last"] = self.notes["shown"] = math.nan
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._parameters = parameters
         if parameters:
@@ -300,37 +374,37 @@ class TwinObserver(Observer):
             self.names += (*(f"xi_{name}" for name in known), *(f"sd_{name}" for name in known))
 
     @property
-    def off(self) -> Array:
-        """Distance (n,) of the believed from the true positions, m; a view."""
-        return self.notes[:, OFF]
+    def position_error(self) -> Array:
+        """Distance (n,) of the twins' positions from the true ones, m; a view."""
+        error: Array = self.notes["position_error"]
+        return error
 
     def infos(self) -> dict[str, np.ndarray]:
         """See :class:`Observer`."""
-        return {"twin_position_error_m": self.off}
+        return {"twin_position_error_m": self.position_error}
 
     def reset(self, i: int) -> None:
-        """Let boat i begin an episode with a twin that knows nothing yet."""
-        self.notes[i] = 0.0
-        self.notes[i, [LAST, SHOWN]] = math.nan
+        """Let boat i begin an episode with a twin that has seen nothing yet."""
+        self._notes[i] = 0.0
+        self.notes["last"][i] = self.notes["shown"][i] = math.nan
         self._forget(i)
 
     def overlay(self, i: int) -> TwinOverlay | None:
-        """Return what the twin of boat i believes, for pictures; None before its first row."""
+        """Return the twin of boat i for pictures; None before its first row."""
         note = self.notes[i]
-        if not math.isfinite(note[LAST]):
+        if not math.isfinite(note["last"]):
             return None
-        _, _, now, ahead, covs = py_func(note_parts)(note)
         return TwinOverlay(
             state=self._state(i),
-            cov=now[:2, :2].copy(),
-            horizons=LOOK_AHEAD.copy(),
-            ahead=ahead.copy(),
-            covs=covs[:, :2, :2].copy(),
+            cov=note["now"][:2, :2].copy(),
+            horizons=HORIZONS.copy(),
+            ahead=note["ahead"].copy(),
+            covs=note["covs"][:, :2, :2].copy(),
         )
 
     @abstractmethod
     def _state(self, i: int) -> Array:
-        """Return a copy of the state (6,) that the twin of boat i believes in."""
+        """Return a copy of the state (6,) of the twin of boat i."""
 
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
         """Let the twins of boats with a new row take it, and write their parts of ``obs``.
@@ -364,7 +438,7 @@ class TwinObserver(Observer):
 
     @abstractmethod
     def twin(self, i: int) -> Twin:
-        """Return a copy of the twin of boat i, that knows what it knows now."""
+        """Return a copy of the twin of boat i as it is now."""
 
 
 class SeparateTwins(TwinObserver):
@@ -375,7 +449,7 @@ class SeparateTwins(TwinObserver):
     ) -> None:
         super().__init__(episodes, twin, band_period, parameters)
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
-        self._plan = np.zeros((round(HORIZONS[-1] / PLAN_STEP), N_ACT))
+        self._plan = np.zeros((ROWS, N_ACT))
 
     def _state(self, i: int) -> Array:
         return np.array(self.twins[i].predictor.state, dtype=np.float64)
@@ -395,25 +469,26 @@ class SeparateTwins(TwinObserver):
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
         sim, task = self.episodes.simulation, self.episodes.task
         for i in range(self.episodes.n)[rows]:
-            note = self.notes[i]
-            dt = _next_row(sim.boats[i], note)
-            t, twin = note.item(LAST), self.twins[i]
-            _, z, now, ahead, covs = py_func(note_parts)(note)
+            note, boat = self.notes[i], sim.boats[i]
+            dt, twin = _next_row_of(boat, self._notes[i]), self.twins[i]
+            t = note["last"].item()
             if dt >= 0.0:
                 # what a twin keeps must not change with the next row
-                twin.feed(t, z.copy(), sim.cmd[i].copy())
-            if not _is_looked_for(note, float(look)):
+                twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
+            if not look or note["shown"] == note["last"]:
                 continue
+            note["shown"] = note["last"]
             self._plan[:] = sim.cmd[i]
-            if t >= note[RENEW_AT]:
-                note[RENEW_AT] = t + self.band_period - 1e-9
-                prediction = twin.predictor.predict(self._plan, PLAN_STEP)
-                ahead[:], covs[:] = prediction.mean[_ROWS], prediction.cov[_ROWS]
+            if t >= note["covs_due"]:
+                note["covs_due"] = t + self.band_period - 1e-9
+                prediction = twin.predictor.predict(self._plan, GRID)
+                note["ahead"][:] = prediction.mean[HORIZON_ROWS]
+                note["covs"][:] = prediction.cov[HORIZON_ROWS]
             else:
-                ahead[:] = twin.predictor.mean(self._plan, PLAN_STEP)[_ROWS]
-            np.fill_diagonal(now, twin.predictor.estimate().sd ** 2)
+                note["ahead"][:] = twin.predictor.mean(self._plan, GRID)[HORIZON_ROWS]
+            np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
-            describe(s, sim.boats[i], note, task.points[i], task.rules, obs[i])
+            _describe(s, boat, self._notes[i], task.points[i], task.rules, obs[i])
 
 
 class CompiledTwins(TwinObserver):
@@ -428,50 +503,57 @@ class CompiledTwins(TwinObserver):
         super().__init__(episodes, twin, band_period, parameters)
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
-        own = predictor.remembered
+        own, many = predictor.memory, episodes.n
         self._blank = [array.copy() for array in own]
-        many = episodes.n
-        self.memories = [
-            array[None] if many == 1 else np.repeat(array[None], many, axis=0) for array in own
-        ]
-        particulars = predictor.particulars
-        self._told = np.array(
-            [band_period, particulars.instruments.gps_bias_sd**2, particulars.time_scale, 1.0]
+        self.memory = type(own)(
+            *(array[None] if many == 1 else np.repeat(array[None], many, axis=0) for array in own)
         )
-        self._shared = predictor.shared
-        self._room = np.zeros(len(predictor.ukf.memory) + (len(HORIZONS) + 1) * N_ACT)
+        gps_var = predictor.particulars.instruments.gps_bias_sd**2
+        self._settings = np.array([band_period, gps_var, 1.0])
+        self._forecast = self._buffers()
         # a thread needs scratch of its own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
 
+    @property
+    def boats(self) -> dict[str, Any]:
+        """What the twins remember, by name: ``boats["filter"]["P"]`` is (n, 6 + p, 6 + p)."""
+        parts = self.memory._asdict()
+        return {
+            name: parts[name].view(dtype)[:, 0] for name, dtype in self._predictor.dtypes.items()
+        }
+
+    def _buffers(self) -> Any:
+        """Return buffers of a forecast."""
+        return UKFForecast(np.zeros((ROWS, N_ACT)), np.zeros(flat_size(forecast_buffers, ROWS)))
+
     def _state(self, i: int) -> Array:
-        _, memory, *_ = self.memories
-        return memory[i, :N_STATES].copy()
+        return self.memory.filter[i, :N_STATES].copy()
 
     def _forget(self, i: int) -> None:
         if self._single:
             self.first.reset()
             return
-        for memory, blank in zip(self.memories, self._blank, strict=True):
+        for memory, blank in zip(self.memory, self._blank, strict=True):
             memory[i] = blank
 
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""
         twin = copy.deepcopy(self.first)
         predictor = _compiled(twin)
-        for array, memory in zip(predictor.remembered, self.memories, strict=True):
+        for array, memory in zip(predictor.memory, self.memory, strict=True):
             array[:] = memory[i]
-        twin.t = predictor.t = self.notes.item(i, LAST)
+        twin.t = predictor.t = self.notes["last"].item(i)
         twin.cmd = self.episodes.simulation.cmd[i].copy()
         return twin
 
     def _identified(self, rows: slice) -> tuple[Array, Array]:
         """See :class:`TwinObserver`."""
-        n = N_STATES + len(self._prior)
-        memory = self.memories[1][rows]
-        return memory[:, N_STATES:n], np.sqrt(memory[:, n : n + n * n : n + 1][:, N_STATES:])
+        state = self.boats["filter"][rows]
+        variances = np.diagonal(state["P"], axis1=1, axis2=2)
+        return state["x"][:, N_STATES:], np.sqrt(variances[:, N_STATES:])
 
     def _observe(self, obs: NDArray[np.float32], look: bool, rows: slice) -> None:
-        self._told[LOOK] = look
+        self._settings[2] = look
         if rows != _ALL:
             self._call(*self._arguments(rows), obs[rows])
         elif len(self._all) == 1:
@@ -480,28 +562,26 @@ class CompiledTwins(TwinObserver):
             self.episodes.each(lambda j: self._call(*self._all[j], obs[self.episodes.blocks[j]]))
         if self._single:
             twin = self.first
-            twin.t = self._predictor.t = self.notes.item(0, LAST)
+            twin.t = self._predictor.t = self._notes.item(0)
             twin.cmd = self._cmd
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
-        sim, task = self.episodes.simulation, self.episodes.task
-        shared = (*self._shared, self._room)
-        return (
-            *(
-                sim.rows[rows],
-                task.points[rows],
-                self.episodes.shared,
-                self._told,
-                self.notes[rows],
-            ),
-            *(memory[rows] for memory in self.memories),
-            *(copy.deepcopy(shared) if own else shared),
+        sim, task, predictor = self.episodes.simulation, self.episodes.task, self._predictor
+        boats = Boats(
+            sim.rows[rows],
+            task.points[rows],
+            self._notes[rows],
+            self.episodes.shared,
+            self._settings,
         )
+        memory = type(self.memory)(*(array[rows] for array in self.memory))
+        scratch = predictor.work, self._forecast
+        return boats, memory, predictor.config, *(copy.deepcopy(scratch) if own else scratch)
 
     @property
     def rollout_inputs(self) -> RolloutInputs:
         """What the models of all boats are rolled from, for :mod:`twin.agents.mpc`; views."""
-        return self._predictor.rollout_inputs(*self.memories)
+        return self._predictor.rollout_inputs(self.memory)
 
     @property
     def joint(self) -> JointUKF:
@@ -520,6 +600,19 @@ def _compiled(twin: Twin) -> UKFPredictor:
 
 class CompiledPlusTwins(CompiledTwins):
     """The same with refits."""
+
+    def _buffers(self) -> Any:
+        """Return buffers of a forecast."""
+        predictor = self._predictor
+        assert isinstance(predictor, PlusPredictor)
+        normal = predictor.normal
+        D, p = normal[0].shape
+        return PlusForecast(
+            np.zeros((ROWS, N_ACT)),
+            np.zeros(flat_size(mean_forecast_of, p, ROWS, ROWS)),
+            np.zeros(flat_size(draws_of, p, ROWS, ROWS, D)),
+            normal,
+        )
 
     @staticmethod
     def _call(*arguments: object) -> None:
@@ -543,9 +636,9 @@ def observer_of(
     twin : str or Predictor
         A name in ``twin.PREDICTORS``, or a predictor; many boats get copies of it.
     particulars : Particulars, optional
-        What the twins are told of the boats; that of the vessel if left out.
+        What the twins are given of the boats; that of the vessel if left out.
     band_period : float
-        The standard deviations ahead are renewed this often, s; 0 for every step.
+        The standard deviations ahead are updated this often, s; 0 for every step.
     seed : int
         For predictors that draw random numbers.
     parameters : bool
@@ -556,7 +649,7 @@ def observer_of(
     sim, options = episodes.simulation, {}
     if not isinstance(twin, Predictor):
         if len(episodes.seas) > 1 and predictor_class(twin).needs_simulator:
-            raise PredictorError(f"{twin} is told of the sea: give one, not {len(episodes.seas)}")
+            raise PredictorError(f"{twin} is given the sea: name one, not {len(episodes.seas)}")
         options = simulator_options(twin, episodes.vessel, episodes.seas[0], sim.dof)
     particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
     first = Twin(particulars, twin, seed=seed, **options)

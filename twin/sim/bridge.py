@@ -1,4 +1,4 @@
-"""Where world and belief meet: particulars of a vessel, and simulated runs as logs."""
+"""Between simulator and twin: particulars of a vessel, and simulated runs as logs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 UPRIGHT = 0.07
-"""Room for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
+"""Margin for what the white noise of an accelerometer leaves out, m/s2 at 20 Hz."""
 
 TILT_SD, TILT_TIME = 0.08, 1.0
 """Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
@@ -45,17 +45,17 @@ if MEASUREMENTS[: len(CHANNELS)] != CHANNELS:
 
 
 def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
-    """Return what the owner of a simulated vessel would tell its twin.
+    """Return the particulars of a simulated vessel, for its twin.
 
     Parameters
     ----------
     vessel : Vessel
-        The vessel; only main particulars, actuators, the usual speed and, if a prior of it comes
-        with the package, the class are passed on.
+        The vessel; only main particulars, actuators, typical speed and, if a prior of it comes
+        with the package, the class are used.
     suite : SensorSuite, optional
         Its sensors, as their data sheets describe them; the default suite if left out.
     dof : int
-        Degrees of freedom of the ship; with 6 the accelerometers also feel its tilt.
+        Degrees of freedom of the ship; with 6 the accelerometers also measure its tilt.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
         instruments=Instruments(
             gps_sd=max(suite.gps_white, 0.02),
             gps_bias_sd=suite.gps_bias,
-            # room for what the latency makes of a wavy motion
+            # with a margin for latency in waves
             doppler_sd=math.hypot(suite.doppler_white, 0.06),
             compass_sd=max(math.hypot(suite.compass_white, 0.5 * suite.compass_bias), 0.001),
             compass_bias_sd=suite.compass_bias,
@@ -99,7 +99,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
 
 
 def measurement_row(channels: Array) -> Array:
-    """Return a row of ``twin.logs.log.MEASUREMENTS`` for what the simulated sensors said."""
+    """Return a row of ``twin.channels.MEASUREMENTS`` from the simulated sensors."""
     row = np.full(len(MEASUREMENTS), math.nan)
     row[: len(channels)] = channels
     return row
@@ -118,12 +118,12 @@ def simulate(
     dt: float = 0.05,
     name: str | None = None,
 ) -> Log:
-    """Sail a manoeuvre and return its log, with the truth.
+    """Simulate a manoeuvre and return its log, with the truth.
 
     Parameters
     ----------
     manoeuvre : str or ndarray, shape (N, 4)
-        One of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands of the N control steps.
+        One of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands of N control steps.
     vessel, sea
         Boat and sea state.
     duration : float
@@ -145,12 +145,12 @@ def simulate(
     -------
     Log
     """
-    surroundings, helmsman = np.random.default_rng(seed).spawn(2)
+    sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
-    simulation.reset([0], [surroundings])
+    simulation.reset([0], [sea_rng])
     N = max(round(duration / dt), 1)
     if isinstance(manoeuvre, str):
-        given, called = commands(manoeuvre, np.arange(N) * dt, vessel, helmsman), manoeuvre
+        given, called = commands(manoeuvre, np.arange(N) * dt, vessel, helm_rng), manoeuvre
     else:
         given, called = manoeuvre, "own"
     t, cmd = np.empty(N + 1), np.empty((N + 1, 4))

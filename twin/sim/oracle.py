@@ -1,18 +1,19 @@
-"""The oracle: how well a boat could be predicted by one who knew all of her but the waves.
+"""The oracle: the best possible prediction, with the true boat in mean wind and current.
 
-It sails the very ship that the simulation sails, in the mean wind and current, which it knows;
-waves and gusts it does not know. It is the floor that the excess error of the benchmark is
-measured from, and no twin: on a real boat there is no such thing.
+It sails the ship of the simulation, in the mean wind and current, which it is given; waves and
+gusts are unknown to it. It is the floor that the excess error of the benchmark is measured from,
+and no twin: on a real boat there is no such thing.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.logs.log import Log
 from twin.particulars import Particulars
@@ -35,7 +36,10 @@ __all__ = [
 Array = NDArray[Any]
 
 GAIN = 0.5
-"""How fast the oracle's velocities follow those of the navigation, 1/s (twin.md 10 B4)."""
+"""How fast the oracle's velocities follow those of the navigation, 1/s.
+
+Source: docs/explanation/twin.md, Waves and prediction intervals.
+"""
 
 STEP = 0.05
 """Longest integration step, s: that of the simulation."""
@@ -46,13 +50,22 @@ _TIME, _SHIP = 0, 1
 _SIZE = _SHIP + fr.STATE_SIZE
 
 
+class _True(NamedTuple):
+    """The true ship in steady weather, and scratch."""
+
+    vessel: Any  # usv_gym.physics.ship.Ship
+    sea: Any  # mean wind and current, no waves
+    limits: Any  # (3,) largest abs(u), abs(v), m/s, and abs(r), rad/s
+    work: Any  # (ship.WORK_ROWS + 1, 16) of a step, and a state
+
+
 @kernel
-def _sail(state, cmd, t, dt, vessel, sea, limits, work):
+def _sail(state, cmd, t, dt, true):
     """Sail a ship for dt under a command, in place; velocities stay within the limits."""
-    steps = math.ceil(dt / STEP - 1e-9)
+    steps, limits = math.ceil(dt / STEP - 1e-9), true.limits
     for j in range(steps):
         h = dt / steps
-        ship.step(state, cmd, vessel, sea, t + j * h, h, work)
+        ship.step(state, cmd, true.vessel, true.sea, t + j * h, h, true.work)
         total = 0.0
         for i in range(fr.STATE_SIZE):
             total += state[i]
@@ -65,15 +78,14 @@ def _sail(state, cmd, t, dt, vessel, sea, limits, work):
 
 
 @kernel
-def _roll(starts, plans, dt, vessel, sea, limits, work, out):
+def _roll(starts, plans, dt, true, out):
     """Write where ships get from their starts (B, 17) under plans (B, K, 4): (B, K, 16)."""
-    state = work[ship.WORK_ROWS]
+    state = true.work[ship.WORK_ROWS]
     for b in range(plans.shape[0]):
         for i in range(fr.STATE_SIZE):
             state[i] = starts[b, _SHIP + i]
         for k in range(plans.shape[1]):
-            t = starts[b, _TIME] + k * dt
-            _sail(state, plans[b, k], t, dt, vessel, sea, limits, work)
+            _sail(state, plans[b, k], starts[b, _TIME] + k * dt, dt, true)
             for i in range(fr.STATE_SIZE):
                 out[b, k, i] = state[i]
 
@@ -89,14 +101,14 @@ def known_vessel(particulars: Particulars) -> Vessel:
     Raises
     ------
     PredictorError
-        For any other boat: nobody knows the true one.
+        For any other boat: the true one is not known.
     """
     name = particulars.name
     if name in vessel_names():
         vessel = Vessel.load(name)
-        told = particulars_of(vessel)
+        true = particulars_of(vessel)
         numbers = ("length", "beam", "draft", "mass", "speed", "shaft_speed")
-        if all(math.isclose(getattr(told, k), getattr(particulars, k)) for k in numbers):
+        if all(math.isclose(getattr(true, k), getattr(particulars, k)) for k in numbers):
             return vessel
     raise PredictorError(
         f"oracle: the true boat behind {name!r} is not known; it runs where the vessel is handed "
@@ -105,12 +117,12 @@ def known_vessel(particulars: Particulars) -> Vessel:
 
 
 def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
-    """Refuse a predictor that needs the true boat where nobody knows it.
+    """Refuse a predictor that needs the true boat where it is not known.
 
     Parameters
     ----------
     predictor : str
-        A name in ``twin.PREDICTORS``; those without a share in the world always pass.
+        A name in ``twin.PREDICTORS``; those that need no simulator always pass.
     log, particulars : Log, Particulars
         The run as it was read, and its boat.
 
@@ -130,7 +142,7 @@ def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
 
 
 def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
-    """Return what a predictor is to be told of the true world; nothing, unless it asks for it.
+    """Return what a predictor is given of the simulator; nothing, unless it asks for it.
 
     Parameters
     ----------
@@ -148,16 +160,16 @@ class Oracle(HistoryPredictor):
     """The true ship in the mean wind and current, from a filtered start.
 
     Place and heading come from the tight navigation filter; speeds and yaw rate from an
-    observer, the ship itself sailing along and drawn to the navigation's velocities by
+    observer, the ship itself sailing along and pulled to the navigation's velocities by
     :data:`GAIN`, so that it does not take the waves of the moment for the boat's motion. The
     actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the
-    slow changes of the wind are not known to it. Bands are those of
+    slow changes of the wind are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
     Parameters
     ----------
     particulars : Particulars
-        What the navigation is told.
+        What the navigation is given.
     vessel : Vessel, optional
         The true boat; left out, the package's vessel of which the particulars speak.
     sea : SeaState, optional
@@ -170,6 +182,7 @@ class Oracle(HistoryPredictor):
 
     tuning = "none: it knows the boat"
     needs_simulator = True
+    constants = ("_true", "_known")
 
     def __init__(
         self,
@@ -184,7 +197,7 @@ class Oracle(HistoryPredictor):
         quiet = np.random.default_rng(0)
         weather = (sea or SeaState()).realise(vessel, quiet, quiet).weather
         U, L = particulars.speed, particulars.length
-        self._arguments = (
+        self._true = _True(
             ship.Ship(vessel.packed.copy(), dof),
             ship.calm_sea(weather),
             np.array([4.0 * U, 4.0 * U, 4.0 * U / L]),
@@ -195,16 +208,21 @@ class Oracle(HistoryPredictor):
     def reset(self) -> None:
         """Forget everything that was seen."""
         super().reset()
-        self._beside = np.zeros(_SIZE)
+        self._extra = np.zeros(_SIZE)
         self._last = np.zeros(10 + _SIZE)
         self._begun = False
-        self._told = np.zeros((0, 0)), np.zeros((0, 0, 0))
+        self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
-    def beside(self, dt: float) -> Array:
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        super().load_state_dict(state)
+        self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
+
+    def extra_columns(self, dt: float) -> Array:
         """Return the time and the state of the ship that sails along, shape (17,)."""
-        out = self._beside.copy()
+        out = self._extra.copy()
         state, n = out[_SHIP:], self.navigator.n
-        _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), *self._arguments)
+        _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), self._true)
         if not self._begun:
             state[fr.N_LEFT :] = self._cmd
         share = -math.expm1(-GAIN * dt) if self._begun else 1.0
@@ -217,7 +235,7 @@ class Oracle(HistoryPredictor):
 
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan."""
-        return self._paths(self._beside[None], plan[None], dt)[0]
+        return self._paths(self._extra[None], plan[None], dt)[0]
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`.
@@ -225,20 +243,20 @@ class Oracle(HistoryPredictor):
         Those from the moments of the last call are taken from there: the ship does not change.
         """
         asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
-        told, paths = self._told
+        known, paths = self._known
         out = np.empty((*plans.shape[:2], len(TRUE_STATE)))
         new = np.ones(len(asked), dtype=np.bool_)
-        if told.shape[1] == asked.shape[1]:
-            place = np.minimum(np.searchsorted(told[:, _TIME], asked[:, _TIME]), len(told) - 1)
-            new = (told[place] != asked).any(axis=1)
+        if known.shape[1] == asked.shape[1]:
+            place = np.minimum(np.searchsorted(known[:, _TIME], asked[:, _TIME]), len(known) - 1)
+            new = (known[place] != asked).any(axis=1)
             out[~new] = paths[place[~new]]
         if new.any():
             out[new] = self._paths(rows[origins[new], 10:], plans[new], GRID)
-        self._told = asked, out
+        self._known = asked, out
         return out
 
     def _paths(self, starts: Array, plans: Array, dt: float) -> Array:
         out = np.empty((*plans.shape[:2], fr.STATE_SIZE))
         plans = np.ascontiguousarray(plans)
-        _roll(starts, plans, dt, *self._arguments, out)
+        _roll(starts, plans, dt, self._true, out)
         return out[:, :, TRUE_STATE]

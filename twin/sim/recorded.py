@@ -1,4 +1,4 @@
-"""Recorded runs as the benchmark reads them, with the particulars that lie beside them."""
+"""Recorded runs with the particulars of their boats."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import dataclasses
 from pathlib import Path
 
 from twin.logs import datasets as archive
-from twin.logs.log import Log, beside
+from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
-    "particulars_beside",
+    "lacks_particulars",
+    "particulars_for_log",
     "read_run",
-    "without_particulars",
 ]
 
 
 def log_name(path: str) -> str:
     """Return the name of a recorded run."""
-    return beside(path, "").name
+    return sibling_path(path, "").name
 
 
 def read_run(
@@ -33,27 +33,27 @@ def read_run(
     path : str
         A log of any kind that ``Log.read`` takes.
     ship : str, optional
-        As for :func:`particulars_beside`.
+        As for :func:`particulars_for_log`.
     mapping : str, optional
         As for ``Log.read``.
     """
-    return Log.read(path, mapping), particulars_beside(path, ship)[0]
+    return Log.read(path, mapping), particulars_for_log(path, ship)[0]
 
 
 NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FILE names a boat"
-"""Said where :func:`particulars_beside` found none."""
+"""Said where :func:`particulars_for_log` found none."""
 
 
-def without_particulars(path: str) -> bool:
-    """Return whether nobody says what boat a log is of."""
-    return not (beside(path, ".toml").exists() or archive.known(path))
+def lacks_particulars(path: str) -> bool:
+    """Return whether a log has no particulars of its boat."""
+    return not (sibling_path(path, ".toml").exists() or archive.known(path))
 
 
-def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
+def particulars_for_log(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
     """Return the particulars for a log, and whether any were given for it.
 
-    They are those of ``ship``, else those in ``<log>.toml`` beside the log, else those of an
-    archive's boat, else the usv75's, of whose class nobody says that the boat is.
+    They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
+    archive's boat, else the usv75's without its class.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def particulars_beside(path: str | Path, ship: str | None = None) -> tuple[Parti
         Names the file and the remedy.
     """
     if ship is None:
-        file = beside(path, ".toml")
+        file = sibling_path(path, ".toml")
         if file.exists():
             return Particulars.load(file), True
         if archive.known(path):

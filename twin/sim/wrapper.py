@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from twin.digital_twin import Twin
-from twin.logs.log import Log, beside
+from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
@@ -139,7 +139,7 @@ class TwinObservation(
         whole = np.empty(self.observation_space.shape or (), np.float32)
         whole[: len(obs)] = obs
         self._observer.observe(whole[None])
-        info["twin_position_error_m"] = self._observer.off.item(0)
+        info["twin_position_error_m"] = self._observer.position_error.item(0)
         if self._renderer:
             self._renderer.look()
         return whole
@@ -333,5 +333,5 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     if path is not None:
         log.write(path)
         particulars = particulars_of(base.vessel, base.simulation.suite, base.simulation.dof)
-        beside(path, ".toml").write_text(particulars.to_toml(), encoding="utf-8")
+        sibling_path(path, ".toml").write_text(particulars.to_toml(), encoding="utf-8")
     return log

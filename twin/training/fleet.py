@@ -4,11 +4,10 @@ Each boat sails a few manoeuvres in seas of its own, with noisy sensors that fai
 the navigation filter makes of them is what a net sees, and the truth is what it has to predict.
 Boats, seas and sensors are drawn apart from those of the benchmark.
 
-Training stops at Ctrl-C and goes on where it was, at the next call; the result hangs on the
-seed and the settings alone (and on the machine's arithmetic).
+Training stops at Ctrl-C and goes on where it was, at the next call; the result depends on
+seed and settings alone (and on the machine's arithmetic).
 
-Source: twin.md, sections 1 and 4 (an LSTM of a fleet of 600 simulated boats, one configuration);
-boats, nets and training are ours.
+Source: docs/explanation/twin.md, Learned predictors; boats, nets and training are ours.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from twin.model.priors import KINDS
-from twin.particulars import Instruments, Particulars
+from twin.particulars import Particulars
 from twin.predictors.baselines import GRID
 from twin.predictors.learned.lstm import import_torch, undisturbed
 from twin.predictors.learned.pretrained import (
@@ -88,7 +87,7 @@ EACH = 8
 """Windows of a run in a batch."""
 
 WILD = 3.0
-"""Velocities over their usual size above which a window teaches nothing."""
+"""Velocities over their typical size above which a window is left out."""
 
 SWAPPED = [0, 1, 2, 3, 4, 5, 7, 6, 9, 8, 11, 10, 13, 12, 14, 15, 16]
 
@@ -96,11 +95,11 @@ MIRROR = np.array([1, -1, -1, 1, -1, -1, *(1, 1, -1, -1) * 2, 1, 1, 1], dtype=np
 """A history seen in a mirror: left and right units change places, and sides their sign."""
 
 TYPICAL = np.array([0.08, 0.08, 0.05, 0.03, 0.03, 0.04])
-"""Errors that weigh alike: of x and y (lengths), psi (rad), u and v (usual speeds), r."""
+"""Errors of equal weight: of x and y (lengths), psi (rad), u and v (typical speeds), r."""
 
 
 class FleetError(UsvTwinError):
-    """A training that cannot be; the message says why."""
+    """A training that cannot start; the message says why."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +190,7 @@ class Run:
 
 
 def _boat(rng: np.random.Generator) -> Vessel:
-    """Return a boat of the fleet: three in five are like the usv75, the rest like nothing else."""
+    """Return a boat of the fleet: three in five vary around the usv75."""
     if rng.random() < 0.6:
         return Vessel.load("usv75").varied(rng, 0.2)
     while True:
@@ -202,17 +201,7 @@ def _boat(rng: np.random.Generator) -> Vessel:
 
 
 def _commands(vessel: Vessel, slow: float, rng: np.random.Generator) -> Array:
-    """Return the commands of a run: a manoeuvre of the benchmark, or throttle steps, at random.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Whose commands.
-    slow : float
-        How much longer than the study boat's legs are.
-    rng : numpy.random.Generator
-        Draws kind, angles, throttle and times.
-    """
+    """Return the commands of a run: a manoeuvre of the benchmark, or throttle steps, at random."""
     t = DT * np.arange(round(SPAN / DT))
     kind = rng.choice(("turn", "zigzag", "turn-zigzag", "random", "throttle"))
     share, angle = np.full(len(t), rng.uniform(0.75, 1.05)), np.zeros(len(t))
@@ -315,11 +304,11 @@ def seen(log: Any, particulars: Particulars) -> Run:
 
 
 CHUNK = 20
-"""Boats that sail between two files."""
+"""Boats in one file."""
 
 
 def sail_fleet(settings: FleetSettings, folder: Path, jobs: int = 1) -> list[Run]:
-    """Sail the fleet, or take what an earlier call has sailed.
+    """Simulate the fleet, or read what an earlier call has simulated.
 
     Parameters
     ----------
@@ -336,10 +325,10 @@ def sail_fleet(settings: FleetSettings, folder: Path, jobs: int = 1) -> list[Run
         numbers = range(first, min(first + CHUNK, settings.boats))
         part = folder / f"fleet_{settings.seed}_{settings.runs}_{first}_{len(numbers)}.npz"
         if not part.exists():
-            sailed = Parallel(n_jobs=jobs)(
+            found = Parallel(n_jobs=jobs)(
                 delayed(sail_boat)(settings.seed, i, settings.runs) for i in numbers
             )
-            _keep([run for runs in sailed for run in runs], part)
+            _keep([run for runs in found for run in runs], part)
         fleet += _kept(part)
     return fleet
 
@@ -367,13 +356,14 @@ def _kept(path: Path) -> list[Run]:
 
 
 def _boat_of(about: dict[str, Any]) -> Particulars:
-    return Particulars(**{**about, "instruments": Instruments(**about["instruments"])})
+    instruments = about.pop("instruments")
+    return Particulars.from_tables(about, instruments)
 
 
 def make_net(settings: FleetSettings, torch: Any) -> Any:
     """Return an untrained net: a torch module from tokens to increments, (B, AHEAD, 3 PATCH).
 
-    Its weights have the names that ``twin.predictors.learned.pretrained.run_lstm`` and ``run_transformer`` know.
+    Its weights have the names that :mod:`twin.predictors.learned.pretrained` knows.
     """
     nn, width = torch.nn, settings.width
     Module: Any = nn.Module
@@ -443,11 +433,11 @@ def batch(fleet: list[Run], size: int, rng: np.random.Generator) -> tuple[Array,
     x : ndarray, shape (B, PAST + AHEAD, TOKEN)
         Tokens.
     start : ndarray, shape (B, 3)
-        u, v, r that a roll-out starts from, over their usual size.
+        u, v, r that a roll-out starts from, over their typical size.
     sailed : ndarray, shape (B, 1)
-        Lengths sailed in a grid step at the usual speed.
+        Lengths travelled in a grid step at the typical speed.
     truth : ndarray, shape (B, AHEAD * PATCH, 6)
-        True ends of the steps in the boat's frame at the start: lengths, rad, usual sizes.
+        True ends of the steps in the boat's frame at the start: lengths, rad, typical sizes.
     """
     parts = []
     for i in rng.integers(len(fleet), size=max(size // EACH, 1)):
@@ -546,9 +536,9 @@ def train(
                 )
             rng = np.random.default_rng([_FLEET, settings.seed, step, 1])
             x, *rest = batch(fleet, settings.batch, rng)
-            told = torch.from_numpy(gated(x, settings.gate))
+            inputs = torch.from_numpy(gated(x, settings.gate))
             start, sailed, truth = map(torch.from_numpy, rest)
-            loss = torch.mean(torch.abs(roll(net(told), start, sailed, torch) - truth) * weight)
+            loss = torch.mean(torch.abs(roll(net(inputs), start, sailed, torch) - truth) * weight)
             optimiser.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)

@@ -1,8 +1,8 @@
 """A search for the settings of the fleet's nets: ``python -m twin.training.hyperparameter_search``.
 
 Successive halving: every configuration gets a short training, and the better half of them one
-that is twice as long, again and again. All learn from the same boats and are judged on the same
-windows of other boats. What was found goes into a file of JSON lines at once: Ctrl-C loses
+that is twice as long, again and again. All learn from the same boats and are scored on the same
+windows of other boats. Results go into a file of JSON lines at once, so Ctrl-C loses
 nothing, and the same command goes on.
 
 Source: Jamieson and Talwalkar 2016, Non-stochastic best arm identification and hyperparameter
@@ -49,10 +49,10 @@ FIRST = 8192
 """Windows that the first, shortest training learns from."""
 
 JUDGED = 2048
-"""Windows that judge a net."""
+"""Windows that score a net."""
 
 OTHERS, BOATS = 1, 60
-"""Seed and number of the boats that judge, none of which is learned from."""
+"""Seed and number of the boats for scoring; none is used in training."""
 
 BEGIN = {
     "lstm": FleetSettings(),
@@ -90,7 +90,7 @@ def draw(kind: str, i: int, seed: int) -> FleetSettings:
 
 
 def windows(fleet: list[Run], count: int, seed: int) -> list[tuple[Array, ...]]:
-    """Return windows of a fleet that judge nets, a few at a time; see :func:`twin.training.fleet.batch`."""
+    """Return windows of a fleet to score nets with; see :func:`twin.training.fleet.batch`."""
     rng = np.random.default_rng([_FLEET, seed, 3])
     return [batch(fleet, 128, rng) for _ in range(max(count // 128, 1))]
 
@@ -182,6 +182,8 @@ def search(
     return ranked
 
 
+APP = "twin.training.hyperparameter_search"
+
 app = typer.Typer(add_completion=False)
 
 
@@ -197,15 +199,13 @@ def main(
     seed: Annotated[int, typer.Option(help="Of the configurations.")] = 0,
     boats: Annotated[int, typer.Option(help="Boats to learn from.", min=1)] = 320,
     others: Annotated[
-        int, typer.Option(help="Boats that judge; always as many for one folder.", min=1)
+        int, typer.Option(help="Boats for scoring; always as many for one folder.", min=1)
     ] = BOATS,
     jobs: Annotated[int, typer.Option(help="Processes that sail.")] = 1,
 ) -> None:
     """Search for good settings of a net, by successive halving; Ctrl-C, and go on later."""
     if kind not in NETS:
-        raise SystemExit(
-            f"twin.training.hyperparameter_search: no net is called {kind!r}; known: {', '.join(NETS)}"
-        )
+        raise SystemExit(f"{APP}: no net is called {kind!r}; known: {', '.join(NETS)}")
     try:
         tried = [dataclasses.replace(draw(kind, i, seed), boats=boats) for i in range(trials)]
         fleet = sail_fleet(tried[0], work, jobs)
@@ -213,11 +213,9 @@ def main(
         judges = windows(rest, JUDGED, OTHERS)
         best = search(tried, fleet, judges, work, first=first, rungs=rungs)
     except (FleetError, ImportError) as error:
-        raise SystemExit(f"twin.training.hyperparameter_search: {error}") from None
+        raise SystemExit(f"{APP}: {error}") from None
     except KeyboardInterrupt:
-        raise SystemExit(
-            f"twin.training.hyperparameter_search: stopped; the same command goes on from {work}"
-        ) from None
+        raise SystemExit(f"{APP}: stopped; the same command goes on from {work}") from None
     for line in best:
         print(f"{line['loss']:.4f}  {line['settings']}")
 

@@ -1,11 +1,11 @@
-"""Priors of the twin's parameters, from populations of random boats that sail in calm water.
+"""Priors of the twin's parameters, from populations of random boats in calm water.
 
-Each boat is a first draft from main particulars (``usv_gym.design.new_vessel``) whose coefficients are
-drawn anew (``Vessel.varied``). It sails steps of throttle and steering, and the twin's model
+Each boat is a first draft from main particulars (``usv_gym.design.new_vessel``) with random
+coefficients (``Vessel.varied``). It makes steps of throttle and steering, and the twin's model
 is fitted to what it does. Everything is counted in lengths and in the time that the boat takes
 to sail one, so that a population serves boats of every size.
 
-Source: twin.md, sections 10 B2 and 13.
+Source: docs/explanation/twin.md, The refit.
 """
 
 from __future__ import annotations
@@ -25,17 +25,24 @@ from twin.identification.prediction_error import (
     ACT,
     COLUMNS,
     GOOD,
-    GRID,
     LOW,
     MIDDLE,
     STATE,
     WIND,
     RefitSettings,
-    Segments,
 )
+from twin.identification.segments import Segments
 from twin.model.dynamics import model_of
 from twin.model.priors import KINDS, TANKER, Prior, PriorError
-from twin.model.rollout import ROOM, roll_out
+from twin.model.rollout import (
+    GRID,
+    Paths,
+    RolloutConfig,
+    RolloutStart,
+    Waves,
+    rollout,
+    rollout_size,
+)
 from twin.model.structure import (
     COS,
     COS_TWICE,
@@ -57,22 +64,22 @@ from usv_gym.vessel.vessel import Vessel, state_at
 
 __all__ = [
     "CalmRun",
-    "boat_like",
+    "fit_member",
     "make_prior",
-    "member",
     "nominal",
     "project",
     "random_boat",
     "rolled",
     "sail_calm",
-    "sister",
+    "sample_from_class",
+    "sample_like",
 ]
 
 Array = NDArray[np.float64]
 
 LENGTH_TIME = STUDY_LENGTH / STUDY_SPEED
-"""Time in which the study boat of twin.md sails its length, s. Runs are told as a film shown at
-such a speed that every boat takes as long, so that the times below hold for all."""
+"""Time in which the study boat moves by its length, s. The clock of a run is scaled so that every
+boat takes as long, and the times below hold for all."""
 
 SPAN, ROW = 150.0, GRID
 """Length of a run, and of one of its rows, s."""
@@ -92,10 +99,10 @@ ERROR_SD = np.array(
         *(0.2 / STUDY_SPEED, 0.2 / STUDY_SPEED, 0.025 * LENGTH_TIME),
     ]
 )
-"""Errors that weigh alike in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
+"""Errors of equal weight in the fit: of x, y, psi, u, v, r; lengths, rad, speeds."""
 
 LARGEST_ERROR = np.array([1.0 / STUDY_SPEED, 1.0 / STUDY_SPEED, 0.3 * LENGTH_TIME])
-"""Root mean square errors of u, v, r above which a boat is no boat for the model."""
+"""Root mean square errors of u, v, r above which a boat is left out."""
 
 FINE = 1e-4
 """Relative change of the sum of squares at which a fit ends: far below what a boat differs."""
@@ -113,14 +120,14 @@ BIAS = 0.20
 """How far the coefficients of the model of a class are off, as a standard deviation."""
 
 MEASURED = "kvlcc2_l7"
-"""Whose sisters tankers are taken for."""
+"""The vessel around which tankers are sampled."""
 
 LARGEST_HELM = math.radians(25.0)
 
 
 @dataclass(frozen=True, eq=False)
 class CalmRun:
-    """A run in calm water, as it truly was but for the clock: rows are :data:`ROW` apart.
+    """A run in calm water with a scaled clock; rows are :data:`ROW` apart.
 
     Parameters
     ----------
@@ -153,7 +160,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
     rng : numpy.random.Generator
         Draws the steps.
     n : float, optional
-        Usual shaft speed, rev/s; the vessel's for manoeuvring if left out.
+        Nominal shaft speed, rev/s; the vessel's for manoeuvring if left out.
     """
     n = vessel.values["shaft_speed_manoeuvring"] if n is None else n
     speed = vessel.straight_speed(n)
@@ -215,7 +222,7 @@ def rolled(
     Returns
     -------
     ndarray, shape (starts, horizon, 6)
-        Of x, y (lengths), psi (rad), u, v (usual speeds), r (usual speeds over length).
+        Of x, y (lengths), psi (rad), u, v (typical speeds), r (typical speeds over length).
     """
     about = run.particulars
     lags = np.array([about.shaft_lag, about.steer_lag, about.steer_rate])
@@ -223,15 +230,14 @@ def rolled(
     envelope = np.array([4.0 * about.speed, 4.0 * about.speed, 8.0 * turn])
     units = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     actuators, plan = run.actuators * units, run.commands * units
-    still, ripple = np.zeros(2), np.zeros((0, 3))
-    out_act, room = np.empty((horizon, 4)), np.zeros(ROOM)
+    config, none = RolloutConfig(lags, envelope, structure.terms), Waves(np.zeros((1, 0, 3)), 0.0)
+    still, out_act, work = np.zeros(2), np.empty((horizon, 4)), np.zeros(rollout_size())
     starts = range(0, len(plan) - horizon + 1, stride)
     errors = np.empty((len(starts), horizon, 6))
     for out, k in zip(errors, starts, strict=True):
-        roll_out(
-            *(run.states[k], xi, actuators[k], plan[k : k + horizon], ROW, lags, envelope),
-            *(still, structure.kit, ripple, 0.0, out, out_act, room),
-        )
+        start = RolloutStart(run.states[k : k + 1], xi[None], actuators[k], still)
+        paths = Paths(out[None], out_act)
+        rollout(start, plan[k : k + horizon], ROW, config, none, paths, work)
         out -= run.states[k + 1 : k + 1 + horizon]
     errors /= np.array([about.length, about.length, 1.0, about.speed, about.speed, turn])
     return errors
@@ -240,7 +246,7 @@ def rolled(
 def _shown(structure: Structure) -> Any:
     """Return which parameters calm water can show: no wind, no biases."""
     hidden = (COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, ONE, WIND_X, WIND_Y, WIND_N)
-    return ~np.isin(structure.kit[0], hidden).any(axis=0)
+    return ~np.isin(structure.terms.which, hidden).any(axis=0)
 
 
 def _window(structure: Structure, run: CalmRun) -> Array:
@@ -256,8 +262,8 @@ def _window(structure: Structure, run: CalmRun) -> Array:
 def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array]:
     """Return the parameters with which the model predicts the runs of a boat best.
 
-    The refit of :mod:`twin.identification.prediction_error` without its excuses for waves; the structure's own mean and
-    standard deviation decide where the runs say little.
+    The refit of :mod:`twin.identification.prediction_error` without waves. The structure's own
+    mean and standard deviation decide where the runs show little.
 
     Parameters
     ----------
@@ -271,7 +277,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     xi : ndarray, shape (p,)
         Parameters, SI units.
     error : ndarray, shape (3,)
-        Root mean square errors of u, v (usual speeds) and r (usual speeds over length).
+        Root mean square errors of u, v (typical speeds) and r (typical speeds over length).
     """
     # what calm water does not show stays where it is
     sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
@@ -284,7 +290,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
         horizon=ROW * HORIZON,
         every=2,
         sd=ERROR_SD * units,
-        # there are no waves that the model must be excused from
+        # no waves
         offset_sd=1e-6 * units[3:],
         scale=1.0,
         knee=1e9,
@@ -300,7 +306,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     # a second ahead the errors are nearly linear in the parameters: from there the way is safe
     for horizon in (NEAR, HORIZON):
         ahead = dataclasses.replace(settings, horizon=ROW * horizon)
-        segments = Segments(structure.kit, structure.mean, np.diag(sd**2), ahead, len(starts))
+        segments = Segments(structure.terms, structure.mean, np.diag(sd**2), ahead, len(starts))
         segments.params[:] = xi
         for start in starts:
             segments.add(start, rows, xi)
@@ -311,7 +317,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
 
 
 def _drafted(kind: str, rng: np.random.Generator, **particulars: Any) -> tuple[Vessel, float]:
-    """Return a boat around the first draft of main particulars, and its usual shaft speed."""
+    """Return a boat around the first draft of main particulars, and its nominal shaft speed."""
     propulsion = {
         "drives": "steerable_drive",
         "rudder": "propeller_rudder",
@@ -334,7 +340,7 @@ _RANGES = {
 
 
 def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
-    """Return a random boat of a kind, and its usual shaft speed in rev/s.
+    """Return a random boat of a kind, and its nominal shaft speed in rev/s.
 
     Parameters
     ----------
@@ -345,9 +351,9 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
         Draws main particulars and coefficients.
     """
     if kind == TANKER:
-        return sister(Vessel.load(MEASURED), rng, SPREAD)
+        return sample_from_class(Vessel.load(MEASURED), rng, SPREAD)
     if kind in DESIGNS:
-        return sister(nominal(kind), rng, SPREAD)
+        return sample_from_class(nominal(kind), rng, SPREAD)
     if kind not in KINDS:
         known = ", ".join((*KINDS, TANKER, *DESIGNS))
         raise PriorError(f"kind = {kind!r}: must be one of {known}")
@@ -366,15 +372,15 @@ def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
     )
 
 
-def boat_like(
+def sample_like(
     particulars: Particulars, kind: str, rng: np.random.Generator
 ) -> tuple[Vessel, float]:
-    """Return a random boat of given main particulars, and its usual shaft speed in rev/s.
+    """Return a random boat of given main particulars, and its nominal shaft speed in rev/s.
 
     Parameters
     ----------
     particulars : Particulars
-        Length, beam, draft, mass and usual speed are used.
+        Length, beam, draft, mass and typical speed are used.
     kind : str
         One of ``twin.model.priors.KINDS``.
     rng : numpy.random.Generator
@@ -386,29 +392,30 @@ def boat_like(
 
 @functools.cache
 def nominal(name: str) -> Vessel:
-    """Return what is known of a class before any of its boats has sailed: a model that is off.
+    """Return the model of a class as known before any data: with errors of its coefficients.
 
-    A vessel of the package is what its simulated boats truly vary around, which nobody knows of
-    a real class. So each of its coefficients is drawn anew, by :data:`BIAS`.
+    Simulated boats vary around the vessel of the package; of a real class that is not known. So
+    each coefficient gets a random error, by :data:`BIAS`.
 
     Parameters
     ----------
     name : str
         Of a vessel that comes with the package.
 
-    Source: twin.md, sections 4 and 13.
+    Source: docs/explanation/twin.md, The refit.
     """
-    # the number after those of the boats, so that none is like it by chance
+    # the number after those of the boats, so that none equals it
     return Vessel.load(name).varied(np.random.default_rng((SEED, DRAWN)), BIAS, BUILT)
 
 
-def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> tuple[Vessel, float]:
-    """Return a random boat of a vessel's class, and its usual shaft speed in rev/s.
+def sample_from_class(
+    vessel: Vessel, rng: np.random.Generator, spread: float = CLASS
+) -> tuple[Vessel, float]:
+    """Return a random boat of a vessel's class, and its nominal shaft speed in rev/s.
 
-    Whoever has a model of the class knows more than main particulars tell. For a class of one's
-    own::
+    A model of the class tells more than main particulars. For a class of your own::
 
-        draw = functools.partial(sister, Vessel.load("my_class.toml"))
+        draw = functools.partial(sample_from_class, Vessel.load("my_class.toml"))
         prior = make_prior("mmg", "drives", draw).of(model_of(particulars, "mmg", biased=True))
         twin = Twin(particulars, prior=prior)
 
@@ -427,7 +434,7 @@ def sister(vessel: Vessel, rng: np.random.Generator, spread: float = CLASS) -> t
 Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 
 
-def member(
+def fit_member(
     model: str, kind: str, draw: Draw, seed: int, i: int
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Return one boat of a population.
@@ -437,7 +444,7 @@ def member(
     model, kind : str
         Model structure, and kind of boats as for :func:`random_boat`.
     draw : callable
-        From a generator to a boat and its usual shaft speed.
+        From a generator to a boat and its nominal shaft speed.
     seed, i : int
         Seed of the population, and number of the boat.
 
@@ -477,7 +484,7 @@ def make_prior(
     model, kind : str
         Model structure, and kind of boats as for :func:`random_boat`.
     draw : callable, optional
-        From a generator to a boat and its usual shaft speed; :func:`random_boat` of the
+        From a generator to a boat and its nominal shaft speed; :func:`random_boat` of the
         kind if left out.
     drawn : int
         Boats to draw; those that the model does not fit are left out.
@@ -492,10 +499,10 @@ def make_prior(
         If the model does not fit half of them.
     """
     draw = draw or functools.partial(random_boat, kind)
-    members = Parallel(n_jobs=workers)(
-        delayed(member)(model, kind, draw, seed, i) for i in range(drawn)
+    found = Parallel(n_jobs=workers)(
+        delayed(fit_member)(model, kind, draw, seed, i) for i in range(drawn)
     )
-    fitted = [i for i, (_, error, _) in enumerate(members) if np.all(error <= LARGEST_ERROR)]
+    fitted = [i for i, (_, error, _) in enumerate(found) if np.all(error <= LARGEST_ERROR)]
     if len(fitted) < max(2, drawn // 2):
         raise PriorError(
             f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "
@@ -503,10 +510,10 @@ def make_prior(
         )
     what = f"kind {kind}"
     if kind in DESIGNS:
-        what = f"class {kind}, sisters of a model that is itself {BIAS:.0%} off"
+        what = f"class {kind}, around a model with errors of {BIAS:.0%}"
     return Prior(
-        about=f"model {model}, {what}, seed {seed}, {drawn} boats drawn; twin.training.prior_population",
-        parameters=members[0][2],
+        about=f"model {model}, {what}, seed {seed}, {drawn} boats drawn; {__name__}",
+        parameters=found[0][2],
         boats=np.array(fitted),
-        members=np.array([members[i][0] for i in fitted]),
+        fits=np.array([found[i][0] for i in fitted]),
     )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from usv_gym.physics import AIR_DENSITY, frames
-from usv_kernel.arrays import stack
+from usv_kernel.arrays import alloca_f64
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
 from usv_kernel.scalar import sincos
@@ -27,7 +27,7 @@ def gust(t: float, gusts: np.ndarray) -> float:
     """
     G = gusts.shape[1]
     whole = G - G % LANES
-    sums = stack(LANES)  # side by side, for vector instructions
+    sums = alloca_f64(LANES)  # side by side, for vector instructions
     sums[:] = 0.0
     for begin in range(0, whole, LANES):
         for k in range(LANES):

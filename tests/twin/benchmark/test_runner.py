@@ -29,7 +29,7 @@ from twin.parallel import BACKENDS
 from twin.predictors.baselines import Persistence
 from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.bridge import particulars_of
-from twin.sim.recorded import particulars_beside
+from twin.sim.recorded import particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Fault, FaultError
@@ -216,12 +216,12 @@ def test_a_log_is_replaced_with_its_result_and_has_its_particulars(tmp_path):
     before = path.read_bytes()
     run_all(dataclasses.replace(small, hs=1.0), tmp_path)
     assert path.read_bytes() != before
-    boat, found = particulars_beside(path)
+    boat, found = particulars_for_log(path)
     assert found
     assert boat == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    assumed, found = particulars_beside(other)
+    assumed, found = particulars_for_log(other)
     assert not found
     # without particulars the class is unknown
     assert (boat.design, assumed.design) == ("usv75", "")

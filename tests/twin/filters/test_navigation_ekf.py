@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from twin.channels import MEASUREMENTS
 from twin.filters.navigation_ekf import Navigator, aid
+from twin.filters.navigation_state import NAVIGATION, NAVIGATION_WORK
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -19,6 +20,8 @@ from twin.predictors.ukf import UKFPredictor
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.world.sensors import SensorSuite
+from usv_kernel.jit import kernel
+from usv_kernel.records import as_record
 
 
 def run(log: Log, boat: Particulars, z: np.ndarray | None = None) -> tuple[np.ndarray, Navigator]:
@@ -266,14 +269,19 @@ def test_losses_of_thirty_seconds(manoeuvre, dof):
     assert np.median(ratio) < 1.5
 
 
+@kernel
+def aid_velocity(nav, work, value, variance):
+    aid(as_record(nav, NAVIGATION), as_record(work, NAVIGATION_WORK), 3, value, variance)
+
+
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.5])
 def test_an_aid_much_surer_than_the_filter_leaves_a_covariance(zigzag, boat, ratio):
     _, navigator = run(zigzag.slice(0.0, 10.0), boat)
-    n, P, row = navigator.n, navigator.P, np.zeros(len(navigator.n))
+    P = navigator.P
     sure, before = 1e-3, np.diag(P).copy()
     P[3, :] = P[:, 3] = 0.0
     P[3, 3] = ratio * 1e4 * sure
-    aid(n, P, 3, 4.0, sure, navigator.status, row, row.copy())
+    aid_velocity(navigator.memory, np.zeros(NAVIGATION_WORK.itemsize // 8), 4.0, sure)
     assert positive_definite(P) and P[3, 3] < 4.0 * sure
     np.testing.assert_array_equal(np.delete(np.diag(P), 3), np.delete(before, 3))
 

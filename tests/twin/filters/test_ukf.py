@@ -58,7 +58,7 @@ def run_of_boat(
     s, after, terms = np.array([0.0, 0.0, 6.2, 5.0, 0.0, 0.0]), np.empty(6), np.empty(N_TERMS)
     states = np.empty((steps, 6))
     for k in range(steps):
-        dynamics.step(s, structure.mean, acts[k], wind, structure.kit, H, terms, after)
+        dynamics.step(s, structure.mean, acts[k], wind, structure.terms, H, terms, after)
         s = after + 0.3 * STEP_SD * rng.normal(size=6)
         states[k] = s + SENSOR_SD * rng.normal(size=6)
     return acts, states
@@ -75,16 +75,15 @@ class FullFilter:
         structure: Structure,
         wind: np.ndarray,
     ) -> None:
-        self.kit, self.wind, self.terms = structure.kit, wind, np.empty(N_TERMS)
+        self.model, self.wind, self.terms = structure.terms, wind, np.empty(N_TERMS)
         points = MerweScaledSigmaPoints(len(x), *scaling)
         self.f = UnscentedKalmanFilter(len(x), 6, H, None, self.move, points)
         self.f.x, self.f.P = x.copy(), P.copy()
 
     def move(self, x: np.ndarray, dt: float, act: np.ndarray) -> np.ndarray:
         after = x.copy()
-        dynamics.step(
-            *(x[:6].copy(), x[6:].copy(), act, self.wind, self.kit, dt, self.terms, after[:6])
-        )
+        s, xi = x[:6].copy(), x[6:].copy()
+        dynamics.step(s, xi, act, self.wind, self.model, dt, self.terms, after[:6])
         return after
 
     def step(
@@ -142,7 +141,7 @@ def test_equals_the_full_filter(
     x, P = start(structure)
     full = FullFilter(x, P, scaling, structure, wind)
     weights, work = ukf.scaled_weights(6 + p, *scaling), ukf.workspace(6, p)
-    terms = np.empty(N_TERMS)
+    terms, config = np.empty(N_TERMS), augmented.JointConfig(structure.terms, weights)
     Q_s, R = np.diag(STEP_SD**2), np.diag(SENSOR_SD**2)
     q_xi = (1e-3 * structure.sd) ** 2
     mask = np.ones(6, dtype=bool)
@@ -157,10 +156,9 @@ def test_equals_the_full_filter(
         Q[:6, :6], Q[6:, 6:] = Q_s, np.diag(q_xi)
         full.step(acts[k], zs[k], mask, Q, R)
         z = np.where(mask, zs[k], math.nan)
-        kit = structure.kit
-        repairs = augmented.joint_predict(
-            x, P, acts[k], wind, kit, H, Q_s, q_xi, weights, terms, work
-        )
+        state = augmented.JointState(x, P, acts[k], wind)
+        scratch = augmented.JointWorkspace(Q_s, q_xi, terms, work)
+        repairs = augmented.joint_predict(state, H, config, scratch)
         assert repairs == 0
         ukf.measurement_update(x, P, z, mask, R, 2, math.inf, work)
         sd = np.sqrt(np.diag(full.f.P))
@@ -275,7 +273,7 @@ def test_a_spoilt_covariance_is_repaired(spoil: str) -> None:
         P[0, 1] = P[1, 0] = 1.0001 * math.sqrt(P[0, 0] * P[1, 1])
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     assert ukf.sigma_points(x, P, weights, work) > 0
-    assert np.isfinite(work).all()
+    assert all(np.isfinite(array).all() for array in work)
     assert np.array_equal(P, P.T)
     np.linalg.cholesky(P[:6, :6])
     assert ukf.sigma_points(x, P, weights, work) == 0
@@ -283,13 +281,17 @@ def test_a_spoilt_covariance_is_repaired(spoil: str) -> None:
 
 def test_a_prediction_that_overflows_is_dropped() -> None:
     x, P = start()
-    x[3] = 1e25  # Its square is beyond what the filter believes.
+    x[3] = 1e25  # Its square is beyond what the filter allows.
     before_x, before_P = x.copy(), P.copy()
     Q_s, q_xi = np.diag(STEP_SD**2), np.full(25, 1e-6)
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     act = np.array([6.33, 6.33, 0.0, 0.0])
-    how = (act, CALM, PAPER.kit, H, Q_s, q_xi, weights, np.empty(N_TERMS), work)
-    assert augmented.joint_predict(x, P, *how) == 1
+    state, config = (
+        augmented.JointState(x, P, act, CALM),
+        augmented.JointConfig(PAPER.terms, weights),
+    )
+    scratch = augmented.JointWorkspace(Q_s, q_xi, np.empty(N_TERMS), work)
+    assert augmented.joint_predict(state, H, config, scratch) == 1
     assert np.array_equal(x, before_x)
     np.testing.assert_array_equal(np.diag(P - before_P)[:6] > 0.0, True)
 
@@ -309,12 +311,14 @@ def test_survives_losses_and_outliers(seed: int, loss: float, outliers: float, g
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
     Q_s, R = np.diag(STEP_SD**2), np.diag(SENSOR_SD**2)
     q_xi, terms = (1e-3 * PAPER.sd) ** 2, np.empty(N_TERMS)
+    config = augmented.JointConfig(PAPER.terms, weights)
+    scratch = augmented.JointWorkspace(Q_s, q_xi, terms, work)
     masks = rng.random((steps, 6)) >= loss
     wild = rng.random((steps, 6)) < outliers
     zs = zs + np.where(wild, 1e6 * SENSOR_SD * rng.normal(size=(steps, 6)), 0.0)
     for k in range(steps):
-        how = (acts[k], CALM, PAPER.kit, H, Q_s, q_xi, weights, terms, work)
-        repairs = augmented.joint_predict(x, P, *how)
+        state = augmented.JointState(x, P, acts[k], CALM)
+        repairs = augmented.joint_predict(state, H, config, scratch)
         ukf.measurement_update(x, P, zs[k], masks[k], R, 2, gate, work)
         assert np.isfinite(x).all() and np.isfinite(P).all()
         assert np.array_equal(P, P.T)

@@ -2,7 +2,7 @@
 
 Normalised estimation error squared (NEES) and innovation squared (NIS) over Monte-Carlo runs
 must lie within the 95 % interval of their chi-square distribution. Source: Bar-Shalom, Li and
-Kirubarajan 2001, section 5.4. Each test has its counterpart with a filter that is told a wrong
+Kirubarajan 2001, section 5.4. Each test has its counterpart with a filter that is given a wrong
 noise: it must fall outside.
 """
 
@@ -55,7 +55,7 @@ SENSOR_SD = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048])
 START_SD = np.array([0.5, 0.5, 0.05, 0.3, 0.3, 0.05])
 
 
-def twin_run(rng: np.random.Generator, told: float) -> tuple[float, float, float]:
+def twin_run(rng: np.random.Generator, given: float) -> tuple[float, float, float]:
     """Return NEES at the end, of all and of the states, and the sum of NIS of one boat.
 
     The boat is drawn from the filter's prior.
@@ -64,11 +64,11 @@ def twin_run(rng: np.random.Generator, told: float) -> tuple[float, float, float
     ----------
     rng
         For the boat, its start, the process noise and the sensors.
-    told
-        Factor on the variance of the sensors as the filter is told it.
+    given
+        Factor on the variance of the sensors as the filter is given it.
     """
     structure = dynamics.model_of(BOAT, "paper")
-    xi0, sd0, kit = structure.mean, structure.sd, structure.kit
+    xi0, sd0, model = structure.mean, structure.sd, structure.terms
     # A third of the prior's spread: the filter is exact for what is linear, and a boat that
     # doubles its speed within the run is not.
     sd = np.concatenate([START_SD, sd0 / 3.0])
@@ -78,17 +78,18 @@ def twin_run(rng: np.random.Generator, told: float) -> tuple[float, float, float
     s, xi, after, terms = truth[:6].copy(), truth[6:], np.empty(6), np.empty(N_TERMS)
     calm, unit = np.zeros(2), structure.n_unit * BOAT.shaft_speed
     weights, work = ukf.scaled_weights(31), ukf.workspace(6, 25)
-    Q, R = np.diag(STEP_SD**2), told * np.diag(SENSOR_SD**2)
+    Q, R = np.diag(STEP_SD**2), given * np.diag(SENSOR_SD**2)
+    config = augmented.JointConfig(model, weights)
+    scratch = augmented.JointWorkspace(Q, np.zeros(25), terms, work)
     total = 0.0
     for k in range(STEPS):
         angle = 0.2 * math.copysign(1.0, math.sin(0.05 * k))
         act = np.array([unit, unit, angle, angle])
-        dynamics.step(s, xi, act, calm, kit, H, terms, after)
+        dynamics.step(s, xi, act, calm, model, H, terms, after)
         s = after + STEP_SD * rng.normal(size=6)
         z = s + SENSOR_SD * rng.normal(size=6)
-        repairs = augmented.joint_predict(
-            x, P, act, calm, kit, H, Q, np.zeros(25), weights, terms, work
-        )
+        state = augmented.JointState(x, P, act, calm)
+        repairs = augmented.joint_predict(state, H, config, scratch)
         assert repairs == 0
         total += ukf.measurement_update(x, P, z, np.ones(6), R, 2, math.inf, work)
     return nees(np.concatenate([s, xi]) - x, P), nees(s - x[:6], P[:6, :6]), total
@@ -102,10 +103,10 @@ def test_joint_filter_is_consistent_on_its_own_model() -> None:
     assert inside(sums.sum() / (6 * STEPS * RUNS), 6 * STEPS * RUNS)
 
 
-@pytest.mark.parametrize("told", [0.5, 2.0])
-def test_a_wrong_noise_is_found_out(told: float) -> None:
+@pytest.mark.parametrize("given", [0.5, 2.0])
+def test_a_wrong_noise_is_found_out(given: float) -> None:
     rng = np.random.default_rng(11)
-    _, states, sums = np.array([twin_run(rng, told) for _ in range(RUNS)]).T
+    _, states, sums = np.array([twin_run(rng, given) for _ in range(RUNS)]).T
     assert not inside(sums.sum() / (6 * STEPS * RUNS), 6 * STEPS * RUNS)
     assert not inside(states.sum() / (6 * RUNS), 6 * RUNS)
 
@@ -152,8 +153,8 @@ def moved(s: np.ndarray, xi: np.ndarray, delta: float) -> np.ndarray:
     return out
 
 
-def wave_run(rng: np.random.Generator, told: float) -> tuple[float, float]:
-    """Return NEES at the end and the sum of NIS; ``told`` is a factor on the waves' variance."""
+def wave_run(rng: np.random.Generator, given: float) -> tuple[float, float]:
+    """Return NEES at the end and the sum of NIS; ``given`` is a factor on the waves' variance."""
     spread, drive = wave_spread(), drive_sd()
     start = np.diag([0.05**2, 0.02**2, 0.0, 0.0, 0.0, 0.0])
     for i, sd in enumerate(WAVE_SD):
@@ -172,7 +173,7 @@ def wave_run(rng: np.random.Generator, told: float) -> tuple[float, float]:
     for i, (row, sd) in enumerate(zip((3, 5), drive, strict=True)):
         noise[row, row] = noise[i, row] = noise[row, i] = sd**2
         noise[i, i] += sd**2
-    Q = told * noise
+    Q = given * noise
     filtered = ukf.StructuredUKF(x, P, 6, [[6, 9], [9, 12], *[[6, 6]] * 4])
     R = np.diag([*NOISE_SD**2, 1.0, 1.0, 1.0, 1.0])
     root = np.linalg.cholesky(noise + 1e-18 * np.eye(6))

@@ -1,24 +1,31 @@
-"""Rival refits: what they foretold decides which is in use."""
+"""Refits of unequal trust: their forecasts decide which is in use."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from twin.identification.data_weight import ENOUGH, TRUSTS, Rivals, miss
+from twin.identification.data_weight import ENOUGH, TRUSTS, TrustSelector, forecast_error
 from twin.identification.prediction_error import (
     ACT,
     COLUMNS,
     GOOD,
-    GRID,
     LOW,
     MIDDLE,
     STATE,
-    Segments,
 )
+from twin.identification.segments import Segments
 from twin.model.dynamics import model_of
-from twin.model.rollout import roll_out
-from twin.model.structure import N_STATES, N_TERMS
+from twin.model.rollout import (
+    GRID,
+    Paths,
+    RolloutConfig,
+    RolloutStart,
+    Waves,
+    rollout,
+    rollout_size,
+)
+from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import refit_settings
 from twin.sim.bridge import particulars_of
@@ -40,12 +47,10 @@ def window(structure, xi, rng, noise=0.0, rows=500):
     lags = np.zeros(3)
     lags[2] = 1e9
     out = np.empty((rows, N_STATES))
-    out_act, room = np.empty((rows, 4)), np.zeros(400)
-    envelope = np.full(3, 1e3)
-    roll_out(
-        *(start, xi, act[0], act, GRID, lags, envelope, np.zeros(2), structure.kit),
-        *(np.zeros((0, 3)), 0.0, out, out_act, room),
-    )
+    begin = RolloutStart(start[None], np.asarray(xi)[None], act[0], np.zeros(2))
+    config = RolloutConfig(lags, np.full(3, 1e3), structure.terms)
+    paths, none = Paths(out[None], np.empty((rows, 4))), Waves(np.zeros((1, 0, 3)), 0.0)
+    rollout(begin, act, GRID, config, none, paths, np.zeros(rollout_size()))
     table = np.zeros((rows, COLUMNS))
     table[0, STATE : STATE + N_STATES] = start
     table[1:, STATE : STATE + N_STATES] = out[:-1]
@@ -63,50 +68,50 @@ def structure():
     return model_of(PARTICULARS, "mmg", biased=True)
 
 
-def missed(structure, rows, xi, first=0):
-    weights = SETTINGS.sd**-2.0
-    how = (first, round(SETTINGS.horizon / GRID), SETTINGS.every, rows)
-    return miss(*how, xi, structure.kit, weights[0], weights[2], np.zeros(3 * N_TERMS + 24))
+def error_of(structure, rows, xi, first=0):
+    own = segments(structure, structure.mean)
+    return forecast_error(first, rows, xi, structure.terms, own.config, own.work.line)
 
 
-def test_the_right_parameters_miss_nothing_and_others_do(structure):
+def test_the_right_parameters_have_no_error_and_others_do(structure):
     rows = window(structure, structure.mean, np.random.default_rng(0))
     # actuators switch between rows: what is left is of the integration, far below a sd
-    right = missed(structure, rows, structure.mean, 40)
+    right = error_of(structure, rows, structure.mean, 40)
     assert right < 1e-3
-    assert missed(structure, rows, structure.mean + 0.5 * structure.sd, 40) > 100.0 * right
+    assert error_of(structure, rows, structure.mean + 0.5 * structure.sd, 40) > 100.0 * right
 
 
 def test_a_forecast_that_leaves_all_bounds_is_the_worst(structure):
     rows = window(structure, structure.mean, np.random.default_rng(0))
     wild = structure.mean.copy()
     wild[structure.parameters.index("X_u|u|")] = 10.0
-    assert missed(structure, rows, wild) == np.inf
-    rivals = Rivals(segments(structure, structure.mean), SPACING)
-    rivals.params[1] = wild
-    rivals.note([0])
-    rivals.judge(0, rows)
-    assert np.isfinite(rivals.errors).all()
-    assert np.argmax(rivals.errors) == 1
+    assert error_of(structure, rows, wild) == np.inf
+    selector = TrustSelector(segments(structure, structure.mean))
+    selector.params[1] = wild
+    selector.note([0])
+    selector.score(0, rows)
+    assert np.isfinite(selector.errors).all()
+    assert np.argmax(selector.errors) == 1
 
 
 def segments(structure, mean, sure=1.0):
-    return Segments(structure.kit, mean, np.diag((structure.sd / sure) ** 2), SETTINGS, 60)
+    cov, schedule = np.diag((structure.sd / sure) ** 2), (1.0, 8, SPACING, 440, 0.0, 0.0, 0.0)
+    return Segments(structure.terms, mean, cov, SETTINGS, 60, schedule)
 
 
-def run(structure, rivals, rows):
+def run(structure, selector, rows):
     """As the predictor does it: a refit every second."""
-    own, next_start = rivals.segments, 0
+    own, next_start = selector.segments, 0
     for newest in range(0, len(rows), 4):
         while next_start + own.steps < newest:
             own.add(next_start, rows, own.params)
-            rivals.judge(next_start, rows)
+            selector.score(next_start, rows)
             next_start += SPACING
         if (own.first >= 0).sum() < 3:
             continue
-        rivals.note(range(next_start, newest + 1, SPACING))
-        own.renew(rows, 8)
-        rivals.solve()
+        selector.note(range(next_start, newest + 1, SPACING))
+        own.relinearise(rows, 8)
+        selector.solve()
 
 
 def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
@@ -115,53 +120,54 @@ def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
         k = structure.parameters.index(name)
         truth[k] += 0.5 * structure.sd[k]
     rows = window(structure, truth, np.random.default_rng(1), noise=1.0)
-    rivals = Rivals(segments(structure, structure.mean, sure=20.0), SPACING)
-    run(structure, rivals, rows)
-    assert rivals.chosen > 0
-    own = rivals.segments
-    assert (own.params == rivals.params[rivals.chosen]).all()
-    assert own.trust == TRUSTS[rivals.chosen]
+    selector = TrustSelector(segments(structure, structure.mean, sure=20.0))
+    run(structure, selector, rows)
+    assert selector.chosen > 0
+    own = selector.segments
+    assert (own.params == selector.params[selector.chosen]).all()
+    assert own.trust == TRUSTS[selector.chosen]
     # the choice pays on what comes later
     later = window(structure, truth, np.random.default_rng(2))
     errors = [
-        np.mean([missed(structure, later, xi, k) for k in (40, 120, 200)]) for xi in rivals.params
+        np.mean([error_of(structure, later, xi, k) for k in (40, 120, 200)])
+        for xi in selector.params
     ]
-    assert errors[rivals.chosen] < errors[0]
+    assert errors[selector.chosen] < errors[0]
 
 
 def test_a_good_prior_is_kept_in_noise(structure):
     rows = window(structure, structure.mean, np.random.default_rng(3), noise=1.0)
-    rivals = Rivals(segments(structure, structure.mean), SPACING)
-    run(structure, rivals, rows)
-    assert rivals.judged >= ENOUGH
-    assert rivals.chosen == 0
-    assert rivals.errors[0] < rivals.errors[2]
+    selector = TrustSelector(segments(structure, structure.mean))
+    run(structure, selector, rows)
+    assert selector.scored >= ENOUGH
+    assert selector.chosen == 0
+    assert selector.errors[0] < selector.errors[2]
 
 
-def test_forecasts_are_judged_with_what_was_believed_when_they_began(structure):
+def test_forecasts_are_scored_with_the_parameters_of_their_start(structure):
     rows = window(structure, structure.mean, np.random.default_rng(4))
-    rivals = Rivals(segments(structure, structure.mean), SPACING)
-    rivals.note([SPACING])
-    before = rivals.params.copy()
-    rivals.params += structure.sd  # learned later
-    rivals.note([SPACING])
-    rivals.judge(SPACING, rows)
-    late = rivals.errors.copy()
-    rivals.reset()
-    rivals.params[:] = before
-    rivals.note([SPACING])
-    rivals.judge(SPACING, rows)
-    np.testing.assert_array_equal(late, rivals.errors)
+    selector = TrustSelector(segments(structure, structure.mean))
+    selector.note([SPACING])
+    before = selector.params.copy()
+    selector.params += structure.sd  # learned later
+    selector.note([SPACING])
+    selector.score(SPACING, rows)
+    late = selector.errors.copy()
+    selector.reset()
+    selector.params[:] = before
+    selector.note([SPACING])
+    selector.score(SPACING, rows)
+    np.testing.assert_array_equal(late, selector.errors)
 
 
 def test_reset_forgets(structure):
     rows = window(structure, structure.mean, np.random.default_rng(5), noise=0.5)
-    rivals = Rivals(segments(structure, structure.mean), SPACING)
-    run(structure, rivals, rows)
-    rivals.reset()
-    fresh = Rivals(segments(structure, structure.mean), SPACING)
-    np.testing.assert_array_equal(rivals.record, fresh.record)
-    assert (rivals.judged, rivals.chosen) == (0, 0)
+    selector = TrustSelector(segments(structure, structure.mean))
+    run(structure, selector, rows)
+    selector.reset()
+    fresh = TrustSelector(segments(structure, structure.mean))
+    np.testing.assert_array_equal(selector.memory, fresh.memory)
+    assert (selector.scored, selector.chosen) == (0, 0)
 
 
 def test_settings_are_those_of_the_boat():

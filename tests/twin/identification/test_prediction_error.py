@@ -1,4 +1,4 @@
-"""The multi-step refit against finite differences, scipy's optimisers, and spoilt data."""
+"""The multi-step refit against finite differences, scipy's optimisers, and disturbed data."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from twin.identification.prediction_error import (
     ACT,
     COLUMNS,
     GOOD,
-    GRID,
     MIDDLE,
     WIND,
     RefitSettings,
-    Segments,
     linearise,
-    room,
 )
+from twin.identification.segments import Segments
 from twin.model import dynamics
+from twin.model.rollout import GRID
 from twin.model.structure import MODELS, N_TERMS, Structure, structure_of
 
 LENGTH, SPEED, SHAFT = 6.336, 5.4, 6.33
@@ -53,7 +52,7 @@ derivative = dynamics.derivative
 
 
 @numba.njit
-def simulate(first, steps, rows, xi, kit, offset):
+def simulate(first, steps, rows, xi, model, offset):
     """Return the states (steps + 1, 6) from a row on: Runge-Kutta's scheme, and nothing else."""
     out, terms = np.empty((steps + 1, 6)), np.empty(N_TERMS)
     k_1, k_2, k_3, k_4 = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
@@ -65,10 +64,10 @@ def simulate(first, steps, rows, xi, kit, offset):
         now, then = rows[(first + step) % size], rows[(first + step + 1) % size]
         begin, middle, end = now[ACT : ACT + 4], now[MIDDLE : MIDDLE + 4], then[ACT : ACT + 4]
         s = out[step]
-        derivative(s, xi, begin, wind, kit, terms, k_1)
-        derivative(s + 0.5 * GRID * k_1, xi, middle, wind, kit, terms, k_2)
-        derivative(s + 0.5 * GRID * k_2, xi, middle, wind, kit, terms, k_3)
-        derivative(s + GRID * k_3, xi, end, wind, kit, terms, k_4)
+        derivative(s, xi, begin, wind, model, terms, k_1)
+        derivative(s + 0.5 * GRID * k_1, xi, middle, wind, model, terms, k_2)
+        derivative(s + 0.5 * GRID * k_2, xi, middle, wind, model, terms, k_3)
+        derivative(s + GRID * k_3, xi, end, wind, model, terms, k_4)
         out[step + 1] = s + GRID / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
     return out
 
@@ -96,7 +95,7 @@ def window(
     out[:, WIND : WIND + 2] = 3.0, -4.0
     out[:, GOOD] = 1.0
     out[0, :6] = 10.0, -20.0, 0.5, 5.0, 0.2, 0.05
-    out[:, :6] = simulate(0, rows - 1, out, xi, structure.kit, np.zeros(3))
+    out[:, :6] = simulate(0, rows - 1, out, xi, structure.terms, np.zeros(3))
     out[:, :6] += noise * SETTINGS.sd * rng.normal(size=(rows, 6))
     return out
 
@@ -111,7 +110,7 @@ def a_boat(structure: Structure, seed: int = 5) -> np.ndarray:
 def errors(first, rows, xi, structure, offset=None) -> np.ndarray:
     """Return the errors of a segment's samples (6 m,), in standard deviations."""
     offset = np.zeros(3) if offset is None else offset
-    path = simulate(first, STEPS, rows, xi, structure.kit, offset)[EVERY::EVERY]
+    path = simulate(first, STEPS, rows, xi, structure.terms, offset)[EVERY::EVERY]
     seen = rows[(first + np.arange(EVERY, STEPS + 1, EVERY)) % len(rows), :6]
     return ((seen - path) / SETTINGS.sd).ravel()
 
@@ -119,16 +118,14 @@ def errors(first, rows, xi, structure, offset=None) -> np.ndarray:
 def quadratic(first, rows, xi, structure, settings=SETTINGS):
     p = len(structure)
     H, b = np.full((p, p), math.nan), np.full(p, math.nan)
-    c = linearise(
-        *(first, STEPS, EVERY, rows, xi, structure.kit),
-        *(settings.sd**-2.0, settings.offset_sd**-2.0, room(p), H, b),
-    )
+    own = Segments(structure.terms, structure.mean, np.eye(p), settings, 1)
+    c = linearise(first, rows, xi, structure.terms, own.config, own.work.line, H, b)
     return c, b, H
 
 
 def segments_of(structure, rows, settings, starts, cov=None) -> Segments:
     cov = np.diag(structure.sd**2) if cov is None else cov
-    segments = Segments(structure.kit, structure.mean, cov, settings, len(starts))
+    segments = Segments(structure.terms, structure.mean, cov, settings, len(starts))
     for first in starts:
         segments.add(first, rows, segments.params)
     return segments
@@ -266,7 +263,7 @@ def test_fit_with_offsets_is_that_of_least_squares_over_them_too(structure) -> N
 def test_robust_fit_is_the_least_of_its_objective(structure) -> None:
     settings = dataclasses.replace(FIXED, knee=0.01)
     rows = window(structure, a_boat(structure), noise=0.3)
-    rows[30:34, :2] += 1.0  # one part is spoilt
+    rows[30:34, :2] += 1.0  # one part is disturbed
     segments = segments_of(structure, rows, settings, STARTS)
     segments.fit(rows, iterations=200, tolerance=1e-14)
     m = 6 * STEPS // EVERY
@@ -309,7 +306,7 @@ def test_noise_free_data_give_the_boat(structure) -> None:
 
 
 @each_structure
-def test_a_spoilt_segment_hardly_counts(structure) -> None:
+def test_a_disturbed_segment_hardly_counts(structure) -> None:
     truth = a_boat(structure)
     rows = window(structure, truth, noise=0.1)
     clean = segments_of(structure, rows, SETTINGS, STARTS)
@@ -321,9 +318,9 @@ def test_a_spoilt_segment_hardly_counts(structure) -> None:
         segments = segments_of(structure, bad, dataclasses.replace(SETTINGS, knee=knee), STARTS)
         segments.fit(bad)
         away.append(np.linalg.norm((segments.params - clean.params) / structure.sd))
-    spoilt = [first for first in STARTS if first < 48 and first + STEPS >= 42]
+    disturbed = [first for first in STARTS if first < 48 and first + STEPS >= 42]
     weight = weights_of(segments)
-    hit = np.isin(segments.first, spoilt)
+    hit = np.isin(segments.first, disturbed)
     assert weight[hit].max() < 0.1 and weight[~hit].min() > 0.5
     assert away[1] < 0.5 * away[0]
 
@@ -335,7 +332,7 @@ def test_gradual_refits_reach_the_fit(structure) -> None:
     at_once, slowly = (segments_of(structure, rows, settings, STARTS) for _ in range(2))
     at_once.fit(rows, iterations=200, tolerance=1e-14)
     for _ in range(150):
-        slowly.renew(rows, 3)
+        slowly.relinearise(rows, 3)
         slowly.solve()
     away = (slowly.params - at_once.params) / structure.sd
     np.testing.assert_allclose(away, 0.0, atol=1e-5)
@@ -352,33 +349,31 @@ def test_segments_that_blow_up_are_left_out(structure) -> None:
             wild[structure.parameters.index(name)] = 10.0
     p = len(structure)
     H, b = np.full((p, p), 7.0), np.full(p, 7.0)
-    c = linearise(
-        *(0, STEPS, EVERY, rows, wild, structure.kit),
-        *(SETTINGS.sd**-2.0, SETTINGS.offset_sd**-2.0, room(p), H, b),
-    )
+    own = Segments(structure.terms, structure.mean, np.eye(p), SETTINGS, 1)
+    c = linearise(0, rows, wild, structure.terms, own.config, own.work.line, H, b)
     assert c == math.inf and (H == 7.0).all() and (b == 7.0).all()
     segments = segments_of(structure, rows, SETTINGS, STARTS[:3])
-    kept = segments.first.copy(), segments.H.copy(), segments.at.copy()
+    kept = segments.first.copy(), segments.H.copy(), segments.state.at.copy()
     segments.add(40, rows, wild)
     rows[50, :6] = math.nan
     segments.add(50, rows, structure.mean)
-    for before, after in zip(kept, (segments.first, segments.H, segments.at), strict=True):
+    for before, after in zip(kept, (segments.first, segments.H, segments.state.at), strict=True):
         np.testing.assert_array_equal(before, after)
     # nor does a wild step spoil those that are there
     segments.params[:] = wild
-    segments.renew(rows, 10)
+    segments.relinearise(rows, 10)
     np.testing.assert_array_equal(segments.H, kept[1])
     segments.solve()
     assert np.isfinite(segments.params).all()
 
 
-def test_the_oldest_makes_room_and_old_ones_go() -> None:
+def test_a_new_segment_replaces_the_oldest_and_old_ones_go() -> None:
     structure = STRUCTURES[0].values[0]
     rows = window(structure, a_boat(structure))
     segments = segments_of(structure, rows, SETTINGS, (0, 8, 16))
     segments.add(24, rows, structure.mean)
     assert sorted(segments.first) == [8, 16, 24]
-    segments.drop(16)
+    segments.discard_before(16)
     assert sorted(segments.first) == [-1, 16, 24]
     assert (segments.costs(structure.mean) > 0.0).sum() == 2
     segments.solve()
@@ -391,22 +386,22 @@ def test_the_oldest_makes_room_and_old_ones_go() -> None:
 
 def test_without_segments_the_prior_stays() -> None:
     structure = STRUCTURES[0].values[0]
-    segments = Segments(structure.kit, structure.mean, np.diag(structure.sd**2), SETTINGS, 4)
-    segments.renew(np.zeros((8, COLUMNS)), 4)
+    segments = Segments(structure.terms, structure.mean, np.diag(structure.sd**2), SETTINGS, 4)
+    segments.relinearise(np.zeros((8, COLUMNS)), 4)
     segments.solve()
     np.testing.assert_allclose(segments.params, structure.mean, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(np.sqrt(np.diag(segments.cov)), structure.sd, rtol=1e-9)
 
 
-def test_renewal_takes_those_that_moved_most() -> None:
+def test_relinearisation_takes_those_that_moved_most() -> None:
     structure = STRUCTURES[0].values[0]
     rows = window(structure, a_boat(structure), noise=0.2)
     segments = segments_of(structure, rows, SETTINGS, STARTS)
     for part, slot in enumerate(np.argsort(segments.first)):
-        segments.at[slot] = structure.mean + 0.1 * part * structure.sd
-    segments.renew(rows, 3)
-    anew = segments.first[(segments.at == segments.params).all(axis=1)]
-    assert sorted(anew) == sorted([STARTS[0], *STARTS[-3:]])
+        segments.state.at[slot] = structure.mean + 0.1 * part * structure.sd
+    segments.relinearise(rows, 3)
+    again = segments.first[(segments.state.at == segments.params).all(axis=1)]
+    assert sorted(again) == sorted([STARTS[0], *STARTS[-3:]])
 
 
 def test_a_damped_solution_lies_between_and_says_nothing_of_the_covariance() -> None:

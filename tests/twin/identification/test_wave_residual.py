@@ -18,11 +18,11 @@ from twin.identification.wave_residual import (
     ROOT_MAX,
     SECTOR_SIZE,
     SECTORS,
-    WAVE_ROOM,
-    describe_sectors,
+    WAVE_WORK_SIZE,
+    fit_sector_ar,
     fit_waves,
-    foretell_waves,
-    sector_room,
+    forecast_waves,
+    sector_work_size,
     simulate_waves,
 )
 
@@ -40,21 +40,21 @@ def process(N: int, seed: int = 0) -> np.ndarray:
     return lfilter([1.0], POLYNOMIAL, shocks, axis=0)[500:]
 
 
-def largest_root(a: np.ndarray) -> float:
+def spectral_radius(a: np.ndarray) -> float:
     return float(np.abs(np.roots(np.concatenate([[1.0], -a]))).max())
 
 
 def fit_autoregression(w: np.ndarray) -> np.ndarray:
-    """Return the coefficients (6, c) of what foretells."""
+    """Return the coefficients (6, c) of what predicts."""
     coefficients = np.full((ORDER, w.shape[1]), math.nan)
-    fit_waves(np.ascontiguousarray(w), coefficients, np.full(WAVE_ROOM, math.nan))
+    fit_waves(np.ascontiguousarray(w), coefficients, np.full(WAVE_WORK_SIZE, math.nan))
     return coefficients
 
 
 def told(past: np.ndarray, coefficients: np.ndarray, K: int) -> np.ndarray:
     """Return the next K rows of an autoregression without noise."""
     path = np.full((K + 1, past.shape[1]), math.nan)
-    foretell_waves(past, coefficients, path)
+    forecast_waves(past, coefficients, path)
     np.testing.assert_array_equal(path[0], past[0])
     return path[1:]
 
@@ -63,7 +63,7 @@ def described(w: np.ndarray, psi: np.ndarray, good: np.ndarray | None = None) ->
     """Return what is known of the sectors of headings."""
     sectors = np.full((SECTORS, SECTOR_SIZE), math.nan)
     good = np.ones(len(w)) if good is None else good
-    describe_sectors(w, psi, good, sectors, np.full(sector_room(len(w)), math.nan))
+    fit_sector_ar(w, psi, good, sectors, np.full(sector_work_size(len(w)), math.nan))
     return sectors
 
 
@@ -123,7 +123,7 @@ def test_whatever_it_is_fitted_to_it_is_stable(seed, N, grow, kind) -> None:
     coefficients = fit_autoregression(w[:, None])
     assert np.isfinite(coefficients).all()
     # rounding of the roots
-    assert largest_root(coefficients[:, 0]) <= ROOT_MAX * (1.0 + 1e-6)
+    assert spectral_radius(coefficients[:, 0]) <= ROOT_MAX * (1.0 + 1e-6)
     # and so is what is drawn, on all headings, whichever rows are no good
     good = (rng.uniform(size=N) < 0.8).astype(float)
     psi = np.cumsum(rng.normal(scale=0.1, size=N))
@@ -134,7 +134,7 @@ def test_whatever_it_is_fitted_to_it_is_stable(seed, N, grow, kind) -> None:
             factor_of(row)[[0, 0, 1], [1, 2, 2]] == 0
         ).all()
         for a in coefficients_of(row).T:
-            assert largest_root(a) < 1.0
+            assert spectral_radius(a) < 1.0
 
 
 def test_columns_do_not_touch_each_other() -> None:
@@ -146,7 +146,7 @@ def test_columns_do_not_touch_each_other() -> None:
         np.testing.assert_allclose(together[:, j], alone[:, 0], rtol=1e-9)
 
 
-def test_what_is_foretold_is_the_recursion() -> None:
+def test_what_is_predicted_is_the_recursion() -> None:
     past = np.random.default_rng(3).normal(size=(ORDER, 3))
     coefficients = np.column_stack([TRUE, 0.5 * TRUE, np.zeros(ORDER)])
     line = [*past[::-1]]  # oldest first
@@ -155,11 +155,11 @@ def test_what_is_foretold_is_the_recursion() -> None:
     np.testing.assert_allclose(told(past, coefficients, 30), line[ORDER:], rtol=1e-12, atol=1e-12)
 
 
-def test_the_waves_foretold_go_on_with_the_wave_and_die_out() -> None:
+def test_the_waves_predicted_go_on_with_the_wave_and_die_out() -> None:
     w = process(4000, seed=5)
     coefficients = fit_autoregression(w)
     past = w[: -ORDER - 1 : -1].copy()
-    # a second ahead it foretells: better than silence, on average over many starts
+    # a second ahead it predicts: better than silence, on average over many starts
     starts = range(100, 3900, 7)
     ahead = np.array([told(w[k - 1 : k - ORDER - 1 : -1].copy(), coefficients, 4) for k in starts])
     seen = np.array([w[k : k + 4] for k in starts])

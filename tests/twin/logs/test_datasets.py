@@ -80,12 +80,12 @@ def test_esso_rows_are_as_its_readme_advises(tmp_path: Path) -> None:
     assert (particulars.length, particulars.mass) == (3.0, 244.6)
 
 
-def test_the_late_yaw_rate_of_berthing_is_not_used(tmp_path: Path) -> None:
+def test_late_yaw_rate_of_berthing_is_left_out(tmp_path: Path) -> None:
     folder = made(tmp_path / "esso_osaka_frt", "berthing_1", esso_rows())
     assert np.isnan(archive.load(folder, "berthing_1")[0].z[:, COLUMN["gyro_radps"]]).all()
 
 
-def test_basin_rows(tmp_path: Path) -> None:
+def test_basin_columns_are_converted(tmp_path: Path) -> None:
     row = [0.0, 1.0, 2.0, 3.0, 9.0, 9.0, 6.0, 9.0, 0.3, 10.2, 7.0, 8.0, 11.0, 12.0, 9.0]
     later = [value + 0.5 for value in row]
     folder = made(tmp_path / "kvlcc2_simman2008", "marin_1", [row, later])
@@ -116,7 +116,7 @@ def test_export_is_what_the_benchmark_reads(tmp_path: Path) -> None:
     assert len(text.splitlines()) == len(log) + 1
 
 
-def test_what_is_not_there_is_named(tmp_path: Path) -> None:
+def test_missing_folder_or_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(ArchiveError, match="known by name: esso_osaka_frt, kvlcc2_simman2008"):
         archive.runs(tmp_path / "elsewhere")
     with pytest.raises(ArchiveError, match="no recorded run there; the data is not part of"):
@@ -127,13 +127,13 @@ def test_what_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_recorded_folders(tmp_path: Path, name: str) -> None:
+def test_recorded_folders_are_read(tmp_path: Path, name: str) -> None:
     folder = shared(name)
     names = archive.runs(folder)
     assert len(names) >= NAMES[name]
     for run in {names[0], names[-1]}:
         log, particulars = archive.load(folder, run)
-        # the fixes are of one motion with the particulars' usual speed
+        # the fixes are of one motion with the particulars' speed
         x, y = log.z[np.isfinite(log.z[:, 0])][:, :2].T
         length = float(np.hypot(np.diff(x), np.diff(y)).sum())
         assert 0.05 < length / (log.t[-1] - log.t[0]) / particulars.speed < 1.5
@@ -176,20 +176,10 @@ def test_a_run_is_known_by_its_header_wherever_it_lies(tmp_path: Path) -> None:
     there.write_bytes((folder / "zigzag_1.csv.gz").read_bytes())
     assert archive.ship(there) == archive.ESSO
     np.testing.assert_array_equal(Log.read(there).z, archive.load(folder, "zigzag_1")[0].z)
-    usual = recorded_runs()["boat1_usv_circle"]
-    assert archive.known(there) and not archive.known(usual)
+    other = recorded_runs()["boat1_usv_circle"]
+    assert archive.known(there) and not archive.known(other)
     for content in (b"", b"t_s,x_m\n", gzip.compress(b"t_s\n1\n"), b"\x1f\x8b\x08broken"):
         there.write_bytes(content)
         assert not archive.known(there)
     with pytest.raises(ArchiveError, match="its header is that of no archive"):
         archive.ship(there)
-
-
-def test_the_particulars_that_come_with_the_project_are_the_archives() -> None:
-    file = Path(__file__).resolve().parents[3] / "particulars.toml"
-    for path, boat in {
-        "data/esso_osaka_frt/turn_1.csv.gz": archive.ESSO,
-        "data/kvlcc2_simman2008/marin_zz_10.csv.gz": archive.KVLCC2["marin"],
-        "data/kvlcc2_simman2008/hsva_z_05_01.csv.gz": archive.KVLCC2["hsva"],
-    }.items():
-        assert Particulars.load(file, log=path) == boat

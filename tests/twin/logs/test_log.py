@@ -176,7 +176,7 @@ def test_without_truth_keeps_the_rest() -> None:
         ({"t": np.zeros(ROWS)}, r"t\[1\] <= t\[0\]"),
     ],
 )
-def test_arrays_that_are_no_log(change: dict[str, Any], place: str) -> None:
+def test_arrays_of_wrong_shape_or_value_are_refused(change: dict[str, Any], place: str) -> None:
     log = sound()
     with pytest.raises(LogError, match=place):
         dataclasses.replace(log, **change)
@@ -237,7 +237,7 @@ def test_unknown_and_absent_columns_are_reported(tmp_path: Path) -> None:
         ("wind_from_deg", "TWD_deg"),
     ],
 )
-def test_other_names_of_the_wind(tmp_path: Path, name: str, given: str) -> None:
+def test_other_names_of_the_wind_get_a_suggestion(tmp_path: Path, name: str, given: str) -> None:
     table = columns()
     table[given] = table.pop(name.replace("_deg", "_rad"))
     log = Log.read(save(tmp_path / "a.csv", table))
@@ -245,7 +245,7 @@ def test_other_names_of_the_wind(tmp_path: Path, name: str, given: str) -> None:
 
 
 @pytest.mark.parametrize("name", REQUIRED)
-def test_missing_column(tmp_path: Path, name: str) -> None:
+def test_missing_column_is_named(tmp_path: Path, name: str) -> None:
     table = columns()
     del table[name]
     message = refused(save(tmp_path / "a.csv", table))
@@ -263,7 +263,7 @@ def test_missing_column(tmp_path: Path, name: str) -> None:
         ("t_s", "time"),
     ],
 )
-def test_near_miss_names_its_remedy(tmp_path: Path, name: str, given: str) -> None:
+def test_misspelt_column_gets_a_suggestion(tmp_path: Path, name: str, given: str) -> None:
     table = columns()
     table[given] = table.pop(name)
     assert f"rename {given} to {name}" in refused(save(tmp_path / "a.csv", table))
@@ -285,7 +285,7 @@ def test_one_propeller_and_one_rudder_are_put_on_both_sides(tmp_path: Path) -> N
     assert "columns n_rpm and n_left_rps both give n_left_rps; remove one" in message
 
 
-def test_same_quantity_twice(tmp_path: Path) -> None:
+def test_quantity_given_twice_is_refused(tmp_path: Path) -> None:
     table = columns()
     table["compass_deg"] = table["compass_rad"]
     message = refused(save(tmp_path / "a.csv", table))
@@ -318,7 +318,7 @@ def test_same_quantity_twice(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_bad_cell(tmp_path: Path, name: str, row: int, cell: str, words: str) -> None:
+def test_bad_cell_is_named(tmp_path: Path, name: str, row: int, cell: str, words: str) -> None:
     table = columns()
     table[name][row] = cell
     assert words in refused(save(tmp_path / "a.csv", table))
@@ -370,7 +370,7 @@ def test_text_that_is_not_utf8_in_an_unknown_column(tmp_path: Path) -> None:
     assert len(Log.read(path)) == ROWS
 
 
-def test_dead_sensor(tmp_path: Path) -> None:
+def test_dead_sensor_is_refused(tmp_path: Path) -> None:
     table = columns()
     table["gyro_radps"] = ["", "", *["0.125"] * (ROWS - 3), ""]
     message = refused(save(tmp_path / "a.csv", table))
@@ -496,7 +496,7 @@ def test_degrees_under_a_name_of_radians_are_refused(
     assert f"column {name}" in message and words in message
 
 
-def test_degrees_of_a_heading_that_runs_on_are_told_by_the_yaw_rate(tmp_path: Path) -> None:
+def test_unwrapped_heading_in_degrees_is_refused_by_the_yaw_rate(tmp_path: Path) -> None:
     table = sailing(1200, 0.2)
     table["compass_rad"] = np.degrees(np.unwrap(table["compass_rad"]))
     for name in ("gps_vx_mps", "gps_vy_mps"):
@@ -507,7 +507,7 @@ def test_degrees_of_a_heading_that_runs_on_are_told_by_the_yaw_rate(tmp_path: Pa
 
 @pytest.mark.parametrize("turn", [0.0, 0.04, -0.3])
 @pytest.mark.parametrize("wrap", [0.0, math.pi, math.inf])
-def test_radians_wrapped_or_run_on_are_taken(tmp_path: Path, turn: float, wrap: float) -> None:
+def test_radians_wrapped_or_not_are_accepted(tmp_path: Path, turn: float, wrap: float) -> None:
     table = sailing(1200, turn)
     if wrap < math.inf:
         table["compass_rad"] = np.mod(table["compass_rad"] + wrap, 2.0 * math.pi) - wrap
@@ -606,7 +606,9 @@ ZIPPED = gzip.compress(HEADER + b"\n" + ROW + b"\n" + ROW.replace(b"0", b"2", 1)
     ],
     ids=lambda value: str(value)[:24] if isinstance(value, str) else "",
 )
-def test_file_that_is_no_log(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+def test_file_that_is_no_log_is_refused(
+    tmp_path: Path, name: str, content: bytes, words: str
+) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     assert words in refused(path)
@@ -632,7 +634,7 @@ def test_file_that_cannot_be_read(tmp_path: Path, name: str) -> None:
 # --- the run that ships -----------------------------------------------------------------------
 
 
-def test_shipped_run() -> None:
+def test_shipped_run_has_its_notes() -> None:
     path = recorded_runs()["boat1_usv_circle"]
     log = Log.read(path)
     assert (len(log), log.name, log.truth) == (2354, "boat1_usv_circle", None)
@@ -651,7 +653,7 @@ def test_shipped_run() -> None:
     assert np.abs(log.cmd[:, :2]).max() == 10.0
 
 
-def test_shipped_run_is_one_motion() -> None:
+def test_shipped_run_is_consistent() -> None:
     log = Log.read(recorded_runs()["boat1_usv_circle"])
     new = ~np.isnan(log.z[:, :4]).any(axis=1)
     x, y, vx, vy = log.z[new, :4].T

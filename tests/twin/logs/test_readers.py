@@ -20,7 +20,7 @@ from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
 from twin.cli.main import app
 from twin.logs import readers as table
 from twin.logs.columns import LogError
-from twin.logs.log import Log, beside
+from twin.logs.log import Log, sibling_path
 from twin.logs.mapping import Layout
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
@@ -79,8 +79,8 @@ def written(path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     "name", ["a.b.csv", "a.b.csv.gz", "a.b.parquet", "a.b.mcap", "a.b.db3", "a.b"]
 )
-def test_files_beside_a_log_of_any_kind(name: str) -> None:
-    assert beside(Path("x") / name, ".toml") == Path("x") / "a.b.toml"
+def test_sibling_path_replaces_the_ending(name: str) -> None:
+    assert sibling_path(Path("x") / name, ".toml") == Path("x") / "a.b.toml"
 
 
 # --- mappings of columns ----------------------------------------------------------------------
@@ -106,7 +106,7 @@ course = { from = "COG", unit = "deg" }
 
 
 def foreign(log: Log) -> pl.DataFrame:
-    """Return a log as somebody else's columns."""
+    """Return a log in foreign columns."""
     z = dict(zip(MEASUREMENTS, log.z.T, strict=True))
     north, east = degree(60.0)
     lon = 179.9999 + z["gps_y_m"] / east
@@ -128,7 +128,7 @@ def foreign(log: Log) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
-def test_columns_of_other_names(tmp_path: Path, name: str) -> None:
+def test_mapped_columns_are_converted(tmp_path: Path, name: str) -> None:
     log, path = run(), tmp_path / name
     mapping = written(tmp_path / "m.toml", FOREIGN)
     if name.endswith(".parquet"):
@@ -170,7 +170,7 @@ def test_the_first_fix_is_the_datum_and_no_fix_is_missing(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S%.6f", "%Y-%m-%dT%H:%M:%S%.6fZ", ""])
-def test_dates_and_times(tmp_path: Path, form: str) -> None:
+def test_dates_and_times_become_seconds(tmp_path: Path, form: str) -> None:
     log = run()
     start = pl.datetime(2025, 7, 24, 15, 45)
     frame = foreign(log).with_columns(start + pl.duration(milliseconds="ms")).drop("ms")
@@ -213,14 +213,14 @@ def test_dates_and_times(tmp_path: Path, form: str) -> None:
         ("stamp = 'now'", "stamp: 'now' must be"),
     ],
 )
-def test_a_mapping_that_is_wrong_names_its_place(tmp_path: Path, text: str, words: str) -> None:
+def test_wrong_mapping_is_refused_with_its_place(tmp_path: Path, text: str, words: str) -> None:
     path = written(tmp_path / "m.toml", text)
     with pytest.raises(LogError) as caught:
         Layout.load(path)
     assert str(caught.value).startswith(f"{path}: ") and words in str(caught.value)
 
 
-def test_a_mapping_that_does_not_fit_the_file(tmp_path: Path) -> None:
+def test_mapping_of_absent_columns_is_refused(tmp_path: Path) -> None:
     run().write(path := tmp_path / "a.csv")
     mapping = written(tmp_path / "m.toml", "[columns]\ncompass_rad = 'compas_rad'")
     message = refused(path, mapping)
@@ -233,7 +233,7 @@ def test_a_mapping_that_does_not_fit_the_file(tmp_path: Path) -> None:
     assert "the mapping cannot be read (No such" in refused(path, tmp_path / "b", tmp_path / "b")
 
 
-def test_a_quaternion_in_columns(tmp_path: Path) -> None:
+def test_quaternion_becomes_heading(tmp_path: Path) -> None:
     log = run()
     half = 0.5 * (0.5 * math.pi - log.z[:, 4])
     log.write(tmp_path / "a.csv")
@@ -246,7 +246,7 @@ def test_a_quaternion_in_columns(tmp_path: Path) -> None:
     np.testing.assert_allclose(heading, np.mod(log.z[:, 4], 2.0 * math.pi), atol=1e-12)
 
 
-def test_rows_of_a_piece_and_thinned_rows(tmp_path: Path) -> None:
+def test_rows_are_cut_and_thinned(tmp_path: Path) -> None:
     log = run(truth=True)
     log.z[5:9, 0] = np.nan
     log.write(path := tmp_path / "a.csv")
@@ -263,7 +263,7 @@ def test_rows_of_a_piece_and_thinned_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(thin.cmd, log.cmd[4::5])
 
 
-def test_a_known_record_without_a_column(tmp_path: Path) -> None:
+def test_known_record_without_a_column_is_refused(tmp_path: Path) -> None:
     log = run()
     frame = pl.DataFrame({"t_s": log.t, "n_rps": log.cmd[:, 0], "delta_rad": log.cmd[:, 2]})
     names = {"x_m": 0, "y_m": 1, "psi_rad": 4, "r_radps": 5}
@@ -384,7 +384,7 @@ def test_a_bag_reads_back_as_the_log_it_was_made_from(
     assert "/imu/data: time of receipt" in back.notes
     assert "t_s: counted from 2025-07-24 15:45:00 UTC" in back.notes
     assert "gps_x_m: 161 of 200 cells empty" in " ".join(back.notes)
-    mapping.rename(beside(path, ".mapping.toml"))
+    mapping.rename(sibling_path(path, ".mapping.toml"))
     assert np.array_equal(Log.read(path).z, back.z, equal_nan=True)
 
 
@@ -409,7 +409,7 @@ def test_the_time_of_a_message_is_its_header(tmp_path: Path) -> None:
     assert len(np.unique(np.floor(thin.t / 0.05 + 1e-9))) == len(thin) == 200
 
 
-def test_messages_out_of_order(tmp_path: Path) -> None:
+def test_messages_out_of_order_are_sorted(tmp_path: Path) -> None:
     log = run()
     mapping = written(tmp_path / "m.toml", ALL_ROWS)
     order = np.arange(200)
@@ -418,11 +418,11 @@ def test_messages_out_of_order(tmp_path: Path) -> None:
     assert len(back) == 200
 
 
-def test_a_bag_without_what_is_asked_for(tmp_path: Path) -> None:
+def test_bag_without_a_mapped_topic_is_refused(tmp_path: Path) -> None:
     path = record(tmp_path / "a", run(), "MCAP")
     message = refused(path)
     assert (
-        "a bag needs a mapping of its topics: --mapping FILE, or a.mapping.toml beside" in message
+        "a bag needs a mapping of its topics: --mapping FILE, or a.mapping.toml next to" in message
     )
     assert "/gps/fix (sensor_msgs/msg/NavSatFix), " in message
     mapping = written(tmp_path / "m.toml", ALL_ROWS.replace("/steering", "/rudder"))
@@ -440,7 +440,7 @@ def test_a_bag_without_what_is_asked_for(tmp_path: Path) -> None:
     assert "a bag needs topic = and field =, not from =" in refused(path, mapping, mapping)
 
 
-def test_a_bag_that_is_not_whole(tmp_path: Path) -> None:
+def test_incomplete_bag_is_refused(tmp_path: Path) -> None:
     path = record(tmp_path / "a", run(), "MCAP")
     (file,) = path.glob("*.mcap")
     cut = tmp_path / "cut.mcap"
@@ -458,7 +458,7 @@ def test_a_bag_that_is_not_whole(tmp_path: Path) -> None:
 # --- damaged and overlong files ---------------------------------------------------------------
 
 
-def log_or_sentence(path: Path, mapping: Path | None = None) -> None:
+def log_or_message(path: Path, mapping: Path | None = None) -> None:
     """Check that a file gives a complaint about it, or all that each log must hold."""
     try:
         log = Log.read(path, mapping)
@@ -485,7 +485,7 @@ def whole(folder: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["csv", "csv.gz", "parquet", "mcap", "db3"])
-def test_a_damaged_file_gives_a_log_or_a_sentence(
+def test_damaged_file_gives_a_log_or_a_message(
     tmp_path_factory: pytest.TempPathFactory, kind: str
 ) -> None:
     folder = tmp_path_factory.mktemp("damaged")
@@ -509,14 +509,14 @@ def test_a_damaged_file_gives_a_log_or_a_sentence(
         if doubled is not None:
             damaged[doubled[0] : doubled[0]] = damaged[doubled[1] : doubled[1] + 200]
         path.write_bytes(damaged[:end])
-        log_or_sentence(path, mapping)
+        log_or_message(path, mapping)
 
     damage()
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_broken_columns_give_a_log_or_a_sentence(tmp_path: Path, data: st.DataObject) -> None:
+def test_broken_columns_give_a_log_or_a_message(tmp_path: Path, data: st.DataObject) -> None:
     """Cells, rows and columns that are dropped, doubled, shuffled, frozen, moved or replaced."""
     log = run(60, truth=True)
     log.write(tmp_path / "a.csv")
@@ -547,7 +547,7 @@ def test_broken_columns_give_a_log_or_a_sentence(tmp_path: Path, data: st.DataOb
         cells = [list(row) for row in cells] or [[""] * len(header)]
     text = "\n".join([",".join(header), *(",".join(row) for row in cells)])
     path = written(tmp_path / "b.csv", text)
-    log_or_sentence(path)
+    log_or_message(path)
 
 
 def _number(text: str) -> bool:
@@ -567,12 +567,12 @@ def _number(text: str) -> bool:
         ("a.csv", b"t_s,gps_x_m,compass_rad\n" + b"1" * 5000, "column(s) n_left_rps"),
     ],
 )
-def test_files_that_are_no_log(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
     (tmp_path / name).write_bytes(content)
     assert words in refused(tmp_path / name)
 
 
-def test_parquet_of_text_and_of_other_kinds(tmp_path: Path) -> None:
+def test_parquet_of_other_types_is_converted_or_refused(tmp_path: Path) -> None:
     log = run()
     log.write(path := tmp_path / "a.parquet")
     frame = pl.read_parquet(path)
@@ -589,7 +589,7 @@ def test_parquet_of_text_and_of_other_kinds(tmp_path: Path) -> None:
     assert "1 row of data after the header; a log needs two" in refused(path)
 
 
-def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_block_size_changes_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = run()
     log.z[7] = np.nan
     whole = []
@@ -614,7 +614,9 @@ def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
-def test_a_log_of_too_many_rows(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_log_of_too_many_rows_is_refused(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run().write(path := tmp_path / name)
     monkeypatch.setattr(table, "MAX_ROWS", 100)
     monkeypatch.setattr(table, "_BLOCK_BYTES", 4000)

@@ -58,11 +58,11 @@ def derivative(
 ) -> np.ndarray:
     out = np.empty(6)
     s = np.ascontiguousarray(s)
-    dynamics.derivative(s, xi, act, wind, structure.kit, np.empty(N_TERMS), out)
+    dynamics.derivative(s, xi, act, wind, structure.terms, np.empty(N_TERMS), out)
     return out
 
 
-def roll_out(
+def forecast(
     xi: np.ndarray,
     plan: np.ndarray,
     dt: float = 0.1,
@@ -72,17 +72,23 @@ def roll_out(
     envelope: tuple[float, float, float] = (50.0, 50.0, 10.0),
     structure: Structure = PAPER,
     wind: np.ndarray = CALM,
-    ripple: np.ndarray | None = None,
+    waves: np.ndarray | None = None,
     gain: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Roll out; shaft speeds of ``plan`` and ``act_0`` are rev/s, those returned too."""
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     out, out_act = np.full((len(plan), 6), np.nan), np.full((len(plan), 4), np.nan)
-    rollout.roll_out(
-        *(np.array(s_0), xi, np.array(act_0) * unit, plan * unit, dt),
-        *(np.array(lags), np.array(envelope), wind, structure.kit),
-        np.empty((0, 3)) if ripple is None else ripple,
-        *(gain, out, out_act, np.full(rollout.ROOM, np.nan)),
+    begin = rollout.RolloutStart(np.array([s_0]), xi[None].copy(), np.array(act_0) * unit, wind)
+    config = rollout.RolloutConfig(np.array(lags), np.array(envelope), structure.terms)
+    velocity = np.empty((1, 0, 3)) if waves is None else waves[None]
+    rollout.rollout(
+        begin,
+        plan * unit,
+        dt,
+        config,
+        rollout.Waves(velocity, gain),
+        rollout.Paths(out[None], out_act),
+        np.full(rollout.rollout_size(), np.nan),
     )
     return out, out_act / unit
 
@@ -110,11 +116,11 @@ def test_derivative_turns_velocities_to_the_earth_and_adds_accelerations(
         act = np.array([*rng.normal(size=2), *rng.uniform(-0.5, 0.5, 2)])
         xi = rng.normal(size=len(structure))
         s, out = np.array([3.0, -4.0, psi, u, v, r]), np.empty(6)
-        dynamics.derivative(s, xi, act, WINDY, structure.kit, terms, out)
+        dynamics.derivative(s, xi, act, WINDY, structure.terms, terms, out)
         c, n = math.cos(psi), math.sin(psi)
         np.testing.assert_allclose(out[:3], [u * c - v * n, u * n + v * c, r], rtol=1e-14)
         # the terms that it leaves are those of the accelerations (tests/twin/test_structure.py)
-        assert tuple(out[3:]) == accelerations(terms, structure.kit, xi, 0)
+        assert tuple(out[3:]) == accelerations(terms, structure.terms, xi, 0)
 
 
 @BOATS
@@ -129,8 +135,8 @@ def test_a_mirrored_boat_makes_the_mirrored_motion(name: str, steering: str) -> 
         sign[k] = -1.0 if label in lopsided else 1.0
     xi, plan = lively(structure), steering_plan(100)
     image = plan[:, [1, 0, 3, 2]] * [1.0, 1.0, -1.0, -1.0]
-    one, _ = roll_out(xi, plan, structure=structure, wind=WINDY)
-    two, _ = roll_out(
+    one, _ = forecast(xi, plan, structure=structure, wind=WINDY)
+    two, _ = forecast(
         (sign * xi)[swap],
         image,
         s_0=(0.0, 0.0, -0.5, 5.0, 0.0, 0.0),
@@ -146,7 +152,7 @@ def test_a_mirrored_boat_makes_the_mirrored_motion(name: str, steering: str) -> 
 def test_a_starboard_angle_turns_the_prior_boat_to_starboard(name: str, steering: str) -> None:
     structure = structure_for(name, steering)
     act = [6.0, 6.0, 0.2, 0.2] if steering == "drives" else [6.0, 3.0, 0.0, 0.0]
-    out, _ = roll_out(structure.mean, np.tile(np.array(act), (100, 1)), structure=structure)
+    out, _ = forecast(structure.mean, np.tile(np.array(act), (100, 1)), structure=structure)
     assert out[-1, 5] > 0.05 and out[-1, 2] > 0.5  # r and psi
     assert out[-1, 4] < 0.0  # slides to port, outwards
 
@@ -156,7 +162,7 @@ def test_step_is_one_euler_step(name: str, steering: str) -> None:
     structure = structure_for(name, steering)
     s, act = np.array([1.0, 2.0, 0.3, 4.0, 0.5, -0.1]), np.array([5.0, 6, 0.1, 0.2])
     xi, after = lively(structure), np.empty(6)
-    dynamics.step(s, xi, act, WINDY, structure.kit, 0.05, np.empty(N_TERMS), after)
+    dynamics.step(s, xi, act, WINDY, structure.terms, 0.05, np.empty(N_TERMS), after)
     np.testing.assert_array_equal(after, s + 0.05 * derivative(s, xi, act, structure, WINDY))
 
 
@@ -165,29 +171,29 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
     name: str, steering: str
 ) -> None:
     structure, rng = structure_for(name, steering), np.random.default_rng(3)
-    p, kit, terms = len(structure), structure.kit, np.empty(N_TERMS)
+    p, model, terms = len(structure), structure.terms, np.empty(N_TERMS)
     work = ukf.workspace(6, p)
-    points = work[ukf.POINTS, :, : 6 + p]
+    points = work.points[:, : 6 + p]
     points[:] = np.concatenate([[0.0, 0.0, 1.0, 5.0, 0.3, 0.1], lively(structure)])
     points += 0.1 * rng.normal(size=(13, 6 + p))
     points[4:, 2] = points[0, 2]
     before, act = points.copy(), np.array([5.0, 6.0, 0.1, -0.3])
-    augmented.propagate_points(act, WINDY, kit, 0.05, terms, work)
+    augmented.propagate_points(act, WINDY, model, 0.05, terms, work)
     after = np.empty(6)
     for row, point in zip(points, before, strict=True):
-        dynamics.step(point[:6].copy(), point[6:].copy(), act, WINDY, kit, 0.05, terms, after)
+        dynamics.step(point[:6].copy(), point[6:].copy(), act, WINDY, model, 0.05, terms, after)
         np.testing.assert_allclose(row[:6], after, rtol=1e-14, atol=1e-15)
         np.testing.assert_array_equal(row[6:], point[6:])
     s, xi, moved = before[0, :6].copy(), before[0, 6:].copy(), rng.normal(size=p)
     slope = np.zeros((6, 6 + p))
-    for row_of, (first, last) in enumerate(kit[1]):
-        slope[row_of, first:last] = work[ukf.SLOPE, row_of, first:last]
+    for row_of, (first, last) in enumerate(model.limits):
+        slope[row_of, first:last] = work.slope[row_of, first:last]
     change = derivative(s, xi + moved, act, structure, WINDY)
     change -= derivative(s, xi, act, structure, WINDY)
     np.testing.assert_allclose(slope[:, 6:] @ moved, 0.05 * change, rtol=1e-9, atol=1e-12)
 
 
-# The paper's identified models; source of the numbers: physics.md sections 9 and 11. A
+# The paper's identified models; source of the numbers: docs/explanation/ship_and_sea.md. A
 # positive angle is the same turn in the tables as here: no sign had to be changed.
 
 
@@ -225,7 +231,7 @@ def test_table_3_turns(angle_deg: float, u: float, r_degps: float) -> None:
 
 
 def test_prior_of_the_study_boat() -> None:
-    # Source: twin.md section 13.
+    # Source: docs/explanation/twin.md, Identifiability.
     xi = dict(zip(PAPER.parameters, zip(XI, PAPER.sd, strict=True), strict=True))
     table = {
         **{"X_uu": (-0.030, 0.010), "X_vv": (-0.024, 0.05), "X_vr": (1.29, 0.3)},
@@ -255,7 +261,7 @@ def test_prior_for_fixed_propellers() -> None:
 
 @BOATS
 @pytest.mark.parametrize(("length", "speed", "shaft"), [(0.9, 2.0, 30.0), (60.0, 5.4, 1.1)])
-def test_prior_moves_boats_of_any_size_alike(
+def test_prior_moves_boats_of_any_size_in_the_same_way(
     name: str, steering: str, length: float, speed: float, shaft: float
 ) -> None:
     plan = steering_plan(200, 1.0)
@@ -264,7 +270,7 @@ def test_prior_moves_boats_of_any_size_alike(
         structure = structure_for(name, steering, **size)
         long, fast, n = ({**STUDY, **size}[key] for key in ("length", "speed", "shaft_speed"))
         time = long / fast
-        out, _ = roll_out(
+        out, _ = forecast(
             lively(structure),
             plan * np.array([n, n, 1.0, 1.0]),
             0.1 * time,
@@ -287,7 +293,7 @@ def test_prior_moves_boats_of_any_size_alike(
 def reference(
     structure: Structure, xi: np.ndarray, plan: np.ndarray, dt: float, wind: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what :func:`roll_out` should, by scipy's integration of ship and actuators."""
+    """Return what :func:`forecast` should, by scipy's integration of ship and actuators."""
     lags = np.array([0.6, 0.6, 0.1, 0.1])
     rates = np.array([math.inf, math.inf, 0.35, 0.35])
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
@@ -306,26 +312,26 @@ def reference(
 
 @BOATS
 @pytest.mark.parametrize("dt", [0.05, 0.1, 0.5])
-def test_roll_out_equals_an_accurate_integration(name: str, steering: str, dt: float) -> None:
+def test_rollout_equals_an_accurate_integration(name: str, steering: str, dt: float) -> None:
     structure = structure_for(name, steering)
     rows = round(10.0 / dt)
     plan = steering_plan(100)[(np.arange(rows) * dt / 0.1 + 1e-6).astype(int)]
     xi = lively(structure)
     states, acts = reference(structure, xi, plan, dt, WINDY)
-    out, out_act = roll_out(xi, plan, dt, structure=structure, wind=WINDY)
+    out, out_act = forecast(xi, plan, dt, structure=structure, wind=WINDY)
     # 0.5 s is cut into the longest steps there are, 0.25 s
     np.testing.assert_allclose(out, states, atol=1e-4 if dt < 0.25 else 5e-4)
     np.testing.assert_allclose(out_act, acts, atol=1e-5)
 
 
 @BOATS
-def test_roll_out_continues_where_it_ended(name: str, steering: str) -> None:
+def test_rollout_continues_where_it_ended(name: str, steering: str) -> None:
     structure = structure_for(name, steering)
     plan, xi = steering_plan(60), lively(structure)
     how = {"structure": structure, "wind": WINDY}
-    whole, whole_act = roll_out(xi, plan, **how)  # type: ignore[arg-type]
-    first, first_act = roll_out(xi, plan[:25], **how)  # type: ignore[arg-type]
-    second, second_act = roll_out(
+    whole, whole_act = forecast(xi, plan, **how)  # type: ignore[arg-type]
+    first, first_act = forecast(xi, plan[:25], **how)  # type: ignore[arg-type]
+    second, second_act = forecast(
         xi,
         plan[25:],
         s_0=tuple(first[-1]),
@@ -337,12 +343,12 @@ def test_roll_out_continues_where_it_ended(name: str, steering: str) -> None:
     np.testing.assert_allclose(np.vstack([first_act, second_act]), whole_act, rtol=1e-13)
 
 
-def test_ripple_carries_the_boat_along_and_does_nothing_else() -> None:
+def test_waves_without_gain_carry_the_boat_along_and_do_nothing_else() -> None:
     still = np.zeros(25)
-    ripple = np.tile([0.3, -0.2, 0.0], (40, 1))
-    ripple[20:] = 0.0, 0.0, 0.1
+    waves = np.tile([0.3, -0.2, 0.0], (40, 1))
+    waves[20:] = 0.0, 0.0, 0.1
     at = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0)
-    out, _ = roll_out(still, np.zeros((40, 4)), s_0=at, ripple=ripple)
+    out, _ = forecast(still, np.zeros((40, 4)), s_0=at, waves=waves)
     assert (out[:, 3:] == 0.0).all()
     c, n = math.cos(0.5), math.sin(0.5)
     moved = [1.0 + 2.0 * (0.3 * c + 0.2 * n), 2.0 + 2.0 * (0.3 * n - 0.2 * c), 0.5]
@@ -351,25 +357,25 @@ def test_ripple_carries_the_boat_along_and_does_nothing_else() -> None:
     # a boat under way keeps its velocities
     plan = steering_plan(40)
     np.testing.assert_array_equal(
-        roll_out(XI, plan, ripple=ripple)[0][:, 3:], roll_out(XI, plan)[0][:, 3:]
+        forecast(XI, plan, waves=waves)[0][:, 3:], forecast(XI, plan)[0][:, 3:]
     )
 
 
-def test_velocities_take_on_of_the_ripple_what_the_gain_says_within_the_envelope() -> None:
-    for ripple in np.tile([[0.3, -0.2, 0.0]], (40, 1)), np.tile([[0.0, 0.0, 0.02]], (40, 1)):
-        out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
-        np.testing.assert_allclose(out[-1, 3:], 0.5 * 4.0 * ripple[0], rtol=1e-12)
-    ripple = np.tile([0.3e6, -0.2e6, 0.02e6], (40, 1))
-    out, _ = roll_out(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, ripple=ripple, gain=0.5)
+def test_velocities_take_on_waves_by_the_gain_within_the_envelope() -> None:
+    for waves in np.tile([[0.3, -0.2, 0.0]], (40, 1)), np.tile([[0.0, 0.0, 0.02]], (40, 1)):
+        out, _ = forecast(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, waves=waves, gain=0.5)
+        np.testing.assert_allclose(out[-1, 3:], 0.5 * 4.0 * waves[0], rtol=1e-12)
+    waves = np.tile([0.3e6, -0.2e6, 0.02e6], (40, 1))
+    out, _ = forecast(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, waves=waves, gain=0.5)
     np.testing.assert_array_equal(np.abs(out[-1, 3:]), [50.0, 50.0, 10.0])
 
 
-def test_she_keeps_her_way_over_ground_while_a_wave_turns_her() -> None:
+def test_velocity_over_ground_stays_while_a_wave_turns_the_boat() -> None:
     # no forces; the least of gains: u' = w v, v' = -w u / 2, for sway has twice the inertia
     rate, k = math.pi / 10.0, math.sqrt(rollout.SWAY_SLIP)
-    ripple = np.tile([0.0, 0.0, rate], (3000, 1))
+    waves = np.tile([0.0, 0.0, rate], (3000, 1))
     s_0 = (0.0, 0.0, 0.4, 3.0, -1.0, 0.0)
-    out, _ = roll_out(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, ripple=ripple, gain=1e-12)
+    out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, waves=waves, gain=1e-12)
     angle = k * rate * 0.1 * np.arange(1, 3001)
     expected = np.column_stack(
         [
@@ -380,8 +386,8 @@ def test_she_keeps_her_way_over_ground_while_a_wave_turns_her() -> None:
     np.testing.assert_allclose(out[:100, 3:5], expected[:100], atol=0.05)
     # and never faster, however long it goes on
     assert np.hypot(out[:, 3], out[:, 4] / k).max() < 1.02 * np.hypot(3.0, 1.0 / k)
-    # where ripple only carries, u and v turn with her
-    out, _ = roll_out(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, ripple=ripple)
+    # where waves only carry, u and v turn with the boat
+    out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, waves=waves)
     np.testing.assert_array_equal(out[-1, 3:], [3.0, -1.0, 0.0])
 
 
@@ -395,7 +401,7 @@ def test_she_keeps_her_way_over_ground_while_a_wave_turns_her() -> None:
         pytest.param(math.nan, 0, id="not a number"),
     ],
 )
-def test_roll_out_of_an_explosive_set_stays_in_the_envelope(
+def test_rollout_of_an_explosive_set_stays_in_the_envelope(
     name: str, steering: str, scale: float, seed: int
 ) -> None:
     boat = Particulars(**STUDY, steering=steering)  # type: ignore[arg-type]
@@ -404,7 +410,7 @@ def test_roll_out_of_an_explosive_set_stays_in_the_envelope(
     if scale == 1.0 and (name, steering) == ("paper", "drives"):
         xi = paper_checks.PAPER_TABLE_2
     plan = np.tile([RATED, RATED, 0.35, 0.35], (300, 1))
-    out, out_act = roll_out(xi, plan, envelope=(12.0, 11.0, 1.5), structure=structure, wind=WINDY)
+    out, out_act = forecast(xi, plan, envelope=(12.0, 11.0, 1.5), structure=structure, wind=WINDY)
     assert np.isfinite(out).all() and np.isfinite(out_act).all()
     largest = np.abs(out[:, 3:]).max(axis=0)
     assert (largest <= [12.0, 11.0, 1.5]).all() and (largest == [12.0, 11.0, 1.5]).any()
@@ -432,48 +438,3 @@ def test_follow_solves_the_actuator_law(
     close = 1e-12 + 2.0 * actuators.ARRIVED * abs(target)
     assert actuators.follow(value, target, lag, rate, h) == pytest.approx(once, abs=close)
     assert min(value, target) <= once <= max(value, target)
-
-
-def look_ahead(
-    structure: Structure, xi: np.ndarray, act: list[float], command: list[float], time_scale: float
-) -> np.ndarray:
-    """Look ahead from usual speed; shaft speeds are rev/s."""
-    unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
-    out, out_act = np.empty((4, 6)), np.empty((4, 4))
-    rollout.look_ahead(
-        *(np.array([0.0, 0.0, 0.5, 5.0, 0.2, 0.05]), xi, unit * act, unit * command),
-        *(
-            np.array([0.6, 0.1, 0.35]),
-            np.array([50.0, 50.0, 10.0]),
-            CALM,
-            structure.kit,
-            time_scale,
-        ),
-        *(np.empty((0, 3)), 0.0, out, out_act, np.empty(rollout.ROOM)),
-    )
-    return out
-
-
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize(
-    "command", [[6.0, 6.0, 0.0, 0.0], [7.0, 5.0, 0.2, 0.1], [3.0, 3.0, -0.3, -0.3]]
-)
-def test_looking_ahead_is_rolling_out_at_longer_steps(name: str, command: list[float]) -> None:
-    structure = structure_for(name)
-    xi, act = lively(structure), [6.0, 6.0, 0.0, 0.0]
-    fine, _ = roll_out(
-        *(xi, np.tile(command, (1000, 1)), 0.01, (0.0, 0.0, 0.5, 5.0, 0.2, 0.05)),
-        structure=structure,
-    )
-    fine = fine[[99, 199, 499, 999]]
-    got = look_ahead(structure, xi, act, command, BOAT.length / BOAT.speed)
-    way = np.hypot(fine[:, 0], fine[:, 1])
-    assert (np.hypot(*(got - fine)[:, :2].T) < 1e-3 * way).all()
-    np.testing.assert_allclose(got[:, 2:], fine[:, 2:], rtol=0, atol=5e-3)
-
-
-def test_looking_ahead_with_absurd_parameters_ends() -> None:
-    structure = structure_for("mmg")
-    for size in (1e3, 1e9, math.inf, math.nan):
-        xi = np.full(len(structure), size)
-        assert look_ahead(structure, xi, [6.0] * 4, [6.0] * 4, 1e-3).shape == (4, 6)

@@ -52,7 +52,7 @@ def terms_of(
     terms = np.full(N_TERMS, math.nan)
     n_l, n_r, d_l, d_r = act
     thrust_terms(n_l, n_r, math.cos(d_l), math.sin(d_l), math.cos(d_r), math.sin(d_r), terms)
-    state_terms(*nu, math.cos(psi), math.sin(psi), wind, structure.kit[2], terms)
+    state_terms(*nu, math.cos(psi), math.sin(psi), wind, structure.terms.hull, terms)
     return terms
 
 
@@ -143,7 +143,7 @@ def test_every_parameter_multiplies_its_printed_term(case, nu, psi, wind, act) -
     terms = terms_of(structure, nu, psi, wind, act)
     formulas = printed(case[1], nu, psi, wind, act)
     for k, name in enumerate(structure.parameters):
-        got = accelerations(terms, structure.kit, np.eye(len(structure))[k], 0)
+        got = accelerations(terms, structure.terms, np.eye(len(structure))[k], 0)
         # values to some 1e3: rounding of their factors
         np.testing.assert_allclose(got, formulas[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
@@ -154,11 +154,11 @@ def test_accelerations_are_linear_and_may_stand_behind_the_states(case) -> None:
     terms = terms_of(structure, (4.0, -0.5, 0.2), 0.8, np.array([3.0, 2.0]), (5.0, 6.0, 0.1, 0.3))
     a, b = rng.normal(size=(2, len(structure)))
     one, two, both = (
-        np.array(accelerations(terms, structure.kit, xi, 0)) for xi in (a, b, 3.0 * a - b)
+        np.array(accelerations(terms, structure.terms, xi, 0)) for xi in (a, b, 3.0 * a - b)
     )
     np.testing.assert_allclose(both, 3.0 * one - two, rtol=1e-12, atol=1e-10)
     joint = np.concatenate([rng.normal(size=N_STATES), a])
-    assert accelerations(terms, structure.kit, joint, N_STATES) == tuple(one)
+    assert accelerations(terms, structure.terms, joint, N_STATES) == tuple(one)
 
 
 def away_from_kinks(*values: float) -> None:
@@ -179,7 +179,7 @@ def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
     away_from_kinks(0.71 * LENGTH * r - v)
     wind = np.array(wind)
     structure = structure_of(name, LENGTH, SPEED, SHAFT, tanker=True)  # she has all terms
-    hull = structure.kit[2]
+    hull = structure.terms.hull
     for n in act[:2]:  # where the flow at a drive turns round
         away_from_kinks(0.4 * u * abs(u) + (0.6 if n > 0.0 else 0.06) * n * abs(n))
     # where the apparent wind ends
@@ -188,11 +188,11 @@ def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
     slopes = np.zeros((4, N_TERMS))
     # another state was there before: nothing of it may stay
     other = terms_of(structure, (1.0, 2.0, 3.0), 0.4, np.array([5.0, 1.0]), (1.0, 2.0, 0.3, 0.4))
-    term_slopes(1.0, 2.0, 3.0, 0.9, 0.4, np.array([5.0, 1.0]), hull, other, slopes)
+    term_slopes((1.0, 2.0, 3.0), (0.9, 0.4), np.array([5.0, 1.0]), hull, other, slopes)
     terms = terms_of(structure, nu, psi, wind, act)
-    term_slopes(u, v, r, c, s, wind, hull, terms, slopes)
+    term_slopes((u, v, r), (c, s), wind, hull, terms, slopes)
     h, at = 1e-5, np.array([u, v, r, psi])
-    used = sorted({int(t) for row in structure.kit[0] for t in row})
+    used = sorted({int(t) for row in structure.terms.which for t in row})
     for i in range(4):
         up, down = (
             terms_of(structure, tuple(moved[:3]), moved[3], wind, act)
@@ -208,7 +208,7 @@ def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_limits_and_blocks_frame_what_enters_each_equation(case) -> None:
     structure = boat(case)
-    which, limits, _ = structure.kit
+    which, limits = structure.terms.which, structure.terms.limits
     p = len(structure)
     assert which.shape == (3, p) and limits.shape == (N_STATES, 2)
     assert len(structure.units) == len(structure.scales) == p
@@ -222,7 +222,7 @@ def test_limits_and_blocks_frame_what_enters_each_equation(case) -> None:
         assert (first, last) == tuple(limits[3 + i] - N_STATES)
         assert all(name[0] in letters for name in structure.parameters[first:last])
         for k in range(p):
-            moves = accelerations(terms, structure.kit, np.eye(p)[k], 0)[i] != 0.0
+            moves = accelerations(terms, structure.terms, np.eye(p)[k], 0)[i] != 0.0
             assert moves == (first <= k < last)
     assert sum(last - first for first, last in structure.blocks.values()) == p + 2 * (
         "E_north" in structure.parameters
@@ -240,8 +240,8 @@ def test_bias_is_added_once_and_changes_nothing_else(name) -> None:
     np.testing.assert_array_equal(biased.mean[rest], plain.mean[old])
     np.testing.assert_array_equal(biased.sd[rest], plain.sd[old])
     # whether the heading plays a part, which spares the prediction sines where it does not
-    assert biased.kit[2][1] == 1.0
-    assert plain.kit[2][1] == (1.0 if name == "mmg" else 0.0)
+    assert biased.terms.hull[1] == 1.0
+    assert plain.terms.hull[1] == (1.0 if name == "mmg" else 0.0)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -254,7 +254,7 @@ def test_earth_fixed_accelerations_stay_as_the_boat_turns(name, psi, turn) -> No
     xi[where : where + 2] = 0.03, -0.05
     for heading in (psi, psi + turn):
         terms = terms_of(structure, (4.0, 1.0, 0.3), heading, CALM, (5.0, 6.0, 0.1, 0.3))
-        du, dv, dr = accelerations(terms, structure.kit, xi, 0)
+        du, dv, dr = accelerations(terms, structure.terms, xi, 0)
         c, s = math.cos(heading), math.sin(heading)
         np.testing.assert_allclose([du * c - dv * s, du * s + dv * c], [0.03, -0.05], atol=1e-15)
         assert dr == 0.0
@@ -268,7 +268,7 @@ def test_wind_acts_by_its_speed_past_the_boat() -> None:
 
     def push(nu: tuple[float, float, float], psi: float, wind: tuple[float, float]) -> np.ndarray:
         terms = terms_of(structure, nu, psi, np.array(wind), (5.0, 6.0, 0.1, 0.3))
-        return np.array(accelerations(terms, structure.kit, xi, 0))
+        return np.array(accelerations(terms, structure.terms, xi, 0))
 
     assert (push((4.0, 1.0, 0.3), 0.7, (0.0, 0.0)) == 0.0).all()  # not known
     # a boat that drifts with the wind feels none; one at rest feels it all, from astern
@@ -303,8 +303,8 @@ def test_terms_mirror_port_and_starboard(case) -> None:
         phi = terms_of(structure, (u, v, r), psi, wind, (*n, *d))
         image = terms_of(structure, (u, -v, -r), -psi, wind * [1, -1], (*n[::-1], *-d[::-1]))
         for k, name in enumerate(structure.parameters):
-            one = np.array(accelerations(phi, structure.kit, np.eye(p)[k], 0))
-            two = np.array(accelerations(image, structure.kit, np.eye(p)[swap[k]], 0))
+            one = np.array(accelerations(phi, structure.terms, np.eye(p)[k], 0))
+            two = np.array(accelerations(image, structure.terms, np.eye(p)[swap[k]], 0))
             sign = -1.0 if name in lopsided else 1.0
             np.testing.assert_allclose(two, sign * one * [1, -1, -1], atol=1e-14, err_msg=name)
 
@@ -323,7 +323,7 @@ def test_prior_keeps_its_speed_and_course(name, differential) -> None:
     # the usual shaft speed in the structure's unit keeps about the usual speed
     n = SHAFT * structure.n_unit
     terms = terms_of(structure, (SPEED, 0.0, 0.0), 0.0, CALM, (n, n, 0.0, 0.0))
-    du, dv, dr = accelerations(terms, structure.kit, structure.mean, 0)
+    du, dv, dr = accelerations(terms, structure.terms, structure.mean, 0)
     # to 8 % of the speed, 15 % of the drag: half of what the thrust is unsure by (twin.md 13)
     assert abs(du) < 0.15 * 0.19 * SPEED**2 / LENGTH
     assert dv == dr == 0.0

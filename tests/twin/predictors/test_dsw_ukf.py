@@ -177,11 +177,13 @@ def test_literal_noise_only_grows_and_stays_within_its_bound(boat: Particulars, 
 
 def test_restart_begins_at_the_measured_state(boat: Particulars, run: Log) -> None:
     predictor = fed(boat, run, window="off")
-    xi, own = predictor.ukf.params.copy(), predictor.ukf.P[6:, 6:].copy()
+    xi, own = predictor.ukf.xi.copy(), predictor.ukf.P[6:, 6:].copy()
     act = predictor.ukf.act.copy()
     predictor._restart(1)  # no row is run: only the start is set
-    np.testing.assert_array_equal(predictor.state, predictor._states[(predictor._count - 1) % 30])
-    np.testing.assert_array_equal(predictor.ukf.params, xi)
+    np.testing.assert_array_equal(
+        predictor.state, predictor._ring.states[(predictor._count - 1) % 30]
+    )
+    np.testing.assert_array_equal(predictor.ukf.xi, xi)
     np.testing.assert_array_equal(predictor.ukf.P[6:, 6:], own)
     assert not predictor.ukf.P[:6, 6:].any()
     np.testing.assert_array_equal(predictor.ukf.act, act)

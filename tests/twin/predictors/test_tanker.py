@@ -1,4 +1,4 @@
-"""Ships of full form: what is believed of them beforehand, and what that is worth."""
+"""Ships of full form: their prior, and what it is worth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import pytest
 from twin import Twin
 from twin.digital_twin import known_plan
 from twin.identification.filter_settings import plain_settings
-from twin.identification.joint_ukf import wave_parts
 from twin.logs.datasets import ESSO as TANKER
 from twin.model.dynamics import all_terms, model_of
 from twin.model.priors import TANKER as KIND
@@ -24,7 +23,6 @@ from twin.training import prior_population as pop
 from usv_gym import Vessel
 from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SeaState
-from usv_kernel.jit import py_func
 
 
 def turning(boat: Particulars, n: float) -> float:
@@ -33,8 +31,8 @@ def turning(boat: Particulars, n: float) -> float:
     mean, _ = population_prior(structure, boat)
     terms, state = np.zeros(N_TERMS), np.zeros(6)
     shaft = structure.n_unit * n
-    all_terms(state, np.array([shaft, shaft, 0.0, 0.0]), np.zeros(2), structure.kit, terms)
-    return float(accelerations(terms, structure.kit, mean, 0)[2])
+    all_terms(state, np.array([shaft, shaft, 0.0, 0.0]), np.zeros(2), structure.terms, terms)
+    return float(accelerations(terms, structure.terms, mean, 0)[2])
 
 
 @pytest.mark.parametrize(
@@ -42,16 +40,16 @@ def turning(boat: Particulars, n: float) -> float:
     [
         ({}, True),
         ({"mass": 0.85 * TANKER.mass}, False),  # block coefficient 0.69
-        ({"mass": 1e3 * TANKER.mass}, False),  # kg for t: more than the box around her
+        ({"mass": 1e3 * TANKER.mass}, False),  # kg for t: more than the box around it
         ({"speed": 0.4 * math.sqrt(GRAVITY * 3.0)}, False),
         ({"steering": "differential"}, False),
     ],
 )
-def test_a_tanker_is_slow_full_and_has_a_rudder(change: dict[str, float], is_one: bool) -> None:
+def test_tanker_is_slow_full_and_has_a_rudder(change: dict[str, float], is_one: bool) -> None:
     assert dataclasses.replace(TANKER, **change).tanker is is_one
 
 
-def test_a_propeller_astern_pushes_her_stern_to_port() -> None:
+def test_propeller_astern_pushes_the_stern_to_port() -> None:
     assert turning(TANKER, 10.0) == turning(TANKER, 0.0) == 0.0
     # twice the revolutions, four times the moment
     assert turning(TANKER, -20.0) == pytest.approx(4.0 * turning(TANKER, -10.0))
@@ -60,7 +58,7 @@ def test_a_propeller_astern_pushes_her_stern_to_port() -> None:
     assert turning(slender, -10.0) == 0.0
 
 
-def test_wind_takes_less_hold_of_a_laden_ship() -> None:
+def test_wind_terms_of_a_laden_ship_are_smaller() -> None:
     boats = (TANKER, dataclasses.replace(TANKER, mass=0.85 * TANKER.mass))
     laden, slender = (model_of(boat, "mmg", biased=True) for boat in boats)
     for name in ("X_w", "Y_w"):
@@ -69,31 +67,31 @@ def test_wind_takes_less_hold_of_a_laden_ship() -> None:
     assert set(laden.parameters) - set(slender.parameters) == {"Y_S", "N_S"}
 
 
-def test_she_turns_to_port_as_she_does_not_turn_to_starboard() -> None:
+def test_turns_to_port_and_starboard_differ() -> None:
     structure = model_of(TANKER, "mmg", biased=True)
     mean, _ = population_prior(structure, TANKER)
     turned = []
     for side in (1.0, -1.0):
         terms, act = np.zeros(N_TERMS), np.array([0.36, 0.36, 0.3 * side, 0.3 * side])
         state = np.array([0.0, 0.0, 0.0, 0.3, -0.05 * side, 0.05 * side])
-        all_terms(state, act, np.zeros(2), structure.kit, terms)
-        turned.append(side * accelerations(terms, structure.kit, mean, 0)[2])
+        all_terms(state, act, np.zeros(2), structure.terms, terms)
+        turned.append(side * accelerations(terms, structure.terms, mean, 0)[2])
     # behind a right-handed screw a turn to port is the tighter one
     assert turned[0] < turned[1]
 
 
-def test_her_sisters_are_fitted_better_where_sides_may_differ() -> None:
-    """Against the same boats, fitted as ships whose sides are alike."""
+def test_unequal_sides_improve_the_fit() -> None:
+    """Against the same boats, fitted as ships of equal sides."""
     draw = functools.partial(pop.random_boat, KIND)
     errors = {
-        kind: [pop.member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
+        kind: [pop.fit_member("mmg", kind, draw, pop.SEED, i)[1][2] for i in range(6)]
         for kind in (KIND, "rudder")
     }
     # measured: 0.5 of the yaw rate's error
     assert np.median(errors[KIND]) < 0.75 * np.median(errors["rudder"])
 
 
-def test_what_disturbs_her_goes_by_her_length_not_by_her_speed() -> None:
+def test_process_noise_scales_with_length_not_speed() -> None:
     quiet, hasty = (
         plain_settings(dataclasses.replace(TANKER, speed=speed)) for speed in (0.3, 0.6)
     )
@@ -106,7 +104,7 @@ def test_what_disturbs_her_goes_by_her_length_not_by_her_speed() -> None:
     np.testing.assert_allclose(less, 1.0 / np.array([4.0, 4.0, 16.0]), rtol=1e-12)
 
 
-def test_a_model_that_is_named_is_the_one_that_is_used() -> None:
+def test_named_model_is_used() -> None:
     settings = plain_settings(TANKER, "paper")
     assert settings.structure.name == "paper"
     assert not settings.q_xi.any()
@@ -117,7 +115,7 @@ def test_a_model_that_is_named_is_the_one_that_is_used() -> None:
     assert plain_settings(usv).structure.name == "paper"
 
 
-def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> None:
+def test_tanker_filter_predicts_turns_better_than_the_paper_model() -> None:
     vessel = Vessel.load("kvlcc2_l7")
     log = simulate("random", vessel=vessel, sea=SeaState.named("calm"), duration=140.0, seed=1)
     errors: dict[str | None, float] = {}
@@ -137,9 +135,9 @@ def test_her_filter_foretells_her_turning_better_than_that_of_the_paper() -> Non
     assert errors[None] < 0.75 * errors["paper"]
 
 
-def test_her_noises_follow_the_waves_that_are_felt() -> None:
+def test_noises_follow_the_wave_power() -> None:
     vessel = Vessel.load("kvlcc2_l7")
-    felt = {}
+    power = {}
     for sea in ("calm", "1", "3"):
         twin = Twin(particulars_of(vessel), "ukf")
         ukf = twin.predictor.ukf
@@ -147,16 +145,16 @@ def test_her_noises_follow_the_waves_that_are_felt() -> None:
             "random", vessel=vessel, sea=SeaState.named(sea), duration=40.0, seed=1
         ):
             twin.step(t, z, cmd)
-        felt[sea] = np.sqrt(py_func(wave_parts)(ukf.memory, ukf.constants, ukf.kit)[0])
+        power[sea] = np.sqrt(ukf.wave_power)
     # m/s, m/s and rad/s; nothing to add to the noises of a pond but what is in the gyro
-    assert not felt["calm"][:2].any()
-    assert felt["calm"][2] < 5e-4 < 5e-3 < felt["1"][2]
-    assert felt["3"][0] > 0.05
+    assert not power["calm"][:2].any()
+    assert power["calm"][2] < 5e-4 < 5e-3 < power["1"][2]
+    assert power["3"][0] > 0.05
     assert plain_settings(particulars_of(Vessel.load("usv75"))).waves == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
+def test_position_without_gps_in_waves_stays_close(seed: int) -> None:
     vessel = Vessel.load("kvlcc2_l7")
     log = simulate(
         "random",
@@ -176,8 +174,8 @@ def test_in_waves_without_gps_she_is_not_lost(seed: int) -> None:
     assert max(off[1200:]) < 5.0
 
 
-def test_a_wild_prediction_is_no_wave() -> None:
-    """After a gap the model that is hardly known may predict anything: nothing of it is felt."""
+def test_extreme_prediction_is_not_taken_for_waves() -> None:
+    """After a gap a poorly known model may predict anything; the wave power stays."""
     ship = Vessel.load("kvlcc2_l7")
     log = simulate("random", vessel=ship, sea=SeaState.named("3"), duration=30.0, seed=1)
     twin = Twin(particulars_of(ship), "ukf")

@@ -53,7 +53,7 @@ def test_from_the_true_start_it_is_the_simulation(sea, dof):
     log = sail(vessel, sea, dof)
     oracle = Oracle(particulars_of(vessel, dof=dof), vessel=vessel, sea=sea, dof=dof)
     watch(log, 701, oracle)
-    s = oracle._beside[1:]
+    s = oracle._extra[1:]
     x, y, psi, u, v, r = log.truth[700]
     s[:2], s[5], s[6:8], s[11] = (x, y), psi, (u, v), r
     mean = oracle.path(known_plan(log, 700, 10.0, 0.05), 0.05)
@@ -63,7 +63,7 @@ def test_from_the_true_start_it_is_the_simulation(sea, dof):
     assert np.ptp(log.truth[701:901, 2]) > 0.2
     wrong = Oracle(particulars_of(vessel, dof=dof), vessel=Vessel.load("usv75"), sea=sea, dof=dof)
     watch(log, 701, wrong)
-    wrong._beside[:] = oracle._beside
+    wrong._extra[:] = oracle._extra
     away = wrong.path(known_plan(log, 700, 10.0, 0.05), 0.05) - log.truth[701:901]
     assert np.hypot(*away[-1, :2]) > 0.1
 
@@ -94,7 +94,7 @@ def test_it_follows_the_motion_and_not_the_waves():
         oracle.update(t, 0.05 if k else 0.0, z, cmd)
         if t > 20.0:
             seen.append(oracle.state[4])
-            followed.append(oracle._beside[1 + 7])
+            followed.append(oracle._extra[1 + 7])
     assert np.std(followed) < 0.5 * np.std(seen)
     assert GAIN * 3.0 / (2 * math.pi) < 0.5
     assert abs(np.mean(followed) - np.mean(seen)) < 0.05
@@ -159,7 +159,7 @@ def test_in_the_environment_it_gets_the_environments_boat_and_sea():
     assert np.isfinite(obs).all()
     oracle = env.get_wrapper_attr("twin").predictor
     assert isinstance(oracle, Oracle)
-    np.testing.assert_array_equal(oracle._arguments[0], other_boat().packed)
+    np.testing.assert_array_equal(oracle._true.vessel[0], other_boat().packed)
 
 
 def test_a_capsizing_ship_stays_finite():

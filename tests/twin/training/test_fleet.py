@@ -35,7 +35,7 @@ K = AHEAD * PATCH
 
 
 @pytest.fixture(scope="module")
-def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Run], Path]:
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Run], Path]:
     """Return the runs of a fleet of two, and where they are kept."""
     folder = tmp_path_factory.mktemp("fleet")
     return fleet.sail_fleet(FleetSettings(**SMALL), folder), folder
@@ -52,9 +52,9 @@ def same(one: Weights, other: Weights) -> bool:
     return all(np.array_equal(one.arrays[k], other.arrays[k]) for k in one.arrays)
 
 
-def test_the_fleet_is_what_its_seed_says(sailed: tuple[list[Run], Path]) -> None:
+def test_fleet_follows_from_its_seed(simulated: tuple[list[Run], Path]) -> None:
     """The same seed, the same runs, for any number of calls; another seed, others."""
-    runs, folder = sailed
+    runs, folder = simulated
     assert len(runs) == 2
     kept = fleet.sail_fleet(FleetSettings(**SMALL), folder)
     fresh = [run for i in range(2) for run in fleet.sail_boat(0, i, 1)]
@@ -69,7 +69,7 @@ def test_the_fleet_is_what_its_seed_says(sailed: tuple[list[Run], Path]) -> None
         assert len(run.rows) == len(run.truth) == 480
 
 
-def test_no_boat_of_the_fleet_is_one_of_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fleet_shares_no_boat_with_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
     """The draws of the fleet's boats begin with a number that no seed of the benchmark has."""
     asked = []
     true = np.random.default_rng
@@ -101,13 +101,13 @@ def test_the_histories_are_those_of_the_predictor(kind: type[FleetPredictor], zi
     masks = run.rows[:, 14:]
     assert masks[99, 0] == pytest.approx(np.exp(-5.0 / 2.0), rel=0.2)
     assert (masks[40:75] > 0.9).all() and (masks[99, 1:] > 0.9).all()
-    # the truth lies where the navigation believes to be
+    # the truth is near the navigation state
     assert np.abs(run.rows[120:, 3:6] - run.truth[120:, 3:6]).max() < 0.6
 
 
-def test_tokens_have_no_size(sailed: tuple[list[Run], Path]) -> None:
-    """A boat four times as long at twice the speed (Froude) is told alike, but for the clock."""
-    run = sailed[0][0]
+def test_tokens_are_dimensionless(simulated: tuple[list[Run], Path]) -> None:
+    """A boat four times as long at twice the speed (Froude) has the same tokens, but for the clock."""
+    run = simulated[0][0]
     boat = run.particulars
     large = dataclasses.replace(
         boat, length=4 * boat.length, beam=4 * boat.beam, draft=4 * boat.draft,
@@ -122,7 +122,7 @@ def test_tokens_have_no_size(sailed: tuple[list[Run], Path]) -> None:
     clock = TOKEN - pretrained.ABOUT
     np.testing.assert_allclose(np.delete(x, clock, 2), np.delete(y, clock, 2), atol=1e-5)
     np.testing.assert_allclose(x[..., clock] - y[..., clock], np.log(2.0), rtol=1e-5)
-    # before the history began nothing is told; of the plan the actuators, and past means
+    # before the history there is nothing; of the plan the actuators, and past means
     before = x[0, : PAST - 26, : PATCH * pretrained.PER_ROW]
     assert (before.reshape(-1, PATCH, pretrained.PER_ROW)[..., :9] == 0.0).all()
     plan = x[:, PAST:, : PATCH * pretrained.PER_ROW].reshape(2, AHEAD, PATCH, -1)
@@ -138,16 +138,16 @@ def test_tokens_have_no_size(sailed: tuple[list[Run], Path]) -> None:
     )
 
 
-def test_the_mirror_is_a_boat(sailed: tuple[list[Run], Path]) -> None:
+def test_mirrored_history_is_consistent(simulated: tuple[list[Run], Path]) -> None:
     """Seen twice in the mirror, a history is itself; a mirrored turn goes the other way."""
-    rows = sailed[0][0].rows
+    rows = simulated[0][0].rows
     once = rows[:, fleet.SWAPPED] * fleet.MIRROR
     assert np.array_equal(once[:, fleet.SWAPPED] * fleet.MIRROR, rows)
     assert np.array_equal(once[:, 5], -rows[:, 5])
     assert np.array_equal(once[:, 12], -rows[:, 13])
 
 
-def test_the_gate_closes_where_a_sensor_is_missing() -> None:
+def test_gate_fades_inputs_of_lost_sensors() -> None:
     """u and v fade with the mask of GPS, r with that of the IMU; nothing else does."""
     x = np.full((1, PAST + AHEAD, TOKEN), 2.0, dtype=np.float32)
     rows = x[:, :, : PATCH * pretrained.PER_ROW].reshape(1, PAST + AHEAD, PATCH, -1).copy()
@@ -163,23 +163,26 @@ def test_the_gate_closes_where_a_sensor_is_missing() -> None:
         np.testing.assert_array_equal(past[..., 3:], rows[:, :PAST, :, 3:])
 
 
-def test_late_errors_weigh_more_if_told_so(sailed: tuple[list[Run], Path], tmp_path: Path) -> None:
+def test_late_errors_weigh_more_by_the_option(
+    simulated: tuple[list[Run], Path], tmp_path: Path
+) -> None:
     """Another weighting of the horizon is another training."""
     pytest.importorskip("torch")
     one, other = (
-        fleet.train(FleetSettings(**SMALL, late=late), sailed[0], tmp_path) for late in (0.0, 1.0)
+        fleet.train(FleetSettings(**SMALL, late=late), simulated[0], tmp_path)
+        for late in (0.0, 1.0)
     )
     assert not same(one, other)
 
 
 @pytest.mark.parametrize("net", ["lstm", "transformer"])
-def test_numpy_answers_as_torch(net: str, sailed: tuple[list[Run], Path]) -> None:
+def test_numpy_answers_as_torch(net: str, simulated: tuple[list[Run], Path]) -> None:
     """The forecasts are those that were trained: net and roll-out, to single precision."""
     torch = pytest.importorskip("torch")
     torch.manual_seed(0)
     module = fleet.make_net(FleetSettings(kind=net, width=16, layers=2), torch)
     torch.nn.init.normal_(module.read.weight, std=0.5)
-    run, boat = sailed[0][0], sailed[0][0].particulars
+    run, boat = simulated[0][0], simulated[0][0].particulars
     rows = run.rows.astype(float)
     origins = np.array([90, 200, 400])
     ahead = origins[:, None] + np.arange(1, K + 1)
@@ -192,12 +195,17 @@ def test_numpy_answers_as_torch(net: str, sailed: tuple[list[Run], Path]) -> Non
     np.testing.assert_allclose(run_net(weights, x), said.numpy(), atol=1e-4)
     start = window[:, -1].copy()
     start[:, :3] = window[:, -1, :3] = 0.0
-    usual = np.array([boat.speed, boat.speed, boat.speed / boat.length])
+    typical = np.array([boat.speed, boat.speed, boat.speed / boat.length])
     sailed_step = np.full((3, 1), 0.25 * boat.speed / boat.length)
     tensors = (
-        torch.from_numpy(np.asarray(a, np.float32)) for a in (start[:, 3:6] / usual, sailed_step)
+        torch.from_numpy(np.asarray(a, np.float32)) for a in (start[:, 3:6] / typical, sailed_step)
     )
-    path = fleet.roll(0.05 * said, *tensors, torch).numpy() * [boat.length, boat.length, 1, *usual]
+    path = fleet.roll(0.05 * said, *tensors, torch).numpy() * [
+        boat.length,
+        boat.length,
+        1,
+        *typical,
+    ]
 
     class Own(FleetPredictor):
         kind = net
@@ -225,12 +233,12 @@ def test_numpy_answers_as_torch(net: str, sailed: tuple[list[Run], Path]) -> Non
 
 @pytest.mark.parametrize("net", ["lstm", "transformer"])
 def test_training_repeats_itself_stopped_or_not(
-    net: str, sailed: tuple[list[Run], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    net: str, simulated: tuple[list[Run], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same seed gives the same weights, also after Ctrl-C; it learns; another seed differs."""
     pytest.importorskip("torch")
     settings = FleetSettings(kind=net, dropout=0.2, **SMALL)
-    whole = fleet.train(settings, sailed[0], tmp_path / "a", every=2)
+    whole = fleet.train(settings, simulated[0], tmp_path / "a", every=2)
     true, asked = fleet.batch, []
 
     def stops(*args: object) -> object:
@@ -241,13 +249,13 @@ def test_training_repeats_itself_stopped_or_not(
 
     monkeypatch.setattr(fleet, "batch", stops)
     with pytest.raises(KeyboardInterrupt):
-        fleet.train(settings, sailed[0], tmp_path / "b", every=2)
-    again = fleet.train(settings, sailed[0], tmp_path / "b", every=2)
+        fleet.train(settings, simulated[0], tmp_path / "b", every=2)
+    again = fleet.train(settings, simulated[0], tmp_path / "b", every=2)
     # the steps of the last saving are not done twice
     assert len(asked) == 4 + 4
     assert same(whole, again)
     assert np.abs(whole.arrays["read.weight"]).max() > 0.0
-    other = fleet.train(dataclasses.replace(settings, seed=1), sailed[0], tmp_path / "b")
+    other = fleet.train(dataclasses.replace(settings, seed=1), simulated[0], tmp_path / "b")
     assert not same(whole, other)
 
 
@@ -260,7 +268,9 @@ def test_weights_come_back_and_others_are_refused(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.arrays["a"], weights.arrays["a"], rtol=5e-4)
     with pytest.raises(WeightsError, match=r"weights of a lstm.*needs a transformer"):
         Weights.read(path, "transformer")
-    with pytest.raises(WeightsError, match=r"none\.npz: is missing.*python -m twin\.fleet lstm"):
+    with pytest.raises(
+        WeightsError, match=r"none\.npz: is missing.*python -m twin\.training\.fleet lstm"
+    ):
         Weights.read(tmp_path / "none.npz", "lstm")
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(WeightsError, match="holds no weights"):
@@ -288,11 +298,13 @@ def test_shipped_nets_predict_a_zigzag(kind: type[FleetPredictor], zigzag, boat)
         np.abs(predictor.forecast(run.rows, origins, plans) - run.truth[later]).mean(axis=(0, 1))
         for predictor in (kind(boat), predictor_class("persistence")(boat))
     )
-    # the study's LSTM has a third of persistence's error in the zigzag (twin.md section 4)
+    # the study's LSTM has a third of persistence's error in the zigzag
     assert (net[2:] < 0.5 * held[2:]).all(), (net, held)
 
 
-def test_any_horizon_and_any_nonsense(kind: type[FleetPredictor], boat: Particulars) -> None:
+def test_any_horizon_and_input_gives_finite_forecasts(
+    kind: type[FleetPredictor], boat: Particulars
+) -> None:
     """Longer plans go on from shorter ones; nothing leaves the envelope or is NaN."""
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(100, 17)) * 100.0
@@ -343,12 +355,12 @@ def test_predictors_are_registered(boat: Particulars) -> None:
     ("options", "message"),
     [({"kind": "gru"}, "no net is called 'gru'"), ({"boats": 0}, "boats = 0: must be 1 or more")],
 )
-def test_bad_settings(options: dict, message: str) -> None:
+def test_bad_settings_are_refused(options: dict, message: str) -> None:
     with pytest.raises(FleetError, match=message):
         FleetSettings(**options)
 
 
-def test_the_command(
+def test_command_trains_or_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     """It sails, trains, writes; stopped, it says how to go on; an unknown net is one line."""

@@ -25,8 +25,8 @@ TRIED = [
 
 
 @pytest.fixture(scope="module")
-def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Run], list[Any], Path]:
-    """Return the runs of a fleet of two, the windows that judge, and the folder."""
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Run], list[Any], Path]:
+    """Return the runs of a fleet of two, the windows for scoring, and the folder."""
     folder = tmp_path_factory.mktemp("fleet")
     runs = fleet.sail_fleet(TRIED[0], folder)
     others = fleet.sail_fleet(dataclasses.replace(TRIED[0], seed=fleet_search.OTHERS), folder)
@@ -46,12 +46,12 @@ def test_configurations_are_drawn_from_the_seed(kind: str) -> None:
     assert drawn == [fleet_search.draw(kind, i, 0) for i in range(40)]
     assert len(set(drawn)) == 40
     assert not set(drawn[1:]) & {fleet_search.draw(kind, i, 1) for i in range(40)}
-    # the boats that judge are others
+    # the boats for scoring are others
     assert {settings.seed for settings in drawn} == {0} != {fleet_search.OTHERS}
     assert all(settings.width % fleet.HEADS == 0 for settings in drawn)
 
 
-def test_what_ships_won_the_search_that_is_checked_in() -> None:
+def test_shipped_settings_won_the_recorded_search() -> None:
     """Every configuration of the search is there, and the best of the last rung is what ships."""
     lines = found(Path(__file__).parents[3] / "examples" / "confirmation", "fleet_search.jsonl")
     for kind, rungs in (("lstm", 5), ("transformer", 3)):
@@ -70,10 +70,10 @@ def test_what_ships_won_the_search_that_is_checked_in() -> None:
 
 
 def test_the_better_half_is_trained_longer(
-    sailed: tuple[list[Run], list[Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    simulated: tuple[list[Run], list[Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """4, 2, 1 trainings, twice as long each time; Ctrl-C and going on change nothing."""
-    runs, judges, _ = sailed
+    runs, judges, _ = simulated
     best = fleet_search.search(TRIED, runs, judges, tmp_path / "a", first=FIRST, rungs=3)
     lines = found(tmp_path / "a")
     assert [line["settings"]["steps"] for line in lines] == [2] * 4 + [4] * 2 + [8]
@@ -100,11 +100,11 @@ def test_the_better_half_is_trained_longer(
     assert len(trained) == 4 + 4
 
 
-def test_the_error_of_a_net_that_knows_nothing(
-    sailed: tuple[list[Run], list[Any], Path], tmp_path: Path
+def test_untrained_net_holds_velocities(
+    simulated: tuple[list[Run], list[Any], Path], tmp_path: Path
 ) -> None:
-    """Its answer is to hold the velocities, and that is what it is judged for."""
-    runs, judges, _ = sailed
+    """Its answer is to hold the velocities, and it is scored for that."""
+    runs, judges, _ = simulated
     weights = fleet.train(dataclasses.replace(TRIED[0], steps=1), runs, tmp_path)
     weights.arrays["read.weight"][:] = 0.0
     weights.arrays["read.bias"][:] = 0.0
@@ -116,7 +116,7 @@ def test_the_error_of_a_net_that_knows_nothing(
     assert (errors[:, :3] > 0.0).all()
 
 
-def test_the_command(
+def test_command_trains_or_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     """It searches and prints the best; stopped, it says how to go on."""

@@ -59,23 +59,23 @@ def structure_of_kind(model: str, kind: str) -> Structure:
 @EACH
 def test_a_prior_ships_for_each_model_and_kind(model: str, kind: str) -> None:
     prior, structure = shipped_prior(model, kind), structure_of_kind(model, kind)
-    assert len(prior.members) >= 100
+    assert len(prior.fits) >= 100
     assert set(structure.parameters) - set(prior.parameters) <= CALM_BLIND
     mean, covariance = prior.of(structure)
     sd = np.sqrt(np.diag(covariance))
     np.linalg.cholesky(covariance)
-    # far from singular even where left and right propeller always turn alike
+    # far from singular even where left and right propeller always turn at one speed
     assert np.linalg.eigvalsh(covariance / np.outer(sd, sd))[0] > 1e-4
-    # what the structure thinks by hand is no other world: within twelve of the wider spreads
+    # what the structure thinks by hand is near: within twelve of the wider spreads
     assert np.all(np.abs(mean - structure.mean) < 12.0 * np.maximum(sd, structure.sd))
 
 
 def apart(prior: Prior) -> np.ndarray:
-    """Return what members may differ by: other processors may end a fit a step apart.
+    """Return what fits may differ by: other processors may end a fit a step apart.
 
     Fits end at a relative change of 1e-4, files hold six digits.
     """
-    return 0.02 * prior.members.std(axis=0) + 1e-5 * (1.0 + np.abs(prior.members).max(axis=0))
+    return 0.02 * prior.fits.std(axis=0) + 1e-5 * (1.0 + np.abs(prior.fits).max(axis=0))
 
 
 @EACH
@@ -83,10 +83,10 @@ def test_shipped_boats_are_what_the_function_makes(model: str, kind: str) -> Non
     prior = shipped_prior(model, kind)
     draw = functools.partial(pop.random_boat, kind)
     for row, boat in enumerate(prior.boats[:2]):
-        xi, error, names = pop.member(model, kind, draw, pop.SEED, int(boat))
+        xi, error, names = pop.fit_member(model, kind, draw, pop.SEED, int(boat))
         assert names == prior.parameters
         assert np.all(error <= pop.LARGEST_ERROR)
-        assert np.all(np.abs(xi - prior.members[row]) < apart(prior))
+        assert np.all(np.abs(xi - prior.fits[row]) < apart(prior))
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_the_whole_file_is_what_the_function_makes(model: str, kind: str) -> Non
     prior, again = shipped_prior(model, kind), pop.make_prior(model, kind)
     assert again.boats.tolist() == prior.boats.tolist()
     assert again.about == prior.about
-    assert np.all(np.abs(again.members - prior.members) < apart(prior))
+    assert np.all(np.abs(again.fits - prior.fits) < apart(prior))
 
 
 def test_one_file_serves_boats_of_every_size() -> None:
@@ -124,11 +124,11 @@ def test_kinds_of_the_shipped_boats() -> None:
 # ------------------------------------------------- the class of a boat
 
 
-def told(boat: Particulars) -> np.ndarray:
+def prior_mean(boat: Particulars) -> np.ndarray:
     return population_prior(model_of(boat, "mmg", biased=True), boat)[0]
 
 
-def test_a_boat_of_a_known_class_is_expected_to_be_like_her_sisters() -> None:
+def test_boat_of_a_known_class_gets_its_prior() -> None:
     usv75 = Vessel.load("usv75")
     for vessel in (usv75, usv75.varied(np.random.default_rng(0))):
         boat = particulars_of(vessel)
@@ -142,12 +142,12 @@ def test_a_boat_of_a_known_class_is_expected_to_be_like_her_sisters() -> None:
         np.testing.assert_array_equal(predictor.segments.prior, mean)
 
 
-def test_main_particulars_alone_say_less(tmp_path: Path) -> None:
+def test_prior_without_class_is_wider(tmp_path: Path) -> None:
     own = tmp_path / "usv75.toml"
     own.write_bytes(Path(str(files("usv_gym.vessel") / "vessels" / "usv75.toml")).read_bytes())
     known, alone = (particulars_of(Vessel.load(vessel)) for vessel in ("usv75", own))
     assert alone == dataclasses.replace(known, design="")
-    assert not np.array_equal(told(known), told(alone))
+    assert not np.array_equal(prior_mean(known), prior_mean(alone))
     variances = [np.diag(population_prior(model_of(b, "mmg"), b)[1]) for b in (known, alone)]
     shown = variances[0] != variances[1]
     # measured: 0.48
@@ -155,13 +155,13 @@ def test_main_particulars_alone_say_less(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["telemetron", "kvlcc2_l7", "otter"])
-def test_a_class_without_a_prior_is_not_told(name: str) -> None:
+def test_class_without_prior_is_ignored(name: str) -> None:
     vessel = Vessel.load(name)
     boat = particulars_of(vessel)
     assert (vessel.design, boat.design) == (name, "")
 
 
-def test_the_model_of_a_class_is_off() -> None:
+def test_model_of_a_class_has_errors() -> None:
     """Benchmarks vary the vessel itself: a prior around it would hold the answer."""
     nominal, vessel = pop.nominal("usv75"), Vessel.load("usv75")
     ratios = np.array([nominal.values[k] / value for k, value in vessel.values.items() if value])
@@ -169,7 +169,7 @@ def test_the_model_of_a_class_is_off() -> None:
     off = ratios[np.abs(ratios - 1.0) > 0.1] - 1.0
     assert len(off) >= 10
     assert np.sqrt(np.mean(off**2)) == pytest.approx(0.25, abs=0.1)
-    assert "itself 20% off" in shipped_prior("mmg", "usv75").about
+    assert "errors of 20%" in shipped_prior("mmg", "usv75").about
 
 
 def test_what_calm_water_does_not_show_stays_as_the_structure_has_it() -> None:
@@ -191,7 +191,7 @@ def test_a_prior_of_another_model_is_refused() -> None:
 @pytest.mark.parametrize(
     "text", ["", "# a\nboat,X\n0,nan\n", "# a\nboat,X\n0,1,2\n", "# a\nboat\n"]
 )
-def test_a_bad_file_is_told(tmp_path: Path, text: str) -> None:
+def test_damaged_prior_file_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(PriorError, match=r"bad\.csv: is no prior .*make_prior"):
@@ -202,17 +202,17 @@ def test_a_bad_file_is_told(tmp_path: Path, text: str) -> None:
 
 
 def test_the_same_population_with_any_number_of_workers(tmp_path: Path) -> None:
-    draw = functools.partial(pop.boat_like, particulars_of(Vessel.load("usv75")), "drives")
+    draw = functools.partial(pop.sample_like, particulars_of(Vessel.load("usv75")), "drives")
     one = pop.make_prior("paper", "drives", draw, drawn=4, seed=5)
     two = pop.make_prior("paper", "drives", draw, drawn=4, seed=5, workers=2)
     assert one.to_csv() == two.to_csv()
-    assert not np.allclose(one.members[0], one.members[1])
+    assert not np.allclose(one.fits[0], one.fits[1])
     path = tmp_path / "prior.csv"
     path.write_text(one.to_csv(), encoding="utf-8")
     again = Prior.load(path)
     assert (again.about, again.parameters) == (one.about, one.parameters)
     # six digits
-    np.testing.assert_allclose(again.members, one.members, rtol=5e-6)
+    np.testing.assert_allclose(again.fits, one.fits, rtol=5e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -225,7 +225,7 @@ def test_random_boats_hold_their_course(kind: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["usv75", "kvlcc2_l7", "otter"])
-def test_runs_tell_one_story(name: str) -> None:
+def test_states_of_a_run_are_consistent(name: str) -> None:
     run = run_of(name)
     x, _, psi, u, v, r = run.states.T
     # trapezes over rows of a quarter second: curvature leaves some 2 %
@@ -241,7 +241,7 @@ def test_runs_tell_one_story(name: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
+def test_parameters_of_the_model_itself_are_recovered(model: str) -> None:
     run = run_of("usv75")
     structure = model_of(run.particulars, model)
     truth = pop.project(structure, [run])[0]
@@ -259,27 +259,27 @@ def test_a_boat_that_is_the_model_is_found_again(model: str) -> None:
     assert np.max(np.abs(pop.rolled(structure, xi, twin))) < 0.03
 
 
-def test_a_projection_predicts_runs_that_it_has_not_seen() -> None:
+def test_fit_predicts_other_runs() -> None:
     structure = model_of(run_of("usv75").particulars, "mmg")
     xi, _ = pop.project(structure, [run_of("usv75")])
     by_hand = pop.rolled(structure, structure.mean, run_of("usv75", 1))
     fitted = pop.rolled(structure, xi, run_of("usv75", 1))
-    # measured: 0.06; the bound leaves room for other steps of the helm
+    # measured: 0.06; the bound allows other steps of the helm
     assert np.sqrt(np.mean(fitted**2)) < 0.2 * np.sqrt(np.mean(by_hand**2))
 
 
-def test_boats_that_the_model_does_not_fit_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boats_that_the_model_does_not_fit_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pop, "LARGEST_ERROR", np.full(3, 1e-9))
     with pytest.raises(PriorError, match="'paper' fits 0 of 2 boats"):
         pop.make_prior("paper", "drives", drawn=2)
 
 
-def test_sisters_of_a_class_lie_around_its_vessel() -> None:
+def test_samples_of_a_class_lie_around_its_vessel() -> None:
     vessel, rng = Vessel.load("usv75"), np.random.default_rng(0)
-    sisters = [pop.sister(vessel, rng)[0] for _ in range(200)]
-    assert pop.sister(vessel, rng)[1] == vessel.values["shaft_speed_manoeuvring"]
+    boats = [pop.sample_from_class(vessel, rng)[0] for _ in range(200)]
+    assert pop.sample_from_class(vessel, rng)[1] == vessel.values["shaft_speed_manoeuvring"]
     for key in ("Y_v", "N_r"):
-        ratios = np.array([boat.values[key] for boat in sisters]) / vessel.values[key]
-        # 200 draws know a standard deviation to 5 %; boats that do not hold course are drawn anew
+        ratios = np.array([boat.values[key] for boat in boats]) / vessel.values[key]
+        # 200 draws know a standard deviation to 5 %; boats that do not hold course are drawn again
         assert np.std(ratios) == pytest.approx(pop.CLASS, rel=0.2)
         assert abs(np.mean(ratios) - 1.0) < 0.05

@@ -10,14 +10,22 @@ import numpy as np
 import pytest
 
 from twin.channels import MEASUREMENTS
-from twin.filters.ukf import measurement_update
+from twin.filters.ukf import UKFWorkspace, measurement_update, workspace
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import JointUKF
-from twin.model.augmented import joint_predict
+from twin.model.augmented import JointConfig, JointState, JointWorkspace, joint_predict
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import LOOK_AHEAD, ROOM, look_ahead
+from twin.model.rollout import (
+    HORIZONS,
+    Paths,
+    RolloutConfig,
+    RolloutStart,
+    Waves,
+    rollout,
+    rollout_size,
+)
 from twin.model.structure import N_STATES, N_TERMS
-from twin.predictors.ukf import UKFPredictor, tight_step
+from twin.predictors.ukf import UKFMemory, UKFPredictor, UKFWork, tight_step
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 from usv_gym.world.simulation import Simulation, advance
@@ -44,33 +52,29 @@ def simulate(rows, shared, factors):
         advance(rows[i], as_record(shared, SIMULATION), factors[i])
 
 
-def correct(x, P, act, wind, kit, h, Q, q_xi, weights, terms, z, mask, R, work):
+def correct(state, h, config, work, z, mask, R):
     i = cuda.grid(1)
-    if i < x.shape[0]:
-        joint_predict(
-            *(x[i], P[i], act[i], wind[i], kit, h, Q, q_xi, weights, terms[i], work[i]),
-        )
-        measurement_update(x[i], P[i], z[i], mask[i], R, 2, math.inf, work[i])
+    if i < state.x.shape[0]:
+        own = JointState(state.x[i], state.P[i], state.act[i], state.wind[i])
+        block = work.sigma[i]
+        sigma = UKFWorkspace(block[0], block[1], block[2], block[3])
+        joint_predict(own, h, config, JointWorkspace(work.Q, work.q_xi, work.terms[i], sigma))
+        measurement_update(own.x, own.P, z[i], mask[i], R, 2, math.inf, sigma)
 
 
-def identify(dt, z, cmd, nav, nav_settings, nav_work, memory, constants, scratch, work, kit):
+def identify(dt, z, cmd, memory, config, work):
     i = cuda.grid(1)
     if i < z.shape[0]:
-        tight_step(
-            *(dt, z[i], cmd[i], nav[i], nav_settings, nav_work[i]),
-            *(memory[i], constants, scratch[i], work[i], kit),
-        )
+        own = UKFMemory(memory.nav[i], memory.filter[i])
+        tight_step(dt, z[i], cmd[i], own, config, UKFWork(work.nav[i], work.filter[i]))
 
 
-def foretell(
-    s, xi, act, command, lags, envelope, wind, kit, time_scale, ripple, out, out_act, room
-):
+def predict(start, plan, config, velocity, out, work):
     i = cuda.grid(1)
-    if i < s.shape[0]:
-        look_ahead(
-            *(s[i], xi[i], act[i], command[i], lags, envelope, wind[i], kit, time_scale),
-            *(ripple[i], 0.0, out[i], out_act[i], room[i]),
-        )
+    if i < start.states.shape[0]:
+        own = RolloutStart(start.states[i], start.params[i], start.act[i], start.wind[i])
+        paths = Paths(out.states[i], out.act[i])
+        rollout(own, plan[i], 0.25, config, Waves(velocity[i], 0.0), paths, work[i])
 
 
 def each(*arrays):
@@ -86,36 +90,34 @@ def of_simulation():
 
 def of_ukf():
     ukf = JointUKF(BOAT, plain_settings(BOAT))
-    x, P, act, wind, terms, work = each(
-        ukf.x, ukf.P, ukf.act, ukf.wind, np.empty(N_TERMS), ukf.work
-    )
+    x, P, act, wind, terms = each(ukf.x, ukf.P, ukf.act, ukf.wind, np.empty(N_TERMS))
+    (sigma,) = each(np.array(workspace(N_STATES, len(ukf.xi))))
     z, mask, Q = x[:, :N_STATES].copy(), np.ones((N, N_STATES), dtype=bool), np.eye(N_STATES)
-    shared = (ukf.kit, 0.05, Q, ukf.settings.q_xi, ukf.weights)
-    return x, P, act, wind, *shared, terms, z, mask, Q, work
+    work = JointWorkspace(Q, ukf.settings.q_xi, terms, sigma)
+    config = JointConfig(ukf.terms, ukf.weights)
+    return JointState(x, P, act, wind), 0.05, config, work, z, mask, Q
 
 
 def of_twin():
     predictor = UKFPredictor(BOAT)
-    settings, nav_work, constants, scratch, work, kit = predictor.shared
-    nav, memory, *rooms = each(*predictor.remembered, nav_work, scratch, work)
     z, cmd = each(np.zeros(len(MEASUREMENTS)), np.zeros(N_ACT))
-    return 0.05, z, cmd, nav, settings, rooms[0], memory, constants, *rooms[1:], kit
+    memory, work = UKFMemory(*each(*predictor.memory)), UKFWork(*each(*predictor.work))
+    return 0.05, z, cmd, memory, predictor.config, work
 
 
-def of_look_ahead():
-    ukf = JointUKF(BOAT, plain_settings(BOAT))
-    s, xi, act, wind, room = each(ukf.x[:N_STATES], ukf.params, ukf.act, ukf.wind, np.empty(ROOM))
-    out, out_act = each(np.empty((len(LOOK_AHEAD), N_STATES)), np.empty((len(LOOK_AHEAD), N_ACT)))
-    (ripple,) = each(np.zeros((len(LOOK_AHEAD), 3)))
-    shared = (ukf.lags, ukf.envelope)
-    return s, xi, act, act.copy(), *shared, wind, ukf.kit, 1.0, ripple, out, out_act, room
+def of_rollout():
+    ukf, K = JointUKF(BOAT, plain_settings(BOAT)), len(HORIZONS)
+    start = RolloutStart(*each(ukf.x[None, :N_STATES], ukf.xi[None], ukf.act, ukf.wind))
+    paths = Paths(*each(np.empty((1, K, N_STATES)), np.empty((K, N_ACT))))
+    plan, velocity, work = each(np.zeros((K, N_ACT)), np.zeros((1, K, 3)), np.empty(rollout_size()))
+    return start, plan, RolloutConfig(ukf.lags, ukf.envelope, ukf.terms), velocity, paths, work
 
 
 KERNELS = {
     "simulation.advance": (simulate, of_simulation),
     "joint_predict, measurement_update": (correct, of_ukf),
-    "identifier.tight_step": (identify, of_twin),
-    "model.look_ahead": (foretell, of_look_ahead),
+    "tight_step": (identify, of_twin),
+    "rollout": (predict, of_rollout),
 }
 
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from twin.channels import TRUTH
 from twin.files import write_whole
 from twin.live.sessions.tracker import LOST_AFTER, Follower, History, overlay_of
-from twin.logs.log import Log, beside
+from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from usv_gym.envs.render import TwinOverlay
@@ -314,5 +314,5 @@ def save(log: Log, particulars: Particulars, folder: Path) -> Path:
     names = (f"view_{stamp}{suffix}.csv" for suffix in ("", *(f"_{k}" for k in range(2, 1000))))
     path = next(folder / name for name in names if not (folder / name).exists())
     log.write(path)
-    write_whole(beside(path, ".toml"), particulars.to_toml().encode())
+    write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
     return path

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import GAPS, Field
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
 
@@ -22,12 +23,12 @@ Array = NDArray[np.float64]
 
 
 def thrust_features(cmd: Array) -> Array:
-    """Return what a net is told of commands: thrust, sideways and forward part, per side.
+    """Return the inputs of a net from commands: thrust, sideways and forward part, per side.
 
     Parameters
     ----------
     cmd : ndarray, shape (..., 4)
-        Commands in the order of ``twin.logs.log.COMMANDS``, rev/s and rad.
+        Commands in the order of ``twin.channels.COMMANDS``, rev/s and rad.
 
     Returns
     -------
@@ -110,22 +111,28 @@ def integrate(start: Array, velocity: Array) -> Array:
 class ActuatedPredictor(HistoryPredictor):
     """A predictor whose history holds the actuators, which follow the commands with a lag.
 
-    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are believed to be.
+    Columns 10 to 13 of its rows are where shafts (rev/s) and angles (rad) are estimated to be.
     """
+
+    constants = ("typical", "bound")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         U, L = particulars.speed, particulars.length
-        self.usual = np.array([U, U, U / L])
+        self.typical = np.array([U, U, U / L])
         """Size of u, v, r: m/s and rad/s."""
-        self.bound = 3.0 * self.usual
+        self.bound = 3.0 * self.typical
         """Largest u, v, r of a forecast, and of a row worth learning from."""
         super().__init__(particulars, seed=seed)
 
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "act": GAPS}
+
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """See :meth:`Predictor.reset`."""
         super().reset()
         self._act = np.full(4, math.nan)
-        self._beside = np.zeros(4)
+        self._extra = np.zeros(4)
         self._last = np.zeros(14)
 
     def held(self, start: Array, steps: int) -> Array:
@@ -133,7 +140,7 @@ class ActuatedPredictor(HistoryPredictor):
         nu = np.clip(start[:, 3:], -self.bound, self.bound)
         return hold_velocity(start, nu, GRID * np.arange(1, steps + 1))
 
-    def beside(self, dt: float) -> Array:
+    def extra_columns(self, dt: float) -> Array:
         """Return the actuators at the row that just came, shape (4,)."""
         known = np.isfinite(self._act).all()
         self._act = lagged(self._act, self._cmd, dt, self.particulars) if known else self._cmd

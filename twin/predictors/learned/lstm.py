@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import State, check_fields, with_prefix, without_prefix
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
 from twin.predictors.learned.features import fill_forward, thrust_features
@@ -67,19 +68,7 @@ def _sigmoid(a: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Net:
-    """A trained net, in numpy.
-
-    Parameters
-    ----------
-    centre, scale : ndarray, shape (9,)
-        Inputs (u, v, r, six features of the command) enter as (input - centre) * scale.
-    step : ndarray, shape (3,)
-        Size of the increments of u, v, r that an output of 1 stands for, m/s and rad/s.
-    w_in, w_rec, bias : ndarray, shapes (9, 4 H), (H, 4 H), (4 H,)
-        The LSTM; gates in torch's order (input, forget, cell, output).
-    w_out, b_out : ndarray, shapes (H, 3), (3,)
-        Read-out.
-    """
+    """A trained net, in numpy."""
 
     centre: Array
     scale: Array
@@ -110,17 +99,17 @@ class _Net:
 class LSTMPredictor(HistoryPredictor):
     """An LSTM trained once on the run's own past, then rolled out under the plan.
 
-    It is fed with the last :attr:`warm` steps of (u, v, r) and of the commands, and from there
-    with its own predictions and the plan; it predicts increments of (u, v, r), from which
+    Its inputs are the last :attr:`warm` steps of (u, v, r) and of the commands, then its own
+    predictions and the plan. It predicts increments of (u, v, r), from which
     heading and position follow by integration. It is trained on roll-outs of :attr:`ahead`
     steps from every :attr:`stride`-th row, and its loss is that of whole roll-outs. Until it
-    is trained, and where the past is too short, never moves or teaches nothing, the
+    is trained, and where the past is too short, never moves or shows nothing, the
     velocities of the moment are held.
 
-    Its bands are somewhat narrow at first: forecasts of rows that it was trained on count as
-    its own past forecasts until :attr:`memory` has gone by.
+    Its prediction intervals are somewhat narrow at first: forecasts of rows that it was trained
+    on count as past forecasts until :attr:`memory` has gone by.
 
-    Tuning budget: 16 configurations, judged on the turn and the zigzag of four seeds
+    Tuning budget: 16 configurations, scored on the turn and the zigzag of four seeds
     (100-103) by 10 s forecasts with known commands; none was tried on other seeds.
 
     Source: Qu et al. 2025, Table 4, compares with an LSTM; the design of this one is ours.
@@ -128,8 +117,8 @@ class LSTMPredictor(HistoryPredictor):
     Parameters
     ----------
     particulars : Particulars
-        What is known of the boat beforehand; usual speed, length and shaft speed set the
-        size below which a column counts as constant.
+        Main particulars; typical speed, length and shaft speed set the size
+        below which a column counts as constant.
     seed : int
         Of the initial weights, the noise and the dropout; the same seed gives the same bits
         on the same machine.
@@ -144,6 +133,7 @@ class LSTMPredictor(HistoryPredictor):
 
     tuning = "16 configurations in the study"
     trains = True
+    constants = ("train_at", "_net")
 
     warm = 12
     """Steps that the net sees before it predicts."""
@@ -172,10 +162,27 @@ class LSTMPredictor(HistoryPredictor):
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:
-        """Forget everything that was seen, and what was learned from it."""
+        """See :meth:`Predictor.reset`; the net is forgotten too."""
         super().reset()
         self._net: _Net | None = None
         self._trained = False
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
+        net = {} if self._net is None else vars(self._net)
+        return {**super().state_dict(), **with_prefix("net", net)}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        net = with_prefix("net", without_prefix("net", state))
+        super().load_state_dict({k: v for k, v in state.items() if k not in net})
+        self._net = None
+        if net:
+            H = self.hidden
+            shapes = ((9,), (9,), (3,), (9, 4 * H), (H, 4 * H), (4 * H,), (H, 3), (3,))
+            names = with_prefix("net", _Net.__dataclass_fields__)
+            check_fields(net, {k: np.zeros(n) for k, n in zip(names, shapes, strict=True)}, {})
+            self._net = _Net(**without_prefix("net", net))
 
     @property
     def trained(self) -> bool:
@@ -224,14 +231,14 @@ class LSTMPredictor(HistoryPredictor):
         return out
 
     @property
-    def _usual(self) -> Array:
+    def _typical(self) -> Array:
         U, L = self.particulars.speed, self.particulars.length
         return np.array([U, U, U / L])
 
     @property
     def _bound(self) -> Array:
         """Largest u, v, r of a forecast, and of a row worth learning from."""
-        return 3.0 * self._usual
+        return 3.0 * self._typical
 
     def _train(self, rows: Array) -> _Net | None:
         """Return a net that learned from rows (M, 10), or None where nothing can be learned."""
@@ -245,18 +252,18 @@ class LSTMPredictor(HistoryPredictor):
         used = rows[np.unique(index)]
         inputs = np.concatenate([used[:, 3:6], thrust_features(used[:, 6:])], axis=1)
         sd = inputs.std(axis=0)
-        if (sd[:3] < 1e-3 * self._usual).all():
+        if (sd[:3] < 1e-3 * self._typical).all():
             return None
         # a command that never changed teaches nothing: it must not matter later either
         shaft = self.particulars.shaft_speed
         scale = np.concatenate(
             [
-                1.0 / np.maximum(sd[:3], 1e-2 * self._usual),
+                1.0 / np.maximum(sd[:3], 1e-2 * self._typical),
                 np.where(sd[3:] > 1e-2 * shaft**2, 1.0 / np.maximum(sd[3:], 1e-9), 0.0),
             ]
         )
         nu, cmd = rows[index, 3:6], rows[index[:, 1:], 6:]
-        step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self._usual)
+        step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self._typical)
         H, rng = self.hidden, np.random.default_rng(self.seed)
         bound = 1.0 / math.sqrt(H)
         bias = rng.uniform(-bound, bound, 4 * H)
@@ -277,19 +284,7 @@ class LSTMPredictor(HistoryPredictor):
     def _fit(
         self, net: _Net, inputs: Array, target: Array, rng: np.random.Generator
     ) -> _Net | None:
-        """Return the net after training, or None if it does not beat its start.
-
-        Parameters
-        ----------
-        net : _Net
-            Scales and initial weights.
-        inputs : ndarray, shape (B, warm + ahead, 9)
-            Scaled inputs of the windows.
-        target : ndarray, shape (B, ahead, 3)
-            True u, v, r of the roll-outs, m/s and rad/s.
-        rng : numpy.random.Generator
-            Of noise and dropout.
-        """
+        """Return the net after training, or None if it does not beat its start."""
         torch = import_torch()
         W, H, B = self.warm, self.hidden, len(inputs)
 

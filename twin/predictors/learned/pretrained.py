@@ -1,9 +1,9 @@
-"""Nets that learned from a fleet of simulated boats: their answers, in plain numpy.
+"""Networks trained on a fleet of simulated boats, evaluated in plain numpy.
 
 :mod:`twin.training.fleet` trains them, with torch; nothing here needs it. A net sees the last
 :data:`PAST` s of a run and the plan, as tokens of a second each, in lengths of the boat and its
-usual speed, with masks for what is missing; it answers with the increments of u, v, r under
-the plan. So it has to find out from the run itself which boat it is on.
+typical speed, with masks for what is missing; it answers with the increments of u, v, r under
+the plan. So it has to infer the boat from the run itself.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import Field
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.baselines import GRID
 from twin.predictors.learned.features import (
@@ -47,7 +48,7 @@ __all__ = [
 Array = NDArray[Any]
 
 FORMAT = 1
-"""Version of the weights' files and of what the nets are told; another one is refused."""
+"""Version of the weights' files and of the nets' inputs; another one is refused."""
 
 PATCH = 4
 """Grid steps in a token."""
@@ -76,10 +77,10 @@ INPUT_MAX = 6.0
 """Bound of an input: the nets are not asked to extrapolate further."""
 
 CENTRE, SCALE = np.array([0.8, 0.0, 0.0]), np.array([3.0, 5.0, 4.0])
-"""How u, v, r over their usual size are shown."""
+"""Centre and scale of the inputs u, v, r over their typical size."""
 
 STEP = 0.5
-"""Increments of u, v, r over their usual size per length sailed that an output of 1 means."""
+"""Increments of u, v, r over their typical size, per length travelled, of an output of 1."""
 
 HERE = Path(__file__).with_name("weights")
 """Where the weights that ship lie."""
@@ -141,7 +142,7 @@ class Weights:
         WeightsError
             Says what is wrong with the file, and how to make a new one.
         """
-        remedy = f"make it anew: python -m twin.training.fleet {kind}"
+        remedy = f"make a new one: python -m twin.training.fleet {kind}"
         try:
             with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 about = json.loads(str(file["about"]))
@@ -165,7 +166,7 @@ def _shipped(path: Path, kind: str) -> Weights:
 
 
 def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) -> Array:
-    """Return what a net is told, one token a second.
+    """Return the inputs of a net, one token a second.
 
     Parameters
     ----------
@@ -304,10 +305,10 @@ def run_transformer(w: dict[str, Array], x: Array) -> Array:
 
 
 class FleetPredictor(ActuatedPredictor):
-    """A net that was trained once on simulated boats, asked about this one.
+    """A network that was trained once on simulated boats.
 
-    Subclasses say which net. Its weights ship with the package; ``python -m twin.training.fleet`` makes
-    them anew. Nothing is learned from the run but what the net makes of its last 40 s.
+    Subclasses say which net. Its weights ship with the package; ``python -m
+    twin.training.fleet`` makes new ones. The net learns nothing more during a run.
 
     Parameters
     ----------
@@ -330,19 +331,23 @@ class FleetPredictor(ActuatedPredictor):
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:
-        """Forget everything that was seen."""
+        """See :meth:`Predictor.reset`."""
         super().reset()
         self._age = np.full(3, math.inf)
-        self._beside, self._last = np.zeros(ROW - 10), np.zeros(ROW)
+        self._extra, self._last = np.zeros(ROW - 10), np.zeros(ROW)
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "age": Field(low=0.0, infinite=True)}
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""
         self._age = np.where(np.isfinite(z[list(SENSORS)]), 0.0, self._age + dt)
         super().update(t, dt, z, cmd)
 
-    def beside(self, dt: float) -> Array:
+    def extra_columns(self, dt: float) -> Array:
         """Return actuators and masks at the row that just came, shape (7,)."""
-        return np.concatenate([super().beside(dt), np.exp(-self._age / FADE)])
+        return np.concatenate([super().extra_columns(dt), np.exp(-self._age / FADE)])
 
     @staticmethod
     def windows(rows: Array, origins: Array) -> tuple[Array, Array]:
@@ -360,7 +365,7 @@ class FleetPredictor(ActuatedPredictor):
         window, known = self.windows(rows, origins)
         window[..., 3:6] = np.clip(window[..., 3:6], -self.bound, self.bound)
         out = []
-        # further than the net looks ahead, it goes on from what it said
+        # beyond its horizon the net goes on from its own answers
         for first in range(0, plans.shape[1], block):
             part = slice(first, first + block)
             path = self.answer(window, known, acts[:, part])
@@ -376,9 +381,9 @@ class FleetPredictor(ActuatedPredictor):
         weights = _shipped(self.file, self.kind)
         x = tokens(window, known, ahead, self.particulars)
         said = weights.run(x).reshape(len(x), -1, 3)
-        sailed = STEP * GRID * self.particulars.speed / self.particulars.length
+        travelled = STEP * GRID * self.particulars.speed / self.particulars.length
         start = window[:, -1]
-        nu = start[:, None, 3:6] + np.cumsum(said.astype(float), axis=1) * sailed * self.usual
+        nu = start[:, None, 3:6] + np.cumsum(said.astype(float), axis=1) * travelled * self.typical
         nu = np.clip(np.concatenate([start[:, None, 3:6], nu], axis=1), -self.bound, self.bound)
         return integrate(start[:, :6], nu)
 
@@ -386,9 +391,9 @@ class FleetPredictor(ActuatedPredictor):
 class FleetLSTM(FleetPredictor):
     """An LSTM, trained once on simulated boats.
 
-    Tuning budget: 40 configurations (:mod:`twin.training.hyperparameter_search`) of 8192 windows each, by
-    successive halving in five rungs, 77 trainings, judged on 60 other boats of the fleet; 6
-    short trainings before that. The settings of the training that ships are in its file.
+    Tuning budget: 40 configurations of 8192 windows each, by successive halving in five rungs
+    (:mod:`twin.training.hyperparameter_search`), 77 trainings, scored on 60 other boats of the
+    fleet; 6 short trainings before that. The settings of the training that ships are in its file.
     """
 
     tuning = "40 configurations by successive halving (77 trainings) on 60 boats of the fleet"
@@ -400,7 +405,7 @@ class FleetTransformer(FleetPredictor):
     """A causal transformer, trained once on simulated boats, in the LSTM's harness.
 
     Tuning budget: the LSTM's 40 configurations (rates of its own, one to three layers), halved
-    in three rungs, 70 trainings, judged on the same boats; 3 short trainings before that.
+    in three rungs, 70 trainings, scored on the same boats; 3 short trainings before that.
     """
 
     tuning = "40 configurations by successive halving (70 trainings) on 60 boats of the fleet"

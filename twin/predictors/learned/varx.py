@@ -1,4 +1,4 @@
-"""The statistician's comparator: a vector autoregression that a run fits to its own past."""
+"""Vector autoregression with inputs (VARX), fitted to the run's own past."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.checkpoint import ANY, Field, State, check_fields
 from twin.particulars import Particulars
 from twin.predictors.baselines import GRID
 from twin.predictors.learned.features import (
@@ -41,10 +42,10 @@ class VARPredictor(ActuatedPredictor):
     velocities are held.
 
     Tuning budget: 39 configurations (order 2 to 10, of the inputs 1 to 8, ridge 1e-4 to .1,
-    five sets of inputs, wind by heading, products of velocities, a window of 60 s), judged on
+    five sets of inputs, wind by heading, products of velocities, a window of 60 s), scored on
     the four manoeuvres of twelve seeds (100-111) by 10 s forecasts with known commands.
 
-    Source: twin.md, sections 1 and 4 (VARX(6), .25 s); the inputs are ours.
+    Source: docs/explanation/twin.md, Learned predictors; the inputs are ours.
 
     Parameters
     ----------
@@ -55,6 +56,8 @@ class VARPredictor(ActuatedPredictor):
     """
 
     tuning = "39 configurations on 12 tuning seeds"
+
+    constants = ("stride", "_fit")
 
     order = 4
     """Steps looked back on."""
@@ -69,10 +72,31 @@ class VARPredictor(ActuatedPredictor):
         super().__init__(particulars, seed=seed)
 
     def reset(self) -> None:
-        """Forget everything that was seen, and what was fitted to it."""
+        """See :meth:`Predictor.reset`; the fit is forgotten too."""
         super().reset()
         self._due = self.first
         self._fit: tuple[Array, Array] | None = None
+
+    def state_dict(self) -> State:
+        """Return all that is remembered; see :meth:`Predictor.state_dict`."""
+        coefficients, constant = self._fit or (None, None)
+        return {**super().state_dict(), "coefficients": coefficients, "constant": constant}
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "due": ANY}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        names = ("coefficients", "constant")
+        fit = {name: state.get(name) for name in names}
+        super().load_state_dict({k: v for k, v in state.items() if k not in names})
+        self._fit = None
+        W, b = fit.values()
+        if W is not None and b is not None:
+            # u, v, r and eight inputs of each step
+            check_fields(fit, {names[0]: np.zeros((11 * self.order, 3)), names[1]: np.zeros(3)}, {})
+            self._fit = W, b
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`. A refit takes a millisecond."""
@@ -86,23 +110,13 @@ class VARPredictor(ActuatedPredictor):
             self._due = self.first  # a long gap took the history
 
     def _past(self, rows: Array, at: Array) -> Array:
-        """Return u, v, r over usual at rows (B,) and the steps before, newest first (B, 3 p)."""
+        """Return scaled u, v, r at rows (B,) and the steps before, newest first (B, 3 p)."""
         back = np.maximum(at[:, None] - self.stride * np.arange(self.order), 0)
-        size = self.bound / self.usual
-        return np.clip(rows[back, 3:6] / self.usual, -size, size).reshape(len(at), -1)
+        size = self.bound / self.typical
+        return np.clip(rows[back, 3:6] / self.typical, -size, size).reshape(len(at), -1)
 
     def _inputs(self, rows: Array, at: Array, ahead: Array) -> Array:
-        """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q).
-
-        Parameters
-        ----------
-        rows : ndarray, shape (M, 14)
-            History.
-        at : ndarray of int, shape (B,)
-            Rows that the first step ahead begins with.
-        ahead : ndarray, shape (B, n * stride, 4)
-            Actuators at the grid steps after them.
-        """
+        """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q)."""
         back = np.maximum(at[:, None] + np.arange(-self.stride * (self.order - 1), 1), 0)
         acts = np.concatenate([rows[back, 10:14], ahead], axis=1)
         acts[..., :2] /= self.particulars.shaft_speed
@@ -125,9 +139,9 @@ class VARPredictor(ActuatedPredictor):
         X = np.concatenate(
             [self._past(rows, at), self._inputs(rows, at, ahead).reshape(len(at), -1)], axis=1
         )
-        Y = (rows[at + m, 3:6] - rows[at, 3:6]) / self.usual
+        Y = (rows[at + m, 3:6] - rows[at, 3:6]) / self.typical
         centre, sd = X.mean(axis=0), X.std(axis=0)
-        # a column that never changed teaches nothing: it must not matter later either
+        # a column that never changed shows nothing: it must have no weight later
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
         Z = (X - centre) * scale
         A = Z.T @ Z / len(at) + self.ridge * np.eye(Z.shape[1])
@@ -146,7 +160,7 @@ class VARPredictor(ActuatedPredictor):
         plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % m, axis=1)], axis=1)
         inputs = self._inputs(rows, origins, self.follow(rows[origins, 10:14], plans))
         past = self._past(rows, origins)
-        size, path = self.bound / self.usual, [past[:, :3]]
+        size, path = self.bound / self.typical, [past[:, :3]]
         for k in range(plans.shape[1] // m):
             # newest first, as the past is
             did = inputs[:, k : k + p].reshape(len(origins), -1)
@@ -157,4 +171,4 @@ class VARPredictor(ActuatedPredictor):
         low = np.minimum(place.astype(int), len(path) - 2)
         nodes = np.stack(path, axis=1)
         between = nodes[:, low] + (place - low)[:, None] * (nodes[:, low + 1] - nodes[:, low])
-        return integrate(start, between * self.usual)
+        return integrate(start, between * self.typical)

@@ -103,7 +103,7 @@ def test_batch_equals_one_by_one(trained: LSTMPredictor) -> None:
         assert np.allclose(ask(trained, rows, origins[j : j + 1])[0], together[j], atol=1e-9)
 
 
-def test_looks_only_back(trained: LSTMPredictor) -> None:
+def test_forecast_uses_no_later_row(trained: LSTMPredictor) -> None:
     """Rows after an origin do not change its forecast; rows before do."""
     rows = history()
     origins = np.array([5, 250, 300])

@@ -104,7 +104,7 @@ def test_a_slow_ship_has_longer_steps() -> None:
         np.testing.assert_allclose(part[:, :exact], whole[:, :exact], atol=1e-12)
 
 
-def test_looks_only_back() -> None:
+def test_forecast_uses_no_later_row() -> None:
     """Rows after an origin do not change its forecast, rows before do; each stands alone."""
     rows = history()
     predictor = learned(rows[:241])
@@ -124,7 +124,7 @@ def test_looks_only_back() -> None:
 
 
 def test_refits_in_time_and_forgets() -> None:
-    """First after 20 s, then every 10 s; velocities are held before; a long gap begins anew."""
+    """First after 20 s, then every 10 s; velocities are held before; a long gap starts again."""
     rows = history()
     predictor, fits = VARPredictor(BOAT), []
     for k in range(180):

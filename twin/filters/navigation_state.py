@@ -1,0 +1,172 @@
+"""State, settings and memory of the navigation filter, by name.
+
+The state is n = (x, y, psi, u, v, r, b_gyro, b_ax, b_ay, b_compass, t_x, t_y): see
+:mod:`twin.filters.navigation_ekf`. What has one size for every boat is a record of a structured
+dtype on flat memory: kernels and Python read and write the same names, and a record goes into a
+call as one pointer.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.checkpoint import FLAG, Field
+from twin.particulars import GRAVITY, Particulars
+
+__all__ = [
+    "NAVIGATION",
+    "NAVIGATION_FIELDS",
+    "NAVIGATION_SETTINGS",
+    "NAVIGATION_WORK",
+    "N_NAV",
+    "initial_navigation",
+    "navigation_settings",
+]
+
+Array = NDArray[np.float64]
+
+N_NAV = 12
+
+RING_ROWS, RING_COLUMNS = 64, 9
+
+AIDED, AIDED_TURN = 0.05, 0.05
+"""How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
+
+VARIANCE_MIN = 1e-12
+"""Below this a variance is rounding."""
+
+NAVIGATION = np.dtype(
+    [
+        ("n", "f8", N_NAV),  # state: m, rad, m/s, rad/s, m/s2
+        ("P", "f8", (N_NAV, N_NAV)),  # its covariance
+        ("has_fix", "f8"),  # 1 once a fix has come
+        ("has_heading", "f8"),  # 1 once a heading has come
+        ("gps_age", "f8"),  # time since the last sample that was used, s
+        ("compass_age", "f8"),
+        ("imu_age", "f8"),
+        ("refused", "f8", 8),  # runs of refused numbers of x, y, vn, ve, psi, r, and IMU leaps
+        ("last", "f8", 8),  # newest sample of each channel; NaN before the first
+        ("unchanged", "f8", 3),  # how long GPS, compass and IMU have repeated themselves, s
+        ("clock", "f8"),  # time since the start, s
+        ("path", "f8", 4),  # integrals of speed north and east (m), cos and sin of heading (s)
+        ("corrected", "f8", 3),  # sums of the corrections of heading, u, v
+        ("count", "f8"),  # entries of the ring so far
+        ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see navigation_ekf._present
+        ("lost", "f8"),  # 1 where a number was taken by force in this row
+        ("since_aid", "f8"),  # time since the model aided the filter, s
+        ("begun", "f8"),  # 1 once the twin has begun with fix and heading
+        ("has_imu", "f8"),  # 1 once an IMU sample has come
+    ]
+)
+"""What the filter of a boat remembers."""
+
+NAVIGATION_FIELDS = {
+    "P": Field(covariance=True),
+    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
+    **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
+    **dict.fromkeys(("unchanged", "clock", "since_aid"), Field(low=0.0)),
+    "last": Field(nan=True, infinite=True),
+    "count": Field(low=0.0, high=2.0 * RING_ROWS, integer=True),
+}
+"""What its fields may hold in a saved state."""
+
+NAVIGATION_SETTINGS = np.dtype(
+    [
+        ("gps_var", "f8"),  # variance of a fix, m2
+        ("doppler_var", "f8"),  # of a GPS velocity, (m/s)2
+        ("compass_var", "f8"),  # of a heading, rad2
+        ("gyro_var", "f8"),  # of a yaw rate, (rad/s)2
+        ("gyro_bias_var", "f8"),  # of the biases in the long run
+        ("accel_var", "f8"),  # of a specific force, (m/s2)2
+        ("accel_bias_var", "f8"),
+        ("latency", "f8"),  # age of a GPS sample, s
+        ("bias_time", "f8"),  # time constant of the biases, s
+        ("r_density", "f8"),  # of the yaw rate's random walk, (rad/s)2/s
+        ("held_density", "f8"),  # of velocities that are held, (m/s)2/s
+        ("aided_density", "f8"),  # of velocities that a model drives
+        ("velocity_var_0", "f8"),  # of velocities at the start, (m/s)2
+        ("r_var_0", "f8"),  # of the yaw rate at the start
+        ("r_aided_density", "f8"),  # of a yaw rate that a model drives
+        ("compass_bias_var", "f8"),
+        ("tilt_var", "f8"),  # of gravity that tilt lets in, (m/s2)2
+        ("tilt_time", "f8"),  # its time constant, s
+        ("gps_x", "f8"),  # antenna forward and to starboard of the origin, m
+        ("gps_y", "f8"),
+        ("imu_x", "f8"),  # IMU likewise, m
+        ("imu_y", "f8"),
+        ("leap", "f8"),  # largest change of an acceleration from row to row, m/s2
+    ]
+)
+"""What the filter is given of a boat and its instruments."""
+
+NAVIGATION_WORK = np.dtype(
+    [
+        ("H", "f8", N_NAV),  # measurement row; zeros between corrections
+        ("gain", "f8", N_NAV),  # P H'
+        ("A", "f8", (N_NAV, N_NAV)),  # A P of a prediction, Cholesky factor of a repair
+        ("past", "f8", N_NAV),  # where the boat was when the fix was taken
+        ("before", "f8", N_NAV),  # state before the fix
+    ]
+)
+"""Scratch of the filter."""
+
+
+def navigation_settings(particulars: Particulars) -> Array:
+    """Return the settings of the filter for a boat, in the order of :data:`NAVIGATION_SETTINGS`.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        Length, speed and instruments are used; what no data sheet states scales with speed
+        and length (Froude).
+
+    Returns
+    -------
+    ndarray, shape (23,)
+    """
+    I, U, L = particulars.instruments, particulars.speed, particulars.length
+    accel = U * U / L
+    turn = U / L
+    tilt = GRAVITY * I.tilt_sd
+    return np.array(
+        [
+            I.gps_sd**2 + I.gps_bias_sd**2,
+            I.doppler_sd**2,
+            I.compass_sd**2,
+            I.gyro_sd**2,
+            max(I.gyro_bias_sd**2, VARIANCE_MIN),
+            I.accel_sd**2,
+            I.accel_bias_sd**2,
+            I.gps_latency,
+            200.0,
+            (0.5 * turn) ** 2 * turn,  # yaw rate wanders by half its size in one L/U
+            (0.25 * U) ** 2 * turn,  # velocity without accelerometers, likewise
+            (AIDED * U) ** 2 * turn,
+            U**2,
+            turn**2,
+            (AIDED_TURN * turn) ** 2 * turn,
+            max(I.compass_bias_sd**2, VARIANCE_MIN),
+            max(tilt**2, VARIANCE_MIN),
+            I.tilt_time,
+            *I.gps_arm,
+            *I.imu_arm,
+            0.5 * accel + 8.0 * math.hypot(I.accel_sd, 0.5 * tilt),
+        ]
+    )
+
+
+def initial_navigation(settings: Array) -> Array:
+    """Return the memory of a filter that has seen nothing, in the order of :data:`NAVIGATION`."""
+    given, memory = settings.view(NAVIGATION_SETTINGS)[0], np.zeros(NAVIGATION.itemsize // 8)
+    nav = memory.view(NAVIGATION)[0]
+    variances = (
+        *("gps_var", "gps_var", "compass_var", "velocity_var_0", "velocity_var_0", "r_var_0"),
+        *("gyro_bias_var", "accel_bias_var", "accel_bias_var", "compass_bias_var"),
+        *("tilt_var", "tilt_var"),
+    )
+    np.fill_diagonal(nav["P"], [given[name] for name in variances])
+    nav["last"] = math.nan
+    return memory
