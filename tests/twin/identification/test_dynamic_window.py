@@ -229,7 +229,7 @@ def test_calm_rule() -> None:
 
 
 def test_noise_is_taken_for_nonlinearity() -> None:
-    # physics.md 7.4: white noise meets S > 1.2, smooth motion does not.
+    # ship_and_sea.md: white noise meets S > 1.2, smooth motion does not.
     noise, smooth = DynamicWindow(), DynamicWindow()
     feed(noise, np.random.default_rng(3).normal(size=202))
     feed(smooth, 1.0 - np.exp(-0.01 * np.arange(202)))
