@@ -22,7 +22,7 @@ No sample, besides NaN, is
 
 - a number that no boat gives (:data:`SPEED_LIMIT` and others);
 - one further than :data:`GATE` standard deviations off, until so many in a row were refused
-  that the filter must be the one that is wrong: then it starts anew from that number. An
+  that the filter must be the one that is wrong: then it restarts from that number. An
   acceleration is refused where it leaps from one row to the next;
 - a frozen one: a sensor all of whose given numbers repeat to the last bit has said nothing
   new, be it that it is stuck or that the log has more rows than the sensor has samples. But
@@ -78,7 +78,7 @@ for :data:`REFUSED_RATE`."""
 REFUSED_RATE = 5.0
 
 SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
-"""No boat does more: speed in usual speeds, yaw rate in rad/s, specific force in m/s2,
+"""No boat does more: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
 position in m, and heading in rad (not wrapped). Numbers beyond are no samples."""
 
 FROZEN_TIME = 2.0

@@ -161,7 +161,7 @@ def filter_workspace(work, p):
     accel, at = take(work, at, (4,))
     mask, at = take(work, at, (N_STATES,))
     limit, at = take(work, at, (N_STATES,))
-    room, at = take(work, at, (_ROLLOUT,))
+    scratch, at = take(work, at, (_ROLLOUT,))
     x, at = take(work, at, (n,))
     P, at = take(work, at, (n, n))
     act, at = take(work, at, (N_ACT,))
@@ -170,7 +170,7 @@ def filter_workspace(work, p):
     three, at = take(work, at, (points, width))
     four, at = take(work, at, (points, width))
     sigma = UKFWorkspace(one, two, three, four)
-    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, limit, room, (x, P, act), sigma)
+    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, limit, scratch, (x, P, act), sigma)
 
 
 @inlined
@@ -339,8 +339,8 @@ def _forecast_mean(plan, dt, memory, values, model, buffers, work):
     """Do :func:`forecast_mean` on flat memory."""
     out = forecast_buffers(buffers, plan.shape[0])
     state, config = filter_state(memory, model), filter_config(values, model)
-    room = filter_workspace(work, model.which.shape[1]).rollout
-    forecast_mean(plan, dt, state, config, out, room)
+    scratch = filter_workspace(work, model.which.shape[1]).rollout
+    forecast_mean(plan, dt, state, config, out, scratch)
 
 
 @kernel
@@ -349,8 +349,8 @@ def _forecast_covariance(plan, dt, memory, values, model, buffers, work):
     out = forecast_buffers(buffers, plan.shape[0])
     state, config = filter_state(memory, model), filter_config(values, model)
     scale_plan(plan, config.n_unit, out.plan)
-    room = filter_workspace(work, model.which.shape[1])
-    forecast_covariance(out.plan, dt, state, config, out.covs, room)
+    scratch = filter_workspace(work, model.which.shape[1])
+    forecast_covariance(out.plan, dt, state, config, out.covs, scratch)
 
 
 def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:

@@ -19,10 +19,9 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     damping that grows with speed, thrust that falls with advance, a rudder or drive in the
     inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
     heading, once and twice around: wind and waves turn a boat that lies across them, and what
-    nobody measures must be learned. Left and right propeller enter
-    as their mean and difference, because nothing tells them apart when they turn at the same speed. A tanker
-    has one propeller: in the place of the difference, N_dn is the turning of one that runs astern.
-    Behind it, flow from port is not straightened as flow from starboard is: Y_S and N_S, of tankers
+    is not measured must be learned. Left and right propeller enter as their mean and difference,
+    because nothing tells them apart when they turn at the same speed. A tanker has one propeller:
+    in the place of the difference, N_dn is the turning of one that runs astern. Behind it, flow from port is not straightened as flow from starboard is: Y_S and N_S, of tankers
     alone, are what the rudder's lift gains from one side and loses from the other.
 
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
@@ -113,7 +112,10 @@ WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
 
 STRAIGHTENING, LEVER = 0.5, 0.71
-"""Flow straightening and effective lever over length at the stern. Source: docs/explanation/twin.md, Tankers."""
+"""Flow straightening and effective lever over length at the stern.
+
+Source: docs/explanation/twin.md, Tankers.
+"""
 
 
 @inlined
@@ -408,8 +410,8 @@ class Structure:
 
 
 # name, unit, equation, term, powers of (L, U, n) in the natural unit, dimensionless mean and sd.
-# An equation "E" is surge and sway together. Source of means: docs/explanation/twin.md, Identifiability; those of
-# `mmg` are the same boat's at its nominal speed.
+# An equation "E" is surge and sway together. Source of means:
+# docs/explanation/twin.md, Identifiability; those of `mmg` are the same boat's at nominal speed.
 _PAPER = (
     ("X_uu", "1/m", "X", U_U, (-1, 0, 0), -0.1901, 0.06336),
     ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.1521, 0.3168),

@@ -180,12 +180,29 @@ class PlusPredictor(UKFPredictor):
         )
         self.normal[2][0] = 0.0
         super().__init__(particulars, settings=filters, seed=seed)
-        self.memory = PlusMemory(
-            *self.memory, self.rows, self._window, self.selector.memory, self.segments.memory
-        )
-        self.config = PlusConfig(*self.config, self.segments.values)
+        ukf_memory, ukf_config, ukf_work = self.memory, self.config, self.work
         segments = self.segments
-        self.work = PlusWork(*self.work, segments.line, segments.scratch, np.zeros(WAVE_WORK))
+        self.memory = PlusMemory(
+            nav=ukf_memory.nav,
+            filter=ukf_memory.filter,
+            rows=self.rows,
+            window=self._window,
+            selector=self.selector.memory,
+            segments=segments.memory,
+        )
+        self.config = PlusConfig(
+            nav=ukf_config.nav,
+            filter=ukf_config.filter,
+            model=ukf_config.model,
+            refit=segments.values,
+        )
+        self.work = PlusWork(
+            nav=ukf_work.nav,
+            filter=ukf_work.filter,
+            line=segments.line,
+            solve=segments.scratch,
+            waves=np.zeros(WAVE_WORK),
+        )
 
     def reset(self) -> None:
         """Forget everything."""

@@ -215,9 +215,9 @@ def take_segments(memory, config, work):
     given = refit_config(config.refit, p)
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
-    room = refit_work(work, p, given.capacity)
+    scratch = refit_work(work, p, given.capacity)
     window = as_record(memory.window, WINDOW)
-    return _take_segments(memory.rows, window, selector, segments, given, config.model, room)
+    return _take_segments(memory.rows, window, selector, segments, given, config.model, scratch)
 
 
 _WAVE_ROWS = round(WAVE_SPAN / GRID) + 1
@@ -276,8 +276,8 @@ def _refit(memory, config, work):
     given = refit_config(config.refit, p)
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
-    room = refit_work(work, p, given.capacity)
-    _take_segments(rows, window, selector, segments, given, model, room)
+    scratch = refit_work(work, p, given.capacity)
+    _take_segments(rows, window, selector, segments, given, model, scratch)
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
@@ -285,8 +285,8 @@ def _refit(memory, config, work):
         note(start, given.spacing, selector)
     if count < SEGMENTS_MIN:
         return
-    relinearise(given.relinearised, rows, segments.params, segments, given, model, room)
-    select_trust(selector, segments, given, room)
+    relinearise(given.relinearised, rows, segments.params, segments, given, model, scratch)
+    select_trust(selector, segments, given, scratch)
     state = filter_state(memory.filter, model)
     x, P = state.x, state.P
     for i in range(p):
