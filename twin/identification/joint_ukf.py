@@ -425,6 +425,7 @@ class JointUKF:
         self.q, self.r = config.q, config.r
         self.scratch = np.zeros(flat_size(filter_workspace, n - N_STATES))
         self._buffers = np.empty(0)
+        self._out: Forecast = python_views(forecast_buffers)(self._buffers, 0)
         self.reset()
 
     @property
@@ -446,10 +447,10 @@ class JointUKF:
 
     def _opened(self, K: int) -> tuple[Array, Forecast]:
         """Return buffers of a forecast of K rows, flat and by name."""
-        size = flat_size(forecast_buffers, K)
-        if len(self._buffers) != size:
-            self._buffers = np.empty(size)
-        return self._buffers, python_views(forecast_buffers)(self._buffers, K)
+        if len(self._out.plan) != K:
+            self._buffers = np.empty(flat_size(forecast_buffers, K))
+            self._out = python_views(forecast_buffers)(self._buffers, K)
+        return self._buffers, self._out
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return states (K, 6) under a plan; nothing is changed.

@@ -30,7 +30,7 @@ from twin.identification.joint_ukf import (
 )
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS
-from twin.model.structure import N_STATES
+from twin.model.structure import N_STATES, ModelTerms
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -41,9 +41,17 @@ from twin.predictors.plus_forecast import (
     plus_draws,
     plus_mean,
 )
-from twin.predictors.plus_update import PlusMemory, plus_step
+from twin.predictors.plus_update import PlusMemory, plus_config_of, plus_step, plus_work_of
 from twin.predictors.registry import PredictorError, predictor_class
-from twin.predictors.ukf import RolloutInputs, UKFMemory, UKFPredictor, tight_step
+from twin.predictors.ukf import (
+    RolloutInputs,
+    UKFConfig,
+    UKFMemory,
+    UKFPredictor,
+    UKFWork,
+    plain,
+    tight_step,
+)
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
 from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION, Episodes, Observer
@@ -257,7 +265,15 @@ def _write_variances(P, P_nav, gps_var, now):
 
 @kernel
 def _ukf_all(boats, memories, config, work, forecast, obs):
-    """Let the twins of boats with a new row take it, and write their parts of the observations."""
+    """Let the twins of boats with a new row take it, and write their parts of the observations.
+
+    The arguments are plain tuples, which numba takes from Python much faster than named ones.
+    """
+    boats = Boats(boats[0], boats[1], boats[2], boats[3], boats[4])
+    memories, work = UKFMemory(memories[0], memories[1]), UKFWork(work[0], work[1])
+    which, limits, hull = config[2]
+    config = UKFConfig(config[0], config[1], ModelTerms(which, limits, hull))
+    forecast = UKFForecast(forecast[0], forecast[1])
     settings, model = as_record(boats.settings, SETTINGS), config.model
     rules = as_record(boats.shared, EPISODES).rules
     given = filter_config(config.filter, model)
@@ -303,6 +319,11 @@ _DRAWN_ROWS = HORIZON_ROWS + 1
 @kernel
 def _plus_all(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`_ukf_all` does for ``ukf``."""
+    boats = Boats(boats[0], boats[1], boats[2], boats[3], boats[4])
+    nav, joint, rows, window, selector, segments = memories
+    memories = PlusMemory(nav, joint, rows, window, selector, segments)
+    config, work = plus_config_of(config), plus_work_of(work)
+    forecast = PlusForecast(forecast[0], forecast[1], forecast[2], forecast[3])
     settings, model = as_record(boats.settings, SETTINGS), config.model
     rules = as_record(boats.shared, EPISODES).rules
     p, D = model.which.shape[1], forecast.normal[0].shape[0]
@@ -576,7 +597,12 @@ class CompiledTwins(TwinObserver):
         )
         memory = type(self.memory)(*(array[rows] for array in self.memory))
         scratch = predictor.work, self._forecast
-        return boats, memory, predictor.config, *(copy.deepcopy(scratch) if own else scratch)
+        return (
+            plain(boats),
+            plain(memory),
+            plain(predictor.config),
+            *plain(copy.deepcopy(scratch) if own else scratch),
+        )
 
     @property
     def rollout_inputs(self) -> RolloutInputs:
