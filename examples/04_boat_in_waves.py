@@ -31,7 +31,7 @@ def sail(vessel: Vessel, state: SeaState) -> tuple[Simulation, np.ndarray, np.nd
     for _ in range(round(SECONDS / simulation.dt)):
         heading, rate = simulation.state[0, [frames.PSI, frames.R]]
         helm = np.clip(-0.6 * heading - 0.6 * rate, -vessel.helm_max, vessel.helm_max)
-        simulation.step(vessel.helm(vessel.values["shaft_speed_manoeuvring"], helm)[None])
+        simulation.step(vessel.command(vessel.values["shaft_speed_manoeuvring"], helm)[None])
         states.append(simulation.state[0].copy())
         seen.append(simulation.z[0].copy())
     return simulation, np.array(states), np.array(seen)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import runpy
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from twin.performance.cases import CASES, FIRST_USES, fit
+from twin.performance.cases import CASES, COLD_COMPILES
 
 HERE = Path(__file__).parent
+GROWTH = runpy.run_path(str(HERE / "growth.py"))
 
 
 def number(value: float) -> str:
@@ -22,44 +24,43 @@ def row(cells: list[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def read(name: str) -> list[dict[str, Any]]:
+    """Return the rows of a file of measurements."""
+    return list(json.loads((HERE / name).read_text(encoding="utf-8")))
+
+
 def beside_peers() -> list[str]:
     """Return the lines of the table of cases."""
-    must = {
-        case.name: ", ".join(
-            [
-                *([f"{case.must / 1000:.0f} k"] if case.must else []),
-                *([f"{case.must_ratio:g} x"] if case.must_ratio else []),
-            ]
-        )
-        for case in CASES
-    }
+    targets = {}
+    for case in CASES:
+        parts = [f"{case.target / 1000:.0f} k"] if case.target else []
+        parts += [f"{case.target_ratio:g} x"] if case.target_ratio else []
+        targets[case.name] = ", ".join(parts)
     lines = []
-    for item in json.loads((HERE / "bench.json").read_text(encoding="utf-8")):
+    for item in read("bench.json"):
+        name = item["name"]
         if item["median_us"] is None:
-            kilobytes = f"{item['bytes'] / 1000:.0f} kB"
-            lines.append(row([item["name"], kilobytes, "", "", "", ""]))
-            continue
-        if item["name"] in FIRST_USES:
-            limit = FIRST_USES[item["name"]][1]
-            most = "" if limit is None else f"at most {limit:g} s"
-            lines.append(row([item["name"], f"{item['median_us'] / 1e6:.1f} s", "", "", "", most]))
-            continue
-        ratio = "" if item["ratio"] is None else f"{item['ratio']:.3g}"
-        rate = number(item["rate_per_s"])
-        cells = [item["name"], number(item["median_us"]), rate, ratio, item["relative_to"] or ""]
-        lines.append(row([*cells, must.get(item["name"], "")]))
+            cells = [f"{item['bytes'] / 1000:.0f} kB", "", "", "", ""]
+        elif name in COLD_COMPILES:
+            limit = COLD_COMPILES[name][1]
+            at_most = "" if limit is None else f"at most {limit:g} s"
+            cells = [f"{item['median_us'] / 1e6:.1f} s", "", "", "", at_most]
+        else:
+            ratio = "" if item["ratio"] is None else f"{item['ratio']:.3g}"
+            times = [number(item["median_us"]), number(item["rate_per_s"])]
+            cells = [*times, ratio, item["relative_to"] or "", targets.get(name, "")]
+        lines.append(row([name, *cells]))
     return lines
 
 
 def growing() -> list[str]:
     """Return the lines about how each cost grows."""
-    measured: list[dict[str, Any]] = json.loads((HERE / "growth.json").read_text(encoding="utf-8"))
     lines = []
-    for name, items in groupby(measured, key=lambda item: item["name"]):
+    for name, items in groupby(read("growth.json"), key=lambda item: item["name"]):
         points = list(items)
         of = points[0]["size_of"]
-        line = fit([p["size"] for p in points], [p["median_us"] for p in points])
-        lines += [f"**{name}**, against {of}: {line.told(of)}.", ""]
+        line = GROWTH["fit"]([p["size"] for p in points], [p["median_us"] for p in points])
+        lines += [f"**{name}**, against {of}: {line.describe(of)}.", ""]
         lines += [row([of, *(str(p["size"]) for p in points)]), "|---" * (len(points) + 1) + "|"]
         lines += [row(["us", *(number(p["median_us"]) for p in points)]), ""]
     return lines

@@ -48,7 +48,7 @@ def name(request: pytest.FixtureRequest) -> str:
 def make_twin(boat: Particulars) -> Callable[[str], Twin]:
     """Return a function that makes the twin of the zigzag's boat with a predictor by name.
 
-    Learners train at 20 s; an oracle is told of vessel and sea.
+    Learners train at 20 s; an oracle gets vessel and sea.
     """
 
     def make(name: str) -> Twin:

@@ -72,7 +72,7 @@ from usv_gym.envs.tasks import path_errors
 from usv_gym.physics import parameters, wind
 errors = np.zeros(4)
 path_errors(0.0, 0.0, 0.5, np.array([[0.0, 0.0], [10.0, 0.0]]), 0, errors)
-p = np.ones(parameters.PACKED_SIZE)
+p = np.ones(1, parameters.PARAMETERS)[0]
 load = wind.wind_loads(0.0, 0.0, 0.0, 10.0, 0.0, p)[0]
 print(usv_kernel.__file__, repr(float(errors[2])), repr(float(load)))
 """

@@ -1,8 +1,7 @@
-"""The contract of predictors as a list of checks, also for those of somebody else.
+"""The contract of predictors as a list of checks, also for predictors of users.
 
-``usv-twin benchmark --check module:Class`` prints it; the tests of this package ask it of every
-entry of ``twin.PREDICTORS``. Nothing is said of how good the predictions are: that is what the
-benchmark is for.
+``usv-twin benchmark --check module:Class`` runs them; the tests of this package run them on every
+entry of ``twin.PREDICTORS``. They say nothing about the accuracy of predictions.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 ROWS = 500
-"""Rows before the question that the checks compare: 25 s at 20 Hz."""
+"""Rows before the answers that the checks compare: 25 s at 20 Hz."""
 
 TRAINED_AT = 20.0
 
@@ -50,15 +49,15 @@ SEED = 3
 PLAN_DT = 0.1
 
 PSD = 1e-7
-"""Least eigenvalue of a correlation matrix, below 0: rounding times the condition number."""
+"""Tolerance on negative eigenvalues of a correlation matrix: rounding errors."""
 
 
 class BrokenError(Exception):
-    """What a predictor did that the contract forbids."""
+    """A violation of the contract."""
 
 
 class NotSupportedError(Exception):
-    """What a predictor need not do, and does not."""
+    """An optional feature that a predictor does not have."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Finding:
     Parameters
     ----------
     name, text : str
-        What was checked, and what happened.
+        Of the check, and its result.
     passed : bool or None
         None: not supported, which the contract allows.
     """
@@ -79,7 +78,7 @@ class Finding:
 
 
 class _Trial:
-    """A predictor by name, a run to feed it, and what it says at row :data:`ROWS`."""
+    """A predictor by name, a run for it, and its answers at row :data:`ROWS`."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -91,85 +90,85 @@ class _Trial:
         if self.kind.trains:
             self.options["train_at"] = TRAINED_AT
         self.plan = known_plan(self.log, ROWS - 1, 10.0, PLAN_DT)
-        self._said: list[Any] | None = None
+        self._expected: list[Any] | None = None
 
     def new(self) -> Twin:
         return Twin(self.particulars, self.name, seed=SEED, **self.options)
 
-    def fed(self, log: Log | None = None, rows: int = ROWS) -> Twin:
+    def after(self, log: Log | None = None, rows: int = ROWS) -> Twin:
         """Return a new twin after the first rows, which are views of the whole log."""
         twin = self.new()
-        self.feed(twin, log or self.log, 0, rows)
+        self.step(twin, log or self.log, 0, rows)
         return twin
 
     @staticmethod
-    def feed(twin: Twin, log: Log, first: int, last: int) -> None:
-        z, cmd = log.z.copy(), log.cmd.copy()  # what is written to them is lost
+    def step(twin: Twin, log: Log, first: int, last: int) -> None:
+        z, cmd = log.z.copy(), log.cmd.copy()  # the predictor may write to them
         for k in range(first, last):
             twin.step(float(log.t[k]), z[k], cmd[k])
 
     def answers(self, twin: Twin) -> list[Any]:
-        """Return all that a twin says now: estimate, and predictions under two plans."""
+        """Return estimate and predictions of a twin under two plans."""
         estimate = twin.estimate()
-        said = [getattr(estimate, item.name) for item in dataclasses.fields(estimate)]
-        held, known, again = (
-            twin.predict("hold", dt=0.25),
-            twin.predict(self.plan.copy(), dt=PLAN_DT),
-            twin.predict("hold", dt=0.25),
-        )
+        found = [getattr(estimate, item.name) for item in dataclasses.fields(estimate)]
+        held = twin.predict("hold", dt=0.25)
+        known = twin.predict(self.plan.copy(), dt=PLAN_DT)
+        again = twin.predict("hold", dt=0.25)
         if not np.array_equal(held.mean, again.mean):
-            raise BrokenError("a plan that was asked about changes the next answer to another plan")
+            raise BrokenError("a prediction under one plan changes the next one under another plan")
         for prediction in (known, held):
-            said += [getattr(prediction, item.name) for item in dataclasses.fields(prediction)]
-        return [np.array(part, dtype=np.float64) for part in said]
+            found += [getattr(prediction, item.name) for item in dataclasses.fields(prediction)]
+        return [np.array(part, dtype=np.float64) for part in found]
 
     @property
-    def said(self) -> list[Any]:
-        """The answers at row :data:`ROWS` of a twin that nothing was done to."""
-        if self._said is None:
-            self._said = self.answers(self.fed())
-        return self._said
+    def expected(self) -> list[Any]:
+        """The answers of an undisturbed twin at row :data:`ROWS`."""
+        if self._expected is None:
+            self._expected = self.answers(self.after())
+        return self._expected
 
-    def same(self, twin: Twin, after: str) -> None:
-        """Refuse other answers than those of a twin that nothing was done to."""
-        for mine, other in zip(self.said, self.answers(twin), strict=True):
+    def compare(self, twin: Twin, after: str) -> None:
+        """Refuse other answers than those of an undisturbed twin."""
+        for mine, other in zip(self.expected, self.answers(twin), strict=True):
             if not np.array_equal(mine, other, equal_nan=True):
-                away = np.abs(mine - other).max() if mine.shape == other.shape else math.nan
-                raise BrokenError(f"other answers {after}: apart by up to {away:.3g}")
+                error = np.abs(mine - other).max() if mine.shape == other.shape else math.nan
+                raise BrokenError(f"other answers {after}: they differ by up to {error:.3g}")
 
 
-def _need(good: bool, text: str) -> None:
+def _require(good: bool, text: str) -> None:
+    """Raise where something is false."""
     if not good:
         raise BrokenError(text)
 
 
-def _sound(prediction: Prediction, rows: int, where: str) -> None:
-    """Refuse wrong shapes, times that do not increase, what is not finite, and no covariance."""
+def _require_valid(prediction: Prediction, rows: int, where: str) -> None:
+    """Refuse wrong shapes and times, values that are not finite, and wrong covariances."""
     shapes = {"start": (6,), "start_cov": (6, 6), "t": (rows,), "mean": (rows, 6)}
     shapes |= {"cov": (rows, 6, 6), "low": (rows, 6), "high": (rows, 6)}
     for name, shape in shapes.items():
         value = np.asarray(getattr(prediction, name))
-        _need(value.shape == shape, f"{where}: {name} has shape {value.shape}, not {shape}")
-        _need(bool(np.isfinite(value).all()), f"{where}: {name} is not finite")
+        _require(value.shape == shape, f"{where}: {name} has shape {value.shape}, not {shape}")
+        _require(bool(np.isfinite(value).all()), f"{where}: {name} is not finite")
     after = np.diff(np.concatenate([[prediction.t0], prediction.t]))
-    _need(bool((after > 0.0).all()), f"{where}: its times do not increase from t0")
+    _require(bool((after > 0.0).all()), f"{where}: its times do not increase from t0")
     for cov in (prediction.start_cov[None], prediction.cov):
-        # of correlations, so that units and the size of a long prediction do not matter
+        # of correlations, so that units and sizes do not matter
         sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 1e-300))
         unit = cov / sd[:, :, None] / sd[:, None, :]
         even = bool(np.allclose(unit, unit.transpose(0, 2, 1), rtol=0.0, atol=1e-9))
-        _need(even, f"{where}: a covariance is not symmetric")
+        _require(even, f"{where}: a covariance is not symmetric")
         least = float(np.linalg.eigvalsh(unit).min())
-        _need(least > -PSD, f"{where}: a covariance has the eigenvalue {least:.3g} (of 1)")
-    room = 1e-9 * (1.0 + np.abs(prediction.mean))
-    low, high = prediction.low <= prediction.mean + room, prediction.mean <= prediction.high + room
-    _need(bool((low & high).all()), f"{where}: low <= mean <= high does not hold")
+        _require(least > -PSD, f"{where}: a covariance has the eigenvalue {least:.3g} (of 1)")
+    tolerance = 1e-9 * (1.0 + np.abs(prediction.mean))
+    ordered = prediction.low <= prediction.mean + tolerance
+    ordered &= prediction.mean <= prediction.high + tolerance
+    _require(bool(ordered.all()), f"{where}: low <= mean <= high does not hold")
 
 
-def _made(trial: _Trial) -> str:
-    """Subclass of Predictor, made of particulars and a seed."""
+def _check_class(trial: _Trial) -> str:
+    """A subclass of Predictor, made of particulars and a seed."""
     abstract = sorted(getattr(trial.kind, "__abstractmethods__", ()))
-    _need(not abstract, f"does not define {', '.join(abstract)}")
+    _require(not abstract, f"does not define {', '.join(abstract)}")
     given = {"seed": SEED, **trial.options}
     try:
         inspect.signature(trial.kind).bind(trial.particulars, **given)
@@ -178,62 +177,60 @@ def _made(trial: _Trial) -> str:
             f"cannot be called with particulars, {', '.join(given)}: {error}"
         ) from None
     predictor = make_predictor(trial.name, trial.particulars, **given)
-    _need(
+    _require(
         predictor.particulars == trial.particulars,
         "does not keep its particulars; call super().__init__(particulars, seed=seed)",
     )
     return f"{trial.kind.__module__}:{trial.kind.__qualname__}; tuning: {trial.kind.tuning}"
 
 
-def _early(trial: _Trial) -> str:
-    """Sound before any row, after one, and where no sensor ever speaks."""
-    _sound(trial.new().predict("hold"), 40, "before the first row")
-    _sound(trial.fed(rows=1).predict("hold"), 40, "after one row")
+def _check_without_data(trial: _Trial) -> str:
+    """Valid before any row, after one, and without any measurement."""
+    _require_valid(trial.new().predict("hold"), 40, "before the first row")
+    _require_valid(trial.after(rows=1).predict("hold"), 40, "after one row")
     silent = trial.new()
     for k in range(60):
         silent.step(0.05 * k, np.full(trial.log.z.shape[1], math.nan), np.zeros(4))
-    _sound(silent.predict("hold"), 40, "without any measurement")
-    _need(not silent.estimate().ready, "says ready without any measurement")
+    _require_valid(silent.predict("hold"), 40, "without any measurement")
+    _require(not silent.estimate().ready, "is ready without any measurement")
     return "no row, one row, 60 rows of nothing"
 
 
-def _shaped(trial: _Trial) -> str:
-    """Shapes, times, covariances and bands of an answer."""
-    twin = trial.fed()
+def _check_shapes(trial: _Trial) -> str:
+    """Shapes, times, covariances and intervals of predictions."""
+    twin = trial.after()
     estimate = twin.estimate()
-    _need(estimate.t == trial.log.t[ROWS - 1], f"estimate says t = {estimate.t}")
-    _need(bool(estimate.ready), f"is not ready after {ROWS} rows")
-    _need(
-        np.shape(estimate.state) == np.shape(estimate.sd) == (6,), "s and sd must have shape (6,)"
-    )
-    _need(
+    _require(estimate.t == trial.log.t[ROWS - 1], f"the estimate has t = {estimate.t}")
+    _require(bool(estimate.ready), f"is not ready after {ROWS} rows")
+    shapes = np.shape(estimate.state), np.shape(estimate.sd)
+    _require(shapes == ((6,), (6,)), "state and sd must have shape (6,)")
+    _require(
         np.shape(estimate.params) == np.shape(estimate.params_sd),
         "params and params_sd differ in shape",
     )
-    names, units = trial.kind.parameter_names, trial.kind.parameter_units
-    names, units = (
-        twin.predictor.parameter_names or names,
-        twin.predictor.parameter_units or units,
-    )
-    _need(
+    names = twin.predictor.parameter_names or trial.kind.parameter_names
+    units = twin.predictor.parameter_units or trial.kind.parameter_units
+    _require(
         len(names) == len(units) == len(estimate.params),
         f"{len(estimate.params)} parameters, but {len(names)} names and {len(units)} units",
     )
     for rows, dt in ((1, 0.05), (100, 0.1), (40, 0.25), (60, 1.0)):
         plan = np.repeat(trial.plan[:1], rows, axis=0)
         prediction = twin.predict(plan, dt=dt)
-        _sound(prediction, rows, f"plan of {rows} rows of {dt:g} s")
+        _require_valid(prediction, rows, f"plan of {rows} rows of {dt:g} s")
         ends = prediction.t0 + dt * np.arange(1, rows + 1)
-        _need(np.allclose(prediction.t, ends, atol=1e-6), "its times are not the ends of the rows")
-        _need(abs(prediction.t0 - estimate.t) < 1e-6, "t0 is not the time of the last row")
+        _require(
+            np.allclose(prediction.t, ends, atol=1e-6), "its times are not the ends of the rows"
+        )
+        _require(abs(prediction.t0 - estimate.t) < 1e-6, "t0 is not the time of the last row")
     mean = twin.predictor.mean(trial.plan.copy(), PLAN_DT)
     full = twin.predict(trial.plan.copy(), dt=PLAN_DT).mean
-    _need(np.allclose(mean, full, rtol=0.0, atol=1e-9), "mean() is not predict().mean")
+    _require(np.allclose(mean, full, rtol=0.0, atol=1e-9), "mean() is not predict().mean")
     return "plans of .05 to 60 s"
 
 
-def _causal(trial: _Trial) -> str:
-    """Nothing after a row, and no truth, changes an answer at it."""
+def _check_causality(trial: _Trial) -> str:
+    """Neither later rows nor the truth change an answer."""
     rng, rest = np.random.default_rng(1), len(trial.log) - ROWS
     z, cmd = trial.log.z.copy(), trial.log.cmd.copy()
     z[ROWS:] = rng.normal(size=(rest, z.shape[1])) * 1e3
@@ -241,66 +238,66 @@ def _causal(trial: _Trial) -> str:
     poisoned = dataclasses.replace(
         trial.log, z=z, cmd=cmd, truth=np.full((len(trial.log), 6), 1e6), name="poisoned"
     )
-    trial.same(trial.fed(poisoned), "where later rows are nonsense")
+    trial.compare(trial.after(poisoned), "where later rows are nonsense")
     return f"{rest} later rows and the truth replaced by nonsense: the same bits"
 
 
-def _determined(trial: _Trial) -> str:
-    """The same seed gives the same bits, whatever another predictor of the class did."""
-    busy = trial.fed(rows=ROWS // 2)
-    twin = trial.fed()
-    trial.feed(busy, trial.log, ROWS // 2, ROWS // 2 + 50)
+def _check_determinism(trial: _Trial) -> str:
+    """The same seed gives the same bits, whatever another predictor of the class does."""
+    busy = trial.after(rows=ROWS // 2)
+    twin = trial.after()
+    trial.step(busy, trial.log, ROWS // 2, ROWS // 2 + 50)
     busy.predict("hold")
-    trial.same(twin, "of a second one with the same seed, beside a third that did other things")
-    return "two of the same seed, a third beside them: the same bits"
+    trial.compare(twin, "of a second one with the same seed, while a third does other things")
+    return "two of the same seed, while a third does other things: the same bits"
 
 
-def _quiet(trial: _Trial) -> str:
-    """Asking changes nothing."""
+def _check_no_side_effects(trial: _Trial) -> str:
+    """Predictions and estimates change nothing."""
     twin = trial.new()
     for k in range(0, ROWS, 20):
-        trial.feed(twin, trial.log, k, k + 20)
+        trial.step(twin, trial.log, k, k + 20)
         twin.estimate()
         twin.predict(-trial.plan[: 1 + k % 90], dt=PLAN_DT)
         twin.predictor.mean(trial.plan[:5].copy(), 0.3)
         twin.predictor.identifiability()
-    trial.same(twin, "where it was asked before")
-    trial.same(twin, "when it is asked again")
-    return "asked at every 20th row: the same bits"
+    trial.compare(twin, "after earlier predictions")
+    trial.compare(twin, "of a second prediction")
+    return "predictions at every 20th row: the same bits"
 
 
-def _own(trial: _Trial) -> str:
-    """Arrays handed in are neither written to nor kept."""
+def _check_arrays(trial: _Trial) -> str:
+    """Arguments are neither written to nor kept."""
     log, twin = trial.log, trial.new()
     z, cmd = np.empty(log.z.shape[1]), np.empty(4)
     for k in range(ROWS):
         z[:], cmd[:] = log.z[k], log.cmd[k]
         twin.predictor.update(float(log.t[k]), float(log.t[k] - log.t[k - 1]) if k else 0.0, z, cmd)
         kept = np.array_equal(z, log.z[k], equal_nan=True) and np.array_equal(cmd, log.cmd[k])
-        _need(kept, "update() writes to the row it is given")
+        _require(kept, "update() writes to the row it is given")
         z[:], cmd[:] = 1e6, 1e6
     twin.t, twin.cmd = float(log.t[ROWS - 1]), log.cmd[ROWS - 1].copy()
     plan = trial.plan.copy()
     twin.predictor.predict(plan, PLAN_DT)
-    _need(np.array_equal(plan, trial.plan), "predict() writes to the plan it is given")
-    trial.same(twin, "where the arrays of a row are used again after it")
+    _require(np.array_equal(plan, trial.plan), "predict() writes to the plan it is given")
+    trial.compare(twin, "after the arrays of a row are overwritten")
     return "rows and plan as before; rows overwritten afterwards: the same bits"
 
 
-def _forgets(trial: _Trial) -> str:
-    """reset() gives the same as a new one."""
+def _check_reset(trial: _Trial) -> str:
+    """reset() gives the same as a new predictor."""
     twin = trial.new()
-    trial.feed(twin, trial.log, 150, 150 + ROWS)
+    trial.step(twin, trial.log, 150, 150 + ROWS)
     twin.predict("hold")
     twin.reset()
-    trial.feed(twin, trial.log, 0, ROWS)
-    trial.same(twin, "after reset()")
-    return "fed another stretch, reset: the same bits as a new one"
+    trial.step(twin, trial.log, 0, ROWS)
+    trial.compare(twin, "after reset()")
+    return "other rows, then reset: the same bits as a new one"
 
 
-def _survives(trial: _Trial) -> str:
+def _check_losses(trial: _Trial) -> str:
     """Finite through lost sensors, gaps, a jump of time, and wild numbers."""
-    log, twin, rng = trial.log, trial.fed(), np.random.default_rng(1)
+    log, twin, rng = trial.log, trial.after(), np.random.default_rng(1)
     t, size = twin.t, log.z.shape[1]
     lost = {"gps": slice(0, 4), "compass": slice(4, 5), "imu": slice(5, 8), "all": slice(0, size)}
     for what, columns in lost.items():
@@ -309,23 +306,23 @@ def _survives(trial: _Trial) -> str:
             z[columns] = math.nan
             t += 0.05
             twin.step(t, z, log.cmd[k].copy())
-        _sound(twin.predict("hold"), 40, f"without {what} for 5 s")
+        _require_valid(twin.predict("hold"), 40, f"without {what} for 5 s")
     for what, step in (("a gap of 30 s", 30.0), ("a jump of time of a day", 86400.0)):
         t += step
         twin.step(t, log.z[0].copy(), log.cmd[0].copy())
-        _sound(twin.predict("hold"), 40, f"after {what}")
+        _require_valid(twin.predict("hold"), 40, f"after {what}")
     for _ in range(60):
         t += 0.5
         z = np.where(rng.random(size) < 0.5, math.nan, rng.normal(size=size) * 1e4)
         twin.step(t, z, rng.normal(size=4) * [30.0, 30.0, 1.0, 1.0])
-    _sound(twin.predict("hold"), 40, "after wild numbers")
-    _need(bool(np.isfinite(twin.estimate().sd).all()), "the sd of the estimate is not finite")
+    _require_valid(twin.predict("hold"), 40, "after wild numbers")
+    _require(bool(np.isfinite(twin.estimate().sd).all()), "the sd of the estimate is not finite")
     return "GPS, compass, IMU, all lost; gaps of 30 s and a day; numbers of 10 000"
 
 
-def _saved(trial: _Trial) -> str:
-    """Goes on from its file as if it had never stopped."""
-    twin = trial.fed(rows=ROWS - 50)
+def _check_saving(trial: _Trial) -> str:
+    """A loaded file gives the same as no stop."""
+    twin = trial.after(rows=ROWS - 50)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "check.twin"
         try:
@@ -333,14 +330,14 @@ def _saved(trial: _Trial) -> str:
             again = Twin.load(path, predictor=trial.new().predictor)
         except StateError as error:
             raise NotSupportedError(str(error).replace(folder, "")) from None
-    trial.feed(again, trial.log, ROWS - 50, ROWS)
-    trial.same(again, "after it was saved and loaded")
-    return "50 rows before the question: the same bits"
+    trial.step(again, trial.log, ROWS - 50, ROWS)
+    trial.compare(again, "after it was saved and loaded")
+    return "saved 50 rows earlier: the same bits"
 
 
-def _copied(trial: _Trial) -> str:
-    """Copies, deep or pickled, answer as the original does."""
-    twin = trial.fed(rows=ROWS - 50)
+def _check_copies(trial: _Trial) -> str:
+    """Copies, deep or pickled, give the same as the original."""
+    twin = trial.after(rows=ROWS - 50)
     ways: dict[str, Callable[[Any], Any]] = {
         "copy.deepcopy": copy.deepcopy,
         "pickle": lambda item: pickle.loads(pickle.dumps(item)),
@@ -349,57 +346,57 @@ def _copied(trial: _Trial) -> str:
     for name, way in ways.items():
         try:
             other = Twin(trial.particulars, way(twin.predictor))
-        except Exception as error:  # whatever the object of somebody else does
+        except Exception as error:  # of a user's predictor
             text = f"{name}: {type(error).__name__}: {error}"
             raise (BrokenError if name == "copy.deepcopy" else NotSupportedError)(text) from None
         other.t, other.cmd = twin.t, twin.cmd.copy()
-        trial.feed(other, trial.log, ROWS - 50, ROWS)
-        trial.same(other, f"of a copy by {name}")
+        trial.step(other, trial.log, ROWS - 50, ROWS)
+        trial.compare(other, f"of a copy by {name}")
         done.append(name)
     return f"{' and '.join(done)}: the same bits"
 
 
-def _quick(trial: _Trial) -> str:
-    """Keeps up with 20 rows and one prediction a second."""
-    twin = trial.fed(rows=ROWS)
+def _check_time(trial: _Trial) -> str:
+    """Faster than 20 rows and one prediction a second."""
+    twin = trial.after(rows=ROWS)
     begin = time.perf_counter()
-    trial.feed(twin, trial.log, ROWS, ROWS + 200)
+    trial.step(twin, trial.log, ROWS, ROWS + 200)
     row = (time.perf_counter() - begin) / 200
     begin = time.perf_counter()
     for _ in range(5):
         twin.predict(trial.plan.copy(), dt=PLAN_DT)
-    asked = (time.perf_counter() - begin) / 5
-    text = f"{1e3 * row:.2f} ms a row, {1e3 * asked:.1f} ms a prediction of 10 s"
-    _need(20.0 * row + asked < 1.0, f"{text}: slower than real time")
+    prediction = (time.perf_counter() - begin) / 5
+    text = f"{1e3 * row:.2f} ms a row, {1e3 * prediction:.1f} ms a prediction of 10 s"
+    _require(20.0 * row + prediction < 1.0, f"{text}: slower than real time")
     return text
 
 
 CHECKS: dict[str, Callable[[_Trial], str]] = {
-    "class and constructor": _made,
-    "before and without data": _early,
-    "shapes, times, covariances, bands": _shaped,
-    "no future, no truth": _causal,
-    "same seed, same answer": _determined,
-    "asking changes nothing": _quiet,
-    "arrays handed in": _own,
-    "reset": _forgets,
-    "losses, gaps, wild numbers": _survives,
-    "save and load": _saved,
-    "copies": _copied,
-    "time": _quick,
+    "class and constructor": _check_class,
+    "before and without data": _check_without_data,
+    "shapes, times, covariances, intervals": _check_shapes,
+    "no future, no truth": _check_causality,
+    "same seed, same answer": _check_determinism,
+    "no side effects": _check_no_side_effects,
+    "arguments untouched": _check_arrays,
+    "reset": _check_reset,
+    "losses, gaps, wild numbers": _check_losses,
+    "save and load": _check_saving,
+    "copies": _check_copies,
+    "time": _check_time,
 }
-"""What is checked, by name, in this order."""
+"""The checks by name, in this order."""
 
 
 def check(name: str, checks: Sequence[str] = tuple(CHECKS)) -> list[Finding]:
-    """Return what a predictor does with each check of the contract.
+    """Return the finding of each check of the contract.
 
     Parameters
     ----------
     name : str
         In ``twin.PREDICTORS``, or ``module:Class``.
     checks : sequence of str
-        Of :data:`CHECKS`; a predictor that cannot be made is asked nothing else.
+        Of :data:`CHECKS`; the rest is skipped where the predictor cannot be made.
 
     Returns
     -------
@@ -408,7 +405,7 @@ def check(name: str, checks: Sequence[str] = tuple(CHECKS)) -> list[Finding]:
     Examples
     --------
     >>> from twin.benchmark.conformance import check
-    >>> all(item.passed for item in check("persistence", ["reset", "arrays handed in"]))
+    >>> all(item.passed for item in check("persistence", ["reset", "arguments untouched"]))
     True
     """
     try:
@@ -418,7 +415,7 @@ def check(name: str, checks: Sequence[str] = tuple(CHECKS)) -> list[Finding]:
     found: list[Finding] = []
     for item in checks:
         found.append(_found(item, trial))
-        if CHECKS[item] is _made and not found[-1].passed:
+        if CHECKS[item] is _check_class and not found[-1].passed:
             break
     return found
 
@@ -430,5 +427,5 @@ def _found(item: str, trial: _Trial) -> Finding:
         return Finding(item, False, str(error))
     except NotSupportedError as error:
         return Finding(item, None, f"not supported: {error}")
-    except Exception as error:  # whatever the code of somebody else does
+    except Exception as error:  # of a user's predictor
         return Finding(item, False, f"raises {type(error).__name__}: {error}")

@@ -1,6 +1,6 @@
-"""What a benchmark measures: scenarios, cases, boats, predictors, and the work that follows.
+"""What a benchmark measures: scenarios, cases, boats and predictors.
 
-The full protocol is data: :data:`FULL_CASES` changes one thing at a time around a base case.
+The cases of the full protocol (:data:`FULL_CASES`) change one thing at a time.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ __all__ = [
 HORIZONS = (1.0, 2.0, 5.0, 10.0)
 
 SPREAD = 0.15
-"""How different the boats are, as a share (twin.md section 1)."""
+"""Relative variation of the boats."""
 
 _BOATS = 1029
-"""Keeps the draws of a seed's boat apart from those of its sea."""
+"""Second seed of a boat, so that it does not share the random numbers of its sea."""
 
 TYPICAL = "typical"
 
 
 class BenchmarkError(UsvTwinError):
-    """A benchmark that cannot be run; the message says why."""
+    """A benchmark that cannot run; the message says why."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Circumstances of a simulated run.
+    """Conditions of a simulated run.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Case:
     grade : str
         One of ``usv_gym.world.sensors.GRADES``.
     drawn : bool
-        Whether the report has pictures of single runs.
+        Whether the report shows single runs.
     """
 
     name: str
@@ -97,7 +97,7 @@ FULL_CASES = {
         Case("gps30", "gps30"),
         Case("imu30", "imu30"),
         Case("both30", "gps30+imu30"),
-        # in 30 % of the time, 5 s each, from the first second on
+        # 30 % of the time, 5 s each, from the first second on
         Case("bursts", "gps-bursts30x5"),
         *(Case(f"sea{sea}", sea=sea) for sea in ("0", "1", "3", "4")),  # 2 is the base's
         *(Case(grade, grade=grade) for grade in ("consumer", "best")),
@@ -123,33 +123,33 @@ class Settings:
         Manoeuvres, losses of sensors such as ``gps10``, and names in ``twin.PREDICTORS`` or
         ``module:Class``.
     cases : tuple of Case
-        Circumstances in place of the mere faults.
+        Conditions in place of ``faults``.
     seeds : tuple of int
-        Each is a boat, a sea, a set of sensor errors and (random manoeuvre) a helmsman.
+        Each gives a boat, a sea, sensor errors, and the commands of a random manoeuvre.
     plans : tuple of str
-        ``known``: the future commands are given (Eq 27); ``hold``: the last one is held.
+        Future commands: ``known`` (Eq 27), or ``hold`` for the last ones.
     vessel : str
         Name or TOML file.
     spread : float
-        Every seed sails another boat: ``Vessel.varied`` by this share; 0: the vessel as it is.
+        Relative variation of the boat from seed to seed, see ``Vessel.varied``.
     dof : int
         Degrees of freedom of the simulated ship, 3 or 6.
     model : str or None
-        Structure of all predictors that have one; None for each one's own choice.
+        Model structure of the predictors; None for the default of each.
     hs, wind, wind_from_deg : float
         Sea state: wave height (m), wind speed (m/s) and direction (degrees).
     logs : tuple of str
         Recorded runs to score.
     ship : str or None
-        Particulars of the recorded boat; a TOML file of the log's name beside it if None.
+        Particulars of the recorded boat; None for the TOML file beside the log.
     mapping : str or None
         Mapping file of the recorded runs, as for ``Log.read``.
     identify_s : float
-        Time before the first prediction, s; recorded runs: 60 s or 40 % of a short one.
+        Time of the first prediction, s; in recorded runs 60 s, or 40 % of a short one.
     duration_s : float
         Length of a simulated run, s.
     fault_after_s : float
-        A loss begins this long after the first prediction, s.
+        Time from the first prediction to a loss, s.
     """
 
     scenarios: tuple[str, ...] = ("turn", "zigzag")
@@ -227,7 +227,7 @@ class Settings:
         return sea.replace(wind_from=math.radians(self.wind_from_deg))
 
     def boat(self, seed: int) -> Vessel:
-        """Return the boat that a seed sails."""
+        """Return the boat of a seed."""
         vessel = Vessel.load(self.vessel)
         if self.spread == 0.0:
             return vessel
@@ -262,12 +262,12 @@ class Unit:
 
     @property
     def row(self) -> dict[str, Any]:
-        """What tells its rows in the results from those of others."""
+        """Keys of its rows in the results."""
         return {name: getattr(self, name) for name in UNIT_KEY}
 
 
 UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
-"""Of a :class:`Unit`, in the order of the results."""
+"""Fields of a :class:`Unit` that identify its rows, in the order of the results."""
 
 
 def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -301,7 +301,7 @@ def units(settings: Settings) -> list[Unit]:
         for seed in settings.seeds
         for predictor in settings.predictors
     ]
-    # another sea or other sensors cannot be had afterwards
+    # a recorded run has its own sea and sensors
     faults = dict.fromkeys(
         case.fault for case in settings.conditions if (case.sea, case.grade) == ("", TYPICAL)
     )
@@ -310,30 +310,30 @@ def units(settings: Settings) -> list[Unit]:
         for path in settings.logs
         for fault in faults
         for predictor in settings.predictors
-        if _knows(predictor, path, settings.ship, settings.mapping)
+        if _is_runnable(predictor, path, settings.ship, settings.mapping)
     ]
 
 
 @functools.cache
-def _knows(predictor: str, path: str, ship: str | None, mapping: str | None) -> bool:
-    """Return whether a predictor knows all that it needs to run on a log."""
+def _is_runnable(predictor: str, path: str, ship: str | None, mapping: str | None) -> bool:
+    """Return whether a predictor has all the information that it needs on a log."""
     if not predictor_class(predictor).needs_simulator:
         return True
     try:
         check_simulator(predictor, *read_run(path, ship, mapping))
-    except Exception:  # a file that cannot be read is told of when it is to be scored
+    except Exception:  # a file that cannot be read is reported when it is scored
         return False
     return True
 
 
 def left_out(settings: Settings) -> tuple[str, ...]:
-    """Return a line on each predictor that knows too little of recorded runs to be scored."""
+    """Return a line on each predictor that lacks information on recorded runs."""
     lines = []
     for predictor in settings.predictors:
         runs = [
             log_name(path)
             for path in settings.logs
-            if not _knows(predictor, path, settings.ship, settings.mapping)
+            if not _is_runnable(predictor, path, settings.ship, settings.mapping)
         ]
         if runs:
             lines.append(

@@ -1,8 +1,8 @@
 """The benchmark: scenarios times cases times predictors times seeds, scored against the truth.
 
-The result of each predictor on each run is a file of its own, so that an interrupted benchmark
-goes on where it stopped, and neither the number of workers nor their kind changes anything. A
-predictor is fed copies of the rows of a log without truth, and never sees another predictor.
+The result of each predictor on each run is a file of its own. So an interrupted benchmark
+continues where it stopped, and neither number nor kind of workers changes a result. A predictor
+gets copies of the rows of a log without truth, and never sees another predictor.
 """
 
 from __future__ import annotations
@@ -23,22 +23,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.benchmark.figures import PredictorFigure, RunFigure
+from twin.benchmark.figures.data import PredictorFigure, RunFigure
 from twin.benchmark.metrics import (
-    STUDY_HORIZONS,
-    Reference,
-    Score,
     channel_table,
     compare,
     recorded_table,
     rows_of,
     run_rows,
-    score,
     summarise,
-    table_of,
     trends,
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
+from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
 from twin.digital_twin import Twin, known_plan
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
 from twin.parallel import results_of
@@ -60,6 +56,7 @@ __all__ = [
     "collect",
     "load_run",
     "recorded_against",
+    "run_figures",
     "run_unit",
     "runs",
     "with_faults",
@@ -68,23 +65,23 @@ __all__ = [
 Array = NDArray[np.float64]
 
 AGAINST = "ukf"
-"""The reference of the paired comparison, where none is named."""
+"""Default reference of the paired comparison."""
 
 AGAINST_RECORDED = "var"
 """The reference on recorded runs, where it takes part."""
 
 
 def fault_start(settings: Settings, identify: float) -> float:
-    """Return when a loss begins, s: while the boat manoeuvres and predictions are made."""
+    """Return when a loss of sensors begins, s."""
     return identify + settings.fault_after_s
 
 
 def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
-    """Return a log with what the faults do to its sensors; the same whenever it is asked."""
+    """Return a log with faults of its sensors; equal arguments give equal logs."""
     return dataclasses.replace(log, z=apply_faults(log.t, log.z, faults, np.random.default_rng(0)))
 
 
-def _recorded_identify(log: Log) -> float:
+def _recorded_identify_s(log: Log) -> float:
     """Return the time before the first prediction of a recorded run, s."""
     return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
 
@@ -92,22 +89,32 @@ def _recorded_identify(log: Log) -> float:
 class Run(NamedTuple):
     """A run as predictors meet it.
 
-    ``seen`` is what they are fed, ``reference`` what they are scored against, ``identify`` the
-    time of the first origin, and ``world`` what an oracle is told.
+    Attributes
+    ----------
+    seen : Log
+        The rows that predictors get.
+    reference : Log
+        What their predictions are scored against.
+    particulars : Particulars
+        Of the boat.
+    identify : float
+        Time of the first prediction, s.
+    simulator : tuple
+        Vessel, sea and degrees of freedom for an oracle; empty for a recorded run.
     """
 
     seen: Log
     reference: Log
     particulars: Particulars
     identify: float
-    world: tuple[Any, ...]
+    simulator: tuple[Any, ...]
 
 
 def load_run(settings: Settings, unit: Unit) -> Run:
     """Return the run of a unit; the predictor does not matter."""
     if unit.log:
         log, particulars = read_run(unit.log, settings.ship, settings.mapping)
-        identify = _recorded_identify(log)
+        identify = _recorded_identify_s(log)
         seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
         return Run(seen.without_truth(), log, particulars, float(log.t[0]) + identify, ())
     vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
@@ -125,8 +132,8 @@ def load_run(settings: Settings, unit: Unit) -> Run:
         name=unit.run,
     )
     particulars = particulars_of(vessel, suite, settings.dof)
-    world = (vessel, sea, settings.dof)
-    return Run(log.without_truth(), log, particulars, settings.identify_s, world)
+    simulator = (vessel, sea, settings.dof)
+    return Run(log.without_truth(), log, particulars, settings.identify_s, simulator)
 
 
 def run_unit(
@@ -148,19 +155,13 @@ def run_unit(
     Returns
     -------
     dict
-        ``unit``, ``plans`` with a table of scores each (see :func:`twin.benchmark.metrics.table_of`), and
-        what the pictures need.
+        ``unit``, ``plans`` with a table of scores each (see
+        :func:`twin.benchmark.scores.table_of`), and what the pictures need.
     """
-    seen, reference_log, particulars, identify, world = run or load_run(settings, unit)
-    reference = Reference(reference_log)
-    kind = predictor_class(unit.predictor)
-    options: dict[str, Any] = simulator_options(unit.predictor, *world) if world else {}
-    if settings.model is not None and kind.models:
-        options["model"] = settings.model
-    if kind.trains:
-        # in time for the first prediction: its history begins with the first late fix
-        options["train_at"] = identify - float(seen.t[0]) - 0.5
-    twin = Twin(particulars, unit.predictor, seed=unit.seed, **options)
+    run = run or load_run(settings, unit)
+    seen, identify = run.seen, run.identify
+    reference = Reference(run.reference)
+    twin = _new_twin(settings, unit, run)
     dt = min(max(seen.dt, 0.02), 0.25)
     end = float(seen.t[-1]) - HORIZONS[-1]
     next_origin, next_second = identify, float(seen.t[0])
@@ -171,7 +172,7 @@ def run_unit(
     history: list[tuple[float, Array, Array]] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
-        # copies: a view would lead to the whole log, and its future
+        # copies: the base of a view is the whole log with its future
         twin.step(t, z.copy(), cmd.copy())
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
@@ -181,13 +182,13 @@ def run_unit(
             continue
         while next_origin <= t + 1e-9:
             next_origin += 1.0
-        wanted = t + np.array([0.0, *STUDY_HORIZONS])
-        if not reference.known(wanted):
+        times = t + np.array([0.0, *STUDY_HORIZONS])
+        if not reference.known(times):
             skipped += 1
             continue
-        truth = reference.at(wanted)
+        truth = reference.at(times)
         if not np.isfinite(truth).all():
-            raise BenchmarkError(f"{reference_log.name}: its truth has gaps")
+            raise BenchmarkError(f"{run.reference.name}: its truth has gaps")
         known = known_plan(seen, row, HORIZONS[-1], dt)
         for plan in settings.plans:
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
@@ -199,14 +200,14 @@ def run_unit(
                 )
             if plan == settings.plans[0]:
                 starts.append(float(np.hypot(*(prediction.start[:2] - truth[0, :2]))))
-                due = len(examples) < len(example_at) and t >= example_at[len(examples)] - 1e-9
-                if pictures and due:
+                shown = len(examples)
+                if pictures and shown < len(example_at) and t >= example_at[shown] - 1e-9:
                     examples.append(prediction)
     if not starts:
-        why = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
+        gaps = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
         raise BenchmarkError(
             f"{unit.log or unit.run}: too short to be scored: predictions begin at "
-            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{why}"
+            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{gaps}"
         )
     result: dict[str, Any] = {
         "digest": digest(settings, unit),
@@ -215,28 +216,42 @@ def run_unit(
         "plans": {plan: table_of(parts) for plan, parts in scores.items()},
         "start_error": float(np.mean(starts)),
         "skipped": skipped,
-        "repairs": list(reference_log.notes),
+        "repairs": list(run.reference.notes),
     }
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         result["history"] = {
             "t": [t for t, _, _ in history],
-            "xi": [xi.tolist() for _, xi, _ in history],
-            "xi_sd": [sd.tolist() for _, _, sd in history],
+            "params": [params.tolist() for _, params, _ in history],
+            "params_sd": [params_sd.tolist() for _, _, params_sd in history],
             "names": twin.predictor.parameter_names,
             "units": twin.predictor.parameter_units,
             "blocks": dict(twin.predictor.parameter_blocks),
         }
     path = result_file(folder, unit)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial(path)
+    partial = _partial_name(path)
     partial.write_text(json.dumps(result), encoding="utf-8")
     partial.replace(path)
     return result
 
 
-def _partial(path: Path) -> Path:
-    """Return a name beside a file that no other worker uses."""
+def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
+    """Return the twin of a run with a unit's predictor."""
+    options: dict[str, Any] = {}
+    if run.simulator:
+        options |= simulator_options(unit.predictor, *run.simulator)
+    kind = predictor_class(unit.predictor)
+    if settings.model is not None and kind.models:
+        options["model"] = settings.model
+    if kind.trains:
+        # in time for the first prediction: its history begins with the first late fix
+        options["train_at"] = run.identify - float(run.seen.t[0]) - 0.5
+    return Twin(run.particulars, unit.predictor, seed=unit.seed, **options)
+
+
+def _partial_name(path: Path) -> Path:
+    """Return a name in the folder of a file that no other worker uses."""
     return path.with_name(f".{os.getpid()}_{threading.get_ident()}_{path.name}")
 
 
@@ -256,9 +271,9 @@ def _thin(prediction: Prediction) -> dict[str, Any]:
 
 
 def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
-    """Write a log and its particulars, as a whole: another worker may do so at the same time."""
+    """Write a log and its particulars, whole: another worker may do the same meanwhile."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial(path)
+    partial = _partial_name(path)
     log.write(partial)
     partial.replace(path)
     partial.write_text(particulars.to_toml(), encoding="utf-8")
@@ -266,7 +281,7 @@ def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
 
 
 def digest(settings: Settings, unit: Unit) -> str:
-    """Return what a result hangs on besides its unit: programs, settings and recorded file."""
+    """Return a hash of all that a result depends on: programs, settings, unit and recorded file."""
     kept = dataclasses.asdict(settings)
     for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
         del kept[key]
@@ -274,7 +289,7 @@ def digest(settings: Settings, unit: Unit) -> str:
         [__version__, running_program(), kept, dataclasses.asdict(unit)], sort_keys=True
     )
     value = hashlib.sha256(text.encode())
-    value.update(_foreign(unit.predictor))
+    value.update(_foreign_source(unit.predictor))
     ship = settings.ship if unit.log else settings.vessel
     read = list(files_of(unit.log, settings.mapping)) if unit.log else []
     if unit.log and settings.ship is None:
@@ -288,8 +303,8 @@ def digest(settings: Settings, unit: Unit) -> str:
 
 
 @functools.cache
-def _foreign(predictor: str) -> bytes:
-    """Return the source of a predictor that is none of this package's."""
+def _foreign_source(predictor: str) -> bytes:
+    """Return the source of a predictor from outside of this package."""
     kind = predictor_class(predictor)
     if kind.__module__.split(".")[0] == __name__.split(".")[0]:
         return b""
@@ -309,7 +324,7 @@ def result_file(folder: Path, unit: Unit) -> Path:
 def finished(
     settings: Settings, unit: Unit, folder: Path, *, pictures: bool
 ) -> dict[str, Any] | None:
-    """Return the result of earlier work, if it is there and was got with the same settings."""
+    """Return the result of earlier work with the same settings, if there is one."""
     try:
         result = json.loads(result_file(folder, unit).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -330,25 +345,25 @@ def all_finished(settings: Settings, folder: Path) -> bool:
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
     """Return whether a run is shown in the report.
 
-    That is the first seed in the cases that are drawn, and of each folder of recorded runs as
-    many as a reader will look at.
+    These are the first seed of the cases that are drawn, and the first runs of each folder of
+    recorded runs.
     """
     if unit.log:
         folder = Path(unit.log).absolute().parent
         peers = [path for path in settings.logs if Path(path).absolute().parent == folder]
-        return unit.log in peers[: DRAWN_LOGS if len(peers) > DRAWN_LOGS else None]
+        return unit.log in peers[: MAX_DRAWN_LOGS if len(peers) > MAX_DRAWN_LOGS else None]
     drawn = {case.name for case in settings.conditions if case.drawn}
     return unit.seed == settings.seeds[0] and unit.case in drawn
 
 
-DRAWN_LOGS = 3
-"""Recorded runs of one folder that are shown, where there are more."""
+MAX_DRAWN_LOGS = 3
+"""Of more recorded runs in one folder, this many are shown."""
 
 
 def runs(
     settings: Settings, folder: Path, *, jobs: int = 1, backend: str = "loky"
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
-    """Do all work that is not done yet, and yield each result as it comes.
+    """Do all work that is not done yet, and yield each result when it is there.
 
     A worker takes a run, which is simulated or read once, with all its predictors; where there
     are fewer runs than workers, single predictors.
@@ -362,7 +377,7 @@ def runs(
     jobs : int
         Workers; the results do not depend on it.
     backend : str
-        One of :data:`BACKENDS`; the results do not depend on it.
+        One of ``twin.parallel.BACKENDS``; the results do not depend on it.
 
     Yields
     ------
@@ -389,26 +404,27 @@ def runs(
 def _attempt(
     settings: Settings, task: Sequence[Unit], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of one run; what goes wrong with one is not the others' affair."""
+    """Score the predictors of one run; an error of one does not stop the others."""
     try:
         run = load_run(settings, task[0])
         if not task[0].log:
             _write_log(run.reference, run.particulars, folder / "logs" / f"{task[0].run}.csv")
     except Exception as error:
-        return [(unit, _told(error)) for unit in task]
+        return [(unit, _portable(error)) for unit in task]
     return [(unit, _scored(settings, unit, folder, run)) for unit in task]
 
 
 def _scored(settings: Settings, unit: Unit, folder: Path, run: Run) -> dict[str, Any] | Exception:
+    """Return the result of a unit, or the error that stopped it."""
     pictures = wants_pictures(settings, unit)
     try:
         return run_unit(settings, unit, folder, pictures=pictures, run=run)
-    except Exception as error:  # whatever the code of somebody else does
-        return _told(error)
+    except Exception as error:  # of a user's predictor
+        return _portable(error)
 
 
-def _told(error: Exception) -> BenchmarkError:
-    """Return an error as one that every backend can send; of code that broke, with its kind."""
+def _portable(error: Exception) -> BenchmarkError:
+    """Return an error that every backend can send, with the kind of an unexpected one."""
     plain = isinstance(error, (ValueError, OSError)) and str(error)
     return BenchmarkError(str(error) if plain else f"{type(error).__name__}: {error}")
 
@@ -436,7 +452,7 @@ def collect(
     command : str
         The command that made them.
     notes : sequence of str
-        What a reader must know of them.
+        Remarks for a reader.
     against : str, optional
         Reference of the paired comparisons; :data:`AGAINST` if left out, on recorded runs
         :data:`AGAINST_RECORDED` where it takes part.
@@ -473,13 +489,13 @@ def collect(
 
 def lost_gps(settings: Settings, unit: Unit, log: Log) -> list[tuple[float, float]]:
     """Return the spans of time without GPS in a run, s."""
-    identify = _recorded_identify(log) if unit.log else settings.identify_s
+    identify = _recorded_identify_s(log) if unit.log else settings.identify_s
     start = float(log.t[0]) + fault_start(settings, identify)
     return gps_windows(parse_faults(unit.fault, start))
 
 
 def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
-    """Return the spans of time without GPS that are known beforehand, s."""
+    """Return the spans of time without GPS of faults with a given start, s."""
     return [
         (fault.start, fault.start + fault.duration)
         for fault in faults
@@ -493,7 +509,7 @@ def default_logs() -> tuple[str, ...]:
 
 
 def warm_up(settings: Settings) -> None:
-    """Compile what the workers will need, before there are several to compile it at once."""
+    """Compile once what all workers will need."""
     vessel, sea = settings.boat(0), settings.sea()
     log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
     for name in settings.predictors:
@@ -504,7 +520,7 @@ def warm_up(settings: Settings) -> None:
         twin.predict("hold")
 
 
-def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
+def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
     """Return what the report draws: one entry for each run that kept its pictures.
 
     Parameters
@@ -543,8 +559,8 @@ def figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFig
                 for example in result["examples"]
             ],
             t=np.array(history["t"]),
-            params=np.array(history["xi"]),
-            params_sd=np.array(history["xi_sd"]),
+            params=np.array(history["params"]),
+            params_sd=np.array(history["params_sd"]),
             names=tuple(history["names"]),
             units=tuple(history["units"]),
             blocks={motion: (first, last) for motion, (first, last) in history["blocks"].items()},

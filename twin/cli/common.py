@@ -1,4 +1,4 @@
-"""What all commands share: where they print, and how options are read and results written."""
+"""What the commands share: consoles, options, logs and twins, tables and files."""
 
 from __future__ import annotations
 
@@ -7,96 +7,62 @@ import csv
 import functools
 import json
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
+from rich.table import Table
 
-from twin.agents.agent import ControllerError
-from twin.agents.policy import AgentError
-from twin.benchmark.protocol import BenchmarkError
-from twin.checkpoint import StateError
 from twin.digital_twin import Twin, TwinError
 from twin.files import write_whole
-from twin.live.protocols.feed import FeedError
-from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.model.structure import MODELS
-from twin.particulars import ParticularsError
-from twin.predictors.registry import DEFAULT, PREDICTORS, PredictorError
+from twin.parallel import BACKENDS
+from twin.predictors.registry import DEFAULT, PREDICTORS
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
-from usv_gym.design.new_vessel import DesignError
-from usv_gym.envs.tasks import TaskError
-from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
-from usv_gym.vessel.vessel import VesselError
-from usv_gym.world.faults import FaultError
-from usv_gym.world.sea import SeaError
-from usv_gym.world.simulation import SimulationError
 from usv_kernel.cache import cached
+from usv_kernel.errors import UsvTwinError
 
-__all__ = [
-    "INTERRUPTED",
-    "console",
-    "errors",
-    "listed",
-    "note",
-    "seeds_of",
-]
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
-    "predict where it will be, benchmark predictors under GPS loss, validate the ship and "
-    "the sea, train and evaluate agents that steer, and view boat and twin in the browser.",
-)
+console = Console(markup=False)
 
-EXPECTED = (
-    AgentError,
-    BenchmarkError,
-    ControllerError,
-    DesignError,
-    FaultError,
-    FeedError,
-    ImportError,
-    LogError,
-    ManoeuvreError,
-    OSError,
-    ParticularsError,
-    PredictorError,
-    SeaError,
-    SimulationError,
-    StateError,
-    TaskError,
-    TwinError,
-    VesselError,
-)
+errors = Console(stderr=True, markup=False)
+
+
+class OptionError(UsvTwinError):
+    """An option with a wrong value; the message names both."""
+
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
-def _speaking(command: Command) -> Command:
+def report_user_errors(command: Command) -> Command:
     """Turn errors that a user can mend into one line and exit code 2."""
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
         try:
             command(*args, **kwargs)
-        except EXPECTED as error:
+        except (UsvTwinError, ImportError, OSError) as error:
+            text = str(error)
             if isinstance(error, OSError) and error.filename is not None:
-                error = OSError(
-                    f"{error.filename}: {error.strerror}; choose another file or folder"
-                )
-            errors.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+                text = f"{error.filename}: {error.strerror}; choose another file or folder"
+            errors.print(f"error: {text}", style="red", highlight=False, soft_wrap=True)
             raise typer.Exit(2) from None
 
     return run  # type: ignore[return-value]
 
+
+LogArgument = Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")]
 
 PredictorOption = Annotated[
     str, typer.Option("--predictor", "-p", help=f"One of: {', '.join(PREDICTORS)}.")
@@ -106,7 +72,7 @@ ModelOption = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help=f"Model structure, one of {', '.join(MODELS)}; left out: the predictor's own choice.",
+        help=f"Model structure, one of: {', '.join(MODELS)}. Default: that of the predictor.",
     ),
 ]
 
@@ -116,7 +82,7 @@ ShipOption = Annotated[
         "--ship",
         "--vessel",
         help="Main particulars of the boat: a TOML file, or the name of a vessel. "
-        "Left out: the .toml of the log's name beside the log, else usv75.",
+        "Default: the .toml of the log's name beside the log, else usv75.",
     ),
 ]
 
@@ -124,7 +90,7 @@ MappingOption = Annotated[
     Path | None,
     typer.Option(
         help="TOML file that says which column or ROS topic is which column of the log. "
-        "Left out: <log>.mapping.toml beside the log, if it is there."
+        "Default: <log>.mapping.toml beside the log, if there is one."
     ),
 ]
 
@@ -137,35 +103,59 @@ HsOption = Annotated[float | None, typer.Option(help="Significant wave height, m
 WindOption = Annotated[float | None, typer.Option(help="Mean wind speed at 10 m, m/s.")]
 
 WindFromOption = Annotated[
-    float | None, typer.Option(help="Where the wind comes from, degrees clockwise from north.")
+    float | None, typer.Option(help="Direction the wind comes from, degrees from north.")
 ]
 
+ShaftMaxOption = Annotated[
+    float | None,
+    typer.Option(
+        help="MAVLink: shaft speed at full throttle, rev/s. Default: twice the nominal one."
+    ),
+]
 
-def _digits(value: float) -> str:
-    """Return a positive number with three digits, or all before the point, or three after it."""
-    return f"{value:.{min(max(2 - math.floor(math.log10(value)), 0), 3)}f}"
+SteerMaxOption = Annotated[
+    float | None, typer.Option(help="MAVLink: largest steering angle, degrees. Default: 30.")
+]
+
+JobsOption = Annotated[
+    int, typer.Option(min=1, help="Workers; the results do not depend on the number.")
+]
+
+BackendOption = Annotated[
+    str, typer.Option(help=f"Kind of workers, one of: {', '.join(BACKENDS)}.")
+]
+
+CPUS = os.cpu_count() or 1
+
+STATE_HEADS = ("north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
+
+STATE_SCALE = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
+"""From SI units to those of :data:`STATE_HEADS`."""
 
 
-def _begin(
+# logs and twins
+def open_log(
     path: Path,
     predictor: str | None,
-    ship: str | None,
-    until: float | None,
+    *,
+    ship: str | None = None,
+    until: float | None = None,
     resume: Path | None = None,
     model: str | None = None,
     mapping: Path | None = None,
 ) -> tuple[Log, Twin]:
-    """Read a log, say what is missing in it, and make a twin for it, or load one."""
+    """Read a log, print what is missing in it, and make a twin for it or load one."""
     log = Log.read(path, mapping)
     for line in log.notes:
         note(line)
+    found = True
     if resume is not None:
-        found, twin = True, _resumed(resume, predictor, ship, model)
+        twin = _load_twin(resume, predictor, ship, model)
     else:
+        name = predictor or DEFAULT
         particulars, found = particulars_for_log(path, ship)
-        check_simulator(predictor or DEFAULT, log, particulars)
-        options: dict[str, Any] = {} if model is None else {"model": model}
-        twin = Twin(particulars, predictor or DEFAULT, **options)
+        check_simulator(name, log, particulars)
+        twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     log = log.without_truth()
     if until is not None:
         if not math.isfinite(until):
@@ -176,19 +166,18 @@ def _begin(
     if not found:
         note(NO_PARTICULARS.format(path))
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
-    if resume is not None:
-        later = log.slice(math.nextafter(twin.t, math.inf), math.inf) if twin.t == twin.t else log
-        if len(later) == 0:
+    if resume is not None and not math.isnan(twin.t):
+        log = log.slice(math.nextafter(twin.t, math.inf), math.inf)
+        if len(log) == 0:
             raise TwinError(
                 f"{path}: has no row after t = {twin.t:g} s, where {resume} was saved; "
-                "hand in the log that goes on from there"
+                "give the log that continues from there"
             )
-        log = later
     return log, twin
 
 
-def _resumed(path: Path, predictor: str | None, ship: str | None, model: str | None) -> Twin:
-    """Load a saved twin; what it knows itself cannot be asked for otherwise."""
+def _load_twin(path: Path, predictor: str | None, ship: str | None, model: str | None) -> Twin:
+    """Load a saved twin, and refuse options that would contradict it."""
     twin = Twin.load(path)
     if predictor is not None and predictor != twin.name:
         raise TwinError(f"--predictor {predictor}: {path} goes on with {twin.name}; leave it out")
@@ -199,22 +188,47 @@ def _resumed(path: Path, predictor: str | None, ship: str | None, model: str | N
     return twin
 
 
-def _busy(text: str) -> contextlib.AbstractContextManager[Any]:
+# what is printed
+def note(text: str) -> None:
+    """Print what a user should know."""
+    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def explain(text: str) -> None:
+    """Print how to read a table."""
+    console.print(text, style="dim", soft_wrap=True)
+
+
+def stopped(text: str) -> typer.Exit:
+    """Print what Ctrl-C has left, and return the exit to raise."""
+    errors.print(f"stopped: {text}", style="yellow", soft_wrap=True)
+    return typer.Exit(INTERRUPTED)
+
+
+def new_table(title: str, *heads: str, left: Collection[str] = (), **style: Any) -> Table:
+    """Return a table; columns are aligned to the right but those in ``left``."""
+    table = Table(title=title, **{"box": SIMPLE_HEAD, "padding": (0, 1, 0, 0), **style})
+    for head in heads:
+        table.add_column(head, justify="left" if head in left else "right", no_wrap=True)
+    return table
+
+
+def status(text: str) -> contextlib.AbstractContextManager[Any]:
     """Return a status line; none where the compiler is going to show its own."""
     return console.status(text) if cached() else contextlib.nullcontext()
 
 
-class _bar:
+def progress_bar(*more: ProgressColumn, **options: Any) -> Progress:
+    """Return a progress bar that counts, with more columns at its end."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *more)
+    return Progress(*columns, **{"console": console, **options})
+
+
+class row_progress:
     """A progress bar for rows of a log."""
 
     def __init__(self, text: str, total: int) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            console=console,
-            transient=True,
-        )
+        self._progress = progress_bar(transient=True)
         self._task = self._progress.add_task(text, total=total)
         self._count = 0
 
@@ -232,7 +246,12 @@ class _bar:
         self._progress.stop()
 
 
-def _short(value: float, digits: int) -> str:
+def three_digits(value: float) -> str:
+    """Return a positive number with three digits; at most three of them are decimals."""
+    return f"{value:.{min(max(2 - math.floor(math.log10(value)), 0), 3)}f}"
+
+
+def short(value: float, digits: int) -> str:
     """Return a number with so many decimals below 10, and fewer above."""
     for bound, fewer in ((10.0, 0), (100.0, 1)):
         if abs(value) < bound:
@@ -240,7 +259,14 @@ def _short(value: float, digits: int) -> str:
     return f"{value:.0f}"
 
 
-def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
+def radians(degrees: float | None) -> float | None:
+    """Return an angle in rad, or None."""
+    return None if degrees is None else math.radians(degrees)
+
+
+# files
+def write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
+    """Write rows of numbers in full precision."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -248,38 +274,26 @@ def _write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
         writer.writerows([[repr(float(v)) for v in row] for row in rows])
 
 
-def _write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
-    _write_text(path, json.dumps(content, indent=1) + "\n")
+def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
+    """Write JSON, whole or not at all."""
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-def _write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
     """Make a file's folder, and write the file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, text.encode())
 
 
-console = Console(markup=False)
-
-errors = Console(stderr=True, markup=False)
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
-
-
-def note(text: str) -> None:
-    """Print what a user should know."""
-    console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
-
-
-def listed(text: str, option: str) -> tuple[str, ...]:
+# options
+def parse_list(text: str, option: str) -> tuple[str, ...]:
     """Return the items of a comma-separated option, each once."""
     items = tuple(dict.fromkeys(item.strip() for item in text.split(",") if item.strip()))
     if not items:
-        raise BenchmarkError(f"{option}: name at least one")
+        raise OptionError(f"{option}: name at least one")
     return items
 
 
-def seeds_of(text: str) -> tuple[int, ...]:
+def parse_seeds(text: str) -> tuple[int, ...]:
     """Return seeds: ``A-B``, ``A:B`` for A to B - 1, or a list as ``0,4,7``."""
     try:
         found: list[int] = []
@@ -289,9 +303,9 @@ def seeds_of(text: str) -> tuple[int, ...]:
             found += range(begin, int(last) + (mark == "-") if mark else begin + 1)
         seeds = tuple(dict.fromkeys(found))
     except ValueError:
-        raise BenchmarkError(
+        raise OptionError(
             f"--seeds {text}: write A-B, A:B for A to B - 1, or a list as 0,4,7"
         ) from None
     if not seeds or min(seeds) < 0:
-        raise BenchmarkError(f"--seeds {text}: holds no seed of 0 or more")
+        raise OptionError(f"--seeds {text}: holds no seed of 0 or more")
     return seeds

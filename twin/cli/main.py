@@ -3,15 +3,70 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
-from twin.cli import agents, benchmark, identify, live, performance, predict, simulate, validate
-from twin.cli.common import _speaking, app
-from twin.cli.vessel import vessel_app
+import typer
 
+from twin.cli.bench import bench_command
+from twin.cli.benchmark import benchmark_command
+from twin.cli.common import report_user_errors
+from twin.cli.evaluate import evaluate_command
+from twin.cli.identify import identify_command
+from twin.cli.predict import predict_command
+from twin.cli.replay import replay_command
+from twin.cli.simulate import simulate_command
+from twin.cli.study import study_command
+from twin.cli.train import train_command
+from twin.cli.validate import validate_command
+from twin.cli.vessel import vessel_check_command, vessel_mesh_command, vessel_new_command
+from twin.cli.view import view_command
+
+__all__ = [
+    "app",
+    "main",
+]
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
+    "predict where it will be, benchmark predictors under GPS loss, validate the ship and "
+    "the sea, train and evaluate agents that steer, and view boat and twin in the browser.",
+)
+
+vessel_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Check, begin or draw a vessel."
+)
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "simulate": simulate_command,
+    "identify": identify_command,
+    "predict": predict_command,
+    "benchmark": benchmark_command,
+    "validate": validate_command,
+    "train": train_command,
+    "evaluate": evaluate_command,
+    "study": study_command,
+    "view": view_command,
+    "replay": replay_command,
+    "bench": bench_command,
+}
+"""Commands by name, in the order of the help page."""
+
+VESSEL_COMMANDS: dict[str, Callable[..., None]] = {
+    "check": vessel_check_command,
+    "new": vessel_new_command,
+    "mesh": vessel_mesh_command,
+}
+
+for group, commands in ((app, COMMANDS), (vessel_app, VESSEL_COMMANDS)):
+    for name, command in commands.items():
+        group.command(name)(report_user_errors(command))
 app.add_typer(vessel_app, name="vessel")
 
 
-def _expand(arguments: list[str], option: str = "--log") -> list[str]:
+def expand_files(arguments: list[str], option: str = "--log") -> list[str]:
     """Let one option take several files: ``--log a b`` becomes ``--log a --log b``."""
     expanded: list[str] = []
     inside = False
@@ -27,14 +82,6 @@ def _expand(arguments: list[str], option: str = "--log") -> list[str]:
     return expanded
 
 
-for _name, _command in {**agents.COMMANDS, **live.COMMANDS}.items():
-    app.command(_name)(_speaking(_command))
-
-
-COMMANDS = (benchmark, identify, performance, predict, simulate, validate)
-"""Modules that register a command with the app when they are imported."""
-
-
 def main() -> None:
     """Run the command line."""
-    app(args=_expand(sys.argv[1:]), prog_name="usv-twin")
+    app(args=expand_files(sys.argv[1:]), prog_name="usv-twin")

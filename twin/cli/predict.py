@@ -9,21 +9,21 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from twin.channels import CHANNELS
 from twin.cli.common import (
+    STATE_HEADS,
+    STATE_SCALE,
+    LogArgument,
     MappingOption,
     ModelOption,
     PredictorOption,
     ShipOption,
-    _bar,
-    _begin,
-    _speaking,
-    _write_csv,
-    app,
     console,
+    new_table,
+    open_log,
+    row_progress,
+    write_csv,
 )
 from twin.digital_twin import TwinError, known_plan
 from twin.logs.columns import LogError
@@ -32,10 +32,8 @@ from twin.predictors.base import Prediction
 from twin.predictors.registry import DEFAULT
 
 
-@app.command("predict")
-@_speaking
 def predict_command(
-    log: Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")],
+    log: LogArgument,
     predictor: PredictorOption = DEFAULT,
     model: ModelOption = None,
     ship: ShipOption = None,
@@ -43,25 +41,27 @@ def predict_command(
     at: Annotated[
         float | None,
         typer.Option(
-            help="Time of the log at which to predict, s; left out: its end, or where the "
-            "horizon still fits when the plan is known."
+            help="Time of the log at which to predict, s. Default: its end, or with a known "
+            "plan one horizon before it."
         ),
     ] = None,
-    horizon: Annotated[float, typer.Option(min=0.1, max=600.0, help="How far, s.")] = 10.0,
+    horizon: Annotated[
+        float, typer.Option(min=0.1, max=600.0, help="Length of the prediction, s.")
+    ] = 10.0,
     plan: Annotated[
         str,
         typer.Option(
-            help="Future commands. hold: the last one stays; known: those that the log goes on "
-            "with; or a CSV file with t_s from now and the four command columns."
+            help="Future commands. hold: the last one stays; known: those of the log; or a CSV "
+            "file with t_s from now on and the four command columns."
         ),
     ] = "hold",
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="CSV of the prediction, sd and 90 % band."),
+        typer.Option("--out", "-o", help="CSV of the prediction, its sd and its 90 % interval."),
     ] = None,
 ) -> None:
-    """Run the twin over a log up to a time, and predict where the boat will be after it."""
-    run, twin = _begin(log, predictor, ship, None, model=model, mapping=mapping)
+    """Run the twin over a log up to a time, and predict the motion after it."""
+    run, twin = open_log(log, predictor, ship=ship, model=model, mapping=mapping)
     last = float(run.t[-1])
     if at is None:
         at = last - horizon if plan == "known" else last
@@ -73,7 +73,7 @@ def predict_command(
             f"choose --at {last - horizon:g} or earlier, or --plan hold"
         )
     row = int(np.searchsorted(run.t, at + 1e-9) - 1)
-    with _bar("identifying", row + 1) as advance:
+    with row_progress("identifying", row + 1) as advance:
         for index, (t, z, cmd) in enumerate(run):
             if index > row:
                 break
@@ -93,7 +93,7 @@ def predict_command(
         parts = (prediction.mean, prediction.sd, prediction.low, prediction.high)
         table = np.column_stack([prediction.t, *parts])
         header = [f"{kind}{c}" for kind in ("", "sd_", "low_", "high_") for c in CHANNELS]
-        _write_csv(out, ["t_s", *header], table.tolist())
+        write_csv(out, ["t_s", *header], table.tolist())
         console.print(f"every 0.1 s: {out}")
 
 
@@ -122,19 +122,16 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
     horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
     mean = prediction.at(np.array(horizons))[0]
     low, high = prediction.band(np.array(horizons))
-    table = Table(
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        title=f"{log.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, "
-        f"plan {plan} (below each value how far its 90 % band reaches up and down)",
+    up, down = high - mean, mean - low
+    mean[:, 2] %= 2.0 * math.pi
+    table = new_table(
+        f"{log.name}: prediction at t = {prediction.t0:.2f} s by {predictor}, plan {plan} "
+        "(below each value how far its 90 % interval reaches up and down)",
+        "after s",
+        *STATE_HEADS,
     )
-    heads = ("after s", "north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw deg/s")
-    for name in heads:
-        table.add_column(name, justify="right")
-    scale = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
-    for h, m, up, down in zip(horizons, mean, high - mean, mean - low, strict=True):
-        m = m.copy()
-        m[2] %= 2.0 * math.pi
-        cells = zip(m * scale, up * scale, down * scale, strict=True)
-        table.add_row(f"{h:g}", *(f"{a:.2f}\n+{b:.2f} -{c:.2f}" for a, b, c in cells))
+    parts = (part * STATE_SCALE for part in (mean, up, down))
+    for horizon, *rows in zip(horizons, *parts, strict=True):
+        cells = (f"{m:.2f}\n+{u:.2f} -{d:.2f}" for m, u, d in zip(*rows, strict=True))
+        table.add_row(f"{horizon:g}", *cells)
     console.print(table)

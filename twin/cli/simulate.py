@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from twin.benchmark import runner as bench
-from twin.cli.common import (
-    DofOption,
-    HsOption,
-    WindFromOption,
-    WindOption,
-    _speaking,
-    app,
-    console,
-    note,
-)
+from twin.benchmark.runner import gps_windows
+from twin.cli.common import DofOption, HsOption, WindFromOption, WindOption, console, note, radians
 from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
@@ -28,12 +18,10 @@ from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES, SensorSuite
 
 
-@app.command("simulate")
-@_speaking
 def simulate_command(
     manoeuvre: Annotated[str, typer.Argument(help=f"One of: {', '.join(MANOEUVRES)}.")] = "turn",
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Log to write; <manoeuvre>_<seed>.csv.")
+        Path | None, typer.Option("--out", "-o", help="Log to write. [<manoeuvre>_<seed>.csv]")
     ] = None,
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
@@ -48,7 +36,7 @@ def simulate_command(
     wind_from: WindFromOption = None,
     faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
     fault_start: Annotated[
-        float, typer.Option(help="When a fault given by its seconds begins, s.")
+        float, typer.Option(help="Start of a fault that is given by its length, s.")
     ] = 85.0,
     sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
     dof: DofOption = 3,
@@ -57,10 +45,9 @@ def simulate_command(
     from twin.benchmark.figures import picture_of_log
 
     boat = Vessel.load(vessel)
-    degrees = None if wind_from is None else math.radians(wind_from)
-    state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=degrees)
-    suite, broken = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
-    for fault in broken:
+    state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=radians(wind_from))
+    suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
+    for fault in parsed:
         if getattr(fault, "start", 0.0) >= duration:
             note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
     path = out or Path(f"{manoeuvre}_{seed}.csv")
@@ -70,7 +57,7 @@ def simulate_command(
         sea=state,
         duration=duration,
         seed=seed,
-        faults=broken,
+        faults=parsed,
         suite=suite,
         dof=dof,
     )
@@ -78,6 +65,5 @@ def simulate_command(
     log.write(path)
     particulars, picture = sibling_path(path, ".toml"), sibling_path(path, ".png")
     particulars.write_text(particulars_of(boat, suite, dof).to_toml(), encoding="utf-8")
-    windows = bench.gps_windows(broken)
-    picture_of_log(log, picture, windows)
+    picture_of_log(log, picture, gps_windows(parsed))
     console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")

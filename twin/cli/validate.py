@@ -1,4 +1,4 @@
-"""``usv-twin validate``: ship and sea beside published numbers."""
+"""``usv-twin validate``: compare ship and sea with published numbers."""
 
 from __future__ import annotations
 
@@ -11,38 +11,36 @@ from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from twin.cli.common import INTERRUPTED, _speaking, _write_json, app, console, errors, note
+from twin.cli.common import INTERRUPTED, console, errors, note, write_json
 
 if TYPE_CHECKING:
     from usv_gym.validation.study import Section, Study
 
 
-@app.command("validate")
-@_speaking
 def validate_command(
     check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; fail where the page is not today's.")
+        bool, typer.Option("--check", help="Write nothing; fail if the page is out of date.")
     ] = False,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="Every row, in full precision.")
+        Path | None, typer.Option("--json", help="Every row in full precision.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder of the page; by default the repository's root."),
+        typer.Option("--out", "-o", help="Folder of the page; default docs/explanation."),
     ] = None,
 ) -> None:
-    """Compute what is published or measured, and write it beside that as VALIDATION.md.
+    """Compute published and measured results, and write the comparison as a page.
 
-    With --check the page is read instead: exit code 1 where a value is out of its tolerance,
-    or is not the one on the page.
+    With --check the page is read instead. The exit code is 1 if a value is out of its tolerance
+    or differs from the page.
     """
     from usv_gym.validation import page as validation_page
     from usv_gym.validation.study import Study, shared_folder
 
     home = Path(__file__).resolve().parents[2]
-    # the page of an installed package is that of the folder where one is
-    root = out or (home if (home / "pyproject.toml").is_file() else Path())
-    page = root / validation_page.PAGE
+    # an installed package has no docs: use the present folder
+    folder = out or (home / "docs/explanation" if (home / "pyproject.toml").is_file() else Path())
+    page = folder / validation_page.PAGE
     before = page.read_text(encoding="utf-8") if page.is_file() else ""
     if check and not before:
         raise FileNotFoundError(errno.ENOENT, "no page to check", str(page))
@@ -54,18 +52,18 @@ def validate_command(
         raise typer.Exit(INTERRUPTED) from None
     _print_validation(sections)
     if json_file is not None:
-        _write_json(json_file, validation_page.to_json(sections))
+        write_json(json_file, validation_page.to_json(sections))
     wrong = validation_page.failures(sections)
     if check:
         wrong += validation_page.compare(before, sections)
     else:
         from usv_gym.validation.figures import draw
 
-        root.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         page.write_text(validation_page.render(sections, before), encoding="utf-8")
         with console.status("drawing the pictures"):
-            drawn = draw(study, root / validation_page.FOLDER)
-        console.print(f"{page}, {len(drawn)} pictures in {root / validation_page.FOLDER}")
+            drawn = draw(study, folder / validation_page.FOLDER)
+        console.print(f"{page}, {len(drawn)} pictures in {folder / validation_page.FOLDER}")
     for text in wrong:
         errors.print(text, style="red", highlight=False, soft_wrap=True)
     if wrong:
@@ -73,7 +71,7 @@ def validate_command(
 
 
 def _sections(study: Study) -> list[Section]:
-    """Compute all sections of the validation page under a progress bar."""
+    """Compute all sections of the page with a progress bar."""
     from twin.benchmark.paper_checks import twin_numbers
     from usv_gym.validation.sections import SECTIONS
 
@@ -91,14 +89,15 @@ def _sections(study: Study) -> list[Section]:
 
 
 def _print_validation(sections: list[Section]) -> None:
+    """Print the number of rows by result."""
     table = Table(title="validation", box=SIMPLE_HEAD)
     for name in ("section", "ok", "out", "reported", "skipped"):
         table.add_column(name, justify="left" if name == "section" else "right")
     reasons: list[str] = []
     for section in sections:
         skipped = [row.skipped for row in section.rows if row.skipped]
-        judged = [row.ok for row in section.rows if not row.skipped]
-        counts = judged.count(True), judged.count(False), judged.count(None), len(skipped)
+        results = [row.ok for row in section.rows if not row.skipped]
+        counts = results.count(True), results.count(False), results.count(None), len(skipped)
         table.add_row(section.title, *map(str, counts))
         reasons += skipped
     console.print(table)

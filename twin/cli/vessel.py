@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from twin.cli.common import _speaking, _write_json, _write_text, console, note
+from twin.cli.common import console, new_table, note, write_json, write_text
 from twin.files import write_whole
 from usv_gym.design.checks import Inspection, inspect
 from usv_gym.design.new_vessel import DesignError, design
 from usv_gym.physics import KNOT
-from usv_gym.vessel.geometry import boat_of
+from usv_gym.vessel.geometry import boat_of, encode_mesh
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, Vessel, VesselError, vessel_names
 
-if TYPE_CHECKING:
-    pass
 
-vessel_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Check, begin or draw a vessel."
-)
-
-
-@vessel_app.command("check")
-@_speaking
 def vessel_check_command(
     vessel: Annotated[
         str, typer.Argument(help=f"TOML file, or a name: {', '.join(vessel_names())}.")
@@ -37,7 +26,7 @@ def vessel_check_command(
         Path | None, typer.Option("--json", help="Everything, in full precision.")
     ] = None,
 ) -> None:
-    """Print what a vessel's numbers amount to, and every rule of thumb that they break.
+    """Print what follows from a vessel's numbers, and every rule of thumb that they break.
 
     Exit code 0: sound; 1: errors (with --strict also warnings); 2: it cannot be read.
     """
@@ -45,38 +34,38 @@ def vessel_check_command(
     boat_of(boat)  # reads its mesh file
     found = inspect(boat)
     if json_file is not None:
-        _write_json(json_file, found.to_json())
+        write_json(json_file, found.to_json())
     _print_inspection(found)
     if found.errors or (strict and found.findings):
         raise typer.Exit(1)
 
 
-@vessel_app.command("new")
-@_speaking
 def vessel_new_command(
     name: Annotated[str, typer.Option(help="Letters, digits, _ and -.")],
-    length: Annotated[float, typer.Option(help="At the water line, m.")],
-    beam: Annotated[float, typer.Option(help="At the water line, m.")],
+    length: Annotated[float, typer.Option(help="At the waterline, m.")],
+    beam: Annotated[float, typer.Option(help="At the waterline, m.")],
     draft: Annotated[float, typer.Option(help="Of the hull, m.")],
     mass: Annotated[float, typer.Option(help="kg.")],
     kind: Annotated[
         str, typer.Option(help=f"Propulsion, one of: {', '.join(KIND_SCHEMA)}.")
     ] = "steerable_drive",
     units: Annotated[
-        int | None, typer.Option(help="1 or 2; left out: 1 propeller with rudder, else 2.")
+        int | None, typer.Option(help="1 or 2. Default: 1 propeller with rudder, else 2.")
     ] = None,
     speed: Annotated[float | None, typer.Option(help="In service, kn.")] = None,
     power: Annotated[float | None, typer.Option(help="Of all shafts, kW.")] = None,
     length_overall: Annotated[
-        float | None, typer.Option(help="m; left out: 5 % above the length.")
+        float | None, typer.Option(help="m. Default: 5 % above the length.")
     ] = None,
     water_density: Annotated[
-        float | None, typer.Option(help="kg/m3; left out: 1025, sea water.")
+        float | None, typer.Option(help="kg/m3. Default: 1025, sea water.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="File; <name>.toml.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File to write. [<name>.toml]")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
 ) -> None:
-    """Write a first vessel file: what is not given is estimated by regressions, and marked."""
+    """Write a first vessel file: regressions estimate what is not given, and mark it."""
     path = out or Path(f"{name}.toml")
     if path.exists() and not force:
         raise DesignError(f"{path}: is there already; choose another --out, or --force")
@@ -95,56 +84,52 @@ def vessel_new_command(
     )
     for line in first.notes:
         note(line)
-    _write_text(path, first.text)
+    write_text(path, first.text)
     guesses, values = len(first.vessel.guesses), len(first.vessel.values) + 2
     console.print(
-        f"{path}: {guesses} of {values} entries are estimates; look at it with "
+        f"{path}: {guesses} of {values} entries are estimates; check it with "
         f"usv-twin vessel check {path}",
         soft_wrap=True,
     )
 
 
-@vessel_app.command("mesh")
-@_speaking
 def vessel_mesh_command(
     vessel: Annotated[
         str, typer.Argument(help=f"TOML file, or a name: {', '.join(vessel_names())}.")
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help=f"{', '.join(MESH_FORMATS)}; <name>.glb."),
+        typer.Option("--out", "-o", help=f"{', '.join(MESH_FORMATS)}. [<name>.glb]"),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
 ) -> None:
     """Write the boat's geometric model, in m, for a 3-D program or as a vessel's mesh.
 
-    .glb keeps parts and colours, drives and propellers too, with y up, z forward and x to port as
-    in every glTF file; the others hold the hull and what stands on it, with z up, x forward and y
-    to port.
+    .glb keeps parts and colours, also drives and propellers; y is up, z forward and x to port as
+    in every glTF file. The other formats hold the hull and what stands on it; z is up, x forward
+    and y to port.
     """
     ship = Vessel.load(vessel)
     path = out or Path(f"{ship.name}.glb")
     if path.exists() and not force:
         raise VesselError(f"{path}: is there already; choose another --out, or --force")
     boat = boat_of(ship)
-    content = boat.encoded(path.suffix.lower())
+    content = encode_mesh(boat, path.suffix.lower())
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
     whole = boat.whole()
     long, wide, high = np.ptp(whole.bounds, axis=0)
     console.print(
         f"{path}: of a boat of {len(boat.parts)} parts, {len(whole.faces)} triangles, "
-        f"with her drives {long:.4g} m long, {wide:.4g} m wide, {high:.4g} m high",
+        f"with its drives {long:.4g} m long, {wide:.4g} m wide, {high:.4g} m high",
         soft_wrap=True,
     )
 
 
 def _print_inspection(found: Inspection) -> None:
     """Print the derived particulars of a vessel, and the rules that it breaks."""
-    facts = Table(title=f"{found.name}: {found.title}", box=SIMPLE_HEAD, show_header=False)
-    for justify in ("left", "right"):
-        facts.add_column(justify=justify, no_wrap=True)  # type: ignore[arg-type]
     units = {"mps": "m/s", "degps": "deg/s", "rps": "rev/s"}
+    facts = new_table(f"{found.name}: {found.title}", "", " ", left=("",), show_header=False)
     rows = {
         **found.particulars,
         **{f"period of {name} s": value for name, value in found.periods.items()},
@@ -156,13 +141,12 @@ def _print_inspection(found: Inspection) -> None:
     for name, value in rows.items():
         facts.add_row(name, f"{value:.4g}")
     if found.course:
-        pairs = [f"{found.course[f'{i}_real']:.3g}" for i in ("first", "second")]
+        roots = f"{found.course['first_real']:.3g}, {found.course['second_real']:.3g} 1/s"
         stable = "stable" if found.course["first_real"] < 0.0 else "unstable"
-        facts.add_row("straight course at service speed", f"{stable} ({', '.join(pairs)} 1/s)")
+        facts.add_row("straight course at service speed", f"{stable} ({roots})")
     console.print(facts)
-    speeds = Table(title="straight ahead in calm water", box=SIMPLE_HEAD)
-    for head in ("shaft rev/s", "speed m/s", "kn", "Froude", "thrust N"):
-        speeds.add_column(head, justify="right")
+    heads = ("shaft rev/s", "speed m/s", "kn", "Froude", "thrust N")
+    speeds = new_table("straight ahead in calm water", *heads, padding=(0, 1))
     for row in found.speeds:
         speeds.add_row(*(f"{value:.4g}" for value in row.values()))
     console.print(speeds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import statistics
 import time
@@ -11,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 __all__ = [
-    "FLOOR",
-    "REFERENCE_FLOOR",
+    "BASELINE",
+    "BASELINE_RATE",
     "Case",
     "Measured",
     "measure",
@@ -21,11 +20,11 @@ __all__ = [
 Burst = tuple[Callable[[], object], int]
 """What is timed, and how many operations it does."""
 
-FLOOR = "Pendulum"
-"""The case whose speed stands for that of the machine."""
+BASELINE = "Pendulum"
+"""The case whose rate stands for the speed of the machine."""
 
-REFERENCE_FLOOR = 94e3
-"""Its steps/s on the machine for which the rates to reach were set."""
+BASELINE_RATE = 94e3
+"""Its steps/s on the machine for which the target rates were set."""
 
 BURST_MIN = 0.02
 """Least length of a burst, s."""
@@ -43,22 +42,16 @@ class Case:
         Sets it up and returns a :data:`Burst`.
     relative_to : str, optional
         Name of the case that its rate is divided by.
-    must, must_ratio : float, optional
-        Operations per second to reach on the machine where the floor makes
-        :data:`REFERENCE_FLOOR`, and ratio to reach.
-    needs : tuple of str
-        Modules of a peer; without them the case is left out.
-    slow : bool
-        Left out of a quick run.
+    target, target_ratio : float, optional
+        Least operations per second on the machine where the baseline makes
+        :data:`BASELINE_RATE`, and least ratio to ``relative_to``.
     """
 
     name: str
     make: Callable[[], Burst]
     relative_to: str | None = None
-    must: float | None = None
-    must_ratio: float | None = None
-    needs: tuple[str, ...] = ()
-    slow: bool = False
+    target: float | None = None
+    target_ratio: float | None = None
 
 
 @dataclass
@@ -69,19 +62,12 @@ class Measured:
     ----------
     seconds : dict
         For each case its time per operation in each round, s.
-    absent : dict
-        For each case that was left out, why.
     interrupted : bool
         Whether Ctrl-C ended it.
     """
 
     seconds: dict[str, list[float]] = field(default_factory=dict)
-    absent: dict[str, str] = field(default_factory=dict)
     interrupted: bool = False
-
-    def median(self, name: str) -> float:
-        """Return the median time per operation of a case, s."""
-        return statistics.median(self.seconds[name])
 
     def ratio(self, name: str, to: str) -> float:
         """Return how many times faster a case is than another, as the median over the rounds."""
@@ -102,7 +88,7 @@ class Measured:
             if case.name not in self.seconds:
                 continue
             to = case.relative_to if case.relative_to in self.seconds else None
-            median = self.median(case.name)
+            median = statistics.median(self.seconds[case.name])
             rows.append(
                 {
                     "name": case.name,
@@ -114,16 +100,16 @@ class Measured:
             )
         return rows
 
-    def reached(self, case: Case) -> float | None:
-        """Return which part of what it must reach a case has reached; 1 or more is enough.
+    def target_fraction(self, case: Case) -> float | None:
+        """Return what fraction of its targets a case reaches; 1 or more is enough.
 
-        A rate is to be reached at the speed of this machine, as the floor tells it.
+        A target rate scales with the speed of this machine, which the baseline gives.
         """
         parts = []
-        if case.must is not None and FLOOR in self.seconds:
-            parts.append(self.ratio(case.name, FLOOR) * REFERENCE_FLOOR / case.must)
-        if case.must_ratio is not None and case.relative_to in self.seconds:
-            parts.append(self.ratio(case.name, case.relative_to) / case.must_ratio)
+        if case.target is not None and BASELINE in self.seconds:
+            parts.append(self.ratio(case.name, BASELINE) * BASELINE_RATE / case.target)
+        if case.target_ratio is not None and case.relative_to in self.seconds:
+            parts.append(self.ratio(case.name, case.relative_to) / case.target_ratio)
         return min(parts, default=None)
 
 
@@ -139,7 +125,7 @@ def measure(
     rounds : int
         Bursts of each.
     advance : callable
-        Told the name of each case, as it is set up and after each of its bursts.
+        Gets the name of each case when it is set up, and after each of its bursts.
 
     Returns
     -------
@@ -150,16 +136,7 @@ def measure(
     try:
         for case in cases:
             advance(case.name)
-            missing = [name for name in case.needs if not _is_there(name)]
-            if missing:
-                measured.absent[case.name] = f"{', '.join(missing)} not installed"
-                continue
-            try:
-                bursts[case.name] = _calibrated(*case.make())
-            except Exception as error:
-                if not case.needs:
-                    raise
-                measured.absent[case.name] = f"{type(error).__name__}: {error}"
+            bursts[case.name] = _calibrated(*case.make())
         for _ in range(rounds):
             for name, (run, count) in bursts.items():
                 measured.seconds.setdefault(name, []).append(_time(run) / count)
@@ -167,13 +144,6 @@ def measure(
     except KeyboardInterrupt:
         measured.interrupted = True
     return measured
-
-
-def _is_there(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
 
 
 def _time(run: Callable[[], object]) -> float:

@@ -223,7 +223,7 @@ def _commands(vessel: Vessel, slow: float, rng: np.random.Generator) -> Array:
             angle[later] = rng.uniform(-1.25, 1.25) * ANGLE
         begin += rng.uniform(3.0, 10.0) * slow
     angle = np.clip(angle, -vessel.helm_max, vessel.helm_max)
-    return vessel.helm(share * vessel.values["shaft_speed_manoeuvring"], angle)
+    return vessel.command(share * vessel.values["shaft_speed_manoeuvring"], angle)
 
 
 def _faults(rng: np.random.Generator) -> tuple[Disturbance, ...]:

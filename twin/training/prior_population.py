@@ -173,7 +173,7 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
     while begin < SPAN:
         throttle[t >= begin], helm[t >= begin] = rng.uniform(0.7, 1.0), rng.uniform(-1, 1) * largest
         begin += rng.uniform(3.0, 10.0)
-    commands = vessel.helm(n * throttle, helm)
+    commands = vessel.command(n * throttle, helm)
     states = np.empty((rows * STEPS + 1, fr.STATE_SIZE))
     states[0] = state_at(vessel, n, speed)
     ship.sail(

@@ -1,4 +1,4 @@
-"""New vessels from main particulars, and checks of vessel files.
+"""New vessels from main particulars, and inspection of vessels.
 
 May import usv_gym.physics, vessel, world and manoeuvring.
 """

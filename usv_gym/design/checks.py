@@ -1,4 +1,4 @@
-"""What a vessel file amounts to: derived particulars, and every rule of thumb that it breaks."""
+"""Inspection of vessels: derived particulars, and broken rules of thumb."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from usv_gym.physics import GRAVITY, KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.physics.waves import factor_workspace
 from usv_gym.vessel.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
-from usv_gym.world.sea import Sea
 
 __all__ = [
     "Finding",
@@ -27,33 +25,31 @@ __all__ = [
 ]
 
 DT = 0.05
-"""The integration step that simulations take unless told otherwise, s."""
+"""Default integration step of simulations, s."""
 
 RK4_LIMIT = 2.5
-"""Classical Runge-Kutta is stable while step times eigenvalue stays below about 2.7."""
+"""Largest step times eigenvalue; RK4 is stable up to about 2.7."""
 
 CAPSIZED = math.radians(70.0)
-"""Heel from which no hull is taken to come back, rad."""
+"""Heel at which a hull counts as capsized, rad."""
 
 NO_TURN = 100.0
-"""A turning radius of so many lengths is none."""
+"""Turning radius in lengths from which a ship counts as not turning."""
 
 TWO_HULLS = 0.5
-"""Below this water-plane coefficient the box is taken to hold two hulls."""
-
-_CALM, _FACTORS = Sea.calm(), factor_workspace(0)
+"""Water-plane coefficient below which a vessel counts as a catamaran."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A rule that the vessel breaks.
+    """A broken rule.
 
     Parameters
     ----------
     error : bool
-        The vessel cannot be right, or cannot be simulated; else it is unusual.
+        The vessel is wrong or cannot be simulated; else it is unusual.
     text : str
-        One sentence with the number and the usual range.
+        One sentence with the number and the typical range.
     """
 
     error: bool
@@ -71,7 +67,7 @@ class Inspection:
     particulars : dict
         Name with unit to number.
     periods : dict
-        Natural periods of heave, roll and pitch in s; nan where the motion does not swing.
+        Natural periods of heave, roll and pitch in s; nan for an overdamped motion.
     speeds : list of dict
         Shaft speed, speed, Froude number and thrust, up to the largest shaft speed.
     course : dict
@@ -97,11 +93,12 @@ class Inspection:
         return [finding for finding in self.findings if finding.error]
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything as plain dictionaries; what is not a number becomes None."""
+        """Return everything as dictionaries; numbers that are not finite become None."""
         return _plain(dataclasses.asdict(self))
 
 
 def _plain(item: Any) -> Any:
+    """Return an item with None for numbers that are not finite."""
     if isinstance(item, dict):
         return {key: _plain(value) for key, value in item.items()}
     if isinstance(item, list):
@@ -110,7 +107,7 @@ def _plain(item: Any) -> Any:
 
 
 def form_of(vessel: Vessel) -> reg.Form:
-    """Return the main particulars that the regressions take."""
+    """Return the main particulars for the regressions."""
     v = vessel.values
     return reg.Form(
         length=v["length_waterline"],
@@ -123,7 +120,7 @@ def form_of(vessel: Vessel) -> reg.Form:
 
 
 def _periods(vessel: Vessel) -> dict[str, float]:
-    """Return the periods of the modes of the free ship at rest that heave, roll and pitch most."""
+    """Return the periods of the modes at rest with the most energy in heave, roll and pitch."""
     v = vessel.values
     places = [fr.Z, fr.PHI, fr.THETA]
     rows = [*places, fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R]
@@ -141,7 +138,7 @@ def _periods(vessel: Vessel) -> dict[str, float]:
 
 
 def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
-    """Sail a turning circle to starboard in calm water."""
+    """Simulate a turning circle to starboard in calm water."""
     v = vessel.values
     n, L = v["shaft_speed_manoeuvring"], v["length_waterline"]
     speed = vessel.straight_speed(n)
@@ -151,7 +148,7 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
         v.get("steer_lag", math.inf),
         *(0.05 * period for period in periods),
     )
-    state, cmd = state_at(vessel, n, speed), vessel.helm(n, vessel.helm_max)
+    state, cmd = state_at(vessel, n, speed), vessel.command(n, vessel.helm_max)
     free, calm = ship.Ship(vessel.packed, 6), ship.calm_sea()
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     turn = {"advance_m": math.nan, "tactical_diameter_m": math.nan}
@@ -184,13 +181,14 @@ def _turn(vessel: Vessel, periods: list[float]) -> dict[str, float]:
 
 
 def _pull(vessel: Vessel, n: float, speed: float = 0.0) -> float:
-    """Return the force of all units, N."""
+    """Return the thrust of all units, N."""
     return float(
         propulsion_forces(speed, 0.0, 0.0, state_at(vessel, n, speed), vessel.packed.copy())[0]
     )
 
 
 def _speeds(vessel: Vessel) -> list[dict[str, float]]:
+    """Return speed, Froude number and thrust over the shaft speed."""
     v = vessel.values
     top = v["shaft_speed_max"]
     wanted = {share * top for share in (0.2, 0.4, 0.6, 0.8, 1.0)}
@@ -211,12 +209,12 @@ def _speeds(vessel: Vessel) -> list[dict[str, float]]:
 
 
 def inspect(vessel: Vessel) -> Inspection:
-    """Return what a vessel's numbers amount to, and what is unusual in them.
+    """Return derived particulars of a vessel, and what is wrong or unusual.
 
     Parameters
     ----------
     vessel : Vessel
-        One that loads; what does not is told by :meth:`Vessel.load`.
+        Any.
     """
     v, form = vessel.values, form_of(vessel)
     L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
@@ -268,14 +266,16 @@ def inspect(vessel: Vessel) -> Inspection:
 
 Findings = Iterator[Finding]
 
+Range = tuple[str, float, float, float] | tuple[str, float, float, float, str]
+"""What it is, value, smallest and largest typical value, and a hint."""
 
-def _outside(
-    text: str, value: float, low: float, high: float, why: str = "", *, error: bool = False
-) -> Findings:
-    """Yield a finding if a number is outside its usual range."""
-    if not low <= value <= high:
-        because = f"; {why}" if why else "."
-        yield Finding(error, f"{text} is {value:.3g}, usual are {low:g} to {high:g}{because}")
+
+def _outside(*ranges: Range, error: bool = False) -> Findings:
+    """Yield a finding for each number outside its typical range."""
+    for text, value, low, high, *hint in ranges:
+        if not low <= value <= high:
+            end = f"; {hint[0]}" if hint else "."
+            yield Finding(error, f"{text} is {value:.3g}, typical are {low:g} to {high:g}{end}")
 
 
 def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
@@ -285,11 +285,13 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
         yield Finding(
             False,
             f"The mass is {v['mass']:.4g} kg, but block coefficient, length, beam and draft "
-            f"displace {facts['displacement of the hull kg']:.4g} kg; usual are 3 % or less.",
+            f"displace {facts['displacement of the hull kg']:.4g} kg; both should agree to 3 %.",
         )
-    yield from _outside("Length over beam", L / B, 1.5, 12.0)
     two = "GM_T by KB + BM - KG m" not in facts
-    yield from _outside("Beam over draft", B / d, 1.2, 60.0 if two else 20.0)
+    yield from _outside(
+        ("Length over beam", L / B, 1.5, 12.0),
+        ("Beam over draft", B / d, 1.2, 60.0 if two else 20.0),
+    )
     if v["length_waterline"] > v["length_overall"]:
         yield Finding(
             True,
@@ -307,45 +309,29 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
             f"The water-plane coefficient is {plane:.3g}, below the block coefficient of "
             f"{v['block_coefficient']:.3g}: the hull would widen downwards.",
         )
+    origin = "are both measured from the same origin?"
     yield from _outside(
-        "x_G over the length", v["x_G"] / L, -0.15, 0.15, "it is measured from midship."
+        ("x_G over the length", v["x_G"] / L, -0.15, 0.15, "it is measured from midship."),
+        ("x_F - x_G over the length", (v["x_F"] - v["x_G"]) / L, -0.15, 0.15, origin),
+        ("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0),
+        ("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0),
     )
-    yield from _outside(
-        "x_F - x_G over the length",
-        (v["x_F"] - v["x_G"]) / L,
-        -0.15,
-        0.15,
-        "are both measured from the same origin?",
-    )
-    yield from _outside("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0)
-    yield from _outside("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0)
     if not two:
         for key in ("GM_T", "GM_L"):
             guess = facts[f"{key} by KB + BM - KG m"]
-            yield from _outside(
-                f"{key} ({v[key]:.3g} m) over KB + BM - KG of the water plane ({guess:.3g} m)",
-                v[key] / guess if guess > 0.0 else math.inf,
-                0.5,
-                2.0,
-            )
+            text = f"{key} ({v[key]:.3g} m) over KB + BM - KG of the water plane ({guess:.3g} m)"
+            yield from _outside((text, v[key] / guess if guess > 0.0 else math.inf, 0.5, 2.0))
 
 
 def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
     v, facts = vessel.values, found.particulars
     stale = "does it belong to another mass?"
-    yield from _outside(
-        "The gyradius in roll over the beam", facts["gyradius in roll / beam"], 0.3, 0.5, stale
-    )
+    roll = facts["gyradius in roll / beam"]
+    yield from _outside(("The gyradius in roll over the beam", roll, 0.3, 0.5, stale))
     for axis, key in (("pitch", "I_yy"), ("yaw", "I_zz")):
         gyradius = math.sqrt(v[key] / v["mass"]) / v["length_overall"]
-        yield from _outside(
-            f"The gyradius in {axis} over the length overall",
-            gyradius,
-            0.2,
-            0.3,
-            stale,
-            error=not 0.1 < gyradius < 0.6,
-        )
+        text = f"The gyradius in {axis} over the length overall"
+        yield from _outside((text, gyradius, 0.2, 0.3, stale), error=not 0.1 < gyradius < 0.6)
     if v["I_zz"] < 0.8 * max(v["I_xx"], v["I_yy"]):
         yield Finding(
             False,
@@ -359,9 +345,8 @@ def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
         ("pitch", "J_yy", "I_yy", 0.2, 5.0),
         ("yaw", "J_zz", "I_zz", 0.1, 2.5),
     ):
-        yield from _outside(
-            f"The added mass or inertia in {name} ({key}) over {of}", v[key] / v[of], low, high
-        )
+        text = f"The added mass or inertia in {name} ({key}) over {of}"
+        yield from _outside((text, v[key] / v[of], low, high))
     if v["m_y"] < v["m_x"]:
         yield Finding(
             False,
@@ -375,17 +360,17 @@ def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
     estimate = reg.periods(form_of(vessel), v["GM_T"])
     for name, period in found.periods.items():
         if math.isnan(period):
-            yield Finding(False, f"The ship at rest does not swing in {name}: too much damping.")
-        elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
-            yield from _outside(
-                f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
-                f"({estimate[name]:.3g} s)",
-                period / estimate[name],
-                0.6,
-                1.7,
+            yield Finding(
+                False, f"The ship at rest does not oscillate in {name}: it is overdamped."
             )
+        elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
+            text = (
+                f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
+                f"({estimate[name]:.3g} s)"
+            )
+            yield from _outside((text, period / estimate[name], 0.6, 1.7))
     for key in ("zeta_heave", "zeta_roll", "zeta_pitch"):
-        yield from _outside(key, v[key], 0.02, 0.7)
+        yield from _outside((key, v[key], 0.02, 0.7))
     rows = [*range(fr.Z, fr.THETA + 1), *range(fr.U, fr.R + 1), *range(fr.N_LEFT, fr.STATE_SIZE)]
     fastest = 0.0
     for row in [{"shaft_speed_rps": 0.0, "speed_mps": 0.0}, *found.speeds[-1:]]:
@@ -421,21 +406,14 @@ def _speed_rules(vessel: Vessel, found: Inspection) -> Findings:
     if not found.speeds:
         return
     top = found.speeds[-1]
-    yield from _outside(
-        f"The Froude number at full shaft speed ({top['speed_kn']:.3g} kn)",
-        top["froude"],
-        0.05,
-        2.6,
-        "check thrust and resistance.",
-        error=top["froude"] > 5.0,
-    )
-    weight = v["mass"] * GRAVITY
+    text = f"The Froude number at full shaft speed ({top['speed_kn']:.3g} kn)"
+    froude = (text, top["froude"], 0.05, 2.6, "check thrust and resistance.")
+    yield from _outside(froude, error=top["froude"] > 5.0)
+    weight, pull = v["mass"] * GRAVITY, found.particulars["bollard pull N"]
     resistance = -hull_forces(top["speed_mps"], 0.0, 0.0, vessel.packed.copy())[0]
     yield from _outside(
-        "Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6
-    )
-    yield from _outside(
-        "Bollard pull over the weight", found.particulars["bollard pull N"] / weight, 5e-4, 2.0
+        ("Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6),
+        ("Bollard pull over the weight", pull / weight, 5e-4, 2.0),
     )
 
 
@@ -446,8 +424,8 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     if growth > 0.0:
         yield Finding(
             False,
-            "On a straight course at service speed a drift doubles every "
-            f"{math.log(2.0) / growth:.3g} s; it should die out (Y_v, N_v, N_r, fins or drives).",
+            "On a straight course at service speed drift doubles every "
+            f"{math.log(2.0) / growth:.3g} s; it should decay (Y_v, N_v, N_r, fins or drives).",
         )
     rate, speed = turn["steady_rate_degps"], turn["steady_speed_share"]
     if not all(math.isfinite(value) for value in (rate, speed)) or speed > 5.0:
@@ -461,18 +439,13 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     elif rate < 0.0:
         yield Finding(True, f"Helm to starboard turns the ship to port ({rate:.3g} deg/s).")
     elif not turn["steady_radius_m"] < NO_TURN * vessel.values["length_waterline"]:
-        yield Finding(
-            True, f"With full helm the ship does not come about: {rate:.3g} deg/s in the end."
-        )
+        yield Finding(True, f"With full helm the ship hardly turns: {rate:.3g} deg/s at the end.")
     else:
         L = vessel.values["length_waterline"]
+        radius, drift = turn["steady_radius_m"] / L, turn["drift_angle_deg"]
         yield from _outside(
-            "The steady turning radius in lengths", turn["steady_radius_m"] / L, 0.2, 10.0
+            ("The steady turning radius in lengths", radius, 0.2, 10.0),
+            ("The drift angle in the steady turn, degrees,", drift, -10.0, 45.0),
+            ("The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0),
+            ("The speed in the steady turn over that of the approach", speed, 0.1, 2.5),
         )
-        yield from _outside(
-            "The drift angle in the steady turn, degrees,", turn["drift_angle_deg"], -10.0, 45.0
-        )
-        yield from _outside(
-            "The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0
-        )
-        yield from _outside("The share of speed kept in the steady turn", speed, 0.1, 2.5)

@@ -1,4 +1,4 @@
-"""A first vessel file from main particulars: every other number estimated, and marked so."""
+"""First vessel files from main particulars; all other numbers are marked estimates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from usv_gym.design import regressions as reg
 from usv_gym.physics import GRAVITY, KNOT
-from usv_gym.vessel.vessel import KIND_SCHEMA, SCHEMA, Vessel, course_eigenvalues
+from usv_gym.vessel.schema import KIND_SCHEMA, keys_of
+from usv_gym.vessel.vessel import Vessel, course_eigenvalues
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -19,7 +20,7 @@ __all__ = [
 ]
 
 FROUDE = {"propeller_rudder": 0.2, "steerable_drive": 0.5, "thruster_pair": 0.3}
-"""Froude number of the service speed where none is given."""
+"""Default Froude number of the service speed."""
 
 EFFICIENCY = 0.5
 """Resistance times speed over shaft power."""
@@ -31,30 +32,30 @@ K_T = (0.45, -0.35, -0.05)
 """Thrust coefficients of a fixed propeller of pitch over diameter near 1."""
 
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.15, 1.3)
-"""Points of the resistance curve, as shares of the service speed."""
+"""Points of the resistance curve, relative to the service speed."""
 
-CURVE_SOURCE = "ITTC 1957 friction; from Froude number 0.2 a hump as of the 7.5 m boat"
+CURVE_SOURCE = "ITTC 1957 friction; from Froude number 0.2 the hump of the 7.5 m boat"
 
 STABLE = 0.02
-"""What the estimates are held to: a drift falls by this share for each length sailed."""
+"""Required decay of drift per ship length on a straight course."""
 
 
 class DesignError(UsvTwinError):
-    """Main particulars that make no ship; the message names the value and the remedy."""
+    """Impossible main particulars; the message names the value and the remedy."""
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A vessel file not yet written.
+    """The content of a first vessel file.
 
     Parameters
     ----------
     text : str
         The TOML.
     vessel : Vessel
-        What it loads as.
+        The vessel in the file.
     notes : tuple of str
-        Regressions out of range, and values that were held back.
+        Regressions out of range, and limited values.
     """
 
     text: str
@@ -64,6 +65,8 @@ class Draft:
 
 @dataclass(frozen=True)
 class _Entry:
+    """A number of the file in SI units, with its source."""
+
     value: float
     source: str
     guess: bool = True
@@ -75,8 +78,8 @@ Curve = dict[str, list[float]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Wish:
-    """What the user gave, checked; m, kg, m/s, W."""
+class _Given:
+    """Particulars in m, kg, m/s and W; ``assumed`` names those with default values."""
 
     name: str
     length: float
@@ -119,21 +122,25 @@ def design(
     kind : str
         Kind of propulsion.
     units : int or None
-        1 or 2; None: one propeller with rudder, two of the others.
+        1 or 2; default 1 for a propeller with rudder, else 2.
     speed, power : float or None
-        Service speed (m/s) and shaft power of all units (W); None: one from the other, or both
-        from a usual Froude number.
+        Service speed (m/s) and shaft power of all units (W); default one from the other, or
+        both from a typical Froude number.
     length_overall : float or None
-        m; None: 5 % above the length.
+        m; default 1.05 ``length``.
     water_density : float or None
-        kg/m3; None: 1025, sea water.
+        kg/m3; default 1025, sea water.
+
+    Returns
+    -------
+    Draft
 
     Raises
     ------
     DesignError
         Names the value and the remedy.
     """
-    wish = _Wish(
+    given = _Given(
         name=name,
         length=length,
         beam=beam,
@@ -155,48 +162,48 @@ def design(
             if value is None
         ),
     )
-    form = _checked(wish)
+    form = _check(given)
     notes: list[str] = []
-    service, power = _speed(wish, form, notes)
-    particulars = _particulars(wish, form, notes)
+    service, power = _speed(given, form, notes)
+    particulars = _particulars(given, form, notes)
     tables = {
         "particulars": particulars,
         "seakeeping": _seakeeping(form, particulars, notes),
-        "hull": _hull(wish, form, particulars, notes),
-        "propulsion": _propulsion(wish, form, service, power, notes),
-        "wind": _wind(wish),
+        "hull": _hull(given, form, particulars, notes),
+        "propulsion": _propulsion(given, form, service, power, notes),
+        "wind": _wind(given),
     }
     curve = _curve(form, service)
-    vessel = _steadied(wish, tables, curve, service, notes)
-    head = _head(wish, service, power)
-    return Draft(_toml(wish, head, tables, curve), vessel, tuple(dict.fromkeys(notes)))
+    vessel = _make_stable(given, tables, curve, service, notes)
+    head = _head(given, service, power)
+    return Draft(_toml(given, head, tables, curve), vessel, tuple(dict.fromkeys(notes)))
 
 
-def _checked(wish: _Wish) -> reg.Form:
-    for key, unit in (
-        *(("length", "m"), ("beam", "m"), ("draft", "m"), ("mass", "kg")),
-        *(("length_overall", "m"), ("water_density", "kg/m3"), ("speed", "m/s"), ("power", "W")),
-    ):
-        value = getattr(wish, key)
+def _check(given: _Given) -> reg.Form:
+    """Check the particulars, and return the form of the hull."""
+    units = {"length": "m", "beam": "m", "draft": "m", "mass": "kg", "length_overall": "m"}
+    units |= {"water_density": "kg/m3", "speed": "m/s", "power": "W"}
+    for key, unit in units.items():
+        value = getattr(given, key)
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise DesignError(f"{key} = {value:g} {unit}: must be a finite number above 0")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", wish.name):
-        raise DesignError(f"name = {wish.name!r}: use letters, digits, _ and -")
-    if wish.kind not in KIND_SCHEMA:
-        raise DesignError(f"kind = {wish.kind!r}: must be one of {', '.join(KIND_SCHEMA)}")
-    if wish.units not in (1, 2) or (wish.kind == "thruster_pair" and wish.units != 2):
-        raise DesignError(f"units = {wish.units}: must be 1 or 2, and 2 of a thruster_pair")
-    box = wish.water_density * wish.length * wish.beam * wish.draft
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", given.name):
+        raise DesignError(f"name = {given.name!r}: use letters, digits, _ and -")
+    if given.kind not in KIND_SCHEMA:
+        raise DesignError(f"kind = {given.kind!r}: must be one of {', '.join(KIND_SCHEMA)}")
+    if given.units not in (1, 2) or (given.kind == "thruster_pair" and given.units != 2):
+        raise DesignError(f"units = {given.units}: must be 1 or 2, and 2 of a thruster_pair")
+    box = given.water_density * given.length * given.beam * given.draft
     form = reg.Form(
-        length=wish.length,
-        beam=wish.beam,
-        draft=wish.draft,
-        block_coefficient=float(f"{wish.mass / box:.5g}"),
-        water_density=wish.water_density,
+        length=given.length,
+        beam=given.beam,
+        draft=given.draft,
+        block_coefficient=float(f"{given.mass / box:.5g}"),
+        water_density=given.water_density,
     )
     if not 0.2 <= form.block_coefficient <= 0.95:
         raise DesignError(
-            f"mass = {wish.mass:g} kg: the block of length, beam and draft displaces {box:.4g} kg, "
+            f"mass = {given.mass:g} kg: a box of length, beam and draft displaces {box:.4g} kg, "
             f"which makes a block coefficient of {form.block_coefficient:.3g}; one hull has 0.2 to "
             "0.95"
         )
@@ -207,58 +214,58 @@ def _checked(wish: _Wish) -> reg.Form:
                 f"{text} = {ratios[text]:.3g}: length, beam and draft of one hull make {low:g} to "
                 f"{high:g}"
             )
-    if wish.length_overall < wish.length:
+    if given.length_overall < given.length:
         raise DesignError(
-            f"length_overall = {wish.length_overall:g} m: must not be below the length of "
-            f"{wish.length:g} m"
+            f"length_overall = {given.length_overall:g} m: must not be below the length of "
+            f"{given.length:g} m"
         )
     return form
 
 
-def _short(estimate: reg.Estimate) -> str:
-    """Return author and year, and that the hull is out of range if so."""
+def _source(estimate: reg.Estimate) -> str:
+    """Return author and year, with a remark if the hull is out of range."""
     return estimate.source + ("; out of its range" if estimate.notes else "")
 
 
-def _held(value: float, low: float, high: float, what: str, notes: list[str]) -> float:
-    """Return a value inside its bounds, and note it where it was not."""
+def _limited(value: float, low: float, high: float, what: str, notes: list[str]) -> float:
+    """Return a value limited to its bounds, and add a note if it was outside."""
     inside = min(max(value, low), high)
     if inside != value:
-        notes.append(f"{what} is {value:.3g} by its regression, held at {inside:.3g}")
+        notes.append(f"{what} is {value:.3g} by its regression, limited to {inside:.3g}")
     return inside
 
 
-def _wished(wish: _Wish, key: str, otherwise: str) -> _Entry:
-    """Return the entry of a value that is a guess where the user did not give it."""
-    guess = key in wish.assumed
-    return _Entry(getattr(wish, key), otherwise if guess else "given", guess)
+def _givened(given: _Given, key: str, otherwise: str) -> _Entry:
+    """Return the entry of a value, marked as an estimate if it is a default."""
+    guess = key in given.assumed
+    return _Entry(getattr(given, key), otherwise if guess else "given", guess)
 
 
-def _particulars(wish: _Wish, form: reg.Form, notes: list[str]) -> dict[str, _Entry]:
-    given, mass = "given", wish.mass
-    I_xx, I_zz = mass * (0.38 * wish.beam) ** 2, mass * (0.25 * wish.length) ** 2
+def _particulars(given: _Given, form: reg.Form, notes: list[str]) -> dict[str, _Entry]:
+    mass, stated = given.mass, "given"
+    I_xx, I_zz = mass * (0.38 * given.beam) ** 2, mass * (0.25 * given.length) ** 2
     surge, added = reg.soding(form), reg.zhou(form)
     notes += [*surge.notes, *added.notes]
     small = form.length / form.beam < 4.5
-    m_x = _held(surge["m_x"] / mass, 0.02, 0.25, "m_x over the mass", notes) * mass
-    m_y = _held(added["m_y"] / mass, 0.3, 1.5, "m_y over the mass", notes) * mass
-    J_zz = _held(added["J_zz"] / I_zz, 0.2, 1.5, "J_zz over I_zz", notes) * I_zz
+    m_x = _limited(surge["m_x"] / mass, 0.02, 0.25, "m_x over the mass", notes) * mass
+    m_y = _limited(added["m_y"] / mass, 0.3, 1.5, "m_y over the mass", notes) * mass
+    J_zz = _limited(added["J_zz"] / I_zz, 0.2, 1.5, "J_zz over I_zz", notes) * I_zz
     return {
-        "length_overall": _wished(wish, "length_overall", "1.05 of the length"),
-        "length_waterline": _Entry(wish.length, given, False),
-        "beam": _Entry(wish.beam, given, False),
-        "draft": _Entry(wish.draft, given, False),
+        "length_overall": _givened(given, "length_overall", "1.05 of the length"),
+        "length_waterline": _Entry(given.length, stated, False),
+        "beam": _Entry(given.beam, stated, False),
+        "draft": _Entry(given.draft, stated, False),
         "block_coefficient": _Entry(form.block_coefficient, "from mass and dimensions", False),
-        "water_density": _wished(wish, "water_density", "sea water"),
-        "mass": _Entry(mass, given, False),
+        "water_density": _givened(given, "water_density", "sea water"),
+        "mass": _Entry(mass, stated, False),
         "x_G": _Entry(0.0, "origin at the centre of gravity", False),
-        "KG": _Entry((1.5 if small else 0.9) * wish.draft, "1.5 of the draft; ships 0.9"),
+        "KG": _Entry((1.5 if small else 0.9) * given.draft, "1.5 of the draft; ships 0.9"),
         "I_xx": _Entry(I_xx, "gyradius 0.38 of the beam"),
         "I_yy": _Entry(I_zz, "gyradius 0.25 of the length"),
         "I_zz": _Entry(I_zz, "gyradius 0.25 of the length"),
-        "m_x": _Entry(m_x, _short(surge)),
-        "m_y": _Entry(m_y, _short(added)),
-        "J_zz": _Entry(J_zz, _short(added)),
+        "m_x": _Entry(m_x, _source(surge)),
+        "m_y": _Entry(m_y, _source(added)),
+        "J_zz": _Entry(J_zz, _source(added)),
     }
 
 
@@ -273,12 +280,12 @@ def _seakeeping(
     notes += water.notes
     KG = particulars["KG"].value
     metacentre = water["KB"] + water["BM_T"]
-    # a narrow model of a ship rolls over in waves to her size with less than a tenth
+    # a narrow ship model with less than a tenth capsizes in waves of its size
     least = (0.1 if boat or form.length < 5.0 else 0.05) * form.beam
     if metacentre - KG < least:
         KG = max(metacentre - least, 0.4 * d)
         notes.append(f"KG is lowered to {KG:.3g} m for a GM_T of {least:.3g} m")
-        particulars["KG"] = _Entry(KG, "as low as it must be to stand upright")
+        particulars["KG"] = _Entry(KG, "as low as stability requires")
     GM_T = max(metacentre - KG, 0.03 * form.beam)
     GM_L = water["KB"] + water["BM_L"] - KG
     mass = form.mass
@@ -287,8 +294,8 @@ def _seakeeping(
     return {
         "A_wp": _Entry(area, f"water-plane coefficient {plane:.2f} (Schneekluth; boats 0.78)"),
         "x_F": _Entry(0.0, "centre of the water plane at that of gravity"),
-        "GM_T": _Entry(GM_T, f"KB + BM - KG, {_short(water)}"),
-        "GM_L": _Entry(GM_L, f"KB + BM - KG, {_short(water)}"),
+        "GM_T": _Entry(GM_T, f"KB + BM - KG, {_source(water)}"),
+        "GM_L": _Entry(GM_L, f"KB + BM - KG, {_source(water)}"),
         "m_z": _Entry(2.0 * form.water_density * d * area - mass, jensen),
         "J_xx": _Entry(0.2 * I_xx, "0.2 of I_xx, Fossen's Otter"),
         "J_yy": _Entry(max(mass * GM_L * 2.0 * d - I_yy, 0.4 * I_yy), jensen),
@@ -300,12 +307,10 @@ def _seakeeping(
 
 
 def _resistance(form: reg.Form, speed: float) -> float:
-    """Return the resistance in N: friction, and a hump from Froude number 0.2 to 0.7.
-
-    Source: ITTC 1957 line with a quarter for form and 0.0004 for roughness on the wetted
-    surface of Denny and Mumford, which shrinks above Froude number 0.9 as the hull planes; the
-    hump is that of the 7.5 m boat (0.14 of the weight), less for slender hulls.
-    """
+    """Return the resistance in N: friction, and a hump from Froude number 0.2 to 0.7."""
+    # ITTC 1957 line with 25 % for form and 0.0004 for roughness on the wetted surface of Denny and
+    # Mumford, smaller above Froude number 0.9 by planing; hump of the 7.5 m boat (0.14 of the
+    # weight), less for slender hulls
     if speed == 0.0:
         return 0.0
     L, volume = form.length, form.volume
@@ -321,18 +326,18 @@ def _resistance(form: reg.Form, speed: float) -> float:
     )
 
 
-def _speed(wish: _Wish, form: reg.Form, notes: list[str]) -> tuple[float, float]:
+def _speed(given: _Given, form: reg.Form, notes: list[str]) -> tuple[float, float]:
     """Return service speed (m/s) and shaft power (W)."""
     unit = math.sqrt(GRAVITY * form.length)
-    speed = wish.speed
-    if speed is None and wish.power is not None:
+    speed = given.speed
+    if speed is None and given.power is not None:
         low, high = 0.02 * unit, 2.5 * unit
         for _ in range(60):
             speed = 0.5 * (low + high)
-            enough = _resistance(form, speed) * speed <= EFFICIENCY * wish.power
+            enough = _resistance(form, speed) * speed <= EFFICIENCY * given.power
             low, high = (speed, high) if enough else (low, speed)
     if speed is None:
-        speed = FROUDE[wish.kind] * unit
+        speed = FROUDE[given.kind] * unit
     froude = speed / unit
     if not 0.02 <= froude <= 2.5:
         raise DesignError(
@@ -340,13 +345,13 @@ def _speed(wish: _Wish, form: reg.Form, notes: list[str]) -> tuple[float, float]
             "holds from 0.02 to 2.5"
         )
     if froude > 0.6:
-        notes.append(f"Froude number {froude:.2f}: planing is in the resistance curve alone")
+        notes.append(f"Froude number {froude:.2f}: planing is in the resistance curve only")
     needed = _resistance(form, speed) * speed / EFFICIENCY
-    if wish.power is not None and not 0.7 < wish.power / needed < 2.0:
+    if given.power is not None and not 0.7 < given.power / needed < 2.0:
         notes.append(
-            f"{speed / KNOT:.3g} kn need about {needed / 1e3:.3g} kW, not {wish.power / 1e3:.3g}"
+            f"{speed / KNOT:.3g} kn need about {needed / 1e3:.3g} kW, not {given.power / 1e3:.3g}"
         )
-    return speed, needed if wish.power is None else wish.power
+    return speed, needed if given.power is None else given.power
 
 
 def _curve(form: reg.Form, service: float) -> Curve:
@@ -356,35 +361,35 @@ def _curve(form: reg.Form, service: float) -> Curve:
 
 
 def _hull(
-    wish: _Wish, form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
+    given: _Given, form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
 ) -> dict[str, _Entry]:
     scale = 0.5 * form.water_density * form.length**2 * form.draft
     m_x, m_y = particulars["m_x"].value / scale, particulars["m_y"].value / scale
     estimate = reg.yoshimura(form, m_x, m_y)
-    if not estimate.notes and wish.kind == "propeller_rudder":
+    if not estimate.notes and given.kind == "propeller_rudder":
         return {key: _Entry(value, estimate.source) for key, value in estimate.values.items()}
-    if wish.kind == "propeller_rudder":
+    if given.kind == "propeller_rudder":
         notes += estimate.notes
     linear, drag = reg.kijima(form, m_x), reg.cross_flow(form)
     notes += linear.notes
     keys = ("Y_v", "Y_r", "N_v", "N_r")
     return {
-        **{key: _Entry(linear[key], _short(linear)) for key in keys},
-        "C_d_crossflow": _Entry(drag["C_d_crossflow"], _short(drag)),
+        **{key: _Entry(linear[key], _source(linear)) for key in keys},
+        "C_d_crossflow": _Entry(drag["C_d_crossflow"], _source(drag)),
     }
 
 
 def _propulsion(
-    wish: _Wish, form: reg.Form, service: float, power: float, notes: list[str]
+    given: _Given, form: reg.Form, service: float, power: float, notes: list[str]
 ) -> dict[str, _Entry]:
     C_b, d, L = form.block_coefficient, form.draft, form.length
-    rudder = wish.kind == "propeller_rudder"
+    rudder = given.kind == "propeller_rudder"
     wake = min(max(0.5 * C_b - 0.05, 0.05), 0.4) if rudder else 0.02
     deduction = 0.6 * wake if rudder else 0.03
     inflow = (1.0 - wake) * service
-    thrust = _resistance(form, service) / (1.0 - deduction) / wish.units
+    thrust = _resistance(form, service) / (1.0 - deduction) / given.units
     loaded = math.sqrt(8.0 * thrust / (2.5 * math.pi * form.water_density * inflow**2))
-    diameter = max({1: 0.65, 2: 0.5}[wish.units] * d, loaded)
+    diameter = max({1: 0.65, 2: 0.5}[given.units] * d, loaded)
     if diameter > d:
         notes.append(f"the propeller needs {diameter:.3g} m, more than the draft of {d:.3g} m")
     k_0, k_1, k_2 = K_T
@@ -394,27 +399,27 @@ def _propulsion(
     needed = _resistance(form, service) * service / EFFICIENCY
     reserve = min(max((power / needed) ** (1.0 / 3.0), 1.15), 1.5)
     top = reserve * n
-    slow = 0.5 * top if wish.kind == "thruster_pair" else 0.8 * n
-    aside = {"thruster_pair": 0.35}.get(wish.kind, 0.25) if wish.units == 2 else 0.0
-    usual = "fixed propeller, pitch over diameter near 1"
+    slow = 0.5 * top if given.kind == "thruster_pair" else 0.8 * n
+    aside = {"thruster_pair": 0.35}.get(given.kind, 0.25) if given.units == 2 else 0.0
+    fixed = "fixed propeller, pitch over diameter near 1"
     entries = {
-        "units": _wished(wish, "units", "usual for the kind"),
+        "units": _givened(given, "units", "typical for the kind"),
         "propeller_diameter": _Entry(diameter, "a share of the draft, or by its thrust"),
-        "k_0": _Entry(k_0, usual),
-        "k_1": _Entry(k_1, usual),
-        "k_2": _Entry(k_2, usual),
-        "astern": _Entry(0.7, "turned backwards: 0.6 to 0.8"),
+        "k_0": _Entry(k_0, fixed),
+        "k_1": _Entry(k_1, fixed),
+        "k_2": _Entry(k_2, fixed),
+        "astern": _Entry(0.7, "in reverse: 0.6 to 0.8"),
         "wake_fraction": _Entry(wake, "Taylor, one screw" if rudder else "open drives"),
         "thrust_deduction": _Entry(deduction, "0.6 of the wake" if rudder else "open drives"),
         "y_P": _Entry(aside * form.beam, "thruster pairs 0.35 of the beam, else 0.25; one: 0"),
         "z_P": _Entry(0.7 * d if rudder else d, "behind the hull, or at the keel"),
         "shaft_lag": _Entry(min(max(0.25 * math.sqrt(L), 0.1), 5.0), "engines of that size"),
-        "shaft_rate": _Entry(top / min(max(0.25 * math.sqrt(L), 0.1), 5.0), "what the lag asks"),
+        "shaft_rate": _Entry(top / min(max(0.25 * math.sqrt(L), 0.1), 5.0), "from the lag"),
         "shaft_speed_max": _Entry(top, f"{reserve:.2f} of service"),
         "shaft_speed_service": _Entry(n, f"{service / KNOT:.3g} kn"),
         "shaft_speed_manoeuvring": _Entry(slow, "0.8 of service; thruster pair: half of max"),
     }
-    if wish.kind == "thruster_pair":
+    if given.kind == "thruster_pair":
         return entries
     entries |= {
         "steer_lag": _Entry(min(max(0.04 * math.sqrt(L), 0.1), 1.0), "steering gear of that size"),
@@ -422,7 +427,7 @@ def _propulsion(
             math.radians(min(max(41.8 / math.sqrt(L), 2.32), 20.0)),
             "KVLCC2's 2.34 deg/s, to scale",
         ),
-        "steer_max": _Entry(math.radians(35.0 if rudder else 30.0), "usual stop"),
+        "steer_max": _Entry(math.radians(35.0 if rudder else 30.0), "typical stop"),
     }
     if not rudder:
         return entries | {
@@ -433,20 +438,20 @@ def _propulsion(
         }
     estimate = reg.kijima_rudder(form)
     notes += estimate.notes
-    area = L * d / 100.0 * (1.0 + 25.0 * (form.beam / L) ** 2) / wish.units
+    area = L * d / 100.0 * (1.0 + 25.0 * (form.beam / L) ** 2) / given.units
     height = min(max(1.3 * diameter, 0.5 * d), 0.8 * d)
     aspect = height * height / area
     inside = {
-        "a_H": _held(estimate["a_H"], 0.05, 0.45, "a_H", notes),
-        "t_R": _held(estimate["t_R"], 0.15, 0.4, "t_R", notes),
-        "epsilon": _held(estimate["epsilon"], 0.85, 1.25, "epsilon", notes),
+        "a_H": _limited(estimate["a_H"], 0.05, 0.45, "a_H", notes),
+        "t_R": _limited(estimate["t_R"], 0.15, 0.4, "t_R", notes),
+        "epsilon": _limited(estimate["epsilon"], 0.85, 1.25, "epsilon", notes),
     }
     kvlcc2 = "as KVLCC2, Yasukawa and Yoshimura 2015"
     return entries | {
         "A_R": _Entry(area, "DNV's least rudder area"),
         "f_alpha": _Entry(6.13 * aspect / (aspect + 2.25), "Fujii"),
         "rudder_height": _Entry(height, "1.3 propellers, within the draft"),
-        **{key: _Entry(value, _short(estimate)) for key, value in inside.items()},
+        **{key: _Entry(value, _source(estimate)) for key, value in inside.items()},
         "C_1": _Entry(2.0, kvlcc2),
         "C_2_plus": _Entry(1.35, "mean of KVLCC2's two sides"),
         "C_2_minus": _Entry(1.35, "mean of KVLCC2's two sides"),
@@ -460,8 +465,8 @@ def _propulsion(
     }
 
 
-def _wind(wish: _Wish) -> dict[str, _Entry]:
-    L = wish.length_overall
+def _wind(given: _Given) -> dict[str, _Entry]:
+    L = given.length_overall
     height = 0.16 * L if L < 10.0 else 1.6 * (L / 10.0) ** 0.6
     boat = L < 30.0
     kappa, side, bow, stern, delta = (
@@ -470,7 +475,7 @@ def _wind(wish: _Wish) -> dict[str, _Entry]:
     table = f"Blendermann 1994, {'speed boat' if boat else 'cargo vessel, loaded'}"
     shape = "between the 7.5 m boat and KVLCC2"
     return {
-        "A_F": _Entry(1.2 * wish.beam * height, shape),
+        "A_F": _Entry(1.2 * given.beam * height, shape),
         "A_L": _Entry(L * height, shape),
         "s_L": _Entry(0.0, "lateral centre amidships"),
         "s_H": _Entry(0.55 * height, shape),
@@ -482,13 +487,13 @@ def _wind(wish: _Wish) -> dict[str, _Entry]:
     }
 
 
-def _vessel(wish: _Wish, tables: Tables, curve: Curve) -> Vessel:
-    """Return the vessel that the file will load as."""
+def _vessel(given: _Given, tables: Tables, curve: Curve) -> Vessel:
+    """Return the vessel in the file."""
     entries = {key: entry for table in tables.values() for key, entry in table.items()}
     return Vessel(
-        name=wish.name,
-        title=_title(wish),
-        kind=wish.kind,
+        name=given.name,
+        title=_title(given),
+        kind=given.kind,
         values={key: _round(entry.value) for key, entry in entries.items()},
         resistance_speed=tuple(map(_round, curve["speed"])),
         resistance_force=tuple(map(_round, curve["force"])),
@@ -499,13 +504,13 @@ def _vessel(wish: _Wish, tables: Tables, curve: Curve) -> Vessel:
     )
 
 
-def _steadied(
-    wish: _Wish, tables: Tables, curve: Curve, service: float, notes: list[str]
+def _make_stable(
+    given: _Given, tables: Tables, curve: Curve, service: float, notes: list[str]
 ) -> Vessel:
-    """Reduce N_v, then raise N_r, until the ship holds its course."""
+    """Reduce N_v, then raise N_r, until the ship is course-stable, and return the vessel."""
     hull = tables["hull"]
     N_v, N_r = hull["N_v"], hull["N_r"]
-    limit = -STABLE * service / wish.length
+    limit = -STABLE * service / given.length
     for part, whole in _steps():
         if (part, whole) != (1.0, 1.0):
             why = f"{N_v.source}; {part:g} of it: skegs or fins for a stable course"
@@ -513,7 +518,7 @@ def _steadied(
             if whole != 1.0:
                 why = f"{N_r.source}; {whole:g} of it: skegs or fins for a stable course"
                 hull["N_r"] = _Entry(whole * N_r.value, why)
-        vessel = _vessel(wish, tables, curve)
+        vessel = _vessel(given, tables, curve)
         if all(
             course_eigenvalues(vessel, vessel.values[f"shaft_speed_{at}"])[0].real < limit
             for at in ("manoeuvring", "service", "max")
@@ -521,29 +526,30 @@ def _steadied(
             break
     if part != 1.0:
         notes.append(
-            f"hull and drives alone do not hold a course: N_v is cut to {part:g} of its regression"
+            f"hull and drives are course-unstable: N_v is reduced to {part:g} of its regression"
             + (f", N_r raised to {whole:g}" if whole != 1.0 else "")
         )
     return vessel
 
 
 def _steps() -> Iterator[tuple[float, float]]:
+    """Yield factors of N_v and N_r."""
     yield from ((part, 1.0) for part in (1.0, 0.8, 0.6, 0.4, 0.2, 0.0))
     yield from ((0.0, whole) for whole in (1.5, 2.0, 3.0, 5.0))
     yield (-0.5, 5.0)
 
 
-def _title(wish: _Wish) -> str:
-    return f"first draft of a {wish.length_overall:.3g} m vessel"
+def _title(given: _Given) -> str:
+    return f"first draft of a {given.length_overall:.3g} m vessel"
 
 
-def _head(wish: _Wish, service: float, power: float) -> list[str]:
+def _head(given: _Given, service: float, power: float) -> list[str]:
     return [
         "First draft by usv-twin vessel new: the particulars were given, all else is estimated for",
-        "one hull. Replace what you know better, and look at it with usv-twin vessel check.",
+        "one hull. Replace estimates by better values, and run usv-twin vessel check.",
         f"{service / KNOT:.3g} kn in service, about {power / 1e3:.3g} kW; origin at the centre of "
         "gravity.",
-        "Each number: value, unit, source; guess = true marks what was estimated.",
+        "Each number: value, unit, source; guess = true marks estimates.",
     ]
 
 
@@ -551,16 +557,14 @@ def _round(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _toml(wish: _Wish, head: list[str], tables: Tables, curve: Curve) -> str:
+def _toml(given: _Given, head: list[str], tables: Tables, curve: Curve) -> str:
     lines = [f"# {line}" for line in head]
-    lines += ["", "[vessel]", f'name = "{wish.name}"', f'title = "{_title(wish)}"']
+    lines += ["", "[vessel]", f'name = "{given.name}"', f'title = "{_title(given)}"']
     for name, entries in tables.items():
         lines += ["", f"[{name}]"]
-        keys = dict(SCHEMA[name])
         if name == "propulsion":
-            lines.append(f'kind = "{wish.kind}"')
-            keys |= KIND_SCHEMA[wish.kind]
-        for key, (unit, _) in keys.items():
+            lines.append(f'kind = "{given.kind}"')
+        for key, (unit, _) in keys_of(name, given.kind).items():
             if key in entries:
                 entry = entries[key]
                 lines.append(_line(key, _round(entry.value), unit, entry.source, entry.guess))

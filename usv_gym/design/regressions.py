@@ -1,9 +1,9 @@
-"""Estimates from main particulars: hull forces, added masses, hydrostatics, periods.
+"""Regressions on main particulars: hull forces, added masses, hydrostatics, periods.
 
-Each is a pure function of a :class:`Form` that returns an :class:`Estimate`: the numbers, where
-they come from, and a note for each particular outside the hulls that the regression was drawn
-from. Primed hull coefficients are made dimensionless as in :mod:`usv_gym.physics`. The bounds are
-those of the types of ship behind each regression: judgement, as few sources print their own.
+Each function takes a :class:`Form` and returns an :class:`Estimate`: numbers, source, and a note
+for each particular outside the data of the regression. Primed coefficients are dimensionless as in
+:mod:`usv_gym.physics`. Bounds are those of the ship types of each regression, as few sources print
+their own.
 """
 
 from __future__ import annotations
@@ -31,28 +31,14 @@ __all__ = [
 ]
 
 # beam over twice the draft, and drag coefficient (Hoerner 1965, read off by Leite et al. 1998)
-_HOERNER = np.array(
-    [
-        (0.0109, 1.966),
-        (0.1766, 1.966),
-        (0.3530, 1.898),
-        (0.4519, 1.787),
-        (0.4728, 1.584),
-        (0.4929, 1.279),
-        (0.5585, 1.084),
-        (0.6464, 0.9986),
-        (0.8336, 0.8796),
-        (0.9880, 0.8284),
-        (1.3081, 0.7599),
-        (1.6392, 0.6914),
-        (1.8600, 0.6571),
-        (2.3129, 0.6307),
-        (2.6000, 0.5962),
-        (3.0088, 0.5868),
-        (3.4508, 0.5859),
-        (4.0031, 0.5593),
-    ]
-)
+# fmt: off
+_HOERNER = np.array([
+    (0.0109, 1.966), (0.1766, 1.966), (0.3530, 1.898), (0.4519, 1.787), (0.4728, 1.584),
+    (0.4929, 1.279), (0.5585, 1.084), (0.6464, 0.9986), (0.8336, 0.8796), (0.9880, 0.8284),
+    (1.3081, 0.7599), (1.6392, 0.6914), (1.8600, 0.6571), (2.3129, 0.6307), (2.6000, 0.5962),
+    (3.0088, 0.5868), (3.4508, 0.5859), (4.0031, 0.5593),
+])
+# fmt: on
 
 MERCHANT = {"L/B": (5.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.5, 0.87)}
 """Hulls of cargo ships: bounds of most regressions."""
@@ -115,7 +101,7 @@ class Estimate:
     values : Mapping[str, float]
         Names as in vessel files.
     notes : tuple of str
-        One for each particular out of range, and for each result that cannot be.
+        One for each particular out of range, and for each impossible result.
     """
 
     source: str
@@ -133,9 +119,10 @@ def _estimate(
     bounds: Mapping[str, tuple[float, float]],
     *more: str,
 ) -> Estimate:
+    """Return an estimate with notes on particulars out of bounds."""
     ratios = form.ratios
     notes = [
-        f"{source}: {name} is {ratios[name]:.3g}, drawn from hulls of {low:g} to {high:g}"
+        f"{source}: {name} is {ratios[name]:.3g}, based on hulls of {low:g} to {high:g}"
         for name, (low, high) in bounds.items()
         if not low <= ratios[name] <= high
     ]
@@ -154,9 +141,9 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
 
     Notes
     -----
-    Source: Inoue et al. 1981, Kijima et al. 1990; physics.md section 3. The moment that the
-    added masses make in drift is in N_v. Their terms in ``v |v|`` and ``r |r|`` have no place in
-    the cubic polynomial of the hull and are left out; :func:`cross_flow` does their work.
+    Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
+    drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
+    :func:`cross_flow` replaces them.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c = 2.0 * d / L, C_b * B / L
@@ -185,7 +172,7 @@ def yoshimura(form: Form, m_x_prime: float, m_y_prime: float) -> Estimate:
 
     Notes
     -----
-    Source: Yoshimura and Masumoto 2012; physics.md section 3.
+    Source: Yoshimura and Masumoto 2012.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c, slender = 2.0 * d / L, C_b * B / L, L / B
@@ -212,7 +199,7 @@ def yoshimura(form: Form, m_x_prime: float, m_y_prime: float) -> Estimate:
 
 
 def _damped(source: str, values: Mapping[str, float]) -> list[str]:
-    """Return a note for each coefficient that drives what it must brake."""
+    """Return a note for each damping coefficient with the wrong sign."""
     return [
         f"{source}: {key} is {values[key]:.3g}, and must not be above 0"
         for key in ("Y_v", "N_r", "Y_vvv", "N_rrr")
@@ -228,8 +215,7 @@ def clarke(form: Form) -> Estimate:
 
     Notes
     -----
-    Source: Clarke, Gedling and Hine 1983; physics.md section 3. The linear derivatives contain
-    no centripetal terms.
+    Source: Clarke, Gedling and Hine 1983. The linear derivatives contain no centripetal terms.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     S, beam, flat = math.pi * (d / L) ** 2, B / L, B / d
@@ -244,7 +230,7 @@ def clarke(form: Form) -> Estimate:
         "N_r": -S * (0.25 + 0.039 * flat - 0.56 * beam),
     }
     negative = [
-        f"Clarke 1983: {key} is {values[key]:+.3g}: an added inertia below 0, which cannot be"
+        f"Clarke 1983: {key} is {values[key]:+.3g}: an added inertia below 0 is impossible"
         for key in ("Y_vdot", "N_rdot")
         if values[key] > 0.0
     ]
@@ -256,7 +242,7 @@ def soding(form: Form) -> Estimate:
 
     Notes
     -----
-    Source: Soding 1982, as in MSS; a prolate body, so that it holds for any slender hull.
+    Source: Soding 1982, as in MSS; of a prolate body, for any slender hull.
     """
     values = {"m_x": 2.7 * form.water_density * form.volume ** (5.0 / 3.0) / form.length**2}
     return _estimate("Soding 1982", form, values, {"L/B": (2.0, 12.0)})
@@ -267,7 +253,7 @@ def zhou(form: Form) -> Estimate:
 
     Notes
     -----
-    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959; physics.md section 3.
+    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     a, b, e = L / B, d / B, d * L / (B * B)
@@ -314,8 +300,8 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
 
     Notes
     -----
-    Source: KB after Morrish; inertia of the water plane after D'Arcangelo 1969. One hull; two
-    pontoons stand far stiffer.
+    Source: KB by Morrish; inertia of the water plane by D'Arcangelo 1969. For one hull only; a
+    catamaran is much stiffer.
     """
     L, B, d = form.length, form.beam, form.draft
     values = {
@@ -326,7 +312,7 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
     source = "D'Arcangelo 1969"
     notes = []
     if not 0.6 <= water_plane <= 0.98:
-        notes.append(f"{source}: water-plane coefficient is {water_plane:.3g}, usual 0.6 to 0.98")
+        notes.append(f"{source}: water-plane coefficient is {water_plane:.3g}, typical 0.6 to 0.98")
     return _estimate(source, form, values, {}, *notes)
 
 
@@ -358,7 +344,7 @@ def kijima_rudder(form: Form) -> Estimate:
 
     Notes
     -----
-    Source: Kijima et al. 1990; physics.md section 3. For outboard drives take 0, 0 and 1.
+    Source: Kijima et al. 1990. For outboard drives use 0, 0 and 1.
     """
     C_b = form.block_coefficient
     c = C_b * form.beam / form.length

@@ -1,4 +1,4 @@
-"""Standard manoeuvres and trials, their indices, and responses to waves.
+"""Manoeuvres, standard trials and their indices, and responses to waves.
 
 May import usv_gym.physics, vessel and world.
 """

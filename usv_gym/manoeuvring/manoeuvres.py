@@ -1,4 +1,4 @@
-"""Manoeuvres: commands over time, as pure functions of time."""
+"""Timed manoeuvres: commands as functions of time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = [
 
 
 class ManoeuvreError(UsvTwinError):
-    """A manoeuvre that is not known; the message lists those that are."""
+    """An unknown manoeuvre; the message lists the known ones."""
 
 
 def _straight(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -51,13 +51,13 @@ def _random(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
 
 
 APPROACH = 5.0
-"""Seconds of straight approach."""
+"""Duration of the straight approach, s."""
 
 LEG = 12.0
-"""Seconds of one leg of the timed zigzag (the paper: the same duration either way)."""
+"""Duration of a leg of the zigzag, s; equal to both sides as in Qu et al. 2025."""
 
 SWITCH = 82.0
-"""When turn-zigzag goes over from turning to the zigzag, s."""
+"""Time at which turn-zigzag changes from turn to zigzag, s."""
 
 ANGLE = math.radians(20.0)
 """Drive angle of turn and zigzag, rad."""
@@ -71,7 +71,7 @@ MANOEUVRES: dict[
     "turn-zigzag": _turn_zigzag,
     "random": _random,
 }
-"""Name to function of time giving the share of the shaft speed and the drive angle (rad)."""
+"""Name -> function of time that gives relative shaft speed and drive angle (rad)."""
 
 
 def commands(
@@ -86,23 +86,24 @@ def commands(
     t : ndarray, shape (N,)
         Times, s; rising from 0.
     vessel : Vessel
-        Whose commands.
+        Any.
     rng : numpy.random.Generator
         Used by ``random`` only.
     n : float, optional
-        Shaft speed at full share, rev/s; by default the vessel's for manoeuvring.
+        Shaft speed at relative speed 1, rev/s; default the manoeuvring speed of the vessel.
 
     Returns
     -------
     ndarray, shape (N, 4)
         Left and right shaft speed (rev/s), left and right angle (rad).
+
+    Raises
+    ------
+    ManoeuvreError
+        For an unknown name.
     """
-    try:
-        manoeuvre = MANOEUVRES[name]
-    except KeyError:
-        raise ManoeuvreError(
-            f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}"
-        ) from None
-    throttle, angle = manoeuvre(np.asarray(t, dtype=float), rng)
+    if name not in MANOEUVRES:
+        raise ManoeuvreError(f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}")
+    throttle, angle = MANOEUVRES[name](np.asarray(t, dtype=float), rng)
     full = vessel.values["shaft_speed_manoeuvring"] if n is None else n
-    return vessel.helm(throttle * full, angle)
+    return vessel.command(throttle * full, angle)

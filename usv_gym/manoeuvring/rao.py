@@ -1,8 +1,8 @@
-"""Heave, roll and pitch in regular waves, and independent formulas to hold them against.
+"""Response amplitudes in regular waves, and independent formulas to compare them with.
 
-Amplitudes come from the simulated ship, six degrees of freedom, in a wave so low that the
-answer is linear. Beside them stand Jensen's closed forms of heave and pitch, and the pressure of
-a wave integrated numerically over a box.
+Amplitudes come from a simulation in six degrees of freedom, in a wave so low that the response is
+linear. The formulas are Jensen's closed forms of heave and pitch, and the numerical integral of
+the wave pressure over a box.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import Sea
 
 __all__ = [
+    "Box",
     "Response",
     "box_loads",
     "jensen",
@@ -32,19 +33,19 @@ __all__ = [
 Array = NDArray[np.float64]
 
 SETTLE = 30.0
-"""Time after which the motion is taken as steady, s; heave, roll and pitch are over in 10."""
+"""Time after which the motion is steady, s; transients of usv75 last 10 s."""
 
 SLOWEST = 0.2
-"""Encounter frequency, rad/s, below which no amplitude is given: it would take too long."""
+"""Smallest encounter frequency of a simulation, rad/s; the period sets its length."""
 
 _DT = 0.025
 
 
 class Response(NamedTuple):
-    """Amplitudes over that of the wave, each a number or an array over the wave frequency."""
+    """Amplitudes per wave amplitude: numbers, or arrays over the wave frequency."""
 
     encounter: Array
-    """Frequency at which the boat meets the waves, rad/s; below 0 where it overtakes them."""
+    """Encounter frequency, rad/s; below 0 where the boat overtakes the waves."""
     heave: Array
     """m/m."""
     roll: Array
@@ -58,12 +59,12 @@ class Response(NamedTuple):
 
 
 def shaft_speed_for(vessel: Vessel, speed: float) -> float:
-    """Return the shaft speed in rev/s that holds a speed straight ahead in calm water.
+    """Return the shaft speed in rev/s for a speed straight ahead in calm water.
 
     Parameters
     ----------
     vessel : Vessel
-        The ship.
+        Any.
     speed : float
         Speed, m/s; 0 or more.
     """
@@ -78,25 +79,25 @@ def shaft_speed_for(vessel: Vessel, speed: float) -> float:
 def respond(
     vessel: Vessel, omega: float, heading: float, *, speed: float = 0.0, amplitude: float = 1e-3
 ) -> Response:
-    """Sail straight through one regular wave, and return the amplitudes of the motion.
+    """Simulate straight motion in a regular wave, and return the amplitudes.
 
     Parameters
     ----------
     vessel : Vessel
-        The ship.
+        Any.
     omega : float
         Circular frequency of the wave, rad/s.
     heading : float
         Direction of the wave less that of the boat, rad: 0 following, pi head sea.
     speed : float
-        Speed of the boat, m/s; held by its shafts.
+        Speed of the boat, m/s, with constant shaft speed.
     amplitude : float
         Amplitude of the wave, m.
 
     Returns
     -------
     Response
-        Of numbers; NaN where the encounter frequency is below :data:`SLOWEST`.
+        Numbers; NaN if the encounter frequency is below :data:`SLOWEST`.
     """
     return _respond(vessel, omega, heading, speed, amplitude, shaft_speed_for(vessel, speed))
 
@@ -104,6 +105,7 @@ def respond(
 def _respond(
     vessel: Vessel, omega: float, heading: float, speed: float, amplitude: float, n: float
 ) -> Response:
+    """Return amplitudes at a given shaft speed; see :func:`respond`."""
     k = omega**2 / GRAVITY
     expected = omega - k * speed * math.cos(heading)
     if abs(expected) < SLOWEST:
@@ -112,13 +114,13 @@ def _respond(
     sea = Sea.regular(vessel, omega, amplitude, to=heading)
     states = np.zeros((math.ceil(seconds / _DT) + 1, fr.STATE_SIZE))
     states[0, [fr.U, fr.N_LEFT, fr.N_RIGHT]] = speed, n, n
-    cmds = np.tile(vessel.helm(n, 0.0), (len(states) - 1, 1))
+    cmds = np.tile(vessel.command(n, 0.0), (len(states) - 1, 1))
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     ship.sail(states, cmds, ship.Ship(vessel.packed, 6), sea.arrays(), _DT, work)
     t = _DT * np.arange(len(states))
     late = t >= SETTLE
     t, states = t[late], states[late]
-    # the wave is met at the speed that the boat really makes
+    # encounter frequency at the actual mean speed
     made = np.polyfit(t, states[:, [fr.X, fr.Y]], 1)[0]
     encounter = omega - k * (made[0] * math.cos(heading) + made[1] * math.sin(heading))
     basis = np.stack([np.cos(encounter * t), np.sin(encounter * t), np.ones_like(t), t], axis=1)
@@ -135,7 +137,7 @@ def responses(
     speed: float = 0.0,
     amplitude: float = 1e-3,
 ) -> Response:
-    """Return the amplitudes of the motion over wave frequency: :func:`respond` at each.
+    """Return :func:`respond` for several wave frequencies.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def responses(
     Returns
     -------
     Response
-        Of arrays of shape (M,).
+        Arrays of shape (M,).
     """
     n = shaft_speed_for(vessel, speed)
     each = [
@@ -176,11 +178,11 @@ def jensen(
     heading : float
         Direction of the wave less that of the boat, rad: 0 following, pi head sea.
     speed : float
-        Speed of the boat, m/s; meant for Froude numbers below 0.4.
+        Speed of the boat, m/s; for Froude numbers below 0.4.
     length, beam, draft : float
         Of the water line, m.
     block : float
-        Block coefficient; it narrows the beam.
+        Block coefficient, which reduces the beam.
 
     Notes
     -----
@@ -199,18 +201,16 @@ def jensen(
     return heave, pitch
 
 
-def box_loads(
-    row: Array,
-    x: float,
-    y: float,
-    psi: float,
-    t: float,
-    *,
-    length: float,
-    beam: float,
-    draft: float,
-    density: float,
-) -> Array:
+class Box(NamedTuple):
+    """A floating box in m, and the density of the water in kg/m3."""
+
+    length: float
+    beam: float
+    draft: float
+    density: float
+
+
+def box_loads(row: Array, x: float, y: float, psi: float, t: float, box: Box) -> Array:
     """Return the loads of one wave on a box by numerical integration of its pressure.
 
     Parameters
@@ -218,9 +218,9 @@ def box_loads(
     row : ndarray, shape (7,)
         One wave component; rows in :mod:`usv_gym.physics.waves`.
     x, y, psi, t : float
-        Place (m) and heading (rad) of the box, and time (s).
-    length, beam, draft, density : float
-        Of the box (m), and of the water (kg/m3).
+        Position (m) and heading (rad) of the box, and time (s).
+    box : Box
+        Its size.
 
     Returns
     -------
@@ -229,10 +229,10 @@ def box_loads(
 
     Notes
     -----
-    Gauss-Legendre quadrature. Horizontally the gradient of the pressure over the volume stands
-    for the pressure on the sides (Gauss' theorem), so that no nearly equal numbers are
-    subtracted; vertically it is the pressure on the bottom.
+    Gauss-Legendre quadrature of the pressure on the bottom, and of its horizontal gradient over
+    the volume. By Gauss' theorem this equals the pressure on the sides, without cancellation.
     """
+    length, beam, draft, density = box
     nodes, weights = np.polynomial.legendre.leggauss(48)
     a, b = 0.5 * length * nodes[:, None], 0.5 * beam * nodes[None, :]
     area = 0.25 * length * beam * weights[:, None] * weights[None, :]

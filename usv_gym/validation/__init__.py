@@ -1,4 +1,4 @@
-"""What ``usv-twin validate`` computes about ship and sea.
+"""Validation of ship and sea, for ``usv-twin validate``.
 
 May import everything else in usv_gym.
 """

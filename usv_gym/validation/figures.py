@@ -1,8 +1,4 @@
-"""The pictures of the validation page.
-
-matplotlib is used without pyplot, so that nothing changes for the caller. Pictures that show
-recorded data are drawn only where the data are; recorded tracks appear as thin lines only.
-"""
+"""Pictures of the validation page; those of recorded data need the data."""
 
 from __future__ import annotations
 
@@ -13,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usv_gym.manoeuvring.indices import Track
+from usv_gym.manoeuvring.track import Track
 from usv_gym.physics import GRAVITY, KNOT, wind
 from usv_gym.physics.hull import hull_forces
 from usv_gym.validation.manoeuvring import SAVITSKY
@@ -30,12 +26,10 @@ __all__ = [
     "draw",
 ]
 
-# Okabe and Ito's colours, which can be told apart with any kind of colour vision
-BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
-    *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"),
-)
+# Okabe and Ito's colours, for any kind of colour vision
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 
-COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
+COLOURS = (BLUE, ORANGE, GREEN, RED, "#CC79A7", "#56B4E9")
 
 GREY = "#606060"
 
@@ -45,21 +39,21 @@ LENGTH = 7.0
 
 
 def draw(study: Study, folder: Path) -> list[Path]:
-    """Write every picture whose data are here, and return their paths.
+    """Write every picture with available data, and return the paths.
 
     Parameters
     ----------
     study : Study
-        Results to draw.
+        Results.
     folder : Path
-        Where to; made if it is not there.
+        Output folder; created if missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, picture in PICTURES.items():
         figure = picture(study)
         if figure is not None:
-            # no date or version inside: equal pictures are equal bytes
+            # no date or version: equal pictures are equal bytes
             figure.savefig(
                 folder / name, metadata={"Software": None}, pil_kwargs={"optimize": True}
             )
@@ -68,6 +62,7 @@ def draw(study: Study, folder: Path) -> list[Path]:
 
 
 def _axes(rows: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
+    """Return a figure without pyplot, and its axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
@@ -78,7 +73,8 @@ def _axes(rows: int, columns: int, width: float, height: float) -> tuple[Figure,
     return figure, axes
 
 
-def _name(axes: Axes, x: str, y: str, title: str = "") -> None:
+def _label(axes: Axes, x: str, y: str, title: str = "") -> None:
+    """Label the axes."""
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.set_title(title, fontsize=10)
@@ -90,8 +86,8 @@ def turns(study: Study) -> Figure | None:
         return None
     figure, ((axes,),) = _axes(1, 1, 7.0, 5.6)
     got = study.tanker["L7, n = 10.4 rps"]
-    measured, _, replayed = study.recordings["marin_tc_35"]
-    # the steady turn says it all: a circle and a half
+    measured, replayed = study.recordings["marin_tc_35"]
+    # a circle and a half
     for side, colour, AD, TR, DT in (
         ("starboard", BLUE, 3.25, 1.36, 3.34),
         ("port", ORANGE, 3.12, 1.20, 3.07),
@@ -99,14 +95,14 @@ def turns(study: Study) -> Figure | None:
         sign = 1.0 if side == "starboard" else -1.0
         track = got.tracks[f"turning circle to {side}"]
         part = np.abs(track.psi) < 3.0 * math.pi
-        label = f"free-sailing model to {side}"
+        label = f"free-running model to {side}"
         axes.plot(track.y[part] / LENGTH, track.x[part] / LENGTH, color=colour, lw=2, label=label)
         marks = {"marker": "o", "ls": "", "color": colour, "mec": "black", "ms": 7}
         axes.plot([sign * TR], [AD], label=f"MARIN to {side}: AD, TR", **marks)
         axes.axvline(sign * DT, color=colour, lw=1, ls=":", label=f"MARIN to {side}: DT")
     tracks: tuple[tuple[Track, dict[str, Any], str], ...] = (
         (replayed, {"color": RED, "lw": 1.2, "ls": "--"}, "replay of the recorded rudder"),
-        # printed to three figures: steps
+        # smoothed, as the data have three figures
         (measured.smoothed(4.0), {"color": "black", "lw": 0.8}, "recorded by MARIN"),
     )
     for track, style, label in tracks:
@@ -114,7 +110,7 @@ def turns(study: Study) -> Figure | None:
         axes.plot(track.y[part] / LENGTH, track.x[part] / LENGTH, label=label, **style)
     axes.set_aspect("equal")
     figure.legend(fontsize=8, loc="outside lower center", ncols=2)
-    _name(axes, "to starboard, y/L", "ahead, x/L", "KVLCC2, 7 m model: 35 degrees of rudder")
+    _label(axes, "to starboard, y/L", "ahead, x/L", "KVLCC2, 7 m model: 35 degrees of rudder")
     return figure
 
 
@@ -130,11 +126,11 @@ def zigzags(study: Study) -> Figure | None:
         ("hsva_z_10_10_s", "10/10 zigzag to starboard", "10/10, HSVA", 1.0, 10.0, (9.7, 20.5)),
     )
     for one, (name, trial, title, side, switch, overshoots) in zip(axes.flat, cases, strict=True):
-        measured, _, replayed = study.recordings[name]
+        measured, replayed = study.recordings[name]
         free = got.tracks[trial]
         one.plot(measured.t, measured.helm / DEGREE, color=GREY, lw=0.7, label="recorded rudder")
         for track, style, label in (
-            (free, {"color": BLUE, "lw": 2}, "free-sailing model"),
+            (free, {"color": BLUE, "lw": 2}, "free-running model"),
             (replayed, {"color": RED, "lw": 1.2, "ls": "--"}, "replay of the recorded rudder"),
             (measured, {"color": "black", "lw": 0.8}, "recorded"),
         ):
@@ -143,7 +139,7 @@ def zigzags(study: Study) -> Figure | None:
             peak = side * (-1.0) ** k * (switch + over)
             at = int(np.argmin(np.abs(measured.psi / DEGREE - peak)))
             one.plot(measured.t[at], peak, "o", color="black", ms=5)
-        _name(one, "time, s", "heading, rudder, deg", title)
+        _label(one, "time, s", "heading, rudder, deg", title)
     axes[0, 0].legend(fontsize=8, ncols=2)
     return figure
 
@@ -165,12 +161,12 @@ def wind_coefficients(study: Study) -> Figure:
     axes.legend()
     axes.set_xticks(range(0, 181, 30))
     title = "Blendermann, speed boat (dots: reference)"
-    _name(axes, "apparent wind off the bow, deg", "coefficient", title)
+    _label(axes, "apparent wind off the bow, deg", "coefficient", title)
     return figure
 
 
 def seas(study: Study) -> Figure | None:
-    """Spectra asked for and of an hour of elevation."""
+    """Given spectra, and those of an hour of elevation."""
     if not study.hours:
         return None
     figure, axes = _axes(1, 2, 9.0, 3.8)
@@ -182,36 +178,36 @@ def seas(study: Study) -> Figure | None:
         one.plot(f, density, ".", color=colour, ms=4)
     one.set_xlim(0.0, 0.8)
     one.legend(fontsize=8)
-    _name(one, "frequency, Hz", "density, m2/Hz", "named spectra")
+    _label(one, "frequency, Hz", "density, m2/Hz", "named spectra")
     hour = list(study.hours)[6]
     got = study.hours[hour]
     other.plot(got.f, got.density, color="black", lw=1.5, label="buoy")
-    other.plot(got.f, got.estimate, "o", color=BLUE, ms=4, label="an hour sailed again")
+    other.plot(got.f, got.estimate, "o", color=BLUE, ms=4, label="an hour simulated")
     other.legend(fontsize=8)
-    _name(other, "frequency, Hz", "density, m2/Hz", f"NDBC 46042, {hour}")
+    _label(other, "frequency, Hz", "density, m2/Hz", f"NDBC 46042, {hour}")
     return figure
 
 
 def raos(study: Study) -> Figure:
-    """Response amplitudes beside Jensen's."""
+    """Response amplitudes, and Jensen's."""
     figure, axes = _axes(3, 2, 7.6, 6.8)
     k = OMEGA**2 / GRAVITY
-    there = OMEGA <= 4.6
+    low = OMEGA <= 4.6
     for column, speed in enumerate(SPEEDS):
         for (heading, _), colour in zip(HEADINGS.items(), COLOURS, strict=False):
             got, closed = study.responses[heading, speed], study.jensen(heading, speed)
-            for row, (ours, theirs) in enumerate(
+            for row, (simulated, theory) in enumerate(
                 ((got.heave, closed[0]), (got.pitch / k, closed[1] / k), (got.roll / k, None))
             ):
                 if (row, heading) in ((1, "beam"), (2, "head")):
                     continue
-                one, x = axes[row, column], OMEGA[there]
-                one.plot(x, ours[there], color=colour, lw=1.8, label=heading)
-                if theirs is not None:
-                    one.plot(x, theirs[there], color=colour, lw=1.2, ls="--")
+                one, x = axes[row, column], OMEGA[low]
+                one.plot(x, simulated[low], color=colour, lw=1.8, label=heading)
+                if theory is not None:
+                    one.plot(x, theory[low], color=colour, lw=1.2, ls="--")
         for row, label in enumerate(("heave / wave", "pitch / slope", "roll / slope")):
             title = f"U = {speed:g} m/s" if row == 0 else ""
-            _name(axes[row, column], "wave frequency, rad/s" if row == 2 else "", label, title)
+            _label(axes[row, column], "wave frequency, rad/s" if row == 2 else "", label, title)
             axes[row, column].set_ylim(bottom=0.0)
     axes[0, 0].plot([], [], color=GREY, ls="--", label="Jensen 2004")
     axes[0, 0].legend(fontsize=8)
@@ -244,8 +240,8 @@ def speed_power(study: Study) -> Figure:
     axes[0, 1].set_xlim(0.5, 60.0)
     axes[0, 1].set_ylim(1e-3, 1e5)
     axes[0, 0].legend(fontsize=8)
-    _name(axes[0, 0], "Froude number", "resistance / weight")
-    _name(axes[0, 1], "speed, kn", "effective power, kW")
+    _label(axes[0, 0], "Froude number", "resistance / weight")
+    _label(axes[0, 1], "speed, kn", "effective power, kW")
     return figure
 
 
@@ -257,4 +253,4 @@ PICTURES: dict[str, Callable[[Study], Figure | None]] = {
     "raos.png": raos,
     "speed_power.png": speed_power,
 }
-"""What draws each picture; None where its data are not here."""
+"""Functions that draw the pictures; they return None without the data."""

@@ -1,8 +1,7 @@
-"""The validation page: rows as Markdown and JSON, and whether a page is still true.
+"""The validation page: rows as Markdown and JSON, and comparison with a page on disk.
 
-A page is compared with today's as text, but for numbers: two numbers in the same place are the
-same if they differ by no more than the rounding of the page, so that another processor's last
-bits do not matter.
+Pages are compared as text. Numbers may differ by the rounding of the page, as another processor
+may give other last bits.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ __all__ = [
     "verdict",
 ]
 
-PAGE = "VALIDATION.md"
+PAGE = "validation.md"
 
-FOLDER = "examples/validation"
-"""Where the pictures lie, beside the page."""
+FOLDER = "validation"
+"""Folder of the pictures, next to the page."""
 
 HEADS = ("item", "value", "reference", "tolerance", "result", "source")
 
 ROUNDING = Decimal("0.6")
-"""Difference that is rounding, in units of the last figure on the page."""
+"""Allowed difference from rounding, in units of the last figure on the page."""
 
 ABSENT = "-"
 
@@ -44,33 +43,43 @@ WIDTH = 100
 
 INTRODUCTION = """# Validation
 
-What this code computes, beside what is published, measured, or computed apart from it. Written by
-`usv-twin validate`, which computes every value anew; `usv-twin validate --check` (part of the CI)
-fails if a value is out of its tolerance or is no longer the one on this page. `--json FILE` gives
-the rows in full precision.
+This page compares what the simulator computes with published results, with measurements, with
+separate code, and with exact properties. `usv-twin validate` computes all values and writes this
+page. `usv-twin validate --check` runs in CI: it fails if a value leaves its tolerance or differs
+from this page. `--json FILE` gives the rows in full precision.
 
-- **ok**: within the tolerance. **reported**: stands beside the reference, and is not judged.
-- Sections and item numbers of `physics.md` are those of the specification that the project was
-  built from; the work that each number comes from is named where it is known.
-- The recorded runs of KVLCC2 and the buoy's spectra are not part of the project. Rows that need
-  them are computed where the data are (`USV_TWIN_SHARED`, or `../shared`); elsewhere they stay
-  as they are here.
+How to read the tables:
+
+- **ok**: the value is within the tolerance. **reported**: the reference is shown, without a test.
+- *separate computation*: other code computed the reference from the same equations. Agreement
+  checks the code, not the model.
+- Recorded runs of KVLCC2 and spectra of a wave buoy are not distributed. Their rows are computed
+  where the data exist (`USV_TWIN_SHARED`, or `../shared`); elsewhere they keep their values.
+
+What the results say:
+
+- The equations are coded correctly: all separate computations agree.
+- The tanker turns as in towing tanks, within 6 %. Its overshoots in zigzags are too small, and a
+  replay of long recorded zigzags diverges.
+- Simulated seas have the given height, period and spectrum.
+- Motions in waves agree with an independent theory within 20 % at rest, and within a factor of
+  2.5 under way.
 
 What is **not** validated:
 
-- planing: above a Froude number of about 0.6 (9 kn for the 7.5 m boat) there is a resistance
-  curve and nothing else, no trim, lift, porpoising or heel of a planing hull;
-- stopping, going astern and crash stops;
-- six degrees of freedom in steep waves: loads are linear, hulls wall-sided, nothing breaks;
-- the 7.5 m boat itself: no trials of it are public, and most of its coefficients are guesses,
-  each marked in `usv_gym/vessels/usv75.toml`;
-- motions near resonance under way, which are half of what Jensen's closed forms say;
-- tolerances, where a section says that they were chosen here.
+- Planing: above a Froude number of about 0.6 (9 kn for the 7.5 m boat) only the resistance curve
+  is modelled. Trim, lift, porpoising and heel of a planing hull are missing.
+- Stopping, going astern and crash stops.
+- Six degrees of freedom in steep waves: loads are linear, hulls wall-sided, and no wave breaks.
+- The 7.5 m boat itself: no trials of it are public, and most of its coefficients are estimates,
+  marked in `usv_gym/vessel/vessels/usv75.toml`.
+- Resonance under way: amplitudes are up to half lower than by Jensen's closed forms.
+- Tolerances that a section states as chosen after the values were known.
 """
 
 
 def tolerance_text(row: Row) -> str:
-    """Return what a row allows, in words."""
+    """Return the tolerance of a row as text."""
     if row.tolerance is None:
         return ABSENT
     if row.kind == "relative":
@@ -81,28 +90,28 @@ def tolerance_text(row: Row) -> str:
 
 
 def verdict(row: Row) -> str:
-    """Return the result of a row in a word."""
+    """Return the result of a row in one word."""
     if row.skipped:
         return "skipped"
     return {None: "reported", True: "ok", False: "**OUT**"}[row.ok]
 
 
 def number(value: float | None, digits: int) -> str:
-    """Return a number with so many significant figures."""
+    """Return a number with some significant figures."""
     if value is None or not math.isfinite(value):
         return ABSENT
     return f"{value:#.{digits}g}".rstrip(".")
 
 
 def value_text(row: Row) -> str:
-    """Return the value of a row; one that must be small and is has no figures to keep."""
+    """Return the value of a row as text; small sizes appear as their bound."""
     if row.kind == "below" and row.ok:
         return f"below {row.tolerance:g}"
     return number(row.value, row.digits)
 
 
 def cells(row: Row, digits: int | None = None) -> tuple[str, ...]:
-    """Return the cells of a row of the table, the value with so many figures."""
+    """Return the cells of a row; default figures of the value are those of the row."""
     row = row if digits is None else replace(row, digits=digits)
     reference = ABSENT if row.reference is None else f"{row.reference:.6g}"
     return (row.item, value_text(row), reference, tolerance_text(row), verdict(row), row.source)
@@ -114,11 +123,11 @@ def render(sections: Sequence[Section], before: str = "", digits: int | None = N
     Parameters
     ----------
     sections : sequence of Section
-        Today's rows.
+        Computed rows.
     before : str
-        An earlier page, which rows that are skipped today are taken from.
+        An earlier page; it gives the values of skipped rows.
     digits : int, optional
-        Significant figures of every value; by default those of its row.
+        Significant figures of every value; default those of its row.
     """
     kept = _rows_of(before)
     lines = [INTRODUCTION]
@@ -129,7 +138,7 @@ def render(sections: Sequence[Section], before: str = "", digits: int | None = N
             found = cells(row, digits)
             old = kept.get((section.title, row.item))
             if row.skipped and old:
-                # what was computed is kept; what it is held against is today's
+                # keep the value; take reference and tolerance from the code
                 reference = old[2] if row.reference is None else found[2]
                 found = (found[0], old[1], reference, found[3], old[4], found[5])
             lines.append(f"| {' | '.join(found)} |")
@@ -140,36 +149,36 @@ def render(sections: Sequence[Section], before: str = "", digits: int | None = N
 
 
 def compare(page: str, sections: Sequence[Section]) -> list[str]:
-    """Return where a page differs from today's rows by more than rounding.
+    """Return the differences of a page from computed rows beyond rounding.
 
     Parameters
     ----------
     page : str
-        The page as it is.
+        Content of the page.
     sections : sequence of Section
-        Today's rows; those that are skipped are taken from the page.
+        Computed rows; skipped ones are taken from the page.
     """
     found, title = [], ""
     exact = render(sections, page, digits=15)
     for old, new in zip_longest(page.splitlines(), exact.splitlines(), fillvalue=""):
         title = new[3:] if new.startswith("## ") else title
-        ours, theirs = _cells_of(new), _cells_of(old)
-        if ours and theirs and ours[0] == theirs[0]:
+        now, page_cells = _cells_of(new), _cells_of(old)
+        if now and page_cells and now[0] == page_cells[0]:
             found += [
-                f"{title}: {ours[0]}: {head} is {a} on the page, {b} today"
-                for head, a, b in zip(HEADS, theirs, ours, strict=True)
+                f"{title}: {now[0]}: {head} is {a} on the page, {b} now"
+                for head, a, b in zip(HEADS, page_cells, now, strict=True)
                 if not _same(a, b)
             ]
         elif old != new:
-            found.append(f"{title}: the page has {old!r}, today it is {new!r}")
+            found.append(f"{title}: the page has {old!r}, now it is {new!r}")
     return found
 
 
 def failures(sections: Sequence[Section]) -> list[str]:
-    """Return the rows that are out of their tolerance."""
+    """Return a message for each row out of its tolerance."""
     return [
         f"{section.title}: {row.item}: {value_text(row)}, but {cells(row)[2]} "
-        f"({tolerance_text(row)}) after {row.source}"
+        f"({tolerance_text(row)}) from {row.source}"
         for section in sections
         for row in section.rows
         if row.ok is False
@@ -177,10 +186,9 @@ def failures(sections: Sequence[Section]) -> list[str]:
 
 
 def to_json(sections: Sequence[Section]) -> list[dict[str, Any]]:
-    """Return every row with item, value, reference, tolerance, source, ok, and its section.
+    """Return every row with section, item, value, reference, tolerance, kind, source and ok.
 
-    ``kind`` says how the tolerance is meant (:data:`usv_gym.validation.study.KINDS`); ``ok`` is
-    None for rows that are not judged or, with the reason in ``skipped``, not computed.
+    ``ok`` is None for rows that are reported only, or skipped for the reason in ``skipped``.
     """
     return [
         {
@@ -204,7 +212,7 @@ def _finite(value: float | None) -> float | None:
 
 
 def _cells_of(line: str) -> tuple[str, ...]:
-    """Return the cells of a line of a table of rows, else none."""
+    """Return the cells of a table line, empty for other lines."""
     parts = re.split(r" \| ", line[2:-2]) if line.startswith("| ") and line.endswith(" |") else []
     return tuple(parts) if len(parts) == len(HEADS) else ()
 
@@ -221,7 +229,7 @@ def _rows_of(page: str) -> Mapping[tuple[str, str], tuple[str, ...]]:
 
 
 def _same(old: str, exact: str) -> bool:
-    """Return whether a cell still holds, but for its own rounding."""
+    """Return whether a cell equals an exact value within rounding."""
     try:
         a, b = Decimal(old), Decimal(exact)
     except InvalidOperation:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
 from usv_gym.physics import GRAVITY, spectra, waves, wind
 from usv_gym.validation.study import (
     DEGREE,
-    SPEC,
+    SEPARATE,
     Array,
     Row,
     Section,
@@ -18,10 +17,10 @@ from usv_gym.validation.study import (
     an_hour,
     peak_period,
     realise,
+    rows,
 )
 from usv_gym.world.sea import DISCRETISATIONS, SeaState
 
-# ---------------------------------------------------------------- the sea
 SEAS = {
     "PM, Hs .5 m": SeaState(hs=0.5, components=400),
     "ITTC, Hs .5 m, Tp 5 s": SeaState(hs=0.5, spectrum="ittc", tp=5.0, components=400),
@@ -31,114 +30,107 @@ SEAS = {
 
 def sea(study: Study) -> Section:
     """Return the constants of spectra, and an hour of each sea."""
-    omega, golden = np.geomspace(0.05, 500.0, 100_001), f"{SPEC} section 11"
+    omega, f = np.geomspace(0.05, 500.0, 100_001), np.geomspace(1.0 / 600.0, 0.5, 20_001)
     U, hs = 7.0, 0.5
     m0 = float(np.trapezoid(spectra.pm_spectrum_wind(omega, U), omega))
     Tp = spectra.pm_peak_period(hs)
+    peak = 2.0 * math.pi / Tp
     equal = spectra.pm_equal_energy(hs, (np.arange(50) + 0.5) / 50)
     scale = math.sqrt(9.81 / GRAVITY)  # the published frequencies are for g = 9.81 m/s2
     drawn = realise(SeaState(hs=hs, components=50), study.boat).waves[waves.AMPLITUDE]
-    f = np.geomspace(1.0 / 600.0, 0.5, 20_001)
-    rows = [
-        Row("PM: m0 g^2/U^4", m0 * GRAVITY**2 / U**4, 0.0027365, 1e-3, golden),
-        Row("PM: Hs g/U^2", 4.0 * math.sqrt(m0) * GRAVITY / U**2, 0.2092, 1e-3, golden),
-        Row(
-            "PM: w_p sqrt(Hs/g)",
-            2.0 * math.pi / Tp * math.sqrt(hs / GRAVITY),
-            *(0.4012, 1e-3, golden),
-        ),
-        Row("PM, Hs = .5 m: w_p, rad/s", 2.0 * math.pi / Tp, 1.777, 1e-2, golden),
-        Row("PM, Hs = .5 m: T_p, s", Tp, 3.54, 1e-2, golden),
-        Row("PM, Hs = .5 m: lambda_p, m", GRAVITY * Tp**2 / (2.0 * math.pi), 19.5, 1e-2, golden),
-        Row(
-            "equal energy, N = 50, Hs = .5 m: every amplitude, m",
-            float(np.max(drawn)),
-            *(0.025, 1e-12, golden),
-        ),
-        Row(
-            "equal energy: lowest frequency at g = 9.81, rad/s",
-            equal[0] * scale,
-            *(1.283, 5e-4, golden, "absolute"),
-        ),
-        Row(
-            "equal energy: highest frequency at g = 9.81, rad/s",
-            equal[-1] * scale,
-            *(5.935, 5e-4, golden, "absolute"),
-        ),
-        Row(
-            "NPD gusts, U10 = 10 m/s, 1/600-.5 Hz: sigma, m/s",
-            math.sqrt(float(np.trapezoid(spectra.npd_spectrum(f, 10.0), f))),
-            *(0.871, 0.01, golden),
-        ),
-        Row(
-            "Harris gusts, U10 = 10 m/s: sigma, m/s",
-            math.sqrt(float(np.trapezoid(spectra.harris_spectrum(f, 10.0), f))),
-            *(1.22, 0.01, f"{SPEC} 4.3"),
-        ),
-        Row(
-            "Davenport gusts, U10 = 10 m/s: sigma, m/s",
-            math.sqrt(float(np.trapezoid(spectra.davenport_spectrum(f, 10.0), f))),
-            *(1.20, 0.01, f"{SPEC} 4.3"),
-        ),
+    bounds = [
+        ("equal energy: lowest frequency at g = 9.81, rad/s", equal[0] * scale, 1.283),
+        ("equal energy: highest frequency at g = 9.81, rad/s", equal[-1] * scale, 5.935),
     ]
-    target = "the spectrum that was asked for; 5 % asked by the project"
+    gusts = [
+        (f"{name}: sigma, m/s", math.sqrt(float(np.trapezoid(spectrum(f, 10.0), f))), want)
+        for name, spectrum, want in (
+            ("NPD gusts, U10 = 10 m/s, 1/600-.5 Hz", spectra.npd_spectrum, 0.871),
+            ("Harris gusts, U10 = 10 m/s", spectra.harris_spectrum, 1.22),
+            ("Davenport gusts, U10 = 10 m/s", spectra.davenport_spectrum, 1.20),
+        )
+    ]
+    constants = [
+        ("PM: m0 g^2/U^4", m0 * GRAVITY**2 / U**4, 0.0027365),
+        ("PM: Hs g/U^2", 4.0 * math.sqrt(m0) * GRAVITY / U**2, 0.2092),
+        ("PM: w_p sqrt(Hs/g)", peak * math.sqrt(hs / GRAVITY), 0.4012),
+    ]
+    half_metre = [
+        ("PM, Hs = .5 m: w_p, rad/s", peak, 1.777),
+        ("PM, Hs = .5 m: T_p, s", Tp, 3.54),
+        ("PM, Hs = .5 m: lambda_p, m", GRAVITY * Tp**2 / (2.0 * math.pi), 19.5),
+    ]
+    amplitude = "equal energy, N = 50, Hs = .5 m: every amplitude, m"
+    hours = []
     for name, state in SEAS.items():
         for discretisation in DISCRETISATIONS:
-            asked = state.replace(discretisation=discretisation)
-            z, f, density = an_hour(realise(asked, study.boat))
-            table = asked.wave_spectrum()
-            want = np.interp(2.0 * math.pi * f, table.omega, table.density, left=0.0, right=0.0)
+            given = state.replace(discretisation=discretisation)
+            z, bins, density = an_hour(realise(given, study.boat))
+            table = given.wave_spectrum()
+            want = np.interp(2.0 * math.pi * bins, table.omega, table.density, left=0.0, right=0.0)
             where = f"an hour of {name}, {discretisation}"
-            periods = peak_period(f, density), peak_period(f, want)
-            rows += [
-                Row(f"{where}: Hs, m", 4.0 * float(np.std(z)), asked.hs, 0.05, target),
-                Row(f"{where}: Tp, s", *periods, 0.05, target),
+            hours += [
+                (f"{where}: Hs, m", 4.0 * float(np.std(z)), given.hs),
+                (f"{where}: Tp, s", peak_period(bins, density), peak_period(bins, want)),
             ]
     return Section(
         "Sea and gusts",
-        "Constants of the spectra, and the spectrum of an hour of simulated elevation at one "
-        "place (Welch), Tp by the mean frequency weighted with S^4 in both. It says that the sea "
-        "has the height and period asked for. Waves are linear and long-crested here.",
-        tuple(rows + _buoy_rows(study)),
+        "Constants of the wave and gust spectra, and the spectrum of an hour of simulated "
+        "elevation at one place (Welch's method). It must have the significant height and the "
+        "peak period of the given spectrum within 5 %. Peak periods are from the mean frequency "
+        "weighted with S^4 (Young 1995). Twelve measured hours of NDBC buoy 46042 (1996, one a "
+        "month, close to a PM spectrum) are simulated from their spectra; the mismatch is the "
+        "integral of the absolute difference over twice the energy. Waves are linear and long- "
+        "crested here.",
+        (
+            *rows(constants, SEPARATE, 1e-3),
+            *rows(half_metre, SEPARATE, 1e-2),
+            *rows([(amplitude, float(np.max(drawn)), 0.025)], SEPARATE, 1e-12),
+            *rows(bounds, SEPARATE, 5e-4, "absolute"),
+            *rows(gusts, SEPARATE, 0.01),
+            *rows(hours, "given spectrum", 0.05),
+            *_buoy_rows(study),
+        ),
         {
-            "spectra.png": "Spectra asked for (lines) and of an hour of simulated elevation "
-            "(dots); right, one hour of NDBC buoy 46042 sailed again.",
+            "spectra.png": "Given spectra (lines) and those of an hour of simulated elevation "
+            "(dots); right, one hour of NDBC buoy 46042."
         },
     )
 
 
 def _buoy_rows(study: Study) -> list[Row]:
-    hours = list(study.hours.values())
-    source = "NDBC 46042, 1996, one PM-like hour a month; 5 % asked by the project, mismatch by us"
-    skipped = "" if hours else "the NDBC spectra are not here"
-
-    def largest(pairs: Iterable[tuple[float, float]]) -> float:
-        return max(abs(ours / theirs - 1.0) for ours, theirs in pairs)
-
-    missed = np.array([hour.mismatch for hour in hours] or [math.nan])
-    items: tuple[tuple[str, float | None, float], ...] = (
-        ("largest error of Hs", largest(h.hs for h in hours) if hours else None, 0.05),
-        ("largest error of Tm02", largest(h.tm02 for h in hours) if hours else None, 0.05),
-        ("largest error of Tp", largest(h.tp for h in hours) if hours else None, 0.05),
-        ("mean mismatch of the spectra", float(np.mean(missed)) if hours else None, 0.1),
-        ("median mismatch of the spectra", float(np.median(missed)) if hours else None, 0.1),
-    )
+    """Return the errors over all hours of the buoy; skipped without the data."""
+    hours, source = list(study.hours.values()), "NDBC buoy 46042, 1996"
+    values: dict[str, float] = {}
+    if hours:
+        for name, key in (("Hs", "hs"), ("Tm02", "tm02"), ("Tp", "tp")):
+            pairs = np.array([getattr(hour, key) for hour in hours])
+            values[f"largest error of {name}"] = np.max(np.abs(pairs[:, 0] / pairs[:, 1] - 1.0))
+        mismatch = [hour.mismatch for hour in hours]
+        values["mean mismatch of the spectra"] = float(np.mean(mismatch))
+        values["median mismatch of the spectra"] = float(np.median(mismatch))
+    skipped, reference = ("", 0.0) if hours else ("the NDBC spectra are missing", None)
     return [
         Row(
-            f"12 hours of the buoy sailed again: {item}",
-            value,
-            0.0 if hours else None,
+            f"12 hours of the buoy: {item}",
+            values.get(item),
+            reference,
             allowed,
             source,
             "absolute",
             3,
             skipped,
         )
-        for item, value, allowed in items
+        for item, allowed in (
+            ("largest error of Hs", 0.05),
+            ("largest error of Tm02", 0.05),
+            ("largest error of Tp", 0.05),
+            ("mean mismatch of the spectra", 0.1),
+            ("median mismatch of the spectra", 0.1),
+        )
     ]
 
 
-# ---------------------------------------------------------------- wind and drift
 BLENDERMANN_LOADS = (
     (0.0, (-134.64, None, None)),
     (30.0, (-139.46, 296.44, 330.15)),
@@ -161,33 +153,35 @@ def apparent(gamma: float, p: Array, speed: float = 10.0) -> tuple[float, float,
 
 def wind_and_drift(study: Study) -> Section:
     """Return Blendermann's coefficients and the mean drift of waves."""
-    p, golden = study.boat.packed.copy(), f"{SPEC} section 11"
-    rows = []
+    p, loads, drifts = study.boat.packed.copy(), [], []
     for names, table, values in (
         (("C_X", "C_Y", "C_N"), BLENDERMANN_COEFFICIENTS, wind.coefficients),
         (("X, N", "Y, N", "N, N m"), BLENDERMANN_LOADS, apparent),
     ):
         for gamma, wants in table:
             got = values(gamma * DEGREE, p)
-            rows += [
-                Row(f"wind, speed boat, {gamma:g} deg: {name}", value, want, 1e-4, golden, digits=5)
+            loads += [
+                (f"wind, speed boat, {gamma:g} deg: {name}", value, want)
                 for name, value, want in zip(names, got, wants, strict=True)
                 if want is not None
             ]
     for x, wants in DRIFT:
         printed = waves.drift_coefficients(np.array(x))
-        rows += [
-            Row(f"drift, lambda/L = {x:g}: {name}", float(value), want, 1e-3, golden, "absolute")
+        drifts += [
+            (f"drift, lambda/L = {x:g}: {name}", float(value), want)
             for name, value, want in zip(("C_X", "C_Y", "C_N"), printed, wants, strict=True)
         ]
     return Section(
-        "Wind and mean drift",
-        "Blendermann's coefficients for a speed boat (A_F 4, A_L 9 m2, Loa 7.5 m, 10 m/s), and "
-        "the mean-drift regression as printed. It says that the formulas are right, not that the "
-        "areas guessed for the 7.5 m boat are. The regression is used up to lambda/L = 1 only.",
-        tuple(rows),
+        "Wind and mean wave drift",
+        "Blendermann's wind coefficients for a speed boat (A_F 4, A_L 9 m2, Loa 7.5 m, 10 m/s), "
+        "and the mean-drift regression as printed. The rows check the formulas; the areas of the "
+        "7.5 m boat are estimates. The regression is used up to lambda/L = 1.",
+        (
+            *rows(loads, SEPARATE, 1e-4, digits=5),
+            *rows(drifts, SEPARATE, 1e-3, "absolute"),
+        ),
         {
-            "wind.png": "Wind coefficients of the 7.5 m boat over the apparent wind's direction; "
-            "dots are the reference numbers."
+            "wind.png": "Wind coefficients of the 7.5 m boat over the direction of the apparent "
+            "wind; dots are the references."
         },
     )

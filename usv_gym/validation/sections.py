@@ -1,9 +1,4 @@
-"""What the code computes beside what is published or measured: rows of the validation page.
-
-Every number that :data:`SECTIONS` gives is computed anew from the code; references are numbers
-of others (or, for rows of numerics, what must hold exactly). A row that needs the recorded data
-and does not find them is skipped. The page itself is made in ``usv_gym.validation.page``.
-"""
+"""Sections of the validation page on ship and sea."""
 
 from __future__ import annotations
 
@@ -15,9 +10,7 @@ from usv_gym.validation.sea import sea, wind_and_drift
 from usv_gym.validation.seakeeping import loads_in_waves, motions
 from usv_gym.validation.study import Section, Study
 
-__all__ = [
-    "SECTIONS",
-]
+__all__ = ["SECTIONS"]
 
 SECTIONS: dict[str, Callable[[Study], Section]] = {
     "published trials": tanker_trials,
@@ -30,4 +23,4 @@ SECTIONS: dict[str, Callable[[Study], Section]] = {
     "small boats": plants,
     "numerics": numerics,
 }
-"""What computes each section, in the order of the page."""
+"""Functions that compute the sections, in the order of the page."""

@@ -1,9 +1,10 @@
-"""What the sections of the validation page share: rows, and results that several of them need."""
+"""Rows and sections of the validation page, and results that several sections share."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from usv_gym.manoeuvring import rao, trials
-from usv_gym.manoeuvring.indices import Track
+from usv_gym.manoeuvring.track import Track
 from usv_gym.manoeuvring.trials import StandardTrials
 from usv_gym.physics import KNOT, ship, spectra, waves
 from usv_gym.physics import frames as fr
@@ -31,6 +32,7 @@ __all__ = [
     "an_hour",
     "peak_period",
     "realise",
+    "rows",
     "shared_folder",
     "under_way",
 ]
@@ -40,35 +42,36 @@ Array = NDArray[np.float64]
 DEGREE = math.pi / 180.0
 
 KINDS = ("relative", "absolute", "factor", "below", "reported")
-"""Of tolerances; ``below``: a size that must stay below it; ``reported``: not judged."""
+"""Kinds of tolerance; ``below``: an upper bound of the size; ``reported``: not tested."""
 
-SPEC = "physics.md"
+SEPARATE = "separate computation"
+"""Source of references that other code computed from the same equations."""
 
 ORIGIN = {"origin": 0.0, "heading": 0.0}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One number beside its reference.
+    """A computed number and its reference.
 
     Parameters
     ----------
     item : str
-        What it is, with the unit.
+        Name, with the unit.
     value : float or None
-        What the code computes; None where it is skipped or a reference without a counterpart.
+        Computed value; None if it is skipped or does not exist.
     reference : float or None
-        What is published or measured; None where it is skipped.
+        Published, measured or exact value; None if it is skipped.
     tolerance : float or None
-        How far they may differ, see ``kind``; None if the row is only reported.
+        Largest difference, see ``kind``; None if the row is only reported.
     source : str
-        Where reference and tolerance come from.
+        Source of the reference.
     kind : str
         One of :data:`KINDS`.
     digits : int
         Significant figures on the page.
     skipped : str
-        Why there is no value here; empty if there is one.
+        Reason why there is no value; empty if there is one.
     """
 
     item: str
@@ -82,7 +85,7 @@ class Row:
 
     @property
     def ok(self) -> bool | None:
-        """Whether the value is within the tolerance; None where that is not judged."""
+        """Whether the value is within the tolerance; None if that is not tested."""
         value, want, allowed = self.value, self.reference, self.tolerance
         if self.skipped or self.kind == "reported":
             return None
@@ -96,33 +99,52 @@ class Row:
         return bool(abs(value - want) <= allowed * scale)
 
 
+def rows(
+    entries: Iterable[tuple[str, float | None, float | None]],
+    source: str,
+    tolerance: float | None = None,
+    kind: str = "relative",
+    digits: int = 4,
+) -> list[Row]:
+    """Return rows from (item, value, reference) with one source and tolerance.
+
+    Parameters
+    ----------
+    entries : iterable of tuple
+        Item, value and reference of each row.
+    source, tolerance, kind, digits
+        See :class:`Row`; without a tolerance the rows are reported.
+    """
+    kind = kind if tolerance is not None else "reported"
+    return [
+        Row(item, value, reference, tolerance, source, kind, digits)
+        for item, value, reference in entries
+    ]
+
+
 @dataclass(frozen=True)
 class Section:
-    """Rows of one subject."""
+    """A section of the page: title, text, rows, and captions of pictures by file name."""
 
     title: str
     text: str
-    """What the rows say, and what they do not."""
     rows: tuple[Row, ...]
     pictures: dict[str, str] = field(default_factory=dict)
-    """File names and what they show."""
 
 
 class Recording(NamedTuple):
-    """One recorded run of KVLCC2, and the same run sailed by the model."""
+    """A recorded run of KVLCC2, and the same run of the model."""
 
     measured: Track
-    shaft: Array
-    """Shaft speed as it was, rev/s."""
     replayed: Track
 
 
 class Run(NamedTuple):
-    """How one recorded run of KVLCC2 is to be read."""
+    """A recorded run of KVLCC2."""
 
     title: str
     switch: float
-    """Change of heading at which the helm was reversed, degrees; 0 for a turning circle."""
+    """Change of heading at which the helm reverses, degrees; 0 for a turning circle."""
 
 
 RUNS = {
@@ -136,47 +158,46 @@ RUNS = {
     "hsva_z_15_05": Run("HSVA 15/5 zigzag", 5.0),
     "hsva_z_30_05": Run("HSVA 30/5 zigzag", 5.0),
 }
-"""The recorded runs of ``kvlcc2_simman2008``, by the name of their files."""
+"""Recorded runs of ``kvlcc2_simman2008`` by file name."""
 
 HEADINGS = {"head": 180.0, "bow-quarter": 135.0, "beam": 90.0, "stern-quarter": 45.0}
 
 SPEEDS = (0.0, 5.58)
 
 CASES = {
-    "L7, n = 10.4 rps": ("kvlcc2_l7", 10.4, 1.179, 3),
-    "L7, n = 10.4 rps, 6-DOF": ("kvlcc2_l7", 10.4, 1.179, 6),
-    "L7, n = 11.85 rps": ("kvlcc2_l7", 11.85, 1.179, 3),
-    "full scale, n = 1.53 rps": ("kvlcc2", 1.53, 15.5 * KNOT, 3),
-    "full scale, n = 1.778 rps": ("kvlcc2", 1.778, 15.5 * KNOT, 3),
+    "L7, n = 10.4 rps": ("kvlcc2_l7", 10.4, 1.179),
+    "L7, n = 11.85 rps": ("kvlcc2_l7", 11.85, 1.179),
+    "full scale, n = 1.53 rps": ("kvlcc2", 1.53, 15.5 * KNOT),
+    "full scale, n = 1.778 rps": ("kvlcc2", 1.778, 15.5 * KNOT),
 }
-"""KVLCC2: vessel, shaft speed (rev/s), speed of the approach (m/s), degrees of freedom."""
+"""KVLCC2: vessel, shaft speed (rev/s) and speed of the approach (m/s)."""
 
 JENSEN_HULL = {"length": 6.336, "beam": 2.714, "draft": 0.526, "block": 0.3689}
-"""What the 7.5 m boat is to Jensen's closed forms, m."""
+"""The 7.5 m boat in Jensen's closed forms, m."""
 
 OMEGA = np.concatenate([[0.25, 0.4, 0.6], np.arange(0.8, 3.55, 0.1), np.arange(3.6, 7.1, 0.2)])
 """Wave frequencies of the response amplitudes, rad/s."""
 
 
 def shared_folder(root: Path) -> Path | None:
-    """Return the folder of recorded data, None where it is not.
+    """Return the folder of recorded data, None if it is missing.
 
     Parameters
     ----------
     root : Path
-        Root of the repository; ``../shared`` beside it unless ``USV_TWIN_SHARED`` says another.
+        Root of the repository; the folder is ``../shared`` or ``USV_TWIN_SHARED``.
     """
     folder = Path(os.environ.get("USV_TWIN_SHARED") or root.resolve().parent / "shared")
     return folder if (folder / "data").is_dir() else None
 
 
 class Study:
-    """What several sections and pictures need, computed once.
+    """Results that several sections and pictures share, computed once.
 
     Parameters
     ----------
     shared : Path or None
-        Folder of recorded data; None if it is not here.
+        Folder of recorded data; None if it is missing.
     """
 
     def __init__(self, shared: Path | None) -> None:
@@ -185,7 +206,7 @@ class Study:
         self.model = Vessel.load("kvlcc2_l7")
 
     def data(self, name: str) -> Path | None:
-        """Return a folder of recorded data, None where it is not."""
+        """Return a folder of recorded data, None if it is missing."""
         folder = None if self.shared is None else self.shared / "data" / name
         return folder if folder is not None and folder.is_dir() else None
 
@@ -193,19 +214,20 @@ class Study:
     def tanker(self) -> dict[str, StandardTrials]:
         """Standard trials of KVLCC2 by case."""
         return {
-            name: trials.standard_trials(Vessel.load(vessel), n, speed=speed, dof=dof)
-            for name, (vessel, n, speed, dof) in CASES.items()
+            name: trials.standard_trials(Vessel.load(vessel), n, speed=speed)
+            for name, (vessel, n, speed) in CASES.items()
         }
 
     @cached_property
     def recordings(self) -> dict[str, Recording]:
-        """Recorded runs of KVLCC2 and their replays; empty where the data are not here."""
+        """Recorded runs of KVLCC2 and their replays; empty without the data."""
         folder = self.data("kvlcc2_simman2008")
         if folder is None:
             return {}
         return {name: self._replay(folder / f"{name}.csv.gz") for name in RUNS}
 
     def _replay(self, path: Path) -> Recording:
+        """Run the model from the recorded start with recorded rudder angle and shaft speed."""
         log = pl.read_csv(path)
         names = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
         names |= {"r": "r_radps", "delta": "delta_rad"}
@@ -216,20 +238,20 @@ class Study:
         columns = {"x": fr.X, "y": fr.Y, "psi": fr.PSI, "u": fr.U, "v": fr.V, "r": fr.R}
         for name, column in columns.items():
             states[0, column] = getattr(track, name)[0]
-        sailor, cmd = Sailor(self.model), np.empty(4)
+        runner, cmd = BoatInSea(self.model), np.empty(4)
         for k, dt in enumerate(np.diff(track.t)):
-            # rudder and propeller are where they were half-way through the step
+            # mean rudder angle and shaft speed of the step
             cmd[:2] = 0.5 * (shaft[k] + shaft[k + 1])
             cmd[2:] = 0.5 * (helm[k] + helm[k + 1])
             states[k + 1] = states[k]
             states[k + 1, fr.N_LEFT :] = cmd
-            sailor.step(states[k + 1], cmd, float(dt))
+            runner.step(states[k + 1], cmd, float(dt))
         motion = {name: states[:, column] for name, column in columns.items()}
-        return Recording(track, shaft, Track(t=track.t, delta=helm, **motion))
+        return Recording(track, Track(t=track.t, delta=helm, **motion))
 
     @cached_property
     def responses(self) -> dict[tuple[str, float], rao.Response]:
-        """Response amplitudes of the 7.5 m boat at :data:`OMEGA`, by heading and speed."""
+        """Response amplitudes of the 7.5 m boat at :data:`OMEGA` by heading and speed."""
         return {
             (name, speed): rao.responses(self.boat, OMEGA, angle * DEGREE, speed=speed)
             for name, angle in {**HEADINGS, "following": 0.0}.items()
@@ -243,7 +265,7 @@ class Study:
 
     @cached_property
     def hours(self) -> dict[str, Hour]:
-        """Twelve hours of the buoy that are nearly PM, one a month; empty without the data."""
+        """Twelve hours of the buoy near a PM spectrum, one a month; empty without the data."""
         folder = self.data("ndbc_wave_spectra")
         if folder is None:
             return {}
@@ -277,7 +299,7 @@ class Study:
 
 
 class Hour(NamedTuple):
-    """An hour of the buoy, measured and sailed again: pairs are of ours and theirs."""
+    """An hour of the buoy, simulated and measured; pairs are (simulated, measured)."""
 
     f: Array
     density: Array
@@ -288,13 +310,13 @@ class Hour(NamedTuple):
 
     @property
     def mismatch(self) -> float:
-        """Integral of the difference of the spectra over twice the energy; 0 is the same."""
-        apart = float(np.sum(np.abs(self.estimate - self.density)))
-        return apart / (2.0 * float(np.sum(self.density)))
+        """Integral of the absolute difference of the spectra over twice the energy."""
+        difference = float(np.sum(np.abs(self.estimate - self.density)))
+        return difference / (2.0 * float(np.sum(self.density)))
 
 
-class Sailor:
-    """One boat in one sea, step by step."""
+class BoatInSea:
+    """One boat in one sea; calm by default."""
 
     def __init__(self, vessel: Vessel, sea: Sea | ship.Sea | None = None, dof: int = 3) -> None:
         self.p, self.dof = vessel.packed.copy(), dof
@@ -305,8 +327,8 @@ class Sailor:
         """Advance a state in place, from time 0."""
         ship.step(state, cmd, ship.Ship(self.p, self.dof), self.sea, 0.0, dt, self.work)
 
-    def sail(self, state: Array, cmd: Array, seconds: float, dt: float = 0.05) -> Array:
-        """Return the states of a run with one command, the first included."""
+    def run(self, state: Array, cmd: Array, seconds: float, dt: float = 0.05) -> Array:
+        """Return the states of a run with a constant command, with the first."""
         steps = round(seconds / dt)
         states = np.empty((steps + 1, fr.STATE_SIZE))
         states[0] = state
@@ -315,7 +337,7 @@ class Sailor:
         return states
 
     def derivative(self, state: Array, cmd: Array | None = None) -> Array:
-        """Return the time derivative of a state at time 0; actuators stay without a command."""
+        """Return the derivative of a state at time 0; default command: the present actuators."""
         out = np.zeros(fr.STATE_SIZE)
         weather, gusts = self.sea.weather, self.sea.gusts
         waves.box_factors(state[fr.PSI], self.sea.waves, self.p, 6, self.sea.factors)
@@ -327,7 +349,7 @@ class Sailor:
 
 
 def under_way(u: float, v: float = 0.0, r: float = 0.0, n: float = 0.0) -> Array:
-    """Return the state of a boat that heads north, helm amidships."""
+    """Return the state of a boat that heads north with helm amidships."""
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.U, fr.V, fr.R, fr.N_LEFT, fr.N_RIGHT]] = u, v, r, n, n
     return state
@@ -344,7 +366,7 @@ def an_hour(sea: Sea, segment: float = 200.0) -> tuple[Array, Array, Array]:
     Parameters
     ----------
     sea : Sea
-        The sea.
+        Any.
     segment : float
         Length of Welch's segments, s.
     """
@@ -354,9 +376,9 @@ def an_hour(sea: Sea, segment: float = 200.0) -> tuple[Array, Array, Array]:
 
 
 def peak_period(f: Array, density: Array) -> float:
-    """Return the peak period in s by the mean frequency weighted with S^4.
+    """Return the peak period in s from the mean frequency weighted with S^4.
 
-    It is steady where the highest of many noisy bins is not.
+    It has a smaller variance than the highest of many noisy bins.
 
     Source: Young 1995.
     """

@@ -1,4 +1,4 @@
-"""A vessel: its file, its hull shape, and the vessels that ship with the package.
+"""Vessels: parameters, files, geometric models, and the vessels that ship with the package.
 
 May import usv_gym.physics.
 """

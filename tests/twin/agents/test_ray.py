@@ -55,7 +55,7 @@ def test_rllib_trains_on_a_cluster_that_is_there(tmp_path, address):
 
 
 def evaluate(file, *workers):
-    from twin.cli.common import app
+    from twin.cli.main import app
 
     asked = ("evaluate", "los", "los-dr", "--seeds", "1-2", "--sea", "0,2")
     words = (*asked, "--faults", "none,gps10@1", "--json", str(file), *workers)

@@ -170,7 +170,7 @@ def test_what_cannot_be_done_is_said_at_once():
 
 
 def test_commands(tmp_path, monkeypatch):
-    from twin.cli.common import app
+    from twin.cli.main import app
 
     hyper = tmp_path / "tiny.toml"
     hyper.write_text("n_envs = 4\nn_steps = 16\nbatch_size = 32\nn_epochs = 1\n")

@@ -1,4 +1,4 @@
-"""The report: complete, self-contained, and unmoved by absurd or missing numbers."""
+"""The report: complete, self-contained, and robust to absurd or missing numbers."""
 
 import dataclasses
 import math
@@ -13,7 +13,10 @@ import pytest
 
 from twin import PREDICTORS
 from twin.benchmark import figures
-from twin.benchmark.figures import PredictorFigure, RunFigure, looks_of, picture_of_log
+from twin.benchmark.figures import PredictorFigure, RunFigure, picture_of_log, predictor_styles
+from twin.benchmark.figures.data import reference_of
+from twin.benchmark.figures.history import interval_widths, panel_limits
+from twin.benchmark.figures.style import STYLES
 from twin.benchmark.report import write_report
 from twin.channels import MEASUREMENTS
 from twin.logs.log import Log
@@ -146,7 +149,7 @@ def whole(tmp_path_factory):
         | {"low": 0.9 + at, "high": 1.2 + at}
         for name in names
         for axis, (_, _, panels) in figures.TRENDS.items()
-        for metric, _, _ in panels
+        for metric in panels
         for at in (0.0, 10.0, 30.0)
     ]
     return write_report(tmp_path_factory.mktemp("report"), results(names, trends=trends), runs)
@@ -158,10 +161,10 @@ def test_page_is_well_formed(whole):
     assert parser.open == []
 
 
-def test_pictures_stand_beside_those_of_the_paper(whole):
+def test_pictures_name_those_of_the_paper(whole):
     text = page(whole)
-    assert "Turn, fault gps10, seed 0: compare the paper&#x27;s Figures 9-12<" in text
-    assert "Zigzag, no fault, seed 0: compare the paper&#x27;s Figures 13-16<" in text
+    assert "Turn, fault gps10, seed 0: compare the paper&#39;s Figures 9-12<" in text
+    assert "Zigzag, no fault, seed 0: compare the paper&#39;s Figures 13-16<" in text
     captions = re.findall(r"<figcaption>Compare Figure (\d+) of the paper", text)
     # two predictions, then surge, sway and yaw by two predictors; one of each
     assert captions == ["12"] * 2 + ["9", "10", "11"] * 2 + ["16", "13", "14", "15"]
@@ -186,29 +189,30 @@ def test_long_runs_make_a_small_page(tmp_path):
 def test_every_axis_has_its_unit():
     log = sail()
     several = run(log, {"ukf": figure(log, model=3), "dsw-ukf": figure(log)}, [(7.0, 12.0)])
-    looks = looks_of(several.predictors)
-    seen = figures.reference_of(log)
+    styles = predictor_styles(several.predictors)
+    seen = reference_of(log)
     found = results()
     trend = [
         {"axis": axis, "predictor": "ukf", "metric": metric, "at": at, "value": 1.0 + at}
         for axis, (_, _, panels) in figures.TRENDS.items()
-        for metric, _, _ in panels
+        for metric in panels
         for at in (0.0, 10.0, 30.0)
     ]
     drawn = [
-        figures.track_figure(several, looks),
-        figures.prediction_figure(several, 5.0, looks, seen),
-        figures.error_figure("turn", found["rows"], looks_of(("persistence", "ukf"))),
+        figures.track_figure(several, styles),
+        figures.prediction_figure(several, 5.0, styles, seen),
+        figures.error_figure("turn", found["rows"], predictor_styles(("persistence", "ukf"))),
     ]
     drawn += [
-        figures.parameter_figure(several, "ukf", motion, looks, 5.0) for motion in MODEL.blocks
+        figures.parameter_figure(several, "ukf", motion, styles, 5.0) for motion in MODEL.blocks
     ]
     drawn += [
-        figures.trend_figure(axis, [row for row in trend if row["axis"] == axis], looks)
+        figures.trend_figure(axis, [row for row in trend if row["axis"] == axis], styles)
         for axis in figures.TRENDS
     ]
     unit = re.compile(r"\((?!\))[^()]*(\([^()]*\))?\)$")
     for picture in drawn:
+        picture.draw_without_rendering()  # makes the layout
         assert picture.axes
         for ax in picture.axes:
             assert unit.search(ax.get_ylabel() or ax.get_title(loc="left")), ax
@@ -220,10 +224,10 @@ def test_every_axis_has_its_unit():
             assert ax.get_xlabel() or bottom > lowest.get_position().y0
 
 
-def test_predictors_look_different_without_colours_too():
-    looks = looks_of((*PREDICTORS, *figures.LOOKS))
-    assert len({str(style) for _, style in looks.values()}) == len(looks)
-    assert len({colour for colour, _ in (looks[name] for name in figures.LOOKS)}) == 7
+def test_line_styles_differ_without_colours():
+    styles = predictor_styles((*PREDICTORS, *STYLES))
+    assert len({str(style) for _, style in styles.values()}) == len(styles)
+    assert len({colour for colour, _ in (styles[name] for name in STYLES)}) == 7
 
 
 OVERLAPS = """
@@ -272,9 +276,9 @@ def test_same_input_gives_same_bytes(tmp_path):
 
 def test_text_is_escaped(tmp_path):
     log = sail("<b>$x^$</b>")
-    strange = RunFigure("<i>$_$", "no&ne", 0, log, [], {"<u>$^$": figure(log, origins=())})
+    marked_up = RunFigure("<i>$_$", "no&ne", 0, log, [], {"<u>$^$": figure(log, origins=())})
     found = results(("<u>$^$",), command="usv-twin <script>", notes=["lstm <left> out"])
-    files = write_report(tmp_path, found, [strange])
+    files = write_report(tmp_path, found, [marked_up])
     text = page(files)
     assert "&lt;script&gt;" in text
     assert "lstm &lt;left&gt; out" in text
@@ -282,7 +286,7 @@ def test_text_is_escaped(tmp_path):
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+", path.name) for path in files)
 
 
-def test_best_is_bold_and_bad_is_shown(tmp_path):
+def test_the_best_value_is_bold(tmp_path):
     text = page(write_report(tmp_path, results(), []))
     assert "<b>1.50</b>" in text  # lowest MAE
     assert "<b>0</b>" in text  # highest skill
@@ -311,17 +315,17 @@ def test_pairs_and_coverage_are_shown(tmp_path):
     text = page(write_report(tmp_path, found, []))
     assert "Against persistence" in text
     assert "-12.3 %<br><small>[-20.0, -3.0]" in text and "5 of 6" in text
-    assert "Coverage of the 90 % bands, % at 1/10 s" in text
+    assert "Coverage of the 90 % intervals, %, at 1/10 s" in text
     assert text.count("<td>89/80</td>") == 2
 
 
-def test_a_band_may_be_wider_on_one_side():
+def test_an_interval_may_be_wider_on_one_side():
     log = sail()
     prediction = predicted(log, 5.0)
     skew = dataclasses.replace(
         prediction, low=prediction.mean - 1.0, high=prediction.mean + 3.0, start_cov=np.eye(6)
     )
-    down, up = figures._band(skew, 3, 2.0)
+    down, up = interval_widths(skew, 3, 2.0)
     np.testing.assert_allclose(down, [2.0 * Z90, *[2.0] * 40])
     np.testing.assert_allclose(up, [2.0 * Z90, *[6.0] * 40])
 
@@ -356,15 +360,15 @@ def test_absurd_predictions_do_not_stop_it(tmp_path, factor):
 
 def test_absurd_predictions_do_not_squash_the_truth():
     truth = np.linspace(0.0, 10.0, 50)
-    low, high = figures._limits(truth, [np.linspace(0.0, 1e9, 50)], 1.0)
+    low, high = panel_limits(truth, [np.linspace(0.0, 1e9, 50)], 1.0)
     assert -2.0 < low < 0.0
     assert 10.0 < high < 25.0
 
 
 def test_recorded_run_without_truth(tmp_path):
     log = sail(truth=False)
-    seen = figures.reference_of(log)
-    assert not seen.known
+    seen = reference_of(log)
+    assert not seen.is_truth
     # surge speed from GPS and compass, yaw rate from the compass since there is no gyro
     np.testing.assert_allclose(seen.v[3], 4.0, atol=1e-9)
     np.testing.assert_allclose(seen.v[5], 0.2, atol=1e-9)
@@ -399,11 +403,12 @@ def test_picture_of_log(tmp_path, kind):
     assert path.read_bytes().startswith(PNG)
 
 
-def test_matplotlib_comes_late_and_without_pyplot(tmp_path):
+def test_matplotlib_is_imported_late_and_without_pyplot(tmp_path):
     code = (
         "import sys, numpy as np, twin.benchmark.figures as r; from pathlib import Path\n"
+        "from twin import Log\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "log = r.Log(np.arange(3.), np.zeros((3, len(r.MEASUREMENTS))), np.zeros((3, 4)))\n"
+        f"log = Log(np.arange(3.), np.zeros((3, {len(MEASUREMENTS)})), np.zeros((3, 4)))\n"
         f"r.picture_of_log(log, Path({str(tmp_path / 'p.png')!r}))\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )

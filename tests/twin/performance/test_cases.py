@@ -1,23 +1,25 @@
-"""usv-twin bench: the measuring itself, and that what is compared does the same work."""
+"""``usv-twin bench``: the harness, the cases and the command."""
 
 from __future__ import annotations
 
 import itertools
 import json
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin.cli.common import app
+from twin.cli.main import app
 from twin.filters.ukf import measurement_update
 from twin.model.augmented import joint_predict
 from twin.performance import cases
-from twin.performance.cases import chosen, fit
-from twin.performance.harness import FLOOR, REFERENCE_FLOOR, Case, Measured, measure
+from twin.performance.cases import CASES, select_cases
+from twin.performance.harness import BASELINE, BASELINE_RATE, Case, Measured, measure
 
-OWN = [case for case in cases.CASES if not case.needs and not case.slow]
 KEYS = ["name", "rate_per_s", "median_us", "relative_to", "ratio"]
+GROWTH = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "speed" / "growth.py"))
 
 
 def busy(times):
@@ -25,7 +27,21 @@ def busy(times):
     return lambda: (lambda: sum(range(times)), 1)
 
 
-@pytest.mark.parametrize("case", OWN, ids=lambda case: case.name)
+def bench(*arguments, check=0):
+    result = CliRunner().invoke(app, ["bench", *map(str, arguments)])
+    assert result.exit_code == check, result.output
+    return " ".join(result.output.split())
+
+
+@pytest.fixture
+def one_case(monkeypatch):
+    """A single fast case in place of all, and nothing else to measure."""
+    monkeypatch.setattr(cases, "CASES", (Case("first", busy(10)),))
+    monkeypatch.setattr(cases, "MEMORY", {})
+    monkeypatch.setattr(cases, "COLD_COMPILES", {})
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_every_case_runs(case):
     run, count = case.make()
     run()
@@ -33,9 +49,9 @@ def test_every_case_runs(case):
 
 
 def test_names_are_unique_and_references_known():
-    names = [case.name for case in cases.CASES]
+    names = [case.name for case in CASES]
     assert len(set(names)) == len(names)
-    assert {case.relative_to for case in cases.CASES} - {None} <= set(names)
+    assert {case.relative_to for case in CASES} - {None} <= set(names)
 
 
 def test_both_filters_do_the_same():
@@ -55,60 +71,36 @@ def test_both_filters_do_the_same():
 
 
 def test_cases_bring_what_they_are_compared_with():
-    assert [case.name for case in chosen("in-kernel")] == [
-        "filterpy UKF 6 + 25",
-        "UKF 6 + 25 in-kernel",
-    ]
-    names = [case.name for case in chosen("batch of 256")]
-    assert {FLOOR, "CartPole x 256", "batch of 256", "batch of 256, ukf, 2 threads"} <= set(names)
-    assert not any(case.slow for case in chosen(quick=True))
-    assert chosen("no such case") == []
+    names = [case.name for case in select_cases("in-kernel")]
+    assert names == ["filterpy UKF 6 + 25", "UKF 6 + 25 in-kernel"]
+    names = [case.name for case in select_cases("batch of 256")]
+    assert names == [BASELINE, "batch of 256", "batch of 256, ukf"]
+    assert select_cases("no such case") == []
 
 
-def test_rates_and_ratios():
-    cases = [Case("slow", busy(20_000)), Case("fast", busy(2_000), "slow")]
-    slow, fast = measure(cases, 5).rows(cases)
+def test_rates_and_ratios_are_medians_over_the_rounds():
+    measured = Measured({"slow": [2e-3, 4e-3, 9e-3], "fast": [1e-3, 1e-3, 2e-3]})
+    slow, fast = measured.rows([Case("slow", busy(1)), Case("fast", busy(1), "slow")])
     assert list(slow) == list(fast) == KEYS
     assert slow["relative_to"] is None and slow["ratio"] is None
-    assert fast["relative_to"] == "slow" and 3.0 < fast["ratio"] < 30.0
-    assert fast["rate_per_s"] == pytest.approx(1e6 / fast["median_us"])
+    assert fast["relative_to"] == "slow" and fast["ratio"] == pytest.approx(4.0)
+    assert slow["rate_per_s"] == pytest.approx(250.0)
+    assert slow["median_us"] == pytest.approx(4000.0)
 
 
 def test_bursts_take_turns():
     order = []
-    cases = [Case(name, busy(10)) for name in "ab"]
-    measure(cases, 3, order.append)
+    measure([Case(name, busy(10)) for name in "ab"], 3, order.append)
     assert order == list("ab") * 4
 
 
-def test_what_was_reached_hangs_on_the_floor():
-    measured = Measured({FLOOR: [2.0 / REFERENCE_FLOOR] * 3, "it": [1e-3] * 3})
-    # the floor runs at half its speed here, and so may the case
-    assert measured.reached(Case("it", busy(1), must=2000.0)) == pytest.approx(1.0)
-    assert measured.reached(Case("it", busy(1), FLOOR, must_ratio=0.1)) == pytest.approx(
-        2e3 / REFERENCE_FLOOR / 0.1
-    )
-    assert measured.reached(Case("it", busy(1))) is None
-
-
-def test_peers_that_fail_are_told_of():
-    def broken():
-        raise AttributeError("their API moved")
-
-    cases = [
-        Case("absent", broken, needs=("no_such_package.part",)),
-        Case("broken", broken, needs=("json",)),
-        Case("ours", busy(10), "absent"),
-    ]
-    measured = measure(cases, 1)
-    (row,) = measured.rows(cases)
-    assert row["name"] == "ours" and row["relative_to"] is None
-    assert measured.absent == {
-        "absent": "no_such_package.part not installed",
-        "broken": "AttributeError: their API moved",
-    }
-    with pytest.raises(AttributeError):
-        measure([Case("ours", broken)], 1)
+def test_targets_scale_with_the_baseline():
+    measured = Measured({BASELINE: [2.0 / BASELINE_RATE] * 3, "it": [1e-3] * 3})
+    # the baseline runs at half its speed here, and so may the case
+    assert measured.target_fraction(Case("it", busy(1), target=2000.0)) == pytest.approx(1.0)
+    ratio = measured.target_fraction(Case("it", busy(1), BASELINE, target_ratio=0.1))
+    assert ratio == pytest.approx(2e3 / BASELINE_RATE / 0.1)
+    assert measured.target_fraction(Case("it", busy(1))) is None
 
 
 def interrupted():
@@ -127,19 +119,14 @@ def interrupted():
 def test_ctrl_c_keeps_what_is_there(monkeypatch, tmp_path):
     monkeypatch.setattr(cases, "CASES", (Case("first", busy(10)), Case("second", interrupted)))
     out = tmp_path / "rows.json"
-    result = CliRunner().invoke(app, ["bench", "--json", str(out)])
-    assert result.exit_code == 130, result.output
+    printed = bench("--json", out, check=130)
     assert [row["name"] for row in json.loads(out.read_text())] == ["first", "second"]
-    assert "second" in result.output and "memory" not in result.output
-    assert "interrupted" in result.output
+    assert "second" in printed and "interrupted" in printed and "memory" not in printed
 
 
 def test_rows_of_the_command(tmp_path):
     out = tmp_path / "rows.json"
-    result = CliRunner().invoke(
-        app, ["bench", "--quick", "--only", "ship,", "--rounds", "1", "--json", str(out)]
-    )
-    assert result.exit_code == 0, result.output
+    bench("--quick", "--only", "ship,", "--rounds", "1", "--json", out)
     rows = json.loads(out.read_text())
     assert {"ship, 3-DOF, 0 waves", "ship, 6-DOF, 100 waves"} <= {row["name"] for row in rows}
     assert all(list(row) == KEYS for row in rows)
@@ -147,70 +134,57 @@ def test_rows_of_the_command(tmp_path):
 
 def test_growth_of_the_command(tmp_path):
     out = tmp_path / "rows.json"
-    arguments = ["bench", "--growth", "--only", "ship step, 3-DOF", "--rounds", "1"]
-    result = CliRunner().invoke(app, [*arguments, "--json", str(out)])
-    assert result.exit_code == 0, result.output
+    only = ("--only", "ship step, 3-DOF", "--rounds", "1")
+    printed = bench("--growth", *only, "--json", out)
     rows = json.loads(out.read_text())
-    assert [row["size"] for row in rows] == list(cases.CURVES[0].sizes)
-    assert rows[-1]["median_us"] > rows[0]["median_us"]
-    assert "us times wave components" in " ".join(result.output.split())
+    assert list(rows[0]) == ["name", "size_of", "size", "median_us", "line_us"]
+    assert [row["size"] for row in rows] == list(GROWTH["COMPONENTS"])
+    assert "us times wave components" in printed
+    assert "no such curve" in bench("--growth", "--only", "xyz", check=2)
 
 
-def test_first_use_is_of_a_process_that_finds_nothing(tmp_path, monkeypatch):
+def test_cold_compile_starts_without_kernels(tmp_path, monkeypatch):
     (tmp_path / "kernel").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert 0.1 < cases.first_use(()) < 30.0  # nothing but the imports
     monkeypatch.setattr(
         cases, "_FIRST_USE", 'import os; print(len(os.listdir(os.environ["NUMBA_CACHE_DIR"])))'
     )
-    assert cases.first_use(()) == 0.0
+    assert cases.cold_compile_seconds(()) == 0.0
 
 
-def test_a_first_use_that_fails_is_left_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(cases, "CASES", (Case("first", busy(10)),))
-    monkeypatch.setattr(cases, "MEMORY", {})
-    monkeypatch.setattr(cases, "_FIRST_USE", "raise ValueError('no such vessel')")
+def test_cold_compile_of_the_command(one_case, tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "COLD_COMPILES", {"first use of nothing": ((), 30.0)})
     out = tmp_path / "rows.json"
-    result = CliRunner().invoke(app, ["bench", "--json", str(out), "--rounds", "1"])
-    assert result.exit_code == 0, result.output
-    assert [row["name"] for row in json.loads(out.read_text())] == ["first"]
-    assert "ValueError: no such vessel" in " ".join(result.output.split())
-
-
-def test_first_use_of_the_command(tmp_path, monkeypatch):
-    monkeypatch.setattr(cases, "FIRST_USES", {"first use of nothing": ((), 30.0)})
-    out = tmp_path / "rows.json"
-    result = CliRunner().invoke(app, ["bench", "--only", "first use", "--json", str(out)])
-    assert result.exit_code == 0, result.output
+    assert "at most 30 s" in bench("--only", "first use", "--json", out)
     (row,) = json.loads(out.read_text())
     assert list(row) == KEYS
     assert row["median_us"] == pytest.approx(1e6 / row["rate_per_s"])
-    assert "at most 30 s" in result.output
     # a minute of compiling is not for --quick
-    assert CliRunner().invoke(app, ["bench", "--quick", "--only", "first use"]).exit_code == 2
+    bench("--quick", "--only", "first use", check=2)
 
 
-def test_ctrl_c_while_compiling_keeps_what_is_there(tmp_path, monkeypatch):
-    def interrupted(options):
+def test_ctrl_c_while_compiling_keeps_what_is_there(one_case, tmp_path, monkeypatch):
+    def stop(options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cases, "CASES", (Case("first", busy(10)),))
-    monkeypatch.setattr(cases, "first_use", interrupted)
+    monkeypatch.setattr(cases, "COLD_COMPILES", {"first use": ((), None)})
+    monkeypatch.setattr(cases, "cold_compile_seconds", stop)
     out = tmp_path / "rows.json"
-    result = CliRunner().invoke(app, ["bench", "--json", str(out), "--rounds", "1"])
-    assert result.exit_code == 130, result.output
+    assert "interrupted" in bench("--json", out, "--rounds", "1", check=130)
     assert [row["name"] for row in json.loads(out.read_text())] == ["first"]
-    assert "interrupted" in result.output and "memory" not in result.output
 
 
-def test_unknown_case_is_an_error():
-    result = CliRunner().invoke(app, ["bench", "--only", "xyz"])
-    assert result.exit_code == 2
+def test_a_compilation_that_fails_is_left_out(one_case, tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "COLD_COMPILES", {"first use": ((), None)})
+    monkeypatch.setattr(cases, "_FIRST_USE", "raise ValueError('no such vessel')")
+    out = tmp_path / "rows.json"
+    assert "first use: ValueError: no such vessel" in bench("--json", out, "--rounds", "1")
+    assert [row["name"] for row in json.loads(out.read_text())] == ["first"]
 
 
 def test_a_straight_line_is_found():
     sizes = [0, 10, 50, 100, 400]
-    line = fit(sizes, [3.0 + 0.5 * n for n in sizes])
+    line = GROWTH["fit"](sizes, [3.0 + 0.5 * n for n in sizes])
     assert line.start == pytest.approx(3.0) and line.slope == pytest.approx(0.5)
     assert line.worst < 1e-9 and line.bend is None
     assert line(20) == pytest.approx(13.0)
@@ -218,14 +192,21 @@ def test_a_straight_line_is_found():
 
 def test_a_bend_is_found():
     sizes = [1, 2, 4, 16, 64, 256, 1024]
-    line = fit(sizes, [1.0 + 0.1 * n + 0.4 * max(n - 64, 0) for n in sizes])
+    line = GROWTH["fit"](sizes, [1.0 + 0.1 * n + 0.4 * max(n - 64, 0) for n in sizes])
     assert line.bend == 64
     assert line.slopes == pytest.approx((0.1, 0.5))
-    assert "bends at 64" in line.told("boats")
+    assert "bends at 64" in line.describe("boats")
 
 
-@pytest.mark.parametrize(("twin", "most"), cases.MEMORY.values())
-def test_memory_of_a_boat(twin, most):
-    boats = cases._boats(twin, cases.BOATS)
+@pytest.mark.parametrize(("twin", "limit"), cases.MEMORY.values())
+def test_memory_of_a_boat(twin, limit):
+    boats = cases.make_boats(twin, cases.BOATS)
     arrays = boats.simulation.boats.nbytes / cases.BOATS
-    assert arrays < cases.memory_per_boat(twin) < (most or 64e3)
+    assert arrays < cases.memory_per_boat(twin) < (limit or 64e3)
+
+
+@pytest.mark.bench
+def test_targets_are_reached():
+    measured = measure(CASES, 5)
+    fractions = {case.name: measured.target_fraction(case) for case in CASES}
+    assert {n: part for n, part in fractions.items() if part is not None and part < 1.0} == {}

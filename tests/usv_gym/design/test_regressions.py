@@ -1,4 +1,4 @@
-"""Regressions against the numbers of physics.md section 3 for the 7.5 m boat, and KVLCC2."""
+"""Regressions against separate computations for the 7.5 m boat, and against KVLCC2."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ BOAT = Form(length=6.336, beam=2.714, draft=0.526, block_coefficient=0.3689)
 TANKER = Form(length=320.0, beam=58.0, draft=20.8, block_coefficient=0.81, x_G=11.2)
 
 
-def test_kijima_for_the_boat() -> None:
+def test_kijima_equals_references_for_the_boat() -> None:
     values = reg.kijima(BOAT, 0.0)
-    # physics.md section 3, three figures: half a unit of the last
+    # three figures: half a unit of the last
     assert values["Y_v"] == pytest.approx(-0.482, abs=5e-4)
     assert values["Y_r"] == pytest.approx(0.130, abs=5e-4)
     assert values["N_v"] == pytest.approx(-0.166, abs=5e-4)
@@ -29,8 +29,7 @@ def test_kijima_for_the_boat() -> None:
     assert any("L/B is 2.33" in note for note in values.notes)
 
 
-def test_kijima_for_the_tanker() -> None:
-    """In range: no notes, and near the published linear coefficients of KVLCC2."""
+def test_kijima_is_near_published_coefficients_of_kvlcc2() -> None:
     values = reg.kijima(TANKER, 0.022)
     assert values.notes == ()
     boat = Vessel.load("kvlcc2")
@@ -39,7 +38,7 @@ def test_kijima_for_the_tanker() -> None:
         assert values[key] == pytest.approx(boat.values[key], rel=0.31)
 
 
-def test_clarke_and_its_negative_inertia() -> None:
+def test_clarke_notes_a_negative_inertia() -> None:
     values = reg.clarke(BOAT)
     assert values["Y_vdot"] == pytest.approx(-0.00798, abs=1e-5)
     assert values["N_rdot"] == pytest.approx(0.00056, abs=5e-6)
@@ -49,7 +48,7 @@ def test_clarke_and_its_negative_inertia() -> None:
     assert not any("N_rdot" in note for note in reg.clarke(TANKER).notes)
 
 
-def test_added_masses_of_the_boat() -> None:
+def test_added_masses_equal_references_for_the_boat() -> None:
     assert reg.soding(BOAT)["m_x"] == pytest.approx(514.0, rel=2e-3)
     values = reg.zhou(BOAT)
     assert values["m_x"] / BOAT.mass == pytest.approx(0.049, abs=5e-4)
@@ -57,16 +56,16 @@ def test_added_masses_of_the_boat() -> None:
     assert values["J_zz"] == pytest.approx(4955.0, rel=2e-3)
 
 
-def test_added_masses_of_the_tanker() -> None:
-    """Those of KVLCC2 were read off the same charts: 5 % for sway and yaw."""
+def test_added_masses_are_near_those_of_kvlcc2() -> None:
+    # from the same charts: 5 % for sway and yaw
     values, boat = reg.zhou(TANKER), Vessel.load("kvlcc2")
     assert values["m_y"] == pytest.approx(boat.values["m_y"], rel=0.05)
     assert values["J_zz"] == pytest.approx(boat.values["J_zz"], rel=0.05)
 
 
-def test_yoshimura_where_it_fails_and_where_it_holds() -> None:
+def test_yoshimura_notes_wrong_signs_out_of_range() -> None:
     values = reg.yoshimura(BOAT, 0.08 * 0.3689 * 2 * 0.43, 0.3)
-    assert values["Y_vvv"] == pytest.approx(0.048, abs=1e-3)  # physics.md section 3
+    assert values["Y_vvv"] == pytest.approx(0.048, abs=1e-3)
     assert any("Y_vvv" in note for note in values.notes)
     tanker = reg.yoshimura(TANKER, 0.022, 0.223)
     assert tanker.notes == ()
@@ -74,10 +73,10 @@ def test_yoshimura_where_it_fails_and_where_it_holds() -> None:
     assert tanker["X_rr"] == pytest.approx(-0.085 * 0.1468 + 0.008 - 0.035 * 0.223, abs=1e-4)
 
 
-def test_hydrostatics() -> None:
+def test_hydrostatics_match_the_boat_and_a_box() -> None:
     values = reg.hydrostatics(BOAT, 0.78)
     assert values["KB"] == pytest.approx(0.36, abs=0.006)
-    # physics.md 2.2 took another rule for the inertia of the water plane: 12 %
+    # the references use another rule for the inertia of the water plane: 12 %
     assert values["BM_T"] == pytest.approx(1.85, rel=0.12)
     assert values["BM_L"] == pytest.approx(9.4, rel=0.12)
     # a box: KB half the draft, BM_T of B^2 / (12 d) to the 3 % of the rule
@@ -86,18 +85,18 @@ def test_hydrostatics() -> None:
     assert values["KB"] == pytest.approx(0.5)
     assert values["BM_T"] == pytest.approx(9.0 / 12.0, rel=0.035)
     assert values["BM_L"] == pytest.approx(100.0 / 12.0, rel=0.1)
-    assert any("usual 0.6" in note for note in values.notes)
+    assert any("typical 0.6" in note for note in values.notes)
 
 
-def test_periods() -> None:
+def test_periods_equal_references() -> None:
     values = reg.periods(BOAT, 1.35)
-    assert values["heave"] == pytest.approx(2.06, abs=0.01)  # physics.md 2.2
+    assert values["heave"] == pytest.approx(2.06, abs=0.01)
     assert reg.periods(BOAT, 1.36)["roll"] == pytest.approx(1.86, abs=0.01)
     # roll periods of laden tankers: 12 to 25 s
     assert 12.0 < reg.periods(TANKER, 5.71)["roll"] < 25.0
 
 
-def test_rudder_and_cross_flow() -> None:
+def test_rudder_and_cross_flow_match_references() -> None:
     values = reg.kijima_rudder(TANKER)
     published = Vessel.load("kvlcc2").values
     # a regression over many ships: within 15 %
@@ -126,7 +125,7 @@ EVERY: tuple[Callable[[Form], Estimate], ...] = (
 NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 
 
-# the last digit of a note falls the other way
+# the last digit of a note rounds differently
 @example(scale=7.408972276097856, slender=2.0, flat=2.0, block=0.9499999999999998)
 @given(
     scale=st.floats(0.01, 50.0),
@@ -134,7 +133,7 @@ NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
     flat=st.floats(1.5, 8.0),
     block=st.floats(0.2, 0.95),
 )
-def test_dimensionless_numbers_do_not_hang_on_the_scale(
+def test_dimensionless_numbers_do_not_depend_on_the_scale(
     scale: float, slender: float, flat: float, block: float
 ) -> None:
     def form(L: float) -> Form:

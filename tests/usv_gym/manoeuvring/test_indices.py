@@ -1,4 +1,4 @@
-"""Indices of tracks: closed forms, symmetries, recorded runs of KVLCC2, IMO's limits."""
+"""Indices of tracks: closed forms, symmetries, recorded runs of KVLCC2, limits of IMO."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym.manoeuvring import indices
-from usv_gym.manoeuvring.indices import Stopping, Track, TrackError, Turning, Zigzag, imo
+from usv_gym.manoeuvring.indices import Stopping, Turning, Zigzag, imo
+from usv_gym.manoeuvring.track import Track, TrackError
 
 SHARED = Path(os.environ.get("USV_TWIN_SHARED", Path(__file__).parents[4] / "shared"))
 KVLCC2 = SHARED / "data" / "kvlcc2_simman2008"
@@ -24,7 +25,7 @@ DEGREE = math.pi / 180.0
 
 
 def circle(t: np.ndarray, drift: float = DRIFT) -> Track:
-    """Return a straight approach, then at once a circle to starboard with a drift angle."""
+    """Return a straight approach and a circle to starboard with a drift angle."""
     angle = np.maximum(t - APPROACH, 0.0) * SPEED / RADIUS
     turning = t > APPROACH
     return Track(
@@ -37,7 +38,7 @@ def circle(t: np.ndarray, drift: float = DRIFT) -> Track:
 
 
 def triangles(t: np.ndarray, switch: float, overshoot: float, rate: float) -> Track:
-    """Return headings that rise and fall at one rate, to starboard first."""
+    """Return triangular headings, to starboard first."""
     top = switch + overshoot
     phase = np.maximum(t - APPROACH, 0.0) * rate / top
     psi = top * (np.abs((phase - 1.0) % 4.0 - 2.0) - 1.0)
@@ -55,7 +56,7 @@ def triangles(t: np.ndarray, switch: float, overshoot: float, rate: float) -> Tr
 
 
 def moved(track: Track, by: float, north: float, east: float, later: float) -> Track:
-    """Return the track as another compass, chart and clock would have recorded it."""
+    """Return the track in another frame and at another time."""
     c, s = math.cos(by), math.sin(by)
     psi = (track.psi + by + math.pi) % (2.0 * math.pi) - math.pi
     x, y = c * track.x - s * track.y + north, s * track.x + c * track.y + east
@@ -77,7 +78,7 @@ def assert_same(a: object, b: object, rtol: float, skip: tuple[str, ...] = ()) -
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.2])
-def test_circle(drift: float) -> None:
+def test_turning_of_a_circle_has_closed_form_indices(drift: float) -> None:
     got = indices.turning(circle(0.02 * np.arange(4000), drift), length=LENGTH)
     R = RADIUS / LENGTH
     # the course lags the heading by the drift angle
@@ -97,7 +98,7 @@ def test_circle(drift: float) -> None:
     assert_same(got, Turning(**want), rtol=2e-3)  # type: ignore[arg-type]
 
 
-def test_triangular_zigzag() -> None:
+def test_zigzag_of_triangles_has_closed_form_indices() -> None:
     switch, overshoot, rate = 10.0 * DEGREE, 4.0 * DEGREE, 2.0 * DEGREE
     track = triangles(0.01 * np.arange(6000), switch, overshoot, rate)
     got = indices.zigzag(track, length=LENGTH, switch=switch, origin=APPROACH)
@@ -112,7 +113,7 @@ def test_triangular_zigzag() -> None:
     assert got.period == pytest.approx(28.0, abs=1e-6)
 
 
-def test_a_peak_that_was_not_seen_does_not_count() -> None:
+def test_overshoots_without_a_peak_are_left_out() -> None:
     switch, rate = 10.0 * DEGREE, 2.0 * DEGREE
     t = 0.01 * np.arange(6000)
     track = triangles(t, switch, 4.0 * DEGREE, rate)
@@ -123,7 +124,7 @@ def test_a_peak_that_was_not_seen_does_not_count() -> None:
 
 
 def pulled_out(rest: float) -> Track:
-    """Return a turn to starboard, and from 30 s a rate that falls to a rest (r L / U)."""
+    """Return a turn to starboard with a rate that decays from 30 s on to ``rest`` (r L / U)."""
     t = 0.05 * np.arange(3000)
     rate = np.where(t < 30.0, 0.6, rest + (0.6 - rest) * np.exp(-(t - 30.0) / 8.0))
     r = rate * SPEED / LENGTH
@@ -132,7 +133,7 @@ def pulled_out(rest: float) -> Track:
     return Track(t=t, x=t, y=t, psi=psi, u=u, v=v, r=r, delta=np.where(t < 30.0, 0.6, 0.0))
 
 
-def test_pull_out() -> None:
+def test_pull_out_gives_residual_rates_and_stability() -> None:
     straight, turning = pulled_out(0.0), pulled_out(0.2)
     got = indices.pull_out(straight, straight.mirrored(), length=LENGTH)
     assert got.stable
@@ -142,7 +143,7 @@ def test_pull_out() -> None:
     assert not got.stable
     assert got.starboard == pytest.approx(0.2, abs=1e-4)
     assert got.port == pytest.approx(-0.2, abs=1e-4)
-    # a ship that pulls to one side is stable all the same
+    # an equal bias on both sides is stable
     assert indices.pull_out(turning, turning, length=LENGTH).stable
     bare = dataclasses.replace(turning, delta=None)
     with pytest.raises(TrackError, match="no helm angle"):
@@ -152,7 +153,7 @@ def test_pull_out() -> None:
 
 
 def spiralled(jump: float) -> Track:
-    """Return a spiral whose rate lags: r' = helm + 0.1 until the helm is jump past 0, and back."""
+    """Return a spiral with r' = helm + 0.1 until the helm passes 0 by ``jump``, and back."""
     down = np.arange(10, -11, -1)
     levels = np.concatenate([down, down[-2::-1]]) * DEGREE
     side = np.where(np.arange(levels.size) < down.size, 1.0, -1.0)
@@ -164,7 +165,7 @@ def spiralled(jump: float) -> Track:
     return Track(t=t, x=t, y=t, psi=np.zeros_like(t), u=u, v=v, r=r, delta=helm)
 
 
-def test_spiral() -> None:
+def test_spiral_gives_height_and_width_of_the_loop() -> None:
     got = indices.spiral(spiralled(0.0), length=LENGTH)
     assert got.falling.shape == got.rising.shape == (2, 21)
     np.testing.assert_allclose(got.falling[0], got.falling[1], atol=1e-12)
@@ -177,7 +178,7 @@ def test_spiral() -> None:
         assert np.all(np.diff(got.falling[0]) < 0.0) and np.all(np.diff(got.rising[0]) > 0.0)
 
 
-def test_stopping() -> None:
+def test_stopping_gives_reaches_and_time() -> None:
     t = 0.05 * np.arange(801)
     u = 2.0 - 0.1 * t
     psi = np.full_like(t, 0.7)
@@ -194,7 +195,7 @@ def test_stopping() -> None:
         indices.stopping(track.between(0.0, 10.0), length=LENGTH)
 
 
-# ------------------------------------------------- how it was recorded does not matter
+# ------------------------------------------------- invariance to recording
 
 records = {
     "seed": st.integers(0, 2**32 - 1),
@@ -207,8 +208,7 @@ records = {
 
 @given(**records)
 @settings(max_examples=40, deadline=None)
-def test_turning_of_any_record(seed: int, **frame: float) -> None:
-    """Compass, chart, clock, sampling, and the side of the turn."""
+def test_turning_does_not_depend_on_frame_sampling_and_side(seed: int, **frame: float) -> None:
     even = indices.turning(circle(0.05 * np.arange(2000)), length=LENGTH)
     track = moved(circle(uneven(np.random.default_rng(seed), 90.0)), **frame)
     # two samples of up to 0.09 s and 1.5 m/s in 12 m, where the circle begins at once
@@ -220,7 +220,7 @@ def test_turning_of_any_record(seed: int, **frame: float) -> None:
 
 @given(**records)
 @settings(max_examples=40, deadline=None)
-def test_zigzag_of_any_record(seed: int, **frame: float) -> None:
+def test_zigzag_does_not_depend_on_frame_sampling_and_side(seed: int, **frame: float) -> None:
     switch = 20.0 * DEGREE
 
     def of(track: Track, origin: float | None = None) -> Zigzag:
@@ -244,7 +244,7 @@ def test_zigzag_of_any_record(seed: int, **frame: float) -> None:
     assert of(record).initial_turning_time == pytest.approx(got.initial_turning_time, abs=0.1)
 
 
-def test_noise_is_smoothed_away() -> None:
+def test_smoothing_removes_noise() -> None:
     rng, t = np.random.default_rng(4), 0.1 * np.arange(1000)
     clean = circle(t)
     columns = {
@@ -262,7 +262,7 @@ def test_noise_is_smoothed_away() -> None:
     assert np.std(smooth[100:]) < 0.1 * np.std(rough[100:])
 
 
-def test_velocities_are_slopes_where_they_are_not_given() -> None:
+def test_missing_velocities_are_slopes() -> None:
     track = circle(0.01 * np.arange(4000))
     late = slice(int(APPROACH / 0.01) + 2, -1)
     want = np.array([SPEED * math.cos(DRIFT), -SPEED * math.sin(DRIFT), SPEED / RADIUS])
@@ -275,7 +275,7 @@ def test_velocities_are_slopes_where_they_are_not_given() -> None:
 # ------------------------------------------------- errors
 
 
-def test_errors_say_what_is_missing() -> None:
+def test_incomplete_manoeuvres_are_refused() -> None:
     t = 0.05 * np.arange(2000)
     track = circle(t)
 
@@ -306,7 +306,7 @@ def test_errors_say_what_is_missing() -> None:
         track.smoothed(0.1)
 
 
-def test_tracks_are_looked_at() -> None:
+def test_bad_tracks_are_refused() -> None:
     t = np.arange(5.0)
     with pytest.raises(TrackError, match=r"y has shape \(4,\), but t has 5 samples"):
         Track(t=t, x=t, y=t[:4], psi=t)
@@ -341,7 +341,9 @@ def a_zigzag(switch: float, *overshoots: float) -> Zigzag:
     # the table of MSC.137(76) 5.3.3: 10; 5 + (L/V) / 2; 20, and 25; 17.5 + 0.75 (L/V); 40
     [(5.0, 10.0, 25.0), (9.99, 10.0, 25.0), (20.0, 15.0, 32.5), (30.0, 20.0, 40.0), (50, 20, 40)],
 )
-def test_limits_of_the_zigzag(seconds: float, first: float, second: float) -> None:
+def test_zigzag_limits_follow_length_over_speed(
+    seconds: float, first: float, second: float
+) -> None:
     def rows(zigzag_10: Zigzag) -> dict[str, indices.Criterion]:
         found = imo(length=100.0, speed=100.0 / seconds, zigzag_10=zigzag_10)
         return {row.name: row for row in found}
@@ -357,7 +359,7 @@ def test_limits_of_the_zigzag(seconds: float, first: float, second: float) -> No
     ]
 
 
-def test_the_worst_side_counts() -> None:
+def test_imo_takes_the_worst_side() -> None:
     wide = dataclasses.replace(CIRCLE, advance=4.6, tactical_diameter=5.1, side=-1)
     stop = Stopping(track_reach=15.5, head_reach=14.0, side_reach=1.0, time=9.0)
     rows = imo(
@@ -381,8 +383,8 @@ def test_the_worst_side_counts() -> None:
     assert all(row.ok for row in imo(length=100.0, speed=5.0, turning=CIRCLE))
 
 
-def test_imo_takes_no_other_zigzag() -> None:
-    with pytest.raises(TrackError, match="20 degrees cannot stand for one at 10"):
+def test_imo_refuses_other_zigzags() -> None:
+    with pytest.raises(TrackError, match="20 degrees is not one at 10"):
         imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(20.0, 1.0, 2.0))
     with pytest.raises(TrackError, match=r"shows 1 overshoot\(s\), but 2 are needed"):
         imo(length=100.0, speed=5.0, zigzag_10=a_zigzag(10.0, 1.0))
@@ -396,29 +398,29 @@ def test_imo_takes_no_other_zigzag() -> None:
 def recorded(name: str) -> Track:
     path = KVLCC2 / f"{name}.csv.gz"
     if not path.exists():
-        pytest.skip(f"{path} is not here (set USV_TWIN_SHARED); it may not be passed on")
+        pytest.skip(f"{path} is missing (set USV_TWIN_SHARED); it must not be redistributed")
     log = pl.read_csv(path)
     columns = {"t": "t_s", "x": "x_m", "y": "y_m", "psi": "psi_rad", "u": "u_mps", "v": "v_mps"}
     columns |= {"r": "r_radps", "delta": "delta_rad"}
     return Track(**{ours: log[theirs].to_numpy() for ours, theirs in columns.items()})
 
 
-def test_recorded_turn() -> None:
-    """MARIN, 35 degrees to port, with a pull-out; the values beside the data and physics.md 1.5."""
+def test_recorded_turn_has_published_indices() -> None:
+    # MARIN, 35 degrees to port, with a pull-out; values published with the data
     track = recorded("marin_tc_35")
     got = indices.turning(track, length=7.0, origin=0.0, heading=0.0)
     assert got.side == -1
-    # two decimals, and another reader's window of the steady turn: 0.02
+    # two decimals and another window of the steady turn: 0.02
     assert got.advance == pytest.approx(3.11, abs=0.02)
     assert got.transfer == pytest.approx(1.22, abs=0.02)
     assert got.tactical_diameter == pytest.approx(3.08, abs=0.02)
     assert got.rate == pytest.approx(0.83, abs=0.02)
     assert got.radius == pytest.approx(1.19, abs=0.02)
     assert got.speed_ratio == pytest.approx(0.361, abs=0.02)
-    # physics.md 1.5: from the first motion of the rudder 3.00
+    # published from the first motion of the rudder
     late = indices.turning(track, length=7.0, heading=0.0)
     assert late.advance == pytest.approx(3.00, abs=0.03)
-    # positions and headings alone, until the helm is put back, averaged over 3 s
+    # positions and headings only, smoothed over 3 s
     alone = dataclasses.replace(track, u=None, v=None, r=None, delta=None)
     alone = alone.smoothed(3.0).between(0.0, 220.0)
     bare = indices.turning(alone, length=7.0, origin=0.0, heading=0.0)
@@ -435,7 +437,7 @@ def test_recorded_turn() -> None:
         ("hsva_z_20_10_s", 1, 10.0, (11.7, 15.6)),
     ],
 )
-def test_recorded_zigzag(
+def test_recorded_zigzags_have_published_overshoots(
     name: str, side: int, switch: float, overshoots: tuple[float, float]
 ) -> None:
     got = indices.zigzag(

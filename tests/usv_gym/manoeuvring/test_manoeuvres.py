@@ -1,4 +1,4 @@
-"""Manoeuvres: contract of every one, and the shape of the named ones."""
+"""Timed manoeuvres: properties of all, and the shape of each."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def given(name: str, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", MANOEUVRES)
-def test_contract(name: str) -> None:
+def test_commands_are_bounded_and_straight_on_approach(name: str) -> None:
     cmd = given(name)
     assert cmd.shape == (len(T), 4)
     assert np.all(np.isfinite(cmd))
     assert np.all((cmd[:, :2] > 0.0) & (cmd[:, :2] <= N))
     assert np.max(np.abs(cmd[:, 2:])) <= math.radians(30.0)
-    # both units together; straight ahead during the approach
+    # both units together
     np.testing.assert_array_equal(cmd[:, 0], cmd[:, 1])
     np.testing.assert_array_equal(cmd[:, 2], cmd[:, 3])
     assert np.all(cmd[T < APPROACH] == [N, N, 0.0, 0.0])
@@ -42,18 +42,17 @@ def test_contract(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MANOEUVRES)
-def test_a_longer_run_begins_like_a_shorter_one(name: str) -> None:
+def test_commands_do_not_depend_on_the_duration(name: str) -> None:
     short = commands(name, T[:700], BOAT, np.random.default_rng(0))
     np.testing.assert_array_equal(short, given(name)[:700])
 
 
-def test_turn_and_straight() -> None:
+def test_turn_holds_its_angle() -> None:
     assert np.all(given("straight")[:, 2] == 0.0)
     assert np.all(given("turn")[T >= APPROACH, 2] == math.radians(20.0))
 
 
-def test_zigzag_has_equal_legs_to_either_side() -> None:
-    """The paper: the same duration either way."""
+def test_zigzag_has_equal_legs_to_both_sides() -> None:
     angle = given("zigzag")[:, 2]
     for leg in range(5):
         since = T - (APPROACH + leg * LEG)
@@ -61,7 +60,7 @@ def test_zigzag_has_equal_legs_to_either_side() -> None:
         assert np.all(angle[inside] == (ANGLE if leg % 2 == 0 else -ANGLE))
 
 
-def test_turn_zigzag_turns_and_then_zigzags() -> None:
+def test_turn_zigzag_changes_at_its_switch() -> None:
     angle = given("turn-zigzag")[:, 2]
     np.testing.assert_array_equal(angle[T < SWITCH], given("turn")[T < SWITCH, 2])
     assert np.all(angle[(T > SWITCH) & (T < SWITCH + LEG - 0.01)] == -ANGLE)
@@ -69,7 +68,7 @@ def test_turn_zigzag_turns_and_then_zigzags() -> None:
     assert np.all(angle[later] == ANGLE)
 
 
-def test_random_holds_each_step_for_3_to_10_seconds() -> None:
+def test_random_steps_last_3_to_10_seconds() -> None:
     cmd = given("random")
     changes = T[1:][np.any(np.diff(cmd, axis=0) != 0.0, axis=1)]
     assert changes[0] == pytest.approx(APPROACH, abs=0.06)
@@ -80,7 +79,7 @@ def test_random_holds_each_step_for_3_to_10_seconds() -> None:
     assert not np.array_equal(cmd, given("random", seed=1))
 
 
-def test_a_fixed_pair_of_thrusters_steers_by_unequal_speeds() -> None:
+def test_a_thruster_pair_steers_by_unequal_speeds() -> None:
     otter = Vessel.load("otter")
     cmd = commands("turn", T, otter, np.random.default_rng(0), n=N)
     share = given("turn")[:, 2] / math.radians(30.0)
@@ -90,6 +89,6 @@ def test_a_fixed_pair_of_thrusters_steers_by_unequal_speeds() -> None:
     assert np.all(cmd[:, 2:] == 0.0)
 
 
-def test_unknown_names_list_those_there_are() -> None:
+def test_unknown_names_are_refused_with_the_known_ones() -> None:
     with pytest.raises(ManoeuvreError, match="'loop'; known: straight, turn, zigzag"):
         given("loop")

@@ -1,4 +1,4 @@
-"""Response amplitudes: limits, linearity, encounter, and the closed forms beside them."""
+"""Response amplitudes: limits, linearity, encounter frequency and closed forms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ def slope(omega: float) -> float:
 
 @pytest.mark.parametrize("name", ["usv75", "kvlcc2_l7", "wamv16", "telemetron"])
 def test_a_boat_at_rest_follows_a_very_long_wave(name: str) -> None:
-    """Also where the added mass is large, and acts far from the centre of gravity."""
     vessel = Vessel.load(name)
     head, beam = (respond(vessel, LONGEST, heading) for heading in (HEAD, BEAM))
     # dynamic terms: (omega / omega_n)^2, up to 2 %; a long ship's (k L)^2 / 24 is less. Rolling
@@ -42,7 +41,6 @@ def test_a_boat_at_rest_follows_a_very_long_wave(name: str) -> None:
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 5.58])
 def test_a_boat_moves_with_the_water_of_a_very_long_wave(speed: float) -> None:
-    """Hull, drives and added mass feel the moving water: nothing drags, nothing heels."""
     head, beam = (respond(BOAT, LONGEST, heading, speed=speed) for heading in (HEAD, BEAM))
     # particles of deep water go round in circles of the wave's amplitude; their speed is met
     # at the frequency of encounter
@@ -52,21 +50,21 @@ def test_a_boat_moves_with_the_water_of_a_very_long_wave(speed: float) -> None:
     assert float(beam.roll) / slope(LONGEST) == pytest.approx(1.0, abs=0.05)
 
 
-def test_an_oblique_wave_tilts_by_the_parts_of_its_slope() -> None:
+def test_an_oblique_wave_tilts_by_its_slope_components() -> None:
     got = respond(BOAT, LONGEST, math.radians(150.0))
     assert float(got.pitch) / slope(LONGEST) == pytest.approx(math.cos(math.pi / 6), rel=0.02)
     assert float(got.roll) / slope(LONGEST) == pytest.approx(0.5, rel=0.02)
 
 
 @pytest.mark.parametrize(("heading", "speed"), [(HEAD, 0.0), (HEAD, 5.58), (2.0, 3.0)])
-def test_twice_the_wave_is_twice_the_motion(heading: float, speed: float) -> None:
+def test_motion_is_linear_in_the_wave(heading: float, speed: float) -> None:
     one, two = (respond(BOAT, 1.777, heading, speed=speed, amplitude=a) for a in (1e-3, 2e-3))
     # what is left is of the order of the wave over the draft
     for a, b in zip(one[1:], two[1:], strict=True):
         assert float(b) == pytest.approx(float(a), rel=5e-3, abs=1e-6)
 
 
-def test_port_mirrors_starboard_and_at_rest_bow_mirrors_stern() -> None:
+def test_responses_are_symmetric() -> None:
     port, starboard, astern = (respond(BOAT, 2.0, angle) for angle in (2.3, -2.3, math.pi - 2.3))
     for a, b, c in zip(port, starboard, astern, strict=True):
         assert float(b) == pytest.approx(float(a), rel=1e-6)
@@ -74,7 +72,7 @@ def test_port_mirrors_starboard_and_at_rest_bow_mirrors_stern() -> None:
         assert float(c) == pytest.approx(float(a), rel=0.05)
 
 
-def test_encounter_frequency() -> None:
+def test_encounter_frequency_follows_speed_and_heading() -> None:
     omega, speed = 1.2, 5.58
     for heading in (HEAD, 2.0, BEAM):
         want = omega - slope(omega) * speed * math.cos(heading)
@@ -84,14 +82,14 @@ def test_encounter_frequency() -> None:
         )
 
 
-def test_waves_that_are_hardly_met_have_no_amplitude() -> None:
+def test_slow_encounters_have_no_amplitude() -> None:
     # g / U: the boat runs along with the wave
     got = respond(BOAT, GRAVITY / 5.58, FOLLOWING, speed=5.58)
     assert abs(float(got.encounter)) < 1e-9
     assert np.isnan([float(x) for x in got[1:]]).all()
 
 
-def test_many_frequencies_are_each_by_itself() -> None:
+def test_responses_equal_single_responses() -> None:
     omega = [0.8, 1.6]
     got = responses(BOAT, omega, 2.0, speed=4.0)
     for i, w in enumerate(omega):
@@ -100,28 +98,28 @@ def test_many_frequencies_are_each_by_itself() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.5, 5.58, 19.0])
-def test_shaft_speed_holds_a_speed(speed: float) -> None:
+def test_shaft_speed_for_inverts_straight_speed(speed: float) -> None:
     # to 1e-10 rev/s, with 0.5 m/s per rev/s
     assert BOAT.straight_speed(shaft_speed_for(BOAT, speed)) == pytest.approx(speed, abs=1e-8)
 
 
 @given(omega=st.floats(0.3, 2.0), heading=st.floats(0.0, math.pi))
 @settings(max_examples=100, deadline=None)
-def test_jensen_of_long_waves_is_the_wave(omega: float, heading: float) -> None:
+def test_jensen_in_long_waves_equals_the_wave(omega: float, heading: float) -> None:
     heave, pitch = jensen(0.01 * omega, heading, speed=0.0, **HULL)
     assert float(heave) == pytest.approx(1.0, rel=1e-3)
     want = slope(0.01 * omega) * abs(math.cos(heading))
     assert float(pitch) == pytest.approx(want, rel=1e-3, abs=1e-12)
 
 
-def test_jensen_is_even_in_the_side_of_the_waves() -> None:
+def test_jensen_is_even_in_heading() -> None:
     for speed in (0.0, 5.58):
         one, other = (jensen(1.3, angle, speed=speed, **HULL) for angle in (2.0, -2.0))
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_jensen_as_printed() -> None:
-    """With sines and quotients as in physics.md 2.3, away from their limits."""
+def test_jensen_equals_the_printed_formulas() -> None:
+    # Jensen, Mansour and Olsen 2004
     w, U, beta = 1.777, 3.0, 2.5
     L, B, T = HULL["length"], HULL["beam"] * HULL["block"], HULL["draft"]
     k, a = w**2 / GRAVITY, 1.0 - w * U / GRAVITY * math.cos(beta)
@@ -137,7 +135,7 @@ def test_jensen_as_printed() -> None:
     assert float(pitch) == pytest.approx(eta * abs(G), rel=1e-12)
 
 
-def test_a_regular_sea_has_the_amplitude_that_it_is_given() -> None:
+def test_a_regular_sea_has_its_amplitude() -> None:
     sea = Sea.regular(BOAT, 1.5, 0.3, to=0.7, phase=0.2)
     height = sea.elevation(0.0, 0.0, np.linspace(0.0, 2.0 * math.pi / 1.5, 2001))
     assert height.max() == pytest.approx(0.3, rel=1e-5)

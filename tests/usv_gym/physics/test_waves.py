@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym import SeaState, Vessel
-from usv_gym.manoeuvring.rao import box_loads
+from usv_gym.manoeuvring.rao import Box, box_loads
 from usv_gym.physics import GRAVITY, spectra, waves
 
 BOAT = Vessel.load("usv75")
@@ -58,7 +58,7 @@ def vertical_loads(
 def quadrature(x: float, y: float, psi: float, t: float, row: np.ndarray) -> np.ndarray:
     """Return X, Y, N, Z, K, M of one component on the box by numerical integration."""
     box = {"length": LENGTH, "beam": BEAM, "draft": DRAFT, "density": RHO_G / GRAVITY}
-    return box_loads(row, x, y, psi, t, **box)
+    return box_loads(row, x, y, psi, t, Box(**box))
 
 
 def load_scale(row: np.ndarray) -> np.ndarray:

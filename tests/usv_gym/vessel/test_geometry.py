@@ -1,4 +1,4 @@
-"""The boat's geometric model: closed surfaces of the stated size and volume, and mesh files."""
+"""Geometric models: closed surfaces of the given size and volume, and mesh files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import usv_gym
-from twin.cli.common import app
+from twin.cli.main import app
 from usv_gym import Vessel, vessel_names
 from usv_gym.physics.propulsion import propulsion_forces
-from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, hull_of
+from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, encode_mesh
+from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
 
 trimesh = pytest.importorskip("trimesh")
@@ -28,7 +29,7 @@ USV75 = Path(usv_gym.__file__).parent / "vessel" / "vessels" / "usv75.toml"
 
 
 def submerged(mesh: Mesh) -> float:
-    """Return the volume below z = 0: a closed hull has points on it all around."""
+    """Return the volume below z = 0 of a hull with a ring of points at z = 0."""
     triangles = mesh.vertices[mesh.faces]
     below = triangles[(triangles[..., 2] > -1e-9 * np.ptp(mesh.bounds)).all(axis=1)]
     normals = 0.5 * np.cross(below[:, 1] - below[:, 0], below[:, 2] - below[:, 0])
@@ -63,7 +64,7 @@ def vessel(request: pytest.FixtureRequest) -> Vessel:
     return Vessel.load(request.param)
 
 
-def test_hull_is_closed_and_displaces_what_the_vessel_says(vessel: Vessel) -> None:
+def test_hull_is_closed_with_the_displacement_of_the_vessel(vessel: Vessel) -> None:
     hull, v = boat_of(vessel)["hull"].mesh, vessel.values
     check_solid(hull)
     check_symmetric(hull)
@@ -76,7 +77,6 @@ def test_hull_is_closed_and_displaces_what_the_vessel_says(vessel: Vessel) -> No
 
 
 def test_water_plane_has_the_area_of_the_vessel() -> None:
-    """By the change of volume with the draft: the ring of faces next to the water line."""
     vessel = Vessel.load("usv75")
     on = boat_of(vessel)["hull"].mesh.vertices
     on = on[np.abs(on[:, 2]) < 1e-9]
@@ -85,7 +85,7 @@ def test_water_plane_has_the_area_of_the_vessel() -> None:
     assert 2.0 * np.trapezoid(side[:, 1], side[:, 0]) == pytest.approx(vessel.A_wp, rel=0.01)
 
 
-def test_every_part_is_closed_and_all_are_few(vessel: Vessel) -> None:
+def test_parts_are_closed_and_have_few_vertices(vessel: Vessel) -> None:
     boat = boat_of(vessel)
     for part in boat.parts:
         check_solid(part.mesh)
@@ -104,7 +104,7 @@ def test_catamarans_have_two_hulls() -> None:
         assert (np.abs(mesh.vertices[:, 1]).min() > 0.0) == (hulls == 2)
 
 
-def test_drives_and_rudders_stand_where_the_vessel_has_them(vessel: Vessel) -> None:
+def test_drives_and_rudders_have_the_positions_of_the_vessel(vessel: Vessel) -> None:
     boat, v = boat_of(vessel), vessel.values
     sides = ("_left", "_right") if v["units"] == 2.0 else ("",)
     for unit, side in enumerate(sides):
@@ -112,7 +112,7 @@ def test_drives_and_rudders_stand_where_the_vessel_has_them(vessel: Vessel) -> N
         y = (2 * unit - 1) * v["y_P"] if side else 0.0
         assert propeller.moves == "spin"
         assert propeller.unit == unit
-        np.testing.assert_allclose(boat.place(propeller)[1:], [y, v["z_P"]])
+        np.testing.assert_allclose(boat.position_of(propeller)[1:], [y, v["z_P"]])
         radius = np.hypot(*propeller.mesh.vertices[:, 1:].T).max()
         assert radius == pytest.approx(0.5 * v["propeller_diameter"], rel=0.05)
         if vessel.kind == "propeller_rudder":
@@ -130,7 +130,7 @@ def test_drives_and_rudders_stand_where_the_vessel_has_them(vessel: Vessel) -> N
 
 
 def test_a_drive_turns_by_minus_its_angle() -> None:
-    """Thrust follows the propeller's axis when the part is turned as documented."""
+    # thrust follows the axis of the propeller
     vessel = Vessel.load("usv75")
     angle, state = 0.3, np.zeros(16)
     state[12:] = [20.0, 20.0, angle, angle]
@@ -142,61 +142,48 @@ def test_a_drive_turns_by_minus_its_angle() -> None:
     assert 0.8 < X / (straight * turned[0]) < 1.2
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    block=st.floats(0.35, 0.9),
-    slender=st.floats(1.2, 10.0),
-    flat=st.floats(1.5, 12.0),
-    length=st.floats(0.5, 400.0),
-    over=st.none() | st.floats(0.9, 1.4),
-    plane=st.none() | st.floats(0.3, 1.0),
-    aside=st.none() | st.floats(0.0, 0.6),
-    arm=st.none() | st.floats(-0.8, -0.01),
-    kind=st.sampled_from(tuple(KIND_SCHEMA)),
-    units=st.sampled_from([1, 2]),
-)
-def test_any_boat_can_be_drawn(
-    block: float,
-    slender: float,
-    flat: float,
-    length: float,
-    over: float | None,
-    plane: float | None,
-    aside: float | None,
-    arm: float | None,
-    kind: str,
-    units: int,
-) -> None:
-    beam = length / slender
-    form = Form(
+@st.composite
+def forms(draw: st.DrawFn) -> Form:
+    """Draw a form of any shape and size."""
+    length, kind = draw(st.floats(0.5, 400.0)), draw(st.sampled_from(tuple(KIND_SCHEMA)))
+    beam = length / draw(st.floats(1.2, 10.0))
+    draft = beam / draw(st.floats(1.5, 12.0))
+
+    def some(low: float, high: float, scale: float) -> float | None:
+        share = draw(st.none() | st.floats(low, high))
+        return None if share is None else share * scale
+
+    return Form(
         length=length,
         beam=beam,
-        draft=beam / flat,
-        volume=block * length * beam * beam / flat,
-        length_overall=None if over is None else over * length,
-        waterplane=None if plane is None else plane * length * beam,
+        draft=draft,
+        volume=draw(st.floats(0.35, 0.9)) * length * beam * draft,
+        length_overall=some(0.9, 1.4, length),
+        waterplane=some(0.3, 1.0, length * beam),
         kind=kind,
-        units=2 if kind == "thruster_pair" else units,
-        arm=None if arm is None else arm * length,
-        aside=None if aside is None else aside * beam,
+        units=2 if kind == "thruster_pair" else draw(st.sampled_from([1, 2])),
+        arm=some(-0.8, -0.01, length),
+        aside=some(0.0, 0.6, beam),
     )
-    hull = hull_of(form)
+
+
+@settings(max_examples=50, deadline=None)
+@given(forms())
+def test_any_boat_can_be_drawn(form: Form) -> None:
+    hull = HullLines(form).mesh
     check_solid(hull)
     assert submerged(hull) == pytest.approx(form.volume, rel=0.02)
-    np.testing.assert_allclose(waterline(hull), [length, beam], rtol=1e-6)
+    np.testing.assert_allclose(waterline(hull), [form.length, form.beam], rtol=1e-6)
     assert hull.bounds[1, 2] == pytest.approx(form.draft)
     for part in boat_of(form).parts:
         check_solid(part.mesh)
 
 
-def test_other_boats_of_the_kind_can_be_drawn(vessel: Vessel) -> None:
+def test_varied_boats_can_be_drawn(vessel: Vessel) -> None:
     boat = vessel.varied(np.random.default_rng(3), 0.3)
     hull, v = boat_of(boat)["hull"].mesh, boat.values
     volume = v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
     assert submerged(hull) == pytest.approx(volume, rel=0.02)
-
-
-# ------------------------------------------------------------------------------- mesh files
 
 
 def with_mesh(folder: Path, mesh: str) -> Path:
@@ -212,7 +199,7 @@ PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
 
 def exported(folder: Path, suffix: str) -> Boat:
     boat = boat_of(Vessel.load("usv75"))
-    (folder / f"boat{suffix}").write_bytes(boat.encoded(suffix))
+    (folder / f"boat{suffix}").write_bytes(encode_mesh(boat, suffix))
     return boat
 
 
@@ -220,43 +207,31 @@ def exported(folder: Path, suffix: str) -> Boat:
 def test_an_exported_file_has_the_axes_of_its_format(tmp_path: Path, suffix: str) -> None:
     boat = exported(tmp_path, suffix)
     (north, west, up), (bow, east, top) = trimesh.load_scene(tmp_path / f"boat{suffix}").bounds
-    if suffix != ".glb":  # nothing that moves
+    if suffix != ".glb":  # no propulsion
         boat = Boat(
             tuple(part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION)
         )
-    (aft, port, high), (fore, _, low) = boat.whole().bounds
+    (aft, port, high), (fore, _starboard, low) = boat.whole().bounds
     if suffix == ".glb":  # y up, z forward
         north, west, up, bow, east, top = up, north, west, top, bow, east
     np.testing.assert_allclose([north, bow, west, up, top], [aft, fore, port, -low, -high], 1e-4)
 
 
 @pytest.mark.parametrize("suffix", MESH_FORMATS)
-def test_a_whole_boat_as_its_own_mesh_has_no_drive_twice(tmp_path: Path, suffix: str) -> None:
+def test_an_exported_boat_as_mesh_has_each_drive_once(tmp_path: Path, suffix: str) -> None:
     boat = exported(tmp_path, suffix)
     again = boat_of(Vessel.load(with_mesh(tmp_path, f"boat{suffix}")))
     assert len(again.whole().faces) == len(boat.whole().faces)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"glTF", b"solid x", b"glTF\x02\0\0\0\x14\0\0\0" + bytes(8)]
-)
-@pytest.mark.parametrize("suffix", MESH_FORMATS)
-def test_a_damaged_file_is_told_without_its_parser_s_words(
-    tmp_path: Path, suffix: str, content: bytes
-) -> None:
-    (tmp_path / f"bad{suffix}").write_bytes(content)
-    with pytest.raises(VesselError, match=r"export it again|no triangles"):
-        boat_of(Vessel.load(with_mesh(tmp_path, f"bad{suffix}")))
-
-
 def test_a_mesh_far_from_the_origin_is_refused(tmp_path: Path) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
     off = dataclasses.replace(hull, mesh=hull.mesh.moved([500.0, 0.0, 0.0]))
-    (tmp_path / "off.stl").write_bytes(Boat((off,)).encoded(".stl"))
+    (tmp_path / "off.stl").write_bytes(encode_mesh(Boat((off,)), ".stl"))
     refused(tmp_path, "off.stl", "501 m off the origin|amidships")
 
 
-def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:
+def test_a_read_glb_has_equal_parts(tmp_path: Path) -> None:
     boat = exported(tmp_path, ".glb")
     again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
     assert {part.name for part in again.parts} == {part.name for part in boat.parts}
@@ -264,7 +239,7 @@ def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:
         back = again[part.name]
         assert back.mesh.volume == pytest.approx(part.mesh.volume, rel=1e-4)
         np.testing.assert_allclose(back.mesh.bounds, part.mesh.bounds, atol=1e-5)
-        np.testing.assert_allclose(again.place(back), boat.place(part))
+        np.testing.assert_allclose(again.position_of(back), boat.position_of(part))
         assert (back.moves, back.parent, back.unit) == (part.moves, part.parent, part.unit)
         assert back.colour == part.colour
     solid = trimesh.load_scene(tmp_path / "boat.glb").geometry["hull"]
@@ -272,10 +247,10 @@ def test_glb_comes_back_part_by_part(tmp_path: Path) -> None:
     assert solid.volume == pytest.approx(boat["hull"].mesh.volume, rel=1e-4)
 
 
-def test_a_glb_is_written_again_the_same(tmp_path: Path) -> None:
+def test_a_read_glb_is_written_equally(tmp_path: Path) -> None:
     exported(tmp_path, ".glb")
     again = boat_of(Vessel.load(with_mesh(tmp_path, "boat.glb")))
-    (tmp_path / "twice.glb").write_bytes(again.encoded(".glb"))
+    (tmp_path / "twice.glb").write_bytes(encode_mesh(again, ".glb"))
     first, second = (trimesh.load_scene(tmp_path / f"{n}.glb") for n in ("boat", "twice"))
     np.testing.assert_allclose(first.bounds, second.bounds, atol=1e-5)
     assert set(first.graph.nodes_geometry) == set(second.graph.nodes_geometry)
@@ -284,7 +259,7 @@ def test_a_glb_is_written_again_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
 def test_other_files_replace_the_hull_and_keep_the_drives(tmp_path: Path, suffix: str) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
-    (tmp_path / f"hull{suffix}").write_bytes(Boat((hull,)).encoded(suffix))
+    (tmp_path / f"hull{suffix}").write_bytes(encode_mesh(Boat((hull,)), suffix))
     boat = boat_of(Vessel.load(with_mesh(tmp_path, f"hull{suffix}")))
     assert boat.parts[0].mesh.volume == pytest.approx(hull.mesh.volume, rel=1e-4)
     np.testing.assert_allclose(boat.parts[0].mesh.bounds, hull.mesh.bounds, atol=1e-5)
@@ -322,15 +297,17 @@ def test_bad_mesh_files_are_refused(tmp_path: Path) -> None:
     refused(tmp_path, "none.glb", "there is no file")
     (tmp_path / "boat.fbx").touch()
     refused(tmp_path, "boat.fbx", r"must be a file of \.glb, \.stl")
+    damaged = b"", b"glTF", b"solid x", b"glTF\x02\0\0\0\x14\0\0\0" + bytes(8), b"none \xff\0"
     for suffix in MESH_FORMATS:
-        (tmp_path / f"noise{suffix}").write_bytes(b"no mesh at all \xff\x00")
-        refused(tmp_path, f"noise{suffix}", "no .* file that can be read|holds no triangles")
+        for content in damaged:
+            (tmp_path / f"bad{suffix}").write_bytes(content)
+            refused(tmp_path, f"bad{suffix}", "no .* file that can be read|holds no triangles")
     (tmp_path / "empty.obj").write_text("# nothing\n")
     refused(tmp_path, "empty.obj", "no .* file that can be read|holds no triangles")
     (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     refused(tmp_path, "points.obj", "no .* file that can be read|holds no triangles")
     (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    refused(tmp_path, "nan.obj", "no finite numbers")
+    refused(tmp_path, "nan.obj", "not finite")
 
 
 @pytest.mark.parametrize(
@@ -340,7 +317,7 @@ def test_bad_mesh_files_are_refused(tmp_path: Path) -> None:
         (np.eye(3) * 100.0, "seems to be in cm"),
         (np.eye(3) / 0.3048, "seems to be in feet"),
         (np.eye(3) * 5.0, "must be in m"),
-        (np.eye(3)[[2, 1, 0]], "seems to point elsewhere"),
+        (np.eye(3)[[2, 1, 0]], "axes seem to differ"),
     ],
 )
 def test_a_mesh_of_another_size_is_refused(
@@ -348,24 +325,21 @@ def test_a_mesh_of_another_size_is_refused(
 ) -> None:
     hull = boat_of(Vessel.load("usv75"))["hull"]
     wrong = dataclasses.replace(hull, mesh=Mesh(hull.mesh.vertices @ change, hull.mesh.faces))
-    (tmp_path / "wrong.stl").write_bytes(Boat((wrong,)).encoded(".stl"))
+    (tmp_path / "wrong.stl").write_bytes(encode_mesh(Boat((wrong,)), ".stl"))
     refused(tmp_path, "wrong.stl", message)
 
 
 def test_a_file_of_drives_alone_is_refused(tmp_path: Path) -> None:
     boat = boat_of(Vessel.load("usv75"))
-    (tmp_path / "drive.glb").write_bytes(Boat((boat["drive_left"],)).encoded(".glb"))
+    (tmp_path / "drive.glb").write_bytes(encode_mesh(Boat((boat["drive_left"],)), ".glb"))
     refused(tmp_path, "drive.glb", "must hold the hull")
 
 
-def test_without_trimesh_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_trimesh_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     boat = boat_of(Vessel.load("usv75"))
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(VesselError, match=re.escape("pip install 'usv-twin[view]'")):
-        boat.encoded(".glb")
-
-
-# ----------------------------------------------------------------------------- command line
+        encode_mesh(boat, ".glb")
 
 
 @pytest.mark.parametrize("suffix", MESH_FORMATS)
@@ -383,7 +357,7 @@ def test_command_refuses_in_one_line(tmp_path: Path) -> None:
     for arguments, message in (
         (["mesh", "usv75", "--out", str(tmp_path / "boat.fbx")], "no mesh format"),
         (["mesh", "usv75", "--out", str(tmp_path / "boat.glb")], "is there already"),
-        (["mesh", "nobody"], "no vessel is called"),
+        (["mesh", "unknown"], "no vessel is called"),
         (["check", str(with_mesh(tmp_path, "boat.glb"))], "boat.glb"),
     ):
         done = CliRunner().invoke(app, ["vessel", *arguments])

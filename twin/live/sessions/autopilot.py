@@ -58,7 +58,7 @@ class Helm:
         self._usual = vessel.values["shaft_speed_manoeuvring"]
         self._since, self._decided = 0.0, -math.inf
         self._rng, self._random_seed = rng, int(rng.integers(2**32))
-        self._steered = self._steady = vessel.helm(self._usual, 0.0)
+        self._steered = self._steady = vessel.command(self._usual, 0.0)
 
     def hand_over(self, autopilot: str, t: float, state: Array) -> None:
         """Let another autopilot steer from time t (s) and state (6,) on."""
@@ -86,7 +86,7 @@ class Helm:
         if self.autopilot == "path":
             return self._along_path(t, state)
         most = self.vessel.helm_max
-        return self.vessel.helm(self._usual * self.throttle, min(max(self.angle, -most), most))
+        return self.vessel.command(self._usual * self.throttle, min(max(self.angle, -most), most))
 
     def plan(self, t: float) -> str | Array:
         """Return the commands of the next seconds, as :meth:`twin.digital_twin.Twin.predict` takes them."""
@@ -130,6 +130,6 @@ class Helm:
         motion += [r, u / self.speed]
         shaft, helm = self._los.steer(np.array([motion]))[0]
         full = self.throttle * self.vessel.values["shaft_speed_service"]
-        self._steered = self.vessel.helm(shaft * full, helm * self.vessel.helm_max)
+        self._steered = self.vessel.command(shaft * full, helm * self.vessel.helm_max)
         self._steady = self._steady + DECISION / STEADY * (self._steered - self._steady)
         return self._steered

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from tests.twin.live.wire import RUN, Wire
 from twin import Twin
-from twin.cli.common import app
+from twin.cli.main import app
 from twin.live.protocols.feed import Feed, FeedError, needed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
@@ -228,7 +228,7 @@ def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("twin.cli.live.replay", interrupted)
+    monkeypatch.setattr("twin.cli.replay.replay", interrupted)
     result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{_free()}"])
     assert result.exit_code == 130
 

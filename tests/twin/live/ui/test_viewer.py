@@ -416,7 +416,7 @@ def test_a_log_shows_no_curve_of_what_comes_later(served, tmp_path):
 @pytest.mark.parametrize("host", ["nosuch.invalid", "203.0.113.9"])
 def test_an_address_of_nobody_is_refused_at_once(host):
     done = subprocess.run(
-        [sys.executable, "-m", "twin.cli.main", "view", "--host", host, "-p", "persistence"],
+        [sys.executable, "-m", "twin.cli", "view", "--host", host, "-p", "persistence"],
         capture_output=True,
         text=True,
         timeout=120,
@@ -430,7 +430,7 @@ def test_an_address_of_nobody_is_refused_at_once(host):
 def viewing(folder: Path, *arguments: str) -> Iterator[tuple[Any, str]]:
     """Run the command; yield its process and the line that tells its address."""
     with subprocess.Popen(
-        [sys.executable, "-m", "twin.cli.main", "view", *arguments],
+        [sys.executable, "-m", "twin.cli", "view", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -463,7 +463,7 @@ def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
     with viewing(tmp_path, kind, address, *own) as (process, _):
         done = subprocess.run(
             [
-                *(sys.executable, "-m", "twin.cli.main", "replay", "run.csv", kind, address),
+                *(sys.executable, "-m", "twin.cli", "replay", "run.csv", kind, address),
                 *("--speed", "10", "--ship", "usv75"),
             ],
             capture_output=True,

@@ -1,0 +1,213 @@
+"""What the pictures show: runs, predictions, and the truth or the measurements in its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import MEASUREMENTS
+from twin.logs.log import Log
+from twin.predictors.base import Prediction
+
+__all__ = [
+    "PredictorFigure",
+    "Reference",
+    "RunFigure",
+    "example_times",
+    "examples_at",
+    "gps_fixes",
+    "number_of",
+    "reference_of",
+    "run_label",
+    "text_of",
+]
+
+Array = NDArray[np.float64]
+
+GYRO = MEASUREMENTS.index("gyro_radps")
+
+
+@dataclass(frozen=True)
+class PredictorFigure:
+    """What the pictures show of one predictor on one run.
+
+    Parameters
+    ----------
+    examples : list of Prediction
+        At most three, made at the same times by all predictors.
+    t : ndarray, shape (M,)
+        Times of the parameter history, s.
+    params, params_sd : ndarray, shape (M, p)
+        Model parameters and their standard deviations; no columns where there is no model.
+    names, units : tuple of str
+        Of the p parameters.
+    blocks : dict of str to tuple of int
+        First and last + 1 parameter of the equation of each motion.
+    """
+
+    examples: list[Prediction]
+    t: Array
+    params: Array
+    params_sd: Array
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RunFigure:
+    """What the pictures show of one run.
+
+    Parameters
+    ----------
+    scenario, fault : str
+        As in the rows of the results.
+    seed : int
+        Seed of the run.
+    log : Log
+        The run; without truth, the measurements stand in for it.
+    lost : list of tuple of float
+        Start and end of the times without GPS, s.
+    predictors : dict of str to PredictorFigure
+        By name, in the order of the legends.
+    """
+
+    scenario: str
+    fault: str
+    seed: int
+    log: Log
+    lost: list[tuple[float, float]]
+    predictors: dict[str, PredictorFigure]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the predictions are compared with.
+
+    Parameters
+    ----------
+    is_truth : bool
+        Whether it is the truth, and not measurements.
+    t, v : list of ndarray
+        Times (s) and values of each of the six states.
+    """
+
+    is_truth: bool
+    t: list[Array]
+    v: list[Array]
+
+    @property
+    def label(self) -> str:
+        """Name in legends."""
+        return "true" if self.is_truth else "measured"
+
+    @property
+    def path(self) -> Array:
+        """Positions (n, 2) north and east, at the times ``t[0]``."""
+        return np.stack([self.v[0], self.v[1]], axis=1)
+
+    @property
+    def speed(self) -> Array:
+        """Speed over ground, m/s, at the times of the surge speed."""
+        sway = np.interp(self.t[3], self.t[4], self.v[4]) if len(self.t[4]) else 0.0
+        return np.hypot(self.v[3], sway)
+
+    def position(self, t: float) -> Array:
+        """Return the position north and east at a time; NaN where there is none."""
+        if not len(self.t[0]):
+            return np.full(2, math.nan)
+        return np.array([np.interp(t, self.t[0], self.v[j]) for j in (0, 1)])
+
+    def within(self, column: int, t0: float, t1: float) -> tuple[Array, Array]:
+        """Return times and values of one state between two times."""
+        t = self.t[column]
+        rows = (t >= t0 - 1e-9) & (t <= t1 + 1e-9)
+        return t[rows], self.v[column][rows]
+
+    def slice(self, t0: float, t1: float) -> Reference:
+        """Return the part between two times."""
+        parts = [self.within(j, t0, t1) for j in range(6)]
+        return Reference(self.is_truth, [t for t, _ in parts], [v for _, v in parts])
+
+
+def reference_of(log: Log) -> Reference:
+    """Return the truth of a log, or what its sensors measured."""
+    is_truth = log.truth is not None and bool(np.isfinite(log.truth[:, :2]).all(axis=1).any())
+    columns = log.truth if is_truth and log.truth is not None else _measured_states(log)
+    times, values = [], []
+    both = np.isfinite(columns[:, :2]).all(axis=1)
+    for j in range(6):
+        there = both if j < 2 else np.isfinite(columns[:, j])
+        times.append(log.t[there])
+        column = columns[there, j]
+        values.append(np.unwrap(column) if j == 2 and len(column) else column)
+    return Reference(is_truth, times, values)
+
+
+def _measured_states(log: Log) -> Array:
+    """Return states (N, 6) as far as the sensors give them; NaN elsewhere."""
+    out = np.full((len(log), 6), math.nan)
+    out[:, :2] = log.z[:, :2]
+    out[:, 2] = log.z[:, 4]
+    out[:, 5] = log.z[:, GYRO]
+    there = np.isfinite(out[:, 2])
+    if there.sum() < 2:
+        return out
+    t, psi = log.t[there], np.unwrap(out[there, 2])
+    heading = np.interp(log.t, t, psi)
+    c, s = np.cos(heading), np.sin(heading)
+    out[:, 3] = log.z[:, 2] * c + log.z[:, 3] * s
+    out[:, 4] = log.z[:, 3] * c - log.z[:, 2] * s
+    if not np.isfinite(out[:, 5]).any():
+        # no gyro: the slope of the heading over one second, short enough for a boat's turn
+        late, early = np.minimum(log.t + 0.5, t[-1]), np.maximum(log.t - 0.5, t[0])
+        turned = np.interp(late, t, psi) - np.interp(early, t, psi)
+        out[:, 5] = turned / np.maximum(late - early, 1e-9)
+    return out
+
+
+def gps_fixes(log: Log) -> Array:
+    """Return the positions (n, 2) of all GPS fixes."""
+    fixes = log.z[:, :2]
+    return fixes[np.isfinite(fixes).all(axis=1)]
+
+
+def example_times(run: RunFigure) -> list[float]:
+    """Return the times at which the examples were made, s."""
+    times = {round(p.t0, 3) for figure in run.predictors.values() for p in figure.examples}
+    return sorted(times)[:3]
+
+
+def examples_at(run: RunFigure, t0: float) -> dict[str, Prediction]:
+    """Return the predictions made at a time, by predictor."""
+    return {
+        name: prediction
+        for name, figure in run.predictors.items()
+        for prediction in figure.examples
+        if abs(prediction.t0 - t0) < 2e-3
+    }
+
+
+def run_label(run: RunFigure) -> str:
+    """Return scenario, fault and seed for headings."""
+    fault = "no fault" if run.fault == "none" else f"fault {run.fault}"
+    return f"{run.scenario}, {fault}, seed {run.seed}"
+
+
+def text_of(row: Mapping[str, Any], key: str) -> str:
+    """Return a text of a row of results; empty where there is none."""
+    value = row.get(key)
+    return "" if value is None else str(value)
+
+
+def number_of(row: Mapping[str, Any], key: str) -> float:
+    """Return a number of a row of results; NaN where there is none."""
+    value = row.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        return math.nan
+    return float(value)

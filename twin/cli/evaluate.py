@@ -1,0 +1,166 @@
+"""``usv-twin evaluate``: let agents sail the same episodes."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.progress import TimeElapsedColumn
+
+from twin.agents import study
+from twin.agents.agent import Agent
+from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
+from twin.agents.policy import AgentError, Policy
+from twin.agents.training import Plan, Run
+from twin.cli.common import (
+    BackendOption,
+    JobsOption,
+    console,
+    new_table,
+    parse_list,
+    parse_seeds,
+    progress_bar,
+    write_json,
+)
+from twin.parallel import results_of
+from usv_gym.envs.tasks import TASKS
+
+EVALUATED_ON = f"{EVALUATION_SEEDS[0]}-{EVALUATION_SEEDS[-1]}"
+
+
+def evaluate_command(
+    models: Annotated[
+        list[str],
+        typer.Argument(
+            help="A run's folder, a folder of runs, a policy (.npz), the name of a classical "
+            "controller, or module:Class of an agent of your own.",
+            metavar="MODEL",
+        ),
+    ],
+    sea: Annotated[
+        str, typer.Option(help="Comma-separated; 0|2 draws one of them for each episode.")
+    ] = ",".join(SEAS),
+    faults: Annotated[
+        str, typer.Option(help="Comma-separated; gps30@40 begins at 40 s.")
+    ] = ",".join(OUTAGES),
+    seeds: Annotated[
+        str, typer.Option(help="One episode each: A-B, A:B, or a list as 0,4,7.")
+    ] = EVALUATED_ON,
+    task: Annotated[
+        str | None, typer.Option(help=f"One of: {', '.join(TASKS)}. Default: the trained one.")
+    ] = None,
+    twin: Annotated[str | None, typer.Option(help="Default: that of the training, or ukf.")] = None,
+    vessel: Annotated[
+        str | None, typer.Option(help="Default: that of the training, or usv75.")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Every episode, in full precision.")
+    ] = None,
+    jobs: JobsOption = 1,
+    backend: BackendOption = "loky",
+) -> None:
+    """Let agents sail the same episodes, in each sea state with each loss of GPS.
+
+    The distance off the path is the mean over an episode. After a failure (50 m off the path, or
+    capsized) the rest of the episode counts as 50 m.
+    """
+    seas, outages = parse_list(sea, "--sea"), parse_list(faults, "--faults")
+    chosen = {"task": task, "twin": twin, "vessel": vessel}
+    given = {key: value for key, value in chosen.items() if value is not None}
+    agents = [agent for model in models for agent in _agents(model)]
+    same = _trained_with([agent for _, agent in agents], given)
+    heads = ("agent", "sea", *outages)
+    table = new_table(
+        f"task {same['task']}: distance off the path, m; median [95 % interval], share of failures",
+        *heads,
+        left=heads,
+    )
+    for column in table.columns:
+        column.no_wrap = column.header == "sea"
+    where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
+    calls = [(model, call) for model, agent in agents for call in on_grid(agent, **where, **same)]
+    made: dict[int, list[dict[str, Any]]] = {}
+    with progress_bar(TimeElapsedColumn()) as progress:
+        bar = progress.add_task("evaluating", total=len(calls))
+        for i, rows in results_of([call for _, call in calls], jobs=jobs, backend=backend):
+            made[i] = rows
+            progress.advance(bar)
+    found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]
+    for model, agent in agents:
+        for state in seas:
+            groups = [
+                [row for row in found if (row["model"], row["sea"], row["faults"]) == key]
+                for key in ((model, state, loss) for loss in outages)
+            ]
+            table.add_row(
+                agent.name if model == agent.name else model, state, *map(_median, groups)
+            )
+    console.print(table)
+    if json_file is not None:
+        write_json(json_file, found)
+        console.print(f"every episode: {json_file}")
+
+
+def _agents(model: str) -> list[tuple[str, Agent]]:
+    """Return the agents that a name stands for, each with its label."""
+    path = Path(model)
+    if path.is_dir():
+        if (path / "run.json").exists():
+            return [(model, Run.of(path).policy)]
+        files = sorted(path.glob("*/policy.npz")) or sorted(path.glob("*.npz"))
+        if not files:
+            raise AgentError(f"{path}: holds no finished run; usv-twin train makes them")
+        return [
+            (str(file.parent if file.name == "policy.npz" else file), Policy.load(file))
+            for file in files
+        ]
+    if path.suffix == ".npz":
+        return [(model, Policy.load(path))]
+    module, colon, name = model.partition(":")
+    if colon:
+        try:
+            return [(model, getattr(importlib.import_module(module), name)())]
+        except (ImportError, AttributeError) as error:
+            raise AgentError(f"{model}: {error}; write module:Class") from None
+    known = study.controllers()
+    if model in known:
+        return [(model, known[model]())]
+    raise AgentError(
+        f"{model}: no such folder, policy or controller; "
+        f"controllers: {', '.join(known)}; agents of your own: module:Class"
+    )
+
+
+def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
+    """Return the environment options of the training, overridden by those given."""
+    options = Plan("ppo", "raw", 1).environment | given
+    for name in ("task", "twin", "vessel", "frame_skip", "max_episode_steps"):
+        trained = {
+            agent.settings[name]
+            for agent in agents
+            if isinstance(agent, Policy) and name in agent.settings
+        }
+        if name in given or not trained:
+            continue
+        if len(trained) > 1:
+            what = ", ".join(map(str, sorted(trained)))
+            raise AgentError(
+                f"these were trained with {name} = {what}: evaluate them one by one"
+                + (f", or name --{name}" if name in ("task", "twin", "vessel") else "")
+            )
+        (options[name],) = trained
+    del options["sea"], options["faults"]
+    return options
+
+
+def _median(rows: list[dict[str, Any]]) -> str:
+    """Return the median distance off the path with its interval, and how many failed."""
+    distance = np.array([row["off_path_m"] for row in rows])
+    samples = np.random.default_rng(0).choice(distance, (study.REPLICATES, len(distance)))
+    low, high = study.interval(np.median(samples, axis=1))
+    failed = sum(row["failed"] for row in rows) / len(rows)
+    share = f" {failed:.0%}" if failed else ""
+    return f"{np.median(distance):.2f}\n[{low:.2f}, {high:.2f}]{share}"

@@ -1,0 +1,129 @@
+"""``usv-twin replay``: send a log as the live stream of a boat."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from twin.cli.common import (
+    LogArgument,
+    MappingOption,
+    ShaftMaxOption,
+    SteerMaxOption,
+    console,
+    note,
+    radians,
+    stopped,
+)
+from twin.live.protocols.feed import FeedError
+from twin.live.protocols.mavlink import Servos
+from twin.live.protocols.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
+from twin.logs.log import Log
+from twin.sim.recorded import particulars_for_log
+
+
+def replay_command(
+    log: LogArgument,
+    nmea: Annotated[
+        str | None,
+        typer.Option(help="Send NMEA 0183 to udp://HOST:PORT; udp://:10110 is this machine."),
+    ] = None,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(help="Send MAVLink 2 to udp://HOST:PORT; udp://:14550 is this machine."),
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Factor on the speed of time.")] = 1.0,
+    origin: Annotated[
+        str, typer.Option(help="Latitude,longitude of the log's origin, degrees.")
+    ] = f"{ORIGIN[0]},{ORIGIN[1]}",
+    loop: Annotated[bool, typer.Option("--loop", help="Start over at the end, for ever.")] = False,
+    disturb: Annotated[
+        str,
+        typer.Option(
+            help="Shares of messages that are late, doubled, broken, swapped: late=.05,broken=.01."
+        ),
+    ] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the disturbances.")] = 0,
+    tag: Annotated[
+        bool, typer.Option("--tag", help="A TAG block with the time before each NMEA sentence.")
+    ] = False,
+    ship: Annotated[
+        str | None,
+        typer.Option(
+            "--ship",
+            "--vessel",
+            help="Boat, TOML file or name, whose full throttle scales MAVLink's servo outputs. "
+            "Default: the .toml beside the log, else usv75.",
+        ),
+    ] = None,
+    shaft_max: ShaftMaxOption = None,
+    steer_max: SteerMaxOption = None,
+    mapping: MappingOption = None,
+) -> None:
+    """Send a log as the live stream of a boat, for usv-twin view --nmea or --mavlink.
+
+    NMEA: a datagram for each row, with ZDA, GGA, RMC, HDT, ROT, RPM and RSA where the row has the
+    values. MAVLink: GLOBAL_POSITION_INT, ATTITUDE, SERVO_OUTPUT_RAW, and a heartbeat.
+    """
+    target = nmea if nmea is not None else mavlink
+    if target is None or (nmea is not None and mavlink is not None):
+        raise FeedError("name one of --nmea udp://:10110 and --mavlink udp://:14550")
+    run = Log.read(log, mapping)
+    place = _origin(origin)
+    if nmea is not None:
+        stream: Stream = NmeaStream(place, tag=tag)
+    else:
+        particulars, _ = particulars_for_log(log, ship)
+        stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)
+    counts: Counter[str] = Counter()
+    length = float(run.t[-1] - run.t[0])
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )
+    span = "again and again" if loop else f"{length:g} s"
+    console.print(f"sending {run.name} to {target}: {span}, {speed:g} times as fast")
+    interrupted, begun = False, time.monotonic()
+    with bar:
+        task = bar.add_task(f"sending {run.name}", total=None if loop else length)
+
+        def progress(t: float) -> None:
+            bar.update(task, completed=t - float(run.t[0]))
+
+        try:
+            replay(
+                run,
+                stream,
+                target,
+                speed=speed,
+                disturb=Disturb.parse(disturb),
+                seed=seed,
+                loop=loop,
+                progress=progress,
+                counts=counts,
+            )
+        except KeyboardInterrupt:
+            interrupted = True
+    late = time.monotonic() - begun - length / speed
+    if not loop and late > 1.0 + 0.1 * length / speed:
+        note(f"this machine was {late:.0f} s too slow for {speed:g} times as fast")
+    sent = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    console.print(f"sent to {target}: {sent}", highlight=False, soft_wrap=True)
+    if interrupted:
+        raise stopped("the rest is not sent")
+
+
+def _origin(text: str) -> tuple[float, float]:
+    """Return latitude and longitude of ``LAT,LON``."""
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError:
+        raise FeedError(f"--origin {text}: write LAT,LON in degrees, as 59.43,10.47") from None
+    return latitude, longitude

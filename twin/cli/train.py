@@ -1,0 +1,117 @@
+"""``usv-twin train``: train agents with Stable-Baselines3."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import TimeElapsedColumn
+
+from twin.agents.evaluation import OUTAGES, SEAS
+from twin.agents.training import ALGORITHMS, Plan, Run, hyperparameters, train
+from twin.cli.common import JobsOption, console, new_table, parse_seeds, progress_bar, stopped
+from twin.sim.wrapper import OBSERVATIONS
+from usv_gym.envs.tasks import TASKS
+
+KEPT = "everything up to the last checkpoints is kept in {}; the same command continues from there"
+"""Printed after Ctrl-C."""
+
+
+def train_command(
+    algo: Annotated[str, typer.Option(help=f"One of: {', '.join(ALGORITHMS)}.")] = "ppo",
+    obs: Annotated[
+        str, typer.Option(help=f"What the agent sees, one of: {', '.join(OBSERVATIONS)}.")
+    ] = "twin",
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Decisions (half a second each) of all boats together. Default: n_timesteps "
+            "of the hyperparameters.",
+        ),
+    ] = None,
+    seeds: Annotated[
+        str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7: a run for each.")
+    ] = "0",
+    task: Annotated[str, typer.Option(help=f"One of: {', '.join(TASKS)}.")] = "path",
+    sea: Annotated[
+        str, typer.Option(help="Sea states, one of them drawn for each episode.")
+    ] = "|".join(SEAS),
+    faults: Annotated[
+        str, typer.Option(help="Losses of sensors, one of them drawn for each episode.")
+    ] = "|".join(OUTAGES),
+    twin: Annotated[str, typer.Option(help="Twin of the observation, if it has one.")] = "ukf",
+    vessel: Annotated[str, typer.Option(help="Name or TOML file.")] = "usv75",
+    hyper: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of hyperparameters. Default: twin/agents/hyper/<algo>.toml."),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of runs.")] = Path("runs"),
+    jobs: JobsOption = 1,
+) -> None:
+    """Train agents with Stable-Baselines3.
+
+    Each seed is a folder <out>/<algo>-<obs>-<seed>: policy.npz (for usv-twin evaluate),
+    curve.csv (the learning curve, on fixed episodes), tensorboard/ (tensorboard --logdir <out>),
+    run.json (all settings). After Ctrl-C or a crash the same command continues from the last
+    checkpoint, and reaches the same policy as without the stop.
+    """
+    options: dict[str, Any] = {
+        "task": task,
+        "sea": sea,
+        "faults": faults,
+        "twin": twin,
+        "vessel": vessel,
+    }
+    values = hyperparameters(algo, hyper)
+    if steps is None:
+        steps = values["n_timesteps"]
+    plans = [Plan(algo, obs, steps, seed, **options) for seed in parse_seeds(seeds)]
+    heads = ("seed", "return", "off the path, m", "success", "minutes", "folder")
+    title = f"{plans[0].name}, {steps} decisions"
+    table = new_table(title, *heads, left=("folder",), padding=(0, 1))
+    try:
+        for plan, run in _trained(plans, values, out, jobs):
+            last = run.curve[-1]
+            table.add_row(
+                str(plan.seed),
+                f"{last['return']:.0f}",
+                f"{last['off_path_m']:.2f}",
+                f"{last['success']:.0%}",
+                f"{last['wall_s'] / 60.0:.1f}",
+                str(run.folder),
+            )
+    except KeyboardInterrupt:
+        raise stopped(KEPT.format(out)) from None
+    console.print(table)
+    console.print(
+        f"next: usv-twin evaluate {out} (and tensorboard --logdir {out})",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _trained(
+    plans: list[Plan], hyper: dict[str, Any], out: Path, jobs: int
+) -> Iterator[tuple[Plan, Run]]:
+    """Train all plans: one after the other with a bar each, or several at once."""
+    from joblib import Parallel, delayed
+
+    folders = [out / f"{plan.name}-{plan.seed}" for plan in plans]
+    if jobs == 1 or len(plans) == 1:
+        for plan, folder in zip(plans, folders, strict=True):
+            console.print(f"{folder}: {plan.steps} decisions", highlight=False)
+            yield plan, train(plan, folder, hyper=hyper, progress=console.is_terminal)
+        return
+    pool = Parallel(n_jobs=jobs, return_as="generator")
+    with progress_bar(TimeElapsedColumn()) as progress:
+        bar = progress.add_task("runs", total=len(plans))
+        tasks = (
+            delayed(train)(plan, folder, hyper=hyper)
+            for plan, folder in zip(plans, folders, strict=True)
+        )
+        for plan, run in zip(plans, pool(tasks), strict=True):
+            progress.advance(bar)
+            yield plan, run

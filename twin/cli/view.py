@@ -1,0 +1,218 @@
+"""``usv-twin view``: a boat and its twin in the browser."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from twin.cli.common import (
+    DofOption,
+    MappingOption,
+    PredictorOption,
+    ShaftMaxOption,
+    SteerMaxOption,
+    console,
+    note,
+    radians,
+)
+from twin.digital_twin import Twin
+from twin.live.protocols.feed import Feed, needed
+from twin.live.protocols.mavlink import MavlinkFeed, Servos
+from twin.live.protocols.nmea import NmeaFeed
+from twin.logs.columns import LogError
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
+from twin.sim.bridge import particulars_of
+from twin.sim.oracle import check_simulator
+from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
+from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
+from usv_gym.world.faults import FAULTS_HELP, parse_faults
+from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.sensors import GRADES
+
+if TYPE_CHECKING:
+    from twin.live.sessions.session import Session
+
+
+def view_command(
+    log: Annotated[
+        Path | None,
+        typer.Argument(help="Log to show. Default: a simulated boat, or a feed."),
+    ] = None,
+    nmea: Annotated[
+        str | None,
+        typer.Option(help="Follow a boat that sends NMEA 0183 to this address: udp://:10110."),
+    ] = None,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(help="Follow a boat or an autopilot by MAVLink: udp://:14550."),
+    ] = None,
+    reply: Annotated[
+        str | None,
+        typer.Option(
+            help="Address for the twin's estimate and prediction: udp://HOST:PORT. Default: the "
+            "sender's."
+        ),
+    ] = None,
+    vessel: Annotated[
+        str | None,
+        typer.Option(
+            "--vessel",
+            "--ship",
+            help=f"The boat: a name ({', '.join(vessel_names())}) or a TOML file; for a log or a "
+            "feed, main particulars will do. Default: the file beside the log, else usv75.",
+        ),
+    ] = None,
+    predictor: PredictorOption = DEFAULT,
+    mapping: MappingOption = None,
+    plan: Annotated[
+        str,
+        typer.Option(
+            help="Future commands of a log. known: those that follow; hold: the last one stays."
+        ),
+    ] = "known",
+    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    dof: DofOption = 6,
+    sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
+    faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
+    fault_start: Annotated[
+        float, typer.Option(help="Start of a fault that is given by its length, s.")
+    ] = 85.0,
+    shaft_max: ShaftMaxOption = None,
+    steer_max: SteerMaxOption = None,
+    autopilot: Annotated[
+        str, typer.Option(help=f"off, {', '.join(MANOEUVRES)}, or path.")
+    ] = "turn",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of sea, sensors and path.")] = 0,
+    speed: Annotated[
+        float, typer.Option(min=0.1, max=10.0, help="Simulated seconds per second.")
+    ] = 1.0,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for logs that are recorded.")
+    ] = Path(),
+    host: Annotated[
+        str, typer.Option(help="Address of the page; 0.0.0.0 is open to other machines.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Port; if it is taken, the next free one.")
+    ] = 8080,
+    browser: Annotated[
+        bool, typer.Option("--open", help="Open it in this machine's browser.")
+    ] = False,
+) -> None:
+    """Show a boat and its twin in the browser, live and in three dimensions.
+
+    Without a log or a feed, the boat is simulated: steer it, change the weather, lose its GPS.
+    Ctrl-C ends it; a log that is being recorded is written then.
+    """
+    from twin.live.sessions.autopilot import AUTOPILOTS
+    from twin.live.sessions.feed import FeedSession
+    from twin.live.sessions.simulated import SimulatedSession, World
+    from twin.live.ui.viewer import check_host
+
+    needed("viser")  # before anything is compiled
+    check_host(host)
+    given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
+    if len(given) > 1:
+        raise LogError(f"{' and '.join(given)}: look at one of them at a time")
+    session: Session
+    if log is not None:
+        session = _log_session(log, mapping, vessel, predictor, plan, out)
+    elif nmea is not None or mavlink is not None:
+        twin, shown = _feed_twin(vessel, predictor)
+        if nmea is not None:
+            feed: Feed = NmeaFeed(nmea, twin.particulars, reply)
+        else:
+            servos = Servos.of(twin.particulars, shaft_max, radians(steer_max))
+            feed = MavlinkFeed(str(mavlink), twin.particulars, reply, servos=servos)
+        session = FeedSession(feed, twin, shown, out)
+    else:
+        boat = Vessel.load(vessel or "usv75")
+        if autopilot not in AUTOPILOTS:
+            raise ManoeuvreError(
+                f"no autopilot is called {autopilot!r}; known: {', '.join(AUTOPILOTS)}"
+            )
+        world = World(
+            vessel=boat,
+            sea=SeaState.named(sea),
+            predictor=predictor,
+            sensors=sensors,
+            seed=seed,
+            dof=dof,
+            faults=parse_faults(faults, fault_start),
+        )
+        session = SimulatedSession(world, out, autopilot)
+    session.set_scale(speed)
+    _show(session, host, port, browser)
+
+
+def _show(session: Session, host: str, port: int, browser: bool) -> None:
+    """Serve a session until Ctrl-C, or until it ends."""
+    from twin.live.ui.viewer import Viewer
+
+    viewer = Viewer(session, host, port)
+    for kind in (signal.SIGINT, signal.SIGTERM):  # also where a shell ignores them
+        signal.signal(kind, signal.default_int_handler)
+    try:
+        session.start()
+        if viewer.port != port:
+            note(f"port {port} is in use")
+        console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False)
+        if browser:
+            webbrowser.open(viewer.url)
+        viewer.serve()
+    except KeyboardInterrupt:
+        console.print("stopped")
+    finally:
+        session.stop()
+        viewer.close()
+        if session.recorded is not None:
+            console.print(f"log: {session.recorded}", highlight=False, soft_wrap=True)
+    if session.error is not None:
+        raise session.error
+
+
+def _log_session(
+    path: Path, mapping: Path | None, ship: str | None, predictor: str, plan: str, out: Path
+) -> Session:
+    """Return the session of a log with its twin."""
+    from twin.live.sessions.log import LogSession
+
+    log = Log.read(path, mapping)
+    for line in log.notes:
+        note(line)
+    particulars, found = particulars_for_log(path, ship)
+    if not found:
+        note(NO_PARTICULARS.format(path))
+    check_simulator(predictor, log, particulars)
+    return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
+
+
+def _feed_twin(ship: str | None, predictor: str) -> tuple[Twin, Vessel | None]:
+    """Return the twin of a boat that sends its measurements, and the vessel to show."""
+    if predictor_class(predictor).needs_simulator:
+        raise PredictorError(f"predictor {predictor!r}: the sea of a real boat is not known to it")
+    particulars, _ = particulars_for_log(Path("feed"), ship or "usv75")
+    if ship is None:
+        particulars = dataclasses.replace(particulars, design="")
+        note("the boat is taken to be the usv75; --vessel names another")
+    return Twin(particulars, predictor), _vessel(ship or "usv75", particulars)
+
+
+def _vessel(ship: str | None, particulars: Particulars) -> Vessel | None:
+    """Return the vessel whose hull is to be shown; None where only particulars are known."""
+    name = ship or particulars.name
+    if name in vessel_names():
+        vessel = Vessel.load(name)
+        return vessel if particulars_of(vessel).length == particulars.length else None
+    try:
+        return Vessel.load(name) if ship is not None else None
+    except VesselError:
+        return None

@@ -1,0 +1,92 @@
+"""Parts of a boat's geometric model: coloured meshes that may steer or spin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from usv_gym.vessel.mesh import Array, Mesh
+
+__all__ = ["COLOURS", "Boat", "Colour", "Part"]
+
+Colour = tuple[int, int, int]
+
+COLOURS: dict[str, Colour] = {
+    "hull": (32, 74, 112),
+    "deck": (196, 202, 206),
+    "superstructure": (240, 241, 238),
+    "windows": (28, 36, 44),
+    "mast": (86, 94, 100),
+    "sensors": (230, 159, 0),
+    "drive": (62, 68, 74),
+    "propeller": (181, 134, 52),
+}
+"""Red, green and blue (0 to 255) by kind of part; rudders have the colour of drives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A piece of a boat with one colour.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``hull``, ``deck``, ``drive_left``, ``propeller_left``.
+    mesh : Mesh
+        Surface in m, relative to ``position``; axes of the ship.
+    colour : tuple of int
+        Red, green and blue, 0 to 255.
+    position : tuple of float
+        Point about which it turns, m, in the frame of the parent or the ship.
+    parent : str
+        Name of the part that it moves with; empty: the ship.
+    moves : str
+        ``steer``: turns about z by minus the drive or rudder angle (above 0 to starboard);
+        ``spin``: turns about x with the shaft; empty: fixed.
+    unit : int
+        Propulsion unit that moves it: 0 left or single, 1 right.
+    """
+
+    name: str
+    mesh: Mesh
+    colour: Colour
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    parent: str = ""
+    moves: str = ""
+    unit: int = 0
+
+    @classmethod
+    def fixed(cls, name: str, mesh: Mesh) -> Part:
+        """Return a fixed part in the ship's frame with the colour of its name."""
+        return cls(name, mesh, COLOURS[name])
+
+
+@dataclass(frozen=True, eq=False)
+class Boat:
+    """The geometric model of a boat: its parts in the ship's frame.
+
+    Axes x forward, y to starboard, z down; origin on the still water line, as in the state.
+
+    Parameters
+    ----------
+    parts : tuple of Part
+        Parents before their children.
+    """
+
+    parts: tuple[Part, ...]
+
+    def __getitem__(self, name: str) -> Part:
+        for part in self.parts:
+            if part.name == name:
+                return part
+        raise KeyError(f"no part {name!r}; there are: {', '.join(p.name for p in self.parts)}")
+
+    def position_of(self, part: Part) -> Array:
+        """Return the position of a part in the ship's frame with straight drives, m, shape (3,)."""
+        here = np.array(part.position)
+        return here + self.position_of(self[part.parent]) if part.parent else here
+
+    def whole(self) -> Mesh:
+        """Return all parts as one mesh in the ship's frame, with straight drives."""
+        return Mesh.joined(part.mesh.moved(self.position_of(part)) for part in self.parts)

@@ -1,0 +1,166 @@
+"""Reader of vessel files (TOML), and the vessels that ship with the package."""
+
+from __future__ import annotations
+
+import sys
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from usv_gym.vessel.schema import SCHEMA, UNITS, VesselError, check_kind, keys_of
+
+__all__ = [
+    "read_vessel",
+    "vessel_names",
+]
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def vessel_names() -> tuple[str, ...]:
+    """Return the names of the vessels that ship with the package."""
+    folder = resources.files("usv_gym.vessel") / "vessels"
+    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def read_vessel(source: str | Path) -> dict[str, Any]:
+    """Return the fields of a :class:`~usv_gym.vessel.vessel.Vessel` from a file.
+
+    Parameters
+    ----------
+    source : str or Path
+        Name (see :func:`vessel_names`) or path of a TOML file.
+
+    Returns
+    -------
+    dict
+        Keyword arguments of the vessel, in SI units.
+
+    Raises
+    ------
+    VesselError
+        Names the key and the remedy.
+    """
+    path, design = Path(source), ""
+    if str(source) in vessel_names():
+        design = str(source)
+        path = Path(str(resources.files("usv_gym.vessel") / "vessels" / f"{source}.toml"))
+    elif path.suffix != ".toml":
+        raise VesselError(
+            f"no vessel is called {str(source)!r}; known: {', '.join(vessel_names())}, "
+            "or give the path of a .toml file"
+        )
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise VesselError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise VesselError(f"{path}: is not valid TOML: {error}") from None
+    try:
+        return {**_fields(table, path), "design": design}
+    except VesselError as error:
+        raise VesselError(f"{path}: {error}") from None
+
+
+def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the fields of a vessel from the tables of its file."""
+    known = {"vessel", *SCHEMA}
+    for name in tables:
+        if name not in known:
+            raise VesselError(f"unknown table [{name}]; known: {', '.join(sorted(known))}")
+    values: dict[str, float] = {}
+    guesses = set()
+    curve: dict[str, tuple[float, ...]] = {"speed": (), "force": ()}
+    kind = ""
+    about = _about(tables.get("vessel", {}), path)
+    for name in SCHEMA:
+        if not isinstance(tables.get(name), dict):
+            raise VesselError(f"the table [{name}] is missing")
+        given = dict(tables[name])
+        if name == "propulsion":
+            kind = check_kind(given.pop("kind", None))
+        keys = keys_of(name, kind)
+        if name == "hull" and "resistance" in given:
+            points = given.pop("resistance")
+            if not isinstance(points, dict) or set(points) != {"speed", "force"}:
+                raise VesselError("[hull.resistance] must hold speed and force, nothing else")
+            for key, unit in (("speed", "m/s"), ("force", "N")):
+                curve[key], guess = _numbers(points[key], unit, f"[hull.resistance] {key}")
+                if guess:
+                    guesses.add(f"resistance_{key}")
+        for key in given:
+            if key not in keys:
+                of = f" of a {kind}" if name == "propulsion" else ""
+                raise VesselError(f"[{name}] {key}: unknown key{of}; known: {', '.join(keys)}")
+        for key, (unit, _) in keys.items():
+            if key not in given:
+                if name == "hull":
+                    continue
+                raise VesselError(f"[{name}] {key}: is missing (a number in {unit})")
+            (values[key],), guess = _numbers(given[key], unit, f"[{name}] {key}", scalar=True)
+            if guess:
+                guesses.add(key)
+    return {
+        **about,
+        "kind": kind,
+        "values": values,
+        "resistance_speed": curve["speed"],
+        "resistance_force": curve["force"],
+        "guesses": frozenset(guesses),
+    }
+
+
+def _about(table: Any, path: Path) -> dict[str, Any]:
+    """Return name, title and mesh from the table [vessel]."""
+    if not isinstance(table, dict):
+        raise VesselError("[vessel] must be a table")
+    for key, value in table.items():
+        if key not in ("name", "title", "mesh") or not isinstance(value, str):
+            raise VesselError(f"[vessel] {key}: unknown key; known: name, title, mesh (texts)")
+    mesh = (path.parent / table["mesh"]).resolve() if "mesh" in table else None
+    if mesh is not None and not mesh.is_file():
+        raise VesselError(
+            f"[vessel] mesh: there is no file {mesh}; give its path from this file's folder"
+        )
+    return {
+        "name": table.get("name", path.stem),
+        "title": table.get("title", path.stem),
+        "mesh": mesh,
+    }
+
+
+def _numbers(
+    entry: Any, unit: str, place: str, *, scalar: bool = False
+) -> tuple[tuple[float, ...], bool]:
+    """Return the numbers of one entry in SI units, and whether the file marks it as a guess."""
+    example = f'{{ value = ..., unit = "{unit}", source = "..." }}'
+    if not isinstance(entry, dict):
+        raise VesselError(f"{place}: has no unit; write it as {example}")
+    for key in entry:
+        if key not in ("value", "unit", "source", "guess"):
+            raise VesselError(f"{place}: unknown key {key!r}; write it as {example}")
+    for key in ("value", "unit", "source"):
+        if key not in entry:
+            raise VesselError(f"{place}: {key} is missing; write it as {example}")
+    factors = UNITS[unit]
+    if not isinstance(entry["unit"], str) or entry["unit"] not in factors:
+        raise VesselError(
+            f"{place}: unit {entry['unit']!r} is not known here; use {', '.join(factors)}"
+        )
+    if not isinstance(entry["source"], str) or not isinstance(entry.get("guess", False), bool):
+        raise VesselError(f"{place}: source must be a text and guess true or false")
+    raw = [entry["value"]] if scalar else entry["value"]
+    if not isinstance(raw, list) or any(
+        isinstance(v, bool) or not isinstance(v, (int, float)) for v in raw
+    ):
+        kind = "a number" if scalar else "a list of numbers"
+        raise VesselError(f"{place}: value must be {kind}, got {entry['value']!r}")
+    factor = factors[entry["unit"]]
+    try:
+        numbers = tuple(float(v) * factor for v in raw)
+    except OverflowError:
+        raise VesselError(f"{place}: value must be a finite number") from None
+    return numbers, bool(entry.get("guess", False))
