@@ -50,21 +50,21 @@ def padded(count: int) -> int:
 
 
 class Strip(NamedTuple):
-    """The numbers ``array[at : at + count]``; arrays are indexed as they lie in memory."""
+    """The numbers ``array[at : at + width]``; arrays are indexed as they lie in memory."""
 
     array: Any
     at: int
-    count: int
+    width: int
 
 
 class Block(NamedTuple):
-    """So many strips of ``count`` numbers, ``apart`` from each other."""
+    """So many strips of ``width`` numbers, ``apart`` from each other."""
 
     array: Any
     at: int
     apart: int
     size: int
-    count: int
+    width: int
 
 
 class Factors(NamedTuple):

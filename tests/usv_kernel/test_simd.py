@@ -72,11 +72,11 @@ def two_dots(a, b, x):
 
 @kernel
 def reversed_by_the_stack(numbers):
-    room = alloca_f64(5)
+    scratch = alloca_f64(5)
     for i in range(5):
-        room[i] = numbers[i]
+        scratch[i] = numbers[i]
     for i in range(5):
-        numbers[i] = room[4 - i]
+        numbers[i] = scratch[4 - i]
 
 
 @settings(deadline=None)  # the first call compiles
@@ -92,7 +92,7 @@ def test_dots_are_those_of_whole_groups_in_a_fixed_order(groups, over, seed):
     assert two_dots(*np.pad([a[whole], b[whole], x[whole]], ((0, 0), (0, 3 * LANES)))) == found
 
 
-def test_room_on_the_stack_holds_what_is_put_there():
+def test_array_on_the_stack_holds_what_is_put_there():
     numbers = np.arange(7.0)
     reversed_by_the_stack(numbers)
     np.testing.assert_array_equal(numbers, [4.0, 3.0, 2.0, 1.0, 0.0, 5.0, 6.0])

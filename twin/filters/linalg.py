@@ -49,7 +49,7 @@ def cholesky(A, U, work):
         for k in range(row.shape[0]):
             row[k] = A[j, j + k]
         own = row[0]
-        add_rows(U, j, j, n, work, 0, U, 0, j)
+        add_rows(U, j, (j, n), work, U, (0, j))
         if not (row[0] > _PIVOT_MIN * own and row[0] < math.inf):
             lost += 1
             row[:] = 0.0
@@ -106,7 +106,7 @@ def invert(U, out, work):
             column[0, k] = -U[k, i]
         Y[i] = 0.0
         Y[i, i] = 1.0
-        add_rows(Y, i, 0, i, column, 0, Y, 0, i)
+        add_rows(Y, i, (0, i), column, Y, (0, i))
         row = Y[i, : i + 1]
         for k in range(row.shape[0]):
             row[k] /= U[i, i]
@@ -114,28 +114,32 @@ def invert(U, out, work):
         for k in range(i, n):
             column[0, k] = Y[k, i]
         out[i] = 0.0
-        add_rows(out, i, 0, i + 1, column, 0, Y, i, n)
+        add_rows(out, i, (0, i + 1), column, Y, (i, n))
         for k in range(i):
             out[k, i] = out[i, k]
 
 
 @kernel
-def add_rows(target, i, start, stop, factors, row, rows, first, last):
-    """Add factors[row, j] * rows[j] for j = first ... last - 1 to target[i], start to stop.
+def add_rows(target, i, columns, factors, rows, which):
+    """Add factors[0, j] * rows[j] for j = first ... last - 1 to some columns of target[i].
 
     Parameters
     ----------
     target : (a, b) array
-        Row ``i`` is changed, in columns ``start`` to ``stop``.
-    factors : (c, d) array
-        Of row ``row`` the columns ``first`` to ``last`` count.
+        Row ``i`` is changed.
+    columns, which : (start, stop), (first, last)
+        Columns that are changed, and rows that are added.
+    factors : (1, d) array
+        Of the rows.
     rows : (d, b) array
-        What is added; may be the target, of which row ``i`` is not among those then.
+        May be the target, of which row ``i`` is not among those then.
     """
+    start, stop = columns
+    first, last = which
     across = rows.shape[1]
     accumulate(
         Strip(target, i * target.shape[1] + start, stop - start),
-        Factors(factors, row * factors.shape[1] + first, 1, 1.0),
+        Factors(factors, first, 1, 1.0),
         Rows(rows, first * across + start, across, last - first),
     )
 

@@ -32,6 +32,10 @@ N_NAV = 12
 
 RING_ROWS, RING_COLUMNS = 64, 9
 
+SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
+"""No boat does more: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
+position in m, and heading in rad (not wrapped). Numbers beyond are no samples."""
+
 AIDED, AIDED_TURN = 0.05, 0.05
 """How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
 

@@ -29,7 +29,6 @@ from twin.checkpoint import Field, State, check_fields
 from twin.identification.lyapunov import rosenstein, rosenstein_length
 
 __all__ = [
-    "ENVIRONMENT_FORMS",
     "NOISE_FORMS",
     "PERIOD_FORMS",
     "DynamicWindow",
@@ -47,12 +46,20 @@ ACCEL_MAX = 1e6
 """What an accelerometer says beyond this, m/s2, is not taken for a motion."""
 """Acceleration of gravity, m/s2."""
 
-ENVIRONMENT_FORMS = ("third", "half", "product", "off")
-"""``third``: Eq 37 as printed, with 1/3 over two terms. ``half``: their mean.
-``product``: line 3 of Algorithm 1, Hs times Vw. ``off``: 0, as in steady weather."""
+PERIOD_FORMS = ("continuous", "binary")
+"""``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1."""
 
-PERIOD_FORMS = ("continuous", "binary", "none")
-"""``continuous``: Eq 36. ``binary``: lines 5-8 of Algorithm 1. ``none``: adjust in every call."""
+GAMMA_ENVIRONMENT, GAMMA_NONLINEARITY = 0.6, 0.4
+"""Weights of Eq 40."""
+
+BASE_PERIOD, TRACE_LIMIT = 10.0, 1.5**2
+"""T0 of Eq 36, s, and P_max."""
+
+CALM_ENVIRONMENT, CALM_NONLINEARITY = 0.1, 1.2
+"""w_r = 0 where both indices are below these."""
+
+LATERAL_LIMIT = 0.3 * GRAVITY
+"""The window is at its bound at once where abs(a_y) is above this, m/s2."""
 
 NOISE_FORMS = ("literal", "signed")
 """``literal``: Eq 52 as printed, which only grows. ``signed``: the error may be negative."""
@@ -61,7 +68,7 @@ EXPONENT_MAX = 50.0
 """Largest exponent in Eq 39; beyond it S is huge anyway, and must stay finite."""
 
 
-def environment_index(hs: ArrayLike, vw: ArrayLike, *, form: str = "third") -> float:
+def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
     """Return how much waves and wind fluctuate within the window.
 
     Parameters
@@ -70,9 +77,6 @@ def environment_index(hs: ArrayLike, vw: ArrayLike, *, form: str = "third") -> f
         Significant wave height, m, or anything proportional to it; NaN = missing.
     vw : array_like, shape (n,)
         Wind speed, m/s; NaN = missing.
-    form : str
-        One of :data:`ENVIRONMENT_FORMS`. The product has the unit m2/s, takes the latest
-        samples, and is meaningless with a proxy of the wave height.
 
     Returns
     -------
@@ -81,23 +85,15 @@ def environment_index(hs: ArrayLike, vw: ArrayLike, *, form: str = "third") -> f
 
     Notes
     -----
-    Source: Qu et al. 2025, Eq 37, and Algorithm 1, line 3.
+    Source: Qu et al. 2025, Eq 37 as printed, with 1/3 over two terms.
     """
-    if form not in ENVIRONMENT_FORMS:
-        raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(ENVIRONMENT_FORMS)}")
-    if form == "off":
-        return 0.0
-    samples = [values[np.isfinite(values)] for values in map(_floats, (hs, vw))]
-    if form == "product":
-        if any(values.size == 0 for values in samples):
-            return 0.0
-        return float(samples[0][-1] * samples[1][-1])
     total = 0.0
-    for values in samples:
-        mean = abs(float(values.mean())) if values.size else 0.0
+    for values in map(_floats, (hs, vw)):
+        known = values[np.isfinite(values)]
+        mean = abs(float(known.mean())) if known.size else 0.0
         if mean > 0.0:
-            total += float(values.std()) / mean
-    return total / (3.0 if form == "third" else 2.0)  # Eq 37
+            total += float(known.std()) / mean
+    return total / 3.0
 
 
 def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
@@ -129,19 +125,13 @@ def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
     return float(np.exp(np.minimum(rate * dt * np.arange(W), EXPONENT_MAX)).mean())  # Eq 39
 
 
-def adjustment_period(
-    trace_P: float, *, base: float = 10.0, limit: float = 1.5**2, form: str = "continuous"
-) -> float:
+def adjustment_period(trace_P: float, *, form: str = "continuous") -> float:
     """Return the time between two adjustments of the window.
 
     Parameters
     ----------
     trace_P : float
         Trace of the innovation covariance, 0 or more; NaN (unknown) counts as 0.
-    base : float
-        Base period T0, s.
-    limit : float
-        Upper limit P_max, in the unit of the trace.
     form : str
         One of :data:`PERIOD_FORMS`.
 
@@ -153,16 +143,14 @@ def adjustment_period(
     Notes
     -----
     Source: Qu et al. 2025, Eq 36, and Algorithm 1, lines 5-8. The two agree only at
-    ``trace_P == limit``.
+    ``trace_P == TRACE_LIMIT``.
     """
     if form not in PERIOD_FORMS:
         raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(PERIOD_FORMS)}")
-    if form == "none":
-        return 0.0
     trace = 0.0 if math.isnan(trace_P) else max(trace_P, 0.0)
     if form == "binary":
-        return 0.5 * base if trace > limit else base
-    return base / (1.0 + trace / limit)  # Eq 36
+        return 0.5 * BASE_PERIOD if trace > TRACE_LIMIT else BASE_PERIOD
+    return BASE_PERIOD / (1.0 + trace / TRACE_LIMIT)  # Eq 36
 
 
 class WaveProxy:
@@ -249,7 +237,7 @@ class WaveProxy:
 
 
 class DynamicWindow:
-    """Length of the sliding window by the rules of the paper, each of which can be switched.
+    """Length of the sliding window by the rules of the paper.
 
     Parameters
     ----------
@@ -258,27 +246,8 @@ class DynamicWindow:
     cap : int, optional
         Largest variable part w_r, samples; by default ``base``. As printed, Eq 40 gives
         some 40 samples even in calm water, but the doubling rule implies w_r <= w.
-    gamma_env, gamma_nonlin : float
-        Weights of Eq 40.
-    environment : str
-        Form of Eq 37, one of :data:`ENVIRONMENT_FORMS`.
-    lyapunov : bool
-        Follow the exponent; False takes it for 0, so that S = 1.
     period : str
         Form of Eq 36, one of :data:`PERIOD_FORMS`.
-    base_period, trace_limit : float
-        T0, s, and P_max of Eq 36.
-    calm_rule : bool
-        Set w_r = 0 if V < calm_env and S < calm_nonlin.
-    calm_env, calm_nonlin : float
-        Thresholds of that rule.
-    doubling : bool
-        Set w_r to its cap at once, in any row, if abs(a_y) is above ``accel_limit``. This
-        counts as an adjustment: the length then holds for a period.
-    accel_limit : float
-        Threshold, m/s2; 0.3 g.
-    emb_dim, lag, min_tsep, trajectory_len : int
-        Options of :func:`rosenstein`.
 
     Attributes
     ----------
@@ -295,68 +264,24 @@ class DynamicWindow:
     """
 
     def __init__(
-        self,
-        *,
-        base: int = 15,
-        cap: int | None = None,
-        gamma_env: float = 0.6,
-        gamma_nonlin: float = 0.4,
-        environment: str = "third",
-        lyapunov: bool = True,
-        period: str = "continuous",
-        base_period: float = 10.0,
-        trace_limit: float = 1.5**2,
-        calm_rule: bool = True,
-        calm_env: float = 0.1,
-        calm_nonlin: float = 1.2,
-        doubling: bool = True,
-        accel_limit: float = 0.3 * GRAVITY,
-        emb_dim: int = 2,
-        lag: int = 1,
-        min_tsep: int = 1,
-        trajectory_len: int = 5,
+        self, *, base: int = 15, cap: int | None = None, period: str = "continuous"
     ) -> None:
         if base < 1 or (cap is not None and cap < 0):
             raise ValueError(f"base = {base} must be 1 or more, cap = {cap} 0 or more")
-        if environment not in ENVIRONMENT_FORMS:
-            raise ValueError(
-                f"environment = {environment!r} is unknown; "
-                f"use one of {', '.join(ENVIRONMENT_FORMS)}"
-            )
         if period not in PERIOD_FORMS:
             raise ValueError(
                 f"period = {period!r} is unknown; use one of {', '.join(PERIOD_FORMS)}"
             )
-        for name, value in (("base_period", base_period), ("trace_limit", trace_limit)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value} must be a finite number above 0")
         self.base = base
         self.cap = base if cap is None else cap
-        self.gamma_env = gamma_env
-        self.gamma_nonlin = gamma_nonlin
-        self.environment = environment
-        self.lyapunov = lyapunov
         self.period = period
-        self.base_period = base_period
-        self.trace_limit = trace_limit
-        self.calm_rule = calm_rule
-        self.calm_env = calm_env
-        self.calm_nonlin = calm_nonlin
-        self.doubling = doubling
-        self.accel_limit = accel_limit
-        self._embedding = {
-            "emb_dim": emb_dim,
-            "lag": lag,
-            "min_tsep": min_tsep,
-            "trajectory_len": trajectory_len,
-        }
-        self._need = rosenstein_length(**self._embedding)
+        self._need = rosenstein_length()
         self.reset()
 
     def reset(self) -> None:
         """Go back to the start: W = base and no samples."""
         self.w_r = 0
-        self.T = self.base_period
+        self.T = BASE_PERIOD
         self.V = math.nan
         self.S = math.nan
         self.lambda_max = math.nan
@@ -441,10 +366,8 @@ class DynamicWindow:
             self._adjusted = t
         self._latest = t
         self._rows.append((t, hs, vw, motion))
-        self.T = adjustment_period(
-            trace_P, base=self.base_period, limit=self.trace_limit, form=self.period
-        )
-        if self.doubling and abs(a_y) > self.accel_limit:
+        self.T = adjustment_period(trace_P, form=self.period)
+        if abs(a_y) > LATERAL_LIMIT:
             self.w_r = self.cap
             self._adjusted = t
         elif t - self._adjusted >= self.T:
@@ -455,21 +378,21 @@ class DynamicWindow:
     def _adjust(self) -> None:
         """Set w_r from the indices of the present window."""
         rows = np.array(list(self._rows)[-self.W :])
-        self.V = environment_index(rows[:, 1], rows[:, 2], form=self.environment)
+        self.V = environment_index(rows[:, 1], rows[:, 2])
         moving = rows[np.isfinite(rows[:, 3])]
         span = float(moving[-1, 0] - moving[0, 0]) if len(moving) else 0.0
-        if self.lyapunov and len(moving) >= self._need and span > 0.0:
+        if len(moving) >= self._need and span > 0.0:
             dt = span / (len(moving) - 1)
-            self.lambda_max = rosenstein(moving[:, 3], dt=dt, **self._embedding)
+            self.lambda_max = rosenstein(moving[:, 3], dt=dt)
             self.S = nonlinearity_index(self.lambda_max, self.W, dt)
         else:
             self.lambda_max = math.nan
             self.S = 1.0
         env, nonlin = self.V, self.S
-        if self.calm_rule and env < self.calm_env and nonlin < self.calm_nonlin:
+        if env < CALM_ENVIRONMENT and nonlin < CALM_NONLINEARITY:
             self.w_r = 0
             return
-        share = self.gamma_env * env + self.gamma_nonlin * nonlin  # Eq 40
+        share = GAMMA_ENVIRONMENT * env + GAMMA_NONLINEARITY * nonlin  # Eq 40
         self.w_r = int(min(max(math.floor(self.base * min(share, 1e6) + 0.5), 0), self.cap))
 
 

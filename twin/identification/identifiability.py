@@ -9,7 +9,7 @@ of the acceleration:
     A = D G D / q,   D = diag(prior sd),  q = variance that the velocity gains per second.
 
 So A is the information of the data in units of that of the prior: an eigenvalue of 1 is a
-direction of which the data say as much as was believed before them.
+direction of which the data say as much as the prior did.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class SubModel:
         eigenvalues l of A (see the head of this file), from 0 to the number of parameters.
     condition_number : float
         Largest over smallest eigenvalue of A; NaN without data. It ends at 1/eps = 4.5e15,
-        where the smallest is rounding: the parameters cannot all be told apart.
+        where the smallest is rounding: not all parameters can be separated.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Finding:
         of the prior or below, and its own regressor was seen strongly enough for that (its
         entry in the diagonal of A is 1 or more). Never true for one parameter of a sum.
     merged_into : str
-        Name of the sum that the parameter is only told in; empty for others.
+        Name of the sum of which alone the data speak; empty for others.
     """
 
     name: str
@@ -233,14 +233,14 @@ def judge(
     def finding(weights: Array, members: Sequence[int], label: str, merged: str = "") -> Finding:
         variance = float(weights @ before @ weights)
         sd = math.sqrt(max(float(weights @ after @ weights), 0.0))
-        told = total[members[0], members[0]] * variance
+        gained = total[members[0], members[0]] * variance
         return Finding(
             name=label,
             members=tuple(names[i] for i in members),
             weights=tuple(float(weights[i]) for i in members),
             prior_sd=math.sqrt(variance),
             sd=sd,
-            informed=bool(not merged and told >= 1.0 and sd <= INFORMED * math.sqrt(variance)),
+            informed=bool(not merged and gained >= 1.0 and sd <= INFORMED * math.sqrt(variance)),
             merged_into=merged,
         )
 
@@ -271,13 +271,13 @@ def _groups(total: Array) -> list[list[int]]:
     """Return the sets of two and more parameters whose regressors are collinear."""
     size = np.sqrt(np.diag(total))
     bound = COLLINEAR * size * size[:, None]
-    alike = (np.abs(total) > bound) & (bound > 0.0)
+    similar = (np.abs(total) > bound) & (bound > 0.0)
     groups, left = [], set(range(len(total)))
     while left:
         group, new = set(), {min(left)}
         while new:
             group |= new
-            new = {int(k) for i in new for k in np.flatnonzero(alike[i])} - group
+            new = {int(k) for i in new for k in np.flatnonzero(similar[i])} - group
         left -= group
         if len(group) > 1:
             groups.append(sorted(group))

@@ -161,7 +161,7 @@ def filter_workspace(work, p):
     accel, at = take(work, at, (4,))
     mask, at = take(work, at, (N_STATES,))
     limit, at = take(work, at, (N_STATES,))
-    room, at = take(work, at, (_ROLLOUT,))
+    scratch, at = take(work, at, (_ROLLOUT,))
     x, at = take(work, at, (n,))
     P, at = take(work, at, (n, n))
     act, at = take(work, at, (N_ACT,))
@@ -170,7 +170,7 @@ def filter_workspace(work, p):
     three, at = take(work, at, (points, width))
     four, at = take(work, at, (points, width))
     sigma = UKFWorkspace(one, two, three, four)
-    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, limit, room, (x, P, act), sigma)
+    return FilterWorkspace(Q, q_xi, R, terms, accel, mask, limit, scratch, (x, P, act), sigma)
 
 
 @inlined
@@ -339,8 +339,8 @@ def _forecast_mean(plan, dt, memory, values, model, buffers, work):
     """Do :func:`forecast_mean` on flat memory."""
     out = forecast_buffers(buffers, plan.shape[0])
     state, config = filter_state(memory, model), filter_config(values, model)
-    room = filter_workspace(work, model.which.shape[1]).rollout
-    forecast_mean(plan, dt, state, config, out, room)
+    scratch = filter_workspace(work, model.which.shape[1]).rollout
+    forecast_mean(plan, dt, state, config, out, scratch)
 
 
 @kernel
@@ -349,8 +349,8 @@ def _forecast_covariance(plan, dt, memory, values, model, buffers, work):
     out = forecast_buffers(buffers, plan.shape[0])
     state, config = filter_state(memory, model), filter_config(values, model)
     scale_plan(plan, config.n_unit, out.plan)
-    room = filter_workspace(work, model.which.shape[1])
-    forecast_covariance(out.plan, dt, state, config, out.covs, room)
+    scratch = filter_workspace(work, model.which.shape[1])
+    forecast_covariance(out.plan, dt, state, config, out.covs, scratch)
 
 
 def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
@@ -425,6 +425,7 @@ class JointUKF:
         self.q, self.r = config.q, config.r
         self.scratch = np.zeros(flat_size(filter_workspace, n - N_STATES))
         self._buffers = np.empty(0)
+        self._out: Forecast = python_views(forecast_buffers)(self._buffers, 0)
         self.reset()
 
     @property
@@ -446,10 +447,10 @@ class JointUKF:
 
     def _opened(self, K: int) -> tuple[Array, Forecast]:
         """Return buffers of a forecast of K rows, flat and by name."""
-        size = flat_size(forecast_buffers, K)
-        if len(self._buffers) != size:
-            self._buffers = np.empty(size)
-        return self._buffers, python_views(forecast_buffers)(self._buffers, K)
+        if len(self._out.plan) != K:
+            self._buffers = np.empty(flat_size(forecast_buffers, K))
+            self._out = python_views(forecast_buffers)(self._buffers, K)
+        return self._buffers, self._out
 
     def mean(self, plan: Array, dt: float) -> Array:
         """Return states (K, 6) under a plan; nothing is changed.

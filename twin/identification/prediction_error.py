@@ -10,8 +10,8 @@ as they were. The parameters are those that make the errors of all segments smal
 with n_i errors in segment i, a free offset d of the initial u, v, r (it carries a wave, which no
 parameter should absorb) and rho(q) = q up to ``knee``, and knee (1 + log(q / knee)) beyond: a
 segment that a gust or a wave group has disturbed counts less, as if its weight were
-min(1, knee / q). ``scale`` makes up for errors that are correlated from sample to sample. A ``trust``
-other than 1 multiplies what all the segments say, against the prior.
+min(1, knee / q). ``scale`` makes up for errors that are correlated from sample to sample. A
+``trust`` other than 1 multiplies what all the segments say, against the prior.
 
 Each segment is kept as a quadratic in xi about the parameters at which it was linearised, with
 the offset removed by its Schur complement, so that a refit costs a sum of small matrices.
@@ -278,8 +278,8 @@ def rk4_step(row, after, wind, xi, model, work, linear):
 def step_jacobian(A, W, D, T):
     """Write the derivatives of the state after a step by the state before it and by the terms.
 
-    Source: the Runge-Kutta scheme differentiated backwards; W is the derivative of the state after the
-    step by a stage's rates.
+    Source: the Runge-Kutta scheme differentiated backwards; W is the derivative of the state
+    after the step by a stage's rates.
     """
     T[:] = 0.0
     W[:] = 0.0

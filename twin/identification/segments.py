@@ -262,9 +262,9 @@ def solve(xi, trust, iterations, damping, state, config, work):
     bool
         False where rounding has left no definite matrix; else its factor is ``work.solve.U``.
     """
-    p, room = xi.shape[0], work.solve
-    total, square, U, d, pull = room.total, room.square, room.U, room.d, room.right
-    start, prior, information = room.inverse[1], config.prior, config.information
+    p, scratch = xi.shape[0], work.solve
+    total, square, U, d, pull = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
+    start, prior, information = scratch.inverse[1], config.prior, config.information
     first, packed, slope = state.first, state.packed, state.b
     scale, knee, samples = config.scale, config.knee, _samples(config)
     for k in range(p):
@@ -285,7 +285,7 @@ def solve(xi, trust, iterations, damping, state, config, work):
         for i in range(first.shape[0]):
             if first[i] < 0.0:
                 continue
-            q = scale / samples * _cost(packed[i], slope[i], state.c[i], d, square, room.lanes)
+            q = scale / samples * _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes)
             weight = trust * scale * (1.0 if q <= knee else knee / q)
             own, tug = packed[i], slope[i]
             for k in range(total.shape[0]):
@@ -293,7 +293,7 @@ def solve(xi, trust, iterations, damping, state, config, work):
             for k in range(p):
                 pull[k] += weight * tug[k]
         _unpack(total, U)
-        if cholesky(U, U, room.inverse) > 0:
+        if cholesky(U, U, scratch.inverse) > 0:
             return False  # The prior alone is definite: this is rounding.
         solve_factored(U, pull, d)
         for k in range(p):

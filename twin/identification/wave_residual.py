@@ -6,9 +6,8 @@ the window's step, is described by an autoregression for each of u, v and r:
     w_k = a_1 w_(k-1) + ... + a_6 w_(k-6) + noise
 
 It predicts the next second or so, and its simulated paths say how far waves carry the boat from
-the model's motion later on. How high waves are for a boat, how long their encounter period is and how they
-push and turn it all depend on its heading: paths are drawn by what was left on headings
-like those ahead.
+the model's motion later on. Height, encounter period and effect of the waves depend on the heading:
+paths are drawn by what was left on headings like those ahead.
 
 Source: docs/explanation/twin.md, Waves and prediction intervals.
 """

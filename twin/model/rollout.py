@@ -262,7 +262,7 @@ def rollout(start, plan, dt, config, waves, out, work):
         Boat and model.
     waves : Waves
         At a gain above 0, that of an observer which counts as waves what it leaves of the measured
-        velocities, u and v also turn against the waves' yaw rate. At 0 waves carry the boat, no more.
+        velocities, u and v also turn against the waves' yaw rate. At 0 waves only carry the boat.
     out : Paths
         Written.
     work : array

@@ -19,11 +19,11 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     damping that grows with speed, thrust that falls with advance, a rudder or drive in the
     inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
     heading, once and twice around: wind and waves turn a boat that lies across them, and what
-    nobody measures must be learned. Left and right propeller enter
-    as their mean and difference, because nothing tells them apart when they turn at the same speed. A tanker
-    has one propeller: in the place of the difference, N_dn is the turning of one that runs astern.
-    Behind it, flow from port is not straightened as flow from starboard is: Y_S and N_S, of tankers
-    alone, are what the rudder's lift gains from one side and loses from the other.
+    is not measured must be learned. Left and right propeller enter as their mean and difference,
+    because nothing tells them apart when they turn at the same speed. A tanker has one propeller:
+    in the place of the difference, N_dn is the turning of one that runs astern. Behind it, flow
+    from port is not straightened as flow from starboard is: Y_S and N_S, of tankers alone, are
+    what the rudder's lift gains from one side and loses from the other.
 
 Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
 current do and the model does not know; they enter surge and sway together.
@@ -113,7 +113,10 @@ WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
 
 STRAIGHTENING, LEVER = 0.5, 0.71
-"""Flow straightening and effective lever over length at the stern. Source: docs/explanation/twin.md, Tankers."""
+"""Flow straightening and effective lever over length at the stern.
+
+Source: docs/explanation/twin.md, Tankers.
+"""
 
 
 @inlined
@@ -155,6 +158,16 @@ def _inflow(u, race, soft):
 
 
 @inlined
+def _fin(u, aside, k, hull, terms):
+    """Return half of drag, lift and side force of the left (0) or right (1) rudder or drive."""
+    along = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])[0]
+    c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
+    speed = math.sqrt(along * along + aside * aside)
+    normal = speed * (s * along - c * aside)
+    return 0.5 * s * normal, 0.5 * c * normal, 0.5 * c * speed * c * abs(aside)
+
+
+@inlined
 def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     """Write the terms that depend on the state; those of the actuators must be there.
 
@@ -191,15 +204,14 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         terms[WIND_X], terms[WIND_Y], terms[WIND_N] = speed * ahead, speed * aside, ahead * aside
     terms[ADVANCE_COS], terms[ADVANCE_SIN] = u * terms[_SHAFT_COS], u * terms[_SHAFT_SIN]
     aside = STRAIGHTENING * (LEVER * hull[LENGTH] * r - v)
-    drag, lift, side = 0.0, 0.0, 0.0
-    for k in range(2):
-        along = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])[0]
-        c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
-        speed = math.sqrt(along * along + aside * aside)
-        normal = speed * (s * along - c * aside)
-        drag += 0.5 * s * normal
-        lift += 0.5 * c * normal
-        side += 0.5 * c * speed * c * abs(aside)
+    drag, lift, side = _fin(u, aside, 0, hull, terms)
+    same = terms[_RACE_RIGHT] == terms[_RACE_LEFT]
+    same = same and terms[_COS_RIGHT] == terms[_COS_LEFT] and terms[_SIN_RIGHT] == terms[_SIN_LEFT]
+    if same:  # as a rule
+        drag, lift, side = drag + drag, lift + lift, side + side
+    else:
+        more = _fin(u, aside, 1, hull, terms)
+        drag, lift, side = drag + more[0], lift + more[1], side + more[2]
     terms[FIN_DRAG], terms[FIN_LIFT], terms[FIN_SIDE] = drag, lift, side
 
 
@@ -408,8 +420,8 @@ class Structure:
 
 
 # name, unit, equation, term, powers of (L, U, n) in the natural unit, dimensionless mean and sd.
-# An equation "E" is surge and sway together. Source of means: docs/explanation/twin.md, Identifiability; those of
-# `mmg` are the same boat's at its nominal speed.
+# An equation "E" is surge and sway together. Source of means:
+# docs/explanation/twin.md, Identifiability; those of `mmg` are the same boat's at nominal speed.
 _PAPER = (
     ("X_uu", "1/m", "X", U_U, (-1, 0, 0), -0.1901, 0.06336),
     ("X_vv", "1/m", "X", VV, (-1, 0, 0), -0.1521, 0.3168),

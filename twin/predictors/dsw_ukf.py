@@ -3,15 +3,15 @@
 It is here to be compared with, and stated plainly: with the settings that the paper prints it
 is no better than 8 s means of the velocities in a steady turn, and running the window again
 has no reliable effect: six seeds gave -54 to +6 % of the error in the turn and -36 to +53 % in
-the zigzag, against the same filter without a window (``window="off"``). Its bands mean little:
-in four runs the position's standard deviation 10 s ahead had medians of 4 and 5, 13 and 55 m,
-and at some moments the prior of 1 on each of 25 parameters lets the covariance run up to where
-the arithmetic stops it, at 1e6 m/s and more; the true sway was inside the 90 % band in 28 to
+the zigzag, against the same filter without a window (``window="off"``). Its prediction intervals
+mean little: in four runs the position's standard deviation 10 s ahead had medians of 4 and 5,
+13 and 55 m, and at some moments the prior of 1 on each of 25 parameters lets the covariance run
+up to where the arithmetic stops it, at 1e6 m/s and more; the true sway was inside the 90 % band in 28 to
 94 % of the forecasts. All that is promised of them is that they are finite and positive definite.
 
 What the paper leaves open is decided in the docstrings below, each decision where it is made;
-each piece is an option of :class:`DSWPredictor`. Equations carry the numbers that the paper
-prints beside them; its text calls Eq 52 "49".
+the pieces that a comparison needs are options of :class:`DSWPredictor`. Equations carry the numbers
+that the paper prints beside them; its text calls Eq 52 "49".
 
 Source: Qu et al. 2025, sections 3.2.2 and 3.2.3.
 """
@@ -92,15 +92,15 @@ def paper_settings(
 
     What it does not print is ours: P0 = I (the only one of several that learns) and alpha = 1
     (a small alpha loses ten digits with 31 states). Velocities are held within four times
-    what is usual, without which some runs would overflow.
+    what is nominal, without which some runs would overflow.
 
     Parameters
     ----------
     particulars : Particulars
         The boat.
     model : str
-        Structure of the accelerations, see :func:`twin.model.dynamics.model_of`: the paper's has p = 25
-        parameters (Eq 20).
+        Structure of the accelerations, see :func:`twin.model.dynamics.model_of`: the paper's
+        has p = 25 parameters (Eq 20).
     x0 : float or array_like, shape (p,)
         Parameters at the start, Eq 47.
     p0 : float or array_like, shape (6 + p,)
@@ -111,11 +111,11 @@ def paper_settings(
         Variances of the measured states, Eq 51.
     n_unit : float, optional
         Factor that brings the shaft speeds of the log to the unit of the model. By default
-        the usual shaft speed becomes the paper's rated 380 rpm = 6.33 rev/s, so that x0 = 0.1
+        the nominal shaft speed becomes the paper's rated 380 rpm = 6.33 rev/s, so that x0 = 0.1
         means for any boat what it meant for theirs; 1 leaves rev/s; 60 is the rpm with which
         nothing is learned.
 
-    Source: Eq (47), (50), (51); docs/explanation/twin.md, Dynamic window.
+        Source: Eq (47), (50), (51).
     """
     unit = RATED_SHAFT_SPEED / particulars.shaft_speed if n_unit is None else n_unit
     if not (math.isfinite(unit) and unit > 0.0):
@@ -234,7 +234,7 @@ class DSWPredictor(ModelPredictor):
     over the last W rows: the parameters and their covariance stay as they are, the state
     starts from the measured one at the window's begin. The length follows Algorithm 1; its
     indices see the trace of the innovation covariance, the surge speed as the motion, a
-    proxy for the wave height from the lateral acceleration (:class:`twin.identification.dynamic_window.WaveProxy`),
+    proxy for the wave height from the lateral acceleration (``WaveProxy``),
     and the wind only if the log has it. So each row is used about W/stride times more. This
     is one reading of a text that does not say what is done with the window; on our boat and
     on others it does not beat the plain filter. After false numbers (spikes, frozen fixes) it is
@@ -249,7 +249,7 @@ class DSWPredictor(ModelPredictor):
     particulars : Particulars
         The boat.
     feedback : bool
-        Feed the fused value back to the IMU filter (see :class:`twin.filters.late_fusion.LateFusion`);
+        Feed the fused value back to the IMU filter (see ``LateFusion``);
         as printed there is none.
     window : str
         One of :data:`WINDOWS`: ``"dynamic"`` by Algorithm 1, ``"fixed"`` at ``w_min`` rows,
@@ -260,21 +260,14 @@ class DSWPredictor(ModelPredictor):
     w_min, w_max : int
         Bounds of W, rows. The paper gives w = 15; that w_r stays within w, which the rule of
         the lateral acceleration implies, is ours (Eq 40 alone would give some 40 rows).
-    environment : str
-        Form of Eq 37, one of :data:`twin.identification.dynamic_window.ENVIRONMENT_FORMS`.
-    lyapunov : bool
-        Eq 38 and 39; False takes the exponent for 0.
     period : str
-        Form of Eq 36, one of :data:`twin.identification.dynamic_window.PERIOD_FORMS`; by default Algorithm 1's.
-    base_period, trace_limit : float
-        T0, s, and P_max.
-    calm_rule, doubling : bool
-        w_r = 0 if V < 0.1 and S < 1.2; w_r at its bound if abs(a_y) > 0.3 g.
+        Form of Eq 36, one of ``dynamic_window.PERIOD_FORMS``; by default
+        Algorithm 1's.
     adapt : str
-        ``"off"``, or the form of Eq 52, one of :data:`twin.identification.dynamic_window.NOISE_FORMS`.
+        ``"off"``, or the form of Eq 52, one of ``dynamic_window.NOISE_FORMS``.
         ``"literal"``: Q grows with the size of the state error (the innovation, per state), R
         with that of the control error, read as the mean distance between commands and
-        actuators (shaft speeds in usual ones, angles in rad), which says nothing of a sensor.
+        actuators (shaft speeds in nominal ones, angles in rad), which says nothing of a sensor.
         ``"signed"``: both follow the squared state error less what the filter expects of it.
         Both stay within a factor of 100 of their start.
     adapts : str
@@ -299,13 +292,7 @@ class DSWPredictor(ModelPredictor):
         stride: int = 7,
         w_min: int = 15,
         w_max: int = 30,
-        environment: str = "third",
-        lyapunov: bool = True,
         period: str = "binary",
-        base_period: float = 10.0,
-        trace_limit: float = 1.5**2,
-        calm_rule: bool = True,
-        doubling: bool = True,
         adapt: str = "off",
         adapts: str = "Q",
         adapt_gain: float = 1e-3,
@@ -334,17 +321,7 @@ class DSWPredictor(ModelPredictor):
         if not (math.isfinite(adapt_gain) and adapt_gain >= 0.0):
             raise ValueError(f"adapt_gain = {adapt_gain} must be a finite number, 0 or more")
         self.fusion = LateFusion(particulars.instruments, particulars.length, feedback=feedback)
-        self.window = DynamicWindow(
-            base=w_min,
-            cap=w_max - w_min,
-            environment=environment,
-            lyapunov=lyapunov,
-            period=period,
-            base_period=base_period,
-            trace_limit=trace_limit,
-            calm_rule=calm_rule,
-            doubling=doubling,
-        )
+        self.window = DynamicWindow(base=w_min, cap=w_max - w_min, period=period)
         self.waves = WaveProxy()
         self.use, self.stride = window, stride
         self.adapt, self.adapts, self.adapt_gain = adapt, adapts, adapt_gain

@@ -60,9 +60,9 @@ from twin.predictors.plus_update import (
     PlusConfig,
     PlusMemory,
     PlusWork,
-    plus_step,
+    update_plus,
 )
-from twin.predictors.ukf import RolloutInputs, UKFPredictor
+from twin.predictors.ukf import RolloutInputs, UKFPredictor, plain
 from usv_kernel.arrays import flat_size, python_views
 
 __all__ = [
@@ -180,12 +180,31 @@ class PlusPredictor(UKFPredictor):
         )
         self.normal[2][0] = 0.0
         super().__init__(particulars, settings=filters, seed=seed)
-        self.memory = PlusMemory(
-            *self.memory, self.rows, self._window, self.selector.memory, self.segments.memory
-        )
-        self.config = PlusConfig(*self.config, self.segments.values)
+        ukf_memory, ukf_config, ukf_work = self.memory, self.config, self.work
         segments = self.segments
-        self.work = PlusWork(*self.work, segments.line, segments.scratch, np.zeros(WAVE_WORK))
+        self.memory = PlusMemory(
+            nav=ukf_memory.nav,
+            filter=ukf_memory.filter,
+            rows=self.rows,
+            window=self._window,
+            selector=self.selector.memory,
+            segments=segments.memory,
+        )
+        self.config = PlusConfig(
+            nav=ukf_config.nav,
+            filter=ukf_config.filter,
+            model=ukf_config.model,
+            refit=segments.values,
+        )
+        self.work = PlusWork(
+            nav=ukf_work.nav,
+            filter=ukf_work.filter,
+            line=segments.line,
+            solve=segments.scratch,
+            waves=np.zeros(WAVE_WORK),
+        )
+        self._plain = plain(self.memory), plain(self.config), plain(self.work)
+        self._latest: Any = None
 
     def reset(self) -> None:
         """Forget everything."""
@@ -263,14 +282,16 @@ class PlusPredictor(UKFPredictor):
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
         self.t = t
-        plus_step(t, dt, z, cmd, self.memory, self.config, self.work)
+        update_plus(t, dt, z, cmd, *self._plain)
 
     def _mean_forecast(self, plan: Array, dt: float) -> MeanForecast:
         """Return the mean forecast under a plan."""
         K = len(plan)
         sizes = len(self.segments.prior), K, _grid_steps(K * dt)
-        memory = np.empty(_mean_size(*sizes))
-        out: MeanForecast = python_views(mean_forecast_of)(memory, *sizes)
+        if self._latest is None or self._latest[0] != sizes:
+            memory = np.empty(_mean_size(*sizes))
+            self._latest = sizes, python_views(mean_forecast_of)(memory, *sizes)
+        out: MeanForecast = self._latest[1]
         plus_mean(plan, dt, self.memory, self.config, out)
         return out
 

@@ -39,7 +39,13 @@ from twin.identification.wave_residual import (
 )
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, rotate_body_velocity
-from twin.model.structure import N_STATES, accelerations, state_terms, thrust_terms
+from twin.model.structure import (
+    N_STATES,
+    ModelTerms,
+    accelerations,
+    state_terms,
+    thrust_terms,
+)
 from twin.predictors.baselines import GAP_MAX
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from usv_kernel.arrays import shaped
@@ -53,9 +59,12 @@ __all__ = [
     "PlusConfig",
     "PlusMemory",
     "PlusWork",
+    "plus_config_of",
     "plus_step",
+    "plus_work_of",
     "refit_work",
     "take_segments",
+    "update_plus",
 ]
 
 OBSERVER_GAIN = 0.5
@@ -215,9 +224,9 @@ def take_segments(memory, config, work):
     given = refit_config(config.refit, p)
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
-    room = refit_work(work, p, given.capacity)
+    scratch = refit_work(work, p, given.capacity)
     window = as_record(memory.window, WINDOW)
-    return _take_segments(memory.rows, window, selector, segments, given, config.model, room)
+    return _take_segments(memory.rows, window, selector, segments, given, config.model, scratch)
 
 
 _WAVE_ROWS = round(WAVE_SPAN / GRID) + 1
@@ -276,8 +285,8 @@ def _refit(memory, config, work):
     given = refit_config(config.refit, p)
     selector = selector_state(memory.selector, p, given.steps, given.spacing)
     segments = segment_state(memory.segments, p, given.capacity)
-    room = refit_work(work, p, given.capacity)
-    _take_segments(rows, window, selector, segments, given, model, room)
+    scratch = refit_work(work, p, given.capacity)
+    _take_segments(rows, window, selector, segments, given, model, scratch)
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
@@ -285,8 +294,8 @@ def _refit(memory, config, work):
         note(start, given.spacing, selector)
     if count < SEGMENTS_MIN:
         return
-    relinearise(given.relinearised, rows, segments.params, segments, given, model, room)
-    select_trust(selector, segments, given, room)
+    relinearise(given.relinearised, rows, segments.params, segments, given, model, scratch)
+    select_trust(selector, segments, given, scratch)
     state = filter_state(memory.filter, model)
     x, P = state.x, state.P
     for i in range(p):
@@ -295,6 +304,27 @@ def _refit(memory, config, work):
             P[N_STATES + i, k] = P[k, N_STATES + i] = 0.0
         for k in range(p):
             P[N_STATES + i, N_STATES + k] = segments.cov[i, k]
+
+
+@inlined
+def plus_config_of(config):
+    """Return a configuration by name from a plain tuple."""
+    which, limits, hull = config[2]
+    return PlusConfig(config[0], config[1], ModelTerms(which, limits, hull), config[3])
+
+
+@inlined
+def plus_work_of(work):
+    """Return a workspace by name from a plain tuple."""
+    return PlusWork(work[0], work[1], work[2], work[3], work[4])
+
+
+@kernel
+def update_plus(t, dt, z, cmd, memory, config, work):
+    """Do :func:`plus_step` with plain tuples, which numba takes from Python much faster."""
+    nav, joint, rows, window, selector, segments = memory
+    own = PlusMemory(nav, joint, rows, window, selector, segments)
+    plus_step(t, dt, z, cmd, own, plus_config_of(config), plus_work_of(work))
 
 
 @kernel

@@ -10,23 +10,15 @@ from __future__ import annotations
 import copy
 import math
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin
-from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     JointUKF,
-    filter_config,
-    filter_state,
-    filter_workspace,
     forecast_buffers,
-    forecast_covariance,
-    forecast_mean,
-    limit_covariances,
 )
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS
@@ -37,25 +29,30 @@ from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_forecast import (
     draws_of,
     mean_forecast_of,
-    mean_products,
-    plus_draws,
-    plus_mean,
 )
-from twin.predictors.plus_update import PlusMemory, plus_step
 from twin.predictors.registry import PredictorError, predictor_class
-from twin.predictors.ukf import RolloutInputs, UKFMemory, UKFPredictor, tight_step
+from twin.predictors.ukf import (
+    RolloutInputs,
+    UKFPredictor,
+    plain,
+)
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
-from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION, Episodes, Observer
+from twin.sim.twin_observation import (
+    NOTE,
+    ROWS,
+    TWIN_OBSERVATION,
+    Boats,
+    PlusForecast,
+    UKFForecast,
+    describe_flat,
+    observe_plus,
+    observe_ukf,
+    take_row,
+)
+from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import TwinOverlay
-from usv_gym.envs.tasks import ERRORS, follow
-from usv_gym.physics import frames as fr
-from usv_gym.world.channels import CHANNELS
-from usv_gym.world.state import BOAT
 from usv_kernel.arrays import flat_size
-from usv_kernel.jit import inlined, kernel
-from usv_kernel.records import as_record
-from usv_kernel.scalar import sincos
 
 __all__ = [
     "HORIZONS",
@@ -66,275 +63,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_SD = ("sd_forward", "sd_starboard", "sd_heading", "sd_surge", "sd_sway", "sd_yaw_rate")
-
-TWIN_OBSERVATION = (
-    *("twin_surge", "twin_sway", "twin_yaw_rate", "twin_cos_heading", "twin_sin_heading"),
-    *("twin_cross_track", "twin_to_go", "twin_cos_course_error", "twin_sin_course_error"),
-    *("twin_cos_next_turn", "twin_sin_next_turn"),
-    *(f"twin_{name}" for name in _SD),
-    *(
-        f"ahead_{h:g}s_{name}"
-        for h in HORIZONS.tolist()
-        for name in (
-            *("forward", "starboard", "cos_turn", "sin_turn", "surge", "sway", "yaw_rate"),
-            *_SD,
-        )
-    ),
-)
-"""Names of the entries that the twin adds; scales in :class:`twin.sim.wrapper.TwinObservation`."""
-
-ROWS = int(HORIZON_ROWS[-1]) + 1
-"""Rows of the plan of a forecast."""
-
-NOTE = np.dtype(
-    [
-        ("last", "f8"),  # time of the last row, s; NaN before the first
-        ("shown", "f8"),  # time of the last row that was written to the observation, s
-        ("covs_due", "f8"),  # time of the next covariances ahead, s
-        ("leg", "f8"),  # leg of the path, by the twin's state
-        ("path_errors", "f8", len(ERRORS)),  # see usv_gym.envs.tasks.ERRORS
-        ("position_error", "f8"),  # distance of the twin's position from the true one, m
-        ("z", "f8", len(MEASUREMENTS)),  # measurement row
-        ("now", "f8", (N_STATES, N_STATES)),  # variances of the state, on the diagonal
-        ("ahead", "f8", (len(HORIZONS), N_STATES)),  # states at HORIZONS
-        ("covs", "f8", (len(HORIZONS), N_STATES, N_STATES)),  # their covariances
-    ]
-)
-"""What is noted of each boat between observations."""
-
-SETTINGS = np.dtype(
-    [
-        ("period", "f8"),  # the covariances ahead are updated this often, s
-        ("gps_var", "f8"),  # variance of the drifting part of a fix, m2
-        ("look", "f8"),  # 1 where observations are to be written
-    ]
-)
-"""What all boats of a batch have in common."""
-
-
-class Boats(NamedTuple):
-    """The simulated boats, row by row, and what is noted of each."""
-
-    rows: Any  # see usv_gym.world.state.BOAT
-    points: Any  # (n, P, 2) way points, m
-    notes: Any  # see NOTE
-    shared: Any  # see usv_gym.envs.episodes.EPISODES
-    settings: Any  # see SETTINGS
-
-
-class UKFForecast(NamedTuple):
-    """Buffers of a forecast of the plain filter."""
-
-    plan: Any  # (40, 4) the command, held
-    buffers: Any  # see Forecast
-
-
-class PlusForecast(NamedTuple):
-    """Buffers of a forecast of DSW-UKF+."""
-
-    plan: Any  # (40, 4) the command, held
-    mean: Any  # see MeanForecast
-    draws: Any  # see Draws
-    normal: Any  # standard normal numbers of the draws
-
-
 _ALL = slice(None)
-
-
-@inlined
-def _spread(cov, heading, length, speed, out, at):
-    """Write the six standard deviations of a state, position turned into the body frame."""
-    c, s = heading
-    a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
-    out[at] = math.sqrt(max(c * c * a + 2.0 * c * s * b + s * s * d, 0.0)) / length
-    out[at + 1] = math.sqrt(max(s * s * a - 2.0 * c * s * b + c * c * d, 0.0)) / length
-    out[at + 2] = math.sqrt(max(cov[2, 2], 0.0))
-    out[at + 3] = math.sqrt(max(cov[3, 3], 0.0)) / speed
-    out[at + 4] = math.sqrt(max(cov[4, 4], 0.0)) / speed
-    out[at + 5] = math.sqrt(max(cov[5, 5], 0.0))
-
-
-@inlined
-def _next_row(boat, note):
-    """Write a boat's measurements to its note; return the time since the row before, or -1.
-
-    -1 stands for no new row: the boat is idle.
-    """
-    t, last = boat.t, note.last
-    if t == last:
-        return -1.0
-    note.last = t
-    for k in range(len(CHANNELS)):
-        note.z[k] = boat.measurement[k]
-    for k in range(len(CHANNELS), len(MEASUREMENTS)):
-        note.z[k] = math.nan
-    return t - last if math.isfinite(last) else 0.0
-
-
-@kernel
-def _next_row_of(boat, note):
-    """Do :func:`_next_row` on flat memory."""
-    return _next_row(boat, as_record(note, NOTE))
-
-
-@inlined
-def _is_due(note, look):
-    """Return whether a boat's part of the observation is to be written, and is not yet."""
-    if look == 0.0 or note.shown == note.last:
-        return False
-    note.shown = note.last
-    return True
-
-
-@inlined
-def _hold(command, plan):
-    """Write a plan that holds a command."""
-    for row in range(plan.shape[0]):
-        for k in range(N_ACT):
-            plan[row, k] = command[k]
-
-
-@inlined
-def describe(s, boat, note, points, rules, obs):
-    """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
-    errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules.speed, s[2]
-    d, c = sincos(psi)
-    note.leg = follow(s[0], s[1], psi, points, int(note.leg), rules.reach, errors)
-    o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
-    o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
-    o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
-    o[8], o[7] = sincos(errors[2])
-    o[10], o[9] = sincos(errors[3])
-    _spread(note.now, (c, d), rules.unit, speed, o, 11)
-    at = 17
-    for j in range(ahead.shape[0]):
-        m = ahead[j]
-        length = speed * HORIZONS[j]
-        dx, dy, turn = m[0] - s[0], m[1] - s[1], m[2] - psi
-        o[at] = (dx * c + dy * d) / length
-        o[at + 1] = (dy * c - dx * d) / length
-        o[at + 3], o[at + 2] = sincos(turn)
-        o[at + 4], o[at + 5], o[at + 6] = m[3] / speed, m[4] / speed, m[5]
-        _spread(note.covs[j], (c, d), length, speed, o, at + 7)
-        at += 13
-    for j in range(o.shape[0]):
-        o[j] = min(max(o[j], -BOUND), BOUND)
-    note.position_error = math.hypot(s[0] - boat.state[fr.X], s[1] - boat.state[fr.Y])
-
-
-@kernel
-def _describe(s, boat, note, points, rules, obs):
-    """Do :func:`describe` on flat memory."""
-    describe(s, boat, as_record(note, NOTE), points, rules, obs)
-
-
-@inlined
-def _row_of(memory, i):
-    """Return what boat i remembers."""
-    return UKFMemory(memory.nav[i], memory.filter[i])
-
-
-@inlined
-def _plus_row_of(memory, i):
-    """Return what boat i remembers."""
-    return PlusMemory(
-        memory.nav[i],
-        memory.filter[i],
-        memory.rows[i],
-        memory.window[i],
-        memory.selector[i],
-        memory.segments[i],
-    )
-
-
-@inlined
-def _write_variances(P, P_nav, gps_var, now):
-    """Write how uncertain the state is now."""
-    for i in range(N_STATES):
-        now[i, i] = P[i, i] + P_nav[i, i] + (gps_var if i < 2 else 0.0)
-
-
-@kernel
-def _ukf_all(boats, memories, config, work, forecast, obs):
-    """Let the twins of boats with a new row take it, and write their parts of the observations."""
-    settings, model = as_record(boats.settings, SETTINGS), config.model
-    rules = as_record(boats.shared, EPISODES).rules
-    given = filter_config(config.filter, model)
-    scratch = filter_workspace(work.filter, model.which.shape[1])
-    out = forecast_buffers(forecast.buffers, ROWS)
-    for i in range(boats.rows.shape[0]):
-        boat = as_record(boats.rows[i], BOAT)
-        note = as_record(boats.notes[i], NOTE)
-        memory = _row_of(memories, i)
-        dt, cmd = _next_row(boat, note), boat.command
-        if dt >= 0.0:
-            tight_step(dt, note.z[:], cmd, memory, config, work)
-        if not _is_due(note, settings.look):
-            continue
-        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
-        _hold(cmd, forecast.plan)
-        forecast_mean(forecast.plan, GRID, state, given, out, scratch.rollout)
-        _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        renew = note.last >= note.covs_due
-        if renew:
-            note.covs_due = note.last + settings.period - 1e-9
-            forecast_covariance(out.plan, GRID, state, given, out.covs, scratch)
-            for row in range(ROWS):
-                for j in range(N_STATES):
-                    for k in range(N_STATES):
-                        out.covs[row, j, k] += nav.P[j, k]
-                for j in range(2):
-                    out.covs[row, j, j] += settings.gps_var
-            limit_covariances(out.covs, note.now[:], GRID, given.envelope)
-        for h in range(HORIZON_ROWS.shape[0]):
-            row = HORIZON_ROWS[h]
-            for j in range(N_STATES):
-                note.ahead[h, j] = out.states[0, row, j]
-                if renew:
-                    for k in range(N_STATES):
-                        note.covs[h, j, k] = out.covs[row, j, k]
-        describe(state.x, boat, note, boats.points[i], rules, obs[i])
-
-
-_DRAWN_ROWS = HORIZON_ROWS + 1
-
-
-@kernel
-def _plus_all(boats, memories, config, work, forecast, obs):
-    """Do for ``dsw-ukf-plus`` what :func:`_ukf_all` does for ``ukf``."""
-    settings, model = as_record(boats.settings, SETTINGS), config.model
-    rules = as_record(boats.shared, EPISODES).rules
-    p, D = model.which.shape[1], forecast.normal[0].shape[0]
-    mean = mean_forecast_of(forecast.mean, p, ROWS, ROWS)
-    draws = draws_of(forecast.draws, p, ROWS, ROWS, D)
-    for i in range(boats.rows.shape[0]):
-        boat = as_record(boats.rows[i], BOAT)
-        note = as_record(boats.notes[i], NOTE)
-        memory = _plus_row_of(memories, i)
-        dt, cmd = _next_row(boat, note), boat.command
-        if dt >= 0.0:
-            plus_step(note.last, dt, note.z[:], cmd, memory, config, work)
-        if not _is_due(note, settings.look):
-            continue
-        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
-        _hold(cmd, forecast.plan)
-        plus_mean(forecast.plan, GRID, memory, config, mean)
-        _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        for h in range(HORIZON_ROWS.shape[0]):
-            for j in range(N_STATES):
-                note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
-        if note.last >= note.covs_due:
-            note.covs_due = note.last + settings.period - 1e-9
-            plus_draws((mean, mean), GRID, memory, config, forecast.normal, draws)
-            covs = note.covs[:]
-            mean_products(draws.deviations, _DRAWN_ROWS, covs)
-            for h in range(HORIZON_ROWS.shape[0]):
-                for j in range(2):
-                    for k in range(2):
-                        covs[h, j, k] += nav.P[j, k]
-                    covs[h, j, j] += settings.gps_var
-        describe(state.x, boat, note, boats.points[i], rules, obs[i])
 
 
 class TwinObserver(Observer):
@@ -470,7 +199,7 @@ class SeparateTwins(TwinObserver):
         sim, task = self.episodes.simulation, self.episodes.task
         for i in range(self.episodes.n)[rows]:
             note, boat = self.notes[i], sim.boats[i]
-            dt, twin = _next_row_of(boat, self._notes[i]), self.twins[i]
+            dt, twin = take_row(boat, self._notes[i]), self.twins[i]
             t = note["last"].item()
             if dt >= 0.0:
                 # what a twin keeps must not change with the next row
@@ -488,7 +217,7 @@ class SeparateTwins(TwinObserver):
                 note["ahead"][:] = twin.predictor.mean(self._plan, GRID)[HORIZON_ROWS]
             np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
-            _describe(s, boat, self._notes[i], task.points[i], task.rules, obs[i])
+            describe_flat(s, boat, self._notes[i], task.points[i], task.rules, obs[i])
 
 
 class CompiledTwins(TwinObserver):
@@ -576,7 +305,12 @@ class CompiledTwins(TwinObserver):
         )
         memory = type(self.memory)(*(array[rows] for array in self.memory))
         scratch = predictor.work, self._forecast
-        return boats, memory, predictor.config, *(copy.deepcopy(scratch) if own else scratch)
+        return (
+            plain(boats),
+            plain(memory),
+            plain(predictor.config),
+            *plain(copy.deepcopy(scratch) if own else scratch),
+        )
 
     @property
     def rollout_inputs(self) -> RolloutInputs:
@@ -590,7 +324,7 @@ class CompiledTwins(TwinObserver):
 
     @staticmethod
     def _call(*arguments: object) -> None:
-        _ukf_all(*arguments)
+        observe_ukf(*arguments)
 
 
 def _compiled(twin: Twin) -> UKFPredictor:
@@ -616,7 +350,7 @@ class CompiledPlusTwins(CompiledTwins):
 
     @staticmethod
     def _call(*arguments: object) -> None:
-        _plus_all(*arguments)
+        observe_plus(*arguments)
 
 
 def observer_of(

@@ -106,7 +106,7 @@ def test_wild_numbers_are_refused(zigzag, boat):
     assert np.abs(dirty - clean).max() < 0.3
 
 
-def test_a_jump_that_stays_is_believed(zigzag, boat):
+def test_a_jump_that_stays_is_accepted(zigzag, boat):
     z = zigzag.z.copy()
     z[600:, 0] += 200.0
     out, _ = run(zigzag, boat, z)
@@ -190,7 +190,7 @@ def test_old_fixes_are_compared_with_where_the_boat_was(latency):
 @pytest.mark.parametrize(
     ("frozen", "bound"),
     [
-        # believed, a fix frozen for 5 s would be 25 m off
+        # accepted, a fix frozen for 5 s would be 25 m off
         (slice(0, 4), [2.0, 2.0, 0.03, 0.3, 0.3, 0.01]),
         # a heading, 1.5 rad
         (slice(4, 5), [1.0, 1.0, 0.03, 0.2, 0.2, 0.01]),
@@ -320,10 +320,10 @@ def marathon(
     """
     rng = np.random.default_rng(seed)
     log = simulate("zigzag", vessel=BOAT_FILE, sea=PAPER_SEA, duration=400.0, seed=3)
-    clean, usual = kind_of_predictor(BOAT), []
+    clean, typical = kind_of_predictor(BOAT), []
     for (t, z, cmd), true in zip(log, log.truth, strict=True):
         clean.update(t, 0.05 if t > 0.0 else 0.0, z, cmd)
-        usual.append(off(clean.state.copy(), true))
+        typical.append(off(clean.state.copy(), true))
     predictor, recovered = kind_of_predictor(BOAT), []
     sigma = np.array([0.4, 0.4, 0.08, 0.08, 0.012, 0.002, 0.12, 0.12])
     z_lap, truth = lap(log, np.zeros(2), 0.0)
@@ -369,7 +369,7 @@ def marathon(
             recovered.append(off(predictor.state.copy(), truth[k]))
             assert (np.abs(recovered[-1]) < [5.0, 5.0, 0.1, 0.6, 0.6, 0.1]).all(), (row, recovered)
     assert len(recovered) > rows // 5000
-    return np.array(recovered), np.array(usual[600:])
+    return np.array(recovered), np.array(typical[600:])
 
 
 @pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 30_000), (PlusPredictor, 10_000)])
@@ -378,14 +378,14 @@ def test_marathon(kind, rows):
 
 
 def test_thirty_seconds_after_a_fault_it_is_as_if_there_had_been_none():
-    recovered, usual = (
+    recovered, typical = (
         np.sqrt(np.mean(np.square(e), axis=0))
         for e in marathon(UKFPredictor, 40_000, 5, worst=SATURATED)
     )
     # north and east as one: the receiver's bias; some 25 recoveries know their rms to 15 %, and
-    # over 90 the heading had 1.6 and the sway 1.3 of the usual error
-    assert np.hypot(*recovered[:2]) < 1.5 * np.hypot(*usual[:2])
-    assert (recovered[2:] < 2.0 * usual[2:]).all(), recovered / usual
+    # over 90 the heading had 1.6 and the sway 1.3 of the typical error
+    assert np.hypot(*recovered[:2]) < 1.5 * np.hypot(*typical[:2])
+    assert (recovered[2:] < 2.0 * typical[2:]).all(), recovered / typical
 
 
 @pytest.mark.slow

@@ -247,7 +247,7 @@ def test_a_measurement_that_repeats_another_is_left_out() -> None:
     assert np.array_equal(both.x, one.x) and np.array_equal(both.P, one.P)
 
 
-def test_measurements_without_noise_are_believed() -> None:
+def test_measurements_without_noise_are_followed() -> None:
     x, P = start()
     filtered = ukf.StructuredUKF(x, P, 6)
     z = x[:6] + np.sqrt(np.diag(P)[:6])

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from twin.benchmark.paper_checks import henon, logistic
 from twin.identification.dynamic_window import (
-    ENVIRONMENT_FORMS,
     NOISE_FORMS,
     PERIOD_FORMS,
     DynamicWindow,
@@ -118,10 +117,6 @@ def test_environment_index_by_hand() -> None:
     hs = [0.4, 0.6]  # mean .5, sd .1
     vw = [3.0, 5.0]  # mean 4, sd 1
     assert environment_index(hs, vw) == pytest.approx((0.2 + 0.25) / 3.0)
-    assert environment_index(hs, vw, form="half") == pytest.approx((0.2 + 0.25) / 2.0)
-    assert environment_index(hs, vw, form="product") == pytest.approx(0.6 * 5.0)
-    with pytest.raises(ValueError, match="third, half, product"):
-        environment_index(hs, vw, form="mean")
 
 
 def test_environment_index_ignores_scale_and_missing_samples() -> None:
@@ -129,7 +124,6 @@ def test_environment_index_ignores_scale_and_missing_samples() -> None:
     vw = np.array([math.nan] * 3)
     assert environment_index(hs, vw) == pytest.approx(0.2 / 3.0)
     assert environment_index(50.0 * hs, vw) == pytest.approx(environment_index(hs, vw))
-    assert environment_index(hs, vw, form="product") == 0.0
     assert environment_index([0.0, 0.0], [0.0, 0.0]) == 0.0
 
 
@@ -153,7 +147,6 @@ def test_adjustment_period_by_hand() -> None:
     assert adjustment_period(2.26, form="binary") == 5.0
     assert adjustment_period(1e9, form="binary") == 5.0
     assert adjustment_period(math.inf) == 0.0
-    assert adjustment_period(0.0, form="none") == 0.0
     with pytest.raises(ValueError, match="unknown"):
         adjustment_period(1.0, form="smooth")
 
@@ -168,7 +161,7 @@ def test_wave_proxy_is_proportional_to_the_waves() -> None:
         return proxy.value
 
     assert level(2.0, 0.0) == pytest.approx(2.0 * level(1.0, 0.0), rel=1e-9)
-    # a first-order high pass at 8 s lets .94 of a 3 s wave through; the rest is ripple
+    # a first-order high pass at 8 s lets .94 of a 3 s wave through; the rest oscillates
     assert level(1.0, 0.0) == pytest.approx(0.94 / math.sqrt(2.0), rel=0.08)
     assert level(1.0, 3.0) == pytest.approx(level(1.0, 0.0), rel=0.01)
 
@@ -192,44 +185,38 @@ def feed(window: DynamicWindow, motion: np.ndarray, start: float = 0.0, **row: f
 
 def test_window_keeps_its_length_until_the_period_has_elapsed() -> None:
     noise = np.random.default_rng(0).normal(size=400)
-    lengths = feed(DynamicWindow(calm_rule=False), noise, trace_P=0.0)
+    lengths = feed(DynamicWindow(), noise, trace_P=0.0)
     assert lengths[:200] == [15] * 200
     assert lengths[200] > 15  # t = 10 s
     # a trace of P_max halves the period
-    lengths = feed(DynamicWindow(calm_rule=False), noise, trace_P=2.2501)
+    lengths = feed(DynamicWindow(), noise, trace_P=2.2501)
     assert lengths[99] == 15
     assert lengths[100] > 15
 
 
 def test_variable_part_by_hand() -> None:
-    window = DynamicWindow(period="none", calm_rule=False, environment="half")
-    # no motion given: S = 1; winds 4 -+ 1: V = .125; w_r = round(15 (.6 .125 + .4)) = round(7.125)
-    assert window.update(0.0, vw=3.0) == 15 + 6  # one sample: V = 0, round(6.0)
-    assert window.update(DT, vw=5.0) == 15 + 7
-    assert pytest.approx(0.125) == window.V
+    window = DynamicWindow(period="binary")
+    # no motion given: S = 1; waves .2 and .4: V = (1/3) / 3, above the calm .1
+    window.update(0.0, hs=0.2)
+    assert window.update(10.0, hs=0.4) == 15 + 7  # round(15 (.6 / 9 + .4)) = 7
+    assert pytest.approx(1.0 / 9.0) == window.V
     assert window.S == 1.0
 
 
-def test_variable_part_rounds_half_up_and_is_capped() -> None:
-    kwargs: dict[str, Any] = {"period": "none", "calm_rule": False, "gamma_env": 0.0}
-    assert DynamicWindow(**kwargs, gamma_nonlin=0.5).update(0.0) == 15 + 8  # 7.5
-    assert DynamicWindow(**kwargs, gamma_nonlin=40.0).update(0.0) == 30
-    assert DynamicWindow(**kwargs, gamma_nonlin=40.0, cap=4).update(0.0) == 19
-    assert DynamicWindow(**kwargs, gamma_nonlin=-1.0).update(0.0) == 15
-
-
-def test_calm_rule() -> None:
-    calm: dict[str, Any] = {"period": "none", "environment": "half"}
-    assert DynamicWindow(**calm).update(0.0) == 15  # V = 0, S = 1
-    assert DynamicWindow(**calm, calm_rule=False).update(0.0) == 21
-    assert DynamicWindow(**calm, calm_nonlin=1.0).update(0.0) == 21  # S < 1 does not hold
-    window = DynamicWindow(**calm)
+def test_variable_part_is_capped() -> None:
+    window = DynamicWindow(cap=4)
     window.update(0.0, hs=0.2)
-    assert window.update(DT, hs=0.4) == 15 + 8  # V = 1/6 is not below .1; round(15 (.1 + .4))
+    assert window.update(10.0, hs=0.4) == 19
+
+
+def test_calm_rule_leaves_no_variable_part() -> None:
+    window = DynamicWindow()
+    window.update(0.0, hs=0.2)
+    assert window.update(10.0, hs=0.21) == 15  # V = .008, S = 1
 
 
 def test_noise_is_taken_for_nonlinearity() -> None:
-    # ship_and_sea.md: white noise meets S > 1.2, smooth motion does not.
+    # docs/explanation/twin.md, Dynamic window: white noise meets S > 1.2, smooth motion does not.
     noise, smooth = DynamicWindow(), DynamicWindow()
     feed(noise, np.random.default_rng(3).normal(size=202))
     feed(smooth, 1.0 - np.exp(-0.01 * np.arange(202)))
@@ -245,16 +232,14 @@ def test_lateral_acceleration_doubles_the_window_at_once() -> None:
     # it holds for one period from there, then the calm rule takes over
     assert window.update(14.9, a_y=0.0) == 30
     assert window.update(15.0, a_y=0.0) == 15
-    assert DynamicWindow(doubling=False).update(0.0, a_y=5.0 * g) == 15
     assert DynamicWindow().update(0.0, a_y=math.nan) == 15
 
 
 def test_window_uses_only_the_samples_within_it() -> None:
-    window = DynamicWindow(period="none", calm_rule=False)
-    for i in range(40):
-        window.update(DT * i, vw=1.0 if i < 15 else 4.0)
-    # 21 samples back there is no change, 30 samples back there is
-    assert window.W == 21
+    window = DynamicWindow()
+    for i in range(201):
+        window.update(DT * i, vw=1.0 if i < 180 else 4.0)
+    # 15 samples back there is no change, 30 samples back there is
     assert window.V == 0.0
 
 
@@ -275,14 +260,11 @@ def test_window_refuses_what_it_cannot_use() -> None:
     unusable: list[dict[str, Any]] = [
         {"base": 0},
         {"cap": -1},
-        {"environment": "x"},
         {"period": "x"},
     ]
     for bad in unusable:
         with pytest.raises(ValueError, match=next(iter(bad))):
             DynamicWindow(**bad)
-    with pytest.raises(ValueError, match="base_period"):
-        DynamicWindow(base_period=0.0)
 
 
 VALUES = st.one_of(st.just(math.nan), st.floats(-1e6, 1e6), st.just(math.inf))
@@ -291,13 +273,12 @@ VALUES = st.one_of(st.just(math.nan), st.floats(-1e6, 1e6), st.just(math.inf))
 @given(
     rows=st.lists(st.tuples(VALUES, VALUES, VALUES, VALUES, VALUES), max_size=60),
     period=st.sampled_from(PERIOD_FORMS),
-    environment=st.sampled_from(ENVIRONMENT_FORMS),
     dt=st.floats(0.0, 20.0),
 )
 def test_window_stays_within_its_bounds(
-    rows: list[tuple[float, ...]], period: str, environment: str, dt: float
+    rows: list[tuple[float, ...]], period: str, dt: float
 ) -> None:
-    window = DynamicWindow(period=period, environment=environment)
+    window = DynamicWindow(period=period)
     for i, (trace_P, hs, vw, a_y, motion) in enumerate(rows):
         W = window.update(dt * i, trace_P=trace_P, hs=hs, vw=vw, a_y=a_y, motion=motion)
         assert isinstance(W, int)

@@ -51,7 +51,7 @@ def fit_autoregression(w: np.ndarray) -> np.ndarray:
     return coefficients
 
 
-def told(past: np.ndarray, coefficients: np.ndarray, K: int) -> np.ndarray:
+def forecast(past: np.ndarray, coefficients: np.ndarray, K: int) -> np.ndarray:
     """Return the next K rows of an autoregression without noise."""
     path = np.full((K + 1, past.shape[1]), math.nan)
     forecast_waves(past, coefficients, path)
@@ -152,7 +152,9 @@ def test_what_is_predicted_is_the_recursion() -> None:
     line = [*past[::-1]]  # oldest first
     for _ in range(30):
         line.append(np.sum(coefficients * np.array(line[-1 : -ORDER - 1 : -1]), axis=0))
-    np.testing.assert_allclose(told(past, coefficients, 30), line[ORDER:], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        forecast(past, coefficients, 30), line[ORDER:], rtol=1e-12, atol=1e-12
+    )
 
 
 def test_the_waves_predicted_go_on_with_the_wave_and_die_out() -> None:
@@ -161,11 +163,13 @@ def test_the_waves_predicted_go_on_with_the_wave_and_die_out() -> None:
     past = w[: -ORDER - 1 : -1].copy()
     # a second ahead it predicts: better than silence, on average over many starts
     starts = range(100, 3900, 7)
-    ahead = np.array([told(w[k - 1 : k - ORDER - 1 : -1].copy(), coefficients, 4) for k in starts])
+    ahead = np.array(
+        [forecast(w[k - 1 : k - ORDER - 1 : -1].copy(), coefficients, 4) for k in starts]
+    )
     seen = np.array([w[k : k + 4] for k in starts])
     assert (np.mean((seen - ahead) ** 2, axis=0) < 0.8 * np.mean(seen**2, axis=0)).all()
     # slowest root 0.82: after 90 s nothing is left
-    mean = told(past, coefficients, 400)
+    mean = forecast(past, coefficients, 400)
     assert (np.abs(mean[-40:]) < 1e-6 * np.abs(past).max(axis=0)).all()
 
 
@@ -230,7 +234,7 @@ def test_each_heading_has_waves_of_its_own() -> None:
     for psi, size, period, joint in ((0.0, 1.0, 8.0, 0.8), (math.pi, 3.0, 24.0, -0.8)):
         true = size * lasting(period, rng.normal(size=(20_000, 3)))
         out = simulated(sectors, np.full(200, psi))[:, 100:]
-        # a few changes of course, and a few strangers
+        # a few changes of course, and a few rows of other headings
         np.testing.assert_allclose(out.std(axis=(0, 1)), true.std(axis=0), rtol=0.15)
         one, two = (
             np.mean(x[..., 4:, 0] * x[..., :-4, 0]) / np.mean(x[..., 0] ** 2) for x in (true, out)
@@ -238,7 +242,7 @@ def test_each_heading_has_waves_of_its_own() -> None:
         assert two == pytest.approx(one, abs=0.12)
         corr = np.corrcoef(out[..., 1].ravel(), out[..., 2].ravel())[0, 1]
         assert corr == pytest.approx(joint, abs=0.1)
-    # where she never sailed: what all have in common
+    # where the boat never sailed: what all have in common
     east = simulated(sectors, np.full(200, math.pi / 2))[:, 100:]
     np.testing.assert_allclose(east.std(axis=(0, 1)), w.std(axis=0), rtol=0.2)
     assert abs(np.corrcoef(east[..., 1].ravel(), east[..., 2].ravel())[0, 1]) < 0.6

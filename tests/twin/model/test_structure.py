@@ -38,8 +38,8 @@ CASES = [
 
 def boat(case: tuple[str, str, bool]) -> Structure:
     name, kind, biased = case
-    told = {} if kind == "drives" else {kind: True}
-    return structure_of(name, LENGTH, SPEED, SHAFT, **told, biased=biased)
+    options = {} if kind == "drives" else {kind: True}
+    return structure_of(name, LENGTH, SPEED, SHAFT, **options, biased=biased)
 
 
 def terms_of(
@@ -178,7 +178,7 @@ def test_slopes_are_those_of_the_terms(name, nu, psi, wind, act) -> None:
     away_from_kinks(u, v, r)
     away_from_kinks(0.71 * LENGTH * r - v)
     wind = np.array(wind)
-    structure = structure_of(name, LENGTH, SPEED, SHAFT, tanker=True)  # she has all terms
+    structure = structure_of(name, LENGTH, SPEED, SHAFT, tanker=True)  # it has all terms
     hull = structure.terms.hull
     for n in act[:2]:  # where the flow at a drive turns round
         away_from_kinks(0.4 * u * abs(u) + (0.6 if n > 0.0 else 0.06) * n * abs(n))
@@ -320,7 +320,7 @@ def test_thrust_terms_leave_those_of_the_state() -> None:
 def test_prior_keeps_its_speed_and_course(name, differential) -> None:
     structure = structure_of(name, LENGTH, SPEED, SHAFT, differential=differential)
     assert (structure.sd > 0.0).all() and np.isfinite(structure.mean).all()
-    # the usual shaft speed in the structure's unit keeps about the usual speed
+    # the nominal shaft speed in the structure's unit keeps about the nominal speed
     n = SHAFT * structure.n_unit
     terms = terms_of(structure, (SPEED, 0.0, 0.0), 0.0, CALM, (n, n, 0.0, 0.0))
     du, dv, dr = accelerations(terms, structure.terms, structure.mean, 0)

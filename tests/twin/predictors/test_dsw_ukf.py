@@ -26,7 +26,7 @@ def run(zigzag: Log) -> Log:
     return dataclasses.replace(log, z=z)
 
 
-def fed(boat: Particulars, log: Log, **options: Any) -> DSWPredictor:
+def run_of(boat: Particulars, log: Log, **options: Any) -> DSWPredictor:
     predictor = DSWPredictor(boat, **options)
     before = log.t[0]
     for t, z, cmd in log:
@@ -36,12 +36,12 @@ def fed(boat: Particulars, log: Log, **options: Any) -> DSWPredictor:
 
 
 @pytest.fixture(scope="module")
-def usual(boat: Particulars, run: Log) -> DSWPredictor:
-    return fed(boat, run)
+def default(boat: Particulars, run: Log) -> DSWPredictor:
+    return run_of(boat, run)
 
 
-def test_as_published(boat: Particulars, usual: DSWPredictor) -> None:
-    settings = usual.ukf.settings
+def test_as_published(boat: Particulars, default: DSWPredictor) -> None:
+    settings = default.ukf.settings
     np.testing.assert_array_equal(settings.xi0, 0.1)  # Eq 47
     np.testing.assert_allclose(0.05 * settings.q, 1e-4, rtol=1e-15)  # Eq 50
     np.testing.assert_array_equal(settings.r, 1.0)  # Eq 51
@@ -49,12 +49,11 @@ def test_as_published(boat: Particulars, usual: DSWPredictor) -> None:
     np.testing.assert_array_equal(settings.xi0_cov, np.eye(25))
     assert settings.n_unit * boat.shaft_speed == pytest.approx(380.0 / 60.0)
     assert (settings.alpha, settings.beta, settings.kappa) == (1.0, 2.0, 0.0)
-    window = usual.window
-    assert (window.base, window.base + window.cap, usual.stride) == (15, 30, 7)
-    assert (window.base_period, window.trace_limit, window.period) == (10.0, 2.25, "binary")
-    assert window.accel_limit == pytest.approx(0.3 * 9.81)
-    assert type(usual.fusion.gps).__module__ == "filterpy.kalman.kalman_filter"
-    assert type(usual.fusion.imu) is type(usual.fusion.gps)
+    window = default.window
+    assert (window.base, window.base + window.cap, default.stride) == (15, 30, 7)
+    assert window.period == "binary"
+    assert type(default.fusion.gps).__module__ == "filterpy.kalman.kalman_filter"
+    assert type(default.fusion.imu) is type(default.fusion.gps)
 
 
 # Option, and which of fusion, window and noises it may change; the filter's answer always.
@@ -65,11 +64,7 @@ PIECES: list[tuple[dict[str, Any], set[str]]] = [
     ({"stride": 3}, {"window"}),
     ({"w_min": 20}, {"window"}),
     ({"w_min": 12, "w_max": 18}, {"window"}),
-    ({"lyapunov": False}, {"window"}),
-    ({"base_period": 2.0}, {"window"}),
-    ({"period": "none"}, {"window"}),
     ({"period": "continuous"}, {"window"}),
-    ({"trace_limit": 1e3}, {"window"}),
     ({"adapt": "literal"}, {"q"}),
     ({"adapt": "literal", "adapts": "R"}, {"r"}),
     ({"adapt": "literal", "adapts": "QR"}, {"q", "r"}),
@@ -91,58 +86,38 @@ PIECES: list[tuple[dict[str, Any], set[str]]] = [
     ids=lambda value: "+".join(sorted(value)) if isinstance(value, set) else str(value),
 )
 def test_each_piece_changes_what_it_should(
-    boat: Particulars, run: Log, usual: DSWPredictor, options: dict[str, Any], parts: set[str]
+    boat: Particulars, run: Log, default: DSWPredictor, options: dict[str, Any], parts: set[str]
 ) -> None:
-    other = fed(boat, run, **options)
+    other = run_of(boat, run, **options)
     same = {
-        "fusion": np.array_equal(other.fusion.state, usual.fusion.state),
-        "q": np.array_equal(other.q, usual.q),
-        "r": np.array_equal(other.r, usual.r),
+        "fusion": np.array_equal(other.fusion.state, default.fusion.state),
+        "q": np.array_equal(other.q, default.q),
+        "r": np.array_equal(other.r, default.r),
     }
     assert {name for name, equal in same.items() if not equal} == parts - {"window"}
-    assert not np.array_equal(other.state, usual.state)
+    assert not np.array_equal(other.state, default.state)
     if not parts:
         window = other.window
-        assert (window.V, window.S) == (usual.window.V, usual.window.S)
+        assert (window.V, window.S) == (default.window.V, default.window.S)
 
 
 def test_window_off_and_fixed_leave_the_indices_alone(boat: Particulars, run: Log) -> None:
     for kind in ("off", "fixed"):
-        other = fed(boat, run, window=kind)
+        other = run_of(boat, run, window=kind)
         assert (other.window.W, math.isnan(other.window.S)) == (15, True)
-
-
-def test_indices_can_be_taken_out(boat: Particulars, run: Log, usual: DSWPredictor) -> None:
-    assert usual.window.V > 0.0
-    assert usual.window.S != 1.0
-    assert fed(boat, run, environment="off").window.V == 0.0
-    half, product = (fed(boat, run, environment=form) for form in ("half", "product"))
-    assert pytest.approx(1.5) == half.window.V / usual.window.V
-    assert 1.0 < product.window.V / product.waves.value < 6.0  # the wind's 3.5 to 5.5 m/s
-    assert fed(boat, run, lyapunov=False).window.S == 1.0
 
 
 def test_adjustment_period(boat: Particulars, run: Log) -> None:
     # tr(P) is that of the innovation: above the six ones of R, so above P_max in any case
-    for form, least, most in (("binary", 5.0, 5.0), ("none", 0.0, 0.0), ("continuous", 0.0, 2.8)):
-        assert least <= fed(boat, run, period=form).window.T <= most
-    assert fed(boat, run, trace_limit=1e3).window.T == 10.0
-    assert fed(boat, run, base_period=4.0).window.T == 2.0
+    for form, least, most in (("binary", 5.0, 5.0), ("continuous", 0.0, 2.8)):
+        assert least <= run_of(boat, run, period=form).window.T <= most
 
 
-@pytest.mark.parametrize(("doubling", "W"), [(True, 30), (False, 15)])
-def test_lateral_acceleration(boat: Particulars, run: Log, doubling: bool, W: int) -> None:
+def test_lateral_acceleration_doubles_the_window(boat: Particulars, run: Log) -> None:
     log = run.slice(8.0, 12.0)  # before the first adjustment
     z = log.z.copy()
     z[-1, ACCEL_Y] = 3.0
-    assert fed(boat, dataclasses.replace(log, z=z), doubling=doubling).window.W == W
-
-
-def test_calm_rule(boat: Particulars, run: Log) -> None:
-    calm = {"environment": "off", "lyapunov": False}
-    assert fed(boat, run, **calm).window.w_r == 0
-    # Eq 40 by hand: 15 (.6 x 0 + .4 x 1)
-    assert fed(boat, run, calm_rule=False, **calm).window.w_r == 6
+    assert run_of(boat, dataclasses.replace(log, z=z)).window.W == 30
 
 
 @pytest.mark.parametrize(("options", "every"), [({}, 7), ({"stride": 2}, 2), ({"w_max": 20}, 7)])
@@ -161,14 +136,14 @@ def test_each_row_is_used_again_at_the_stride(
         original(self, W)
 
     monkeypatch.setattr(DSWPredictor, "_restart", counting)
-    predictor = fed(boat, run, **options)
+    predictor = run_of(boat, run, **options)
     counts = [count for count, _ in seen]
     assert counts == [k for k in range(1, predictor._count + 1) if k % every == 0 and k > 15]
     assert all(15 <= W <= options.get("w_max", 30) for _, W in seen)
 
 
 def test_literal_noise_only_grows_and_stays_within_its_bound(boat: Particulars, run: Log) -> None:
-    other = fed(boat, run, adapt="literal", adapts="QR", adapt_gain=1.0)
+    other = run_of(boat, run, adapt="literal", adapts="QR", adapt_gain=1.0)
     start = other.ukf.settings
     assert (other.q > start.q).all()
     assert (other.r > start.r).all()
@@ -176,7 +151,7 @@ def test_literal_noise_only_grows_and_stays_within_its_bound(boat: Particulars, 
 
 
 def test_restart_begins_at_the_measured_state(boat: Particulars, run: Log) -> None:
-    predictor = fed(boat, run, window="off")
+    predictor = run_of(boat, run, window="off")
     xi, own = predictor.ukf.xi.copy(), predictor.ukf.P[6:, 6:].copy()
     act = predictor.ukf.act.copy()
     predictor._restart(1)  # no row is run: only the start is set
@@ -189,7 +164,7 @@ def test_restart_begins_at_the_measured_state(boat: Particulars, run: Log) -> No
     np.testing.assert_array_equal(predictor.ukf.act, act)
 
 
-def test_bands_are_finite_and_positive_definite(boat: Particulars, zigzag: Log) -> None:
+def test_intervals_are_finite_and_positive_definite(boat: Particulars, zigzag: Log) -> None:
     predictor = DSWPredictor(boat)
     widest, before = 0.0, 0.0
     for row, (t, z, cmd) in enumerate(zigzag):
@@ -213,13 +188,10 @@ def test_bands_are_finite_and_positive_definite(boat: Particulars, zigzag: Log) 
         ({"window": "sliding"}, "window = 'sliding' is unknown; use one of dynamic, fixed, off"),
         ({"adapt": "yes"}, "adapt = 'yes' is unknown; use one of off, literal, signed"),
         ({"adapts": "P"}, "adapts = 'P' is unknown; use one of Q, R, QR"),
-        ({"environment": "sea"}, "environment = 'sea' is unknown; use one of third, half"),
-        ({"period": "daily"}, "period = 'daily' is unknown; use one of continuous, binary, none"),
+        ({"period": "daily"}, "period = 'daily' is unknown; use one of continuous, binary"),
         ({"stride": 0}, 'stride = 0 must be 1 or more; window="off"'),
         ({"w_min": 0}, "w_min = 0 must be 1 or more, and w_max = 30 no less"),
         ({"w_max": 14}, "w_min = 15 must be 1 or more, and w_max = 14 no less"),
-        ({"base_period": 0.0}, "base_period = 0.0 must be a finite number above 0"),
-        ({"trace_limit": math.nan}, "trace_limit = nan must be a finite number above 0"),
         ({"adapt_gain": -1.0}, "adapt_gain = -1.0 must be a finite number, 0 or more"),
         ({"n_unit": 0.0}, "n_unit = 0.0 must be a finite number above 0"),
         ({"x0": [0.1] * 24}, r"x0 has the shape \(24,\); give one number, or 25 of them"),

@@ -75,8 +75,8 @@ def test_with_perfect_sensors_it_finds_the_start_itself():
     """
     vessel = other_boat()
     log = sail(vessel, CALM, suite=SensorSuite.grade("perfect"))
-    told = particulars_of(vessel, SensorSuite.grade("perfect"))
-    oracle = watch(log, 701, Oracle(told, vessel=vessel, sea=CALM))
+    given = particulars_of(vessel, SensorSuite.grade("perfect"))
+    oracle = watch(log, 701, Oracle(given, vessel=vessel, sea=CALM))
     prediction = oracle.predict(known_plan(log, 700, 10.0, 0.05), 0.05)
     error = prediction.mean - log.truth[701:901]
     assert np.abs(error[:, 3:5]).max() < 0.05  # m/s of 5
@@ -101,20 +101,20 @@ def test_it_follows_the_motion_and_not_the_waves():
 
 
 def test_it_knows_the_mean_wind_and_not_the_waves():
-    """With the wind it is told, it errs less than without; the waves' phases change nothing."""
+    """With the wind it is given, it errs less than without; the waves' phases change nothing."""
     vessel = Vessel.load("usv75")
     windy = SeaState(wind=9.0, gusts="none")
     log = sail(vessel, windy, manoeuvre="turn")
     plan = known_plan(log, 700, 10.0, 0.05)
     ends = {}
-    for name, sea in (("told", windy), ("calm", CALM), ("waves", windy.replace(hs=1.0))):
+    for name, sea in (("given", windy), ("calm", CALM), ("waves", windy.replace(hs=1.0))):
         oracle = watch(log, 701, Oracle(particulars_of(vessel), vessel=vessel, sea=sea))
         ends[name] = oracle.path(plan, 0.05)
     truth = log.truth[701:901] - [*log.truth[700, :2], 0, 0, 0, 0]
     start = [*oracle.state[:2], 0, 0, 0, 0]
     error = {k: np.abs(end - start - truth)[:, 3:5].mean() for k, end in ends.items()}
-    assert error["told"] < 0.5 * error["calm"]
-    np.testing.assert_array_equal(ends["told"], ends["waves"])
+    assert error["given"] < 0.5 * error["calm"]
+    np.testing.assert_array_equal(ends["given"], ends["waves"])
 
 
 def test_the_true_boat_is_known_by_its_particulars():
@@ -140,8 +140,8 @@ def test_a_recorded_run_has_no_true_boat():
 def test_only_those_that_ask_are_told_of_the_world():
     vessel = other_boat()
     assert simulator_options("ukf", vessel, ROUGH, 3) == {}
-    told = simulator_options("oracle", vessel, ROUGH, 6)
-    assert told == {"vessel": vessel, "sea": ROUGH, "dof": 6}
+    given = simulator_options("oracle", vessel, ROUGH, 6)
+    assert given == {"vessel": vessel, "sea": ROUGH, "dof": 6}
 
 
 def test_in_the_environment_it_gets_the_environments_boat_and_sea():
