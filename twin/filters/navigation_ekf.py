@@ -429,8 +429,19 @@ class Navigator:
         self._work = np.zeros(NAVIGATION_WORK.itemsize // 8)
         self._model = np.zeros(4)
         self.memory = initial_navigation(self._settings)
-        self.n = self.memory.view(NAVIGATION)[0]["n"]
-        self.P = self.memory.view(NAVIGATION)[0]["P"]
+        self._open()
+
+    def _open(self) -> None:
+        record = self.memory.view(NAVIGATION)[0]
+        self.n, self.P = record["n"], record["P"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the views out: those of a copy are of its own memory."""
+        return {name: value for name, value in vars(self).items() if name not in ("n", "P")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._open()
 
     def reset(self) -> None:
         """Forget everything."""

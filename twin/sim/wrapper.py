@@ -320,9 +320,9 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
         Without ``record=True``, or before the first reset.
     """
     base = env.unwrapped
-    if not isinstance(base, USVEnv) or not base.history:
+    if not isinstance(base, USVEnv) or not (base.recorder and base.recorder.rows):
         raise ValueError("make the environment with record=True, and reset it, to get its log")
-    rows = np.array(base.history)
+    rows = np.array(base.recorder.rows)
     log = Log(
         t=rows[:, 0],
         cmd=rows[:, 1:5],

@@ -13,6 +13,7 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.envs.tasks import TASK
+from usv_gym.world.simulation import Simulation
 from usv_kernel.records import field_at, record_size
 
 __all__ = [
@@ -25,6 +26,19 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
     for name in ("leg", "errors", "terms", "reward", "terminated", "success", "capsized")
 )
 """Where these stand in a task's flat record: one list a step is quicker than seven views."""
+
+
+class Recorder:
+    """Rows of an episode for its log: time, command, measurement and true state per step."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.rows: list[np.ndarray] = []
+
+    def observe(self, obs: np.ndarray, look: bool = True) -> None:
+        """Add the row of this step."""
+        sim = self.simulation
+        self.rows.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
 
 
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -140,15 +154,12 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self._progress = self.episodes.memory[0, : record_size(TASK)]
         self._time = self.simulation.t
         self._started = False
-        if self.observer:
-            self.episodes.callbacks.append(self.observer.observe)
         self.metadata = {**self.metadata, "render_fps": fps_of(self.episodes)}
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
-        self.history: list[np.ndarray] | None = [] if record else None
-        """With ``record``: a row of time, command, measurement and true state per step."""
-        if record:
-            self.episodes.callbacks.append(self._remember)
+        self.recorder = Recorder(self.simulation) if record else None
+        watchers = self.observer, self.renderer, self.recorder
+        self._watchers = tuple(one for one in watchers if one is not None)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -176,9 +187,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         if self.observer:
             self.observer.reset(0)
             self.observer.observe(obs)
-        if self.history is not None:
-            self.history.clear()
-            self._remember(obs)
+        if self.recorder:
+            self.recorder.rows.clear()
+            self.recorder.observe(obs)
         self._show()
         return obs[0], self._info(self._progress.tolist())
 
@@ -208,7 +219,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             )
         self._action[:] = values
         obs = np.empty(self._obs_shape, np.float32)
-        if not self.episodes.step(obs):
+        if not self.episodes.step(obs, self._watchers):
             raise ValueError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
@@ -230,12 +241,6 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     def _show(self) -> None:
         if self.renderer and not self.renderer.waits:
             self.renderer.look()
-
-    def _remember(self, obs: np.ndarray, look: bool = True) -> None:
-        """Keep this step's row for the log."""
-        sim = self.simulation
-        assert self.history is not None
-        self.history.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
 
     def _info(self, progress: list[float]) -> dict[str, Any]:
         info = {

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,6 +185,13 @@ def _observe(
     observe(boat, memory, points, as_record(shared, EPISODES), obs)
 
 
+class StepWatcher(Protocol):
+    """What takes in every step of the episodes."""
+
+    def observe(self, obs: NDArray[np.float32], look: bool = True) -> None:
+        """Take in a step; ``look`` is False for the steps of a decision but the last."""
+
+
 class Observer(ABC):
     """Adds entries to the observations of n boats, behind :data:`OBSERVATION`.
 
@@ -245,8 +252,6 @@ class Episodes:
         What lasts of each episode.
     config, shared : record of EPISODES, ndarray
         What kernels read of the options, and the same as flat memory.
-    callbacks : list of callable
-        Called after each step with the observations, and whether it is the last of a decision.
     """
 
     def __init__(self, n: int, config: EnvConfig, *, threads: int = 1) -> None:
@@ -267,7 +272,6 @@ class Episodes:
         limits = self.vessel.values
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
-        self.callbacks: list[Callable[[NDArray[np.float32], bool], None]] = []
         n_manoeuvring, n_max = limits["shaft_speed_manoeuvring"], limits["shaft_speed_service"]
         self.speed = self.vessel.straight_speed(n_manoeuvring)
         self.task = make_task(config.task, n, self.speed, limits["length_waterline"])
@@ -338,13 +342,16 @@ class Episodes:
         self.actions[:, i] = self.nominal_action
         _observe(self.simulation.rows[i], self.memory[i], self.task.points[i], self.shared, obs)
 
-    def step(self, obs: np.ndarray) -> bool:
+    def step(self, obs: np.ndarray, watchers: Sequence[StepWatcher] = ()) -> bool:
         """Take the steps of one decision by ``actions[1]``.
 
         Parameters
         ----------
         obs : ndarray, shape (n, 23 or more)
             The observations are written there, but for idle boats.
+        watchers : sequence of StepWatcher
+            Called after each step. The caller keeps them: a reference from here back to their
+            owner would keep a dropped environment in memory.
 
         Returns
         -------
@@ -354,8 +361,8 @@ class Episodes:
         for left in self._countdown:
             if not self._step(obs, left):
                 return False
-            for callback in self.callbacks:
-                callback(obs, left == 0)
+            for watcher in watchers:
+                watcher.observe(obs, left == 0)
         return True
 
     def _step(self, obs: np.ndarray, left: int) -> bool:

@@ -284,7 +284,6 @@ class Renderer:
             Trail(0.05 * length, 0.2 * _span(episodes.vessel, episodes.speed))
             for _ in range(episodes.n)
         ]
-        episodes.callbacks.append(self._remember)
 
     @classmethod
     def of(
@@ -297,8 +296,8 @@ class Renderer:
         """Return what makes an environment's pictures; None without a mode."""
         return None if mode is None else cls(episodes, observer, mode, size)
 
-    def _remember(self, obs: NDArray[np.float32], look: bool = True) -> None:
-        """Watch a step of every boat, as :class:`Episodes` has it."""
+    def observe(self, obs: NDArray[np.float32], look: bool = True) -> None:
+        """Add a step of every boat to its trail."""
         sim, records = self.episodes.simulation, self.episodes.records
         for i, trail in enumerate(self.trails):
             trail.add(
@@ -307,7 +306,7 @@ class Renderer:
 
     def look(self) -> None:
         """Remember also what a reset made new; show the first boat where there is a window."""
-        self._remember(np.empty(0, np.float32))
+        self.observe(np.empty(0, np.float32))
         if self._window:
             self._window.show(self.painter, self.scene(0))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import weakref
 from pathlib import Path
 
 import gymnasium as gym
@@ -37,3 +38,38 @@ def test_a_million_steps_take_no_memory():
     before = resident()
     sail(STEPS)
     assert resident() - before < 3.0
+
+
+@pytest.mark.skipif(not STATM.exists(), reason="reads /proc")
+@pytest.mark.parametrize("options", [{}, {"twin": "ukf"}, {"twin": None, "record": True}])
+def test_dropped_environments_leave_memory_flat(options):
+    """Without help of the collector: nothing that an environment holds refers back to it."""
+
+    def make_and_drop(times):
+        for seed in range(times):
+            env = gym.make("USVTwin-v0", **options)
+            env.reset(seed=seed)
+            env.step(env.action_space.sample())
+            env.close()
+
+    make_and_drop(10)
+    before = resident()
+    gc.disable()
+    try:
+        make_and_drop(30)
+    finally:
+        gc.enable()
+    assert int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6 - before < 5.0
+
+
+def test_a_dropped_vector_environment_is_gone_at_once():
+    envs = gym.make_vec("USVTwin-v0", num_envs=3, twin="ukf")
+    envs.reset(seed=0)
+    episodes = weakref.ref(envs.unwrapped.episodes)
+    gc.disable()
+    try:
+        envs.close()
+        del envs
+        assert episodes() is None
+    finally:
+        gc.enable()

@@ -301,7 +301,7 @@ def test_observation_sets_that_cannot_be_say_so():
         make_vector_env(2, observation="twin", twin=None)
     with pytest.raises(ValueError, match="identifies no parameters"):
         make_env(observation="twin_params", twin="persistence")
-    with pytest.raises(ValueError, match="is told of the sea"):
+    with pytest.raises(ValueError, match="is given the sea"):
         make_env(twin="oracle", sea="0|2")
     with pytest.raises(TypeError, match="frame_skip=1"):
         TwinObservation(make_env(twin=None, frame_skip=2), "ukf")

@@ -202,7 +202,7 @@ def test_memory_of_a_boat_in_a_batch():
     """64 kB with the twin ``ukf``; twenty is the aim."""
     envs = natives(8, twin="ukf").unwrapped
     arrays = [envs.simulation.rows, envs.task.points, envs.episodes.memory]
-    arrays += [envs.observer.notes, *envs.observer.memories]
+    arrays += [envs.observer._notes, *envs.observer.memory]
     assert sum(array.nbytes for array in arrays) / 8 < 64_000
 
 
