@@ -115,7 +115,7 @@ def paper_settings(
         means for any boat what it meant for theirs; 1 leaves rev/s; 60 is the rpm with which
         nothing is learned.
 
-    Source: Eq (47), (50), (51).
+        Source: Eq (47), (50), (51).
     """
     unit = RATED_SHAFT_SPEED / particulars.shaft_speed if n_unit is None else n_unit
     if not (math.isfinite(unit) and unit > 0.0):

@@ -68,7 +68,7 @@ def accelerate_6(
 
     Notes
     -----
-    Source: Eq (6) as restored in physics.md 2.1 (SNAME) with ``y_G = 0`` and the axes of
+    Source: Eq (6) as restored in ship_and_sea.md (SNAME) with ``y_G = 0`` and the axes of
     inertia along the body. The added masses of surge and sway act ``z_H`` below the water
     line, and as in the MMG standard method in the horizontal plane; that of heave moves with
     the boat as a part of it, so that the period of heave does not hang on the speed (strip

@@ -102,7 +102,7 @@ def derivative(
 
     Notes
     -----
-    Source: Eq (1)-(8), physics.md 2.1-2.3 C. The sum of rigid body and added mass is driven by
+    Source: Eq (1)-(8), ship_and_sea.md. The sum of rigid body and added mass is driven by
     the velocity through a current, which is exact where that is the same everywhere (Fossen
     2021, section 10.3). In waves, hull and propulsion feel the orbital motion of the water, and
     the added mass its acceleration: a boat on a long wave moves with the water. Weight and

@@ -215,7 +215,7 @@ def first_order_loads(
 
     Notes
     -----
-    Source: physics.md 2.3 C.
+    Source: ship_and_sea.md.
     """
     M = waves.shape[1]
     sp, cp = sincos(psi)

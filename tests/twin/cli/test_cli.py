@@ -125,7 +125,7 @@ def test_save_and_resume_equal_one_run(folder, tmp_path):
         (("--resume", kept), "has no row after t = 40 s"),
         (("--resume", kept, "-p", "persistence"), "goes on with ukf; leave it out"),
         (("--resume", kept, "--ship", "usv75"), "knows its boat; leave it out"),
-        (("--resume", log), "is no saved state of a twin"),
+        (("--resume", log), "is no saved twin"),
         (("--resume", tmp_path / "none"), "No such file"),
     ):
         assert message in run("identify", log, *arguments, check=2).stderr.replace("\n", " ")

@@ -130,7 +130,7 @@ def test_first_update_of_the_gps_filter_by_hand() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_feedback_decides_how_good_velocities_are(seed: int) -> None:
-    # twin.md 5.2: u, v rms .16-.25 m/s with feedback, .5-1 m/s without, GPS without Doppler.
+    # docs/explanation/twin.md: u, v rms .16-.25 m/s with feedback, .5-1 m/s without; no Doppler.
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(seed), 1000, instruments)
     z[:, DOPPLER] = math.nan

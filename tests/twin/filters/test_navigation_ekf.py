@@ -44,7 +44,7 @@ def off(s: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def test_accuracy(zigzag, boat):
-    # A tight INS/GPS filter of this grade gave .08-.09 m/s in u, v (twin.md 5.2); the
+    # A tight INS/GPS filter of this grade gave .08-.09 m/s in u, v (docs/explanation/twin.md); the
     # position error is the receiver's bias of 1 m per axis.
     out, _ = run(zigzag, boat)
     rms = np.sqrt(np.mean(errors(out, zigzag)[400:] ** 2, axis=0))
@@ -64,7 +64,7 @@ def test_latency_is_made_good(zigzag, boat):
 @pytest.mark.parametrize(
     ("lost", "after", "bound"),
     [
-        # INS alone, 10 s without GPS in a zigzag: 2.0 m (twin.md 7), here with margin
+        # INS alone, 10 s without GPS in a zigzag: 2.0 m (study), here with margin
         (slice(0, 4), 10.0, [4.0, 4.0, 0.05, 0.6, 0.6, 0.01]),
         # no compass: the gyro carries the heading
         (slice(4, 5), 10.0, [3.0, 3.0, 0.06, 0.3, 0.3, 0.01]),

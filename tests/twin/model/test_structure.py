@@ -65,7 +65,7 @@ def printed(
 ) -> dict[str, tuple[float, float, float]]:
     """Return what one unit of each parameter adds to u', v', r'.
 
-    Source: Eq (20) as restored in physics.md section 10; twin.md section 14, point 2. Shaft
+    Source: Eq (20) as restored in ship_and_sea.md; docs/explanation/twin.md. Shaft
     speeds are those of the structure: in `mmg` each is a speed of flow.
     """
     u, v, r = nu
@@ -324,7 +324,7 @@ def test_prior_keeps_its_speed_and_course(name, differential) -> None:
     n = SHAFT * structure.n_unit
     terms = terms_of(structure, (SPEED, 0.0, 0.0), 0.0, CALM, (n, n, 0.0, 0.0))
     du, dv, dr = accelerations(terms, structure.terms, structure.mean, 0)
-    # to 8 % of the speed, 15 % of the drag: half of what the thrust is unsure by (twin.md 13)
+    # to 8 % of the speed, 15 % of the drag: half of what the thrust is uncertain by (study)
     assert abs(du) < 0.15 * 0.19 * SPEED**2 / LENGTH
     assert dv == dr == 0.0
 

@@ -106,7 +106,7 @@ def test_the_histories_are_those_of_the_predictor(kind: type[FleetPredictor], zi
 
 
 def test_tokens_are_dimensionless(simulated: tuple[list[Run], Path]) -> None:
-    """A boat four times as long at twice the speed (Froude) has the same tokens, but for the clock."""
+    """A boat 4 times as long at twice the speed (Froude) has the same tokens, but for time."""
     run = simulated[0][0]
     boat = run.particulars
     large = dataclasses.replace(

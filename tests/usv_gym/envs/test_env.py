@@ -637,7 +637,7 @@ def believes_the_same(env: Any, log: Log, estimates: list[Any], states: list[np.
 
 
 def test_the_wrapper_believes_what_the_log_makes_a_twin_believe(sailed: Any) -> None:
-    """Bit for bit, without the truth: the twin cannot have seen it (design.md, rule 3)."""
+    """Bit for bit, without the truth: the twin cannot have seen it."""
     env, estimates, states = sailed
     believes_the_same(env, log_of(env).without_truth(), estimates, states)
 

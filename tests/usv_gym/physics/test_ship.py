@@ -100,7 +100,7 @@ def a_sea(seed: int, **kwargs: float) -> Sea:
     return state.realise(BOAT, rng, rng)
 
 
-# ------------------------------------------------- results quoted in physics.md section 3.1
+# ------------------------------------------------- results quoted in ship_and_sea.md
 
 
 @pytest.mark.parametrize(("n", "knots"), [(20.4, 11.0), (25.6, 20.0), (39.7, 38.0)])
@@ -166,7 +166,7 @@ def test_advance_and_tactical_diameter(knots: float, advance: float, diameter: f
 
 
 def test_zigzag_overshoot() -> None:
-    """20/20 zigzag at 11 kn: overshoots of 12 to 20 degrees (physics.md 3.1)."""
+    """20/20 zigzag at 11 kn: overshoots of 12 to 20 degrees (ship_and_sea.md)."""
     n = shaft_for(11.0)
     state, side, peaks, peak = start(11.0 * KNOT, n=n), 1.0, [], 0.0
     for _ in range(1200):
@@ -406,7 +406,7 @@ def decay(column: int, size: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("column", "period", "damping"),
     [
-        # physics.md 2.2: heave 2.1-2.2 s, pitch 2.1 s, roll 1.8-2.3 s; damping as in the file
+        # ship_and_sea.md: heave 2.1-2.2 s, pitch 2.1 s, roll 1.8-2.3 s; damping as in the file
         (fr.Z, (2.05, 2.2), "zeta_heave"),
         (fr.THETA, (2.0, 2.2), "zeta_pitch"),
         (fr.PHI, (1.8, 2.3), "zeta_roll"),
@@ -527,7 +527,7 @@ def test_thrust_through_bollard_pull_and_standstill() -> None:
     # bollard pull (J = 0) is rho n^2 D^4 k_0
     assert propulsion.thrust(20.0, 0.0, P) == pytest.approx(rho * 400.0 * D**4 * k_0, rel=1e-12)
     assert propulsion.thrust(0.0, 0.0, P) == 0.0
-    # as printed with the quotient, physics.md 1.1
+    # as printed with the quotient, ship_and_sea.md
     n, u = 20.0, 5.0
     J = u / (n * D)
     K_T = k_0 + BOAT.values["k_1"] * J + BOAT.values["k_2"] * J**2
@@ -621,7 +621,7 @@ def test_shafts_follow_with_their_lag() -> None:
 
 
 def test_port_propeller_and_positive_angle_turn_to_starboard() -> None:
-    """physics.md sections 0 and 6."""
+    """ship_and_sea.md"""
     assert sail(start(5.0, n=20.0), np.array([25.0, 15.0, 0, 0]), 3.0)[-1, fr.R] > 0.0
     assert sail(start(5.0, n=20.0), helm(20.0, 10.0), 3.0)[-1, fr.R] > 0.0
 
