@@ -1,10 +1,10 @@
 """Prior of a boat's parameters, from a population of similar boats.
 
 The files in ``twin/model/priors`` hold, for each model structure and kind of boat, the
-dimensionless parameters that random boats were found to have (:mod:`twin.training.prior_population`),
-one boat a row. One file serves boats of every size. For a class of boats
-(:data:`twin.particulars.DESIGNS`) the boats vary around a model of the class, whose coefficients
-have errors of 20 %, as those of any model have.
+dimensionless parameters that random boats were found to have
+(:mod:`twin.training.prior_population`), one boat a row. One file serves boats of every size. For a
+class of boats (:data:`twin.particulars.DESIGNS`) the boats vary around a model of the class, whose
+coefficients have errors of 20 %, as those of any model have.
 
 Source: docs/explanation/twin.md, The refit.
 """

@@ -1,13 +1,13 @@
 """The paper's DSW-UKF: late fusion, joint UKF, dynamic sliding window.
 
-It is here to be compared with, and stated plainly: with the settings that the paper prints it
-is no better than 8 s means of the velocities in a steady turn, and running the window again
-has no reliable effect: six seeds gave -54 to +6 % of the error in the turn and -36 to +53 % in
-the zigzag, against the same filter without a window (``window="off"``). Its prediction intervals
-mean little: in four runs the position's standard deviation 10 s ahead had medians of 4 and 5,
-13 and 55 m, and at some moments the prior of 1 on each of 25 parameters lets the covariance run
-up to where the arithmetic stops it, at 1e6 m/s and more; the true sway was inside the 90 % band in 28 to
-94 % of the forecasts. All that is promised of them is that they are finite and positive definite.
+It is here to be compared with, and stated plainly: with the settings that the paper prints it is no
+better than 8 s means of the velocities in a steady turn, and running the window again has no
+reliable effect: six seeds gave -54 to +6 % of the error in the turn and -36 to +53 % in the zigzag,
+against the same filter without a window (``window="off"``). Its prediction intervals mean little:
+in four runs the position's standard deviation 10 s ahead had medians of 4 and 5, 13 and 55 m, and
+at some moments the prior of 1 on each of 25 parameters lets the covariance run up to where the
+arithmetic stops it, at 1e6 m/s and more; the true sway was inside the 90 % interval in 28 to 94 %
+of the forecasts. All that is promised of them is that they are finite and positive definite.
 
 What the paper leaves open is decided in the docstrings below, each decision where it is made;
 the pieces that a comparison needs are options of :class:`DSWPredictor`. Equations carry the numbers

@@ -1,4 +1,4 @@
-"""The observation wrapper: what the twin believes and predicts, for agents and controllers."""
+"""The observation wrapper: what the twin estimates and predicts, for agents and controllers."""
 
 from __future__ import annotations
 
@@ -48,27 +48,27 @@ class TwinObservation(
     ====== ============================================== ================
     entry  what                                           unit of 1.0
     ====== ============================================== ================
-    0-1    speed forward and to starboard                 usual speed
+    0-1    speed forward and to starboard                 nominal speed
     2      yaw rate                                       rad/s
     3-4    cosine and sine of the heading
     5-6    distance to starboard of the leg, and to go    10 m, 100 m
     7-8    cosine, sine: course of leg - heading
     9-10   cosine, sine: turn to the next leg
     11-16  standard deviations: forward, starboard        10 m
-           (position), heading, speeds, yaw rate          rad, usual speed, rad/s
+           (position), heading, speeds, yaw rate          rad, nominal speed, rad/s
     ====== ============================================== ================
 
     and then, 1, 2, 5 and 10 s ahead under the present command, thirteen each:
 
     ====== ============================================== ================
-    0-1    place forward and to starboard of here         usual speed * horizon
+    0-1    place forward and to starboard of here         nominal speed * horizon
     2-3    cosine and sine of the turn until then
-    4-6    speeds and yaw rate then                       usual speed, rad/s
+    4-6    speeds and yaw rate then                       nominal speed, rad/s
     7-12   standard deviations as above                   as above
     ====== ============================================== ================
 
     Validity and age of each signal stand in the environment's own part. ``info`` gains
-    ``twin_position_error_m``, the distance of the believed from the true position: for
+    ``twin_position_error_m``, the distance of the twin's from the true position: for
     grading, never for an agent.
 
     Parameters
@@ -78,9 +78,9 @@ class TwinObservation(
     twin : str or Predictor
         A name in ``twin.PREDICTORS``, or a predictor.
     particulars : Particulars, optional
-        What the twin is told of the boat; that of the vessel if left out.
+        What the twin is given of the boat; that of the vessel if left out.
     band_period : float
-        The standard deviations ahead are renewed this often, s; 0 for every step. The means, and
+        The standard deviations ahead are updated this often, s; 0 for every step. The means, and
         how unsure the twin is now, are new in every step. (With ``ukf`` the means cost 10 us,
         the standard deviations ahead 0.3 ms; with ``dsw-ukf-plus`` 15 us and 2 ms.)
     seed : int
