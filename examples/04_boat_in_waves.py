@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames
 from usv_gym.world.channels import CHANNELS
-from usv_gym.world.sea import Sea
+from usv_gym.world.realisation import Sea
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 

@@ -56,7 +56,7 @@ def test_functions_take_few_arguments():
             if isinstance(node, ast.FunctionDef) and node.name != "__init__":
                 positional = [*node.args.posonlyargs, *node.args.args]
                 count = len(positional) - (
-                    positional[:1] != [] and positional[0].arg in ("self", "cls")
+                    positional[:1] != [] and positional[0].arg in ("self", "cls", "typing_context")
                 )
                 if count > ARGUMENTS and not is_command(node):
                     many.append(f"{path.relative_to(ROOT)}: {node.name} takes {count}")

@@ -1,10 +1,10 @@
-"""The world: ship, sea, sensors, and the Gymnasium environment ``USVTwin-v0`` over them."""
+"""The simulator: ship, sea, sensors, and the Gymnasium environment ``USVTwin-v0`` over them."""
 
 from gymnasium.envs.registration import register, registry
 
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import Bursts, Fault, RandomFaults
-from usv_gym.world.sea import SEA_STATES, SeaState, Stage
+from usv_gym.world.sea import SEA_STATES, SeaKeyframe, SeaState
 from usv_gym.world.sensors import SensorSuite
 
 __all__ = [
@@ -12,9 +12,9 @@ __all__ = [
     "Bursts",
     "Fault",
     "RandomFaults",
+    "SeaKeyframe",
     "SeaState",
     "SensorSuite",
-    "Stage",
     "Vessel",
     "vessel_names",
 ]

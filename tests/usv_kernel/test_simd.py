@@ -230,7 +230,7 @@ def second(flat, n, m):
     return parts(flat, n, m)[1][1, 1, 0]
 
 
-def test_views_are_those_of_reshape_in_kernels_and_in_python():
+def test_views_are_those_of_reshape_in_kernels_and_outside():
     flat = np.arange(40.0)
     one, two = py_func(parts)(flat, 3, 4)
     np.testing.assert_array_equal(one, flat[:12].reshape(3, 4))

@@ -65,6 +65,6 @@ def check_actions(name: str, envs: USVVectorEnv) -> None:
 
 
 def shaft_speeds(vessel: Vessel) -> tuple[float, float]:
-    """Return the shaft speeds of full throttle and of the usual speed, rev/s."""
+    """Return the shaft speeds of full throttle and of the nominal speed, rev/s."""
     values = vessel.values
     return values["shaft_speed_service"], values["shaft_speed_manoeuvring"]

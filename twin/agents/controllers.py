@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,7 @@ class LOS:
         The set that it needs.
     source : str
         How the entries that it goes by begin: ``""``, ``"twin_"`` or ``"true_"``.
-    look_ahead : float
+    lookahead : float
         Distance to the point that it steers to, lengths.
     gain : float
         Part of full helm per rad of heading error.
@@ -79,20 +79,20 @@ class LOS:
         observation: str = "raw",
         source: str = "",
         *,
-        look_ahead: float = 3.0,
+        lookahead: float = 3.0,
         gain: float = 5.0,
         damping: float = 1.5,
         integral: float = 0.02,
         early: float = 1.0,
     ) -> None:
-        numbers = look_ahead, gain, damping, integral, early
-        if not (all(math.isfinite(x) and x >= 0.0 for x in numbers) and look_ahead > 0.0):
+        numbers = lookahead, gain, damping, integral, early
+        if not (all(math.isfinite(x) and x >= 0.0 for x in numbers) and lookahead > 0.0):
             raise ControllerError(
-                f"{name}: look_ahead, gain, damping, integral, early = {numbers}: must be finite "
+                f"{name}: lookahead, gain, damping, integral, early = {numbers}: must be finite "
                 "and 0 or more, the first above 0"
             )
         self.name, self.observation, self.source = name, observation, source
-        self.look_ahead, self.gain, self.damping = look_ahead, gain, damping
+        self.lookahead, self.gain, self.damping = lookahead, gain, damping
         self.integral, self.early = integral, early
 
     def begin(self, envs: USVVectorEnv) -> None:
@@ -112,7 +112,7 @@ class LOS:
         vessel : Vessel
             The boats.
         speed : float
-            Their usual speed, m/s.
+            Their nominal speed, m/s.
         dt : float
             Time between two decisions, s.
         reach : float
@@ -122,8 +122,8 @@ class LOS:
         """
         self.dt, self.speed, self.reach = dt, speed, reach
         self.length = vessel.values["length_waterline"]
-        full, usual = shaft_speeds(vessel)
-        self.shaft = usual / full
+        full, nominal = shaft_speeds(vessel)
+        self.shaft = nominal / full
         self._drift = np.zeros(n)
 
     def act(self, obs: NDArray[np.float32]) -> Array:
@@ -144,7 +144,7 @@ class LOS:
         ----------
         motion : ndarray, shape (n, 8)
             Cross-track distance and distance to go (m), cosines and sines of the course error
-            and of the next turn, yaw rate (rad/s), and speed forward in usual speeds.
+            and of the next turn, yaw rate (rad/s), and speed forward in nominal speeds.
 
         Returns
         -------
@@ -155,7 +155,7 @@ class LOS:
         # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
         near = (self.reach > 0.0) & (to_go < self.reach)
         left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
-        ahead = self.look_ahead * self.length
+        ahead = self.lookahead * self.length
         # so far the point ahead lies on the next leg
         beyond = np.where(near, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
         course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
@@ -203,52 +203,61 @@ class DeadReckoningLOS(LOS):
         self._more = places(base, ("cos_heading", "sin_heading", "gps_age", "speed_starboard"))
         self._points, self._legs_at_fix = base.task.points, base.task.records["known_leg"]
         n = base.num_envs
-        self._legs, self._errors = np.zeros(n), np.zeros((n, len(ERRORS)))
-        self._place = np.zeros((n, 2))
+        self._track = ReckonedTrack(np.zeros((n, 2)), np.zeros(n), np.zeros((n, len(ERRORS))))
         self._velocity = np.tile([self.speed, 0.0], (n, 1))
 
     def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
         cos, sin, age, sway = obs[:, self._more].astype(float).T
         age *= AGE_SCALE
         fresh = age < self.dt - 1e-6
-        self._legs[fresh] = self._legs_at_fix[fresh]
+        self._track.legs[fresh] = self._legs_at_fix[fresh]
         part = 1.0 - math.exp(-self.dt * self.speed / (self.smoothing * self.length))
         known = self.speed * np.stack([motion[:, 7], sway], axis=1)
         self._velocity[fresh] += part * (known - self._velocity)[fresh]
-        since = np.where(fresh, age, self.dt)
-        reckon(
-            *(fresh, since, cos, sin, self._velocity, motion, self._points),
-            *(self.reach, self._place, self._legs, self._errors),
-        )
-        motion[:, :2] = self._errors[:, :2]
-        angles = self._errors[:, 2:]
+        forward, side = self._velocity.T
+        step = np.stack([forward * cos - side * sin, forward * sin + side * cos], axis=1)
+        step *= np.where(fresh, age, self.dt)[:, None]
+        psi = np.arctan2(sin, cos)
+        reckon(fresh, step, psi, motion, self._points, self.reach, self._track)
+        motion[:, :2] = self._track.errors[:, :2]
+        angles = self._track.errors[:, 2:]
         motion[:, 2:6:2], motion[:, 3:6:2] = np.cos(angles), np.sin(angles)
         return motion
 
 
+class ReckonedTrack(NamedTuple):
+    """Where n boats are by dead reckoning."""
+
+    place: Array
+    """Position (n, 2), m north and east."""
+    legs: Array
+    """Leg of the path (n,)."""
+    errors: Array
+    """Errors (n, 4); see :func:`usv_gym.envs.tasks.path_errors`."""
+
+
 @kernel
-def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs, errors):
-    """Carry places on by dead reckoning, from the last fix where there is a new one.
+def reckon(fresh, step, psi, motion, points, reach, track):
+    """Advance places by dead reckoning, from the last fix where there is a new one.
 
     Parameters
     ----------
     fresh : (n,) array of bool
-        Whether there is a new fix ...
-    since : (n,) array
-        ... and the time since then, or since the last call, s.
-    cos, sin : (n,) arrays
-        Of the compass heading.
-    velocity : (n, 2) array
-        Speed forward and to starboard, m/s.
+        Whether there is a new fix.
+    step : (n, 2) array
+        Way made since that fix, or since the last call, m north and east.
+    psi : (n,) array
+        Compass heading, rad.
     motion : (n, ...) array
         Begins with cross-track and to-go of the fix, m.
     points : (n, K, 2) array
         Way points, m north and east.
     reach : float
         Distance at which a way point counts as reached, m.
-    place, legs, errors : (n, 2), (n,), (n, 4) arrays
-        Carried on: position (m), leg, and errors as :func:`usv_gym.envs.tasks.path_errors` has them.
+    track : ReckonedTrack
+        Advanced in place.
     """
+    place, legs, errors = track.place, track.legs, track.errors
     for i in range(fresh.shape[0]):
         if fresh[i]:
             start, end = points[i, int(legs[i])], points[i, int(legs[i]) + 1]
@@ -257,10 +266,10 @@ def reckon(fresh, since, cos, sin, velocity, motion, points, reach, place, legs,
             c, s = dx / length, dy / length
             place[i, 0] = end[0] - motion[i, 1] * c - motion[i, 0] * s
             place[i, 1] = end[1] - motion[i, 1] * s + motion[i, 0] * c
-        place[i, 0] += since[i] * (velocity[i, 0] * cos[i] - velocity[i, 1] * sin[i])
-        place[i, 1] += since[i] * (velocity[i, 0] * sin[i] + velocity[i, 1] * cos[i])
-        psi = math.atan2(sin[i], cos[i])
-        legs[i] = follow(place[i, 0], place[i, 1], psi, points[i], int(legs[i]), reach, errors[i])
+        place[i, 0] += step[i, 0]
+        place[i, 1] += step[i, 1]
+        leg = int(legs[i])
+        legs[i] = follow(place[i, 0], place[i, 1], psi[i], points[i], leg, reach, errors[i])
 
 
 def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
@@ -304,7 +313,7 @@ def make_controller(name: str, **options: Any) -> Agent:
     name : str
         One of :data:`CONTROLLERS`.
     **options
-        Those of its class, such as ``look_ahead`` of :class:`LOS`.
+        Those of its class, such as ``lookahead`` of :class:`LOS`.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 A run is a folder. Every ``EVERY`` decisions it comes to a break: the policy is evaluated on fixed
 seeds, all that training needs is written to the folder, and then every random number generator is
-seeded anew from the run's seed and the decisions made, and every boat begins an episode. So a run
+seeded from the run's seed and the decisions made, and every boat begins an episode. So a run
 that goes on from a checkpoint is the run that was never stopped.
 """
 
@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-import inspect
 import io
 import json
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -24,37 +22,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.agents.evaluation import EPISODE, FIRST_TRAINING_SEED, FRAME_SKIP, evaluate, make_envs
-from twin.agents.policy import ACTIVATIONS, AgentError, Policy, write_whole
+from twin.agents.hyperparameters import (
+    ALGORITHMS,
+    SCHEDULES,
+    algorithm_class,
+    check_algorithm,
+    check_hyperparameters,
+    hyperparameters,
+    schedule,
+    torch_options,
+)
+from twin.agents.policy import AgentError, Policy, write_whole
 from twin.sim.wrapper import OBSERVATIONS
 from usv_kernel import __version__
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 
 __all__ = [
-    "ALGORITHMS",
     "Plan",
     "Run",
-    "hyperparameters",
     "policy_of",
     "train",
 ]
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-ALGORITHMS = {
-    "ppo": ("stable_baselines3", "PPO", "MlpPolicy"),
-    "sac": ("stable_baselines3", "SAC", "MlpPolicy"),
-    "recurrent_ppo": ("sb3_contrib", "RecurrentPPO", "MlpLstmPolicy"),
-}
-"""Module, class and policy of each algorithm."""
-
-TIMESTEPS = 131_072
-"""Decisions of a training whose hyperparameters name none."""
 
 EVERY = 16_384
 """Decisions between two checkpoints."""
@@ -66,25 +57,8 @@ FILES = ("run.json", "checkpoint.pt", "curve.csv", "policy.npz")
 
 _NOTES, _CHECKPOINT, _CURVE, _POLICY = FILES
 
-SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
-"""Hyperparameters that may be ``"lin_X"``: X at the start, 0 at the end."""
-
-_WORDS = {"ent_coef", "target_entropy", *SCHEDULES}
-
-_OF_POLICIES = {
-    *("net_arch", "activation_fn", "log_std_init", "ortho_init", "n_critics"),
-    *("lstm_hidden_size", "shared_lstm", "enable_critic_lstm"),
-}
-
-_NORMALIZE = {"norm_obs", "norm_reward", "clip_obs", "clip_reward", "epsilon"}
 
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def check_algorithm(algo: str) -> None:
-    """Refuse a name that is no algorithm's."""
-    if algo not in ALGORITHMS:
-        raise AgentError(f"algo = {algo!r}; known: {', '.join(ALGORITHMS)}")
 
 
 @dataclass(frozen=True)
@@ -183,65 +157,6 @@ class Run:
         return cls(folder, Policy.load(folder / _POLICY), curve)
 
 
-def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]:
-    """Return an algorithm's hyperparameters, those of this package if no file is named.
-
-    Raises
-    ------
-    AgentError
-        The file is not there, no TOML, or names what the algorithm does not know.
-    """
-    check_algorithm(algo)
-    path = Path(__file__).with_name("hyper") / f"{algo}.toml" if path is None else Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise AgentError(f"{path}: {error.strerror}; name a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AgentError(f"{path}: is no TOML ({error})") from None
-    _check_hyper(algo, values, str(path))
-    return {"n_timesteps": TIMESTEPS, **values}
-
-
-def _check_hyper(algo: str, values: Mapping[str, Any], where: str) -> None:
-    known = {*inspect.signature(_algorithm(algo)).parameters, "n_envs", "n_timesteps", "normalize"}
-    known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
-    # of a checkpoint or a policy file these are no part
-    known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
-    tables = {"": known, "policy_kwargs": _OF_POLICIES, "normalize": _NORMALIZE}
-    for table, names in tables.items():
-        found = values.get(table, {}) if table else values
-        if not isinstance(found, Mapping):
-            raise AgentError(f"{where}: {table} = {found!r}: must be a table [{table}]")
-        for name in found:
-            if name not in names:
-                what = f"[{table}]" if table else algo
-                raise AgentError(
-                    f"{where}: {what} has no {name!r}; it has {', '.join(sorted(names))}"
-                )
-    for name, value in values.items():
-        if isinstance(value, str) and name not in _WORDS:
-            raise AgentError(f"{where}: {name} = {value!r}: must be a number")
-    activation = values.get("policy_kwargs", {}).get("activation_fn", "tanh")
-    if not (isinstance(activation, str) and activation in ACTIVATIONS):
-        raise AgentError(f"{where}: activation_fn = {activation!r}; use {', '.join(ACTIVATIONS)}")
-    for name in ("n_envs", "n_timesteps"):
-        value = values.get(name, 1)
-        if not (isinstance(value, int) and value >= 1):
-            raise AgentError(f"{where}: {name} = {value!r}: must be a whole number, 1 or more")
-
-
-def _algorithm(algo: str) -> type[BaseAlgorithm]:
-    module, name, _ = ALGORITHMS[algo]
-    try:
-        found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
-    except ImportError:
-        raise ImportError(
-            f"training with {algo} needs {module.replace('_', '-')}: pip install 'usv-twin[rl]'"
-        ) from None
-    return found
-
-
 def train(
     plan: Plan,
     folder: str | Path,
@@ -273,7 +188,7 @@ def train(
     """
     folder = Path(folder)
     hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)
-    _check_hyper(plan.algo, hyper, "hyper")
+    check_hyperparameters(plan.algo, hyper, "hyper")
     notes = {"plan": asdict(plan), "hyper": hyper, "curve_seeds": list(curve_seeds)}
     _check_claim(folder, notes)
     if not (folder / _POLICY).exists():
@@ -323,7 +238,7 @@ class _Learner:
     ) -> None:
         self.plan, self.folder, self.curve_seeds = plan, folder, curve_seeds
         self.hyper = hyper
-        algorithm = _algorithm(plan.algo)
+        algorithm = algorithm_class(plan.algo)
         from stable_baselines3.common.logger import configure
         from stable_baselines3.common.vec_env import VecNormalize
 
@@ -336,10 +251,10 @@ class _Learner:
             self.n, observation=plan.observation, autoreset_mode="SameStep", **plan.environment
         )
         if "policy_kwargs" in options:
-            options["policy_kwargs"] = _torch_options(options["policy_kwargs"])
+            options["policy_kwargs"] = torch_options(options["policy_kwargs"])
         for name in SCHEDULES:
             if options.get(name) is not None:
-                options[name] = _schedule(name, options[name])
+                options[name] = schedule(name, options[name])
         options["seed"] = _seed_of(plan.seed, 0)
         try:
             gamma = options.get("gamma", 0.99)
@@ -390,7 +305,7 @@ class _Learner:
         self.measure()
 
     def take_break(self) -> None:
-        """Evaluate, save, and begin anew, the same whether the run has just been resumed or not."""
+        """Evaluate, save, and start again, as a resumed run would."""
         model, steps = self.model, self.model.num_timesteps
         if not self.curve or self.curve[-1]["decisions"] < steps:
             self.measure()
@@ -485,7 +400,7 @@ class _Learner:
 
 
 def _begin_usual(model: Any, action: NDArray[np.float64]) -> None:
-    """Let an untrained agent hold the usual speed: it learns sooner than one that lies still."""
+    """Let an untrained agent hold the nominal speed: it learns sooner than one that lies still."""
     import torch
 
     net = model.policy
@@ -525,30 +440,6 @@ def _seed_of(seed: int, steps: int) -> int:
     """Return a seed for what follows a break; it is no evaluation's."""
     drawn = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
     return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
-
-
-def _schedule(name: str, rate: float | str) -> Any:
-    """Return what falls while training: a number, or ``"lin_X"``, which falls from X to 0."""
-    if not isinstance(rate, str):
-        return float(rate)
-    kind, _, first = rate.partition("_")
-    try:
-        start = float(first)
-    except ValueError:
-        start = 0.0
-    if kind != "lin" or not start > 0.0:
-        raise AgentError(f"{name} = {rate!r}: must be a number, or 'lin_3e-4'")
-    return lambda left: start * left
-
-
-def _torch_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return policy_kwargs with the activation as torch has it."""
-    import torch
-
-    kinds = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-    return {
-        key: kinds[value] if key == "activation_fn" else value for key, value in options.items()
-    }
 
 
 def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]) -> Policy:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import TimeElapsedColumn
 
-from twin.agents import study
+from twin.agents import study, study_report
 from twin.cli.common import (
     CPUS,
     BackendOption,
@@ -82,9 +82,9 @@ def study_command(
         raise stopped(KEPT.format(out)) from None
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     results = study.collect(settings, done, command)
-    study.write(results, settings, done, out)
+    study_report.write(results, settings, done, out)
     if quick:
         console.print("everything runs; results of so small a study mean nothing")
-    for line in () if quick else filter(None, study.verdicts(results)):
+    for line in () if quick else filter(None, study_report.verdicts(results)):
         console.print(line, highlight=False, soft_wrap=True)
     console.print(f"{out / 'results.json'}, {out / 'tables.md'}, and pictures beside them")

@@ -10,7 +10,8 @@ import typer
 from rich.progress import TimeElapsedColumn
 
 from twin.agents.evaluation import OUTAGES, SEAS
-from twin.agents.training import ALGORITHMS, Plan, Run, hyperparameters, train
+from twin.agents.hyperparameters import ALGORITHMS, hyperparameters
+from twin.agents.training import Plan, Run, train
 from twin.cli.common import JobsOption, console, new_table, parse_seeds, progress_bar, stopped
 from twin.sim.wrapper import OBSERVATIONS
 from usv_gym.envs.tasks import TASKS

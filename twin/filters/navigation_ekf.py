@@ -36,6 +36,7 @@ The filter knows nothing of waves: what it says moves with them.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -29,8 +29,7 @@ CLASSES = {
     "Vessel": "usv_gym.vessel.vessel",
     "SeaState": "usv_gym.world.sea",
     "SeaKeyframe": "usv_gym.world.sea",
-    "Stage": "usv_gym.world.sea",
-    "Spectrum": "usv_gym.world.sea",
+    "Spectrum": "usv_gym.world.recorded_spectrum",
 }
 """Classes whose objects a file may hold, and the modules that define them."""
 

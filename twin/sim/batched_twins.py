@@ -51,7 +51,7 @@ from twin.sim.twin_observation import (
     take_row,
 )
 from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
-from usv_gym.envs.render import TwinOverlay
+from usv_gym.envs.scene import TwinOverlay
 from usv_kernel.arrays import flat_size
 
 __all__ = [

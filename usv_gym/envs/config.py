@@ -93,9 +93,8 @@ class EnvConfig:
         """
         unknown = ", ".join(name for name in options if name not in cls.names())
         if unknown:
-            raise TypeError(
-                f"the environment has no option {unknown}; it has {', '.join((*others, *cls.names()))}"
-            )
+            known = ", ".join((*others, *cls.names()))
+            raise TypeError(f"the environment has no option {unknown}; it has {known}")
         return cls(**options)
 
     def seas(self) -> tuple[SeaState, ...]:

@@ -77,7 +77,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     0-1    cosine and sine of the compass heading
     2      yaw rate                                 rad/s
     3-4    specific force, forward and starboard    g
-    5-6    GPS velocity, forward and starboard      usual speed
+    5-6    GPS velocity, forward and starboard      nominal speed
     7-9    new sample of GPS, compass, IMU since
            the last decision                        yes
     10-12  age of the last sample of each           10 s

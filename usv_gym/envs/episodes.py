@@ -378,7 +378,12 @@ class Episodes:
             return False
         if out_of_numbers(self.simulation.rows):
             self.simulation.draw_numbers()
-        self.each(lambda j: _step(*(*self._arguments[j], obs[self.blocks[j]], left)))
+
+        def step_block(j: int) -> None:
+            arguments = (*self._arguments[j], obs[self.blocks[j]], left)
+            _step(*arguments)
+
+        self.each(step_block)
         return True
 
     def each(self, call: Callable[[int], Any]) -> None:

@@ -1,14 +1,13 @@
 """Pictures of the boats from above: numbers gathered in a :class:`Scene`, painted by pygame.
 
-A picture shows the truth; what a twin believes comes in as a :class:`TwinOverlay`. Painting reads and
-never writes what it is about, so that an episode is the same with pictures and without.
+A picture shows the truth; the estimate of a twin comes in as a
+:class:`TwinOverlay`. Painting never writes what it reads: an episode is the same without it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.envs.episodes import Episodes, Observer
+from usv_gym.envs.scene import SDS, Scene, Trail, TwinOverlay, drives, ellipses, outline, rotated
 from usv_gym.envs.tasks import NOTHING
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
@@ -27,9 +27,6 @@ __all__ = [
     "RENDER_SIZE",
     "Painter",
     "Renderer",
-    "Scene",
-    "Trail",
-    "TwinOverlay",
 ]
 
 Array = NDArray[np.float64]
@@ -46,11 +43,9 @@ SMALLEST = (400, 360)
 
 LARGEST = 4096
 
-SDS = 2.0
-"""Half width of the twin's band in standard deviations."""
 
 LOOK = 10.0
-"""A boat at its usual speed sees what it reaches within so many seconds."""
+"""Time that the picture reaches ahead of a boat at its nominal speed, s."""
 
 # colours that people with any colour vision can tell apart, with paler ones for areas
 # Source: Okabe and Ito (2008), Color Universal Design.
@@ -65,179 +60,6 @@ _WATER, _GRID, _PANEL = (236, 244, 249), (219, 230, 237), (255, 255, 255)
 _BAND, _HULL = (248, 216, 178), (92, 99, 105)
 
 _FINE = 2  # the map is painted so many times larger, and smoothed
-
-
-@dataclass(frozen=True, eq=False)
-class TwinOverlay:
-    """What a twin believes of a boat, now and ahead.
-
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        North and east (m), heading (rad), speeds forward and to starboard (m/s), yaw rate (rad/s).
-    cov : ndarray, shape (2, 2)
-        Covariance of the position, m2.
-    horizons : ndarray, shape (H,)
-        Rising times ahead, s.
-    ahead : ndarray, shape (H, 6)
-        States then.
-    covs : ndarray, shape (H, 2, 2)
-        Covariances of the positions then, m2.
-    """
-
-    state: Array
-    cov: Array
-    horizons: Array
-    ahead: Array
-    covs: Array
-
-    def band(self, steps: int = 60) -> tuple[Array, Array, Array]:
-        """Return times ahead (T,), positions (T, 2) and their covariances (T, 2, 2) in between.
-
-        Positions follow the speeds believed at each horizon; covariances are straight in time.
-        """
-        from scipy.interpolate import CubicHermiteSpline  # takes a quarter of a second
-
-        t = np.concatenate([[0.0], self.horizons])
-        states = np.vstack([self.state, self.ahead])
-        c, s, u, v = np.cos(states[:, 2]), np.sin(states[:, 2]), states[:, 3], states[:, 4]
-        speeds = np.stack([u * c - v * s, u * s + v * c], axis=1)
-        times = np.linspace(0.0, t[-1], steps + 1)
-        covs = np.concatenate([self.cov[None], self.covs]).reshape(-1, 4)
-        between = np.stack([np.interp(times, t, column) for column in covs.T], axis=1)
-        places = CubicHermiteSpline(t, states[:, :2], speeds)(times)
-        return times, places, between.reshape(-1, 2, 2)
-
-
-def ellipses(places: Array, covs: Array, corners: int = 24) -> Array:
-    """Return outlines (T, corners, 2) of ``SDS`` standard deviations around positions (T, 2)."""
-    variances, axes = np.linalg.eigh(covs)
-    angles = np.linspace(0.0, 2.0 * math.pi, corners, endpoint=False)
-    circle = SDS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    reach = np.sqrt(np.maximum(variances, 0.0))
-    return places[:, None, :] + np.einsum("tij,tj,kj->tki", axes, reach, circle)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Scene:
-    """All that one picture shows.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Its size and its drives.
-    speed : float
-        Its usual speed, m/s.
-    t : float
-        Time, s.
-    state : ndarray, shape (16,)
-        True state.
-    view : ndarray, shape (2,)
-        Middle of the picture, m north and east.
-    track : ndarray, shape (T, 2)
-        Where the boat was, m north and east.
-    path : ndarray, shape (K, 2)
-        Way points, m north and east; none without a goal.
-    leg : int
-        Present leg, from point ``leg`` on.
-    off_path : float
-        Distance to starboard of the leg, m.
-    fixes : ndarray, shape (F, 2)
-        Fixes of the GPS, m north and east.
-    gps_age : float
-        Time since the last fix, s.
-    gps_lost : bool
-        Whether fixes are missing.
-    wind, wind_from : float
-        True wind with gusts (m/s), and where it comes from (rad).
-    hs, wave_to : float
-        Significant wave height (m), and where the waves go to (rad).
-    rewards : dict
-        Terms of the last step's reward; none without a goal.
-    heeling : bool
-        Whether the boat rolls and pitches at all.
-    overlay : TwinOverlay, optional
-        What its twin believes.
-    """
-
-    vessel: Vessel
-    speed: float
-    t: float
-    state: Array
-    view: Array
-    track: Array
-    path: Array
-    leg: int
-    off_path: float
-    fixes: Array
-    gps_age: float
-    gps_lost: bool
-    wind: float
-    wind_from: float
-    hs: float
-    wave_to: float
-    rewards: dict[str, float]
-    heeling: bool
-    overlay: TwinOverlay | None = None
-
-
-class Trail:
-    """What one boat's pictures remember of its episode: track, fixes and where to look.
-
-    Parameters
-    ----------
-    spacing : float
-        Points of the track are so far apart, m.
-    ahead : float
-        The picture's middle lies so far ahead of the boat, m.
-    """
-
-    fix_period = 0.5
-    """More fixes than one in so many seconds would run together, s."""
-    longest = 20_000
-    """Points that are remembered."""
-
-    def __init__(self, spacing: float, ahead: float) -> None:
-        self.spacing, self.ahead = spacing, ahead
-        self._begin()
-
-    def _begin(self) -> None:
-        self.t, self.fix_t = -math.inf, -math.inf
-        self.track: list[tuple[float, float]] = []
-        self.fixes: list[tuple[float, float]] = []
-        self._offset = np.zeros(2)
-
-    def add(self, t: float, state: Array, fix: Array, age: float) -> None:
-        """Remember a step; a time that does not go on begins a new episode.
-
-        Parameters
-        ----------
-        t : float
-            Time, s.
-        state : ndarray, shape (16,)
-            True state.
-        fix : ndarray, shape (2,)
-            Last fix, m north and east.
-        age : float
-            How old it is, s.
-        """
-        if t == self.t and t > 0.0:
-            return
-        if t <= self.t:
-            self._begin()
-        x, y, psi = float(state[fr.X]), float(state[fr.Y]), float(state[fr.PSI])
-        # looked at with calm: the picture must not shake with the boat
-        share = 1.0 - math.exp((self.t - t) / 2.0)
-        target = self.ahead * np.array([math.cos(psi), math.sin(psi)])
-        self._offset += share * (target - self._offset)
-        self.t, self.view = t, np.array([x, y]) + self._offset
-        if not self.track or math.dist(self.track[-1], (x, y)) > self.spacing:
-            self.track.append((x, y))
-        # without a first fix the age is counted from before the start
-        if t - age > max(self.fix_t + self.fix_period, 0.0) - 1e-6:
-            self.fix_t = t - age
-            self.fixes.append((float(fix[0]), float(fix[1])))
-        del self.track[: -self.longest], self.fixes[: -self.longest]
 
 
 class Renderer:
@@ -385,35 +207,6 @@ def _span(vessel: Vessel, speed: float) -> float:
     return max(1.5 * LOOK * speed, 6.0 * vessel.values["length_overall"])
 
 
-def _turned(points: Array, psi: float, place: Array) -> Array:
-    """Return points of the body (k, 2), forward and to starboard, as north and east."""
-    c, s = math.cos(psi), math.sin(psi)
-    return place + points @ np.array([[c, s], [-s, c]])
-
-
-def outline(vessel: Vessel) -> Array:
-    """Return the hull from above with a pointed bow, shape (11, 2), m forward and to starboard."""
-    half = np.array([[0.5, 0.0], [0.42, 0.2], [0.3, 0.36], [0.12, 0.47], [-0.1, 0.5], [-0.5, 0.44]])
-    whole = np.vstack([half, half[:0:-1] * [1.0, -1.0]])
-    return whole * [vessel.values["length_overall"], vessel.values["beam"]]
-
-
-def drives(vessel: Vessel, state: Array) -> Array:
-    """Return each unit's drive or rudder as a line from its pivot aft, shape (units, 2, 2), m.
-
-    It is drawn larger than it is. An angle > 0, which turns to starboard, swings its end there.
-    """
-    values, length = vessel.values, vessel.values["length_overall"]
-    sides = [-1.0, 1.0] if values["units"] == 2.0 else [0.0]
-    lines = np.empty((len(sides), 2, 2))
-    for k, side in enumerate(sides):
-        delta = state[fr.DELTA_LEFT + k] if values.get("steer_max") else 0.0
-        pivot = -0.47 * length, side * max(values["y_P"], 0.22 * values["beam"])
-        lines[k] = pivot
-        lines[k, 1] += 0.24 * length * np.array([-math.cos(delta), math.sin(delta)])
-    return lines
-
-
 def _angle(rad: float) -> str:
     """Return a direction as people write it: 007 deg."""
     return f"{round(math.degrees(rad)) % 360:03d} deg"
@@ -559,13 +352,13 @@ class Painter:
                 draw.circle(canvas, _PURPLE, point, round(1.3 * thin))
         hull, psi = outline(scene.vessel), float(scene.state[fr.PSI])
         for line in drives(scene.vessel, scene.state):
-            draw.line(canvas, _INK, *at(_turned(line, psi, place)), 2 * thin)
-        shape = at(_turned(hull, psi, place))
+            draw.line(canvas, _INK, *at(rotated(line, psi, place)), 2 * thin)
+        shape = at(rotated(hull, psi, place))
         draw.polygon(canvas, _HULL, shape)
         draw.polygon(canvas, _INK, shape, thin)
         if overlay:
             draw.lines(canvas, _RED, False, at(places), thin)
-            ghost = at(_turned(hull, float(overlay.state[2]), overlay.state[:2]), near)
+            ghost = at(rotated(hull, float(overlay.state[2]), overlay.state[:2]), near)
             draw.polygon(canvas, _RED, ghost, round(1.5 * thin))
         self.pg.transform.smoothscale(canvas, self._map.size, self._frame.subsurface(self._map))
         self._draw_scale(mesh, scale / _FINE)
@@ -614,7 +407,7 @@ class Painter:
         if scene.hs > 0.005:
             arrow(_BLUE, 0.4 * rim, rim, scene.wave_to, True)
         hull = outline(scene.vessel)
-        shape = _turned(hull * (0.6 * rim / np.ptp(hull[:, 0])), scene.state[fr.PSI], np.zeros(2))
+        shape = rotated(hull * (0.6 * rim / np.ptp(hull[:, 0])), scene.state[fr.PSI], np.zeros(2))
         draw.polygon(canvas, _HULL, [(middle + e, middle - n) for n, e in shape])
         self.pg.transform.smoothscale(canvas, self._rose.size, self._frame.subsurface(self._rose))
         for k, letter in enumerate("NESW"):

@@ -29,7 +29,7 @@ Indices = int | Iterable[int] | None
 class SB3VecEnv(VecEnv):
     """A native vector environment as Stable-Baselines3 wants it.
 
-    An episode that is over begins anew within the same step; ``infos[i]`` then holds
+    An episode that is over starts again within the same step; ``infos[i]`` then holds
     ``terminal_observation`` and ``TimeLimit.truncated``, and ``episode`` with its return
     ``r``, length ``l`` and time ``t``, as Monitor would give it.
 

@@ -18,7 +18,7 @@ from scipy.special import spherical_jn
 from usv_gym.physics import GRAVITY, ship, waves
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.sea import Sea
+from usv_gym.world.realisation import Sea
 
 __all__ = [
     "Box",

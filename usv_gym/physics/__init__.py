@@ -13,7 +13,7 @@ State (16 numbers, indices in :mod:`~usv_gym.physics.frames`)
     ``nu = (u, v, w, p, q, r)`` over the ground in m/s and rad/s,
     actuators ``(n_left, n_right, delta_left, delta_right)`` in rev/s and rad.
 Command ``cmd`` (4 numbers)
-    ``(n_left, n_right, delta_left, delta_right)``: where the actuators are told to go.
+    ``(n_left, n_right, delta_left, delta_right)``: commanded shaft speeds and angles.
     delta > 0 turns to starboard (the paper's Eq 10 has it the other way round).
 Forces
     Suffix names the part: ``X_H Y_H N_H`` hull, ``_P`` propulsion, ``_wind``, ``_wave``.

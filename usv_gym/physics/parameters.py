@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 RESISTANCE_POINTS = 16
-"""Room for the points of a resistance curve; unused ones repeat the last."""
+"""Capacity for the points of a resistance curve; unused ones repeat the last."""
 
 KINDS = ("steerable_drive", "propeller_rudder", "thruster_pair")
 """Kinds of propulsion; the record holds the index in this list."""

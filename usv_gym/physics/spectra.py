@@ -136,7 +136,7 @@ def jonswap_spectrum(omega: Array, hs: float, tp: float, gamma: float = 3.3) -> 
 
     Notes
     -----
-    Source: Hasselmann et al. 1973. Scaled by its own integral: the usual factor
+    Source: Hasselmann et al. 1973. Scaled by its own integral: the standard factor
     ``1 - .287 ln gamma`` is a fit to it.
     """
     x = np.geomspace(0.2, 50.0, 4001)  # over the peak frequency; holds all but 3e-8

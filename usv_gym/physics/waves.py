@@ -84,7 +84,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 
 
 def factor_workspace(components: int) -> np.ndarray:
-    """Return room for :func:`box_factors` of so many components, shape (13, width).
+    """Return the workspace of :func:`box_factors` for so many components, shape (13, width).
 
     Rows are filled up with zeros, see :func:`~usv_kernel.simd.padded`.
     """

@@ -25,7 +25,7 @@ from usv_gym.validation.study import (
     under_way,
 )
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.sea import Sea
+from usv_gym.world.realisation import Sea
 
 JENSEN = (
     (1.0, 0.0, 0.9868, 0.1013),

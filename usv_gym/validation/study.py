@@ -22,7 +22,9 @@ from usv_gym.physics import KNOT, ship, spectra, waves
 from usv_gym.physics import frames as fr
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.sea import Sea, SeaState, Spectrum
+from usv_gym.world.realisation import Sea
+from usv_gym.world.recorded_spectrum import Spectrum
+from usv_gym.world.sea import SeaState
 
 __all__ = [
     "KINDS",

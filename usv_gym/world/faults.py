@@ -83,7 +83,7 @@ class FaultError(UsvTwinError):
 
 SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
 """How far a spike is off, in the unit of each of :data:`CHANNELS`. By judgement: far beyond
-the noise, not beyond belief."""
+the noise, but possible."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class RandomFaults(Disturbance):
 
 @dataclass(frozen=True)
 class Bursts(Disturbance):
-    """Faults in bursts: a Gilbert-Elliott chain, drawn anew with each control step.
+    """Faults in bursts: a Gilbert-Elliott chain, drawn at each control step.
 
     Source: Gilbert 1960, Elliott 1963: p from good to bad and r back in each step give the
     share p / (p + r) and bursts of 1 / r steps.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import gzip
 import math
 import os
 from collections.abc import Sequence
@@ -13,21 +11,18 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from usv_gym.physics import GRAVITY, ship, spectra, waves
+from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
-from usv_kernel.errors import UsvTwinError
-from usv_kernel.records import Record
+from usv_gym.world.realisation import Sea, wave_rows
+from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 
 __all__ = [
     "SEA_STATES",
-    "Sea",
-    "SeaError",
+    "SeaKeyframe",
     "SeaState",
-    "Spectrum",
-    "Stage",
     "choice",
 ]
 
@@ -71,118 +66,8 @@ _RANGES = {
 _CHOICES = {"spectrum": SPECTRA, "discretisation": DISCRETISATIONS, "gusts": GUSTS}
 
 
-class SeaError(UsvTwinError):
-    """A sea state that cannot be; the message names the value and the remedy."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """A wave spectrum as a table, straight between its points and nought beyond them.
-
-    Parameters
-    ----------
-    omega : array_like, shape (n,)
-        Rising circular frequency, rad/s; above 0.
-    density : array_like, shape (n,)
-        Density, m2 s/rad; not below 0.
-    """
-
-    omega: Array
-    density: Array
-
-    def __post_init__(self) -> None:
-        for name in ("omega", "density"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
-        omega, density = self.omega, self.density
-        if not (omega.ndim == 1 and omega.shape == density.shape and len(omega) >= 3):
-            raise SeaError(
-                f"spectrum of {omega.size} frequencies and {density.size} densities: "
-                "must have one density for each of 3 frequencies or more"
-            )
-        for name, value in (("frequency", omega), ("density", density)):
-            if not np.all(np.isfinite(value)):
-                row = int(np.argmin(np.isfinite(value))) + 1
-                raise SeaError(f"spectrum row {row}: {name} must be a finite number")
-        if omega[0] <= 0.0 or np.any(np.diff(omega) <= 0.0):
-            rising = np.diff(omega, prepend=0.0) > 0.0
-            raise SeaError(
-                f"spectrum row {int(np.argmin(rising)) + 1}: frequency must be above 0 and "
-                "above that of the row before; sort the rows"
-            )
-        if np.any(density < 0.0):
-            raise SeaError(
-                f"spectrum row {int(np.argmax(density < 0.0)) + 1}: density must not be below 0"
-            )
-        if not np.any(density > 0.0):
-            raise SeaError("spectrum of no energy: some density must be above 0")
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Spectrum:
-        """Read a spectrum from a CSV file, gzipped or not.
-
-        Parameters
-        ----------
-        path : path
-            Two columns under the header ``frequency_hz,density_m2_per_hz`` or
-            ``omega_radps,density_m2s_per_rad``.
-
-        Returns
-        -------
-        Spectrum
-        """
-        path = Path(path)
-        try:
-            raw = path.read_bytes()
-            text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
-        except (OSError, EOFError, UnicodeDecodeError) as error:
-            raise SeaError(f"{path}: cannot be read as a spectrum ({error})") from None
-        lines = [line for line in text.splitlines() if not line.startswith("#")]
-        rows = [row for row in csv.reader(lines) if row]
-        header = ",".join(cell.strip() for cell in rows[0]) if rows else ""
-        if header not in _PER_RADIAN:
-            raise SeaError(f"{path}: header {header!r} must be {' or '.join(_PER_RADIAN)}")
-        for i, row in enumerate(rows[1:], start=1):
-            if not _numbers(row):
-                raise SeaError(f"{path}: spectrum row {i}: {','.join(row)!r} must be two numbers")
-        values = np.array([_numbers(row) for row in rows[1:]]).reshape(-1, 2)
-        # many files begin with a row at 0 Hz, which is no wave
-        values = values[1:] if len(values) and values[0, 0] == 0.0 else values
-        scale = _PER_RADIAN[header]
-        try:
-            return cls(values[:, 0] * scale, values[:, 1] / scale)
-        except SeaError as error:
-            raise SeaError(f"{path}: {error}") from None
-
-    @property
-    def moments(self) -> spectra.Moments:
-        """What the spectrum says: m0, Hs, Tp, Tm01, Tm02."""
-        return spectra.moments(self.omega, self.density)
-
-    def refined(self, points: int = 4001) -> Spectrum:
-        """Return the same spectrum with points in between, fine enough for its integrals."""
-        between = np.linspace(self.omega[0], self.omega[-1], points)
-        omega = np.union1d(self.omega, between)
-        return Spectrum(omega, np.interp(omega, self.omega, self.density))
-
-
-def _numbers(row: list[str]) -> list[float]:
-    """Return the two numbers of a row; none if it does not hold two."""
-    try:
-        values = [float(cell) for cell in row]
-    except ValueError:
-        return []
-    return values if len(values) == 2 else []
-
-
-# header of a spectrum's file: rad/s in one unit of its frequency
-_PER_RADIAN = {
-    "frequency_hz,density_m2_per_hz": 2.0 * math.pi,
-    "omega_radps,density_m2s_per_rad": 1.0,
-}
-
-
-class Stage(NamedTuple):
-    """One moment of a course: time (s), Hs (m), wind (m/s) and where it comes from (rad).
+class SeaKeyframe(NamedTuple):
+    """One moment of a schedule: time (s), Hs (m), wind (m/s) and where it comes from (rad).
 
     ``wind_from`` of None is that of the sea state.
     """
@@ -207,7 +92,7 @@ class SeaState:
     wind_from : float
         Direction that the wind comes from, rad clockwise from north.
     wave_to : float or None
-        Mean direction that the waves go to, rad; None: down the wind (on a course: the wind
+        Mean direction that the waves go to, rad; None: down the wind (on a schedule: the wind
         of the highest waves).
     current, current_to : float
         Speed (m/s) and direction (rad) of the current.
@@ -236,10 +121,10 @@ class SeaState:
         mean wind speed; kept within the mean speed either way.
     wind_from_sd, wind_from_tau : float
         The same for where the wind comes from, rad and s.
-    course : sequence of Stage
+    schedule : sequence of SeaKeyframe
         Up to eight moments between which Hs and wind change linearly (the direction the
         short way round); before the first and after the last they are held. ``hs`` and
-        ``wind`` are then left out, and become the greatest of the course. The waves are one
+        ``wind`` are then left out, and become the greatest of the schedule. The waves are one
         realisation at the greatest Hs times a gain: their periods are those of the greatest
         Hs throughout. Gusts are drawn for the greatest wind, and scaled with the wind.
     """
@@ -261,13 +146,13 @@ class SeaState:
     wind_tau: float = 600.0
     wind_from_sd: float = 0.0
     wind_from_tau: float = 600.0
-    course: Sequence[Stage] = ()
+    schedule: Sequence[SeaKeyframe] = ()
 
     def __post_init__(self) -> None:
         if self.spreading == math.inf:
             object.__setattr__(self, "spreading", None)
         for item in dataclasses.fields(self):
-            if item.name not in (*_CHOICES, "course"):
+            if item.name not in (*_CHOICES, "schedule"):
                 _check(item.name, getattr(self, item.name), optional=item.default is None)
         if self.components != int(self.components):
             raise SeaError(f"components = {self.components}: must be a whole number")
@@ -303,35 +188,37 @@ class SeaState:
         if not named and isinstance(spectrum, str | os.PathLike):
             spectrum = Spectrum.read(spectrum)
             object.__setattr__(self, "spectrum", spectrum)
-        if isinstance(spectrum, Spectrum) and self.hs == 0.0 and not self.course:
+        if isinstance(spectrum, Spectrum) and self.hs == 0.0 and not self.schedule:
             object.__setattr__(self, "hs", spectrum.moments.hs)
 
     def _take_course(self) -> None:
-        """Check the course, and take the greatest height and wind from it."""
+        """Check the schedule, and take the greatest height and wind from it."""
         try:
-            course = tuple(Stage(*stage) for stage in self.course)
+            schedule = tuple(SeaKeyframe(*keyframe) for keyframe in self.schedule)
         except TypeError:
             raise SeaError(
-                f"course = {self.course!r}: must be a sequence of (time, hs, wind) or "
+                f"schedule = {self.schedule!r}: must be a sequence of (time, hs, wind) or "
                 "(time, hs, wind, wind_from)"
             ) from None
-        object.__setattr__(self, "course", course)
-        if not course:
+        object.__setattr__(self, "schedule", schedule)
+        if not schedule:
             return
-        if len(course) > wx.KEYFRAMES:
-            raise SeaError(f"course of {len(course)} moments: must have {wx.KEYFRAMES} or fewer")
-        for i, stage in enumerate(course):
-            for name, value in stage._asdict().items():
-                _check(name, value, f"course[{i}].", optional=name == "wind_from")
-            if i > 0 and stage.time <= course[i - 1].time:
+        if len(schedule) > wx.KEYFRAMES:
+            raise SeaError(
+                f"schedule of {len(schedule)} moments: must have {wx.KEYFRAMES} or fewer"
+            )
+        for i, keyframe in enumerate(schedule):
+            for name, value in keyframe._asdict().items():
+                _check(name, value, f"schedule[{i}].", optional=name == "wind_from")
+            if i > 0 and keyframe.time <= schedule[i - 1].time:
                 raise SeaError(
-                    f"course[{i}].time = {stage.time}: must come after {course[i - 1].time}"
+                    f"schedule[{i}].time = {keyframe.time}: must come after {schedule[i - 1].time}"
                 )
         for name in ("hs", "wind"):
-            greatest = max(getattr(stage, name) for stage in course)
+            greatest = max(getattr(keyframe, name) for keyframe in schedule)
             if getattr(self, name) not in (0.0, greatest):
                 raise SeaError(
-                    f"{name} = {getattr(self, name)}: must be left out where a course gives it"
+                    f"{name} = {getattr(self, name)}: must be left out where a schedule gives it"
                 )
             object.__setattr__(self, name, greatest)
 
@@ -391,12 +278,12 @@ class SeaState:
             known = ", ".join(item.name for item in dataclasses.fields(self))
             raise SeaError(f"unknown value(s) {', '.join(sorted(unknown))}; known: {known}")
         given = {key: value for key, value in changes.items() if value is not None}
-        if "course" in given:  # height and wind are its own
+        if "schedule" in given:  # height and wind are its own
             given = {"hs": 0.0, "wind": 0.0} | given
         return dataclasses.replace(self, **given)
 
     def wave_spectrum(self) -> Spectrum:
-        """Return the spectrum of the waves as a fine table (on a course: of the highest).
+        """Return the spectrum of the waves as a fine table (on a schedule: of the highest).
 
         Named spectra are cut off at a quarter of the peak frequency and at 25 times it,
         which leaves out 3e-6 of the energy. Without waves there is none.
@@ -441,17 +328,17 @@ class SeaState:
         )
         weather["speed_sd"], weather["speed_tau"] = self.wind_sd, self.wind_tau
         weather["from_sd"], weather["from_tau"] = self.wind_from_sd, self.wind_from_tau
-        weather["changes"] = max(len(self.course) - 1, 0)
-        for i, stage in enumerate(self.course):
-            gain = stage.hs / self.hs if self.hs > 0.0 else 1.0
-            weather["keyframe_t"][i], weather["wave_gain"][i] = stage.time, gain
-            weather["wind_speed"][i] = stage.wind
-            weather["wind_from"][i] = self._wind_from(stage)
+        weather["changes"] = max(len(self.schedule) - 1, 0)
+        for i, keyframe in enumerate(self.schedule):
+            gain = keyframe.hs / self.hs if self.hs > 0.0 else 1.0
+            weather["keyframe_t"][i], weather["wave_gain"][i] = keyframe.time, gain
+            weather["wind_speed"][i] = keyframe.wind
+            weather["wind_from"][i] = self._wind_from(keyframe)
         components = self._waves(vessel, rng_waves, weather["drift_sums"])
         return Sea(waves=components, gusts=self._gusts(rng_gusts), weather=weather)
 
-    def _wind_from(self, stage: Stage) -> float:
-        return self.wind_from if stage.wind_from is None else stage.wind_from
+    def _wind_from(self, keyframe: SeaKeyframe) -> float:
+        return self.wind_from if keyframe.wind_from is None else keyframe.wind_from
 
     def _components(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw the frequencies (rad/s) of the components, and return their amplitudes (m)."""
@@ -482,7 +369,7 @@ class SeaState:
         phase = rng.uniform(0.0, 2.0 * math.pi, M)
         to = self.wave_to
         if to is None:
-            highest = max(self.course, key=lambda stage: stage.hs, default=None)
+            highest = max(self.schedule, key=lambda keyframe: keyframe.hs, default=None)
             to = math.pi + (self.wind_from if highest is None else self._wind_from(highest))
         aside = np.zeros(M)
         if self.spreading is not None:
@@ -518,118 +405,6 @@ def _check(name: str, value: object, where: str = "", *, optional: bool = False)
     if not low <= value <= high:  # type: ignore[operator]
         hint = " (in rad: math.radians(90) is from or to the east)" if high == _TURN else ""
         raise SeaError(f"{where}{name} = {value}: must lie between {low:g} and {high:g}{hint}")
-
-
-def wave_rows(
-    vessel: Vessel,
-    omega: ArrayLike,
-    amplitude: ArrayLike,
-    north: ArrayLike,
-    east: ArrayLike,
-    phase: ArrayLike,
-) -> tuple[Array, Array]:
-    """Return wave components as the kernels read them, and the sums of their mean drift.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Its draft and length decide how deep the pressure reaches and which waves it reflects.
-    omega, amplitude : array_like, shape (M,)
-        Circular frequency (rad/s) and amplitude (m).
-    north, east : array_like, shape (M,)
-        Parts of the unit vector that each component goes along.
-    phase : array_like, shape (M,)
-        Phase at the origin at time 0, rad.
-
-    Returns
-    -------
-    ndarray, shape (7, M), and ndarray, shape (6,)
-    """
-    omega, amplitude, north, east, phase = np.broadcast_arrays(
-        *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))
-    )
-    k = omega**2 / GRAVITY
-    rho_g, draft = vessel.values["water_density"] * GRAVITY, vessel.values["draft"]
-    rows = np.zeros((waves.WAVE_ROWS, len(k)))
-    rows[waves.OMEGA], rows[waves.AMPLITUDE], rows[waves.PHASE] = omega, amplitude, phase
-    rows[waves.K_NORTH], rows[waves.K_EAST] = k * north, k * east
-    rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
-    rows[waves.BOTTOM] = k * np.exp(-k * draft) / -np.expm1(-k * draft)
-    L, drift = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
-    for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
-        load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2
-        drift[2 * i : 2 * i + 2] = np.sum(load * north), np.sum(load * east)
-    return rows, drift
-
-
-@dataclass(frozen=True)
-class Sea:
-    """One realisation, as the kernels read it.
-
-    Parameters
-    ----------
-    waves : ndarray, shape (7, M)
-        Wave components; rows in :mod:`usv_gym.physics.waves`.
-    gusts : ndarray, shape (3, G)
-        Circular frequency, phase and amplitude of the gusts.
-    weather : record of :data:`usv_gym.physics.weather.WEATHER`
-        Schedule, current, mean drift and slow wind.
-    """
-
-    waves: Array
-    gusts: Array
-    weather: Record
-
-    @classmethod
-    def calm(cls) -> Sea:
-        """Return still water without wind."""
-        empty = np.zeros((waves.WAVE_ROWS, 0))
-        return cls(waves=empty, gusts=np.zeros((3, 0)), weather=wx.constant())
-
-    @classmethod
-    def regular(
-        cls, vessel: Vessel, omega: float, amplitude: float, to: float = 0.0, phase: float = 0.0
-    ) -> Sea:
-        """Return a sea of one regular wave, without wind or mean drift.
-
-        Parameters
-        ----------
-        vessel : Vessel
-            The vessel that is to feel it.
-        omega, amplitude : float
-            Circular frequency (rad/s) and amplitude (m).
-        to : float
-            Direction that the wave goes to, rad.
-        phase : float
-            Phase at the origin at time 0, rad.
-        """
-        rows, _ = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
-        return dataclasses.replace(cls.calm(), waves=rows)
-
-    def arrays(self) -> ship.Sea:
-        """Return the arrays that the ship's kernels take, with scratch of their own."""
-        scratch = waves.factor_workspace(self.waves.shape[1])
-        return ship.Sea(self.waves, self.gusts, self.weather, scratch)
-
-    def elevation(self, x: ArrayLike, y: ArrayLike, t: ArrayLike) -> Array:
-        """Return the height of the sea surface above rest in m, as the boat feels it.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Places, m north and east.
-        t : array_like
-            Times, s; all three are broadcast against each other.
-
-        Returns
-        -------
-        ndarray
-            Of the shape that they have in common.
-        """
-        x, y, t = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (x, y, t)))
-        out = np.zeros(x.size)
-        wx.surface(x.ravel(), y.ravel(), t.ravel(), self.waves, self.weather, out)
-        return out.reshape(x.shape)
 
 
 # Wave heights: upper bounds of WMO code 3700. Wind: what fully develops them, except for 2,

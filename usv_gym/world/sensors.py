@@ -183,7 +183,7 @@ class SensorSuite:
 
     @classmethod
     def of(cls, suite: str | SensorSuite | None) -> SensorSuite:
-        """Return a suite by the name of its grade (or the one handed in; None: the usual)."""
+        """Return a suite by the name of its grade (or the one handed in; None: the typical one)."""
         if suite is None:
             return cls()
         return suite if isinstance(suite, SensorSuite) else cls.grade(suite)
@@ -271,7 +271,7 @@ def _drift(value: float, sd: float, decay: float, normal: float) -> float:
 @kernel
 def _due(count: int, share: float) -> bool:
     """Return whether a sample falls on this control step, ``share`` of them having one."""
-    # 1e-9: room for rounding where count * share is a whole number
+    # 1e-9: tolerance for rounding where count * share is a whole number
     return share >= 1.0 or math.floor(count * share + 1e-9) > math.floor((count - 1) * share + 1e-9)
 
 

@@ -15,7 +15,8 @@ from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import sensors
 from usv_gym.world.faults import FAULT, FAULT_NUMBERS, Disturbance, fault_records, fault_sources
-from usv_gym.world.sea import Sea, SeaState, choice
+from usv_gym.world.realisation import Sea
+from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
 from usv_kernel.errors import UsvTwinError
@@ -126,7 +127,7 @@ class Simulation:
         Errors and rates of the sensors.
     faults : sequence of Disturbance or callable
         Faults of sensors, the same for every boat, or a function of a generator that draws
-        them anew at each reset.
+        them at each reset.
     max_faults : int
         Most faults that the function returns.
     dof : int
@@ -136,7 +137,7 @@ class Simulation:
     dt_physics : float
         Integration step, s; dt must be a whole multiple of it.
     changing : bool
-        Whether to make room for other seas than these: see :meth:`change_sea`.
+        Whether other seas than these will follow: see :meth:`change_sea`.
 
     Attributes
     ----------
@@ -324,14 +325,14 @@ class Simulation:
             Whether the waves change, too; else the wind alone does.
         """
         new = SeaState.named(sea).realise(self.vessel, *rng.spawn(2))
-        for kind, room, components in (
+        for kind, array, components in (
             ("waves", self.waves, new.waves),
             ("gusts", self.gusts, new.gusts),
         ):
-            if components.shape[1] > room.shape[2]:
+            if components.shape[1] > array.shape[2]:
                 raise SimulationError(
-                    f"change_sea: {components.shape[1]} components of {kind}, but there is room "
-                    f"for {room.shape[2]}: make the simulation with changing=True, or with a sea "
+                    f"change_sea: {components.shape[1]} components of {kind}, but space "
+                    f"for {array.shape[2]}: make the simulation with changing=True, or with a sea "
                     "of as many components"
                 )
         self._fill(i, new, waves=waves)

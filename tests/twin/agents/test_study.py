@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
-from twin.agents import study
+from twin.agents import study, study_report
 from twin.agents.policy import AgentError, Policy
 from twin.agents.study import Settings, iqm, replicates
 
@@ -116,7 +116,7 @@ def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     verdicts = {(row["sea"], row["faults"]): row["verdict"] for row in results["helps"]}
     assert verdicts["0", "gps10@1"] == "helps"
     assert verdicts["0", "none"] == "no difference shown"
-    text = study.markdown(results)
+    text = study_report.markdown(results)
     assert "| ppo-twin | off_path_m | no gap | 75% [" in text
     assert "ppo: the twin helps in 2 of 4 sea states and outages." in text
     assert "it does not help in sea state 2 with none: no difference shown" in text
@@ -141,7 +141,7 @@ def test_a_tiny_study_goes_on_and_comes_to_the_same_numbers(tmp_path, monkeypatc
         done = dict(study.work(TINY, tmp_path / name))
         assert len(done) == 7
         results[name] = study.collect(TINY, done, "a command")
-        study.write(results[name], TINY, done, tmp_path / name)
+        study_report.write(results[name], TINY, done, tmp_path / name)
     assert policy.stat().st_mtime_ns == before
     for part in ("cells", "gaps", "helps", "episodes", "levels"):
         assert results["a"][part] == results["b"][part]
@@ -153,7 +153,7 @@ def test_a_tiny_study_goes_on_and_comes_to_the_same_numbers(tmp_path, monkeypatc
         assert (tmp_path / "a" / picture).read_bytes().startswith(b"\x89PNG")
     shipped = Policy.load(tmp_path / "a" / "policies" / "ppo-twin.npz")
     assert shipped.observation == "twin" and shipped.settings["steps"] == 128
-    # other episodes: the policies stay, and are evaluated anew
+    # other episodes: the policies stay, and are evaluated again
     other = dataclasses.replace(TINY, evaluation_seeds=(8, 9))
     again = dict(study.work(other, tmp_path / "a"))
     assert {row["seed"] for row in again["ppo", "twin", 1]["rows"]} == {8, 9}
@@ -190,14 +190,14 @@ def test_commands(tmp_path, monkeypatch):
         said(*asked[:-4], "--sea", "2", "--out", runs, "--faults", "none", code=2).split()
     )
     file = tmp_path / "episodes.json"
-    told = said(
+    output = said(
         *("evaluate", runs, "idle", runs / "ppo-raw-0" / "policy.npz", "--seeds", "1-2"),
         *("--sea", "0", "--faults", "none", "--json", file),
     )
-    assert "idle" in told
+    assert "idle" in output
     rows = json.loads(file.read_text())
     assert len(rows) == 8 and rows[0]["agent"] == "ppo-raw"
-    assert "no such folder or policy" in said("evaluate", "pilot", code=2)
+    assert "no such folder, policy or controller" in said("evaluate", "pilot", code=2)
     assert rows[0]["task"] == "path" and rows[0]["frame_skip"] == 10
     (tmp_path / "mine.py").write_text(
         "import numpy as np\n"
@@ -207,15 +207,15 @@ def test_commands(tmp_path, monkeypatch):
         "    def act(self, obs): return np.zeros((self.n, 2))\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    told = said("evaluate", "mine:Mine", "--seeds", "1", "--sea", "0", "--faults", "none")
-    assert "mine" in told
+    output = said("evaluate", "mine:Mine", "--seeds", "1", "--sea", "0", "--faults", "none")
+    assert "mine" in output
     assert "write module:Class" in said("evaluate", "mine:Nobody", code=2)
     other = tmp_path / "station.npz"
     policy = Policy.load(runs / "ppo-raw-0")
     policy.settings["task"] = "station"
     policy.save(other)
-    told = " ".join(said("evaluate", runs, other, "--seeds", "1", code=2).split())
-    assert "were trained with task = path, station" in told
+    output = " ".join(said("evaluate", runs, other, "--seeds", "1", code=2).split())
+    assert "were trained with task = path, station" in output
     with pytest.raises(AgentError, match=r"sees 23 entries .* not 4"):
         policy.act(np.zeros((1, 4)))
     assert policy.act(np.zeros(23)).shape == (2,)
@@ -226,4 +226,4 @@ def test_commands(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(study, "work", interrupt)
-    assert "goes on from there" in said("study", "--out", tmp_path / "study", code=130)
+    assert "continues from there" in said("study", "--out", tmp_path / "study", code=130)

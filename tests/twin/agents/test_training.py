@@ -15,8 +15,9 @@ pytest.importorskip("tensorboard", reason="tensorboard is not installed")
 
 from twin.agents import training
 from twin.agents.evaluation import EVALUATION_SEEDS, FIRST_TRAINING_SEED, make_envs
+from twin.agents.hyperparameters import ALGORITHMS, hyperparameters, schedule
 from twin.agents.policy import AgentError, Policy
-from twin.agents.training import ALGORITHMS, CURVE_SEEDS, Plan, Run, hyperparameters, train
+from twin.agents.training import CURVE_SEEDS, Plan, Run, train
 
 SMALL = {
     "ppo": {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2},
@@ -26,8 +27,8 @@ SMALL = {
 
 
 def plan(algo="ppo", **changes):
-    usual = {"observation": "raw", "steps": 300, "every": 128, "max_episode_steps": 12}
-    return Plan(algo, **(usual | changes))
+    nominal = {"observation": "raw", "steps": 300, "every": 128, "max_episode_steps": 12}
+    return Plan(algo, **(nominal | changes))
 
 
 def run(tmp_path, algo="ppo", name="run", hyper=(), **changes):
@@ -181,9 +182,9 @@ def test_wrong_plans_and_hyperparameters_are_named(tmp_path):
 
 
 def test_a_linear_learning_rate_falls_to_zero():
-    rate = training._schedule("learning_rate", "lin_1e-3")
+    rate = schedule("learning_rate", "lin_1e-3")
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == [1e-3, 5e-4, 0.0]
-    assert training._schedule("learning_rate", 3e-4) == 3e-4
+    assert schedule("learning_rate", 3e-4) == 3e-4
 
 
 @pytest.mark.parametrize(

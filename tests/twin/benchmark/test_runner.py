@@ -33,7 +33,7 @@ from twin.sim.recorded import particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Fault, FaultError
-from usv_gym.world.sea import SeaError
+from usv_gym.world.recorded_spectrum import SeaError
 
 SMALL = Settings(
     scenarios=("zigzag",),

@@ -67,7 +67,7 @@ def test_simulate_writes_log_particulars_and_picture(folder):
     assert "[particulars]" in (folder / "run.toml").read_text()
 
 
-def test_identify_equals_the_twin_in_python(folder):
+def test_identify_equals_the_twin_from_python(folder):
     files = ("--json", folder / "last.json", "--out", folder / "all.csv")
     out = run("identify", folder / "run.csv", *files).stdout
     assert "X_uu" in out

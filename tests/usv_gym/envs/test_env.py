@@ -28,7 +28,7 @@ from usv_gym.envs.tasks import TaskError
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import VesselError
 from usv_gym.world.faults import FaultError
-from usv_gym.world.sea import SeaError
+from usv_gym.world.recorded_spectrum import SeaError
 from usv_gym.world.simulation import SimulationError
 
 ROOT = Path(usv_gym.__file__).resolve().parent.parent
@@ -183,7 +183,7 @@ def test_make_by_module_and_id_in_a_fresh_process() -> None:
     assert out.strip() == f"({len(INDEX)},)"
 
 
-def test_the_world_does_not_import_the_belief() -> None:
+def test_the_simulator_does_not_import_the_twin() -> None:
     out = fresh(
         "import sys, usv_gym, gymnasium as gym\n"
         "import usv_gym.envs.env\n"
@@ -195,7 +195,7 @@ def test_the_world_does_not_import_the_belief() -> None:
     assert out.split() == ["True", "False", "True"]
 
 
-def test_the_belief_does_not_import_the_world() -> None:
+def test_the_twin_on_board_does_not_import_the_simulator() -> None:
     out = fresh(
         "import sys, twin, twin.predictors.ukf\n"
         "print(sorted({'usv_gym', 'gymnasium'} & set(sys.modules)))"
@@ -438,7 +438,7 @@ def test_the_twins_part_tells_nearly_the_truth_with_perfect_sensors() -> None:
         "twin_cos_heading": math.cos(s[fr.PSI]),
         "twin_sin_heading": math.sin(s[fr.PSI]),
     }.items():
-        # the twin does not know that its sensors are perfect: 2 % of the usual speed
+        # the twin does not know that its sensors are perfect: 2 % of the nominal speed
         assert obs[INDEX[name]] == pytest.approx(value, abs=0.02), name
     for h in HORIZONS:
         later = truth[now + round(h / 0.05)]
@@ -557,12 +557,12 @@ def test_reward_terms_are_what_they_are_called() -> None:
 
 
 def pilot(env: USVEnv) -> np.ndarray:
-    """Steer by the true errors: towards the leg, at the usual speed."""
+    """Steer by the true errors: towards the leg, at the nominal speed."""
     cross_track, _, course_error, _ = env.task.errors[0]
     towards = course_error - math.atan(cross_track / 15.0)
     rate = env.simulation.state[0, fr.R]
-    usual = env.episodes.nominal_action[0]
-    return np.array([usual, np.clip(1.5 * towards - 0.8 * rate, -1.0, 1.0)])
+    nominal = env.episodes.nominal_action[0]
+    return np.array([nominal, np.clip(1.5 * towards - 0.8 * rate, -1.0, 1.0)])
 
 
 def test_success_can_be_reached_in_time() -> None:
@@ -604,12 +604,12 @@ def test_free_manoeuvre_has_no_reward_and_no_end() -> None:
     assert others[-1][3]["cross_track_m"] == pytest.approx(s[fr.Y], abs=1e-9)
 
 
-# ------------------------------------------------- truth and belief
+# ------------------------------------------------- truth and estimate
 
 
 @pytest.fixture(scope="module", params=["ukf", "dsw-ukf", "persistence"])
 def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndarray]]:
-    """Return an environment after 40 s with a loss, and what its twin believed on the way."""
+    """Return an environment after 40 s with a loss, and the estimates of its twin on the way."""
     env = make_env(twin=request.param, task="free", record=True, faults=[Fault("gps", 20.0, 10.0)])
     env.reset(seed=8)
     estimates, states = [env.twin.estimate()], [np.array(env.twin.predictor.state)]
@@ -620,7 +620,9 @@ def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndar
     return env, estimates, states
 
 
-def believes_the_same(env: Any, log: Log, estimates: list[Any], states: list[np.ndarray]) -> None:
+def gives_the_same_estimates(
+    env: Any, log: Log, estimates: list[Any], states: list[np.ndarray]
+) -> None:
     assert log.truth is None
     twin = Twin(
         particulars_of(env.unwrapped.vessel, env.unwrapped.simulation.suite),
@@ -636,17 +638,17 @@ def believes_the_same(env: Any, log: Log, estimates: list[Any], states: list[np.
             np.testing.assert_array_equal(getattr(other, name), getattr(estimate, name))
 
 
-def test_the_wrapper_believes_what_the_log_makes_a_twin_believe(sailed: Any) -> None:
+def test_the_wrapper_estimates_as_a_twin_on_the_log(sailed: Any) -> None:
     """Bit for bit, without the truth: the twin cannot have seen it."""
     env, estimates, states = sailed
-    believes_the_same(env, log_of(env).without_truth(), estimates, states)
+    gives_the_same_estimates(env, log_of(env).without_truth(), estimates, states)
 
 
 def test_and_so_does_the_log_on_disk(sailed: Any, tmp_path: Path) -> None:
     env, estimates, states = sailed
     path = tmp_path / "episode.csv"
     log_of(env, path)
-    believes_the_same(env, Log.read(path).without_truth(), estimates, states)
+    gives_the_same_estimates(env, Log.read(path).without_truth(), estimates, states)
 
 
 def test_the_log_holds_what_the_sensors_said_and_the_truth(sailed: Any) -> None:
@@ -673,7 +675,7 @@ def test_a_log_needs_a_recording() -> None:
         log_of(make_env(twin=None, record=True))
 
 
-def test_a_new_episode_is_a_new_log_and_a_new_belief() -> None:
+def test_a_new_episode_starts_a_new_log_and_a_new_twin() -> None:
     env = make_env(task="free", record=True)
     one, _ = episode(env, 4, 100)
     episode(env, 5, 60)

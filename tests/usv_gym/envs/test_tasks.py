@@ -206,7 +206,7 @@ def test_one_of_several_seas_and_faults_is_drawn_at_each_reset():
 
 
 def test_a_sea_that_was_drawn_is_that_sea():
-    """Room for waves that are not there changes nothing: the calm boat sails as in the calm."""
+    """Space for waves that are not there changes nothing: a calm episode is as in the calm sea."""
     among, alone = make_env(twin=None, sea="calm|4"), make_env(twin=None, sea="calm")
     for seed in range(8):
         among.reset(seed=seed)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from usv_gym import Vessel
 from usv_gym.manoeuvring.rao import jensen, respond, responses, shaft_speed_for
 from usv_gym.physics import GRAVITY
-from usv_gym.world.sea import Sea
+from usv_gym.world.realisation import Sea
 
 BOAT = Vessel.load("usv75")
 HULL = {"length": 6.336, "beam": 2.714, "draft": 0.526, "block": 0.3689}

@@ -1,7 +1,7 @@
 """The ship: quoted results, symmetries, limits, order of the integrator, pinned trajectory.
 
 ``tests/physics/golden/usv75_zigzag.json`` pins the behaviour of ``USVTwin-v0``'s boat. A change
-that moves it needs a new id, or a stated fix in the change log; then write it anew with::
+that moves it needs a new id, or a stated fix in the change log; then write it again with::
 
     PYTHONPATH=. python tests/physics/test_ship.py
 """
@@ -26,7 +26,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import weather as wx
 from usv_gym.validation.numerics import energy, mirrored
-from usv_gym.world.sea import Sea
+from usv_gym.world.realisation import Sea
 from usv_gym.world.simulation import Simulation
 
 GOLDEN = Path(__file__).parent / "golden" / "usv75_zigzag.json"
@@ -675,7 +675,7 @@ def zigzag() -> dict[str, list[float]]:
 
 
 def test_golden_trajectory() -> None:
-    """Behaviour of a registered id is pinned; how to pin it anew is said at the top."""
+    """Behaviour of a registered id is pinned; the top of this file says how to pin it again."""
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))["states"]
     states = zigzag()
     assert list(states) == list(golden)

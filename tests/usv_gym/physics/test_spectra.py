@@ -112,12 +112,12 @@ def test_jonswap_has_its_height_and_peak(gamma: float) -> None:
     m = spectra.moments(OMEGA, spectrum)
     # scaled by its own integral (1 % is asked for); the grid's steps are 2.3e-5
     assert (m.hs, m.tp) == (pytest.approx(1.5, rel=1e-4), pytest.approx(6.0, rel=5e-5))
-    # the usual factor, a fit good to 2 % (DNV-RP-C205: 1 <= gamma <= 7)
+    # the standard factor, a fit good to 2 % (DNV-RP-C205: 1 <= gamma <= 7)
     wp = 2.0 * math.pi / 6.0
     width = np.where(wp >= OMEGA, 0.07, 0.09)
     enhanced = gamma ** np.exp(-((OMEGA - wp) ** 2) / (2.0 * width**2 * wp**2))
-    usual = (1.0 - 0.287 * math.log(gamma)) * spectra.ittc_spectrum(OMEGA, 1.5, 6.0) * enhanced
-    np.testing.assert_allclose(spectrum, usual, rtol=0.02, atol=1e-300)
+    expected = (1.0 - 0.287 * math.log(gamma)) * spectra.ittc_spectrum(OMEGA, 1.5, 6.0) * enhanced
+    np.testing.assert_allclose(spectrum, expected, rtol=0.02, atol=1e-300)
     assert np.max(spectrum) > np.max(spectra.ittc_spectrum(OMEGA, 1.5, 6.0)) or gamma == 1.0
 
 

@@ -182,7 +182,7 @@ def test_first_order_loads_go_with_the_gain_and_drift_with_its_square() -> None:
 def test_a_step_takes_the_gain_of_its_time() -> None:
     """Waves that grow from nothing move a boat as waves of the gain in that moment do."""
     rng = np.random.default_rng(4)
-    sea = SeaState(course=[(0.0, 0.0, 0.0), (100.0, 1.0, 0.0)]).realise(BOAT, rng, rng)
+    sea = SeaState(schedule=[(0.0, 0.0, 0.0), (100.0, 1.0, 0.0)]).realise(BOAT, rng, rng)
     factors = waves.factor_workspace(sea.waves.shape[1])
     held = sea.weather.copy()
     held["changes"], held["wave_gain"][0] = 0.0, 0.25

@@ -17,7 +17,9 @@ from usv_gym import SEA_STATES, SeaState, Vessel
 from usv_gym.physics import GRAVITY, spectra, waves, wind
 from usv_gym.physics import weather as wx
 from usv_gym.validation.study import an_hour, peak_period
-from usv_gym.world.sea import DISCRETISATIONS, GUSTS, Sea, SeaError, Spectrum, Stage
+from usv_gym.world.realisation import Sea
+from usv_gym.world.recorded_spectrum import SeaError, Spectrum
+from usv_gym.world.sea import DISCRETISATIONS, GUSTS, SeaKeyframe
 from usv_gym.world.simulation import Simulation
 
 BOAT = Vessel.load("usv75")
@@ -74,9 +76,9 @@ def test_deep_water_waves_run_down_the_wind_unless_told() -> None:
     np.testing.assert_allclose(
         np.hypot(north, east), sea.waves[waves.OMEGA] ** 2 / GRAVITY, rtol=1e-12
     )
-    told = realise(SeaState(hs=1.0, wind=8.0, wave_to=0.3))
+    given = realise(SeaState(hs=1.0, wind=8.0, wave_to=0.3))
     np.testing.assert_allclose(
-        np.arctan2(told.waves[waves.K_EAST], told.waves[waves.K_NORTH]), 0.3, rtol=1e-12
+        np.arctan2(given.waves[waves.K_EAST], given.waves[waves.K_NORTH]), 0.3, rtol=1e-12
     )
 
 
@@ -418,13 +420,17 @@ def test_an_hour_of_the_buoy_is_sailed_again(
     assert np.sum(np.abs(binned - density)) / (2.0 * np.sum(density)) < 0.12
 
 
-# ------------------------------------------------- a course, and the slow wind
+# ------------------------------------------------- a schedule, and the slow wind
 
-RISING = [Stage(0.0, 0.2, 4.0, 0.1), Stage(1800.0, 0.2, 4.0), Stage(3600.0, 1.0, 12.0, -0.3)]
+RISING = [
+    SeaKeyframe(0.0, 0.2, 4.0, 0.1),
+    SeaKeyframe(1800.0, 0.2, 4.0),
+    SeaKeyframe(3600.0, 1.0, 12.0, -0.3),
+]
 
 
-def test_a_course_is_followed() -> None:
-    state = SeaState(course=RISING, wind_from=6.2, components=400, gusts="none")
+def test_a_schedule_is_followed() -> None:
+    state = SeaState(schedule=RISING, wind_from=6.2, components=400, gusts="none")
     assert (state.hs, state.wind) == (1.0, 12.0)
     sea = realise(state)
     steady = realise(SeaState(hs=1.0, wind=12.0, wind_from=-0.3, components=400))
@@ -448,8 +454,8 @@ def test_a_course_is_followed() -> None:
         assert math.atan2(-east, -north) % (2.0 * math.pi) == pytest.approx(expected)
 
 
-def test_gusts_of_a_course_are_those_of_its_greatest_wind() -> None:
-    sea = realise(SeaState(course=RISING))
+def test_gusts_of_a_schedule_are_those_of_its_greatest_wind() -> None:
+    sea = realise(SeaState(schedule=RISING))
     full = realise(SeaState(wind=12.0))
     np.testing.assert_array_equal(sea.gusts, full.gusts)
     # in a third of the wind, a third of the gusts
@@ -458,10 +464,10 @@ def test_gusts_of_a_course_are_those_of_its_greatest_wind() -> None:
         assert math.hypot(north, east) == pytest.approx(4.0 + wind.gust(t, sea.gusts) / 3.0)
 
 
-def test_a_course_without_waves_or_wind() -> None:
-    sea = realise(SeaState(course=[(0.0, 0.0, 2.0), (10.0, 0.0, 4.0)]))
+def test_a_schedule_without_waves_or_wind() -> None:
+    sea = realise(SeaState(schedule=[(0.0, 0.0, 2.0), (10.0, 0.0, 4.0)]))
     assert sea.waves.shape == (waves.WAVE_ROWS, 0)
-    sea = realise(SeaState(course=[(0.0, 0.5, 0.0), (10.0, 0.0, 0.0)]))
+    sea = realise(SeaState(schedule=[(0.0, 0.5, 0.0), (10.0, 0.0, 0.0)]))
     assert sea.gusts.shape == (3, 0)
     assert sea.elevation(1.0, 2.0, 20.0) == 0.0
 
@@ -471,10 +477,10 @@ def slow_wind(simulation: Simulation) -> list[float]:
     return [float(weather["speed_drift"]), float(weather["from_drift"])]
 
 
-def test_a_named_sea_takes_a_course() -> None:
-    state = SeaState.named("2").replace(course=RISING)
+def test_a_named_sea_takes_a_schedule() -> None:
+    state = SeaState.named("2").replace(schedule=RISING)
     assert (state.hs, state.wind) == (1.0, 12.0)
-    with pytest.raises(SeaError, match="left out where a course"):
+    with pytest.raises(SeaError, match="left out where a schedule"):
         state.replace(hs=0.3)
 
 
@@ -565,18 +571,27 @@ def test_seas_that_cannot_be(name: str, value: float, rule: str) -> None:
         ({"hs": None}, "hs = None: must be a finite number"),
         ({"hs": 1.0, "tp": 5.0}, "tp = 5.0: only the spectra jonswap and ittc"),
         ({"spectrum": MEASURED, "tp": 5.0}, "tp = 5.0: only the spectra jonswap and ittc"),
-        ({"course": 3}, "course = 3: must be a sequence of"),
-        ({"course": [(0.0, 1.0)]}, "must be a sequence of"),
-        ({"course": [(float(i), 1.0, 1.0) for i in range(9)]}, "course of 9 moments: must have 8"),
-        ({"course": [(0.0, -1.0, 1.0)]}, r"course\[0\].hs = -1.0: must lie between 0 and 20"),
-        ({"course": [(math.nan, 1.0, 1.0)]}, r"course\[0\].time = nan: must be a finite number"),
-        ({"course": [(0.0, 1.0, None)]}, r"course\[0\].wind = None: must be a finite number"),
+        ({"schedule": 3}, "schedule = 3: must be a sequence of"),
+        ({"schedule": [(0.0, 1.0)]}, "must be a sequence of"),
         (
-            {"course": [(5.0, 1.0, 1.0), (5.0, 2.0, 1.0)]},
-            r"course\[1\].time = 5.0: must come after",
+            {"schedule": [(float(i), 1.0, 1.0) for i in range(9)]},
+            "schedule of 9 moments: must have 8",
         ),
-        ({"course": [(0.0, 1.0, 1.0)], "hs": 0.5}, "hs = 0.5: must be left out where a course"),
-        ({"course": [(0.0, 1.0, 1.0)], "wind": 0.5}, "wind = 0.5: must be left out where a course"),
+        ({"schedule": [(0.0, -1.0, 1.0)]}, r"schedule\[0\].hs = -1.0: must lie between 0 and 20"),
+        (
+            {"schedule": [(math.nan, 1.0, 1.0)]},
+            r"schedule\[0\].time = nan: must be a finite number",
+        ),
+        ({"schedule": [(0.0, 1.0, None)]}, r"schedule\[0\].wind = None: must be a finite number"),
+        (
+            {"schedule": [(5.0, 1.0, 1.0), (5.0, 2.0, 1.0)]},
+            r"schedule\[1\].time = 5.0: must come after",
+        ),
+        ({"schedule": [(0.0, 1.0, 1.0)], "hs": 0.5}, "hs = 0.5: must be left out where a schedule"),
+        (
+            {"schedule": [(0.0, 1.0, 1.0)], "wind": 0.5},
+            "wind = 0.5: must be left out where a schedule",
+        ),
     ],
 )
 def test_further_seas_that_cannot_be(kwargs: dict[str, object], message: str) -> None:

@@ -172,9 +172,9 @@ def test_accelerometer_is_the_turned_derivative_of_the_ground_velocity() -> None
         after = sim.state[0]
         velocity = [np.array(fr.to_earth(s[fr.U], s[fr.V], s[fr.PSI])) for s in (before, after)]
         middle = 0.5 * (before[fr.PSI] + after[fr.PSI])
-        felt = fr.to_body(*((velocity[1] - velocity[0]) / dt), middle)
+        force = fr.to_body(*((velocity[1] - velocity[0]) / dt), middle)
         # the mean over the step, to dt^2 / 12 times second derivatives below 10 m/s4
-        np.testing.assert_allclose(sim.z[0, ACCEL_X:], felt, atol=1e-4, err_msg=f"step {k}")
+        np.testing.assert_allclose(sim.z[0, ACCEL_X:], force, atol=1e-4, err_msg=f"step {k}")
 
 
 def test_gps_is_late() -> None:
@@ -334,7 +334,7 @@ def test_rotation_and_back(
 
 
 @pytest.mark.parametrize(
-    ("phi", "theta", "felt"),
+    ("phi", "theta", "force"),
     [
         # bow up by 30 degrees: half of g forward; starboard down by 30 degrees: half to port
         (0.0, 30.0, (0.5, 0.0)),
@@ -345,12 +345,12 @@ def test_rotation_and_back(
     ],
 )
 def test_gravity_leaks_through_roll_and_pitch(
-    phi: float, theta: float, felt: tuple[float, float]
+    phi: float, theta: float, force: tuple[float, float]
 ) -> None:
     state = np.zeros(fr.STATE_SIZE)
     state[fr.PHI], state[fr.THETA], state[fr.PSI] = math.radians(phi), math.radians(theta), 1.0
     z = sample(SensorSuite.perfect(), state, np.zeros(fr.STATE_SIZE))
-    np.testing.assert_allclose(z[ACCEL_X:] / GRAVITY, felt, atol=1e-8)  # eight digits are given
+    np.testing.assert_allclose(z[ACCEL_X:] / GRAVITY, force, atol=1e-8)  # eight digits are given
     assert (z[COMPASS], z[GYRO]) == (1.0, 0.0)  # the compass is tilt-compensated
 
 
@@ -396,9 +396,9 @@ def test_the_imu_feels_the_second_derivative_of_its_place_less_gravity(
         middle = t - 0.5 * dt
         moved = (place(middle + h, arm) - 2.0 * place(middle, arm) + place(middle - h, arm)) / h**2
         attitude = turn(*ride(middle)[fr.PHI : fr.PSI + 1])
-        felt = attitude.T @ (moved - (0.0, 0.0, GRAVITY))
+        force = attitude.T @ (moved - (0.0, 0.0, GRAVITY))
         # h^2 / 12 of fourth and dt^2 / 24 of third derivatives, both below 200 here
-        np.testing.assert_allclose(z[ACCEL_X:], felt[:2], atol=3e-5, err_msg=f"t = {t}")
+        np.testing.assert_allclose(z[ACCEL_X:], force[:2], atol=3e-5, err_msg=f"t = {t}")
         assert z[GYRO] == state[fr.R]
 
 
@@ -601,13 +601,13 @@ def test_each_of_many_faulty_boats_is_a_boat_alone() -> None:
 def test_a_fault_leaves_the_other_sensors_as_they_were(kind: str, when: type[Disturbance]) -> None:
     extra = when(kind, 5.0, 20.0) if when is Fault else when(kind)  # type: ignore[call-arg]
     others = tuple(fault for fault in QUICK if FAULT_KINDS[fault.kind] & FAULT_KINDS[kind] == 0)
-    spoiled, z = sailed((extra, *others)), sailed(others)
+    struck, z = sailed((extra, *others)), sailed(others)
     mine = (FAULT_KINDS[kind] & BIT) != 0
     # the same noise, and the same bursts, spikes and windows of the other faults
-    np.testing.assert_array_equal(spoiled[:, ~mine], z[:, ~mine])
-    kept = np.isfinite(spoiled)
-    np.testing.assert_array_equal(spoiled[kept], z[kept])
-    assert np.isnan(spoiled[40:, mine]).any()
+    np.testing.assert_array_equal(struck[:, ~mine], z[:, ~mine])
+    kept = np.isfinite(struck)
+    np.testing.assert_array_equal(struck[kept], z[kept])
+    assert np.isnan(struck[40:, mine]).any()
     assert np.isfinite(z[40:, mine]).all()
 
 

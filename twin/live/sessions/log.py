@@ -25,7 +25,7 @@ from twin.live.sessions.tracker import (
 )
 from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
-from usv_gym.envs.render import TwinOverlay
+from usv_gym.envs.scene import TwinOverlay
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [

@@ -27,10 +27,10 @@ from twin.live.sessions.tracker import LOST_AFTER, Follower, History, overlay_of
 from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
-from usv_gym.envs.render import TwinOverlay
+from usv_gym.envs.scene import TwinOverlay
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.sea import Sea
+from usv_gym.world.realisation import Sea
 
 __all__ = [
     "PUBLISHED",

@@ -21,7 +21,8 @@ from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from twin.sim.oracle import simulator_options
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance, Fault
-from usv_gym.world.sea import Sea, SeaState
+from usv_gym.world.realisation import Sea
+from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 

@@ -14,7 +14,7 @@ from twin.digital_twin import Twin
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
-from usv_gym.envs.render import TwinOverlay
+from usv_gym.envs.scene import TwinOverlay
 
 __all__ = [
     "HORIZON",

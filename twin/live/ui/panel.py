@@ -20,7 +20,7 @@ from twin.live.sessions.simulated import SimulatedSession
 from twin.live.sessions.tracker import History
 from twin.live.ui.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
 from twin.predictors.registry import PREDICTORS
-from usv_gym.envs.render import SDS
+from usv_gym.envs.scene import SDS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.live.sessions.session import Snapshot
-from usv_gym.envs.render import SDS, TwinOverlay, ellipses
+from usv_gym.envs.scene import SDS, TwinOverlay, ellipses
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.geometry import Boat
 
@@ -337,7 +337,7 @@ def nearest(path: Array, place: Array) -> Array:
 
 
 def borders(places: Array, covs: Array) -> Array:
-    """Return the points :data:`usv_gym.envs.render.SDS` standard deviations to either side of a track.
+    """Return the points :data:`usv_gym.envs.scene.SDS` standard deviations to either side of a track.
 
     Parameters
     ----------
