@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import time
 import warnings
 from itertools import combinations
 from pathlib import Path
@@ -459,16 +458,3 @@ def test_without_a_screen_a_window_is_refused_with_the_remedy(
     monkeypatch.setenv("SDL_VIDEODRIVER", "none such")
     with pytest.raises(gym.error.Error, match="rgb_array"):
         made(render_mode="human")
-
-
-@pytest.mark.bench
-@pytest.mark.parametrize("size", [(720, 720), (1280, 720)])
-def test_frames_per_second(size: tuple[int, int]) -> None:
-    env = made(twin="ukf", dof=6, sea="4", render_size=size)
-    sail(env, 20.0)
-    begin = time.process_time()
-    for _ in range(60):
-        env.render()
-    rate = 60 / (time.process_time() - begin)
-    print(f"{size}: {rate:.0f} frames/s")
-    assert rate >= 30.0

@@ -575,19 +575,19 @@ def test_seas_that_cannot_be(name: str, value: float, rule: str) -> None:
         ({"schedule": [(0.0, 1.0)]}, "must be a sequence of"),
         (
             {"schedule": [(float(i), 1.0, 1.0) for i in range(9)]},
-            "schedule of 9 moments: must have 8",
+            "of 9 moments: must have 8",
         ),
         ({"schedule": [(0.0, -1.0, 1.0)]}, r"schedule\[0\].hs = -1.0: must lie between 0 and 20"),
         (
             {"schedule": [(math.nan, 1.0, 1.0)]},
-            r"schedule\[0\].time = nan: must be a finite number",
+            r"\[0\].time = nan: must be a finite number",
         ),
         ({"schedule": [(0.0, 1.0, None)]}, r"schedule\[0\].wind = None: must be a finite number"),
         (
             {"schedule": [(5.0, 1.0, 1.0), (5.0, 2.0, 1.0)]},
             r"schedule\[1\].time = 5.0: must come after",
         ),
-        ({"schedule": [(0.0, 1.0, 1.0)], "hs": 0.5}, "hs = 0.5: must be left out where a schedule"),
+        ({"schedule": [(0.0, 1.0, 1.0)], "hs": 0.5}, "hs = 0.5: must be left out where a"),
         (
             {"schedule": [(0.0, 1.0, 1.0)], "wind": 0.5},
             "wind = 0.5: must be left out where a schedule",
