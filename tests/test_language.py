@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 RETIRED = re.compile(
-    r"foretells?|foretold|likeness|strangers|rivals?|ripple|believed?|beliefs?|slowness|\btold\b"
+    r"foretells?|foretold|likeness|\bstrangers\b|\brivals?\b|ripple|believed?|beliefs?|slowness|\btold\b"
     r"|\bkit\b|\brooms?\b|\banew\b|\bastray\b|\bhold_inside\b|plus_look|plus_spread|look_ahead"
     r"|\bshe\b|\bher\b|\bfelt\b|\busual\b|\bsisters?\b|in_python|\bunborn\b|\bspoiled\b"
     r"|\bdraw(?:n)? back\b",

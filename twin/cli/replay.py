@@ -19,9 +19,16 @@ from twin.cli.common import (
     radians,
     stopped,
 )
-from twin.live.protocols.feed import FeedError
 from twin.live.protocols.mavlink import Servos
-from twin.live.protocols.replay import ORIGIN, Disturb, MavlinkStream, NmeaStream, Stream, replay
+from twin.live.protocols.replay import (
+    ORIGIN,
+    LinkImpairment,
+    MavlinkStream,
+    NmeaStream,
+    Stream,
+    replay,
+)
+from twin.live.protocols.sockets import FeedError
 from twin.logs.log import Log
 from twin.sim.recorded import particulars_for_log
 
@@ -103,7 +110,7 @@ def replay_command(
                 stream,
                 target,
                 speed=speed,
-                disturb=Disturb.parse(disturb),
+                disturb=LinkImpairment.parse(disturb),
                 seed=seed,
                 loop=loop,
                 progress=progress,

@@ -21,9 +21,10 @@ from twin.cli.common import (
     radians,
 )
 from twin.digital_twin import Twin
-from twin.live.protocols.feed import Feed, needed
+from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.sockets import needed
 from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.particulars import Particulars
@@ -114,7 +115,7 @@ def view_command(
     """
     from twin.live.sessions.autopilot import AUTOPILOTS
     from twin.live.sessions.feed import FeedSession
-    from twin.live.sessions.simulated import SimulatedSession, World
+    from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
     from twin.live.ui.viewer import check_host
 
     needed("viser")  # before anything is compiled
@@ -139,7 +140,7 @@ def view_command(
             raise ManoeuvreError(
                 f"no autopilot is called {autopilot!r}; known: {', '.join(AUTOPILOTS)}"
             )
-        world = World(
+        setup = SimulationSetup(
             vessel=boat,
             sea=SeaState.named(sea),
             predictor=predictor,
@@ -148,7 +149,7 @@ def view_command(
             dof=dof,
             faults=parse_faults(faults, fault_start),
         )
-        session = SimulatedSession(world, out, autopilot)
+        session = SimulatedSession(setup, out, autopilot)
     session.set_scale(speed)
     _show(session, host, port, browser)
 

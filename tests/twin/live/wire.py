@@ -1,4 +1,4 @@
-"""What the tests of the live feed share: a wire without waiting, and a belief."""
+"""What the tests of the live feed share: a wire without waiting, and an estimate."""
 
 from __future__ import annotations
 

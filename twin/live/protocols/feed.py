@@ -1,4 +1,4 @@
-"""A live feed: messages of a boat become rows for its twin, and the twin's belief goes back.
+"""A live feed: messages of a boat become rows for its twin, and the twin's estimates go back.
 
 Messages come as UDP datagrams, late, doubled, out of order and broken as they may be. They are
 placed on one time axis, wait a little for those that were overtaken, and leave as rows in the
@@ -9,8 +9,6 @@ wire raises.
 from __future__ import annotations
 
 import bisect
-import contextlib
-import importlib
 import itertools
 import math
 import socket
@@ -21,36 +19,29 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.live.protocols.sockets import Address, FeedError, open_socket
 from twin.logs.mapping import radii
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
-from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "COUNTS",
     "Feed",
-    "FeedError",
     "Message",
     "Plane",
-    "needed",
-    "open_socket",
-    "parse_address",
 ]
 
 Array = NDArray[np.float64]
 
-Address = tuple[Any, ...]
 
 COUNTS = {
     "received": "messages that came, of any kind",
-    "used": "those that went into rows, told the time or that the sender is there",
+    "used": "those that went into rows, gave the time or showed that the sender is there",
     "late": "came when the row of their time was gone; dropped",
     "doubled": "came twice; the second was dropped",
     "out of order": "were overtaken by a later one and sorted in; they count as used, too",
@@ -58,7 +49,7 @@ COUNTS = {
     "void": "whose sender says itself that they hold nothing valid, as without a fix",
     "unknown": "sound, but of a kind or a sender that is not followed",
     "own": "our own reply that came back to us",
-    "dropped": "datagrams that the system threw away, as too many came (told by Linux only)",
+    "dropped": "datagrams that the system threw away, as too many came (known on Linux only)",
     "sent": "datagrams sent back",
     "unsent": "datagrams that could not be sent back",
 }
@@ -71,7 +62,7 @@ WAIT = 0.3
 """A row waits this long, s of the stream, for messages that were overtaken ..."""
 
 RESTART = 3.0
-"""... and after so much time of the stream, s, with only late ones, its clock began anew."""
+"""... and after so much time of the stream, s, with only late ones, its clock was restarted."""
 
 MEMORY = 10.0
 """A message that comes a second time within this, s, is known again."""
@@ -102,82 +93,6 @@ LIMITS = {
 
 # Linux: the kernel's time of a datagram, and how many it has dropped before it
 _TIMESTAMP, _DROPPED = 35, 40
-
-
-class FeedError(UsvTwinError):
-    """A feed that cannot be opened; the message names the address and the remedy."""
-
-
-def needed(module: str) -> Any:
-    """Return a module of the extra ``view``, or say how to install it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ImportError(
-            f"the live view and its feeds need {module.partition('.')[0]}, which is not installed; "
-            "install it with: pip install 'usv-twin[view]'"
-        ) from None
-
-
-def parse_address(address: str) -> tuple[str, int]:
-    """Return host and port of ``udp://HOST:PORT``; without a host, that of loopback.
-
-    Parameters
-    ----------
-    address : str
-        ``udp://:10110``, ``udp://192.168.1.5:10110`` or ``udp://[::1]:10110``.
-
-    Raises
-    ------
-    FeedError
-        Says what is wrong with it.
-    """
-    hint = "write udp://HOST:PORT, as udp://:10110 for this machine alone"
-    try:
-        parts = urlsplit(address)
-        port = parts.port
-    except ValueError as error:
-        raise FeedError(f"{address}: {error}; {hint}") from None
-    if parts.scheme != "udp":
-        raise FeedError(f"{address}: only udp:// is known; {hint}")
-    if not port:
-        raise FeedError(f"{address}: names no port from 1 to 65535; {hint}")
-    if parts.path or parts.query or parts.fragment or parts.username is not None:
-        raise FeedError(f"{address}: holds more than host and port; {hint}")
-    return parts.hostname or "127.0.0.1", port
-
-
-def open_socket(address: str, *, bind: bool) -> tuple[socket.socket, Address]:
-    """Return a UDP socket that never blocks, and the address as the system knows it.
-
-    Parameters
-    ----------
-    address : str
-        See :func:`parse_address`.
-    bind : bool
-        Whether to listen there, or to send there.
-    """
-    host, port = parse_address(address)
-    try:
-        family, _, _, _, found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, UnicodeError) as error:
-        raise FeedError(f"{address}: the host is not known ({error}); check its name") from None
-    made = socket.socket(family, socket.SOCK_DGRAM)
-    made.setblocking(False)
-    # instruments are often told by broadcast
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-    if bind:
-        with contextlib.suppress(OSError):  # as much as the system grants
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-        try:
-            made.bind(found)
-        except OSError as error:
-            made.close()
-            raise FeedError(
-                f"{address}: cannot listen there ({error.strerror}); stop what uses the port, or "
-                "name another port, or an address of this machine"
-            ) from None
-    return made, found
 
 
 @dataclass(frozen=True)
@@ -293,9 +208,9 @@ class Feed(ABC):
         ``udp://HOST:PORT`` to listen at; None for one that is only handed datagrams by
         :meth:`receive`.
     particulars : Particulars
-        The boat: until a command comes it is taken to keep the usual shaft speed, straight on.
+        The boat: until a command comes it is taken to keep the nominal shaft speed, straight on.
     reply : str, optional
-        Where the twin's belief goes; left out, to whom the last used datagram came from.
+        Where the twin's estimates go; left out, to whom the last used datagram came from.
     clock : callable
         Returns the time now, s.
     period, wait : float
@@ -314,10 +229,10 @@ class Feed(ABC):
     A row's time is that of its fix, or else of its last sample, on the axis of the sender's
     clock, from 0 at the first row. Messages without a time are placed by a line through the
     times of the last ones that had one, over when they came, so that a stream that runs faster
-    than the clock is told as it was. A row's command is the last one up to its time.
+    than the clock is given as it was. A row's command is the last one up to its time.
 
     If only late messages come for :data:`RESTART` seconds of their own time, their sender has
-    begun anew: its time goes on after what was there, by our own clock. A jump ahead is a gap.
+    restarted: its time goes on after what was there, by our own clock. A jump ahead is a gap.
     """
 
     modulus: float
@@ -374,7 +289,7 @@ class Feed(ABC):
 
     @abstractmethod
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
-        """Yield the datagrams that tell what the twin believes."""
+        """Yield the datagrams of the twin's estimate and prediction."""
 
     def greet(self, now: float) -> Iterator[bytes]:
         """Yield datagrams that are due now whatever is known."""
@@ -384,7 +299,10 @@ class Feed(ABC):
     def notes(self) -> tuple[str, ...]:
         """What the user should know of the feed, in words."""
         taken = {
-            "shaft speed": (COMMANDS[:2], f"{self.particulars.shaft_speed:g} rev/s, the usual")
+            "shaft speed": (
+                COMMANDS[:2],
+                f"{self.particulars.shaft_speed:g} rev/s, the nominal one",
+            )
         }
         if self.particulars.steering == "drives":
             taken["drive angle"] = COMMANDS[2:], "straight ahead"
@@ -436,14 +354,14 @@ class Feed(ABC):
         self._release(self._head - self.wait)
 
     def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
-        """Send what the twin believes; nothing before it knows a place, or whom to send it to.
+        """Send the twin's estimate; nothing before a position and a receiver are known.
 
         Parameters
         ----------
         estimate : Estimate
-            What it believes of now.
+            Its estimate.
         prediction : Prediction, optional
-            What it believes of the future.
+            Its prediction.
         """
         known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
         if known and (self._reply or self._peer):
@@ -489,8 +407,8 @@ class Feed(ABC):
 
     def _drain(self) -> bool:
         """Read what has come; return whether that was all."""
-        room = BYTES_MAX
-        while self._socket is not None and room > 0:
+        budget = BYTES_MAX
+        while self._socket is not None and budget > 0:
             try:
                 if sys.platform == "linux":
                     data, beside, _, source = self._socket.recvmsg(1 << 16, 128)
@@ -498,12 +416,12 @@ class Feed(ABC):
                     (data, source), beside = self._socket.recvfrom(1 << 16), []
             except BlockingIOError:
                 return True
-            except OSError:  # told of a reply that nobody took
-                room -= 64
+            except OSError:  # an earlier reply was refused
+                budget -= 64
                 continue
-            room -= len(data) + 64
+            budget -= len(data) + 64
             self.receive(data, self._arrived(beside), source)
-        return room > 0
+        return budget > 0
 
     def _arrived(self, beside: list[tuple[int, int, bytes]]) -> float:
         """Return when a datagram came by our clock, from what the system says beside it."""

@@ -1,4 +1,4 @@
-"""MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's belief as messages.
+"""MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's estimates back.
 
 Taken are GLOBAL_POSITION_INT (fix and velocity), ATTITUDE (heading and yaw rate) and
 SERVO_OUTPUT_RAW (commands, by :class:`Servos`), of the first component that sends the first, or
@@ -7,7 +7,7 @@ no measurement but the autopilot's own dead reckoning, and counts as void. The l
 field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not known.
 
 The twin answers as the onboard computer (component 191) of that system: HEARTBEAT once a second,
-and of its belief GLOBAL_POSITION_INT, ATTITUDE, ODOMETRY (local NED about the first fix, with
+and of its estimates GLOBAL_POSITION_INT, ATTITUDE, ODOMETRY (local NED about the first fix, with
 variances), TRAJECTORY_REPRESENTATION_WAYPOINTS (places, velocities and headings 2, 4, 6, 8, 10 s
 ahead, local NED) and DEBUG_FLOAT_ARRAY ``sd_pos`` (for each of them: seconds ahead, standard
 deviations north and east, m).
@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.live.protocols.feed import Feed, FeedError, Message, needed
+from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.nmea import HORIZONS
+from twin.live.protocols.sockets import FeedError, needed
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
 
@@ -56,7 +57,7 @@ AUTOPILOT, ONBOARD = 1, 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
 
 FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
-"""Full throttle, in usual shaft speeds, and full helm, rad, of a boat of which neither is told."""
+"""Full throttle, in nominal shaft speeds, and full helm, rad, where neither is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,14 +114,14 @@ class Servos:
         shaft_speed: float | None = None,
         angle: float | None = None,
     ) -> Servos:
-        """Return the usual outputs of a boat.
+        """Return the default outputs of a boat.
 
         Parameters
         ----------
         particulars : Particulars
             Its steering tells which outputs are used.
         shaft_speed : float, optional
-            At full throttle, rev/s; left out, twice the usual one.
+            At full throttle, rev/s; left out, twice the nominal one.
         angle : float, optional
             Full helm, rad; left out, 30 degrees.
         """
@@ -171,7 +172,7 @@ class Servos:
 
 
 class MavlinkFeed(Feed):
-    """Messages of an autopilot as rows; see :class:`twin.live.protocols.feed.Feed` and this module's head.
+    """Messages of an autopilot as rows; see :class:`~twin.live.protocols.feed.Feed`.
 
     Parameters
     ----------
@@ -215,7 +216,7 @@ class MavlinkFeed(Feed):
             yield self._writer.heartbeat()
 
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
-        """Yield the twin's belief, a message in each datagram; see :meth:`Feed.encode`."""
+        """Yield the twin's estimates, a message in each datagram; see :meth:`Feed.encode`."""
         write, now = self._writer, self.stamp_of(estimate.t)
         latitude, longitude, north, east = self.place_of(estimate.state)
         yield write.position(now, (latitude, longitude), (north, east), float(estimate.state[2]))
@@ -274,7 +275,7 @@ class MavlinkFeed(Feed):
 
     def _servo_outputs(self, item: Any) -> Message:
         widths = [getattr(item, f"servo{i}_raw") for i in range(1, 17)]
-        # 32 bits of microseconds begin anew every 72 minutes, those of milliseconds later
+        # 32 bits of microseconds wrap every 72 minutes, those of milliseconds later
         stamp = item.time_usec / 1e6
         stamp += round((self._boot - stamp) * 1e6 / WRAP) * WRAP / 1e6 if self._boot >= 0.0 else 0.0
         timed = abs(stamp - self._boot) < NEAR
@@ -323,7 +324,7 @@ class MavlinkWriter:
         d = self._dialect
         return self._pack(
             d.MAVLink_heartbeat_message(
-                *(getattr(d, kind), d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3)
+                getattr(d, kind), d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3
             )
         )
 
@@ -364,8 +365,20 @@ class MavlinkWriter:
         frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_BODY_FRD
         return self._pack(
             d.MAVLink_odometry_message(
-                *(round(1e6 * stamp), *frames, x, y, 0.0, turn, u, v, 0.0, 0.0, 0.0, r),
-                *(pose, velocity),
+                round(1e6 * stamp),
+                *frames,
+                x,
+                y,
+                0.0,
+                turn,
+                u,
+                v,
+                0.0,
+                0.0,
+                0.0,
+                r,
+                pose,
+                velocity,
             )
         )
 
@@ -380,8 +393,20 @@ class MavlinkWriter:
         yaw, rate = _five(states[:, 2]), _five(states[:, 5])
         return self._pack(
             self._dialect.MAVLink_trajectory_representation_waypoints_message(
-                *(round(1e6 * stamp), len(states), x, y, z, vx, vy, vz, empty, empty, empty),
-                *(yaw, rate, [UNKNOWN_HEADING] * 5),
+                round(1e6 * stamp),
+                len(states),
+                x,
+                y,
+                z,
+                vx,
+                vy,
+                vz,
+                empty,
+                empty,
+                empty,
+                yaw,
+                rate,
+                [UNKNOWN_HEADING] * 5,
             )
         )
 

@@ -1,4 +1,4 @@
-r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's belief as sentences.
+r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as sentences.
 
 Taken are GGA and RMC (fix and velocity; of the same epoch they are one fix), HDT (true heading),
 ROT (rate of turn), RPM and RSA (commands) of any talker, and ZDA and TAG blocks for the time.
@@ -39,7 +39,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS
-from twin.live.protocols.feed import Feed, Message, needed
+from twin.live.protocols.feed import Feed, Message
+from twin.live.protocols.sockets import needed
 from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
@@ -77,7 +78,7 @@ _WHOLE = re.compile(r"\*[0-9A-Fa-f]{2}$")
 
 
 class NmeaFeed(Feed):
-    """Sentences of a boat as rows; see :class:`twin.live.protocols.feed.Feed` and this module's head."""
+    """Sentences of a boat as rows; see :class:`~twin.live.protocols.feed.Feed`."""
 
     modulus = DAY
 
@@ -105,7 +106,7 @@ class NmeaFeed(Feed):
             yield item
 
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
-        """Yield the twin's belief as one datagram; see :meth:`Feed.encode`."""
+        """Yield the twin's estimates as one datagram; see :meth:`Feed.encode`."""
         stamp = self.stamp_of(estimate.t)
         latitude, longitude, north, east = self.place_of(estimate.state)
         write = self._writer
@@ -125,12 +126,12 @@ class NmeaFeed(Feed):
         yield "".join(lines).encode()
 
     def _day(self, stamp: float) -> date:
-        """Return the date of a time of day: that of the last one told that is nearest."""
+        """Return the date of a time of day: that of the last date received, or the nearest."""
         if self._date is None:
             return datetime.now(timezone.utc).date()
-        told, at = self._date
+        given, at = self._date
         turn = round((at - stamp) / DAY)
-        return date.fromordinal(min(max(told.toordinal() + turn, 1), date.max.toordinal()))
+        return date.fromordinal(min(max(given.toordinal() + turn, 1), date.max.toordinal()))
 
     def _lines(self, text: str) -> Iterator[str]:
         """Yield the lines of a datagram, joined with what the last one left unended."""
@@ -201,14 +202,14 @@ class NmeaFeed(Feed):
 
     def _tell_date(self, sentence: Any) -> None:
         if sentence.sentence_type == "RMC":
-            told = sentence.datestamp
+            given = sentence.datestamp
         else:
-            told = None
+            given = None
             with contextlib.suppress(TypeError, ValueError):
-                told = date(sentence.year, sentence.month, sentence.day)
+                given = date(sentence.year, sentence.month, sentence.day)
         at = _time(sentence)
-        if isinstance(told, date) and at is not None:
-            self._date = told, at
+        if isinstance(given, date) and at is not None:
+            self._date = given, at
 
 
 def _number(text: Any) -> float | None:

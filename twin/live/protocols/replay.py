@@ -16,14 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.live.protocols.feed import WAIT, FeedError, Plane, open_socket
+from twin.live.protocols.feed import WAIT, Plane
 from twin.live.protocols.mavlink import MavlinkWriter, Servos
 from twin.live.protocols.nmea import NmeaWriter
+from twin.live.protocols.sockets import FeedError, open_socket
 from twin.logs.log import Log
 
 __all__ = [
     "Datagram",
-    "Disturb",
+    "LinkImpairment",
     "MavlinkStream",
     "NmeaStream",
     "Stream",
@@ -34,7 +35,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 ORIGIN = (59.43, 10.47)
-"""Where a log without a place lies unless it is told: in the Oslofjord, degrees."""
+"""Where a log without a place lies unless given: in the Oslofjord, degrees."""
 
 LATE = 1.0
 """A late datagram comes so much later, s of the log: too late for its row."""
@@ -66,7 +67,7 @@ class Datagram:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Disturb:
+class LinkImpairment:
     """Shares of the datagrams that are disturbed, each in one way at most.
 
     Parameters
@@ -93,7 +94,7 @@ class Disturb:
             raise FeedError(f"disturb: the shares {shares} must be from 0 to 1, and so their sum")
 
     @classmethod
-    def parse(cls, text: str) -> Disturb:
+    def parse(cls, text: str) -> LinkImpairment:
         """Return what ``late=.05,doubled=.05`` says."""
         names = [item.name for item in dataclasses.fields(cls)]
         given: dict[str, float] = {}
@@ -143,7 +144,7 @@ class Stream(ABC):
         """Return a datagram with one message broken."""
 
     @abstractmethod
-    def told(self, data: bytes) -> int:
+    def count_replies(self, data: bytes) -> int:
         """Return how many messages a datagram holds that came back."""
 
 
@@ -183,7 +184,7 @@ class NmeaStream(Stream):
         lines[which] = bytes(line)
         return b"".join(lines)
 
-    def told(self, data: bytes) -> int:
+    def count_replies(self, data: bytes) -> int:
         """Return how many sentences a datagram holds."""
         return data.count(b"$")
 
@@ -220,7 +221,7 @@ class MavlinkStream(Stream):
         wrong[int(rng.integers(10, len(wrong)))] ^= 1 << int(rng.integers(8))
         return bytes(wrong)
 
-    def told(self, data: bytes) -> int:
+    def count_replies(self, data: bytes) -> int:
         """Return 1: a datagram is a message."""
         return 1
 
@@ -229,7 +230,7 @@ def schedule(
     log: Log,
     stream: Stream,
     *,
-    disturb: Disturb | None = None,
+    disturb: LinkImpairment | None = None,
     seed: int = 0,
     loop: bool = False,
     counts: Counter[str] | None = None,
@@ -242,14 +243,14 @@ def schedule(
         The run; samples that it has not (NaN) are not sent.
     stream : Stream
         How rows become datagrams.
-    disturb : Disturb, optional
+    disturb : LinkImpairment, optional
         What goes wrong on the way.
     seed : int
         Of what goes wrong where.
     loop : bool
         Whether to begin again at the end, for ever; the time goes on.
     counts : Counter, optional
-        Is told of the rows, datagrams and messages, and the messages of each kind of
+        Receives the rows, datagrams and messages, and the messages of each kind of
         disturbance.
 
     Yields
@@ -258,7 +259,7 @@ def schedule(
     """
     counts = Counter() if counts is None else counts
     rng = np.random.default_rng(seed)
-    chances = dataclasses.asdict(disturb or Disturb())
+    chances = dataclasses.asdict(disturb or LinkImpairment())
     kinds, edges = [*chances, ""], np.cumsum([*chances.values()])
     late: list[tuple[float, int, Datagram]] = []
     held: Datagram | None = None
@@ -313,7 +314,7 @@ def replay(
     address: str,
     *,
     speed: float = 1.0,
-    disturb: Disturb | None = None,
+    disturb: LinkImpairment | None = None,
     seed: int = 0,
     loop: bool = False,
     clock: Callable[[], float] = time.monotonic,
@@ -334,7 +335,7 @@ def replay(
     clock, sleep : callable
         The time now, s, and how to wait.
     progress : callable
-        Is told the time of the log that is sent, s.
+        Receives the time of the log that is sent, s.
 
     Returns
     -------
@@ -360,6 +361,6 @@ def replay(
                 counts["unsent"] += 1
             with contextlib.suppress(OSError):  # nothing, or nobody, there
                 while True:
-                    counts["back"] += stream.told(output.recv(1 << 16))
+                    counts["back"] += stream.count_replies(output.recv(1 << 16))
             progress(datagram.due)
     return counts

@@ -15,7 +15,7 @@ from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
     "AUTOPILOTS",
-    "Helm",
+    "Autopilot",
 ]
 
 Array = NDArray[np.float64]
@@ -24,10 +24,10 @@ AUTOPILOTS = ("off", *MANOEUVRES, "path")
 """``off``: by hand; a manoeuvre, from the moment on at which it is chosen; or a path."""
 
 DECISION, STEADY = 0.5, 4.0
-"""Time between two decisions along a path, and over which they are averaged to foretell, s."""
+"""Time between two decisions along a path, and over which they are averaged for a forecast, s."""
 
 
-class Helm:
+class Autopilot:
     """Commands of a boat from those of a hand or an autopilot.
 
     Parameters
@@ -35,16 +35,16 @@ class Helm:
     vessel : Vessel
         The boat.
     speed : float
-        Her usual speed, m/s.
+        Its nominal speed, m/s.
     rng : numpy.random.Generator
         For paths and the random manoeuvre.
 
     Attributes
     ----------
     throttle : float
-        Part of the usual shaft speed.
+        Part of the nominal shaft speed.
     angle : float
-        Helm angle of a hand, rad, above 0 to starboard.
+        Autopilot angle of a hand, rad, above 0 to starboard.
     autopilot : str
         One of :data:`AUTOPILOTS`.
     path : ndarray, shape (K, 2)
@@ -68,14 +68,14 @@ class Helm:
             self._draw_path(state)
 
     def command(self, t: float, state: Array) -> Array:
-        """Return what propellers and drives are told now.
+        """Return the commands of propellers and drives.
 
         Parameters
         ----------
         t : float
             Time, s.
         state : ndarray, shape (6,)
-            Where the boat believes to be, in the order of ``twin.channels.CHANNELS``.
+            Estimated state, in the order of ``twin.channels.CHANNELS``.
 
         Returns
         -------
@@ -89,7 +89,7 @@ class Helm:
         return self.vessel.command(self._usual * self.throttle, min(max(self.angle, -most), most))
 
     def plan(self, t: float) -> str | Array:
-        """Return the commands of the next seconds, as :meth:`twin.digital_twin.Twin.predict` takes them."""
+        """Return the commands to come, as :meth:`twin.digital_twin.Twin.predict` takes them."""
         if self.autopilot in MANOEUVRES:
             return self._manoeuvre(t, np.arange(0.0, HORIZON, PLAN_STEP))
         if self.autopilot == "path":  # what is done against waves and noise does not last
@@ -105,7 +105,7 @@ class Helm:
         return commands(self.autopilot, times, self.vessel, rng, shaft)[1:]
 
     def _draw_path(self, state: Array) -> None:
-        """Draw a curve that begins where the boat believes to be."""
+        """Draw a curve that begins at the estimated position."""
         task = Curves(1, self.speed, self.vessel.values["length_waterline"])
         task.reset(0, self._rng)
         x, y, psi = state[:3]

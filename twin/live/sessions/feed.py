@@ -14,7 +14,7 @@ from twin.channels import COMMANDS
 from twin.digital_twin import Twin
 from twin.live.protocols.feed import Feed
 from twin.live.sessions.session import SLIP, Session, Snapshot, measured_boat
-from twin.live.sessions.tracker import Follower
+from twin.live.sessions.tracker import TwinMonitor
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
@@ -36,7 +36,7 @@ class FeedSession(Session):
     Parameters
     ----------
     feed : Feed
-        Where rows come from, and the twin's belief goes back to; closed at the end.
+        Where rows come from, and the twin's estimates go back to; closed at the end.
     twin : Twin
         Fresh.
     vessel : Vessel or None
@@ -48,14 +48,14 @@ class FeedSession(Session):
     def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
         super().__init__(vessel, twin.particulars, folder)
         self.feed = feed
-        self.follower, self._cmd = Follower(twin), np.zeros(len(COMMANDS))
+        self.monitor, self._cmd = TwinMonitor(twin), np.zeros(len(COMMANDS))
         self._answered, self._heard = -math.inf, math.nan
         self._waiting: deque[tuple[float, Array, Array]] = deque()
 
     def forget(self) -> None:
-        """Let the twin begin anew, as for another boat; a log that is being recorded goes on."""
-        self.follower.twin.reset()
-        self.follower = Follower(self.follower.twin)
+        """Restart the twin, as for another boat; a log that is being recorded goes on."""
+        self.monitor.twin.reset()
+        self.monitor = TwinMonitor(self.monitor.twin)
         self.snapshot = None
         self.changed += 1
 
@@ -69,24 +69,24 @@ class FeedSession(Session):
             self._waiting.extend(self.feed.take())
         while self._waiting and time.monotonic() < begun + SLIP:
             t, z, cmd = self._waiting.popleft()
-            self.follower.step(t, z, cmd)
+            self.monitor.step(t, z, cmd)
             self._cmd, self._heard = cmd, time.monotonic()
             self._keep(t, z, cmd)
 
     def _look(self) -> Snapshot | None:
-        follower = self.follower
-        if not math.isfinite(follower.t):
+        monitor = self.monitor
+        if not math.isfinite(monitor.t):
             return None
         now = time.monotonic()
         silence = now - self._heard
         silence = silence if silence > SILENT else 0.0
-        boat = measured_boat(follower.measured, self._cmd)
-        rate = self._rate(follower.t) if silence == 0.0 else 0.0
+        boat = measured_boat(monitor.measured, self._cmd)
+        rate = self._rate(monitor.t) if silence == 0.0 else 0.0
         seen = self._seen(boat, silence, rate=rate, notes=self.notes)
         # of a boat that is heard of no more, nothing is known that others should go by
         if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
             self._answered = now
-            self.feed.send(follower.twin.estimate(), seen.prediction)
+            self.feed.send(monitor.twin.estimate(), seen.prediction)
         return seen
 
     @property

@@ -18,10 +18,10 @@ from twin.live.sessions.tracker import (
     HORIZON,
     LOST_AFTER,
     PLAN_STEP,
-    Follower,
     History,
+    TwinMonitor,
     overlay_of,
-    patience,
+    sensor_timeout,
 )
 from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
@@ -57,7 +57,7 @@ class LogSession(Session):
     folder : Path
         As for any session; nothing is recorded twice.
     plan : str
-        One of ``twin.digital_twin.PLANS``: whether the twin is told the commands that follow.
+        One of ``twin.digital_twin.PLANS``: whether the twin is given the commands that follow.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class LogSession(Session):
             np.flatnonzero(np.isfinite(log.z[:, column])) for column in (_X, _COMPASS, _GYRO)
         )
         intervals = np.diff(log.t[self._fixes])
-        self._patience = patience(float(np.median(intervals)) if len(intervals) else 1.0)
+        self._patience = sensor_timeout(float(np.median(intervals)) if len(intervals) else 1.0)
         self._prepare(twin, plan)
 
     def _prepare(self, twin: Twin, plan: str) -> None:
@@ -90,8 +90,8 @@ class LogSession(Session):
         if plan not in PLANS:
             raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
         self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
-        self.follower = Follower(twin)
-        self._believed = np.full((len(self.log), 6), math.nan)
+        self.monitor = TwinMonitor(twin)
+        self._estimated = np.full((len(self.log), 6), math.nan)
         self._moments: list[TwinOverlay | None] = []
         self._times: list[float] = []
         self._over = threading.Event()
@@ -101,7 +101,7 @@ class LogSession(Session):
         """Go through the log once more with another plan, up to the moment that is shown."""
         self._over.set()
         self._worker.join()
-        twin = self.follower.twin
+        twin = self.monitor.twin
         twin.reset()
         self._prepare(twin, plan)
         self._worker.start()
@@ -109,7 +109,7 @@ class LogSession(Session):
 
     def history(self) -> History:
         """Return the curves up to the moment that is shown."""
-        whole = self.follower.history()
+        whole = self.monitor.history()
         return whole.rows(whole.t <= self.at + 1e-9)
 
     def seek(self, t: float) -> None:
@@ -117,8 +117,8 @@ class LogSession(Session):
         self.at = min(max(t, float(self.log.t[0])), self.done)
         self._anchor = time.monotonic(), self.at
 
-    def _mark_anew(self) -> None:
-        super()._mark_anew()
+    def _mark_restart(self) -> None:
+        super()._mark_restart()
         self._anchor = time.monotonic(), self.at
 
     def _run(self) -> None:
@@ -131,22 +131,22 @@ class LogSession(Session):
         super()._close()
 
     def _go_through(self) -> None:
-        """Feed the twin all rows, and keep what it believed in between."""
+        """Feed the twin all rows, and keep its estimates in between."""
         log, due = self.log, -math.inf
         try:
             for row, (t, z, cmd) in enumerate(log):
                 if self._over.is_set():
                     return
                 truth = None if log.truth is None else log.truth[row]
-                self.follower.step(t, z, cmd, truth)
-                predictor = self.follower.twin.predictor
+                self.monitor.step(t, z, cmd, truth)
+                predictor = self.monitor.twin.predictor
                 if self._moments and self._moments[-1] is not None:
-                    self._believed[row] = predictor.state
+                    self._estimated[row] = predictor.state
                 if t >= due - 1e-9 or row == len(log) - 1:
                     due, self._row = t + self._spacing, row
-                    made = self.follower.predict(self._plan())
+                    made = self.monitor.predict(self._plan())
                     if made is not None:
-                        self._believed[row] = predictor.state
+                        self._estimated[row] = predictor.state
                     self._moments.append(None if made is None else overlay_of(made))
                     self._times.append(t)
                 self.done = t
@@ -185,7 +185,7 @@ class LogSession(Session):
         boat = measured_boat(measured, log.cmd[row])
         if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
             boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
-        places = self._believed if log.truth is None else log.truth
+        places = self._estimated if log.truth is None else log.truth
         behind = places[max(row - BEHIND, 0) : row + 1 : max(min(row, BEHIND) // TRACK, 1), :2]
         follow = slice(row + 1, int(np.searchsorted(log.t, t + HORIZON, side="right")))
         ahead = (log.z if log.truth is None else log.truth)[follow, :2]
@@ -204,15 +204,15 @@ class LogSession(Session):
         )
 
     def _overlay(self, row: int, t: float) -> TwinOverlay | None:
-        """Return what was believed at a row, with the last prediction from there on."""
+        """Return the estimate at a row, with the last prediction from there on."""
         index = max(bisect.bisect_right(self._times, t + 1e-9) - 1, 0)
         made = self._moments[index]
-        if made is None or not np.isfinite(self._believed[row, 0]):
+        if made is None or not np.isfinite(self._estimated[row, 0]):
             return None
         since = max(t - self._times[index], 0.0)
         later = made.horizons > since + 1e-6
         return TwinOverlay(
-            state=self._believed[row],
+            state=self._estimated[row],
             cov=made.cov,
             horizons=made.horizons[later] - since,
             ahead=made.ahead[later],

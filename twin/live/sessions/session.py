@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from twin.channels import TRUTH
 from twin.files import write_whole
-from twin.live.sessions.tracker import LOST_AFTER, Follower, History, overlay_of
+from twin.live.sessions.tracker import LOST_AFTER, History, TwinMonitor, overlay_of
 from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
@@ -65,8 +65,8 @@ class Snapshot:
     boat : ndarray, shape (16,)
         State of the real boat, layout in :mod:`usv_gym.physics.frames`: the true one, or what
         was measured of it last; NaN in place and heading before.
-    belief : Belief or None
-        What the twin believes, now and ahead; None before a first fix.
+    overlay : TwinOverlay or None
+        Estimate and prediction of the twin; None before a first fix.
     prediction : Prediction or None
         The same in full.
     fixes, track : ndarray, shape (F, 2), (T, 2)
@@ -114,7 +114,7 @@ class Session(ABC):
 
     Attributes
     ----------
-    follower : Follower
+    monitor : TwinMonitor
         The twin and what is seen of it.
     snapshot : Snapshot or None
         The latest; None before the first.
@@ -134,7 +134,7 @@ class Session(ABC):
         What ended the thread.
     """
 
-    follower: Follower
+    monitor: TwinMonitor
 
     def __init__(self, vessel: Vessel | None, particulars: Particulars, folder: Path) -> None:
         self.vessel, self.particulars, self.folder = vessel, particulars, folder
@@ -153,7 +153,7 @@ class Session(ABC):
 
     def history(self) -> History:
         """Return the curves up to the moment that is shown."""
-        return self.follower.history()
+        return self.monitor.history()
 
     def start(self) -> None:
         """Begin to live."""
@@ -172,12 +172,12 @@ class Session(ABC):
     def set_scale(self, scale: float) -> None:
         """Change the pace."""
         self.scale = scale
-        self._mark_anew()
+        self._mark_restart()
 
     def set_paused(self, paused: bool) -> None:
         """Let time stand still, or go on."""
         self.paused = paused
-        self._mark_anew()
+        self._mark_restart()
 
     @abstractmethod
     def _advance(self) -> None:
@@ -187,7 +187,7 @@ class Session(ABC):
     def _look(self) -> Snapshot | None:
         """Return what is seen now; None while there is nothing."""
 
-    def _mark_anew(self) -> None:
+    def _mark_restart(self) -> None:
         """Forget the pace of before: from now on time runs otherwise."""
         self._marks.clear()
 
@@ -241,7 +241,7 @@ class Session(ABC):
                     self.snapshot = self._look() or self.snapshot
                     self.fresh.set()
                 self._stop.wait(min(max(due - time.monotonic(), 0.0), self._rest()))
-        except BaseException as error:  # told by who waits in the main thread
+        except BaseException as error:  # raised again by the main thread
             self.error = error
         try:
             self._close()
@@ -250,7 +250,7 @@ class Session(ABC):
         self.fresh.set()
 
     def _obey(self) -> None:
-        """Carry out what was ordered; what cannot be done is told, and changes nothing."""
+        """Carry out what was ordered; what cannot be done is reported, and changes nothing."""
         with contextlib.suppress(Empty):
             while True:
                 call = self._orders.get_nowait()
@@ -280,20 +280,20 @@ class Session(ABC):
         return "hold"
 
     def _seen(self, boat: Array, silence: float = 0.0, **others: Any) -> Snapshot:
-        """Return the follower's part of a snapshot, and the rest as given."""
-        follower = self.follower
-        prediction = follower.predict(self._plan())
+        """Return the monitor's part of a snapshot, and the rest as given."""
+        monitor = self.monitor
+        prediction = monitor.predict(self._plan())
         return Snapshot(
-            t=follower.t,
+            t=monitor.t,
             boat=boat,
             overlay=None if prediction is None else overlay_of(prediction),
             prediction=prediction,
-            fixes=np.array(follower.fixes).reshape(-1, 2),
-            track=np.array(follower.track).reshape(-1, 2),
-            gps_age=follower.gps_age + silence,
-            gps_lost=follower.gps_age + silence > follower.patience,
-            imu_lost=follower.imu_age + silence > LOST_AFTER[1],
-            has_imu=follower.has_imu,
+            fixes=np.array(monitor.fixes).reshape(-1, 2),
+            track=np.array(monitor.track).reshape(-1, 2),
+            gps_age=monitor.gps_age + silence,
+            gps_lost=monitor.gps_age + silence > monitor.sensor_timeout,
+            imu_lost=monitor.imu_age + silence > LOST_AFTER[1],
+            has_imu=monitor.has_imu,
             silence=silence,
             **others,
         )

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
-from twin.live.sessions.autopilot import Helm
+from twin.live.sessions.autopilot import Autopilot
 from twin.live.sessions.session import SLIP, Session, Snapshot
-from twin.live.sessions.tracker import Follower
+from twin.live.sessions.tracker import TwinMonitor
 from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from twin.sim.oracle import simulator_options
@@ -28,7 +28,7 @@ from usv_gym.world.simulation import Simulation
 
 __all__ = [
     "SimulatedSession",
-    "World",
+    "SimulationSetup",
 ]
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ NEVER = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
-class World:
+class SimulationSetup:
     """What a simulated session begins with.
 
     Parameters
@@ -67,7 +67,7 @@ class SimulatedSession(Session):
 
     Parameters
     ----------
-    world : World
+    setup : SimulationSetup
         What it begins with.
     folder : Path
         Where recorded logs go.
@@ -76,48 +76,48 @@ class SimulatedSession(Session):
 
     Attributes
     ----------
-    world : World
+    setup : SimulationSetup
         What the run that is on began with.
-    helm : Helm
+    helm : Autopilot
         Who steers.
     """
 
-    def __init__(self, world: World, folder: Path, autopilot: str = "off") -> None:
-        super().__init__(world.vessel, particulars_of(world.vessel), folder)
-        self.helm: Helm
-        self.restart(world, autopilot)
+    def __init__(self, setup: SimulationSetup, folder: Path, autopilot: str = "off") -> None:
+        super().__init__(setup.vessel, particulars_of(setup.vessel), folder)
+        self.helm: Autopilot
+        self.restart(setup, autopilot)
 
-    def restart(self, world: World, autopilot: str | None = None) -> None:
-        """Begin anew; a log that is being recorded ends. Who steers goes on unless named."""
-        suite = SensorSuite.grade(world.sensors)
+    def restart(self, setup: SimulationSetup, autopilot: str | None = None) -> None:
+        """Restart; a log that is being recorded ends. Who steers goes on unless named."""
+        suite = SensorSuite.grade(setup.sensors)
         # two windows of loss that are moved when they are ordered
         gps, imu = (Fault(kind, NEVER, 1.0) for kind in ("gps", "imu"))
         simulation = Simulation(
             1,
-            world.vessel,
-            world.sea,
+            setup.vessel,
+            setup.sea,
             suite=suite,
-            faults=(gps, imu, *world.faults),
-            dof=world.dof,
+            faults=(gps, imu, *setup.faults),
+            dof=setup.dof,
             changing=True,
         )
-        particulars = particulars_of(world.vessel, suite, world.dof)
-        told: dict[str, Any] = {}
-        if predictor_class(world.predictor).needs_simulator:
-            told = simulator_options(world.predictor, world.vessel, world.sea, world.dof)
-        twin = Twin(particulars, world.predictor, seed=world.seed, **told)
+        particulars = particulars_of(setup.vessel, suite, setup.dof)
+        given: dict[str, Any] = {}
+        if predictor_class(setup.predictor).needs_simulator:
+            given = simulator_options(setup.predictor, setup.vessel, setup.sea, setup.dof)
+        twin = Twin(particulars, setup.predictor, seed=setup.seed, **given)
         self.record(False)
-        rng, self._sea_rng, helm_rng = np.random.default_rng(world.seed).spawn(3)
+        rng, self._sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
         self._gust_seed = int(self._sea_rng.integers(2**32))
         simulation.reset([0], [rng])
-        helm = Helm(world.vessel, particulars.speed, helm_rng)
+        helm = Autopilot(setup.vessel, particulars.speed, helm_rng)
         if autopilot is None:
             autopilot = self.helm.autopilot
             helm.throttle, helm.angle = self.helm.throttle, self.helm.angle
-        self.world, self.vessel, self.particulars = world, world.vessel, particulars
-        self.simulation, self.follower, self.helm = simulation, Follower(twin), helm
+        self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
+        self.simulation, self.monitor, self.helm = simulation, TwinMonitor(twin), helm
         self.steer(autopilot)
-        self._mark_anew()
+        self._mark_restart()
         self._feed()
         self.changed += 1
 
@@ -126,13 +126,13 @@ class SimulatedSession(Session):
         """Time since the restart, s."""
         return float(self.simulation.t[0])
 
-    def _mark_anew(self) -> None:
-        super()._mark_anew()
+    def _mark_restart(self) -> None:
+        super()._mark_restart()
         self._anchor = time.monotonic(), self.t
 
     def steer(self, autopilot: str) -> None:
         """Hand the helm over, from this moment on."""
-        self.helm.hand_over(autopilot, self.t, self.follower.twin.predictor.state)
+        self.helm.hand_over(autopilot, self.t, self.monitor.twin.predictor.state)
 
     def lose(self, kind: str, seconds: float) -> None:
         """Lose ``gps`` or ``imu`` from now on for so long; infinity is until it is found again."""
@@ -162,7 +162,7 @@ class SimulatedSession(Session):
         now = time.monotonic()
         goal = first + (now - begin) * self.scale
         while self.t + self.simulation.dt <= goal + 1e-9:
-            cmd = self.helm.command(self.t, self.follower.twin.predictor.state)
+            cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
             self.simulation.step(cmd[None])
             self._feed()
             if time.monotonic() > now + SLIP:  # too much is asked of this machine
@@ -172,7 +172,7 @@ class SimulatedSession(Session):
     def _feed(self) -> None:
         sim = self.simulation
         z, truth = measurement_row(sim.z[0]), sim.state[0, TRUE_STATE]
-        self.follower.step(self.t, z, sim.cmd[0], truth)
+        self.monitor.step(self.t, z, sim.cmd[0], truth)
         self._keep(self.t, z, sim.cmd[0], truth)
 
     def _plan(self) -> str | Array:

@@ -20,10 +20,10 @@ __all__ = [
     "HORIZON",
     "LOST_AFTER",
     "PLAN_STEP",
-    "Follower",
     "History",
+    "TwinMonitor",
     "overlay_of",
-    "patience",
+    "sensor_timeout",
 ]
 
 Array = NDArray[np.float64]
@@ -44,14 +44,14 @@ HISTORY_STEP, HISTORY_ROWS = 0.5, 1200
 """Time between two rows of the curves at first, s, and how many rows make them half as dense."""
 
 LOST_AFTER = 3.0, 0.5
-"""A sensor counts as lost after so many usual intervals, and s at least."""
+"""A sensor counts as lost after so many nominal intervals, and s at least."""
 
 SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
 
 GAP, NEW_AFTER = 1.0, 30.0
 """Nothing is judged across so many seconds without a row, and after so many the curves begin
-anew."""
+again."""
 
 _X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
 
@@ -67,7 +67,7 @@ def overlay_of(prediction: Prediction) -> TwinOverlay:
     )
 
 
-def patience(interval: float) -> float:
+def sensor_timeout(interval: float) -> float:
     """Return the time without a sample, s, after which a sensor of that interval counts as lost."""
     times, least = LOST_AFTER
     return max(times * interval, least)
@@ -128,7 +128,7 @@ class _Mean:
         return self.total / len(self.values) if self.values else math.nan
 
 
-class Follower:
+class TwinMonitor:
     """A twin and what is to be seen of it.
 
     Parameters
@@ -143,7 +143,7 @@ class Follower:
     measured : ndarray, shape (3,)
         Last fix (m north and east) and last compass heading (rad); NaN before the first.
     fixes, track : deque of tuple of float
-        Last fixes, and where the boat was (by the truth where it is known, else as believed), m
+        Last fixes, and where the boat was (by the truth where it is known, else as estimated), m
         north and east.
     gps_age : float
         Time since the last fix, s.
@@ -177,14 +177,14 @@ class Follower:
         return self.t - self._fixed_at if math.isfinite(self._fixed_at) else math.inf
 
     @property
-    def patience(self) -> float:
+    def sensor_timeout(self) -> float:
         """Time without a fix after which GPS counts as lost, s."""
-        return patience(float(np.median(self._intervals)) if self._intervals else 1.0)
+        return sensor_timeout(float(np.median(self._intervals)) if self._intervals else 1.0)
 
     @property
     def gps_lost(self) -> bool:
         """Whether fixes that should have come by now did not."""
-        return self.gps_age > self.patience
+        return self.gps_age > self.sensor_timeout
 
     @property
     def has_imu(self) -> bool:
@@ -204,7 +204,7 @@ class Follower:
         t, z, cmd
             As :meth:`twin.digital_twin.Twin.step` takes them.
         truth : ndarray, shape (6,), optional
-            True state, to judge by; NaN where it is not known. No twin is told.
+            True state, to judge by; NaN where it is not known. No twin receives it.
         """
         fix, heading = z[_X : _X + 4], float(z[_COMPASS])
         if t - self.t > NEW_AFTER:
@@ -255,7 +255,7 @@ class Follower:
         return History(*curves.T, *parts)
 
     def _weigh(self, t: float, fix: Array) -> None:
-        """Compare place and velocity of a fix (4,) with what is believed before it is known."""
+        """Compare place and velocity of a fix (4,) with the estimate before it is used."""
         now = self.twin.estimate()
         if not now.ready:
             return
@@ -267,7 +267,7 @@ class Follower:
         velocity = np.array([u * c - v * s, u * s + v * c])
         arm = np.array([[c, -s], [s, c]]) @ how.gps_arm
         place = np.array([x, y]) + arm + (t - self.t - how.gps_latency) * velocity
-        # the drifting part of the error is in the fixes and in the belief alike
+        # the drifting part of the error is in the fixes and in the estimate
         var = np.maximum(now.sd[:2] ** 2 - how.gps_bias_sd**2, 0.0) + how.gps_sd**2
         self._nis_place.add(t, float(np.mean((fix[:2] - place) ** 2 / var)))
         if math.isfinite(fix[2]):

@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 
 THROTTLE_STEP, HELM_STEP = 0.1, 2.0
-"""What a press of an arrow key changes: part of the usual shaft speed, degrees."""
+"""What a press of an arrow key changes: part of the nominal shaft speed, degrees."""
 
 LOSS = 10.0
 """A short loss of GPS, s."""
@@ -119,14 +119,14 @@ class Controls(ABC):
 
 
 class SimulatedControls(Controls):
-    """Helm, sensors and world of a simulated boat."""
+    """Autopilot, sensors and setup of a simulated boat."""
 
     session: SimulatedSession
 
     def add(self) -> None:
-        """Add helm, sensors, world and restart."""
+        """Add helm, sensors, setup and restart."""
         session, order = self.session, self.session.order
-        with self.gui.add_folder("Helm"):
+        with self.gui.add_folder("Autopilot"):
             self.autopilot = self.gui.add_dropdown(
                 "autopilot", AUTOPILOTS, initial_value=session.helm.autopilot
             )
@@ -154,34 +154,34 @@ class SimulatedControls(Controls):
         self.gui.add_command(f"lose GPS {LOSS:g} s", hotkey="G").on_trigger(
             lambda _: order(session.lose, "gps", LOSS)
         )
-        world = session.world
+        setup = session.setup
         with self.gui.add_folder("Weather", expand_by_default=False):
-            known = next((name for name, sea in SEA_STATES.items() if sea == world.sea), "as given")
+            known = next((name for name, sea in SEA_STATES.items() if sea == setup.sea), "as given")
             names = tuple(name for name in SEA_STATES if name != "calm")
             self.sea = self.gui.add_dropdown(
                 "sea state",
                 names if known in names else (known, *names),
                 initial_value=known,
             )
-            self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, round(world.sea.wind, 1))
-            degrees = round(math.degrees(world.sea.wind_from)) % 360
+            self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, round(setup.sea.wind, 1))
+            degrees = round(math.degrees(setup.sea.wind_from)) % 360
             self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
             self.sea.on_update(lambda _: self._set_wind())
             for slider in (self.wind, self.wind_from):
                 slider.on_update(lambda _: order(session.change_sea, self._chosen_sea(), False))
         with self.gui.add_folder("Boat and twin", expand_by_default=False):
-            names = tuple(dict.fromkeys((world.vessel.name, *vessel_names())))
-            self._given = world.vessel
-            self.vessel = self.gui.add_dropdown("vessel", names, initial_value=world.vessel.name)
+            names = tuple(dict.fromkeys((setup.vessel.name, *vessel_names())))
+            self._given = setup.vessel
+            self.vessel = self.gui.add_dropdown("vessel", names, initial_value=setup.vessel.name)
             self.predictor = self.gui.add_dropdown(
                 "predictor",
-                tuple(dict.fromkeys((world.predictor, *PREDICTORS))),
-                initial_value=world.predictor,
+                tuple(dict.fromkeys((setup.predictor, *PREDICTORS))),
+                initial_value=setup.predictor,
             )
             self.dof = self.gui.add_dropdown(
-                "degrees of freedom", ("6", "3"), initial_value=str(world.dof)
+                "degrees of freedom", ("6", "3"), initial_value=str(setup.dof)
             )
-            self.seed = self.gui.add_number("seed", world.seed, min=0, step=1)
+            self.seed = self.gui.add_number("seed", setup.seed, min=0, step=1)
             restart = self.gui.add_button("restart", hint="key: R")
             restart.on_click(lambda _: self._restart())
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
@@ -222,7 +222,7 @@ class SimulatedControls(Controls):
         return said
 
     def _chosen_sea(self) -> SeaState:
-        sea = SEA_STATES.get(self.sea.value, self.session.world.sea)
+        sea = SEA_STATES.get(self.sea.value, self.session.setup.sea)
         if self.wind.value == round(sea.wind, 1) and self.sea.value not in SEA_STATES:
             return sea
         return sea.replace(
@@ -231,21 +231,21 @@ class SimulatedControls(Controls):
 
     def _set_wind(self) -> None:
         """Take over the wind that goes with a sea state."""
-        self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.world.sea).wind, 1)
+        self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.setup.sea).wind, 1)
         self.session.order(self.session.change_sea, self._chosen_sea())
 
     def _restart(self) -> None:
         name = self.vessel.value
         vessel = self._given if name == self._given.name else Vessel.load(name)
-        world = replace(
-            self.session.world,
+        setup = replace(
+            self.session.setup,
             vessel=vessel,
             sea=self._chosen_sea(),
             predictor=self.predictor.value,
             dof=int(self.dof.value),
             seed=int(self.seed.value or 0),  # an emptied field is None
         )
-        self.session.order(self.session.restart, world)
+        self.session.order(self.session.restart, setup)
 
 
 class FeedControls(Controls):
@@ -255,7 +255,7 @@ class FeedControls(Controls):
 
     def add(self) -> None:
         """Add what helps when another boat begins to send."""
-        forget = self.gui.add_button("let the twin begin anew", hint="as for another boat")
+        forget = self.gui.add_button("restart the twin", hint="as for another boat")
         forget.on_click(lambda _: self.session.order(self.session.forget))
 
     def _add_time(self) -> None:
@@ -284,7 +284,7 @@ class LogControls(Controls):
                 "commands ahead",
                 PLANS,
                 initial_value=self.session.plan,
-                hint="known: the twin is told those that follow; hold: the last one stays",
+                hint="known: the twin is given those that follow; hold: the last one stays",
             )
             self.plan.on_update(lambda _: self.session.order(self.session.again, self.plan.value))
 
@@ -381,16 +381,16 @@ def small(*paragraphs: str) -> str:
 
 
 HELP = (
-    "<b>Scene.</b> The boat is the true one, or as measured last; her copy is where the twin "
-    "believes her to be. The ribbon is where the twin foretells her to go within 10 s, "
+    "<b>Scene.</b> The boat is the true one, or as measured last; its copy is at the "
+    "twin's estimate. The ribbon is the predicted track of the next 10 s, "
     f"{SDS:g} standard deviations to either side; the ellipse at its end is the same for the "
     "last moment. The ring shows the scale, N the north. Drag to turn the view, scroll to come "
     "nearer.",
     "<b>Band at 10 s</b>: half the longer axis of that ellipse.",
-    "<b>Error after 10 s</b>: how far the place foretold 10 s ago is off, judged by the truth "
-    "where it is known, else by where the twin believes to be now, with a fresh fix. Beside "
+    "<b>Error after 10 s</b>: distance from the position predicted 10 s ago to the truth "
+    "where it is known, else with the twin's estimate at a new fix. Beside "
     "it, that of a boat that keeps its velocity and turn rate. Of manoeuvres and known "
-    "commands the twin is told what will be steered; else it takes the last command to stay.",
+    "commands the twin is given the commands to come; else it takes the last command to stay.",
     "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
     "<b>Normalised innovations squared</b>: how far fixes are from what the twin expected, in "
     "units of what it thought possible, mean of 30 s. 1 is ideal; far above it the twin is "
@@ -399,7 +399,7 @@ HELP = (
     "are those of surge, sway and yaw; the letters behind say what each multiplies (X_uu: "
     "u|u|). T: thrust. E: a push to north or east that nothing else explains, as of wind and "
     "current. More: twin/model/structure.py.",
-    "<b>Keys</b>: arrows steer, space stops the time, G loses GPS for 10 s, R begins anew.",
+    "<b>Keys</b>: arrows steer, space stops the time, G loses GPS for 10 s, R restarts.",
 )
 
 
@@ -447,9 +447,9 @@ class Curves:
                 ("GPS velocity", ORANGE, (6.0, 4.0)),
                 ("ideal", GREY, (2.0, 3.0)),
             )
-        self.blocks = session.follower.twin.predictor.parameter_blocks
-        names = session.follower.twin.predictor.parameter_names
-        units = session.follower.twin.predictor.parameter_units
+        self.blocks = session.monitor.twin.predictor.parameter_blocks
+        names = session.monitor.twin.predictor.parameter_names
+        units = session.monitor.twin.predictor.parameter_units
         self.parameters: list[tuple[Any, Any]] = []
         with self.panel.add_tab("Parameters"):
             if not self.blocks:

@@ -1,4 +1,4 @@
-"""The three-dimensional scene of a view: sea, boat, its virtual copy, and what is foretold.
+"""The three-dimensional scene of a view: sea, boat, its virtual copy, and what is forecast.
 
 Everything hangs on one node, ``/sea``, whose axes are north, east and down as everywhere else. It
 is moved so that the boat stays in the middle of the world, where every camera looks.
@@ -100,7 +100,8 @@ class SceneView:
         whole = boat.whole()
         self.ghost = add.add_mesh_simple(
             "/sea/ghost",
-            *(whole.vertices.astype(np.float32), whole.faces),
+            whole.vertices.astype(np.float32),
+            whole.faces,
             color=RED,
             opacity=0.45,
             cast_shadow=False,
@@ -118,7 +119,7 @@ class SceneView:
             receive_shadow=False,
             visible=False,
         )
-        self.foretold = self._lines("foretold", STEPS, RED, thick)
+        self.forecast = self._lines("forecast", STEPS, RED, thick)
         self.end = self._lines("end", RING, RED, 0.6 * thick)
         self.track = self._lines("track", TRACK, BLUE, thick)
         self.ahead = self._lines("ahead", TRACK, BLUE, 0.5 * thick)
@@ -200,7 +201,7 @@ class SceneView:
         self.scale.text = f"{self.radius:g} m"
         self.fixes.visible = bool(len(now.fixes))
         if len(now.fixes):
-            # the rest of the room holds the last fix again
+            # the unused places repeat the last fix
             fixes = padded(now.fixes[-FIXES:], FIXES)
             self.fixes.points = self._lifted(fixes, height, 0.05)
 
@@ -213,7 +214,8 @@ class SceneView:
             paths[part.name] = f"{paths[part.parent]}/{part.name}"
             handle = self.scene.add_mesh_simple(
                 paths[part.name],
-                *(part.mesh.vertices.astype(np.float32), part.mesh.faces),
+                part.mesh.vertices.astype(np.float32),
+                part.mesh.faces,
                 color=part.colour,
                 flat_shading=True,
                 position=part.position,
@@ -243,7 +245,7 @@ class SceneView:
                 handle.wxyz = attitude(self.spin[part.unit], 0.0, 0.0)
 
     def _show_overlay(self, overlay: TwinOverlay | None, height: Callable[[Array], Array]) -> None:
-        for handle in (self.ghost, self.ribbon, self.foretold, self.end):
+        for handle in (self.ghost, self.ribbon, self.forecast, self.end):
             handle.visible = overlay is not None
         if overlay is None:
             return
@@ -256,7 +258,7 @@ class SceneView:
         left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
         net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)
         self.ribbon.vertices = self._lifted(net.reshape(-1, 2), height, 0.04)
-        self._draw(self.foretold, places, height, 0.06)
+        self._draw(self.forecast, places, height, 0.06)
         outline = ellipses(places[-1:], covs[-1:], RING)[0]
         self._draw(self.end, np.concatenate([outline, outline[:1]]), height, 0.06)
 
@@ -328,7 +330,7 @@ def padded(places: Array, size: int) -> Array:
 
 
 def nearest(path: Array, place: Array) -> Array:
-    """Return the part of a path that is nearest to a place and fits the room for it."""
+    """Return the part of a path that is nearest to a place and fits its capacity."""
     if len(path) <= PATH + 1:
         return path
     at = int(np.argmin(np.hypot(*(path - place).T)))
@@ -337,7 +339,7 @@ def nearest(path: Array, place: Array) -> Array:
 
 
 def borders(places: Array, covs: Array) -> Array:
-    """Return the points :data:`usv_gym.envs.scene.SDS` standard deviations to either side of a track.
+    """Return the points that lie :data:`~usv_gym.envs.scene.SDS` sd to either side of a track.
 
     Parameters
     ----------

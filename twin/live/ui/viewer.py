@@ -8,7 +8,7 @@ import socket
 import time
 from typing import Any
 
-from twin.live.protocols.feed import needed
+from twin.live.protocols.sockets import needed
 from twin.live.sessions.session import Session, Snapshot
 from twin.live.ui.panel import Curves, controls_of
 from twin.live.ui.scene import SceneView

@@ -9,16 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.twin.live.wire import Wire
-from twin.live.protocols.feed import (
-    BYTES_MAX,
-    FeedError,
-    Message,
-    Plane,
-    open_socket,
-    parse_address,
-)
+from twin.live.protocols.feed import BYTES_MAX, Message, Plane
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.sockets import FeedError, open_socket, parse_address
 from twin.particulars import Particulars
 
 pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")
@@ -52,9 +46,9 @@ def test_addresses(address: str, found: tuple[str, int]) -> None:
     ],
 )
 def test_wrong_addresses_are_told(address: str, why: str) -> None:
-    with pytest.raises(FeedError, match=why) as told:
+    with pytest.raises(FeedError, match=why) as caught:
         parse_address(address)
-    assert address in str(told.value) and "udp://HOST:PORT" in str(told.value)
+    assert address in str(caught.value) and "udp://HOST:PORT" in str(caught.value)
 
 
 def test_a_port_in_use_is_told(usv: Particulars) -> None:
@@ -83,8 +77,8 @@ def test_a_minute_of_the_equator_is_a_nautical_mile_of_longitude() -> None:
     assert north == pytest.approx(1842.905, abs=1e-3) and east == pytest.approx(1855.325, abs=1e-3)
 
 
-class Told(NmeaFeed):
-    """A feed that is told messages as they are."""
+class MessageFeed(NmeaFeed):
+    """A feed of messages that are given as they are."""
 
     def decode(self, data):  # type: ignore[no-untyped-def]
         yield eval(data, {"Message": Message})
@@ -99,7 +93,7 @@ def times(wire: Wire) -> list[float]:
 
 
 def test_rows_wait_for_what_was_overtaken(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     for t in (100.0, 100.2, 100.1, 100.3, 100.4, 100.4, 101.0, 100.35, 101.5):
         wire.tell(message("a", t, compass_rad=t - 100.0), after=0.1)
     wire.take(after=1.0)
@@ -110,14 +104,14 @@ def test_rows_wait_for_what_was_overtaken(usv: Particulars) -> None:
 
 
 def test_the_last_row_comes_when_nothing_more_does(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     assert wire.tell(message("a", 5.0, compass_rad=1.0)) == []
     assert wire.take(after=0.2) == []
     assert len(wire.take(after=0.2)) == 1
 
 
 def test_samples_of_a_moment_share_a_row_and_its_fix_tells_the_time(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     wire.tell(message("a", 1.0, compass_rad=1.0), message("g", 1.02, gps_x_m=3.0, gps_y_m=4.0))
     wire.tell(message("b", 1.04, gyro_radps=0.1), message("a", 1.06, compass_rad=1.1))
     wire.take(after=1.0)
@@ -128,7 +122,7 @@ def test_samples_of_a_moment_share_a_row_and_its_fix_tells_the_time(usv: Particu
 
 
 def test_commands_hold_and_their_absence_is_told(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     wire.tell(message("a", 1.0, compass_rad=1.0))
     wire.take(after=1.0)
     assert wire.rows[0][2].tolist() == [usv.shaft_speed, usv.shaft_speed, 0.0, 0.0]
@@ -142,7 +136,7 @@ def test_commands_hold_and_their_absence_is_told(usv: Particulars) -> None:
 
 @pytest.mark.parametrize("speed", [1.0, 10.0])
 def test_a_clock_that_begins_anew_does_not_stall(usv: Particulars, speed: float) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     for start in (1000.0, 200.0, 200.0):  # the third time with the same times as the second
         for i in range(100):
             wire.tell(message("a", start + 0.1 * i, compass_rad=1.0), after=0.1 / speed)
@@ -155,7 +149,7 @@ def test_a_clock_that_begins_anew_does_not_stall(usv: Particulars, speed: float)
 
 
 def test_a_jump_ahead_is_a_gap(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     for t in (1.0, 1.1, 61.1, 61.2):
         wire.tell(message("a", t, compass_rad=1.0), after=0.1)
     wire.take(after=1.0)
@@ -163,7 +157,7 @@ def test_a_jump_ahead_is_a_gap(usv: Particulars) -> None:
 
 
 def test_a_clock_that_wraps_goes_on(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     for t in (86399.8, 86399.9, 0.0, 0.1):
         wire.tell(message("a", t, compass_rad=1.0), after=0.1)
     wire.take(after=1.0)
@@ -175,7 +169,7 @@ def test_messages_without_a_time_are_placed_by_the_senders_clock(
     usv: Particulars, speed: float
 ) -> None:
     rng = np.random.default_rng(1)
-    wire = Wire(Told, usv, period=0.02)
+    wire = Wire(MessageFeed, usv, period=0.02)
     sent = []
     for i in range(600):
         t = 0.05 * i
@@ -192,7 +186,7 @@ def test_messages_without_a_time_are_placed_by_the_senders_clock(
 
 
 def test_a_message_without_a_time_that_comes_twice_at_once_is_doubled(usv: Particulars) -> None:
-    wire = Wire(Told, usv)
+    wire = Wire(MessageFeed, usv)
     same = message("h", None, compass_rad=1.0)
     wire.tell(same, same)
     wire.tell(same, after=0.1)
@@ -251,7 +245,7 @@ PACKETS = st.one_of(
 )
 
 
-def spoiled(sound: st.SearchStrategy[bytes]) -> st.SearchStrategy[list[bytes]]:
+def corrupted(sound: st.SearchStrategy[bytes]) -> st.SearchStrategy[list[bytes]]:
     cut = st.builds(lambda data, n: data[: n % (len(data) + 1)], sound, st.integers(0, 300))
     turned = st.builds(
         lambda data, at, bit: bytes(
@@ -264,7 +258,7 @@ def spoiled(sound: st.SearchStrategy[bytes]) -> st.SearchStrategy[list[bytes]]:
 
 @pytest.mark.parametrize(
     ("kind", "wires"),
-    [(NmeaFeed, spoiled(st.one_of(SENTENCES, FIXES))), (MavlinkFeed, spoiled(PACKETS))],
+    [(NmeaFeed, corrupted(st.one_of(SENTENCES, FIXES))), (MavlinkFeed, corrupted(PACKETS))],
     ids=["nmea", "mavlink"],
 )
 def test_whatever_comes_is_survived(kind, wires) -> None:  # type: ignore[no-untyped-def]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.twin.live.wire import Wire, estimate_of
-from twin.live.protocols.feed import FeedError
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
+from twin.live.protocols.sockets import FeedError
 from twin.particulars import Particulars
 
 common = pytest.importorskip(
@@ -139,8 +139,8 @@ def test_broken_messages_do_not_spoil_their_neighbours(wire: Wire) -> None:
     assert counts["used"] == 3 and counts["broken"] == 4
 
 
-def test_the_belief_goes_back(wire: Wire) -> None:
-    start = 2**32 / 1000 - 10.0  # ten seconds before the clock of the autopilot begins anew
+def test_estimates_go_back(wire: Wire) -> None:
+    start = 2**32 / 1000 - 10.0  # ten seconds before the clock of the autopilot wraps
     write = MavlinkWriter(system=7)
     for t in (0.0, 20.0):
         wire.tell(write.position((start + t) % (2**32 / 1000), (59.5, 10.5), (0, 0)), after=t)

@@ -143,7 +143,7 @@ def test_gga_and_rmc_of_an_epoch_are_one_fix_with_tag_blocks_too(wire: Wire) -> 
     assert np.isfinite(row(wire)[:4]).all()
 
 
-def test_the_belief_goes_back(wire: Wire) -> None:
+def test_estimates_go_back(wire: Wire) -> None:
     writer = NmeaWriter("GP")
     z, cmd = np.full(10, np.nan), np.zeros(4)
     z[:6] = 0.0

@@ -13,10 +13,11 @@ from typer.testing import CliRunner
 from tests.twin.live.wire import RUN, Wire
 from twin import Twin
 from twin.cli.main import app
-from twin.live.protocols.feed import Feed, FeedError, needed
+from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.replay import Disturb, MavlinkStream, NmeaStream, Stream, replay
+from twin.live.protocols.replay import LinkImpairment, MavlinkStream, NmeaStream, Stream, replay
+from twin.live.protocols.sockets import FeedError, needed
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
@@ -90,12 +91,12 @@ def test_disturbances_are_counted_and_survived(
     circle: Log, usv: Particulars, kind: str, speed: float
 ) -> None:
     wire = Wire(KINDS[kind][0], usv)
-    disturb = Disturb(late=0.05, doubled=0.05, broken=0.05, swapped=0.05)
+    disturb = LinkImpairment(late=0.05, doubled=0.05, broken=0.05, swapped=0.05)
     sent = wire.replay(circle, KINDS[kind][1](usv), speed, disturb=disturb, seed=4)
     counts = wire.balance()
     assert counts["received"] == sent["messages"]
-    for told, made in (("late", "late"), ("doubled", "doubled"), ("broken", "broken")):
-        assert counts[told] == sent[made] > 10
+    for counted, made in (("late", "late"), ("doubled", "doubled"), ("broken", "broken")):
+        assert counts[counted] == sent[made] > 10
     assert counts["out of order"] == sent["swapped"] > 10
     t, _, _ = wire.arrays()
     assert (np.diff(t) > 0.0).all() and t[-1] == pytest.approx(circle.t[-1] - circle.t[0], abs=0.3)
@@ -113,7 +114,7 @@ def test_the_same_seed_disturbs_the_same(circle: Log, usv: Particulars) -> None:
     for seed in (1, 1, 2):
         wire = Wire(NmeaFeed, usv)
         stream = NmeaStream(start=MIDNIGHT)
-        found.append(wire.replay(log, stream, 1.0, disturb=Disturb(late=0.1), seed=seed))
+        found.append(wire.replay(log, stream, 1.0, disturb=LinkImpairment(late=0.1), seed=seed))
     assert found[0] == found[1] != found[2]
 
 
@@ -128,7 +129,7 @@ def test_the_same_seed_disturbs_the_same(circle: Log, usv: Particulars) -> None:
 )
 def test_wrong_disturbances_are_told(text: str, why: str) -> None:
     with pytest.raises(FeedError, match=why):
-        Disturb.parse(text)
+        LinkImpairment.parse(text)
 
 
 def test_the_pace(circle: Log) -> None:
@@ -138,11 +139,11 @@ def test_the_pace(circle: Log) -> None:
     def sleep(seconds: float) -> None:
         now[0] += seconds
 
-    told = replay(
+    counted = replay(
         log, NmeaStream(), f"udp://:{_free()}", speed=4.0, clock=lambda: now[0], sleep=sleep
     )
     assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
-    assert told["rows"] == told["datagrams"] == len(log)
+    assert counted["rows"] == counted["datagrams"] == len(log)
     with pytest.raises(FeedError, match="speed"):
         replay(log, NmeaStream(), "udp://:9", speed=0.0)
 
@@ -160,10 +161,10 @@ def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -
     stream = KINDS[kind][1](boat)
     twin = Twin(boat, "persistence")
     with (NmeaFeed if kind == "nmea" else MavlinkFeed)(address, boat) as feed:
-        told: dict[str, int] = {}
+        counted: dict[str, int] = {}
 
         def send() -> None:
-            told.update(replay(log, stream, address, speed=15.0))
+            counted.update(replay(log, stream, address, speed=15.0))
 
         sender = threading.Thread(target=send)
         sender.start()
@@ -179,8 +180,8 @@ def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -
         feed.send(twin.estimate(), None)  # to whom is gone
         assert len(rows) == len(log)
         assert [t for t, _, _ in rows] == pytest.approx((log.t - log.t[0]).tolist(), abs=1.1e-3)
-        assert told["back"] > 10
-        assert feed.counts["used"] + feed.counts["unknown"] == told["messages"]
+        assert counted["back"] > 10
+        assert feed.counts["used"] + feed.counts["unknown"] == counted["messages"]
 
 
 def test_the_reply_goes_where_it_is_told(circle: Log, usv: Particulars) -> None:
@@ -237,7 +238,7 @@ def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch, usv: Particu
     def without(module: str) -> object:
         raise ModuleNotFoundError(module)
 
-    monkeypatch.setattr("twin.live.protocols.feed.importlib.import_module", without)
+    monkeypatch.setattr("twin.live.protocols.sockets.importlib.import_module", without)
     for module in ("pynmea2", "pymavlink.dialects.v20.common"):
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)

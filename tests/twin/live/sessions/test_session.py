@@ -17,7 +17,7 @@ from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Session
-from twin.live.sessions.simulated import SimulatedSession, World
+from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -27,9 +27,9 @@ from usv_gym.physics import weather as wx
 VESSEL = Vessel.load("usv75")
 
 
-def world(**options: object) -> World:
+def setup(**options: object) -> SimulationSetup:
     given = {"vessel": VESSEL, "sea": SeaState.named("2"), "predictor": "ukf", "seed": 5}
-    return World(**(given | options))  # type: ignore[arg-type]
+    return SimulationSetup(**(given | options))  # type: ignore[arg-type]
 
 
 def sail(session: SimulatedSession, seconds: float) -> None:
@@ -53,16 +53,16 @@ def wait(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 def test_same_seed_same_run(autopilot, tmp_path):
     ends = []
     for _ in range(2):
-        session = SimulatedSession(world(), tmp_path, autopilot)
+        session = SimulatedSession(setup(), tmp_path, autopilot)
         sail(session, 15.0)
-        ends.append((session.simulation.state.copy(), session.follower.twin.estimate().state))
+        ends.append((session.simulation.state.copy(), session.monitor.twin.estimate().state))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
     assert session.t == pytest.approx(15.0)
 
 
 def test_helm_and_throttle_steer(tmp_path):
-    session = SimulatedSession(world(sea=SeaState()), tmp_path)
+    session = SimulatedSession(setup(sea=SeaState()), tmp_path)
     sail(session, 5.0)
     straight = session.simulation.state[0, fr.PSI]
     session.helm.angle = math.radians(20.0)
@@ -77,21 +77,21 @@ def test_helm_and_throttle_steer(tmp_path):
 
 
 def test_a_manoeuvre_begins_when_it_is_chosen_and_its_plan_is_known(tmp_path):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     sail(session, 7.0)
     session.steer("turn")
     sail(session, 4.0)
     assert session.simulation.cmd[0, 2] == 0.0  # the approach
     plan = session._plan()
     assert plan.shape == (round(HORIZON / PLAN_STEP), 4)
-    told = [plan[int(h / PLAN_STEP), 2] for h in np.arange(0.0, 9.0, 0.5)]
-    for angle in told:
+    planned = [plan[int(h / PLAN_STEP), 2] for h in np.arange(0.0, 9.0, 0.5)]
+    for angle in planned:
         assert session.helm.command(session.t, np.zeros(6))[2] == pytest.approx(angle)
         sail(session, 0.5)
 
 
-def test_the_path_is_followed_by_what_the_twin_believes(tmp_path):
-    session = SimulatedSession(world(), tmp_path, "path")
+def test_the_autopilot_follows_the_path_by_the_estimate(tmp_path):
+    session = SimulatedSession(setup(), tmp_path, "path")
     sail(session, 5.0)
     off = []
     for _ in range(60):
@@ -106,12 +106,12 @@ def test_the_path_is_followed_by_what_the_twin_believes(tmp_path):
 
 
 def test_gps_and_imu_are_lost_and_found_again(tmp_path):
-    session = SimulatedSession(world(predictor="dsw-ukf-plus"), tmp_path)
-    other = SimulatedSession(world(predictor="dsw-ukf-plus"), tmp_path)
+    session = SimulatedSession(setup(predictor="dsw-ukf-plus"), tmp_path)
+    other = SimulatedSession(setup(predictor="dsw-ukf-plus"), tmp_path)
     sail(session, 40.0)
     sail(other, 50.0)  # and loses nothing
     sure = other._look().overlay.covs.trace(axis1=1, axis2=2)
-    before = len(session.follower.fixes)
+    before = len(session.monitor.fixes)
     session.order(session.lose, "gps", math.inf)
     session.order(session.lose, "imu", 2.0)
     sail(session, 1.0)
@@ -133,7 +133,7 @@ def test_gps_and_imu_are_lost_and_found_again(tmp_path):
 
 
 def test_a_short_loss_ends_by_itself(tmp_path):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     sail(session, 5.0)
     session.lose("gps", 10.0)
     sail(session, 9.0)
@@ -143,7 +143,7 @@ def test_a_short_loss_ends_by_itself(tmp_path):
 
 
 def test_the_weather_changes_under_way(tmp_path):
-    session = SimulatedSession(world(sea=SeaState()), tmp_path)
+    session = SimulatedSession(setup(sea=SeaState()), tmp_path)
     sail(session, 3.0)
     assert not session._look().sea.waves.any()
     session.order(session.change_sea, SeaState.named("4"))
@@ -159,14 +159,14 @@ def test_the_weather_changes_under_way(tmp_path):
 
 
 def test_an_order_that_cannot_be_carried_out_is_told_and_changes_nothing(tmp_path):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     sail(session, 2.0)
     simulation = session.simulation
-    session.order(session.restart, replace(session.world, predictor="nobody"))
+    session.order(session.restart, replace(session.setup, predictor="nobody"))
     session._obey()
     assert "nobody" in session.message and session.simulation is simulation
     sail(session, 1.0)
-    session.order(session.restart, replace(session.world, vessel=Vessel.load("otter")))
+    session.order(session.restart, replace(session.setup, vessel=Vessel.load("otter")))
     session._obey()
     assert session.message == "" and session.vessel.name == "otter" and session.t == 0.0
     assert session.changed == 2
@@ -174,7 +174,7 @@ def test_an_order_that_cannot_be_carried_out_is_told_and_changes_nothing(tmp_pat
 
 
 def test_a_recorded_log_is_a_log_with_truth_and_particulars(tmp_path):
-    session = SimulatedSession(world(), tmp_path, "zigzag")
+    session = SimulatedSession(setup(), tmp_path, "zigzag")
     sail(session, 2.0)
     session.record(True)
     sail(session, 6.0)
@@ -192,7 +192,7 @@ def test_a_recorded_log_is_a_log_with_truth_and_particulars(tmp_path):
 
 
 def test_a_log_that_cannot_be_written_is_kept(tmp_path):
-    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     session.order(session.toggle_record)
     sail(session, 2.0)
     session.folder = tmp_path / "file" / "folder"
@@ -209,7 +209,7 @@ def test_a_log_that_cannot_be_written_is_kept(tmp_path):
 
 def test_a_log_that_cannot_be_written_at_the_end_goes_elsewhere(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "elsewhere"))
-    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     session.start()
     session.order(session.toggle_record)
     wait(lambda: session.kept > 5)
@@ -221,7 +221,7 @@ def test_a_log_that_cannot_be_written_at_the_end_goes_elsewhere(tmp_path, monkey
 
 
 def test_the_wind_changes_without_the_waves(tmp_path):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     sail(session, 3.0)
     waves, state = session.simulation.waves.copy(), session.simulation.state.copy()
     stronger = SeaState.named("2").replace(wind=14.0, wind_from=1.0)
@@ -243,7 +243,7 @@ def test_the_wind_changes_without_the_waves(tmp_path):
 
 
 def test_losses_and_pauses_are_toggled_where_they_are_carried_out(tmp_path):
-    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     for call in (session.toggle_paused, session.toggle_paused):
         session.order(call)
     session.order(session.toggle_loss, "gps")
@@ -255,7 +255,7 @@ def test_losses_and_pauses_are_toggled_where_they_are_carried_out(tmp_path):
 
 
 def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_path):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     session.set_scale(5.0)
     session.start()
     wait(lambda: session.snapshot is not None)
@@ -277,7 +277,7 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
 
 
 def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     monkeypatch.setattr(session.helm, "command", lambda t, s: 1 / 0)
     session.start()
     wait(lambda: session.error is not None)
@@ -297,7 +297,7 @@ def through(log: Log, tmp_path: Path, plan: str = "known") -> LogSession:
     return session
 
 
-def test_a_moment_of_a_log_shows_what_was_believed_then_and_what_happened(log, tmp_path):
+def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
     session = through(log, tmp_path, "hold")
     session.order(session.set_paused, True)
     for t in (30.0, 12.0, 3.0):  # back and forth
@@ -323,7 +323,7 @@ def test_the_twin_may_be_told_the_commands_that_follow(log, tmp_path):
         session.start()
         wait(lambda session=session: session.done == log.t[-1])
         session.stop()
-        errors.append(np.nanmean(session.follower.history().error[40:]))
+        errors.append(np.nanmean(session.monitor.history().error[40:]))
     assert errors[1] < 0.7 * errors[0]
     with pytest.raises(ValueError, match="hold or known"):
         LogSession(log, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path, "guess")
@@ -377,7 +377,7 @@ def test_a_log_of_one_row_and_one_without_fixes_are_shown(tmp_path, log):
     session.stop()
 
 
-class Told(Feed):
+class LogFeed(Feed):
     """Rows of a log, some at a time."""
 
     def __init__(self, log: Log) -> None:
@@ -407,7 +407,7 @@ class Told(Feed):
 
 
 def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
-    feed = Told(log)
+    feed = LogFeed(log)
     session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
     session.record(True)
     session.start()
@@ -429,7 +429,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
 
 def test_a_feed_that_falls_silent_is_told_and_answered_no_more(log, tmp_path, monkeypatch):
     monkeypatch.setattr("twin.live.sessions.feed.SILENT", 0.4)
-    feed = Told(log.slice(t1=20.0))
+    feed = LogFeed(log.slice(t1=20.0))
     session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
     session.start()
     wait(lambda: session.snapshot is not None and session.snapshot.silence > 1.0)
@@ -443,7 +443,7 @@ def test_a_feed_that_falls_silent_is_told_and_answered_no_more(log, tmp_path, mo
     wait(lambda: not feed.rows)
     session.order(session.forget)
     wait(lambda: session.changed == 1)
-    assert not session.follower.fixes and not session.follower.twin.estimate().ready
+    assert not session.monitor.fixes and not session.monitor.twin.estimate().ready
     session.stop()
     assert session.error is None
 
@@ -459,10 +459,10 @@ def test_a_boat_without_an_imu_has_not_lost_it(log, tmp_path):
 
 def test_the_plan_of_a_log_may_be_changed_under_way(log, tmp_path):
     session = through(log, tmp_path)
-    known = session.follower.history().error
+    known = session.monitor.history().error
     session.order(session.again, "hold")
     wait(lambda: session.changed == 1 and session.done == log.t[-1])
-    held = session.follower.history().error
+    held = session.monitor.history().error
     assert np.nanmean(held) > np.nanmean(known)
     session.order(session.again, "guess")
     wait(lambda: "hold or known" in session.message)
@@ -470,6 +470,6 @@ def test_the_plan_of_a_log_may_be_changed_under_way(log, tmp_path):
 
 
 def test_a_session_that_never_began_can_be_stopped(tmp_path):
-    session: Session = SimulatedSession(world(), tmp_path)
+    session: Session = SimulatedSession(setup(), tmp_path)
     session.stop()
     assert session.snapshot is None

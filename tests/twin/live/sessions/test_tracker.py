@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin import Log, Twin
-from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON, PLAN_STEP, Follower, overlay_of
+from twin.live.sessions.tracker import HISTORY_ROWS, HORIZON, PLAN_STEP, TwinMonitor, overlay_of
 from twin.predictors.baselines import hold_velocity
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Fault, SeaState, SensorSuite, Vessel
@@ -21,13 +21,13 @@ def sailed(duration: float = 40.0, **options: object) -> Log:
     return simulate("zigzag", duration=duration, **given)  # type: ignore[arg-type]
 
 
-def follower(predictor: str = "ukf") -> Follower:
-    return Follower(Twin(particulars_of(VESSEL), predictor))
+def monitor(predictor: str = "ukf") -> TwinMonitor:
+    return TwinMonitor(Twin(particulars_of(VESSEL), predictor))
 
 
 def test_the_twin_is_fed_as_it_would_be_alone():
     log = sailed()
-    seen, alone = follower(), Twin(particulars_of(VESSEL), "ukf")
+    seen, alone = monitor(), Twin(particulars_of(VESSEL), "ukf")
     for row, (t, z, cmd) in enumerate(log):
         seen.step(t, z, cmd, log.truth[row])
         alone.step(t, z, cmd)
@@ -39,7 +39,7 @@ def test_the_twin_is_fed_as_it_would_be_alone():
 
 def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
     log = sailed()
-    seen, twin = follower(), Twin(particulars_of(VESSEL), "ukf")
+    seen, twin = monitor(), Twin(particulars_of(VESSEL), "ukf")
     predicted, held = {}, {}
     for row, (t, z, cmd) in enumerate(log):
         twin.step(t, z, cmd)
@@ -57,7 +57,7 @@ def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
 
 def test_nothing_is_judged_across_a_gap_or_by_a_twin_without_fixes():
     log = sailed(60.0, faults=(Fault("gps", 20.0, 35.0),))
-    seen = follower()
+    seen = monitor()
     for t, z, cmd in log:
         seen.step(t, z, cmd)
         seen.predict()
@@ -79,7 +79,7 @@ def test_nothing_is_judged_across_a_gap_or_by_a_twin_without_fixes():
 
 def test_innovations_of_a_simulated_boat_are_about_as_large_as_they_should_be():
     log = sailed(200.0)
-    seen = follower("dsw-ukf-plus")
+    seen = monitor("dsw-ukf-plus")
     for t, z, cmd in log:
         seen.step(t, z, cmd)
     curves = seen.history()
@@ -93,7 +93,7 @@ def test_innovations_of_a_simulated_boat_are_about_as_large_as_they_should_be():
 def test_a_twin_that_is_too_sure_is_found_out():
     log = sailed(60.0)
     sure = particulars_of(VESSEL, SensorSuite(gps_white=0.02, gps_bias=0.02))
-    honest, boastful = follower(), Follower(Twin(sure, "ukf"))
+    honest, boastful = monitor(), TwinMonitor(Twin(sure, "ukf"))
     for t, z, cmd in log:
         honest.step(t, z, cmd)
         boastful.step(t, z, cmd)
@@ -101,7 +101,7 @@ def test_a_twin_that_is_too_sure_is_found_out():
 
 
 def test_curves_stay_short_however_long_the_run():
-    seen = follower("persistence")
+    seen = monitor("persistence")
     for k in range(5 * HISTORY_ROWS):
         t = 0.5 * k
         z = np.full(10, math.nan)
@@ -115,7 +115,7 @@ def test_curves_stay_short_however_long_the_run():
 
 
 def test_before_a_first_fix_there_is_no_prediction():
-    seen = follower()
+    seen = monitor()
     seen.step(0.0, np.full(10, math.nan), np.zeros(4))
     assert seen.predict() is None
     assert seen.gps_age == math.inf and seen.gps_lost
@@ -124,7 +124,7 @@ def test_before_a_first_fix_there_is_no_prediction():
 
 def test_what_is_drawn_is_the_prediction():
     log = sailed(30.0)
-    seen = follower()
+    seen = monitor()
     for t, z, cmd in log:
         seen.step(t, z, cmd)
     prediction = seen.predict()

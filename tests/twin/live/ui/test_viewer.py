@@ -25,7 +25,7 @@ import pytest
 from twin import Log, Twin, recorded_runs
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Session
-from twin.live.sessions.simulated import SimulatedSession, World
+from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.vessel.geometry import boat_of
@@ -40,9 +40,9 @@ SHOTS = Path(__file__).parents[3] / "screenshots"
 """Kept for people to look at; git ignores it."""
 
 
-def world(**options: object) -> World:
+def setup(**options: object) -> SimulationSetup:
     given = {"vessel": VESSEL, "sea": SeaState.named("2"), "seed": 5}
-    return World(**(given | options))  # type: ignore[arg-type]
+    return SimulationSetup(**(given | options))  # type: ignore[arg-type]
 
 
 def wait(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
@@ -155,7 +155,7 @@ def errors_of(driver: Any) -> list[Any]:
 
 
 def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
-    session = SimulatedSession(world(), tmp_path, "zigzag")
+    session = SimulatedSession(setup(), tmp_path, "zigzag")
     session.set_scale(10.0)
     viewer = served(session)
     wait(lambda: session.t > 40.0)
@@ -195,7 +195,7 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
 
 
 def test_nothing_overlaps_at_1280_x_720(browser, served, tmp_path):
-    session = SimulatedSession(world(), tmp_path, "turn")
+    session = SimulatedSession(setup(), tmp_path, "turn")
     session.set_scale(10.0)
     viewer = served(session)
     driver = opened(browser, viewer)
@@ -226,7 +226,7 @@ def test_keys_steer(browser, served, tmp_path):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
-    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     driver = opened(browser, served(session))
     page = driver.find_element(By.TAG_NAME, "body")
     page.send_keys(*[Keys.ARROW_RIGHT] * 15)  # none of them is lost, however fast
@@ -331,20 +331,20 @@ def rates(served: Any, session: SimulatedSession) -> tuple[float, float, float]:
 
 def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
     # as far as the test beside this one leaves time for it
-    made, pace, came = rates(served, SimulatedSession(world(), tmp_path, "zigzag"))
+    made, pace, came = rates(served, SimulatedSession(setup(), tmp_path, "zigzag"))
     assert pace == pytest.approx(1.0, abs=0.05)
     assert made > 10.0 and came > 6.0
 
 
 @pytest.mark.bench
 def test_twenty_frames_a_second_for_five_browsers(served, tmp_path):
-    made, pace, came = rates(served, SimulatedSession(world(), tmp_path, "zigzag"))
+    made, pace, came = rates(served, SimulatedSession(setup(), tmp_path, "zigzag"))
     assert pace == pytest.approx(1.0, abs=0.02)
     assert made > 19.5 and came > 18.0
 
 
 def test_another_boat_and_another_twin_take_over(served, tmp_path):
-    session = SimulatedSession(world(), tmp_path)
+    session = SimulatedSession(setup(), tmp_path)
     viewer = served(session)
     wait(lambda: viewer.frames > 0)
     hull = viewer.scene.length
@@ -353,8 +353,8 @@ def test_another_boat_and_another_twin_take_over(served, tmp_path):
     viewer.controls._restart()
     wait(lambda: session.changed == 2 and viewer.scene.length != hull)
     assert session.vessel.name == "otter"
-    assert session.follower.twin.name == "ukf"
-    viewer.controls.predictor.value = "oracle"  # is told its world
+    assert session.monitor.twin.name == "ukf"
+    viewer.controls.predictor.value = "oracle"  # needs the simulator
     viewer.controls._restart()
     wait(lambda: session.changed == 3)
     wait(lambda: session.snapshot is not None and session.snapshot.overlay is not None)
@@ -372,7 +372,7 @@ def test_every_boat_has_a_scene(name, served, tmp_path):
 
 
 def test_labels_follow_the_session_and_the_scale_is_that_asked_for(served, tmp_path):
-    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     session.set_scale(3.0)
     viewer = served(session)
     controls = viewer.controls
@@ -381,7 +381,7 @@ def test_labels_follow_the_session_and_the_scale_is_that_asked_for(served, tmp_p
     session.order(session.toggle_loss, "gps")
     wait(lambda: controls.record.label.startswith("stop"))
     wait(lambda: controls.gps.label == "find GPS again")
-    session.order(session.restart, session.world)
+    session.order(session.restart, session.setup)
     wait(lambda: controls.record.label == "record a log")
     wait(lambda: controls.gps.label == "lose GPS until pressed")
     session.order(session.toggle_paused)
@@ -479,7 +479,7 @@ def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
 
 
 def test_only_this_machine_is_served(tmp_path, served):
-    session = SimulatedSession(world(predictor="persistence"), tmp_path)
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     viewer = served(session)
     assert viewer.url.startswith("http://127.0.0.1:")
     assert viewer.server.get_host() == "127.0.0.1"

@@ -1,0 +1,92 @@
+"""UDP sockets of the live protocols, and their addresses."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import socket
+from typing import Any
+from urllib.parse import urlsplit
+
+from usv_kernel.errors import UsvTwinError
+
+__all__ = ["Address", "FeedError", "needed", "open_socket", "parse_address"]
+
+Address = tuple[Any, ...]
+
+
+class FeedError(UsvTwinError):
+    """A feed that cannot be opened; the message names the address and the remedy."""
+
+
+def needed(module: str) -> Any:
+    """Return a module of the extra ``view``, or say how to install it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ImportError(
+            f"the live view and its feeds need {module.partition('.')[0]}, which is not installed; "
+            "install it with: pip install 'usv-twin[view]'"
+        ) from None
+
+
+def parse_address(address: str) -> tuple[str, int]:
+    """Return host and port of ``udp://HOST:PORT``; without a host, that of loopback.
+
+    Parameters
+    ----------
+    address : str
+        ``udp://:10110``, ``udp://192.168.1.5:10110`` or ``udp://[::1]:10110``.
+
+    Raises
+    ------
+    FeedError
+        Says what is wrong with it.
+    """
+    hint = "write udp://HOST:PORT, as udp://:10110 for this machine alone"
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError as error:
+        raise FeedError(f"{address}: {error}; {hint}") from None
+    if parts.scheme != "udp":
+        raise FeedError(f"{address}: only udp:// is known; {hint}")
+    if not port:
+        raise FeedError(f"{address}: names no port from 1 to 65535; {hint}")
+    if parts.path or parts.query or parts.fragment or parts.username is not None:
+        raise FeedError(f"{address}: holds more than host and port; {hint}")
+    return parts.hostname or "127.0.0.1", port
+
+
+def open_socket(address: str, *, bind: bool) -> tuple[socket.socket, Address]:
+    """Return a UDP socket that never blocks, and the address as the system knows it.
+
+    Parameters
+    ----------
+    address : str
+        See :func:`parse_address`.
+    bind : bool
+        Whether to listen there, or to send there.
+    """
+    host, port = parse_address(address)
+    try:
+        known = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        family, found = known[0], known[4]
+    except (OSError, UnicodeError) as error:
+        raise FeedError(f"{address}: the host is not known ({error}); check its name") from None
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    # instruments are often on a broadcast address
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    if bind:
+        with contextlib.suppress(OSError):  # as much as the system grants
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        try:
+            made.bind(found)
+        except OSError as error:
+            made.close()
+            raise FeedError(
+                f"{address}: cannot listen there ({error.strerror}); stop what uses the port, or "
+                "name another port, or an address of this machine"
+            ) from None
+    return made, found
