@@ -120,7 +120,7 @@ def study():
 
 
 def test_agent_tables_equal_the_results():
-    from twin.agents.study import markdown
+    from twin.agents.study_report import markdown
 
     results = study()
     text = markdown(results)

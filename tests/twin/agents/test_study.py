@@ -128,6 +128,7 @@ def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     assert {row["verdict"] for row in results["helps"]} == {"harms"}
 
 
+@pytest.mark.slow
 def test_a_tiny_study_goes_on_and_comes_to_the_same_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "REPLICATES", 100)
     first = study.work(TINY, tmp_path / "a")

@@ -173,6 +173,7 @@ def test_pictures_name_those_of_the_paper(whole):
     assert shown[:2] == [(" open", "dsw-ukf"), ("", "ukf")]
 
 
+@pytest.mark.slow
 def test_long_runs_make_a_small_page(tmp_path):
     rng = np.random.default_rng(0)
     log = sail(rows=2400)

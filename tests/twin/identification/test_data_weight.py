@@ -114,6 +114,7 @@ def run(structure, selector, rows):
         selector.solve()
 
 
+@pytest.mark.slow
 def test_a_prior_that_is_sure_and_wrong_loses_to_the_data(structure):
     truth = structure.mean.copy()
     for name in ("N_uv", "N_|u|r", "Y_|u|v", "X_nn"):

@@ -227,6 +227,7 @@ def test_a_user_file_has_no_design_whatever_its_name(tmp_path: Path) -> None:
     assert pickle.loads(pickle.dumps(Vessel.load("usv75"))).design == "usv75"
 
 
+@pytest.mark.slow
 def test_varied_boats_have_the_given_spread() -> None:
     boat, rng = Vessel.load("usv75"), np.random.default_rng(1)
     assert dict(boat.varied(rng, 0.0).values) == dict(boat.values)
