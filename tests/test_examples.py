@@ -152,8 +152,15 @@ def test_agents_reproduce_a_part_of_the_study(agent):
     seeds = results["settings"]["evaluation_seeds"][:6]
     found = evaluate(steers, seeds=seeds, sea="2", faults="gps30", twin="ukf")
     for name in ("off_path_m", "return"):
-        # wave sums round differently on other processors, and an agent may react to that
-        np.testing.assert_allclose([one[name] for one in found], row[name][:6], rtol=1e-3)
+        now, then = [one[name] for one in found], row[name][:6]
+        if agent == "ppo-twin":
+            # trained on the coarser forecasts of 0.1.0; since then the observation's are those of
+            # Twin.predict: the policy reacts to that, by 6 % in an episode and 3 % in the mean
+            np.testing.assert_allclose(now, then, rtol=0.1)
+            assert np.mean(now) == pytest.approx(np.mean(then), rel=0.03)
+        else:
+            # wave sums round differently on other processors, and an agent may react to that
+            np.testing.assert_allclose(now, then, rtol=1e-3)
 
 
 def test_shipped_policies_are_small():
