@@ -53,13 +53,8 @@ def environment(tmp_path_factory) -> dict[str, str]:
     return os.environ | {"PATH": path, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 
 
-def marked(page: Path) -> object:
-    """Training takes long: its page is run with the slow tests."""
-    marks = pytest.mark.slow if page.stem == "train_agent" else ()
-    return pytest.param(page, id=page.stem, marks=marks)
-
-
-@pytest.mark.parametrize("page", map(marked, [*TUTORIALS, *OTHERS]))
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [*TUTORIALS, *OTHERS], ids=lambda page: page.stem)
 def test_page_runs(page, environment, tmp_path):
     if "stable_baselines3" in page.read_text(encoding="utf-8"):
         pytest.importorskip("stable_baselines3")

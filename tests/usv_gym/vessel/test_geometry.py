@@ -167,6 +167,7 @@ def forms(draw: st.DrawFn) -> Form:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(forms())
 def test_any_boat_can_be_drawn(form: Form) -> None:

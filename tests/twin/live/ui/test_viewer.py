@@ -195,6 +195,7 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
     assert errors_of(driver) == []
 
 
+@pytest.mark.slow
 def test_nothing_overlaps_at_1280_x_720(browser, served, tmp_path):
     session = SimulatedSession(setup(), tmp_path, "turn")
     session.set_scale(10.0)
@@ -457,6 +458,7 @@ def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
     assert "Traceback" not in complained and "rror" not in complained
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["--nmea", "--mavlink"])
 def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
     log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=30.0, seed=1)
