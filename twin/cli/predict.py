@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin.channels import CHANNELS
+from twin.channels import CHANNELS, COMMANDS, TIME
 from twin.cli.common import (
     STATE_HEADS,
     STATE_SCALE,
@@ -99,7 +99,7 @@ def predict_command(
 
 def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
     """Return a plan of commands on the grid of a prediction, from a CSV file."""
-    names = ("t_s", "n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
+    names = (TIME, *COMMANDS)
     if not path.is_file():
         raise TwinError(f"--plan {path}: use hold, known, or a CSV file with {', '.join(names)}")
     with path.open(newline="", encoding="utf-8") as file:

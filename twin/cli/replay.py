@@ -25,8 +25,10 @@ from twin.live.protocols.replay import (
     LinkImpairment,
     MavlinkStream,
     NmeaStream,
+    Pace,
     Stream,
     replay,
+    schedule,
 )
 from twin.live.protocols.sockets import FeedError
 from twin.logs.log import Log
@@ -105,17 +107,16 @@ def replay_command(
             bar.update(task, completed=t - float(run.t[0]))
 
         try:
-            replay(
+            datagrams = schedule(
                 run,
                 stream,
-                target,
-                speed=speed,
                 disturb=LinkImpairment.parse(disturb),
                 seed=seed,
                 loop=loop,
-                progress=progress,
                 counts=counts,
             )
+            pace = Pace(speed)
+            replay(run, datagrams, stream, target, pace=pace, progress=progress, counts=counts)
         except KeyboardInterrupt:
             interrupted = True
     late = time.monotonic() - begun - length / speed

@@ -137,7 +137,7 @@ def test_a_recorded_run_has_no_true_boat():
     check_simulator("oracle", sail(Vessel.load("usv75"), CALM, duration=1.0), boat)
 
 
-def test_only_those_that_ask_are_told_of_the_world():
+def test_only_those_that_ask_get_the_simulator():
     vessel = other_boat()
     assert simulator_options("ukf", vessel, ROUGH, 3) == {}
     given = simulator_options("oracle", vessel, ROUGH, 6)

@@ -275,7 +275,7 @@ def test_another_seed_is_another_episode() -> None:
         (["a", "b"], "not an array of numbers"),
     ],
 )
-def test_a_bad_action_is_told_and_changes_nothing(
+def test_a_bad_action_is_reported_and_changes_nothing(
     twin: str | None, action: Any, words: str
 ) -> None:
     env, undisturbed = (make_env(twin=twin, task="free") for _ in range(2))

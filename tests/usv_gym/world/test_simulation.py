@@ -226,7 +226,7 @@ def test_the_imu_reports_the_mean_of_the_whole_control_step() -> None:
         (lambda: Simulation(1, BOAT, SEA).reset([0], [0]), "default_rng"),
     ],
 )
-def test_what_a_simulation_cannot_do_is_told(call: Callable[[], object], words: str) -> None:
+def test_what_a_simulation_cannot_do_is_reported(call: Callable[[], object], words: str) -> None:
     with pytest.raises(SimulationError, match=words):
         call()
 

@@ -10,7 +10,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ __all__ = [
     "LinkImpairment",
     "MavlinkStream",
     "NmeaStream",
+    "Pace",
     "Stream",
     "replay",
     "schedule",
@@ -308,17 +309,34 @@ def _datagrams(log: Log, stream: Stream, loop: bool, counts: Counter[str]) -> It
             yield from stream.row(t + lap * length, z, cmd)
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How fast a log is sent.
+
+    Parameters
+    ----------
+    speed : float
+        How many times as fast as it happened.
+    clock, sleep : callable
+        The time now, s, and how to wait.
+    """
+
+    speed: float = 1.0
+    clock: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], None] = time.sleep
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.speed) and self.speed > 0.0):
+            raise FeedError(f"speed {self.speed}: must be finite and above 0; 1 is as it happened")
+
+
 def replay(
     log: Log,
+    datagrams: Iterable[Datagram],
     stream: Stream,
     address: str,
     *,
-    speed: float = 1.0,
-    disturb: LinkImpairment | None = None,
-    seed: int = 0,
-    loop: bool = False,
-    clock: Callable[[], float] = time.monotonic,
-    sleep: Callable[[float], None] = time.sleep,
+    pace: Pace | None = None,
     progress: Callable[[float], None] = lambda t: None,
     counts: Counter[str] | None = None,
 ) -> Counter[str]:
@@ -326,35 +344,36 @@ def replay(
 
     Parameters
     ----------
-    log, stream, disturb, seed, loop, counts
-        See :func:`schedule`.
+    log : Log
+        The log.
+    datagrams : iterable of Datagram
+        What :func:`schedule` makes of it.
+    stream : Stream
+        Counts the replies.
     address : str
         ``udp://HOST:PORT``; without a host, on this machine.
-    speed : float
-        How many times as fast as it happened.
-    clock, sleep : callable
-        The time now, s, and how to wait.
+    pace : Pace, optional
+        How fast; as it happened if left out.
     progress : callable
         Receives the time of the log that is sent, s.
+    counts : Counter, optional
+        That of :func:`schedule`, to go on counting.
 
     Returns
     -------
     Counter
-        Rows, datagrams and messages sent, messages of each kind of disturbance, datagrams
-        ``unsent``, and messages that came ``back``.
+        Datagrams ``unsent``, and messages that came ``back``.
     """
-    if not (math.isfinite(speed) and speed > 0.0):
-        raise FeedError(f"speed {speed}: must be finite and above 0; 1 is as it happened")
     if len(log) < 2:
         raise FeedError(f"{log.name}: has {len(log)} row(s); a stream needs two")
-    counts = Counter() if counts is None else counts
+    pace, counts = pace or Pace(), Counter() if counts is None else counts
     output, target = open_socket(address, bind=False)
     with output:
-        begun = clock()
-        for datagram in schedule(log, stream, disturb=disturb, seed=seed, loop=loop, counts=counts):
-            wait = begun + (datagram.due - float(log.t[0])) / speed - clock()
+        begun = pace.clock()
+        for datagram in datagrams:
+            wait = begun + (datagram.due - float(log.t[0])) / pace.speed - pace.clock()
             if wait > 0.0:
-                sleep(wait)
+                pace.sleep(wait)
             try:
                 output.sendto(datagram.data, target)
             except OSError:

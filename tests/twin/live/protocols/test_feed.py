@@ -45,13 +45,13 @@ def test_addresses(address: str, found: tuple[str, int]) -> None:
         ("udp://[::1:10110", "IPv6"),
     ],
 )
-def test_wrong_addresses_are_told(address: str, why: str) -> None:
+def test_wrong_addresses_are_reported(address: str, why: str) -> None:
     with pytest.raises(FeedError, match=why) as caught:
         parse_address(address)
     assert address in str(caught.value) and "udp://HOST:PORT" in str(caught.value)
 
 
-def test_a_port_in_use_is_told(usv: Particulars) -> None:
+def test_a_port_in_use_is_reported(usv: Particulars) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"udp://:{taken.getsockname()[1]}"
@@ -59,7 +59,7 @@ def test_a_port_in_use_is_told(usv: Particulars) -> None:
             NmeaFeed(address, usv)
 
 
-def test_a_host_that_is_none_is_told() -> None:
+def test_a_host_that_is_none_is_reported() -> None:
     with pytest.raises(FeedError, match="host is not known"):
         open_socket("udp://no-such-host.invalid:10110", bind=True)
 
@@ -121,7 +121,7 @@ def test_samples_of_a_moment_share_a_row_and_its_fix_tells_the_time(usv: Particu
     assert t1 == pytest.approx(0.04) and second[4] == 1.1 and np.isnan(second[0])
 
 
-def test_commands_hold_and_their_absence_is_told(usv: Particulars) -> None:
+def test_commands_hold_and_their_absence_is_reported(usv: Particulars) -> None:
     wire = Wire(MessageFeed, usv)
     wire.tell(message("a", 1.0, compass_rad=1.0))
     wire.take(after=1.0)

@@ -74,7 +74,7 @@ Names = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
     ("wrong", "why"),
     [({"left": 17}, "output"), ({"middle": 1000.0}, "rise"), ({"shaft_speed": 0.0}, "above 0")],
 )
-def test_wrong_servos_are_told(wrong: dict[str, float], why: str) -> None:
+def test_wrong_servos_are_reported(wrong: dict[str, float], why: str) -> None:
     with pytest.raises(FeedError, match=why):
         Servos(**{"shaft_speed": 1.0, "angle": 1.0, **wrong})  # type: ignore[arg-type]
 

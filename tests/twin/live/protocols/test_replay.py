@@ -4,6 +4,7 @@ import re
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,15 @@ from twin.cli.main import app
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.mavlink import MavlinkFeed, Servos
 from twin.live.protocols.nmea import NmeaFeed
-from twin.live.protocols.replay import LinkImpairment, MavlinkStream, NmeaStream, Stream, replay
+from twin.live.protocols.replay import (
+    LinkImpairment,
+    MavlinkStream,
+    NmeaStream,
+    Pace,
+    Stream,
+    replay,
+    schedule,
+)
 from twin.live.protocols.sockets import FeedError, needed
 from twin.logs.log import Log
 from twin.particulars import Particulars
@@ -127,7 +136,7 @@ def test_the_same_seed_disturbs_the_same(circle: Log, usv: Particulars) -> None:
         ("late=.6,broken=.6", "sum"),
     ],
 )
-def test_wrong_disturbances_are_told(text: str, why: str) -> None:
+def test_wrong_disturbances_are_reported(text: str, why: str) -> None:
     with pytest.raises(FeedError, match=why):
         LinkImpairment.parse(text)
 
@@ -139,13 +148,14 @@ def test_the_pace(circle: Log) -> None:
     def sleep(seconds: float) -> None:
         now[0] += seconds
 
-    counted = replay(
-        log, NmeaStream(), f"udp://:{_free()}", speed=4.0, clock=lambda: now[0], sleep=sleep
-    )
+    counted: Counter[str] = Counter()
+    stream, pace = NmeaStream(), Pace(4.0, lambda: now[0], sleep)
+    datagrams = schedule(log, stream, counts=counted)
+    replay(log, datagrams, stream, f"udp://:{_free()}", pace=pace, counts=counted)
     assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
     assert counted["rows"] == counted["datagrams"] == len(log)
     with pytest.raises(FeedError, match="speed"):
-        replay(log, NmeaStream(), "udp://:9", speed=0.0)
+        Pace(speed=0.0)
 
 
 def _free() -> int:
@@ -161,10 +171,11 @@ def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -
     stream = KINDS[kind][1](boat)
     twin = Twin(boat, "persistence")
     with (NmeaFeed if kind == "nmea" else MavlinkFeed)(address, boat) as feed:
-        counted: dict[str, int] = {}
+        counted: Counter[str] = Counter()
 
         def send() -> None:
-            counted.update(replay(log, stream, address, speed=15.0))
+            datagrams = schedule(log, stream, counts=counted)
+            replay(log, datagrams, stream, address, pace=Pace(15.0), counts=counted)
 
         sender = threading.Thread(target=send)
         sender.start()
@@ -184,7 +195,7 @@ def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -
         assert feed.counts["used"] + feed.counts["unknown"] == counted["messages"]
 
 
-def test_the_reply_goes_where_it_is_told(circle: Log, usv: Particulars) -> None:
+def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(5.0)
@@ -219,7 +230,7 @@ def test_the_command(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # t
         (["--nmea", "udp://:1", "--disturb", "late=2"], "shares"),
     ],
 )
-def test_wrong_commands_are_told(options: list[str], why: str) -> None:
+def test_wrong_commands_are_reported(options: list[str], why: str) -> None:
     result = CliRunner().invoke(app, ["replay", str(RUN), *options])
     assert result.exit_code == 2
     assert why in result.output + result.stderr
@@ -234,7 +245,7 @@ def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.exit_code == 130
 
 
-def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:
+def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Particulars) -> None:
     def without(module: str) -> object:
         raise ModuleNotFoundError(module)
 

@@ -158,7 +158,7 @@ def test_the_weather_changes_under_way(tmp_path):
     assert -z == pytest.approx(seen.sea.elevation(x, y, seen.t), abs=0.8)
 
 
-def test_an_order_that_cannot_be_carried_out_is_told_and_changes_nothing(tmp_path):
+def test_an_order_that_cannot_be_carried_out_is_reported_and_changes_nothing(tmp_path):
     session = SimulatedSession(setup(), tmp_path)
     sail(session, 2.0)
     simulation = session.simulation
@@ -315,7 +315,7 @@ def test_a_moment_of_a_log_shows_the_estimate_and_what_happened(log, tmp_path):
     session.stop()
 
 
-def test_the_twin_may_be_told_the_commands_that_follow(log, tmp_path):
+def test_the_twin_may_be_given_the_commands_that_follow(log, tmp_path):
     errors = []
     for plan in ("hold", "known"):
         twin = Twin(particulars_of(VESSEL), "dsw-ukf-plus")
@@ -427,7 +427,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
     assert kept.truth is None
 
 
-def test_a_feed_that_falls_silent_is_told_and_answered_no_more(log, tmp_path, monkeypatch):
+def test_a_feed_that_falls_silent_is_reported_and_gets_no_more_answers(log, tmp_path, monkeypatch):
     monkeypatch.setattr("twin.live.sessions.feed.SILENT", 0.4)
     feed = LogFeed(log.slice(t1=20.0))
     session = FeedSession(feed, Twin(particulars_of(VESSEL), "ukf"), VESSEL, tmp_path)
