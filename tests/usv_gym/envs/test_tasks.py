@@ -127,7 +127,7 @@ def test_off_the_path_is_a_failure_and_the_end():
     assert reward < -FAILURE + 1.0
 
 
-def test_a_boat_on_her_station_succeeds_and_one_that_leaves_fails():
+def test_a_boat_on_station_succeeds_and_one_that_leaves_fails():
     env = make_env(task="station", twin=None, sea="calm")
     env.reset(seed=1)
     assert set(env.reset(seed=1)[1]["reward_terms"]) == {"distance", "speed", "effort", "failure"}

@@ -69,7 +69,7 @@ def test_heights_and_winds_rise_with_the_number() -> None:
     assert (two.hs, two.wind, math.degrees(two.wind_from)) == (0.5, 4.5, pytest.approx(135.0))
 
 
-def test_deep_water_waves_run_down_the_wind_unless_told() -> None:
+def test_deep_water_waves_run_down_the_wind_by_default() -> None:
     sea = realise(SeaState(hs=1.0, wind=8.0, wind_from=math.radians(135.0)))
     north, east = sea.waves[waves.K_NORTH], sea.waves[waves.K_EAST]
     np.testing.assert_allclose(np.arctan2(east, north), math.radians(-45.0), rtol=1e-12)
