@@ -243,13 +243,19 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.renderer.look()
 
     def _info(self, progress: list[float]) -> dict[str, Any]:
+        names = self.task.terms
         info = {
             "t_s": self._time.item(0),
             "cross_track_m": progress[_ERRORS],
             "leg": int(progress[_LEG]),
             "is_success": progress[_SUCCESS] != 0.0,
             "capsized": progress[_CAPSIZED] != 0.0,
-            "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_REWARD], strict=True)),
+            "reward_terms": {
+                names[0]: progress[_TERMS],
+                names[1]: progress[_TERMS + 1],
+                names[2]: progress[_TERMS + 2],
+                names[3]: progress[_TERMS + 3],
+            },
         }
         if self.observer:
             for name, values in self.observer.infos().items():
