@@ -182,7 +182,7 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
     np.testing.assert_array_equal(session.snapshot.fixes[-1], last)
     # drawn where they were; only the water under them moves
     np.testing.assert_array_equal(viewer.scene.fixes.points[:, :2], fixes[:, :2])
-    assert band(driver) > 1.2 * before
+    wait(lambda: band(driver) > 1.2 * before)  # the page follows a little later
     pixels(driver, "gps_lost")
     press(driver, "find GPS again")
     wait(lambda: not status(driver)["GPS"].startswith("LOST"))
