@@ -26,6 +26,7 @@ from twin.model.dynamics import N_ACT
 from twin.model.structure import (
     BIASED,
     LEFT_COS,
+    LENGTH,
     N_STATES,
     N_TERMS,
     gather,
@@ -42,6 +43,7 @@ __all__ = [
     "GRID",
     "HORIZONS",
     "HORIZON_ROWS",
+    "LONG_STEP",
     "Paths",
     "RolloutConfig",
     "RolloutStart",
@@ -55,13 +57,19 @@ __all__ = [
 Array = NDArray[np.float64]
 
 GRID = 0.25
-"""Step of a forecast, s: of its integration (at most), and of the plans of an observation."""
+"""Step of a forecast's integration (at most) and of its waves, s."""
+
+LONG_STEP = 0.5
+"""Rows as long as this, s, are one step of the integration where the model is slow enough."""
+
+SLOW_ENOUGH = 1.0
+"""Rate of the fastest motion times a long step, at most: where it is more, :data:`GRID` holds."""
 
 HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
 
-HORIZON_ROWS = np.array([round(h / GRID) - 1 for h in HORIZONS])
-"""Rows of a plan of steps :data:`GRID` that end there."""
+HORIZON_ROWS = np.array([round(h / LONG_STEP) - 1 for h in HORIZONS])
+"""Rows of a plan of steps :data:`LONG_STEP` that end there."""
 
 SWAY_SLIP = 0.5
 """Inertia in surge over that in sway, added mass included: .5 to .6 of most hulls."""
@@ -243,12 +251,51 @@ def _moves(act, command):
     return moves
 
 
+@inlined
+def _fastest_rate(motion, wind, hull, terms):
+    """Return how fast the model's fastest motion dies away or grows, 1/s; surge by itself.
+
+    Radius of the spectrum of the Jacobian, by differences.
+    """
+    now, shares, thrust = motion.now, motion.shares, motion.thrust[0]
+    u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
+    small, turn = 1e-3, 1e-3 / hull[LENGTH]
+    du, dv, dr = _rates((u, v, r, c, s), wind, hull, shares, thrust, terms)
+    du_u = _rates((u + small, v, r, c, s), wind, hull, shares, thrust, terms)[0]
+    by_v = _rates((u, v + small, r, c, s), wind, hull, shares, thrust, terms)
+    by_r = _rates((u, v, r + turn, c, s), wind, hull, shares, thrust, terms)
+    vv, rv = (by_v[1] - dv) / small, (by_v[2] - dr) / small
+    vr, rr = (by_r[1] - dv) / turn, (by_r[2] - dr) / turn
+    half = 0.5 * (vv + rr)
+    square = half * half - vv * rr + vr * rv
+    fastest = abs(half) + math.sqrt(square) if square > 0.0 else math.sqrt(half * half - square)
+    return max(fastest, abs(du_u - du) / small)
+
+
+@inlined
+def _steps_of(dt, wind, hull, scratch):
+    """Return how many steps of the integration are one row."""
+    few = max(math.ceil(dt / LONG_STEP - 1e-9), 1)
+    many = max(math.ceil(dt / GRID - 1e-9), 1)
+    if few == many:
+        return many
+    terms = scratch.terms[2]
+    for d in range(scratch.motions.shape[0]):
+        motion = _motion(scratch.motions[d])
+        thrust_rates(terms, motion.shares, motion.thrust[0])
+        rate = _fastest_rate(motion, wind, hull, terms)
+        if not rate * dt <= SLOW_ENOUGH * few:
+            return many
+    return few
+
+
 @kernel
 def rollout(start, plan, dt, config, waves, out, work):
     """Predict motions under a plan of commands; the actuators are followed once for all.
 
-    Runge-Kutta of fourth order at steps of at most :data:`GRID`. The velocities are held
-    within an envelope throughout, so that the worst parameters give a finite motion.
+    Runge-Kutta of fourth order at steps of at most :data:`GRID`; of :data:`LONG_STEP` where rows
+    are as long and no motion is faster than that resolves. The velocities are held within an
+    envelope throughout, so that the worst parameters give a finite motion.
 
     Parameters
     ----------
@@ -275,8 +322,6 @@ def rollout(start, plan, dt, config, waves, out, work):
     velocity, gain = waves.velocity, waves.gain
     scratch = _workspace(work, D)
     terms, turned = scratch.terms, scratch.turned
-    steps = max(math.ceil(dt / GRID - 1e-9), 1)
-    h = dt / steps
     a, b, w = 0.0, 0.0, 0.0
     for d in range(D):
         motion = _motion(scratch.motions[d])
@@ -288,6 +333,8 @@ def rollout(start, plan, dt, config, waves, out, work):
         gather(config.model, start.params[d], motion.shares)
     _turn_drives(start.act, turned)
     _thrust(start.act, turned, terms[2])
+    steps = _steps_of(dt, wind, hull, scratch)
+    h = dt / steps
     for row in range(plan.shape[0]):
         act, command = out.act[row], plan[row]
         for k in range(N_ACT):

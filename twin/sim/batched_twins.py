@@ -21,7 +21,7 @@ from twin.identification.joint_ukf import (
     forecast_buffers,
 )
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS
+from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
@@ -42,6 +42,7 @@ from twin.sim.twin_observation import (
     NOTE,
     ROWS,
     TWIN_OBSERVATION,
+    WAVE_STEPS,
     Boats,
     PlusForecast,
     UKFForecast,
@@ -210,11 +211,11 @@ class SeparateTwins(TwinObserver):
             self._plan[:] = sim.cmd[i]
             if t >= note["covs_due"]:
                 note["covs_due"] = t + self.band_period - 1e-9
-                prediction = twin.predictor.predict(self._plan, GRID)
+                prediction = twin.predictor.predict(self._plan, LONG_STEP)
                 note["ahead"][:] = prediction.mean[HORIZON_ROWS]
                 note["covs"][:] = prediction.cov[HORIZON_ROWS]
             else:
-                note["ahead"][:] = twin.predictor.mean(self._plan, GRID)[HORIZON_ROWS]
+                note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
             np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
             describe_flat(s, boat, self._notes[i], task.points[i], task.rules, obs[i])
@@ -343,8 +344,8 @@ class CompiledPlusTwins(CompiledTwins):
         D, p = normal[0].shape
         return PlusForecast(
             np.zeros((ROWS, N_ACT)),
-            np.zeros(flat_size(mean_forecast_of, p, ROWS, ROWS)),
-            np.zeros(flat_size(draws_of, p, ROWS, ROWS, D)),
+            np.zeros(flat_size(mean_forecast_of, p, ROWS, WAVE_STEPS)),
+            np.zeros(flat_size(draws_of, p, ROWS, WAVE_STEPS, D)),
             normal,
         )
 

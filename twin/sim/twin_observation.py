@@ -19,7 +19,7 @@ from twin.identification.joint_ukf import (
     limit_covariances,
 )
 from twin.model.dynamics import N_ACT
-from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS
+from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES, ModelTerms
 from twin.predictors.plus_forecast import (
     draws_of,
@@ -49,6 +49,7 @@ __all__ = [
     "ROWS",
     "SETTINGS",
     "TWIN_OBSERVATION",
+    "WAVE_STEPS",
     "Boats",
     "PlusForecast",
     "UKFForecast",
@@ -78,6 +79,9 @@ TWIN_OBSERVATION = (
 
 ROWS = int(HORIZON_ROWS[-1]) + 1
 """Rows of the plan of a forecast."""
+
+WAVE_STEPS = round(ROWS * LONG_STEP / GRID)
+"""Grid steps of its waves."""
 
 NOTE = np.dtype(
     [
@@ -118,14 +122,14 @@ class Boats(NamedTuple):
 class UKFForecast(NamedTuple):
     """Buffers of a forecast of the plain filter."""
 
-    plan: Any  # (40, 4) the command, held
+    plan: Any  # (20, 4) the command, held
     buffers: Any  # see Forecast
 
 
 class PlusForecast(NamedTuple):
     """Buffers of a forecast of DSW-UKF+."""
 
-    plan: Any  # (40, 4) the command, held
+    plan: Any  # (20, 4) the command, held
     mean: Any  # see MeanForecast
     draws: Any  # see Draws
     normal: Any  # standard normal numbers of the draws
@@ -271,19 +275,19 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
             continue
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         _hold(cmd, forecast.plan)
-        forecast_mean(forecast.plan, GRID, state, given, out, scratch.rollout)
+        forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         renew = note.last >= note.covs_due
         if renew:
             note.covs_due = note.last + settings.period - 1e-9
-            forecast_covariance(out.plan, GRID, state, given, out.covs, scratch)
+            forecast_covariance(out.plan, LONG_STEP, state, given, out.covs, scratch)
             for row in range(ROWS):
                 for j in range(N_STATES):
                     for k in range(N_STATES):
                         out.covs[row, j, k] += nav.P[j, k]
                 for j in range(2):
                     out.covs[row, j, j] += settings.gps_var
-            limit_covariances(out.covs, note.now[:], GRID, given.envelope)
+            limit_covariances(out.covs, note.now[:], LONG_STEP, given.envelope)
         for h in range(HORIZON_ROWS.shape[0]):
             row = HORIZON_ROWS[h]
             for j in range(N_STATES):
@@ -308,8 +312,8 @@ def observe_plus(boats, memories, config, work, forecast, obs):
     settings, model = as_record(boats.settings, SETTINGS), config.model
     rules = as_record(boats.shared, EPISODES).rules
     p, D = model.which.shape[1], forecast.normal[0].shape[0]
-    mean = mean_forecast_of(forecast.mean, p, ROWS, ROWS)
-    draws = draws_of(forecast.draws, p, ROWS, ROWS, D)
+    mean = mean_forecast_of(forecast.mean, p, ROWS, WAVE_STEPS)
+    draws = draws_of(forecast.draws, p, ROWS, WAVE_STEPS, D)
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
@@ -321,14 +325,14 @@ def observe_plus(boats, memories, config, work, forecast, obs):
             continue
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         _hold(cmd, forecast.plan)
-        plus_mean(forecast.plan, GRID, memory, config, mean)
+        plus_mean(forecast.plan, LONG_STEP, memory, config, mean)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         for h in range(HORIZON_ROWS.shape[0]):
             for j in range(N_STATES):
                 note.ahead[h, j] = mean.states[0, HORIZON_ROWS[h], j]
         if note.last >= note.covs_due:
             note.covs_due = note.last + settings.period - 1e-9
-            plus_draws((mean, mean), GRID, memory, config, forecast.normal, draws)
+            plus_draws((mean, mean), LONG_STEP, memory, config, forecast.normal, draws)
             covs = note.covs[:]
             mean_products(draws.deviations, _DRAWN_ROWS, covs)
             for h in range(HORIZON_ROWS.shape[0]):
