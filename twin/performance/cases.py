@@ -25,13 +25,14 @@ from numpy.typing import NDArray
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.digital_twin import Twin
-from twin.filters.ukf import measurement_update, workspace
+from twin.filters.ukf import UKFWorkspace, measurement_update, workspace
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import JointUKF
 from twin.model.augmented import JointConfig, JointState, JointWorkspace, joint_predict
 from twin.model.dynamics import derivative
-from twin.model.structure import N_STATES, N_TERMS
+from twin.model.structure import N_STATES, N_TERMS, ModelTerms
 from twin.performance.harness import BASELINE, Burst, Case
+from twin.predictors.ukf import plain
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
@@ -142,10 +143,21 @@ ANGLE = 2
 
 @kernel
 def _update_often(count, predict, correct):
-    """Predict and correct ``count`` times with the arguments of the two kernels."""
+    """Predict and correct ``count`` times.
+
+    The arguments are plain tuples, which numba takes from Python much faster than named ones.
+    """
+    (x, P, act, wind), dt, (model, weights), (Q, q_xi, terms, sigma) = predict
+    which, limits, hull = model
+    points, root, slope, scratch = sigma
+    sigma_work = UKFWorkspace(points, root, slope, scratch)
+    state = JointState(x, P, act, wind)
+    config = JointConfig(ModelTerms(which, limits, hull), weights)
+    work = JointWorkspace(Q, q_xi, terms, sigma_work)
+    z, mask, R, angle, gate = correct
     for _ in range(count):
-        joint_predict(*predict)
-        measurement_update(*correct)
+        joint_predict(state, dt, config, work)
+        measurement_update(x, P, z, mask, R, angle, gate, sigma_work)
 
 
 class Problem:
@@ -182,13 +194,13 @@ class Problem:
         self.ukf.x[:], self.ukf.P[:] = self.x, self.P
 
     def arguments(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """Return those of the two kernels of the structured filter, prediction and correction."""
+        """Return those of :func:`_update_often`."""
         ukf, mask = self.ukf, np.ones(N_STATES, dtype=bool)
         sigma = workspace(N_STATES, len(ukf.xi))
         state = JointState(ukf.x, ukf.P, ukf.act, ukf.wind)
         scratch = JointWorkspace(self.Q, self.settings.q_xi, self._terms, sigma)
         before = (state, H, JointConfig(ukf.terms, ukf.weights), scratch)
-        return before, (ukf.x, ukf.P, self.z, mask, self.R, ANGLE, math.inf, sigma)
+        return plain(before), (self.z, mask, self.R, ANGLE, math.inf)
 
     def filterpy(self) -> Any:
         """Return filterpy's filter at the start."""
@@ -224,8 +236,7 @@ def _structured_from_python(count: int = 200) -> Burst:
     def run() -> None:
         problem.begin()
         for _ in range(count):
-            joint_predict(*predict)
-            measurement_update(*correct)
+            _update_often(1, predict, correct)
 
     return run, count
 

@@ -58,7 +58,8 @@ class TwinObservation(
            (position), heading, speeds, yaw rate          rad, nominal speed, rad/s
     ====== ============================================== ================
 
-    and then, 1, 2, 5 and 10 s ahead under the present command, thirteen each:
+    and then, 1, 2, 5 and 10 s ahead under the present command, thirteen each; these are what
+    ``twin.predict("hold", dt=0.5)`` says:
 
     ====== ============================================== ================
     0-1    place forward and to starboard of here         nominal speed * horizon

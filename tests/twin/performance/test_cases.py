@@ -12,8 +12,6 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.cli.main import app
-from twin.filters.ukf import measurement_update
-from twin.model.augmented import joint_predict
 from twin.performance import cases
 from twin.performance.cases import CASES, select_cases
 from twin.performance.harness import BASELINE, BASELINE_RATE, Case, Measured, measure
@@ -59,8 +57,7 @@ def test_both_filters_do_the_same():
     predict, correct = problem.arguments()
     theirs = problem.filterpy()
     for _ in range(5):
-        joint_predict(*predict)
-        measurement_update(*correct)
+        cases._update_often(1, predict, correct)
         theirs.predict()
         theirs.update(problem.z)
     sd = np.sqrt(np.diag(theirs.P))

@@ -8,6 +8,7 @@ import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.sim import batched_twins as observer
+from twin.model.rollout import LONG_STEP
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION, CompiledTwins, SeparateTwins
 from usv_gym.envs.episodes import BOUND, OBSERVATION
 
@@ -38,11 +39,16 @@ def test_compiled_twins_equal_those_asked_one_by_one(twin, monkeypatch):
 
 def assert_equals_prediction(note, twin):
     """Assert that what is noted of a boat's future is the prediction of its twin."""
-    found = twin.predict("hold")
+    found = twin.predict("hold", dt=LONG_STEP)
     rows = [int(np.flatnonzero(np.isclose(found.t - twin.t, h))[0]) for h in HORIZONS]
     np.testing.assert_allclose(note["ahead"], found.mean[rows], rtol=0, atol=1e-6)
     sd = np.sqrt(np.diagonal(note["covs"], axis1=1, axis2=2))
     np.testing.assert_allclose(sd, found.sd[rows], rtol=0, atol=1e-6)
+    # shorter rows are the same forecast, up to the error of integration
+    finer = twin.predict("hold")
+    rows = [int(np.flatnonzero(np.isclose(finer.t - twin.t, h))[0]) for h in HORIZONS]
+    assert (abs(note["ahead"] - finer.mean[rows]) < 0.05 * sd + 1e-6).all()
+    np.testing.assert_allclose(sd, finer.sd[rows], rtol=0.05, atol=1e-6)
 
 
 @pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])
