@@ -21,6 +21,7 @@ from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
 
 __all__ = [
+    "CONTROL_STEP",
     "TRUE_STATE",
     "measurement_row",
     "particulars_of",
@@ -35,12 +36,15 @@ UPRIGHT = 0.07
 TILT_SD, TILT_TIME = 0.08, 1.0
 """Typical roll and pitch of a boat in waves and turns, rad, and how long one lasts, s."""
 
+CONTROL_STEP = 0.05
+"""Time between the rows of a simulated run, s."""
+
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
 
 if MEASUREMENTS[: len(CHANNELS)] != CHANNELS:
     raise ImportError(
-        "usv_gym.world.channels.CHANNELS and twin.logs.log.MEASUREMENTS have come apart"
+        "usv_gym.world.channels.CHANNELS and twin.channels.MEASUREMENTS have come apart"
     )
 
 
@@ -115,10 +119,8 @@ def simulate(
     faults: Sequence[Disturbance] = (),
     suite: SensorSuite | None = None,
     dof: int = 3,
-    dt: float = 0.05,
-    name: str | None = None,
 ) -> Log:
-    """Simulate a manoeuvre and return its log, with the truth.
+    """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
     Parameters
     ----------
@@ -136,15 +138,12 @@ def simulate(
         Sensors; the default suite if left out.
     dof : int
         Degrees of freedom of the ship, 3 or 6.
-    dt : float
-        Control step, s.
-    name : str, optional
-        Name of the log; left out, manoeuvre and seed.
 
     Returns
     -------
     Log
     """
+    dt = CONTROL_STEP
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
     simulation.reset([0], [sea_rng])
@@ -161,4 +160,4 @@ def simulate(
         t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
         z[k, : len(CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
-    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name or f"{called}_{seed}")
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=f"{called}_{seed}")

@@ -45,7 +45,7 @@ from twin.predictors.learned.pretrained import (
     gated,
     tokens,
 )
-from twin.sim.bridge import particulars_of, simulate
+from twin.sim.bridge import CONTROL_STEP, particulars_of, simulate
 from twin.training.prior_population import random_boat
 from usv_gym.manoeuvring.manoeuvres import ANGLE, APPROACH, LEG, SWITCH
 from usv_gym.vessel.vessel import Vessel
@@ -71,7 +71,7 @@ NETS: dict[str, type[FleetPredictor]] = {"lstm": FleetLSTM, "transformer": Fleet
 _FLEET = 7051
 """Keeps the fleet's draws apart from those of the benchmark: no seed of it is as large."""
 
-DT, SPAN = 0.05, 120.0
+DT, SPAN = CONTROL_STEP, 120.0
 """Control step and length of a run, s."""
 
 SLOWEST = 15.0
@@ -267,7 +267,6 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
             seed=int(rng.integers(2**62)),
             faults=_faults(rng),
             suite=suite,
-            dt=DT,
         )
         out.append(seen(log, particulars))
     return [run for run in out if len(run.rows) > 2 * AHEAD * PATCH]
