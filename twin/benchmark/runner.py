@@ -129,10 +129,10 @@ def load_run(settings: Settings, unit: Unit) -> Run:
         faults=parse_faults(unit.fault, start),
         suite=suite,
         dof=settings.dof,
-        name=unit.run,
     )
     particulars = particulars_of(vessel, suite, settings.dof)
     simulator = (vessel, sea, settings.dof)
+    log = dataclasses.replace(log, name=unit.run)
     return Run(log.without_truth(), log, particulars, settings.identify_s, simulator)
 
 

@@ -470,7 +470,7 @@ class Feed(ABC):
             turns = round((nearest + self._base - stamp) / self.modulus)
             t = stamp + turns * self.modulus - self._base
         key = kind, round(t / SAME)
-        behind = t <= self._released
+        behind = t < self._released + SAME / 2  # stamps of other units may round to a hair later
         if behind:
             self._stale = min(self._stale, t)
             if t - self._stale >= RESTART:
