@@ -11,7 +11,7 @@ import typer
 from twin.cli.common import console, new_table, note, write_json, write_text
 from twin.files import write_whole
 from usv_gym.design.checks import Inspection, inspect
-from usv_gym.design.new_vessel import DesignError, design
+from usv_gym.design.new_vessel import DesignError, MainParticulars, design
 from usv_gym.physics import KNOT
 from usv_gym.vessel.geometry import boat_of, encode_mesh
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, Vessel, VesselError, vessel_names
@@ -69,7 +69,7 @@ def vessel_new_command(
     path = out or Path(f"{name}.toml")
     if path.exists() and not force:
         raise DesignError(f"{path}: is there already; choose another --out, or --force")
-    first = design(
+    known = MainParticulars(
         name=name,
         length=length,
         beam=beam,
@@ -82,6 +82,7 @@ def vessel_new_command(
         length_overall=length_overall,
         water_density=water_density,
     )
+    first = design(known)
     for line in first.notes:
         note(line)
     write_text(path, first.text)

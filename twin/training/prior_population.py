@@ -57,7 +57,7 @@ from twin.model.structure import (
 )
 from twin.particulars import DESIGNS, STUDY_LENGTH, STUDY_SPEED, Particulars
 from twin.sim.bridge import TRUE_STATE, particulars_of
-from usv_gym.design.new_vessel import design
+from usv_gym.design.new_vessel import MainParticulars, design
 from usv_gym.physics import GRAVITY, ship
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel, state_at
@@ -323,7 +323,7 @@ def _drafted(kind: str, rng: np.random.Generator, **particulars: Any) -> tuple[V
         "rudder": "propeller_rudder",
         "differential": "thruster_pair",
     }
-    draft = design(name=kind, kind=propulsion[kind], **particulars).vessel
+    draft = design(MainParticulars(name=kind, kind=propulsion[kind], **particulars)).vessel
     # the regression of N_v holds for slender hulls; the broader, and the finer below, the less
     part = rng.uniform(0.2, 1.0) if kind == "drives" else 1.0
     values = {**draft.values, "N_v": part * draft.values["N_v"]}

@@ -16,6 +16,7 @@ from usv_kernel.errors import UsvTwinError
 __all__ = [
     "DesignError",
     "Draft",
+    "MainParticulars",
     "design",
 ]
 
@@ -78,38 +79,8 @@ Curve = dict[str, list[float]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Given:
-    """Particulars in m, kg, m/s and W; ``assumed`` names those with default values."""
-
-    name: str
-    length: float
-    beam: float
-    draft: float
-    mass: float
-    kind: str
-    units: int
-    speed: float | None
-    power: float | None
-    length_overall: float
-    water_density: float
-    assumed: frozenset[str]
-
-
-def design(
-    *,
-    name: str,
-    length: float,
-    beam: float,
-    draft: float,
-    mass: float,
-    kind: str = "steerable_drive",
-    units: int | None = None,
-    speed: float | None = None,
-    power: float | None = None,
-    length_overall: float | None = None,
-    water_density: float | None = None,
-) -> Draft:
-    """Return a first vessel file for a ship of one hull.
+class MainParticulars:
+    """What is known of a ship of one hull before its vessel file is written.
 
     Parameters
     ----------
@@ -130,38 +101,46 @@ def design(
         m; default 1.05 ``length``.
     water_density : float or None
         kg/m3; default 1025, sea water.
+    """
 
-    Returns
-    -------
-    Draft
+    name: str
+    length: float
+    beam: float
+    draft: float
+    mass: float
+    kind: str = "steerable_drive"
+    units: int | None = None
+    speed: float | None = None
+    power: float | None = None
+    length_overall: float | None = None
+    water_density: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Given(MainParticulars):
+    """The same without gaps; ``assumed`` names the default values."""
+
+    units: int
+    length_overall: float
+    water_density: float
+    assumed: frozenset[str]
+
+
+def design(known: MainParticulars) -> Draft:
+    """Return a first vessel file for a ship of one hull.
 
     Raises
     ------
     DesignError
         Names the value and the remedy.
     """
-    given = _Given(
-        name=name,
-        length=length,
-        beam=beam,
-        draft=draft,
-        mass=mass,
-        kind=kind,
-        units=(1 if kind == "propeller_rudder" else 2) if units is None else units,
-        speed=speed,
-        power=power,
-        length_overall=1.05 * length if length_overall is None else length_overall,
-        water_density=1025.0 if water_density is None else water_density,
-        assumed=frozenset(
-            key
-            for key, value in (
-                ("units", units),
-                ("length_overall", length_overall),
-                ("water_density", water_density),
-            )
-            if value is None
-        ),
-    )
+    defaults = {
+        "units": 1 if known.kind == "propeller_rudder" else 2,
+        "length_overall": 1.05 * known.length,
+        "water_density": 1025.0,
+    }
+    assumed = {key: value for key, value in defaults.items() if getattr(known, key) is None}
+    given = _Given(**{**vars(known), **assumed}, assumed=frozenset(assumed))
     form = _check(given)
     notes: list[str] = []
     service, power = _speed(given, form, notes)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import usv_gym  # noqa: F401 - registers the environment
-from twin.sim import batched_twins as observer
 from twin.model.rollout import LONG_STEP
+from twin.sim import batched_twins as observer
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION, CompiledTwins, SeparateTwins
 from usv_gym.envs.episodes import BOUND, OBSERVATION
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from usv_gym import SeaState, Vessel
 from usv_gym.design.checks import inspect
-from usv_gym.design.new_vessel import DesignError, design
+from usv_gym.design.new_vessel import DesignError, MainParticulars, design
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import KIND_SCHEMA, course_eigenvalues
 from usv_gym.world.simulation import Simulation
@@ -46,7 +46,7 @@ def test_a_new_vessel_loads_passes_checks_and_sails(
     if kind == "thruster_pair":  # they turn by unequal thrust, so they must be wide
         slender, flat = min(slender, 4.5), max(flat, 3.0)
     beam, draft = length / slender, length / slender / flat
-    first = design(
+    known = MainParticulars(
         name="first",
         length=length,
         beam=beam,
@@ -55,6 +55,7 @@ def test_a_new_vessel_loads_passes_checks_and_sails(
         kind=kind,
         speed=froude * math.sqrt(9.80665 * length),
     )
+    first = design(known)
     path = tmp_path_factory.mktemp("new") / "first.toml"
     path.write_text(first.text, encoding="utf-8")
     boat = Vessel.load(path)
@@ -76,25 +77,25 @@ def test_a_new_vessel_loads_passes_checks_and_sails(
 
 
 def test_estimates_are_marked_with_their_source_and_range() -> None:
-    first = design(name="a", length=6.336, beam=2.714, draft=0.526, mass=3420.0, speed=10.0)
+    boat = {"name": "a", "length": 6.336, "beam": 2.714, "draft": 0.526, "mass": 3420.0}
+    first = design(MainParticulars(**boat, speed=10.0))  # type: ignore[arg-type]
     assert "mass" not in first.vessel.guesses and "Y_v" in first.vessel.guesses
     assert re.search(r"(?m)^Y_v = .*Kijima 1990; out of its range.*guess = true", first.text)
     assert re.search(r"(?m)^mass = (?!.*guess)", first.text)
     assert any("L/B is 2.33" in note for note in first.notes)
-    tanker = design(
-        name="b", length=100.0, beam=16.0, draft=6.0, mass=6.9e6, kind="propeller_rudder"
-    )
+    boat = {"name": "b", "length": 100.0, "beam": 16.0, "draft": 6.0, "mass": 6.9e6}
+    tanker = design(MainParticulars(**boat, kind="propeller_rudder"))  # type: ignore[arg-type]
     assert re.search(r"(?m)^Y_vvv = .*Yoshimura and Masumoto 2012\"", tanker.text)
     assert not any("Yoshimura" in note or "Kijima 1990: L/B" in note for note in tanker.notes)
 
 
 def test_speed_and_power_imply_each_other() -> None:
     particulars = {"length": 6.336, "beam": 2.714, "draft": 0.526, "mass": 3420.0}
-    by_power = design(name="a", power=260e3, **particulars)  # type: ignore[arg-type]
+    by_power = design(MainParticulars(name="a", power=260e3, **particulars))  # type: ignore[arg-type]
     speed = by_power.vessel.straight_speed(by_power.vessel.values["shaft_speed_service"])
     # the paper's boat needs about 260 kW for 38 kn by its own curve: within 20 %
     assert speed * 3600 / 1852 == pytest.approx(38.0, rel=0.2)
-    both = design(name="a", power=10e3, speed=15.0, **particulars)  # type: ignore[arg-type]
+    both = design(MainParticulars(name="a", power=10e3, speed=15.0, **particulars))  # type: ignore[arg-type]
     assert any("kW" in note for note in both.notes)
 
 
@@ -119,5 +120,5 @@ def test_speed_and_power_imply_each_other() -> None:
 def test_bad_particulars_are_refused(changes: dict[str, object], words: tuple[str, ...]) -> None:
     good = {"name": "a", "length": 6.3, "beam": 2.7, "draft": 0.53, "mass": 3400.0}
     with pytest.raises(DesignError) as caught:
-        design(**{**good, **changes})  # type: ignore[arg-type]
+        design(MainParticulars(**{**good, **changes}))  # type: ignore[arg-type]
     assert all(word in str(caught.value) for word in words)
