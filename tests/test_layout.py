@@ -54,7 +54,7 @@ def test_functions_take_few_arguments():
     for path in MODULES:
         for node in ast.walk(tree(path)):
             if isinstance(node, ast.FunctionDef) and node.name != "__init__":
-                positional = [*node.args.posonlyargs, *node.args.args]
+                positional = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
                 count = len(positional) - (
                     positional[:1] != [] and positional[0].arg in ("self", "cls", "typing_context")
                 )
