@@ -157,11 +157,11 @@ def benchmark_command(
     scores it. Every seed is another boat of the same kind in another sea. J and E compare each
     predictor with the oracle, which knows the true boat and the mean wind.
 
-    Without arguments: a 20 degree turn and a 20/-20 zigzag of 7.5 m boats in sea state 2, six
-    seeds each, future commands known and held, and one recorded run of a real boat. With --full:
-    the full protocol. With --log: recorded runs, scored against later measurements. Archives that
-    twin.logs.datasets knows are read as downloaded. A file that cannot be read is reported, and
-    the others are scored.
+    Without arguments: a 20 degree turn and a 20/-20 zigzag of 7.5 m boats in sea state 2. There
+    are six seeds each, future commands known and held, and one recorded run of a real boat. With
+    --full: the full protocol. With --log: recorded runs, scored against later measurements.
+    Archives that twin.logs.datasets knows are read as downloaded. A file that cannot be read is
+    reported, and the others are scored.
 
     Writes results.json, report.html, the pictures, and every run as a log for identify and
     predict. Ctrl-C keeps what is finished; the same command continues from there.

@@ -30,9 +30,9 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
-    help="A digital twin of an unmanned surface vessel: simulate it, identify it from a log, "
-    "predict where it will be, benchmark predictors under GPS loss, validate the ship and "
-    "the sea, train and evaluate agents that steer, and view boat and twin in the browser.",
+    help="A digital twin of an unmanned surface vessel. Simulate it, identify it from a log, "
+    "and predict where it will be. Benchmark predictors under GPS loss, and validate ship and "
+    "sea. Train and evaluate agents that steer, and view boat and twin in the browser.",
 )
 
 vessel_app = typer.Typer(

@@ -283,9 +283,9 @@ _FAULT = re.compile(
 )
 
 FAULTS_HELP = (
-    "none, or a kind and seconds such as gps10, from a given second on gps10@30, with an effect "
-    "gps-frozen5 or imu-spikes20, again and again gps-random, in bursts gps-bursts or "
-    "gps-bursts10x2 (10 % of the time, 2 s each), several joined by +; or on for all of them "
+    "none; on for all of them; or a kind and seconds, such as gps10. gps10@30 begins at second 30, "
+    "gps-frozen5 and imu-spikes20 have an effect, gps-random comes again and again. gps-bursts10x2 "
+    "comes in bursts: 10 % of the time, 2 s each. + joins several "
     f"(kinds: {', '.join(FAULT_KINDS)}; effects: {', '.join(EFFECTS)})"
 )
 """What a text of faults may be, for messages."""
