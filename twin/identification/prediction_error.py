@@ -212,7 +212,7 @@ def drive(act, terms):
     thrust_terms(act[0], act[1], c_left, s_left, math.cos(act[3]), math.sin(act[3]), terms)
 
 
-@kernel
+@inlined
 def _stage(number, wind, xi, model, work, linear):
     """Write the rates of the state at a stage and, where asked, their derivatives by it."""
     s, k, terms = work.stage, work.rate, work.terms[number]
@@ -246,7 +246,7 @@ def _add_slopes(some, slopes, by_term, A, j):
     A[3, j], A[4, j], A[5, j] = surge, sway, yaw
 
 
-@kernel
+@inlined
 def rk4_step(row, after, wind, xi, model, work, linear):
     """Advance the state over a row of the window under the actuators as they were.
 

@@ -62,7 +62,7 @@ GRID = 0.25
 LONG_STEP = 0.5
 """Rows as long as this, s, are one step of the integration where the model is slow enough."""
 
-SLOW_ENOUGH = 1.0
+SLOW_ENOUGH = 1.3
 """Rate of the fastest motion times a long step, at most: where it is more, :data:`GRID` holds."""
 
 HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])

@@ -136,7 +136,7 @@ def refit_work(work, p, capacity):
     return RefitWork(linearise_work(work.line, p), segment_work(work.solve, p, capacity))
 
 
-@kernel
+@inlined
 def _slow_step(dt, nav, window, state, config, terms):
     """Advance the low-frequency observer."""
     n, act, slow, envelope = nav.n, state.act, window.slow, config.envelope
@@ -154,7 +154,7 @@ def _slow_step(dt, nav, window, state, config, terms):
             slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
 
 
-@kernel
+@inlined
 def _record(t, dt, good, nav, window, state, rows):
     """Write the window's rows up to time t, interpolated on its grid."""
     n, act, last, last_act = nav.n, state.act, window.last, window.last_act

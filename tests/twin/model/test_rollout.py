@@ -311,16 +311,18 @@ def reference(
 
 
 @BOATS
-@pytest.mark.parametrize("dt", [0.05, 0.1, 0.5])
-def test_rollout_equals_an_accurate_integration(name: str, steering: str, dt: float) -> None:
+@pytest.mark.parametrize(("dt", "atol"), [(0.05, 1e-4), (0.1, 1e-4), (0.25, 5e-4), (0.5, 2e-2)])
+def test_rollout_equals_an_accurate_integration(
+    name: str, steering: str, dt: float, atol: float
+) -> None:
     structure = structure_for(name, steering)
     rows = round(10.0 / dt)
     plan = steering_plan(100)[(np.arange(rows) * dt / 0.1 + 1e-6).astype(int)]
     xi = lively(structure)
     states, acts = reference(structure, xi, plan, dt, WINDY)
     out, out_act = forecast(xi, plan, dt, structure=structure, wind=WINDY)
-    # 0.5 s is cut into the longest steps there are, 0.25 s
-    np.testing.assert_allclose(out, states, atol=1e-4 if dt < 0.25 else 5e-4)
+    # half a second is one step where the model is slow enough: 2 cm after 10 s of hard steering
+    np.testing.assert_allclose(out, states, atol=atol)
     np.testing.assert_allclose(out_act, acts, atol=1e-5)
 
 
