@@ -684,7 +684,9 @@ def test_on_is_every_effect_on_every_sensor() -> None:
     ],
 )
 def test_faults_that_are_not_understood(text: str) -> None:
-    with pytest.raises(FaultError, match="write none; on for all of them; or a kind and seconds") as e:
+    with pytest.raises(
+        FaultError, match="write none; on for all of them; or a kind and seconds"
+    ) as e:
         parse_faults(text, 0.0)
     for word in (repr(text), *FAULT_KINDS, *EFFECTS):
         assert word in str(e.value)
