@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted(
     path for package in ("usv_kernel", "usv_gym", "twin") for path in (ROOT / package).rglob("*.py")
 )
-LINES, IN_A_FOLDER, BESIDE_SUBPACKAGES, ARGUMENTS = 600, 14, 8, 8
+LINES, IN_A_FOLDER, MODULES_OF_TWIN, ARGUMENTS = 600, 14, 8, 8
 
 
 def tree(path: Path) -> ast.Module:
@@ -32,7 +32,7 @@ def test_folders_hold_few_modules():
             folder = str(path.parent.relative_to(ROOT))
             folders[folder] = folders.get(folder, 0) + 1
     assert not {name: count for name, count in folders.items() if count > IN_A_FOLDER}
-    assert folders["twin"] <= BESIDE_SUBPACKAGES
+    assert folders["twin"] <= MODULES_OF_TWIN
 
 
 def test_every_folder_says_what_lives_there():

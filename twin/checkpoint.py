@@ -47,6 +47,9 @@ FORMAT = "usv-twin state"
 VERSION = 3
 """Version of the format. It rises when a field changes its name or meaning."""
 
+SIZE_MAX = 2**28
+"""Bytes that a saved twin may hold when it is unpacked; the largest need a tenth of it."""
+
 _HEADER = "header.json"
 
 _SCALARS = (bool, int, float, str, type(None))
@@ -112,6 +115,12 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         if content.startswith(b"PK"):
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 names = archive.namelist()
+                size = sum(info.file_size for info in archive.infolist())
+                if size > SIZE_MAX or len(set(names)) < len(names):
+                    raise StateError(
+                        f"{path}: holds {size:.3g} bytes in {len(names)} parts, more or other than "
+                        f"a saved twin has; {_EARLIER}"
+                    )
                 if {"header.npy", "memory.npy"} <= set(names):
                     _refuse_version(path, 2, "0.1")
                 if _HEADER in names:

@@ -1,4 +1,7 @@
-"""The simulator: ship, sea, sensors, and the Gymnasium environment ``USVTwin-v0`` over them."""
+"""The simulator: ship, sea, sensors, and the Gymnasium environment ``USVTwin-v0`` over them.
+
+May import usv_kernel; never twin.
+"""
 
 from gymnasium.envs.registration import register, registry
 

@@ -29,7 +29,7 @@ def read(name: str) -> list[dict[str, Any]]:
     return list(json.loads((HERE / name).read_text(encoding="utf-8")))
 
 
-def beside_peers() -> list[str]:
+def with_peers() -> list[str]:
     """Return the lines of the table of cases."""
     targets = {}
     for case in CASES:
@@ -67,4 +67,4 @@ def growing() -> list[str]:
 
 
 if __name__ == "__main__":
-    print("\n".join([*beside_peers(), "", *growing()]))
+    print("\n".join([*with_peers(), "", *growing()]))

@@ -21,7 +21,7 @@ import pytest
 
 import twin
 from twin import Prediction, Predictor, StateError, Twin
-from twin.checkpoint import VERSION, record_views
+from twin.checkpoint import SIZE_MAX, VERSION, record_views
 from twin.identification.filter_settings import plain_settings
 from twin.logs.log import Log
 from twin.predictors.baselines import Persistence
@@ -92,6 +92,16 @@ def test_loaded_and_copied_twins_answer_equally(name, make_twin, losses, tmp_pat
     once.reset()
     fresh = make_twin(name)
     same(fresh, once)
+
+
+def test_more_than_a_saved_twin_holds_is_refused_before_it_is_unpacked(boat, tmp_path):
+    path = tmp_path / "boat.twin"
+    Twin(boat, "persistence").save(path)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("state.more.npy", bytes(SIZE_MAX + 1))
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(StateError, match="more or other than a saved twin has"):
+        Twin.load(path)
 
 
 @pytest.mark.parametrize(

@@ -108,9 +108,7 @@ def test_array_on_the_stack_holds_what_is_put_there():
     gap=st.integers(0, 5),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_rows_are_added_or_written_and_nothing_beside_them(
-    count, many, step, sign, offsets, gap, seed
-):
+def test_rows_are_added_or_written_and_nothing_else(count, many, step, sign, offsets, gap, seed):
     rng = np.random.default_rng(seed)
     at, first = offsets
     width = count + gap
@@ -141,8 +139,8 @@ def test_rows_are_added_or_written_and_nothing_beside_them(
 )
 def test_a_matrix_of_rows_is_added_as_row_by_row(size, count, many, sign, gaps, seed):
     rng = np.random.default_rng(seed)
-    at, first, start, over, beside = gaps
-    apart, width, step = count + over, count + beside, size + over
+    at, first, start, over, extra = gaps
+    apart, width, step = count + over, count + extra, size + over
     factors = rng.normal(size=start + many * step + size + 1)
     rows = rng.normal(size=first + many * width + count + 1)
     to = rng.normal(size=at + size * apart + count + 1)
@@ -193,9 +191,9 @@ def test_inner_takes_so_many_numbers_and_no_more(count, places):
     count=st.integers(0, 30),
     gaps=st.tuples(*[st.integers(0, 3)] * 4),
 )
-def test_columns_become_rows_and_nothing_beside_them(size, count, gaps):
-    at, first, over, beside = gaps
-    apart, width = size + over, count + beside
+def test_columns_become_rows_and_nothing_else(size, count, gaps):
+    at, first, over, extra = gaps
+    apart, width = size + over, count + extra
     rows = np.arange(float(first + size * width + count + 1))
     to = np.full(at + count * apart + size + 1, GUARD)
     turn(to, at, apart, rows, first, width, size, count)

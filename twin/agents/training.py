@@ -264,7 +264,7 @@ class _Learner:
         except (AssertionError, AttributeError, TypeError, ValueError) as error:
             made.close()
             raise AgentError(f"hyperparameters of {plan.algo}: {error}") from None
-        _begin_usual(self.model, made.episodes.nominal_action)
+        _begin_nominal(self.model, made.episodes.nominal_action)
         if importlib.util.find_spec("tensorboard") is None:
             raise ImportError("training logs need tensorboard: pip install 'usv-twin[rl]'")
         self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
@@ -399,7 +399,7 @@ class _Learner:
             buffer.pos, buffer.full = total % buffer.buffer_size, total >= buffer.buffer_size
 
 
-def _begin_usual(model: Any, action: NDArray[np.float64]) -> None:
+def _begin_nominal(model: Any, action: NDArray[np.float64]) -> None:
     """Let an untrained agent hold the nominal speed: it learns sooner than one that lies still."""
     import torch
 

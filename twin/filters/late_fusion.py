@@ -346,9 +346,9 @@ class LateFusion:
         yaw = np.zeros((6, 6))
         yaw[4:, 4:] = self._yaw_density * white
         self._imu_Q = np.kron(with_sample, pair)
-        self._imu_Q = _grow(self._imu_Q) + yaw
-        self._imu_Q_bias = _grow(self.instruments.accel_bias_sd**2 * np.kron(white, pair))
-        self._imu_Q_blind = _grow(self._accel_density * np.kron(white, pair)) + yaw
+        self._imu_Q = _embedded(self._imu_Q) + yaw
+        self._imu_Q_bias = _embedded(self.instruments.accel_bias_sd**2 * np.kron(white, pair))
+        self._imu_Q_blind = _embedded(self._accel_density * np.kron(white, pair)) + yaw
 
     def _predict_imu(self, dt: float, z: Array, given: NDArray[np.bool_]) -> None:
         """Move the IMU filter on, with the acceleration in the earth frame as known input."""
@@ -450,7 +450,7 @@ class LateFusion:
         return self._selections[key]
 
 
-def _grow(block: ArrayLike) -> Array:
+def _embedded(block: ArrayLike) -> Array:
     """Return a (6, 6) matrix with the (4, 4) block in its upper left corner."""
     full = np.zeros((6, 6))
     full[:4, :4] = block

@@ -31,7 +31,7 @@ __all__ = [
     "Identifiability",
     "SubModel",
     "accumulate",
-    "judge",
+    "assess",
 ]
 
 Array = NDArray[np.float64]
@@ -180,10 +180,10 @@ class Identifiability:
         return "\n".join(lines)
 
 
-def judge(
+def assess(
     names: Sequence[str],
     submodels: Sequence[tuple[str, ArrayLike]],
-    grams: Sequence[ArrayLike],
+    gram_matrices: Sequence[ArrayLike],
     q: ArrayLike,
     prior: ArrayLike,
     posterior: ArrayLike,
@@ -202,7 +202,7 @@ def judge(
         Names of the p parameters.
     submodels : sequence of (str, (k,) array of int)
         Name and parameters of each; a parameter may stand in several.
-    grams : sequence of (k, k) arrays
+    gram_matrices : sequence of (k, k) arrays
         Gram matrix of each, from :func:`accumulate`; the lower triangle counts.
     q : array_like
         Noise of the acceleration of each: the variance that the velocity gains per second.
@@ -220,7 +220,7 @@ def judge(
     total = np.zeros_like(before)
     found = []
     for (name, block), lower, noise in zip(
-        submodels, grams, np.asarray(q, dtype=np.float64), strict=True
+        submodels, gram_matrices, np.asarray(q, dtype=np.float64), strict=True
     ):
         columns = np.asarray(block)
         triangle = np.tril(lower)

@@ -69,7 +69,7 @@ class FilterState(NamedTuple):
     wind: Any  # (2,) true wind to north and east, m/s; zeros until it is measured
     wave_power: Any  # (3,) mean squares of the waves in u, v (m/s)^2 and r (rad/s)^2
     counted: Any  # (2,) time since regressors were counted, and time that they stand for, s
-    grams: Any  # Gram matrices of the regressors of surge, sway and yaw
+    gram_matrices: Any  # Gram matrices of the regressors of surge, sway and yaw
 
 
 class FilterConfig(NamedTuple):
@@ -228,7 +228,7 @@ def accumulate_information(dt, terms, state, model):
     counted[1] += seconds
     for i in range(3):
         low, high = model.limits[3 + i, 0] - N_STATES, model.limits[3 + i, 1] - N_STATES
-        accumulate(state.grams[i], terms, model.which[i, low:high], seconds)
+        accumulate(state.gram_matrices[i], terms, model.which[i, low:high], seconds)
 
 
 @inlined
@@ -387,7 +387,7 @@ class JointUKF:
         Mean and covariance: six states, then the parameters.
     act : ndarray, shape (4,)
         Actuators as followed from the commands, in the unit of the structure.
-    counted, grams : ndarray, tuple of three ndarrays
+    counted, gram_matrices : ndarray, tuple of three ndarrays
         Time counted (last entry, s), and the Gram matrices of surge, sway and yaw: see
         :func:`twin.identification.identifiability.accumulate`.
     wind : ndarray, shape (2,)
@@ -407,7 +407,11 @@ class JointUKF:
         self.memory = np.zeros(flat_size(filter_state, self.terms))
         state: FilterState = python_views(filter_state)(self.memory, self.terms)
         self.x, self.P, self.act, self.wind = state.x, state.P, state.act, state.wind
-        self.wave_power, self.counted, self.grams = state.wave_power, state.counted, state.grams
+        self.wave_power, self.counted, self.gram_matrices = (
+            state.wave_power,
+            state.counted,
+            state.gram_matrices,
+        )
         self.constants = np.concatenate(
             [
                 settings.q,

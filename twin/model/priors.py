@@ -41,7 +41,7 @@ TANKER = "tanker"
 """Ships with rudders that are of full form: sampled around one that was measured. The drafts
 of the others are made to hold their course, and few tankers do."""
 
-FLOOR = 0.3
+UNCORRELATED_PART = 0.3
 """Share of each variance that no other parameter explains, at the least."""
 
 SPREAD_MIN = 1e-3
@@ -141,7 +141,8 @@ class Prior:
         at, fits = at[shown], fits[:, shown]
         mean[at] = np.median(fits, axis=0)
         spread = np.cov(fits.T)
-        covariance[np.ix_(at, at)] = (1.0 - FLOOR) * spread + FLOOR * np.diag(np.diag(spread))
+        alone = UNCORRELATED_PART * np.diag(np.diag(spread))
+        covariance[np.ix_(at, at)] = (1.0 - UNCORRELATED_PART) * spread + alone
         return mean, covariance
 
 

@@ -71,7 +71,7 @@ HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])
 HORIZON_ROWS = np.array([round(h / LONG_STEP) - 1 for h in HORIZONS])
 """Rows of a plan of steps :data:`LONG_STEP` that end there."""
 
-SWAY_SLIP = 0.5
+SWAY_INERTIA_RATIO = 0.5
 """Inertia in surge over that in sway, added mass included: .5 to .6 of most hulls."""
 
 
@@ -229,7 +229,7 @@ def rotate_body_velocity(w, h, s, at):
 
     What turns the hull alone leaves the velocity over ground: u and v turn the other way. The
     water that moves with its sides makes it near twice as heavy in sway, and v by
-    :data:`SWAY_SLIP` slower.
+    :data:`SWAY_INERTIA_RATIO` slower.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def rotate_body_velocity(w, h, s, at):
         u and v, m/s, stand at ``at``.
     """
     s[at] += h * w * s[at + 1]
-    s[at + 1] -= SWAY_SLIP * h * w * s[at]
+    s[at + 1] -= SWAY_INERTIA_RATIO * h * w * s[at]
 
 
 @inlined

@@ -122,20 +122,20 @@ def paper_settings(
         raise ValueError(f"n_unit = {n_unit} must be a finite number above 0")
     structure = model_of(particulars, model)
     p = len(structure)
-    variances = _filled("p0", p0, N_STATES + p, positive=True)
+    variances = _vector_of("p0", p0, N_STATES + p, positive=True)
     return FilterSettings(
         structure=structure,
-        q=_filled("q", q, N_STATES, positive=True) / STUDY_STEP,
-        r=_filled("r", r, N_STATES, positive=True),
+        q=_vector_of("q", q, N_STATES, positive=True) / STUDY_STEP,
+        r=_vector_of("r", r, N_STATES, positive=True),
         p0=variances[:N_STATES],
         q_xi=np.zeros(p),
-        xi0=_filled("x0", x0, p, positive=False),
+        xi0=_vector_of("x0", x0, p, positive=False),
         xi0_cov=np.diag(variances[N_STATES:]),
         n_unit=unit,
     )
 
 
-def _filled(name: str, values: ArrayLike, size: int, *, positive: bool) -> Array:
+def _vector_of(name: str, values: ArrayLike, size: int, *, positive: bool) -> Array:
     """Return ``size`` values, one for all or each its own."""
     given = np.asarray(values, dtype=np.float64)
     if given.shape not in ((), (size,)):

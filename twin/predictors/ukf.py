@@ -26,7 +26,7 @@ from twin.filters.navigation_state import (
 )
 from twin.filters.ukf import measurement_update
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plain_settings
-from twin.identification.identifiability import Identifiability, judge
+from twin.identification.identifiability import Identifiability, assess
 from twin.identification.joint_ukf import (
     JOINT_FIELDS,
     PSI,
@@ -307,10 +307,10 @@ class ModelPredictor(Predictor):
     def identifiability(self) -> Identifiability:
         """Return what the data so far say of the parameters."""
         ukf, settings = self.ukf, self.ukf.settings
-        return judge(
+        return assess(
             self.parameter_names,
             [(name, np.arange(*ends)) for name, ends in self.parameter_blocks.items()],
-            ukf.grams,
+            ukf.gram_matrices,
             settings.q[3:],
             settings.xi0_cov,
             ukf.P[N_STATES:, N_STATES:],

@@ -277,8 +277,8 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         _hold(cmd, forecast.plan)
         forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
-        renew = note.last >= note.covs_due
-        if renew:
+        due = note.last >= note.covs_due
+        if due:
             note.covs_due = note.last + settings.period - 1e-9
             forecast_covariance(out.plan, LONG_STEP, state, given, out.covs, scratch)
             for row in range(ROWS):
@@ -292,7 +292,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
             row = HORIZON_ROWS[h]
             for j in range(N_STATES):
                 note.ahead[h, j] = out.states[0, row, j]
-                if renew:
+                if due:
                     for k in range(N_STATES):
                         note.covs[h, j, k] = out.covs[row, j, k]
         describe(state.x, boat, note, boats.points[i], rules, obs[i])

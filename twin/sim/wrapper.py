@@ -65,7 +65,9 @@ class TwinObservation(
     0-1    place forward and to starboard of here         nominal speed * horizon
     2-3    cosine and sine of the turn until then
     4-6    speeds and yaw rate then                       nominal speed, rad/s
-    7-12   standard deviations as above                   as above
+    7-9    standard deviations: forward, starboard        nominal speed * horizon
+           (position), heading                            rad
+    10-12  standard deviations: speeds, yaw rate          nominal speed, rad/s
     ====== ============================================== ================
 
     Validity and age of each signal stand in the environment's own part. ``info`` gains
@@ -266,7 +268,8 @@ def make_env(
         - ``"twin_params"``: and behind that the identified parameters and their standard
           deviations, both in units of the standard deviations that they had at the start;
         - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only: speeds, yaw
-          rate, heading, errors of the path, shaft speeds and drive angles, scaled as above.
+          rate, heading, errors of the path, shaft speeds and drive angles, in the units of
+          those sets.
 
         Left out, it is ``"twin"``, or ``"raw"`` with ``twin=None``. ``observation_names`` of the
         environment has a name for each entry.

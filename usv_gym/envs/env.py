@@ -158,8 +158,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         self.recorder = Recorder(self.simulation) if record else None
-        watchers = self.observer, self.renderer, self.recorder
-        self._watchers = tuple(one for one in watchers if one is not None)
+        callbacks = self.observer, self.renderer, self.recorder
+        self._callbacks = tuple(one for one in callbacks if one is not None)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -219,7 +219,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             )
         self._action[:] = values
         obs = np.empty(self._obs_shape, np.float32)
-        if not self.episodes.step(obs, self._watchers):
+        if not self.episodes.step(obs, self._callbacks):
             raise ValueError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )

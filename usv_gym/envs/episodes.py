@@ -185,7 +185,7 @@ def _observe(
     observe(boat, memory, points, as_record(shared, EPISODES), obs)
 
 
-class StepWatcher(Protocol):
+class StepCallback(Protocol):
     """What takes in every step of the episodes."""
 
     def observe(self, obs: NDArray[np.float32], look: bool = True) -> None:
@@ -342,14 +342,14 @@ class Episodes:
         self.actions[:, i] = self.nominal_action
         _observe(self.simulation.rows[i], self.memory[i], self.task.points[i], self.shared, obs)
 
-    def step(self, obs: np.ndarray, watchers: Sequence[StepWatcher] = ()) -> bool:
+    def step(self, obs: np.ndarray, callbacks: Sequence[StepCallback] = ()) -> bool:
         """Take the steps of one decision by ``actions[1]``.
 
         Parameters
         ----------
         obs : ndarray, shape (n, 23 or more)
             The observations are written there, but for idle boats.
-        watchers : sequence of StepWatcher
+        callbacks : sequence of StepCallback
             Called after each step. The caller keeps them: a reference from here back to their
             owner would keep a dropped environment in memory.
 
@@ -361,8 +361,8 @@ class Episodes:
         for left in self._countdown:
             if not self._step(obs, left):
                 return False
-            for watcher in watchers:
-                watcher.observe(obs, left == 0)
+            for callback in callbacks:
+                callback.observe(obs, left == 0)
         return True
 
     def _step(self, obs: np.ndarray, left: int) -> bool:

@@ -102,7 +102,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.metadata["render_fps"] = fps_of(self.episodes)
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
-        self._watchers = tuple(one for one in (self.observer, self.renderer) if one is not None)
+        self._callbacks = tuple(one for one in (self.observer, self.renderer) if one is not None)
         self.observation_names = names_of(self.observer)
         """What each entry of an observation is."""
         self.single_action_space, self.single_observation_space = spaces_of(
@@ -263,7 +263,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._restart(late)
             self.episodes.records["idle_steps"][late] = self.frame_skip
         self.episodes.actions[1] = values
-        self.episodes.step(self._obs, self._watchers)
+        self.episodes.step(self._obs, self._callbacks)
         record = self.task.records
         rewards = record["reward"].copy()
         terminations = record["terminated"] != 0.0

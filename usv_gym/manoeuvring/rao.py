@@ -32,7 +32,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-SETTLE = 30.0
+SETTLING_TIME = 30.0
 """Time after which the motion is steady, s; transients of usv75 last 10 s."""
 
 SLOWEST = 0.2
@@ -110,7 +110,7 @@ def _respond(
     expected = omega - k * speed * math.cos(heading)
     if abs(expected) < SLOWEST:
         return Response(np.array(expected), *np.full(5, math.nan))
-    seconds = SETTLE + max(20.0, 4.0 * math.pi / abs(expected))
+    seconds = SETTLING_TIME + max(20.0, 4.0 * math.pi / abs(expected))
     sea = Sea.regular(vessel, omega, amplitude, to=heading)
     states = np.zeros((math.ceil(seconds / _DT) + 1, fr.STATE_SIZE))
     states[0, [fr.U, fr.N_LEFT, fr.N_RIGHT]] = speed, n, n
@@ -118,7 +118,7 @@ def _respond(
     work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
     ship.sail(states, cmds, ship.Ship(vessel.packed, 6), sea.arrays(), _DT, work)
     t = _DT * np.arange(len(states))
-    late = t >= SETTLE
+    late = t >= SETTLING_TIME
     t, states = t[late], states[late]
     # encounter frequency at the actual mean speed
     made = np.polyfit(t, states[:, [fr.X, fr.Y]], 1)[0]

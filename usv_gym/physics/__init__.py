@@ -1,5 +1,7 @@
 """The physics of ship and sea: plain compiled functions of arrays.
 
+May import usv_kernel and nothing else of the project.
+
 Notation, signs and units of every file in this folder
 =======================================================
 

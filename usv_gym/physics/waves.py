@@ -133,7 +133,7 @@ def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.
         Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
     dof : int
         3 or 6: with 3, lift, trim and heel are left out.
-    factors : ndarray, shape (13, filled(M))
+    factors : ndarray, shape (13, padded(M))
         From :func:`factor_workspace`; written, rows as named at the top of this file.
     """
     M = waves.shape[1]
@@ -203,7 +203,7 @@ def first_order_loads(
         Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
     dof : int
         3 or 6.
-    factors : ndarray, shape (13, filled(M))
+    factors : ndarray, shape (13, padded(M))
         What :func:`box_factors` makes of the components; the last rows are scratch.
 
     Returns

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin import Twin
-from twin.identification.identifiability import COLLINEAR, INFORMED, accumulate, judge
+from twin.identification.identifiability import COLLINEAR, INFORMED, accumulate, assess
 
 Q = 0.04
 
@@ -24,10 +24,12 @@ def regression(phi, prior, q=Q):
     return gram, np.linalg.inv(np.linalg.inv(prior) + phi.T @ phi / q)
 
 
-def judged(phi, prior, names=None):
+def assessed(phi, prior, names=None):
     gram, posterior = regression(phi, prior)
     names = names or tuple("abcdefgh"[: phi.shape[1]])
-    return judge(names, [("surge", np.arange(len(names)))], [gram], [Q], prior, posterior, len(phi))
+    return assess(
+        names, [("surge", np.arange(len(names)))], [gram], [Q], prior, posterior, len(phi)
+    )
 
 
 def test_gram_is_the_integral_of_products():
@@ -42,7 +44,7 @@ def test_orthogonal_design_by_hand():
     """A is diagonal: entries n x^2 sd^2 / q, hence rank sum l/(1+l) and condition max/min."""
     sd = np.array([1.0, 0.5, 2.0])
     phi = np.diag([1.0, 0.4, 0.02])
-    found = judged(np.repeat(phi, 10, axis=0), np.diag(sd**2))
+    found = assessed(np.repeat(phi, 10, axis=0), np.diag(sd**2))
     eigenvalues = 10.0 * np.diag(phi) ** 2 * sd**2 / Q
     (surge,) = found.submodels
     assert surge.effective_rank == pytest.approx((eigenvalues / (1 + eigenvalues)).sum())
@@ -56,7 +58,7 @@ def test_equal_thrust_is_a_sum_and_never_two():
     rng = np.random.default_rng(0)
     thrust = rng.uniform(1.0, 2.0, 400)
     phi = np.stack([rng.normal(size=400), thrust, thrust], axis=1)
-    found = judged(phi, np.eye(3), ("X_uu", "T_uL", "T_uR"))
+    found = assessed(phi, np.eye(3), ("X_uu", "T_uL", "T_uR"))
     assert found.informed == ("X_uu", "T_uL + T_uR")
     (both,) = found.sums
     assert both.members == ("T_uL", "T_uR") and both.weights == (1.0, 1.0)
@@ -74,7 +76,7 @@ def test_weights_of_a_sum(weight, sign, seed):
     """The sum is what the data determine: moving along its null direction changes nothing."""
     x = np.random.default_rng(seed).normal(size=300)
     phi = np.stack([x, sign * weight * x], axis=1)
-    found = judged(phi, np.eye(2))
+    found = assessed(phi, np.eye(2))
     (both,) = found.sums
     np.testing.assert_allclose(both.weights, [1.0, sign * weight])
     assert both.informed and found.informed == (both.name,)
@@ -87,7 +89,7 @@ def test_cosine_decides():
     x, e = np.concatenate([x[0], x[1]]), np.concatenate([e[0], e[1]])
     for cosine in (COLLINEAR - 1e-4, COLLINEAR + 1e-4):
         y = cosine * x + math.sqrt(1.0 - cosine**2) * e
-        found = judged(np.stack([x, y], axis=1), np.eye(2))
+        found = assessed(np.stack([x, y], axis=1), np.eye(2))
         assert bool(found.sums) == (cosine > COLLINEAR)
 
 
@@ -97,10 +99,10 @@ def test_what_was_not_seen_is_not_informed():
     phi = np.stack([rng.normal(size=300), np.zeros(300)], axis=1)
     tied = np.array([[1.0, 0.99], [0.99, 1.0]])
     for prior in (np.eye(2), tied):
-        found = judged(phi, prior)
+        found = assessed(phi, prior)
         assert found.informed == ("a",) and not found.sums
-    assert judged(phi, tied).parameters[1].ratio < INFORMED
-    none = judged(np.zeros((5, 2)), np.eye(2))
+    assert assessed(phi, tied).parameters[1].ratio < INFORMED
+    none = assessed(np.zeros((5, 2)), np.eye(2))
     assert none.informed == () and math.isnan(none.submodels[0].condition_number)
     assert none.submodels[0].effective_rank == 0.0
     assert json.loads(json.dumps(none.to_json(), allow_nan=False))
@@ -113,7 +115,7 @@ def test_another_submodel_may_tell_apart():
     sway, _ = regression(x[:, None], np.eye(1))
     total = surge + np.diag([0.0, sway[0, 0]])
     posterior = np.linalg.inv(np.eye(2) + (total + np.tril(total, -1).T) / Q)
-    alone = judge(
+    alone = assess(
         ("a", "e"), [("surge", [0, 1]), ("sway", [1])], [surge, sway], [Q, Q], np.eye(2),
         posterior, 200.0,
     )  # fmt: skip

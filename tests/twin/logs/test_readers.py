@@ -649,10 +649,10 @@ def test_commands_take_mapped_files_and_bags(
     code, said = command("identify", "sail.parquet", *plain)
     assert code == 2 and "column(s) t_s, n_left_rps" in said and "a mapping file" in said
     record(tmp_path / "bag", log, "MCAP")
-    beside_it = written(tmp_path / "bag.mapping.toml", EXAMPLE)
+    taken = written(tmp_path / "bag.mapping.toml", EXAMPLE)
     code, said = command("identify", "bag", *plain)
     assert code == 0 and "/steering: time of receipt" in said
-    beside_it.rename("else.toml")
+    taken.rename("else.toml")
     scored = ("--predictors", "persistence", "--faults", "none", "--jobs", "1", "--out", "out")
     code, said = command("benchmark", "--log", "bag", "--mapping", "else.toml", *scored)
     assert code == 0, said

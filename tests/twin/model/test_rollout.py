@@ -119,7 +119,7 @@ def test_derivative_turns_velocities_to_the_earth_and_adds_accelerations(
         dynamics.derivative(s, xi, act, WINDY, structure.terms, terms, out)
         c, n = math.cos(psi), math.sin(psi)
         np.testing.assert_allclose(out[:3], [u * c - v * n, u * n + v * c, r], rtol=1e-14)
-        # the terms that it leaves are those of the accelerations (tests/twin/test_structure.py)
+        # the terms that it leaves are those of the accelerations (test_structure.py)
         assert tuple(out[3:]) == accelerations(terms, structure.terms, xi, 0)
 
 
@@ -374,7 +374,7 @@ def test_velocities_take_on_waves_by_the_gain_within_the_envelope() -> None:
 
 def test_velocity_over_ground_stays_while_a_wave_turns_the_boat() -> None:
     # no forces; the least of gains: u' = w v, v' = -w u / 2, for sway has twice the inertia
-    rate, k = math.pi / 10.0, math.sqrt(rollout.SWAY_SLIP)
+    rate, k = math.pi / 10.0, math.sqrt(rollout.SWAY_INERTIA_RATIO)
     waves = np.tile([0.0, 0.0, rate], (3000, 1))
     s_0 = (0.0, 0.0, 0.4, 3.0, -1.0, 0.0)
     out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, waves=waves, gain=1e-12)

@@ -25,7 +25,7 @@ from twin.identification.prediction_error import (
 )
 from twin.identification.wave_residual import FACTOR, ORDER, SECTORS, simulate_waves
 from twin.logs.log import Log
-from twin.model.rollout import GRID, SWAY_SLIP
+from twin.model.rollout import GRID, SWAY_INERTIA_RATIO
 from twin.model.structure import MODELS, N_STATES
 from twin.particulars import Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -478,7 +478,7 @@ def test_the_observer_keeps_velocity_over_ground_while_a_wave_turns_the_boat(
         predictor.n[3:6] = 3.0, -1.0, 0.1 + turn
         observed(GRID, predictor.memory, predictor.config, predictor.work)
         after.append(slow(predictor))
-    turned = np.array([0.2 * -1.0, -0.2 * SWAY_SLIP * (3.0 - 0.2 * GRID), 0.0]) * GRID
+    turned = np.array([0.2 * -1.0, -0.2 * SWAY_INERTIA_RATIO * (3.0 - 0.2 * GRID), 0.0]) * GRID
     pulled = OBSERVER_GAIN * GRID * np.array([0.0, 0.0, 0.2])
     expected = (1.0 - OBSERVER_GAIN * GRID) * turned + pulled  # as measured, it did not turn
     np.testing.assert_allclose(after[1] - after[0], expected, rtol=1e-9)

@@ -45,10 +45,10 @@ def assert_equals_prediction(note, twin):
     sd = np.sqrt(np.diagonal(note["covs"], axis1=1, axis2=2))
     np.testing.assert_allclose(sd, found.sd[rows], rtol=0, atol=1e-6)
     # shorter rows are the same forecast, up to the error of integration
-    finer = twin.predict("hold")
-    rows = [int(np.flatnonzero(np.isclose(finer.t - twin.t, h))[0]) for h in HORIZONS]
-    assert (abs(note["ahead"] - finer.mean[rows]) < 0.05 * sd + 1e-6).all()
-    np.testing.assert_allclose(sd, finer.sd[rows], rtol=0.05, atol=1e-6)
+    short_rows = twin.predict("hold")
+    rows = [int(np.flatnonzero(np.isclose(short_rows.t - twin.t, h))[0]) for h in HORIZONS]
+    assert (abs(note["ahead"] - short_rows.mean[rows]) < 0.05 * sd + 1e-6).all()
+    np.testing.assert_allclose(sd, short_rows.sd[rows], rtol=0.05, atol=1e-6)
 
 
 @pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])

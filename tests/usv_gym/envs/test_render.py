@@ -379,7 +379,7 @@ def test_many_boats_have_a_picture_each_as_they_have_alone() -> None:
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_tracks_begin_anew_where_boats_reset_themselves(mode: str) -> None:
+def test_tracks_begin_again_where_boats_reset_themselves(mode: str) -> None:
     envs = gym.make_vec(
         "USVTwin-v0",
         2,

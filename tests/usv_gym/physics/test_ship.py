@@ -1,9 +1,9 @@
 """The ship: quoted results, symmetries, limits, order of the integrator, pinned trajectory.
 
-``tests/physics/golden/usv75_zigzag.json`` pins the behaviour of ``USVTwin-v0``'s boat. A change
-that moves it needs a new id, or a stated fix in the change log; then write it again with::
+``golden/usv75_zigzag.json`` pins the behaviour of ``USVTwin-v0``'s boat. A change that moves it
+needs a new id, or a stated fix in the change log; then write it again with::
 
-    PYTHONPATH=. python tests/physics/test_ship.py
+    PYTHONPATH=. python tests/usv_gym/physics/test_ship.py
 """
 
 from __future__ import annotations
@@ -690,7 +690,7 @@ def test_golden_trajectory() -> None:
 if __name__ == "__main__":
     about = (
         "usv75, 60 s timed zigzag at shaft_speed_manoeuvring, sea state 2, seed 0: the 16 states "
-        "of usv_gym.physics.frames every 6 s; written by tests/physics/test_ship.py"
+        "of usv_gym.physics.frames every 6 s; written by tests/usv_gym/physics/test_ship.py"
     )
     GOLDEN.write_text(
         json.dumps({"about": about, "states": zigzag()}, indent=1) + "\n", encoding="utf-8"

@@ -172,7 +172,7 @@ def test_pm_by_wind() -> None:
         SeaState.from_wind(-1)
 
 
-def test_waves_that_are_not_told_a_period_have_that_of_pm() -> None:
+def test_waves_that_are_not_given_a_period_have_that_of_pm() -> None:
     pm, ittc = SeaState(hs=1.0), SeaState(hs=1.0, spectrum="ittc")
     np.testing.assert_array_equal(pm.wave_spectrum().density, ittc.wave_spectrum().density)
     # closed form and table, which lacks 3e-6 of the energy, all of it in the tail

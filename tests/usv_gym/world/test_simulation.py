@@ -146,7 +146,7 @@ def test_it_starts_straight_ahead_at_its_speed() -> None:
     np.testing.assert_array_equal(states[0], expected)
 
 
-def test_finer_physics_under_the_same_control_step() -> None:
+def test_shorter_physics_steps_under_the_same_control_step() -> None:
     coarse, _ = run(sea=SeaState(), steps=100)
     fine, _ = run(sea=SeaState(), steps=100, dt_physics=0.01)
     # calm water, 5 s with a new random command each step: RK4's error where it is not smooth

@@ -411,22 +411,22 @@ class Feed(ABC):
         while self._socket is not None and budget > 0:
             try:
                 if sys.platform == "linux":
-                    data, beside, _, source = self._socket.recvmsg(1 << 16, 128)
+                    data, ancillary, _, source = self._socket.recvmsg(1 << 16, 128)
                 else:
-                    (data, source), beside = self._socket.recvfrom(1 << 16), []
+                    (data, source), ancillary = self._socket.recvfrom(1 << 16), []
             except BlockingIOError:
                 return True
             except OSError:  # an earlier reply was refused
                 budget -= 64
                 continue
             budget -= len(data) + 64
-            self.receive(data, self._arrived(beside), source)
+            self.receive(data, self._arrived(ancillary), source)
         return budget > 0
 
-    def _arrived(self, beside: list[tuple[int, int, bytes]]) -> float:
+    def _arrived(self, ancillary: list[tuple[int, int, bytes]]) -> float:
         """Return when a datagram came by our clock, from what the system says beside it."""
         age = 0.0
-        for _, kind, content in beside:
+        for _, kind, content in ancillary:
             if kind == _TIMESTAMP and len(content) == 16:
                 seconds, nanoseconds = struct.unpack("@qq", content)
                 age = max(time.time() - seconds - 1e-9 * nanoseconds, 0.0)

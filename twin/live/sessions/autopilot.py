@@ -55,10 +55,10 @@ class Autopilot:
         self.vessel, self.speed = vessel, speed
         self.throttle, self.angle, self.autopilot = 1.0, 0.0, "off"
         self.path = np.empty((0, 2))
-        self._usual = vessel.values["shaft_speed_manoeuvring"]
+        self._nominal = vessel.values["shaft_speed_manoeuvring"]
         self._since, self._decided = 0.0, -math.inf
         self._rng, self._random_seed = rng, int(rng.integers(2**32))
-        self._steered = self._steady = vessel.command(self._usual, 0.0)
+        self._steered = self._steady = vessel.command(self._nominal, 0.0)
 
     def hand_over(self, autopilot: str, t: float, state: Array) -> None:
         """Let another autopilot steer from time t (s) and state (6,) on."""
@@ -86,7 +86,7 @@ class Autopilot:
         if self.autopilot == "path":
             return self._along_path(t, state)
         most = self.vessel.helm_max
-        return self.vessel.command(self._usual * self.throttle, min(max(self.angle, -most), most))
+        return self.vessel.command(self._nominal * self.throttle, min(max(self.angle, -most), most))
 
     def plan(self, t: float) -> str | Array:
         """Return the commands to come, as :meth:`twin.digital_twin.Twin.predict` takes them."""
@@ -101,7 +101,7 @@ class Autopilot:
         # a function of time: what is drawn at random is drawn alike each time
         rng, now = np.random.default_rng(self._random_seed), t - self._since
         times = np.append(0.0, now + ahead)
-        shaft = self._usual * self.throttle
+        shaft = self._nominal * self.throttle
         return commands(self.autopilot, times, self.vessel, rng, shaft)[1:]
 
     def _draw_path(self, state: Array) -> None:

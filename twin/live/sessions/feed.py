@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.channels import COMMANDS
 from twin.digital_twin import Twin
 from twin.live.protocols.feed import Feed
-from twin.live.sessions.session import SLIP, Session, Snapshot, measured_boat
+from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
 from usv_gym.vessel.vessel import Vessel
 
@@ -67,7 +67,7 @@ class FeedSession(Session):
         begun = time.monotonic()
         if not self._waiting:
             self._waiting.extend(self.feed.take())
-        while self._waiting and time.monotonic() < begun + SLIP:
+        while self._waiting and time.monotonic() < begun + MAX_LAG:
             t, z, cmd = self._waiting.popleft()
             self.monitor.step(t, z, cmd)
             self._cmd, self._heard = cmd, time.monotonic()

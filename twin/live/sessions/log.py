@@ -82,7 +82,7 @@ class LogSession(Session):
             np.flatnonzero(np.isfinite(log.z[:, column])) for column in (_X, _COMPASS, _GYRO)
         )
         intervals = np.diff(log.t[self._fixes])
-        self._patience = sensor_timeout(float(np.median(intervals)) if len(intervals) else 1.0)
+        self._timeout = sensor_timeout(float(np.median(intervals)) if len(intervals) else 1.0)
         self._prepare(twin, plan)
 
     def _prepare(self, twin: Twin, plan: str) -> None:
@@ -198,7 +198,7 @@ class LogSession(Session):
             track=behind[np.isfinite(behind[:, 0])],
             ahead=ahead[np.isfinite(ahead[:, 0])],
             gps_age=ages[0],
-            gps_lost=ages[0] > self._patience,
+            gps_lost=ages[0] > self._timeout,
             imu_lost=len(turns) > 0 and ages[1] > LOST_AFTER[1],
             has_imu=len(turns) > 0,
         )

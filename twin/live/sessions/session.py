@@ -33,8 +33,8 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.realisation import Sea
 
 __all__ = [
+    "MAX_LAG",
     "PUBLISHED",
-    "SLIP",
     "Session",
     "Snapshot",
     "measured_boat",
@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 PUBLISHED = 0.05
 """Time between two snapshots, s: 20 Hz."""
 
-SLIP = 0.25
+MAX_LAG = 0.25
 """A session that is behind by more gives up catching up, s."""
 
 RATE_OVER = 2.0
@@ -181,7 +181,7 @@ class Session(ABC):
 
     @abstractmethod
     def _advance(self) -> None:
-        """Live on up to the present moment of the clock; no longer than about :data:`SLIP`."""
+        """Live on up to the present moment of the clock; no longer than about :data:`MAX_LAG`."""
 
     @abstractmethod
     def _look(self) -> Snapshot | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
 from twin.live.sessions.autopilot import Autopilot
-from twin.live.sessions.session import SLIP, Session, Snapshot
+from twin.live.sessions.session import MAX_LAG, Session, Snapshot
 from twin.live.sessions.tracker import TwinMonitor
 from twin.predictors.registry import DEFAULT, predictor_class
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
@@ -165,7 +165,7 @@ class SimulatedSession(Session):
             cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
             self.simulation.step(cmd[None])
             self._feed()
-            if time.monotonic() > now + SLIP:  # too much is asked of this machine
+            if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
                 self._anchor = time.monotonic(), self.t
                 break
 

@@ -224,7 +224,7 @@ class TwinMonitor:
             self.measured[2] = heading
         if math.isfinite(z[_GYRO]):
             self._gyro_at = t
-        self._judge(before, truth)
+        self._note_errors(before, truth)
         if not self._rows or t >= self._rows[-1][0][0] + self._step:
             self._note()
 
@@ -274,7 +274,7 @@ class TwinMonitor:
             var = now.sd[3:5] ** 2 + how.doppler_sd**2
             self._nis_velocity.add(t, float(np.mean((fix[2:] - velocity) ** 2) / np.mean(var)))
 
-    def _judge(self, before: float, truth: Array | None) -> None:
+    def _note_errors(self, before: float, truth: Array | None) -> None:
         """Say how far off the prediction is whose last moment has come."""
         last = self._place
         if truth is not None and math.isfinite(truth[0]):

@@ -135,7 +135,7 @@ def test_commands_hold_and_their_absence_is_reported(usv: Particulars) -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 10.0])
-def test_a_clock_that_begins_anew_does_not_stall(usv: Particulars, speed: float) -> None:
+def test_a_clock_that_begins_again_does_not_stall(usv: Particulars, speed: float) -> None:
     wire = Wire(MessageFeed, usv)
     for start in (1000.0, 200.0, 200.0):  # the third time with the same times as the second
         for i in range(100):

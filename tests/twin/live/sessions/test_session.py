@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from twin import Log, Particulars, Twin
 from twin.live.protocols.feed import COUNTS, Feed
+from twin.live.sessions import simulated
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -261,10 +263,8 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
     wait(lambda: session.snapshot is not None)
     session.order(session.record, True)
     wait(lambda: session.recording)
-    begin, t = time.monotonic(), session.t
-    time.sleep(2.0)
-    pace = (session.t - t) / (time.monotonic() - begin)
-    assert pace == pytest.approx(5.0, rel=0.15)
+    t = session.t
+    wait(lambda: session.t > t + 5.0)
     session.order(session.set_paused, True)
     wait(lambda: session.paused)
     time.sleep(0.2)
@@ -274,6 +274,16 @@ def test_the_thread_keeps_the_pace_and_writes_the_log_when_it_is_stopped(tmp_pat
     session.stop()
     assert session.error is None
     assert len(Log.read(session.recorded)) > 50
+
+
+def test_time_scale_sets_the_pace(tmp_path, monkeypatch):
+    session = SimulatedSession(setup(), tmp_path)
+    session.set_scale(5.0)
+    clock = SimpleNamespace(monotonic=lambda: 2.0)
+    monkeypatch.setattr(simulated, "time", clock)
+    session._anchor, begin = (0.0, session.t), session.t
+    session._advance()
+    assert session.t - begin == pytest.approx(10.0, abs=1e-6)
 
 
 def test_what_ends_the_thread_is_kept(tmp_path, monkeypatch):

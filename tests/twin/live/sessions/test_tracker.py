@@ -25,7 +25,7 @@ def monitor(predictor: str = "ukf") -> TwinMonitor:
     return TwinMonitor(Twin(particulars_of(VESSEL), predictor))
 
 
-def test_the_twin_is_fed_as_it_would_be_alone():
+def test_the_twin_equals_one_without_a_view():
     log = sailed()
     seen, alone = monitor(), Twin(particulars_of(VESSEL), "ukf")
     for row, (t, z, cmd) in enumerate(log):
