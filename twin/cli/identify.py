@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from twin.channels import CHANNELS
+from twin.channels import STATE
 from twin.cli.common import (
     STATE_HEADS,
     STATE_SCALE,
@@ -80,7 +80,7 @@ def identify_command(
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
     prior = fresh.estimate()
-    header = ["t_s", *CHANNELS, *(f"sd_{c}" for c in CHANNELS)]
+    header = ["t_s", *STATE, *(f"sd_{c}" for c in STATE)]
     names = twin.predictor.parameter_names
     header += [*names, *(f"sd_{n}" for n in names)]
     rows = []
@@ -118,8 +118,8 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "predictor": predictor,
         "t_s": estimate.t,
         "ready": estimate.ready,
-        "state": dict(zip(CHANNELS, estimate.state.tolist(), strict=True)),
-        "state_sd": dict(zip(CHANNELS, estimate.sd.tolist(), strict=True)),
+        "state": dict(zip(STATE, estimate.state.tolist(), strict=True)),
+        "state_sd": dict(zip(STATE, estimate.sd.tolist(), strict=True)),
         "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),
         "parameters_sd": dict(zip(names, estimate.params_sd.tolist(), strict=True)),
         "identifiability": None if seen is None else seen.to_json(),

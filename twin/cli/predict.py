@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin.channels import CHANNELS, COMMANDS, TIME
+from twin.channels import COMMANDS, STATE, TIME
 from twin.cli.common import (
     STATE_HEADS,
     STATE_SCALE,
@@ -92,7 +92,7 @@ def predict_command(
     if out is not None:
         parts = (prediction.mean, prediction.sd, prediction.low, prediction.high)
         table = np.column_stack([prediction.t, *parts])
-        header = [f"{kind}{c}" for kind in ("", "sd_", "low_", "high_") for c in CHANNELS]
+        header = [f"{kind}{c}" for kind in ("", "sd_", "low_", "high_") for c in STATE]
         write_csv(out, ["t_s", *header], table.tolist())
         console.print(f"every 0.1 s: {out}")
 

@@ -42,11 +42,6 @@ CONTROL_STEP = 0.05
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
 
-if MEASUREMENTS[: len(CHANNELS)] != CHANNELS:
-    raise ImportError(
-        "usv_gym.world.channels.CHANNELS and twin.channels.MEASUREMENTS have come apart"
-    )
-
 
 def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
     """Return the particulars of a simulated vessel, for its twin.

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
+from usv_kernel.channels import SENSOR_CHANNELS
+
 __all__ = ["CHANNELS", "COMPASS", "COMPASS_BIT", "GPS", "GPS_BIT", "IMU", "IMU_BIT"]
 
-CHANNELS = (
-    "gps_x_m",
-    "gps_y_m",
-    "gps_vx_mps",
-    "gps_vy_mps",
-    "compass_rad",
-    "gyro_radps",
-    "accel_x_mps2",
-    "accel_y_mps2",
-)
+CHANNELS = SENSOR_CHANNELS
 """Entries of a measurement row; NaN where there is no new sample."""
 
 GPS, COMPASS, IMU = slice(0, 4), slice(4, 5), slice(5, 8)

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import usv_gym
 from twin import Log, Twin, recorded_runs
 from twin.benchmark.metrics import METRICS
-from twin.channels import CHANNELS
+from twin.channels import STATE
 from twin.cli.benchmark import match_files, print_results
 from twin.cli.common import console, parse_seeds
 from twin.cli.main import COMMANDS, app, expand_files
@@ -83,7 +83,7 @@ def test_identify_equals_the_twin_from_python(folder):
     with (folder / "all.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(log)
-    assert [float(rows[-1][name]) for name in CHANNELS] == estimate.state.tolist()
+    assert [float(rows[-1][name]) for name in STATE] == estimate.state.tolist()
 
 
 def test_identify_prints_what_determines_the_parameters(folder):
@@ -138,7 +138,7 @@ def test_predict_prints_intervals_and_writes_them(folder):
     with file.open() as lines:
         last = {name: float(value) for name, value in list(csv.DictReader(lines))[-1].items()}
     assert last["t_s"] == pytest.approx(35.0)
-    for name in CHANNELS:
+    for name in STATE:
         assert last[f"low_{name}"] < last[name] < last[f"high_{name}"]
     log = Log.read(folder / "run.csv")
     true = log.truth[int(np.searchsorted(log.t, 35.0 - 1e-9))]

@@ -75,7 +75,7 @@ class Autopilot:
         t : float
             Time, s.
         state : ndarray, shape (6,)
-            Estimated state, in the order of ``twin.channels.CHANNELS``.
+            Estimated state, in the order of ``twin.channels.STATE``.
 
         Returns
         -------

@@ -91,7 +91,7 @@ def integrate(start: Array, velocity: Array) -> Array:
     Parameters
     ----------
     start : ndarray, shape (B, 6)
-        States at the start, in the order of ``twin.channels.CHANNELS``; velocities unused.
+        States at the start, in the order of ``twin.channels.STATE``; velocities unused.
     velocity : ndarray, shape (B, K + 1, 3)
         u, v, r at the start and at the ends of the K steps, m/s and rad/s.
 
