@@ -67,10 +67,13 @@ def test_arguments_are_written_out():
     """No tuple is taken apart in a call: ``f(*(a, b), *(c, d))``."""
     splatted = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
-        for path in MODULES
+        for path in [*MODULES, *sorted((ROOT / "tests").rglob("*.py"))]
         for node in ast.walk(tree(path))
         if isinstance(node, ast.Call)
-        and any(isinstance(a, ast.Starred) and isinstance(a.value, ast.Tuple) for a in node.args)
+        and any(
+            isinstance(a, ast.Starred) and isinstance(a.value, ast.Tuple | ast.List)
+            for a in node.args
+        )
     ]
     assert not splatted
 

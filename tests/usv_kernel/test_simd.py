@@ -147,8 +147,17 @@ def test_a_matrix_of_rows_is_added_as_row_by_row(size, count, many, sign, gaps, 
     singly = to.copy()
     for i in range(size):
         add(
-            *(singly, at + i * apart, count, factors, start + i, step, sign),
-            *(rows, first, width, many),
+            singly,
+            at + i * apart,
+            count,
+            factors,
+            start + i,
+            step,
+            sign,
+            rows,
+            first,
+            width,
+            many,
         )
     add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many)
     # to the bit: each number's terms are fused in the same order

@@ -35,7 +35,7 @@ def test_episode_i_is_that_of_a_single_environment_with_its_seed():
     rows = evaluate(Fixed(0.7, 0.05), seeds=seeds, faults="gps10", max_episode_steps=steps)
     for seed, row in zip(seeds, rows, strict=True):
         env = gym.make(
-            *("USVTwin-v0",), observation="raw", faults="gps10", sea="2", frame_skip=10,
+            "USVTwin-v0", observation="raw", faults="gps10", sea="2", frame_skip=10,
             max_episode_steps=steps,
         )  # fmt: skip
         env.reset(seed=seed)

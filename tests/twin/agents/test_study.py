@@ -192,8 +192,18 @@ def test_commands(tmp_path, monkeypatch):
     )
     file = tmp_path / "episodes.json"
     output = said(
-        *("evaluate", runs, "idle", runs / "ppo-raw-0" / "policy.npz", "--seeds", "1-2"),
-        *("--sea", "0", "--faults", "none", "--json", file),
+        "evaluate",
+        runs,
+        "idle",
+        runs / "ppo-raw-0" / "policy.npz",
+        "--seeds",
+        "1-2",
+        "--sea",
+        "0",
+        "--faults",
+        "none",
+        "--json",
+        file,
     )
     assert "idle" in output
     rows = json.loads(file.read_text())

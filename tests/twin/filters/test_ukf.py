@@ -118,7 +118,9 @@ def spread_of(rng: np.random.Generator, sd: np.ndarray) -> np.ndarray:
             # the heading moves the regressors by way of biases and wind
             pytest.param(
                 dynamics.model_of(dataclasses.replace(BOAT, steering=steering), name, biased=True),
-                *(scaling, True, True),
+                scaling,
+                True,
+                True,
                 id=f"all, {name}, biased, {steering}",
             )
             for name in MODELS

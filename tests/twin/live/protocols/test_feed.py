@@ -227,7 +227,9 @@ SENTENCES = st.builds(
 )
 FIXES = st.builds(
     lambda t, lat, lon: NMEA.gga(t, lat, lon, 4).encode(),
-    *(TIMES, st.floats(-200.0, 200.0), st.floats(-400.0, 400.0)),
+    TIMES,
+    st.floats(-200.0, 200.0),
+    st.floats(-400.0, 400.0),
 )
 LINK = MavlinkWriter(servos=Servos.of(BOAT))
 WIDE = st.floats(allow_nan=True, allow_infinity=True, width=32)
@@ -235,12 +237,14 @@ PACKETS = st.one_of(
     st.builds(LINK.attitude, TIMES, st.floats(-7.0, 7.0), WIDE),
     st.builds(
         LINK.position,
-        *(TIMES, st.tuples(st.floats(-200, 200), st.floats(-210, 210))),
+        TIMES,
+        st.tuples(st.floats(-200, 200), st.floats(-210, 210)),
         st.tuples(st.floats(-400, 400), st.floats(-400, 400)),
     ),
     st.builds(
         lambda t, n: LINK.row(t, np.full(10, np.nan), np.array([n, n, 0.1, 0.1]), None)[0],
-        *(TIMES, st.floats(-100.0, 100.0)),
+        TIMES,
+        st.floats(-100.0, 100.0),
     ),
 )
 
@@ -251,7 +255,9 @@ def corrupted(sound: st.SearchStrategy[bytes]) -> st.SearchStrategy[list[bytes]]
         lambda data, at, bit: bytes(
             byte ^ (1 << bit) if i == at % len(data) else byte for i, byte in enumerate(data)
         ),
-        *(sound, st.integers(0, 300), st.integers(0, 7)),
+        sound,
+        st.integers(0, 300),
+        st.integers(0, 7),
     )
     return st.lists(st.one_of(st.binary(max_size=400), sound, cut, turned), max_size=12)
 

@@ -173,8 +173,12 @@ def test_a_short_prediction_goes_back_as_far_as_it_reaches(wire: Wire) -> None:
     wire.tell(MavlinkWriter().position(1.0, (59.5, 10.5), (0, 0)))
     estimate, prediction = estimate_of(0.0)
     short = type(prediction)(
-        *(0.0, prediction.start, prediction.start_cov),
-        *(prediction.t[:18], prediction.mean[:18], prediction.cov[:18]),
+        0.0,
+        prediction.start,
+        prediction.start_cov,
+        prediction.t[:18],
+        prediction.mean[:18],
+        prediction.cov[:18],
     )
     parser = common.MAVLink(None)
     found = [m for d in wire.feed.encode(estimate, short) for m in parser.parse_buffer(d)]
