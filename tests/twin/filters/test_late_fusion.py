@@ -291,7 +291,7 @@ def test_missing_compass_is_bridged_by_the_gyro() -> None:
 
 
 @pytest.mark.parametrize("every", [4, 20])
-def test_slow_gps(every: int) -> None:
+def test_late_fusion_bridges_rare_fixes(every: int) -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(9), 1000, instruments)
     z[np.arange(len(z)) % every != 0, GPS] = math.nan
@@ -300,7 +300,7 @@ def test_slow_gps(every: int) -> None:
     assert (error[3:5] < 0.3).all()
 
 
-def test_irregular_steps() -> None:
+def test_late_fusion_takes_irregular_steps() -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     rng = np.random.default_rng(10)
     fine = 0.01

@@ -132,7 +132,7 @@ BOAT = particulars_of(Vessel.load("usv75"))
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), st.floats(0.1, 1e6))
-def test_never_nan(seed, loss, size):
+def test_navigation_stays_finite_on_garbage(seed, loss, size):
     rng = np.random.default_rng(seed)
     navigator = Navigator(BOAT)
     for _ in range(300):
@@ -390,5 +390,5 @@ def test_thirty_seconds_after_a_fault_it_is_as_if_there_had_been_none():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 1_000_000), (PlusPredictor, 1_000_000)])
-def test_long_marathon(kind, rows):
+def test_navigation_stays_finite_over_a_million_rows(kind, rows):
     marathon(kind, rows, 1)

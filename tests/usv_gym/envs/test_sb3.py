@@ -79,7 +79,7 @@ def test_attributes_and_methods():
     envs.close()
 
 
-def test_what_it_does_not_take_is_said():
+def test_sb3_env_refuses_what_it_cannot_wrap():
     with pytest.raises(ValueError, match="autoreset_mode='SameStep'"):
         SB3VecEnv(gym.make_vec("USVTwin-v0", num_envs=2, twin=None))
     with pytest.raises(TypeError, match="as it was made"):

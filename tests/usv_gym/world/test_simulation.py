@@ -172,7 +172,7 @@ def test_steps_that_do_not_fit(dt: float, dt_physics: float) -> None:
 
 
 @pytest.mark.parametrize("dt", [math.nan, math.inf])
-def test_steps_that_are_no_numbers(dt: float) -> None:
+def test_steps_that_are_not_finite_are_refused(dt: float) -> None:
     with pytest.raises(SimulationError, match="whole multiple of dt_physics"):
         Simulation(1, BOAT, SeaState(), dt=dt)
     with pytest.raises(SimulationError, match="whole multiple of dt_physics"):

@@ -207,7 +207,7 @@ def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> N
             assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
 
 
-def test_the_command(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
+def test_replay_command_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "run.csv"
     simulated[0].slice(0.0, 5.0).write(path)
     address = f"udp://:{_free()}"
