@@ -82,7 +82,7 @@ def test_study_tables_equal_the_results(script, function, rows):
 def test_speed_tables_equal_the_measurements():
     page = (ROOT / "examples/speed/README.md").read_text(encoding="utf-8").splitlines()
     tables = runpy.run_path(str(ROOT / "examples/speed/tables.py"))
-    lines = [*tables["beside_peers"](), *tables["growing"]()]
+    lines = [*tables["with_peers"](), *tables["growing"]()]
     assert len(lines) > 50
     assert not set(lines) - set(page)
 
