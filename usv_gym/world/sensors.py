@@ -10,8 +10,8 @@ import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.faults import FaultError, is_finite, strike
+from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size
 
@@ -49,7 +49,7 @@ SENSORS = np.dtype(
         ("compass_bias", float),  # rad
         ("gyro_bias", float),  # rad/s
         ("accel_bias", float, 2),  # m/s2, forward and starboard
-        ("last", float, len(CHANNELS)),  # last sample of each channel, NaN before the first
+        ("last", float, len(SENSOR_CHANNELS)),  # last sample of each channel, NaN before the first
     ]
 )
 """What the sensors of one boat remember."""
