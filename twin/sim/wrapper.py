@@ -21,6 +21,7 @@ from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import OBSERVATION, Episodes
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.vector import USVVectorEnv
+from usv_kernel.errors import ArgumentError, UsvTwinError
 
 __all__ = [
     "OBSERVATIONS",
@@ -105,16 +106,16 @@ class TwinObservation(
         gym.Wrapper.__init__(self, env)
         base = env.unwrapped
         if not isinstance(base, USVEnv):
-            raise TypeError(
+            raise ArgumentError(
                 f"TwinObservation wraps environments over USVEnv, not {type(base).__name__}"
             )
         if env.observation_space.shape != (len(OBSERVATION),):
-            raise TypeError(
+            raise ArgumentError(
                 "TwinObservation comes before other observations are made of it, and only once; "
                 "gym.make('USVTwin-v0', twin=None) gives an environment without a twin"
             )
         if base.episodes.frame_skip > 1:
-            raise TypeError(
+            raise ArgumentError(
                 "TwinObservation wraps environments with frame_skip=1; with more, "
                 "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
             )
@@ -243,11 +244,11 @@ def _made(
 ) -> _Env:
     observation = observation or ("raw" if twin is None else "twin")
     if observation not in OBSERVATIONS:
-        raise ValueError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
+        raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
     if observation in OBSERVERS:
         return plain(observer=OBSERVERS[observation], **options)
     if twin is None:
-        raise ValueError(f"observation = {observation!r} needs a twin; twin=None gives none")
+        raise UsvTwinError(f"observation = {observation!r} needs a twin; twin=None gives none")
     return with_twin(twin=twin, parameters=observation == "twin_params", **options)
 
 
@@ -320,12 +321,12 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
 
     Raises
     ------
-    ValueError
+    UsvTwinError
         Without ``record=True``, or before the first reset.
     """
     base = env.unwrapped
     if not isinstance(base, USVEnv) or not (base.recorder and base.recorder.rows):
-        raise ValueError("make the environment with record=True, and reset it, to get its log")
+        raise UsvTwinError("make the environment with record=True, and reset it, to get its log")
     rows = np.array(base.recorder.rows)
     log = Log(
         t=rows[:, 0],
