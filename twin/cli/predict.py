@@ -61,6 +61,8 @@ def predict_command(
     ] = None,
 ) -> None:
     """Run the twin over a log up to a time, and predict the motion after it."""
+    dt = horizon / max(round(horizon / 0.1), 1)
+    commands = None if plan in ("hold", "known") else _read_plan(Path(plan), horizon, dt)
     run, twin = open_log(log, predictor, ship=ship, model=model, mapping=mapping)
     last = float(run.t[-1])
     if at is None:
@@ -81,13 +83,9 @@ def predict_command(
             advance()
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
-    dt = horizon / max(round(horizon / 0.1), 1)
-    if plan == "hold":
-        prediction = twin.predict("hold", horizon=horizon, dt=dt)
-    elif plan == "known":
-        prediction = twin.predict(known_plan(run, row, horizon, dt), dt=dt)
-    else:
-        prediction = twin.predict(_read_plan(Path(plan), horizon, dt), dt=dt)
+    if plan == "known":
+        commands = known_plan(run, row, horizon, dt)
+    prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
     _print_prediction(prediction, predictor, plan, run)
     if out is not None:
         parts = (prediction.mean, prediction.sd, prediction.low, prediction.high)

@@ -15,7 +15,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
-from usv_kernel.errors import ArgumentError, UsvTwinError
+from usv_kernel.errors import UsvTwinError, check_options
 
 __all__ = ["EnvConfig"]
 
@@ -92,10 +92,8 @@ class EnvConfig:
         ArgumentError
             Names the options that exist; ``others`` are those of the environment itself.
         """
-        unknown = ", ".join(name for name in options if name not in cls.names())
-        if unknown:
-            known = ", ".join((*others, *cls.names()))
-            raise ArgumentError(f"the environment has no option {unknown}; it has {known}")
+        given = (name for name in options if name not in others)
+        check_options("the environment", given, (*others, *cls.names()))
         return cls(**options)
 
     def seas(self) -> tuple[SeaState, ...]:
