@@ -117,7 +117,8 @@ def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
 
 def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Log) -> None:
     span = float(prediction.t[-1] - prediction.t0)
-    horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
+    ends = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+    horizons = [h for h in ends if h < span - 1e-6] + [span]
     mean = prediction.at(np.array(horizons))[0]
     low, high = prediction.band(np.array(horizons))
     up, down = high - mean, mean - low
@@ -130,6 +131,7 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
     )
     parts = (part * STATE_SCALE for part in (mean, up, down))
     for horizon, *rows in zip(horizons, *parts, strict=True):
-        cells = (f"{m:.2f}\n+{u:.2f} -{d:.2f}" for m, u, d in zip(*rows, strict=True))
+        # one below the other: side by side they do not fit into 80 columns
+        cells = (f"{m:.2f}\n+{u:.2f}\n-{d:.2f}" for m, u, d in zip(*rows, strict=True))
         table.add_row(f"{horizon:g}", *cells)
     console.print(table)
