@@ -193,8 +193,9 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
     np.testing.assert_allclose(slope[:, 6:] @ moved, 0.05 * change, rtol=1e-9, atol=1e-12)
 
 
-# The paper's identified models; source of the numbers: docs/explanation/ship_and_sea.md. A
-# positive angle is the same turn in the tables as here: no sign had to be changed.
+# The paper's identified models; source of the numbers:
+# docs/explanation/validation.md, The twin. A positive angle is the same turn in the tables as
+# here: no sign had to be changed.
 
 
 @pytest.mark.parametrize(
