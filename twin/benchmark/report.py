@@ -251,7 +251,8 @@ def _cases(results: Row, pictures: _Pictures, styles: Styles) -> list[dict[str, 
             seeds = len({number_of(row, "seed") for row in here["rows"]})
             caption = (
                 "Error growth: mean absolute error of position and heading against the horizon, "
-                f"mean of {seeds} run{'' if seeds == 1 else 's'}. An arrow head marks a curve that "
+                f"mean of {seeds} run{'' if seeds == 1 else 's'}. Thin grey lines, with names, are "
+                "the other predictors, with the first plan. An arrow head marks a curve that "
                 "leaves the picture; the table counts it in full."
             )
             picture = pictures.add(fig, f"{scenario}_{case}_error", caption)

@@ -72,14 +72,14 @@ class Start(NamedTuple):
     envelope: tuple[float, float, float] = (50.0, 50.0, 10.0)
 
 
-AT_REST = Start(s=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+UNDER_WAY, AT_REST = Start(), Start(s=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def forecast(
     xi: np.ndarray,
     plan: np.ndarray,
     dt: float = 0.1,
-    start: Start = Start(),  # noqa: B008 - it never changes
+    start: Start = UNDER_WAY,
     structure: Structure = PAPER,
     wind: np.ndarray = CALM,
     waves: np.ndarray | None = None,
