@@ -227,6 +227,7 @@ def benchmark_command(
         for run, reason in {**missing, **failed}.items()
     )
     command = shlex.join(["usv-twin", *sys.argv[1:]])
+    console.print(f"scoring {len(done)} results")
     results = runner.collect(settings, done, command, notes + not_scored, against)
     if full:  # hundreds of thousands of rows: a table of their own
         (out / "rows.csv.gz").write_bytes(compressed_csv(results.pop("rows")))
@@ -245,8 +246,15 @@ def benchmark_command(
         raise BenchmarkError("nothing could be scored; the lines above say why")
     from twin.benchmark.report import write_report
 
-    with console.status("drawing the report"):
-        written = write_report(out, results, runner.run_figures(settings, done))
+    figures = runner.run_figures(settings, done)
+    console.print(f"drawing {out / 'pictures'}: errors, and {len(figures)} run(s) in detail")
+    with progress_bar(transient=True) as progress:
+        bar = progress.add_task("drawing", total=None)
+
+        def drawn(name: str) -> None:
+            progress.update(bar, advance=1, description=name)
+
+        written = write_report(out, results, figures, drawn)
     console.print(f"{out / 'results.json'}, {written[0]}")
 
 

@@ -275,6 +275,8 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
 class _Watch(FleetPredictor):
     """Keeps the history that a net would see, and knows no net."""
 
+    look_back = math.inf  # type: ignore[assignment]
+
     def __init__(self, particulars: Particulars) -> None:
         super(FleetPredictor, self).__init__(particulars)
 

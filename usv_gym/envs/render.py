@@ -21,6 +21,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "RENDER_MODES",
@@ -90,7 +91,7 @@ class Renderer:
         size: tuple[int, int] = RENDER_SIZE,
     ) -> None:
         if mode not in RENDER_MODES:
-            raise ValueError(
+            raise UsvTwinError(
                 f"render_mode = {mode!r}: unknown; use {' or '.join(map(repr, RENDER_MODES))}, or "
                 "leave it out"
             )
@@ -239,7 +240,7 @@ class Painter:
         except (TypeError, ValueError):
             whole = False
         if not (whole and SMALLEST[0] <= w <= LARGEST and SMALLEST[1] <= h <= LARGEST):
-            raise ValueError(
+            raise UsvTwinError(
                 f"render_size = {size!r}: must be width and height in whole pixels, at least "
                 f"{SMALLEST[0]} x {SMALLEST[1]} and at most {LARGEST} x {LARGEST}"
             )

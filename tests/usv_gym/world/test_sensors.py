@@ -155,7 +155,8 @@ def test_accelerometer_in_a_steady_turn_on_a_circle() -> None:
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.U, fr.V, fr.R]] = u, v, r
     z = sample(SensorSuite.perfect(), state, np.zeros(fr.STATE_SIZE))
-    # centripetal: towards the centre, which is to starboard for r > 0 (ship_and_sea.md)
+    # centripetal: towards the centre, which is to starboard for r > 0
+    # (docs/explanation/ship_and_sea.md, Frames and notation)
     assert z[ACCEL_X] == pytest.approx(-v * r, rel=1e-15)
     assert z[ACCEL_Y] == pytest.approx(u * r, rel=1e-15)
 

@@ -185,6 +185,11 @@ class LSTMPredictor(HistoryPredictor):
             self._net = _Net(**without_prefix("net", net))
 
     @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`: all that it is going to learn from."""
+        return GRID * self.warm if self._trained else math.inf
+
+    @property
     def trained(self) -> bool:
         """True from the training on, even if it taught nothing."""
         return self._trained
