@@ -295,7 +295,7 @@ def _summary_grid(summary: Sequence[Row]) -> Grid | None:
         metric: _best(metric, [row[metric] for row in entries.values() if metric in row])
         for metric in metrics
     }
-    plans = len({plan for _, plan in entries}) > 1
+    plans = len({key[1] for key in entries}) > 1
     rows = []
     for (predictor, plan), row in entries.items():
         cells = [Cell(predictor), *([Cell(plan)] if plans else [])]

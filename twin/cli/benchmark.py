@@ -417,13 +417,13 @@ def _print_overview(cells: Cells) -> None:
     excess = all("E" in metrics for block in cells.values() for metrics in block.values())
     metric, title = ("E", "E, excess over the oracle") if excess else ("mae", "MAE")
     name_width = max(map(len, predictors))
-    for plan in dict.fromkeys(plan for _, _, plan in cells):
+    for plan in dict.fromkeys(key[2] for key in cells):
         columns = [key for key in cells if key[2] == plan]
         widest = max(len(word) for key in columns for word in key[:2]) + 1
         many = max(1, (console.width - name_width - 2) // max(widest, 7))
         for first in range(0, len(columns), many):
             shown = columns[first : first + many]
-            heads = (f"{scenario}\n{case}" for scenario, case, _ in shown)
+            heads = ("\n".join(key[:2]) for key in shown)
             table = new_table(f"{title}, plan {plan}", "predictor", *heads, left=("predictor",))
             for name in predictors:
                 values = (cells[key].get(name, {}).get(metric) for key in shown)

@@ -94,7 +94,7 @@ def predictor_class(name: str) -> type[Predictor]:
 
 def _imported(name: str, entry: str) -> Any:
     """Return what ``module:Class`` stands for."""
-    module, _, attribute = entry.partition(":")
+    module, attribute = entry.partition(":")[::2]
     here = str(Path.cwd())
     if name == entry and here not in sys.path:
         sys.path.append(here)  # as for python -m, and in the workers of any backend too
@@ -137,7 +137,7 @@ def make_predictor(
     if "model" in options and not kind.models:
         raise PredictorError(f"predictor {name!r} has no model structure; leave out 'model'")
     # not of the class, whose __new__ takes anything; and without self and the particulars
-    _, _, *arguments = inspect.signature(kind.__init__).parameters.values()
+    arguments = list(inspect.signature(kind.__init__).parameters.values())[2:]
     if not any(one.kind is one.VAR_KEYWORD for one in arguments):
         known = [one.name for one in arguments if one.kind is not one.VAR_POSITIONAL]
         check_options(f"predictor {name!r}", options, known)

@@ -123,7 +123,7 @@ class TwinObservation(
             )
         self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
         self.twin = self._observer.first
-        _, self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))
+        self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))[1]
         self._renderer = base.renderer
         if self._renderer:
             self._renderer.overlay, self._renderer.waits = self._observer.overlay, True

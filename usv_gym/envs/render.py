@@ -330,7 +330,7 @@ class Painter:
         overlay = scene.overlay
         if overlay:
             near = 3.0 * max(rect.size)
-            _, places, covs = overlay.band()
+            places, covs = overlay.band()[1:]
             for shape in at(ellipses(places, covs), near):
                 draw.polygon(canvas, _BAND, shape)
             for shape in at(ellipses(overlay.ahead[:, :2], overlay.covs, 64), near):
@@ -437,7 +437,7 @@ class Painter:
             rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
         rows += [("wind", _SKY, "wind")] * (scene.wind > 0.05)
         rows += [("waves", _BLUE, "waves")] * (scene.hs > 0.005)
-        for k, (kind, colour, _) in enumerate(rows):
+        for k, (kind, colour) in enumerate(row[:2] for row in rows):
             y = top + k * self._line + self._line // 2
             end, middle = (left + 2 * em, y), (left + em, y)
             if kind in ("hull", "ghost"):
@@ -462,7 +462,7 @@ class Painter:
                     head = end[0] - 0.8 * em
                     tip = [(end[0], y), (head, y - 0.4 * em), (head, y + 0.4 * em)]
                     draw.polygon(frame, colour, tip)
-        self._write((left + round(2.6 * em), top), [(text, _INK) for _, _, text in rows])
+        self._write((left + round(2.6 * em), top), [(row[2], _INK) for row in rows])
 
     def _word(self, text: str, colour: Any) -> Any:
         key = text, colour

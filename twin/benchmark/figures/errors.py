@@ -101,7 +101,7 @@ def error_figure(about: str, rows: Sequence[Mapping[str, Any]], styles: Styles) 
         title, unit = CHANNELS[channel]
         curves = {
             key[1:]: {
-                h: unit * sum(v * w for v, w in table[h]) / sum(w for _, w in table[h])
+                h: unit * sum(v * w for v, w in table[h]) / sum(part[1] for part in table[h])
                 for h in sorted(table)
             }
             for key, table in errors.items()

@@ -335,7 +335,7 @@ class LSTMPredictor(HistoryPredictor):
                 blurred[..., :3] += self.noise * rng.standard_normal((W, B, 3))
                 keep = rng.random((B, H)) >= self.dropout
                 mask = tensor(keep / (1.0 - self.dropout))
-                _, (h, c) = lstm(tensor(blurred))
+                h, c = lstm(tensor(blurred))[1]
                 h, c, y = h[0], c[0], first
                 path = []
                 for k in range(self.ahead):
