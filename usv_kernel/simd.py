@@ -87,18 +87,10 @@ class Rows(NamedTuple):
 
 @intrinsic
 def accumulate(typing_context, to, factors, rows):
-    """Add the sum over j of factor j times row j to a strip.
+    """Add the sum over j of factor j times row j, in their order and fused, to a strip.
 
-    Parameters
-    ----------
-    to : Strip
-        What is added to. What is added may lie in the same array, but not in the strip.
-    factors : Factors
-        Those of the rows.
-    rows : Rows
-        Added in their order, each term fused.
-
-    All arrays are contiguous float64. For kernels only.
+    What is added may lie in the same array, but not in the strip. All arrays are contiguous
+    float64. For kernels only.
     """
     return _sums(to, factors, rows, add=True)
 
@@ -310,21 +302,11 @@ def _broadcast(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
 
 @intrinsic
 def dot3(typing_context, first, factors, rows, count):
-    """Return three sums over k of ``factors[k] * rows[k, :3]``, begun with the numbers ``first``.
+    """Return three sums over k < count of ``factors[k] * rows[k, :3]``, begun with ``first`` (3,).
 
-    Parameters
-    ----------
-    first : (3,) array
-        What the sums begin with.
-    factors : (n,) array
-        Factors.
-    rows : (n, 4) array
-        Rows; the fourth number of each does not matter.
-    count : int
-        So many of them; a constant, a multiple of four.
-
-    Every fourth term goes into a sum of its own, so that they need not wait for each other. All
-    arrays are contiguous float64. For kernels only.
+    ``rows`` is (n, 4); the fourth number of each does not matter. ``count`` is a constant, a
+    multiple of four. Every fourth term goes into a sum of its own, so that they need not wait for
+    each other. All arrays are contiguous float64. For kernels only.
     """
     _check_rows(first, factors, rows)
     triple = types.UniTuple(types.float64, 3)  # type: ignore[attr-defined]

@@ -128,10 +128,7 @@ def _eliminate(rows, factors, j):
 
 @kernel
 def _factorise(P, root, factors, n_s):
-    """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist.
-
-    They do not either where a parameter would be left a negative variance, given the states.
-    """
+    """Write the first n_s rows of P's upper Cholesky factor; return whether it exists."""
     n = P.shape[0]
     for j in range(n_s):
         row, origin = root[j, :n], P[j]
@@ -178,23 +175,10 @@ def _decorrelate(P):
 
 @kernel
 def sigma_points(x, P, weights, work):
-    """Write the sigma points that move a state.
+    """Write the sigma points that move a state into the points and root of the workspace.
 
-    Parameters
-    ----------
-    x : (n,) array
-        Mean, states first.
-    P : (n, n) array
-        Covariance; changed only where it has no Cholesky factor, see the head of this file.
-    weights : (4,) array
-        From :func:`scaled_weights`.
-    work : UKFWorkspace
-        Its points and root are filled.
-
-    Returns
-    -------
-    int
-        Number of repairs of P; 0 as a rule.
+    P is changed only where it has no Cholesky factor, see the head of this file; returned is the
+    number of such repairs, 0 as a rule.
 
     Source: Eq (29) with n + lambda in place of n + k; docs/explanation/twin.md, Joint filter.
     """

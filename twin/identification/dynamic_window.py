@@ -69,22 +69,11 @@ EXPONENT_MAX = 50.0
 
 
 def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
-    """Return how much waves and wind fluctuate within the window.
+    """Return how much waves and wind fluctuate within the window: index V.
 
-    Parameters
-    ----------
-    hs : array_like, shape (n,)
-        Significant wave height, m, or anything proportional to it; NaN = missing.
-    vw : array_like, shape (n,)
-        Wind speed, m/s; NaN = missing.
+    ``hs`` (n,) is the wave height, or anything proportional to it; NaN = missing. A quantity that
+    is missing or zero throughout adds nothing.
 
-    Returns
-    -------
-    float
-        Index V. A quantity that is missing or zero throughout adds nothing.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 37 as printed, with 1/3 over two terms.
     """
     total = 0.0
@@ -97,24 +86,11 @@ def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
 
 
 def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
-    """Return the mean growth of a small difference over the window.
+    """Return the mean growth of a small difference over the window: index S, 1 if differences stay.
 
-    Parameters
-    ----------
-    lambda_max : float
-        Largest Lyapunov exponent, 1/s; NaN (unknown) counts as 0.
-    W : int
-        Window length, samples; above 0.
-    dt : float
-        Sampling interval, s.
+    ``lambda_max`` is the largest Lyapunov exponent, 1/s, NaN counts as 0; W the window length,
+    samples, above 0; dt the sampling interval, s.
 
-    Returns
-    -------
-    float
-        Index S: above 1 if differences grow, 1 if they stay.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 39.
     """
     if W < 1 or not (math.isfinite(dt) and dt >= 0.0):
@@ -126,22 +102,11 @@ def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
 
 
 def adjustment_period(trace_P: float, *, form: str = "continuous") -> float:
-    """Return the time between two adjustments of the window.
+    """Return the time (s) between two adjustments of the window.
 
-    Parameters
-    ----------
-    trace_P : float
-        Trace of the innovation covariance, 0 or more; NaN (unknown) counts as 0.
-    form : str
-        One of :data:`PERIOD_FORMS`.
+    ``trace_P`` is the trace of the innovation covariance, 0 or more; NaN counts as 0. ``form`` is
+    one of :data:`PERIOD_FORMS`.
 
-    Returns
-    -------
-    float
-        Period T, s.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 36, and Algorithm 1, lines 5-8. The two agree only at
     ``trace_P == TRACE_LIMIT``.
     """
@@ -202,24 +167,10 @@ class WaveProxy:
         self._square, self._weight = state["square"], state["weight"]
 
     def update(self, dt: float, accel: float) -> float:
-        """Take one sample.
+        """Take a specific force (m/s2), dt (s) after the one before; return the RMS.
 
-        Parameters
-        ----------
-        dt : float
-            Time since the sample before, s.
-        accel : float
-            Vertical or lateral specific force, m/s2; NaN = missing, the value is held.
-
-        Returns
-        -------
-        float
-            RMS of the fast part, m/s2; NaN before the first sample.
-
-        Raises
-        ------
-        ValueError
-            If dt is negative or not finite.
+        A missing sample (NaN) holds the value, which is NaN before the first. Raises ValueError if
+        dt is negative or not finite.
         """
         if not (math.isfinite(dt) and dt >= 0.0):
             raise ValueError(f"dt = {dt} must be a finite number, 0 or more")

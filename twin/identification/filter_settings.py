@@ -136,16 +136,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
 
 
 def _of_a_tanker(particulars: Particulars) -> FilterSettings:
-    """Return the settings of the plain joint UKF for a slow ship of full form.
-
-    It sails a few lengths in the minutes that others are learned in: its filter needs the model
-    and the prior of ships. What disturbs it goes by its length alone, see :data:`DISTURBED`, and
-    its velocities carry waves in the open, none on a pond: both noises grow with how
-    far the innovations exceed what these small ones explain. Wind and current change while it
-    sails a length, so that the biases that stand for them wander.
-
-    Source: docs/explanation/twin.md, Tankers.
-    """
+    """Return the settings for a slow ship of full form: docs/explanation/twin.md, Tankers."""
     L, time = particulars.length, particulars.length / particulars.speed
     along, turning = DISTURBED
     disturbed = np.array([along / L, along / L, turning / L**2])

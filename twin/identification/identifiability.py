@@ -48,18 +48,9 @@ _SAME = 0.005
 
 @kernel
 def accumulate(gram, terms, which, seconds):
-    """Add regressors to the Gram matrix of what was seen.
+    """Add regressors times seconds to the Gram matrix (k, k), the integral of phi phi' over time.
 
-    Parameters
-    ----------
-    gram : (k, k) array
-        Integral of phi phi' over time; its lower triangle is added to.
-    terms : (m,) array
-        Terms of the moment ...
-    which : (k,) array of int
-        ... and those of them that are the regressors phi.
-    seconds : float
-        Time that they stand for, s.
+    Its lower triangle is added to. ``which`` (k,) says which of the terms are the regressors phi.
     """
     for i in range(which.shape[0]):
         weight = seconds * terms[which[i]]

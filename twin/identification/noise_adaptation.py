@@ -36,14 +36,9 @@ class NoiseLimits:
 
     @classmethod
     def around(cls, Q: ArrayLike, R: ArrayLike, *, factor: float = 100.0) -> NoiseLimits:
-        """Return bounds that lie a factor below and above the start values.
+        """Return bounds that lie a factor (above 1) below and above start values.
 
-        Parameters
-        ----------
-        Q, R : array_like
-            Start values, as matrices or as diagonals.
-        factor : float
-            Ratio of bound and start value, above 1. A variance of 0 stays 0.
+        These are matrices or their diagonals; a variance of 0 stays 0.
         """
         if not factor > 1.0:
             raise ValueError(f"factor = {factor} must be above 1")

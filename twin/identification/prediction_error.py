@@ -248,10 +248,10 @@ def _add_slopes(some, slopes, by_term, A, j):
 
 @inlined
 def rk4_step(row, after, wind, xi, model, work, linear):
-    """Advance the state over a row of the window under the actuators as they were.
+    """Advance the state over a row of the window; return whether it stays within bounds.
 
-    Returns whether it stays within bounds. ``work.terms[3]`` holds the actuators of the row;
-    with ``linear``, the derivatives of the four stages are written as well.
+    ``work.terms[3]`` holds the actuators of the row; with ``linear``, the derivatives of the four
+    stages are written as well.
     """
     s, stage, sums, terms = work.s, work.stage, work.sums, work.terms
     for j in range(LEFT_COS, N_TERMS):
@@ -276,11 +276,7 @@ def rk4_step(row, after, wind, xi, model, work, linear):
 
 @kernel
 def step_jacobian(A, W, D, T):
-    """Write the derivatives of the state after a step by the state before it and by the terms.
-
-    Source: the Runge-Kutta scheme differentiated backwards; W is the derivative of the state
-    after the step by a stage's rates.
-    """
+    """Write the derivatives of the state after a step, by the step differentiated backwards."""
     T[:] = 0.0
     W[:] = 0.0
     for i in range(N_STATES):
@@ -329,28 +325,12 @@ def propagate_sensitivities(T, limits, S, J):
 
 @kernel
 def linearise(first, rows, xi, model, config, work, H, b):
-    """Roll the model out from one row of a window, and write the quadratic that its errors make.
+    """Roll the model out from row ``first`` of a window; write the quadratic that its errors make.
 
     After it, sum of squared weighted errors, minimised over the initial offset, is about
-    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi.
-
-    Parameters
-    ----------
-    first : int
-        Row to start from; rows wrap around at the end of the array.
-    rows : (M, 20) array
-        The window.
-    xi : (p,) array
-        Parameters.
-    model, config, work : ModelTerms, RefitConfig, LineariseWork
-        Structure; weights and lengths; scratch.
-    H, b : (p, p), (p,) arrays
-        Written.
-
-    Returns
-    -------
-    float
-        c; infinite where the motion leaves all bounds, and nothing is written then.
+    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi (p,). Returned is c;
+    infinite where the motion leaves all bounds, and nothing is written then. Rows (M, 20) wrap
+    around at the end of the array.
 
     Source: sensitivities by differentiating the Runge-Kutta scheme itself, so that they are
     those of the motion as computed.

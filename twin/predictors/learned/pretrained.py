@@ -128,20 +128,7 @@ class Weights:
 
     @classmethod
     def read(cls, path: str | Path, kind: str) -> Weights:
-        """Read weights.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-        kind : str
-            What they must be of.
-
-        Raises
-        ------
-        WeightsError
-            Says what is wrong with the file, and how to make a new one.
-        """
+        """Read weights of a net; WeightsError says what is wrong, and how to make new ones."""
         remedy = f"make a new one: python -m twin.training.fleet {kind}"
         try:
             with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
@@ -219,14 +206,9 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
 
 
 def gated(x: Array, gate: float) -> Array:
-    """Return tokens whose past velocities fade with the masks of their sensors.
+    """Return tokens (B, PAST + AHEAD, TOKEN) whose past velocities fade with their sensors' masks.
 
-    Parameters
-    ----------
-    x : ndarray, shape (B, PAST + AHEAD, TOKEN)
-        Tokens; not changed.
-    gate : float
-        What fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
+    ``gate`` is what fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
     """
     out = x.copy()
     rows = out[:, :PAST, : PATCH * PER_ROW].reshape(len(x), PAST, PATCH, PER_ROW)
@@ -245,14 +227,9 @@ def _read(w: dict[str, Array], h: Array, x: Array) -> Array:
 
 
 def run_lstm(w: dict[str, Array], x: Array) -> Array:
-    """Return the outputs (B, AHEAD, 3 PATCH) of an LSTM.
+    """Return the outputs (B, AHEAD, 3 PATCH) of an LSTM for tokens (B, PAST + AHEAD, TOKEN).
 
-    Parameters
-    ----------
-    w : dict of ndarray
-        Weights, named as torch names them.
-    x : ndarray, shape (B, PAST + AHEAD, TOKEN)
-        Tokens.
+    ``w`` are its weights, named as torch names them.
     """
     h = x
     for layer in range(sum(key.startswith("body.weight_ih") for key in w)):
