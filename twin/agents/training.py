@@ -141,13 +141,7 @@ class Run:
 
     @classmethod
     def of(cls, folder: Path) -> Run:
-        """Return the run of a folder.
-
-        Raises
-        ------
-        AgentError
-            It has not ended, or is no run.
-        """
+        """Return the run of a folder; AgentError where it has not ended, or is no run."""
         if not (folder / _POLICY).exists():
             went = "has not ended: the command that began it goes on with it"
             raise AgentError(f"{folder}: {went if (folder / _NOTES).exists() else 'is no run'}")
@@ -445,16 +439,7 @@ def _seed_of(seed: int, steps: int) -> int:
 def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]) -> Policy:
     """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
 
-    Parameters
-    ----------
-    model : BaseAlgorithm
-        PPO, SAC or RecurrentPPO.
-    envs : VecNormalize
-        How its observations are normalised.
-    plan : Plan
-        What it was trained for.
-    settings : dict
-        Kept in the file.
+    The model is PPO, SAC or RecurrentPPO; ``settings`` are kept in the file.
     """
     net = model.policy
     off_policy = hasattr(net, "actor")

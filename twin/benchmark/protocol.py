@@ -271,13 +271,7 @@ UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
 
 
 def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the predictors that can run here, and a line on each that cannot.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names in ``twin.PREDICTORS``, or ``module:Class``.
-    """
+    """Return the predictors that can run here, and a line on each that cannot."""
     usable, notes = [], []
     for name in names:
         module, extra = EXTRAS.get(name, (None, ""))

@@ -114,22 +114,10 @@ class Picture(NamedTuple):
 
 
 def write_report(out: Path, results: dict[str, Any], runs: list[RunFigure]) -> list[Path]:
-    """Write ``report.html`` and ``pictures/*.svg``.
+    """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
-    Parameters
-    ----------
-    out : Path
-        Folder, made if it is not there.
-    results : dict
-        Content of ``results.json``: ``version``, ``command``, ``settings``, ``rows`` and
-        ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
-    runs : list of RunFigure
-        The runs to be drawn; may be empty.
-
-    Returns
-    -------
-    list of Path
-        What was written, the report first.
+    ``results`` is the content of ``results.json``: ``version``, ``command``, ``settings``, ``rows``
+    and ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
     """
     out = Path(out)
     folder = out / "pictures"

@@ -91,17 +91,9 @@ def _roll(starts, plans, dt, true, out):
 
 
 def known_vessel(particulars: Particulars) -> Vessel:
-    """Return the vessel that particulars were made of.
+    """Return the vessel of this package that particulars were made of.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        They carry the name of a vessel that comes with the package, and its numbers.
-
-    Raises
-    ------
-    PredictorError
-        For any other boat: the true one is not known.
+    PredictorError for any other boat: the true one is not known.
     """
     name = particulars.name
     if name in vessel_names():
@@ -119,17 +111,7 @@ def known_vessel(particulars: Particulars) -> Vessel:
 def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
     """Refuse a predictor that needs the true boat where it is not known.
 
-    Parameters
-    ----------
-    predictor : str
-        A name in ``twin.PREDICTORS``; those that need no simulator always pass.
-    log, particulars : Log, Particulars
-        The run as it was read, and its boat.
-
-    Raises
-    ------
-    PredictorError
-        For a recorded run (no truth), or a boat that is none of the package's vessels.
+    PredictorError for a recorded run (no truth), or a boat that is none of the package's vessels.
     """
     if not predictor_class(predictor).needs_simulator:
         return
@@ -142,15 +124,7 @@ def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
 
 
 def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
-    """Return what a predictor is given of the simulator; nothing, unless it asks for it.
-
-    Parameters
-    ----------
-    predictor : str
-        A name in ``twin.PREDICTORS``.
-    vessel, sea, dof : Vessel, SeaState, int
-        The simulation's.
-    """
+    """Return what a predictor is given of the simulator; nothing, unless it asks for it."""
     if not predictor_class(predictor).needs_simulator:
         return {}
     return {"vessel": vessel, "sea": sea, "dof": dof}

@@ -26,16 +26,9 @@ def log_name(path: str) -> str:
 def read_run(
     path: str, ship: str | None = None, mapping: str | None = None
 ) -> tuple[Log, Particulars]:
-    """Return a recorded run and the particulars of its boat.
+    """Return a recorded run and its boat's particulars.
 
-    Parameters
-    ----------
-    path : str
-        A log of any kind that ``Log.read`` takes.
-    ship : str, optional
-        As for :func:`particulars_for_log`.
-    mapping : str, optional
-        As for ``Log.read``.
+    See :func:`particulars_for_log` and ``Log.read``.
     """
     return Log.read(path, mapping), particulars_for_log(path, ship)[0]
 

@@ -42,15 +42,7 @@ TWO_HULLS = 0.5
 
 @dataclass(frozen=True)
 class Finding:
-    """A broken rule.
-
-    Parameters
-    ----------
-    error : bool
-        The vessel is wrong or cannot be simulated; else it is unusual.
-    text : str
-        One sentence with the number and the typical range.
-    """
+    """A broken rule, in one sentence; an ``error`` makes the vessel wrong, else it is unusual."""
 
     error: bool
     text: str
@@ -209,13 +201,7 @@ def _speeds(vessel: Vessel) -> list[dict[str, float]]:
 
 
 def inspect(vessel: Vessel) -> Inspection:
-    """Return derived particulars of a vessel, and what is wrong or unusual.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    """
+    """Return derived particulars of a vessel, and what is wrong or unusual."""
     v, form = vessel.values, form_of(vessel)
     L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
     plane = v["A_wp"] / (L * B)

@@ -47,17 +47,7 @@ class DesignError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Draft:
-    """The content of a first vessel file.
-
-    Parameters
-    ----------
-    text : str
-        The TOML.
-    vessel : Vessel
-        The vessel in the file.
-    notes : tuple of str
-        Regressions out of range, and limited values.
-    """
+    """A first vessel file: its TOML, its vessel, and notes on values out of range or limited."""
 
     text: str
     vessel: Vessel
@@ -127,13 +117,7 @@ class _Given(MainParticulars):
 
 
 def design(known: MainParticulars) -> Draft:
-    """Return a first vessel file for a ship of one hull.
-
-    Raises
-    ------
-    DesignError
-        Names the value and the remedy.
-    """
+    """Return a first vessel file for a ship of one hull; DesignError names value and remedy."""
     defaults = {
         "units": 1 if known.kind == "propeller_rudder" else 2,
         "length_overall": 1.05 * known.length,

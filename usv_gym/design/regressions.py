@@ -92,16 +92,9 @@ class Form:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Numbers from a regression.
+    """Numbers from a regression (author and year), by names as in vessel files.
 
-    Parameters
-    ----------
-    source : str
-        Author and year.
-    values : Mapping[str, float]
-        Names as in vessel files.
-    notes : tuple of str
-        One for each particular out of range, and for each impossible result.
+    There is a note for each particular out of range, and for each impossible result.
     """
 
     source: str
@@ -132,15 +125,7 @@ def _estimate(
 def kijima(form: Form, m_x_prime: float) -> Estimate:
     """Return hull coefficients after Kijima and Inoue, with their cross terms.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    m_x_prime : float
-        Added mass in surge over ``rho L^2 d / 2``.
-
-    Notes
-    -----
+    ``m_x_prime`` is the added mass in surge over ``rho L^2 d / 2``.
     Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
     drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
     :func:`cross_flow` replaces them.
@@ -161,18 +146,9 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
 
 
 def yoshimura(form: Form, m_x_prime: float, m_y_prime: float) -> Estimate:
-    """Return all hull coefficients but R_0 after Yoshimura and Masumoto.
+    """Return all hull coefficients but R_0 after Yoshimura and Masumoto 2012.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    m_x_prime, m_y_prime : float
-        Added masses in surge and sway over ``rho L^2 d / 2``.
-
-    Notes
-    -----
-    Source: Yoshimura and Masumoto 2012.
+    Added masses in surge and sway are over ``rho L^2 d / 2``.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c, slender = 2.0 * d / L, C_b * B / L, L / B
@@ -212,9 +188,6 @@ def clarke(form: Form) -> Estimate:
 
     Forces over ``rho L^2 U^2 / 2``, moments over ``rho L^3 U^2 / 2``; ``Y_vdot`` over
     ``rho L^3 / 2``, ``N_rdot`` over ``rho L^5 / 2``.
-
-    Notes
-    -----
     Source: Clarke, Gedling and Hine 1983. The linear derivatives contain no centripetal terms.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
@@ -289,17 +262,8 @@ def zhou(form: Form) -> Estimate:
 
 
 def hydrostatics(form: Form, water_plane: float) -> Estimate:
-    """Return KB, BM_T and BM_L in m.
+    """Return KB, BM_T and BM_L in m, for a coefficient of the water plane.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    water_plane : float
-        Coefficient of the water plane: its area over length and beam.
-
-    Notes
-    -----
     Source: KB by Morrish; inertia of the water plane by D'Arcangelo 1969. For one hull only; a
     catamaran is much stiffer.
     """
@@ -317,17 +281,8 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
 
 
 def periods(form: Form, GM_T: float) -> Estimate:
-    """Return the natural periods of heave, pitch and roll in s.
+    """Return the natural periods of heave, pitch and roll in s; GM_T in m.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    GM_T : float
-        Transverse metacentric height, m.
-
-    Notes
-    -----
     Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``; roll after the
     weather criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else
     ``0.373 + 0.023 B / d - 0.043 L / 100``.

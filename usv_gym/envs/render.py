@@ -521,14 +521,9 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
 
 
 class Window:
-    """A window on the screen; its user may close it, and nothing else ends by that.
+    """A window on the screen, size in pixels; its user may close it, and nothing else ends by that.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, pixels.
-    fps : float
-        Frames per second; showing waits for it.
+    Showing waits for ``fps`` frames per second.
     """
 
     def __init__(self, size: tuple[int, int], fps: float) -> None:

@@ -160,18 +160,9 @@ class Trail:
         self._offset = np.zeros(2)
 
     def add(self, t: float, state: Array, fix: Array, age: float) -> None:
-        """Remember a step; a time that does not go on begins a new episode.
+        """Remember a step; a time (s) that does not go on begins a new episode.
 
-        Parameters
-        ----------
-        t : float
-            Time, s.
-        state : ndarray, shape (16,)
-            True state.
-        fix : ndarray, shape (2,)
-            Last fix, m north and east.
-        age : float
-            How old it is, s.
+        ``fix`` (2,) is the last one, m north and east, and ``age`` how old it is, s.
         """
         if t == self.t and t > 0.0:
             return

@@ -152,19 +152,10 @@ class Track:
         return float(max(self.t[0], 2.0 * low - high))
 
     def begun(self, origin: float | None = None, heading: float | None = None) -> Track:
-        """Return the manoeuvre from its origin on, relative to the approach.
+        """Return the manoeuvre from its origin on, relative to the approach: t, x, y are 0 there.
 
-        Parameters
-        ----------
-        origin : float, optional
-            Time of the order, s; default :meth:`helm_moves`.
-        heading : float, optional
-            Heading of the approach, rad; default the mean up to the origin.
-
-        Returns
-        -------
-        Track
-            t, x, y are 0 at the origin; x and psi are relative to the approach.
+        ``origin`` is the time of the order, s, by default :meth:`helm_moves`; ``heading`` that of
+        the approach, rad, by default the mean up to the origin.
         """
         start = self.helm_moves() if origin is None else origin
         run = self.between(start)

@@ -87,14 +87,9 @@ class RunFigure:
 
 @dataclass(frozen=True)
 class Reference:
-    """What the predictions are compared with.
+    """What the predictions are compared with: the truth, or measurements.
 
-    Parameters
-    ----------
-    is_truth : bool
-        Whether it is the truth, and not measurements.
-    t, v : list of ndarray
-        Times (s) and values of each of the six states.
+    ``t`` and ``v`` are the times (s) and values of each of the six states.
     """
 
     is_truth: bool

@@ -63,14 +63,8 @@ TRENDS: dict[str, tuple[str, str, dict[str, tuple[str, float]]]] = {
 def error_figure(about: str, rows: Sequence[Mapping[str, Any]], styles: Styles) -> Figure | None:
     """Draw the mean absolute error against the horizon; None where there is none.
 
-    Parameters
-    ----------
-    about : str
-        Scenario and case.
-    rows : sequence of dict
-        Rows of the results: ``channel``, ``predictor``, ``plan``, ``horizon_s``, ``mae``, ``n``.
-    styles : dict
-        From :func:`predictor_styles`.
+    ``rows`` are those of the results: ``channel``, ``predictor``, ``plan``, ``horizon_s``, ``mae``,
+    ``n``.
     """
     errors: dict[tuple[str, str, str], dict[float, list[tuple[float, float]]]] = {}
     for row in rows:
@@ -132,16 +126,9 @@ def _draw_errors(
 
 
 def trend_figure(axis: str, rows: Sequence[Mapping[str, Any]], styles: Styles) -> Figure:
-    """Draw the panels of one trend, a line with intervals for each predictor.
+    """Draw the panels of one of :data:`TRENDS`, a line with intervals for each predictor.
 
-    Parameters
-    ----------
-    axis : str
-        In :data:`TRENDS`.
-    rows : sequence of dict
-        Rows of ``results["trends"]`` of this axis.
-    styles : dict
-        From :func:`predictor_styles`.
+    ``rows`` are those of ``results["trends"]`` of this axis.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 

@@ -97,13 +97,7 @@ _TIMESTAMP, _DROPPED = 35, 40
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane that touches the Earth at an origin.
-
-    Parameters
-    ----------
-    latitude, longitude : float
-        Of the origin, degrees.
-    """
+    """The plane that touches the Earth at an origin (degrees)."""
 
     latitude: float
     longitude: float
@@ -161,11 +155,7 @@ class Message:
 
 
 class _Clock:
-    """The sender's time as a function of ours, fitted to the messages that tell theirs.
-
-    Source: Theil 1950, A rank-invariant method of linear regression (the incomplete method): late
-    messages do not turn the line.
-    """
+    """The sender's time as a function of ours, by a median slope (Theil 1950): robust to delays."""
 
     def __init__(self) -> None:
         self.pairs: deque[tuple[float, float]] = deque(maxlen=100)
@@ -313,14 +303,10 @@ class Feed(ABC):
         )
 
     def take(self) -> list[tuple[float, Array, Array]]:
-        """Return the rows that are complete.
+        """Return the rows that are complete, oldest first: time, measurements (10,), commands (4,).
 
-        Returns
-        -------
-        list of tuple
-            Time, s, strictly increasing over the life of the feed; measurements, shape (10,),
-            in the order of ``twin.logs.log.MEASUREMENTS``, NaN where there is none; commands, shape
-            (4,). Oldest first.
+        Times in s strictly increase over the life of the feed; measurements are in the order of
+        ``twin.logs.log.MEASUREMENTS``, NaN where there is none.
         """
         drained = self._drain()
         now = self.clock()
@@ -332,17 +318,7 @@ class Feed(ABC):
         return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
-        """Take one datagram.
-
-        Parameters
-        ----------
-        data : bytes
-            What came.
-        arrival : float
-            When, by the feed's clock, s.
-        source : tuple, optional
-            From whom.
-        """
+        """Take one datagram that arrived at a time of the feed's clock (s)."""
         if not self._map.pairs:  # until a message tells a time, ours is as good as any
             self._map.tell(arrival, 0.0)
         for item in self.decode(data):
@@ -354,15 +330,7 @@ class Feed(ABC):
         self._release(self._head - self.wait)
 
     def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
-        """Send the twin's estimate; nothing before a position and a receiver are known.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Its estimate.
-        prediction : Prediction, optional
-            Its prediction.
-        """
+        """Send the twin's estimate; nothing before a position and a receiver are known."""
         known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
         if known and (self._reply or self._peer):
             for data in self.encode(estimate, prediction):

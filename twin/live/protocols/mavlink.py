@@ -116,14 +116,8 @@ class Servos:
     ) -> Servos:
         """Return the default outputs of a boat.
 
-        Parameters
-        ----------
-        particulars : Particulars
-            Its steering tells which outputs are used.
-        shaft_speed : float, optional
-            At full throttle, rev/s; left out, twice the nominal one.
-        angle : float, optional
-            Full helm, rad; left out, 30 degrees.
+        ``shaft_speed`` at full throttle (rev/s) is twice the nominal one if left out, ``angle``,
+        the full helm (rad), 30 degrees.
         """
         if shaft_speed is None:
             shaft_speed = FULL_SHAFT * particulars.shaft_speed
@@ -289,15 +283,7 @@ class MavlinkFeed(Feed):
 
 
 class MavlinkWriter:
-    """Messages of a component, each as a datagram.
-
-    Parameters
-    ----------
-    system, component : int
-        Who speaks.
-    servos : Servos, optional
-        For :meth:`row`.
-    """
+    """Messages of a component, each as a datagram; ``servos`` are for :meth:`row`."""
 
     def __init__(self, system: int = 1, component: int = 1, servos: Servos | None = None) -> None:
         self._dialect = needed("pymavlink.dialects.v20.common")
@@ -419,16 +405,10 @@ class MavlinkWriter:
     def row(
         self, stamp: float, z: Array, cmd: Array, place: tuple[float, float] | None
     ) -> list[bytes]:
-        """Return the messages of one row of a log.
+        """Return the messages of one row of a log, a time (s) after the autopilot started.
 
-        Parameters
-        ----------
-        stamp : float
-            Time since the autopilot started, s.
-        z, cmd : ndarray, shapes (10,), (4,)
-            Measurements, NaN where there is none, and commands.
-        place : tuple of float or None
-            Latitude and longitude of the fix, degrees.
+        ``z`` (10,) has NaN where there is no measurement; ``place`` is latitude and longitude of
+        the fix, degrees.
         """
         known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
         velocity = known["gps_vx_mps"], known["gps_vy_mps"]

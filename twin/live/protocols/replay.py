@@ -238,25 +238,9 @@ def schedule(
 ) -> Iterator[Datagram]:
     """Yield the datagrams of a log in the order in which they are sent.
 
-    Parameters
-    ----------
-    log : Log
-        The run; samples that it has not (NaN) are not sent.
-    stream : Stream
-        How rows become datagrams.
-    disturb : LinkImpairment, optional
-        What goes wrong on the way.
-    seed : int
-        Of what goes wrong where.
-    loop : bool
-        Whether to begin again at the end, for ever; the time goes on.
-    counts : Counter, optional
-        Receives the rows, datagrams and messages, and the messages of each kind of
-        disturbance.
-
-    Yields
-    ------
-    Datagram
+    Samples that are NaN are not sent. ``seed`` decides what goes wrong where. With ``loop`` it
+    begins again at the end, for ever; the time goes on. ``counts`` receives the rows, datagrams and
+    messages, and the messages of each kind of disturbance.
     """
     counts = Counter() if counts is None else counts
     rng = np.random.default_rng(seed)
@@ -340,29 +324,10 @@ def replay(
     progress: Callable[[float], None] = lambda t: None,
     counts: Counter[str] | None = None,
 ) -> Counter[str]:
-    """Send a log as the stream of a boat.
+    """Send a log's datagrams, from :func:`schedule`, to ``udp://HOST:PORT`` as a boat's stream.
 
-    Parameters
-    ----------
-    log : Log
-        The log.
-    datagrams : iterable of Datagram
-        What :func:`schedule` makes of it.
-    stream : Stream
-        Counts the replies.
-    address : str
-        ``udp://HOST:PORT``; without a host, on this machine.
-    pace : Pace, optional
-        How fast; as it happened if left out.
-    progress : callable
-        Receives the time of the log that is sent, s.
-    counts : Counter, optional
-        That of :func:`schedule`, to go on counting.
-
-    Returns
-    -------
-    Counter
-        Datagrams ``unsent``, and messages that came ``back``.
+    ``stream`` counts the replies. ``progress`` receives the time of the log that is sent, s.
+    Returned are the counts: those handed in, datagrams ``unsent``, and messages that came ``back``.
     """
     if len(log) < 2:
         raise FeedError(f"{log.name}: has {len(log)} row(s); a stream needs two")

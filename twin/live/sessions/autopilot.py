@@ -68,19 +68,7 @@ class Autopilot:
             self._draw_path(state)
 
     def command(self, t: float, state: Array) -> Array:
-        """Return the commands of propellers and drives.
-
-        Parameters
-        ----------
-        t : float
-            Time, s.
-        state : ndarray, shape (6,)
-            Estimated state, in the order of ``twin.channels.STATE``.
-
-        Returns
-        -------
-        ndarray, shape (4,)
-        """
+        """Return the commands (4,) at a time (s) and estimated state (6,)."""
         if self.autopilot in MANOEUVRES:
             return self._manoeuvre(t, np.zeros(1))[0]
         if self.autopilot == "path":

@@ -197,14 +197,9 @@ class TwinMonitor:
         return self.t - self._gyro_at if self.has_imu else 0.0
 
     def step(self, t: float, z: Array, cmd: Array, truth: Array | None = None) -> None:
-        """Take one row.
+        """Take one row, as :meth:`twin.digital_twin.Twin.step`.
 
-        Parameters
-        ----------
-        t, z, cmd
-            As :meth:`twin.digital_twin.Twin.step` takes them.
-        truth : ndarray, shape (6,), optional
-            True state, to judge by; NaN where it is not known. No twin receives it.
+        ``truth`` (6,) is for the errors alone, NaN where it is not known. No twin receives it.
         """
         fix, heading = z[_X : _X + 4], float(z[_COMPASS])
         if t - self.t > NEW_AFTER:
@@ -231,12 +226,8 @@ class TwinMonitor:
     def predict(self, plan: str | Array = "hold") -> Prediction | None:
         """Return where the boat will be; None before a first fix.
 
-        The prediction is judged when its last moment has come.
-
-        Parameters
-        ----------
-        plan : "hold" or ndarray, shape (HORIZON / PLAN_STEP, 4)
-            Commands of the next :data:`HORIZON` seconds, every :data:`PLAN_STEP`.
+        ``plan`` is "hold", or commands (HORIZON / PLAN_STEP, 4), every :data:`PLAN_STEP`. The
+        prediction is scored when its last moment has come.
         """
         if not self.twin.predictor.estimate().ready:
             return None

@@ -73,13 +73,7 @@ class Viewer:
         return int(self.server.get_port())
 
     def serve(self) -> None:
-        """Show frame after frame until the session ends or the user presses Ctrl-C.
-
-        Raises
-        ------
-        BaseException
-            What ended the session.
-        """
+        """Show frames until the user presses Ctrl-C or the session ends; raise what ended it."""
         due = 0.0
         while self.session.error is None:
             fresh = self.session.fresh.wait(UNWATCHED)
