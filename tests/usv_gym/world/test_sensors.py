@@ -230,27 +230,6 @@ def test_the_rate_does_not_depend_on_the_control_step() -> None:
     np.testing.assert_array_equal(late, np.arange(50) % 5 == 0)
 
 
-@pytest.mark.parametrize(
-    ("kind", "gone"),
-    [("gps", range(4)), ("compass", [4]), ("imu", range(5, 8)), ("all", range(8))],
-)
-def test_a_loss_takes_away_what_it_names_and_no_more(kind: str, gone: range | list[int]) -> None:
-    sim = Simulation(
-        1, BOAT, SeaState(), suite=SensorSuite.perfect(), faults=[Fault(kind, 1.0, 0.5)]
-    )
-    sim.reset([0], [np.random.default_rng(0)])
-    for _ in range(60):
-        sim.step(np.array([[N, N, 0.0, 0.0]]))
-        # from its start on, up to but not including its end
-        lost = 1.0 - 1e-9 <= sim.t[0] < 1.5 - 1e-9
-        expected = [lost and j in gone for j in range(8)]
-        np.testing.assert_array_equal(np.isnan(sim.z[0]), expected)
-
-
-def test_every_kind_of_loss_is_tested() -> None:
-    assert set(FAULT_KINDS) == {"gps", "compass", "imu", "all"}
-
-
 # ------------------------------------------------- grades
 
 
