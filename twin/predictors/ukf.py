@@ -109,15 +109,7 @@ class UKFWork(NamedTuple):
 
 @kernel
 def tight_step(dt, z, cmd, memory, config, work):
-    """Take one row: navigate, predict, correct.
-
-    Parameters
-    ----------
-    dt, z, cmd
-        See :meth:`twin.predictors.base.Predictor.update`.
-    memory, config, work : UKFMemory, UKFConfig, UKFWork
-        The memory is advanced in place.
-    """
+    """Navigate, predict, correct by one row: :meth:`twin.predictors.base.Predictor.update`."""
     nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
@@ -437,13 +429,7 @@ class UKFPredictor(ModelPredictor):
         return {"nav": NAVIGATION, "filter": self.ukf.dtype}
 
     def rollout_inputs(self, memory: Any) -> RolloutInputs:
-        """Return what rollouts of many boats begin with, as views.
-
-        Parameters
-        ----------
-        memory : UKFMemory
-            Like :attr:`memory`, but with a row for each boat.
-        """
+        """Return what rollouts of many boats begin with, as views of their memories, a row each."""
         boats = memory.filter.view(self.ukf.dtype)[:, 0]
         x = boats["x"]
         return RolloutInputs(
