@@ -153,32 +153,19 @@ def _refuse_version(path: str | Path, version: Any, software: Any) -> None:
 
 @dataclass(frozen=True)
 class Field:
-    """What a field of a saved state may hold.
+    """What a field of a saved state may hold."""
 
-    Parameters
-    ----------
-    low, high : float or tuple of float
-        Bounds of its numbers, inclusive; a tuple for those of a vector.
-    integer : bool
-        Only whole numbers, as for what a kernel uses as an index or a counter.
-    nan, infinite : bool
-        Whether NaN and infinity are allowed.
-    covariance : bool
-        Symmetric in its last two axes, with variances of 0 or more.
-    shape : tuple, optional
-        Its shape, None for any length; that of the present value if left out.
-    none : bool
-        Whether None is allowed.
-    """
-
+    # bounds of its numbers, inclusive; a tuple for those of a vector
     low: float | tuple[float, ...] = -HUGE
     high: float | tuple[float, ...] = HUGE
-    integer: bool = False
+    integer: bool = False  # only whole numbers, as for what a kernel uses as an index or a counter
+    # whether NaN and infinity are allowed
     nan: bool = False
     infinite: bool = False
-    covariance: bool = False
+    covariance: bool = False  # symmetric in its last two axes, with variances of 0 or more
+    # its shape, None for any length; that of the present value if left out
     shape: tuple[int | None, ...] | None = None
-    none: bool = False
+    none: bool = False  # whether None is allowed
 
     def problem(self, value: Any, like: Any) -> str | None:
         """Return what is wrong with a value in the place of another; None if nothing is."""

@@ -66,39 +66,22 @@ LEVEL = 95.0
 
 @dataclass(frozen=True)
 class Settings:
-    """What the study does.
+    """What the study does."""
 
-    Parameters
-    ----------
-    arms : tuple of (str, str)
-        Algorithms and observation sets.
-    steps : int, optional
-        Decisions of each training; left out: ``n_timesteps`` of the algorithm's hyperparameters.
-    seeds : tuple of int
-        Trainings of each arm.
-    controllers : tuple of str
-        Classical controllers beside them.
-    seas, outages : tuple of str
-        Where agents are evaluated.
-    evaluation_seeds : tuple of int
-        Episodes of each sea state with each outage.
-    curve_seeds : tuple of int
-        Episodes of each point of the learning curves.
-    options : dict
-        Options of :class:`~twin.agents.training.Plan`, such as ``twin`` and ``task``.
-    hyper : dict
-        Hyperparameters by algorithm; those of this package if left out.
-    """
-
-    arms: tuple[tuple[str, str], ...] = ARMS
+    arms: tuple[tuple[str, str], ...] = ARMS  # algorithms and observation sets
+    # decisions of each training; left out: n_timesteps of the algorithm's hyperparameters
     steps: int | None = None
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    controllers: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # trainings of each arm
+    controllers: tuple[str, ...] = ()  # classical controllers beside them
+    # where agents are evaluated
     seas: tuple[str, ...] = SEAS
     outages: tuple[str, ...] = OUTAGES
+    # episodes of each sea state with each outage
     evaluation_seeds: tuple[int, ...] = EVALUATION_SEEDS
-    curve_seeds: tuple[int, ...] = CURVE_SEEDS
+    curve_seeds: tuple[int, ...] = CURVE_SEEDS  # episodes of each point of the learning curves
+    # options of Plan, such as twin and task
     options: Mapping[str, Any] = field(default_factory=dict)
+    # hyperparameters by algorithm; those of this package if left out
     hyper: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def plan(self, algo: str, observation: str, seed: int) -> Plan:

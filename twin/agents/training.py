@@ -63,38 +63,22 @@ _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "
 
 @dataclass(frozen=True)
 class Plan:
-    """What is trained.
+    """What is trained."""
 
-    Parameters
-    ----------
-    algo : str
-        One of :data:`ALGORITHMS`.
-    observation : str
-        What the agent sees, one of :data:`twin.sim.wrapper.OBSERVATIONS`.
-    steps : int
-        Decisions of all boats together.
-    seed : int
-        Of the run.
-    twin, task, sea, faults, vessel : str
-        Options of the environment; of ``"a|b"`` one is drawn at each reset.
-    frame_skip, max_episode_steps : int
-        Steps of 0.05 s for which a decision is held, and decisions in an episode.
-    every : int
-        Decisions between two checkpoints.
-    """
-
-    algo: str
-    observation: str
-    steps: int
-    seed: int = 0
+    algo: str  # one of ALGORITHMS
+    observation: str  # what the agent sees, one of twin.sim.wrapper.OBSERVATIONS
+    steps: int  # decisions of all boats together
+    seed: int = 0  # of the run
+    # options of the environment; of "a|b" one is drawn at each reset
     twin: str = "ukf"
     task: str = "path"
     sea: str = "0|2|4"
     faults: str = "none|gps10|gps30|gps60"
     vessel: str = "usv75"
+    # steps of 0.05 s for which a decision is held, and decisions in an episode
     frame_skip: int = FRAME_SKIP
     max_episode_steps: int = EPISODE
-    every: int = EVERY
+    every: int = EVERY  # decisions between two checkpoints
 
     def __post_init__(self) -> None:
         check_algorithm(self.algo)
@@ -123,20 +107,11 @@ class Plan:
 
 @dataclass(frozen=True)
 class Run:
-    """What a training came to.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it is.
-    policy : Policy
-        What was learnt.
-    curve : list of dict
-        ``decisions, wall_s, return, cross_track_m, off_path_m, success`` at each checkpoint.
-    """
+    """What a training came to."""
 
     folder: Path
     policy: Policy
+    # decisions, wall_s, return, cross_track_m, off_path_m, success at each checkpoint
     curve: list[dict[str, float]]
 
     @classmethod

@@ -59,27 +59,13 @@ class BenchmarkError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Case:
-    """Conditions of a simulated run.
+    """Conditions of a simulated run."""
 
-    Parameters
-    ----------
-    name : str
-        In results and file names.
-    fault : str
-        Losses of sensors such as ``gps10``.
-    sea : str
-        One of ``usv_gym.world.sea.SEA_STATES``; empty: that of the settings.
-    grade : str
-        One of ``usv_gym.world.sensors.GRADES``.
-    drawn : bool
-        Whether the report shows single runs.
-    """
-
-    name: str
-    fault: str = "none"
-    sea: str = ""
-    grade: str = TYPICAL
-    drawn: bool = False
+    name: str  # in results and file names
+    fault: str = "none"  # losses of sensors such as gps10
+    sea: str = ""  # one of usv_gym.world.sea.SEA_STATES; empty: that of the settings
+    grade: str = TYPICAL  # one of usv_gym.world.sensors.GRADES
+    drawn: bool = False  # whether the report shows single runs
 
     def __post_init__(self) -> None:
         parse_faults(self.fault, 0.0)

@@ -87,26 +87,13 @@ def _recorded_identify_s(log: Log) -> float:
 
 
 class Run(NamedTuple):
-    """A run as predictors meet it.
+    """A run as predictors meet it."""
 
-    Attributes
-    ----------
-    seen : Log
-        The rows that predictors get.
-    reference : Log
-        What their predictions are scored against.
-    particulars : Particulars
-        Of the boat.
-    identify : float
-        Time of the first prediction, s.
-    simulator : tuple
-        Vessel, sea and degrees of freedom for an oracle; empty for a recorded run.
-    """
-
-    seen: Log
-    reference: Log
-    particulars: Particulars
-    identify: float
+    seen: Log  # the rows that predictors get
+    reference: Log  # what their predictions are scored against
+    particulars: Particulars  # of the boat
+    identify: float  # time of the first prediction, s
+    # vessel, sea and degrees of freedom for an oracle; empty for a recorded run
     simulator: tuple[Any, ...]
 
 

@@ -113,24 +113,14 @@ class Reference:
 
 
 class Score(NamedTuple):
-    """One prediction against the truth, at h horizons.
+    """One prediction against the truth, at h horizons."""
 
-    Attributes
-    ----------
-    error, change : ndarray, shape (h, c)
-        Errors and true changes of the channels, the last c of :data:`CHANNELS`.
-    displacement : ndarray, shape (h,)
-        Error of the displacement, m.
-    crps : ndarray, shape (h, c)
-        See :func:`crps`.
-    covered : ndarray of bool, shape (h, c + 1)
-        Whether the 90 % intervals cover channels and displacement.
-    """
-
+    # (h, c): errors and true changes of the channels, the last c of CHANNELS
     error: Array
     change: Array
-    displacement: Array
-    crps: Array
+    displacement: Array  # (h,): error of the displacement, m
+    crps: Array  # (h, c): see crps
+    # (h, c + 1): whether the 90 % intervals cover channels and displacement
     covered: NDArray[np.bool_]
 
 

@@ -19,18 +19,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseLimits:
-    """Bounds between which the diagonals of Q and R may move.
+    """Bounds between which the diagonals of Q and R may move."""
 
-    Parameters
-    ----------
-    Q_low, Q_high : ndarray, shape (n,)
-        Bounds of the variances of the process noise.
-    R_low, R_high : ndarray, shape (m,)
-        Bounds of the variances of the measurement noise.
-    """
-
+    # (n,): bounds of the variances of the process noise
     Q_low: Array
     Q_high: Array
+    # (m,): bounds of the variances of the measurement noise
     R_low: Array
     R_high: Array
 

@@ -83,29 +83,18 @@ class RefitError(UsvTwinError):
 
 @dataclass(frozen=True)
 class RefitSettings:
-    """How the window is cut up and weighted; defaults for 6.3 m at 5.4 m/s, scaled by Froude.
+    """How the window is cut up and weighted; defaults for 6.3 m at 5.4 m/s, scaled by Froude."""
 
-    Parameters
-    ----------
-    span, spacing, horizon : float
-        Length of the window, time between starts, length of a segment, s.
-    every : int
-        Grid steps between the samples that are compared.
-    sd : ndarray, shape (6,)
-        Standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
-        waves make of a perfect forecast.
-    offset_sd : ndarray, shape (3,)
-        Standard deviations of the initial u, v (m/s) and r (rad/s).
-    scale, knee : float
-        See the head of this file.
-    """
-
+    # length of the window, time between starts, length of a segment, s
     span: float
     spacing: float
     horizon: float
-    every: int
+    every: int  # grid steps between the samples that are compared
+    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
+    # waves make of a perfect forecast
     sd: Array
-    offset_sd: Array
+    offset_sd: Array  # (3,): standard deviations of the initial u, v (m/s) and r (rad/s)
+    # see the head of this file
     scale: float
     knee: float
 

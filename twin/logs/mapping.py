@@ -75,29 +75,17 @@ _FAR = 1e5
 
 @dataclass(frozen=True)
 class Layout:
-    """What a mapping file says.
+    """What a mapping file says."""
 
-    Parameters
-    ----------
-    entries : tuple of Entry
-        In the order of the file.
-    source : str
-        File, for messages.
-    start, stop : float
-        Rows with ``start <= t_s < stop`` are read, s.
-    step : float
-        Rows of each ``step`` seconds become one, which holds the last sample of each column; 0
-        for all rows.
-    stamp : str
-        ``header`` or ``receive``: which time of a message counts.
-    """
-
-    entries: tuple[Entry, ...] = ()
-    source: str = ""
+    entries: tuple[Entry, ...] = ()  # in the order of the file
+    source: str = ""  # file, for messages
+    # rows with start <= t_s < stop are read, s
     start: float = -math.inf
     stop: float = math.inf
+    # rows of each step seconds become one, which holds the last sample of each column; 0 for all
+    # rows
     step: float = 0.0
-    stamp: str = "header"
+    stamp: str = "header"  # header or receive: which time of a message counts
 
     @classmethod
     def load(cls, path: str | Path) -> Layout:

@@ -60,30 +60,14 @@ _SUFFIXES = (".csv", ".parquet", ".mcap", ".db3")
 
 @dataclass
 class Table:
-    """Columns of a log as a file gave them, before any check of what they mean.
+    """Columns of a log as a file gave them, before any check of what they mean."""
 
-    Parameters
-    ----------
-    source : str
-        File, for messages.
-    name : str
-        Of the log.
-    data : dict of str to ndarray, shape (N,)
-        Columns of the log.
-    given : dict of str to str
-        What the file calls them.
-    line : callable
-        Returns the place of a row in the file, for messages.
-    notes : list of str
-        What was done so far.
-    """
-
-    source: str
-    name: str
-    data: dict[str, Array]
-    given: dict[str, str]
-    line: Callable[[int], str]
-    notes: list[str] = field(default_factory=list)
+    source: str  # file, for messages
+    name: str  # of the log
+    data: dict[str, Array]  # (N,): columns of the log
+    given: dict[str, str]  # what the file calls them
+    line: Callable[[int], str]  # returns the place of a row in the file, for messages
+    notes: list[str] = field(default_factory=list)  # what was done so far
 
 
 def name_of(path: Path) -> str:

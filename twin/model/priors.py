@@ -54,24 +54,13 @@ class PriorError(UsvTwinError):
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Dimensionless parameters of a population of boats.
+    """Dimensionless parameters of a population of boats."""
 
-    Parameters
-    ----------
-    about : str
-        One line that says how it was made.
-    parameters : tuple of str
-        Names of the p parameters.
-    boats : ndarray, shape (b,)
-        Number of each boat in its population; those that the model did not fit are missing.
-    fits : ndarray, shape (b, p)
-        Their parameters in the natural units of the structure.
-    """
-
-    about: str
-    parameters: tuple[str, ...]
+    about: str  # one line that says how it was made
+    parameters: tuple[str, ...]  # names of the p parameters
+    # (b,): number of each boat in its population; those that the model did not fit are missing
     boats: NDArray[np.int64]
-    fits: Array
+    fits: Array  # (b, p): their parameters in the natural units of the structure
 
     @classmethod
     def load(cls, path: Path) -> Prior:

@@ -329,32 +329,17 @@ class StructureError(UsvTwinError):
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parameters of a model, and what kernels need of them.
+    """Parameters of a model, and what kernels need of them."""
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`MODELS`.
-    parameters : tuple of str
-        Names of the p parameters: surge, then those common to surge and sway, sway, yaw.
-    units : tuple of str
-        Their units.
-    scales : ndarray, shape (p,)
-        Natural unit of each in powers of L, U and n, by which it becomes dimensionless.
-    terms : ModelTerms
-        Terms, limits and hull constants, for kernels.
-    n_unit : float
-        Shaft speeds are multiplied by this before they enter the terms.
-    mean, sd : ndarray, shape (p,)
-        Prior of each parameter before any data, in SI units.
-    """
-
-    name: str
+    name: str  # one of MODELS
+    # names of the p parameters: surge, then those common to surge and sway, sway, yaw
     parameters: tuple[str, ...]
     units: tuple[str, ...]
+    # (p,): natural unit of each in powers of L, U and n, by which it becomes dimensionless
     scales: Array
-    terms: ModelTerms
-    n_unit: float
+    terms: ModelTerms  # terms, limits and hull constants, for kernels
+    n_unit: float  # shaft speeds are multiplied by this before they enter the terms
+    # (p,): prior of each parameter before any data, in SI units
     mean: Array
     sd: Array
 

@@ -32,24 +32,13 @@ BURST_MIN = 0.02
 
 @dataclass(frozen=True)
 class Case:
-    """Something to be timed.
-
-    Parameters
-    ----------
-    name : str
-        Unique.
-    make : callable
-        Sets it up and returns a :data:`Burst`.
-    relative_to : str, optional
-        Name of the case that its rate is divided by.
-    target, target_ratio : float, optional
-        Least operations per second on the machine where the baseline makes
-        :data:`BASELINE_RATE`, and least ratio to ``relative_to``.
-    """
+    """Something to be timed."""
 
     name: str
-    make: Callable[[], Burst]
-    relative_to: str | None = None
+    make: Callable[[], Burst]  # sets it up and returns a Burst
+    relative_to: str | None = None  # name of the case that its rate is divided by
+    # least operations per second on the machine where the baseline makes BASELINE_RATE, and least
+    # ratio to relative_to
     target: float | None = None
     target_ratio: float | None = None
 

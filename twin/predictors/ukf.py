@@ -331,32 +331,19 @@ def _copy_of(
 
 
 class RolloutInputs(NamedTuple):
-    """What the models of many boats are rolled from.
+    """What the models of many boats are rolled from."""
 
-    Attributes
-    ----------
-    places, velocities : ndarray, shape (n, 3)
-        Position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s).
-    parameters : ndarray, shape (n, p)
-        Of the structure.
-    actuators, winds : ndarray, shapes (n, 4), (n, 2)
-        See :class:`twin.model.rollout.RolloutStart`.
-    fastest : ndarray, shape (n, 3) or (1, 3)
-        Largest velocities met so far; infinite where no model is too wild.
-    nominal : ndarray, shape (3,)
-        Velocities that may be predicted for any such boat.
-    prior : ndarray, shape (p,)
-        Parameters to fall back to where a model exceeds both by far.
-    """
-
+    # (n, 3): position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s)
     places: Array
     velocities: Array
-    parameters: Array
+    parameters: Array  # (n, p): of the structure
+    # (n, 4), (n, 2): see twin.model.rollout.RolloutStart
     actuators: Array
     winds: Array
+    # (n, 3) or (1, 3): largest velocities met so far; infinite where no model is too wild
     fastest: Array
-    nominal: Array
-    prior: Array
+    nominal: Array  # (3,): velocities that may be predicted for any such boat
+    prior: Array  # (p,): parameters to fall back to where a model exceeds both by far
 
 
 def plain(value: Any) -> Any:

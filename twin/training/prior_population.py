@@ -127,27 +127,13 @@ LARGEST_HELM = math.radians(25.0)
 
 @dataclass(frozen=True, eq=False)
 class CalmRun:
-    """A run in calm water with a scaled clock; rows are :data:`ROW` apart.
+    """A run in calm water with a scaled clock; rows are :data:`ROW` apart."""
 
-    Parameters
-    ----------
-    particulars : Particulars
-        Of the boat, by the clock of the run.
-    states : ndarray, shape (N + 1, 6)
-        x, y (m), psi (rad), u, v (m/s), r (rad/s).
-    actuators : ndarray, shape (N + 1, 4)
-        Shaft speeds (rev/s) and angles (rad).
-    between : ndarray, shape (N, 4)
-        Actuators half a row after row k.
-    commands : ndarray, shape (N, 4)
-        Row k is in force from row k to row k + 1 of the states.
-    """
-
-    particulars: Particulars
-    states: Array
-    actuators: Array
-    between: Array
-    commands: Array
+    particulars: Particulars  # of the boat, by the clock of the run
+    states: Array  # (N + 1, 6): x, y (m), psi (rad), u, v (m/s), r (rad/s)
+    actuators: Array  # (N + 1, 4): shaft speeds (rev/s) and angles (rad)
+    between: Array  # (N, 4): actuators half a row after row k
+    commands: Array  # (N, 4): row k is in force from row k to row k + 1 of the states
 
 
 def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) -> CalmRun:

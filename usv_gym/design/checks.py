@@ -50,34 +50,21 @@ class Finding:
 
 @dataclass
 class Inspection:
-    """Derived particulars of a vessel.
+    """Derived particulars of a vessel."""
 
-    Parameters
-    ----------
-    name, title : str
-        Of the vessel.
-    particulars : dict
-        Name with unit to number.
-    periods : dict
-        Natural periods of heave, roll and pitch in s; nan for an overdamped motion.
-    speeds : list of dict
-        Shaft speed, speed, Froude number and thrust, up to the largest shaft speed.
-    course : dict
-        Eigenvalues of drift and turning on a straight course at service speed, 1/s.
-    turn : dict
-        Turning circle at the manoeuvring shaft speed and full helm.
-    findings : list of Finding
-        Errors first.
-    """
-
+    # of the vessel
     name: str
     title: str
-    particulars: dict[str, float] = field(default_factory=dict)
+    particulars: dict[str, float] = field(default_factory=dict)  # name with unit to number
+    # natural periods of heave, roll and pitch in s; nan for an overdamped motion
     periods: dict[str, float] = field(default_factory=dict)
+    # shaft speed, speed, Froude number and thrust, up to the largest shaft speed
     speeds: list[dict[str, float]] = field(default_factory=list)
+    # eigenvalues of drift and turning on a straight course at service speed, 1/s
     course: dict[str, float] = field(default_factory=dict)
+    # turning circle at the manoeuvring shaft speed and full helm
     turn: dict[str, float] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)  # errors first
 
     @property
     def errors(self) -> list[Finding]:

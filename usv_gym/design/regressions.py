@@ -49,26 +49,15 @@ FISHING = {"L/B": (4.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Main particulars of a hull.
+    """Main particulars of a hull."""
 
-    Parameters
-    ----------
-    length, beam, draft : float
-        At the water line, m.
-    block_coefficient : float
-        Displaced volume over length, beam and draft.
-    water_density : float
-        kg/m3.
-    x_G : float
-        Centre of gravity forward of midship, m.
-    """
-
+    # at the water line, m
     length: float
     beam: float
     draft: float
-    block_coefficient: float
-    water_density: float = 1025.0
-    x_G: float = 0.0
+    block_coefficient: float  # displaced volume over length, beam and draft
+    water_density: float = 1025.0  # kg/m3
+    x_G: float = 0.0  # centre of gravity forward of midship, m
 
     @property
     def volume(self) -> float:

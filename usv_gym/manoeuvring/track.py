@@ -27,33 +27,23 @@ class TrackError(UsvTwinError):
 class Track:
     """Motion of one ship over time.
 
-    Parameters
-    ----------
-    t : array_like, shape (N,)
-        Times, s; rising, in any steps.
-    x, y : array_like, shape (N,)
-        Position to north and east (or along and to starboard of any fixed line), m.
-    psi : array_like, shape (N,)
-        Heading, rad; jumps by whole turns are removed.
-    u, v, r : array_like, shape (N,), optional
-        Velocity ahead and to starboard (m/s) and rate of turn (rad/s); default from the slopes
-        of position and heading.
-    delta : array_like, shape (N,), optional
-        Actual or ordered helm angle, rad; positive turns to starboard.
-
     Raises
     ------
     TrackError
         For columns of unequal length, numbers that are not finite, and times that do not rise.
     """
 
-    t: np.ndarray
+    t: np.ndarray  # (N,): times, s; rising, in any steps
+    # (N,): position to north and east (or along and to starboard of any fixed line), m
     x: np.ndarray
     y: np.ndarray
-    psi: np.ndarray
+    psi: np.ndarray  # (N,): heading, rad; jumps by whole turns are removed
+    # (N,): velocity ahead and to starboard (m/s) and rate of turn (rad/s); default from the slopes
+    # of position and heading
     u: np.ndarray | None = None
     v: np.ndarray | None = None
     r: np.ndarray | None = None
+    # (N,): actual or ordered helm angle, rad; positive turns to starboard
     delta: np.ndarray | None = None
 
     def __post_init__(self) -> None:

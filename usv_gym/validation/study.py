@@ -54,36 +54,16 @@ ORIGIN = {"origin": 0.0, "heading": 0.0}
 
 @dataclass(frozen=True)
 class Row:
-    """A computed number and its reference.
+    """A computed number and its reference."""
 
-    Parameters
-    ----------
-    item : str
-        Name, with the unit.
-    value : float or None
-        Computed value; None if it is skipped or does not exist.
-    reference : float or None
-        Published, measured or exact value; None if it is skipped.
-    tolerance : float or None
-        Largest difference, see ``kind``; None if the row is only reported.
-    source : str
-        Source of the reference.
-    kind : str
-        One of :data:`KINDS`.
-    digits : int
-        Significant figures on the page.
-    skipped : str
-        Reason why there is no value; empty if there is one.
-    """
-
-    item: str
-    value: float | None
-    reference: float | None
-    tolerance: float | None
+    item: str  # name, with the unit
+    value: float | None  # computed value; None if it is skipped or does not exist
+    reference: float | None  # published, measured or exact value; None if it is skipped
+    tolerance: float | None  # largest difference, see kind; None if the row is only reported
     source: str
-    kind: str = "relative"
-    digits: int = 4
-    skipped: str = ""
+    kind: str = "relative"  # one of KINDS
+    digits: int = 4  # significant figures on the page
+    skipped: str = ""  # reason why there is no value; empty if there is one
 
     @property
     def ok(self) -> bool | None:

@@ -52,21 +52,11 @@ def wave_rows(
 
 @dataclass(frozen=True)
 class Sea:
-    """One realisation, as the kernels read it.
+    """One realisation, as the kernels read it."""
 
-    Parameters
-    ----------
-    waves : ndarray, shape (7, M)
-        Wave components; rows in :mod:`usv_gym.physics.waves`.
-    gusts : ndarray, shape (3, G)
-        Circular frequency, phase and amplitude of the gusts.
-    weather : record of :data:`usv_gym.physics.weather.WEATHER`
-        Schedule, current, mean drift and slow wind.
-    """
-
-    waves: Array
-    gusts: Array
-    weather: Record
+    waves: Array  # (7, M): wave components; rows in usv_gym.physics.waves
+    gusts: Array  # (3, G): circular frequency, phase and amplitude of the gusts
+    weather: Record  # schedule, current, mean drift and slow wind
 
     @classmethod
     def calm(cls) -> Sea:

@@ -120,27 +120,14 @@ class Plane:
 
 @dataclass(frozen=True)
 class Message:
-    """One sound message.
+    """One sound message."""
 
-    Parameters
-    ----------
-    kind : str
-        What it is; a second one of the same kind and time is a repeat.
-    stamp : float, optional
-        Time by its sender's clock, s; None where it has none.
-    values : dict of str to float
-        Measurements and commands, by the names of a log's columns.
-    fix : tuple of float, optional
-        Latitude and longitude, degrees.
-    void : bool
-        It holds nothing valid but its time.
-    """
-
-    kind: str
-    stamp: float | None = None
+    kind: str  # what it is; a second one of the same kind and time is a repeat
+    stamp: float | None = None  # time by its sender's clock, s; None where it has none
+    # measurements and commands, by the names of a log's columns
     values: dict[str, float] = field(default_factory=dict)
-    fix: tuple[float, float] | None = None
-    void: bool = False
+    fix: tuple[float, float] | None = None  # latitude and longitude, degrees
+    void: bool = False  # it holds nothing valid but its time
 
     def sound(self) -> bool:
         """Return whether all that it says can be true."""

@@ -64,17 +64,6 @@ FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
 class Servos:
     """Which servo outputs are the commands, and what they stand for.
 
-    Parameters
-    ----------
-    shaft_speed, angle : float
-        At full throttle ahead, rev/s, and at full helm to starboard, rad.
-    left, right : int
-        Outputs of the throttles, from 1; the same one for a single throttle.
-    steering : int
-        Output of rudder or drives; 0 for a boat that steers by its throttles.
-    low, middle, high : float
-        Pulse widths full astern or to port, at rest, and full ahead or to starboard, us.
-
     Notes
     -----
     The outputs are those of ArduPilot's Rover by default: steering 1 and throttle 3, or for
@@ -82,11 +71,14 @@ class Servos:
     Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
     """
 
+    # at full throttle ahead, rev/s, and at full helm to starboard, rad
     shaft_speed: float
     angle: float
+    # outputs of the throttles, from 1; the same one for a single throttle
     left: int = 3
     right: int = 3
-    steering: int = 1
+    steering: int = 1  # output of rudder or drives; 0 for a boat that steers by its throttles
+    # pulse widths full astern or to port, at rest, and full ahead or to starboard, us
     low: float = 1100.0
     middle: float = 1500.0
     high: float = 1900.0

@@ -47,46 +47,22 @@ HELLO = 1.0
 
 @dataclass(frozen=True)
 class Datagram:
-    """What is sent at once.
+    """What is sent at once."""
 
-    Parameters
-    ----------
-    due : float
-        When, s of the log.
-    data : bytes
-        What.
-    messages : int
-        How many messages it holds.
-    steady : bool
-        Whether it is never disturbed.
-    """
-
-    due: float
+    due: float  # when, s of the log
     data: bytes
-    messages: int = 1
-    steady: bool = False
+    messages: int = 1  # how many messages it holds
+    steady: bool = False  # whether it is never disturbed
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkImpairment:
-    """Shares of the datagrams that are disturbed, each in one way at most.
+    """Shares of the datagrams that are disturbed, each in one way at most."""
 
-    Parameters
-    ----------
-    late : float
-        Come :data:`LATE` seconds late.
-    doubled : float
-        Come twice.
-    broken : float
-        Have a message with a wrong byte.
-    swapped : float
-        Come after the next one of a later time.
-    """
-
-    late: float = 0.0
-    doubled: float = 0.0
-    broken: float = 0.0
-    swapped: float = 0.0
+    late: float = 0.0  # come LATE seconds late
+    doubled: float = 0.0  # come twice
+    broken: float = 0.0  # have a message with a wrong byte
+    swapped: float = 0.0  # come after the next one of a later time
 
     def __post_init__(self) -> None:
         """Refuse what are no shares."""
@@ -295,17 +271,10 @@ def _datagrams(log: Log, stream: Stream, loop: bool, counts: Counter[str]) -> It
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast a log is sent.
+    """How fast a log is sent."""
 
-    Parameters
-    ----------
-    speed : float
-        How many times as fast as it happened.
-    clock, sleep : callable
-        The time now, s, and how to wait.
-    """
-
-    speed: float = 1.0
+    speed: float = 1.0  # how many times as fast as it happened
+    # the time now, s, and how to wait
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
 

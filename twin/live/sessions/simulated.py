@@ -41,8 +41,6 @@ NEVER = 1e12
 class SimulationSetup:
     """What a simulated session begins with.
 
-    Parameters
-    ----------
     vessel, sea, predictor, sensors
         As ``usv-twin simulate`` and ``identify`` take them.
     seed : int

@@ -75,30 +75,19 @@ def sensor_timeout(interval: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Curves over time.
+    """Curves over time."""
 
-    Parameters
-    ----------
-    t : ndarray, shape (T,)
-        Time, s.
-    error, error_hold : ndarray, shape (T,)
-        How far off the place that was predicted 10 s before is, m: by the twin, and by holding
-        velocity and turn rate; NaN where nothing tells.
-    window : ndarray, shape (T,)
-        Data that the identifier looks back on, s; NaN where there is no window.
-    nis_place, nis_velocity : ndarray, shape (T,)
-        Normalised innovations squared per degree of freedom of the fixes, mean of the last 30 s:
-        1 where the twin is as sure as it should be, more where it is too sure.
-    params, params_sd : ndarray, shape (T, p)
-        Parameters and their standard deviations.
-    """
-
-    t: Array
+    t: Array  # (T,): time, s
+    # (T,): how far off the place that was predicted 10 s before is, m: by the twin, and by holding
+    # velocity and turn rate; NaN where nothing tells
     error: Array
     error_hold: Array
-    window: Array
+    window: Array  # (T,): data that the identifier looks back on, s; NaN where there is no window
+    # (T,): normalised innovations squared per degree of freedom of the fixes, mean of the last 30
+    # s: 1 where the twin is as sure as it should be, more where it is too sure
     nis_place: Array
     nis_velocity: Array
+    # (T, p): parameters and their standard deviations
     params: Array
     params_sd: Array
 

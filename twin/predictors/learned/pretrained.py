@@ -92,24 +92,12 @@ class WeightsError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Weights:
-    """A trained net.
+    """A trained net."""
 
-    Parameters
-    ----------
-    kind : str
-        ``lstm`` or ``transformer``.
-    seed : int
-        Of boats, initial weights and batches.
-    settings : dict
-        How it was made, for the record.
-    arrays : dict of ndarray
-        Its weights, single precision.
-    """
-
-    kind: str
-    seed: int
-    settings: dict[str, Any]
-    arrays: dict[str, Array]
+    kind: str  # lstm or transformer
+    seed: int  # of boats, initial weights and batches
+    settings: dict[str, Any]  # how it was made, for the record
+    arrays: dict[str, Array]  # its weights, single precision
 
     def write(self, path: str | Path) -> None:
         """Write a file that :meth:`read` reads; weights are rounded to half precision."""
