@@ -162,14 +162,9 @@ class LOS:
 class DeadReckoningLOS(LOS):
     """The same between and without fixes: compass, last known speed and time carry the boat on.
 
-    Where a leg ends it knows from the way points, which are the boat's own.
-
-    Parameters
-    ----------
-    smoothing : float
-        Time over which the known speeds are averaged, against waves, in times to sail a length.
-    **options
-        Those of :class:`LOS`.
+    Where a leg ends it knows from the way points, which are the boat's own. Known speeds are
+    averaged over ``smoothing``, against waves, in times to sail a length; other options are those
+    of :class:`LOS`.
     """
 
     def __init__(self, *, smoothing: float = 12.0, **options: Any) -> None:

@@ -134,26 +134,12 @@ def train(
     progress: bool = False,
     curve_seeds: tuple[int, ...] = CURVE_SEEDS,
 ) -> Run:
-    """Train an agent, or go on with it, until it is done.
+    """Train an agent, or go on with it, until it is done; AgentError: the folder holds another run.
 
-    Parameters
-    ----------
-    plan : Plan
-        What to train.
-    folder : str or Path
-        The run: ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
-        ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``.
-    hyper : mapping, optional
-        See :func:`hyperparameters`; those of this package if left out.
-    progress : bool
-        Show a bar.
-    curve_seeds : tuple of int
-        Episodes of each point of the learning curve.
-
-    Raises
-    ------
-    AgentError
-        The folder holds another run.
+    The folder has ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
+    ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``. ``hyper`` is that of
+    :func:`hyperparameters` if left out; ``curve_seeds`` are the episodes of each point of the
+    learning curve.
     """
     folder = Path(folder)
     hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)

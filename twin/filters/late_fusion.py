@@ -252,27 +252,12 @@ class LateFusion:
         return 0.5 * (P + P.T)
 
     def update(self, dt: float, z: ArrayLike) -> Array:
-        """Take one row of measurements.
+        """Take one row of measurements; return the state (6,), heading unwrapped, always finite.
 
-        Parameters
-        ----------
-        dt : float
-            Time since the row before, s; 0 or more. Unused in the first row.
-        z : array_like, shape (10,)
-            GPS x, y, m; GPS velocity north and east, m/s; compass, rad; gyro, rad/s;
-            accelerometer x and y, m/s2; wind speed, m/s (unused). What is not finite counts
-            as missing.
-
-        Returns
-        -------
-        ndarray, shape (6,)
-            State (x, y, psi, u, v, r): m, m, rad (unwrapped), m/s, m/s, rad/s; always
-            finite. A new array in each call.
-
-        Raises
-        ------
-        ValueError
-            If dt is negative or not finite, or z has another shape.
+        ``dt`` is the time since the row before, s; 0 or more, unused in the first row. ``z`` (10,)
+        are GPS x, y, m; GPS velocity north and east, m/s; compass, rad; gyro, rad/s; accelerometer
+        x and y, m/s2; wind speed, m/s (unused). What is not finite counts as missing. ValueError:
+        dt is negative or not finite, or z has another shape.
         """
         z = np.asarray(z, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),):

@@ -160,21 +160,9 @@ SELECTOR_FIELDS = {
 class TrustSelector:
     """Refits of the same segments with unequal trust, and the record of each.
 
-    Parameters
-    ----------
-    segments : Segments
-        Theirs; its ``params`` and ``cov`` are those of the refit in use.
-
-    Attributes
-    ----------
-    memory : ndarray
-        What it remembers, flat.
-    state : SelectorState
-        The same by name, as views.
-    params : ndarray, shape (k, p)
-        Parameters of each refit, a view.
-    errors : ndarray, shape (k,)
-        Mean logarithm of each one's squared errors, a view.
+    The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is what it
+    remembers, flat, and ``state`` the same by name; of these, ``params`` (k, p) are the parameters
+    of each refit, ``errors`` (k,) the mean logarithm of each one's squared errors.
     """
 
     def __init__(self, segments: Segments) -> None:

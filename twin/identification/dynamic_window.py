@@ -279,37 +279,12 @@ class DynamicWindow:
         a_y: float = math.nan,
         motion: float = math.nan,
     ) -> int:
-        """Take one row and return the length of the window.
+        """Take one row at time t (s), never before the last; return the length W of the window.
 
-        Parameters
-        ----------
-        t : float
-            Time, s; never before the row before.
-        trace_P : float
-            Trace of the filter's innovation covariance.
-        hs : float
-            Wave height, m, or a proxy of it (:class:`WaveProxy`).
-        vw : float
-            Wind speed, m/s.
-        a_y : float
-            Lateral specific force, m/s2.
-        motion : float
-            Sample of the motion whose exponent is taken: one channel of the state, for
-            instance the speed or the yaw rate.
-
-        Returns
-        -------
-        int
-            W, from ``base`` to ``base + cap``.
-
-        Raises
-        ------
-        ValueError
-            If t is not finite or goes back.
-
-        Notes
-        -----
-        NaN = missing, in each of the values but t.
+        ``trace_P`` is that of the filter's innovation covariance, ``hs`` the wave height, m, or a
+        proxy of it (:class:`WaveProxy`), ``vw`` the wind speed, m/s, ``a_y`` the lateral specific
+        force, m/s2, ``motion`` one channel of the state, whose exponent is taken. NaN = missing,
+        but for t. W is from ``base`` to ``base + cap``. ValueError: t is not finite or goes back.
         """
         if not math.isfinite(t) or t < self._latest:
             raise ValueError(f"t = {t} must be finite and not before {self._latest}")

@@ -148,31 +148,17 @@ def assess(
     posterior: ArrayLike,
     seconds: float,
 ) -> Identifiability:
-    """Return what the data seen say of the parameters.
+    """Return what the data seen, for so many seconds, say of the parameters.
 
     Parameters are merged where the cosine between their regressors over all the data exceeds
-    :data:`COLLINEAR` in size. The regressors of a parameter are those of all sub-models that
-    it stands in, each weighed by 1/q: what one sub-model cannot tell apart another one may.
-    The weight of a merged parameter is the ratio of its regressor to that of the first.
+    :data:`COLLINEAR` in size. The regressors of a parameter are those of all sub-models that it
+    stands in, each weighed by 1/q: what one sub-model cannot tell apart another one may. The weight
+    of a merged parameter is the ratio of its regressor to that of the first.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the p parameters.
-    submodels : sequence of (str, (k,) array of int)
-        Name and parameters of each; a parameter may stand in several.
-    gram_matrices : sequence of (k, k) arrays
-        Gram matrix of each, from :func:`accumulate`; the lower triangle counts.
-    q : array_like
-        Noise of the acceleration of each: the variance that the velocity gains per second.
-    prior, posterior : array_like, shape (p, p)
-        Covariance of the parameters before and after the data.
-    seconds : float
-        Time seen, s.
-
-    Returns
-    -------
-    Identifiability
+    ``submodels`` have a name and the numbers (k,) of their parameters; a parameter may stand in
+    several. ``gram_matrices`` are from :func:`accumulate`, one each; ``q`` is the noise of the
+    acceleration of each, the variance that the velocity gains per second. ``prior`` and
+    ``posterior`` (p, p) are the covariances before and after the data.
     """
     before, after = np.asarray(prior, dtype=np.float64), np.asarray(posterior, dtype=np.float64)
     prior_sd = np.sqrt(np.diag(before))

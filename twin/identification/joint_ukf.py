@@ -342,30 +342,12 @@ JOINT_FIELDS = {
 class JointUKF:
     """State and parameters of the twin's model in the structured UKF.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        The boat.
-    settings : FilterSettings
-        Noises and prior.
-
-    Attributes
-    ----------
-    memory : ndarray
-        All that the filter remembers, flat; its fields are those of :class:`FilterState`.
-    dtype : np.dtype
-        Structured dtype of the memory: ``memory.view(dtype)[0]["P"]``.
-    x, P : ndarray, shapes (6 + p,), (6 + p, 6 + p)
-        Mean and covariance: six states, then the parameters.
-    act : ndarray, shape (4,)
-        Actuators as followed from the commands, in the unit of the structure.
-    counted, gram_matrices : ndarray, tuple of three ndarrays
-        Time counted (last entry, s), and the Gram matrices of surge, sway and yaw: see
-        :func:`twin.identification.identifiability.accumulate`.
-    wind : ndarray, shape (2,)
-        True wind to north and east, m/s; zeros until it is measured.
-    wave_power : ndarray, shape (3,)
-        Mean squares of the waves in u, v and r.
+    ``memory`` is all that it remembers, flat; ``memory.view(dtype)[0]`` has its fields by name, see
+    :class:`FilterState`. Of these are ``x``, ``P``, six states and then the parameters; ``act``
+    (4,), the actuators as followed from the commands, in the unit of the structure; ``wind`` (2,),
+    the true wind to north and east, m/s, zeros until it is measured; ``wave_power`` (3,), the mean
+    squares of the waves in u, v and r. ``counted`` ends with the time counted, s; ``gram_matrices``
+    are those of surge, sway and yaw, see :func:`twin.identification.identifiability.accumulate`.
     """
 
     def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:

@@ -317,28 +317,11 @@ SEGMENT_FIELDS = {
 class Segments:
     """The segments of a window as quadratics, and the parameters that suit them best.
 
-    Parameters
-    ----------
-    model : ModelTerms
-        Of the structure.
-    mean, cov : ndarray, shapes (p,), (p, p)
-        Prior of the parameters.
-    settings : RefitSettings
-        How errors are weighted.
-    capacity : int
-        Largest number of segments; a new one takes the place of the oldest.
-    schedule : sequence of float
-        Time between refits (s), segments that one relinearises, rows between starts, rows of the
-        window, and nominal velocities (3): for the compiled predictor.
-
-    Attributes
-    ----------
-    memory, values, line, scratch : ndarray
-        What it remembers and is given, and scratch of linearisation and solution, flat.
-    state, config, work : SegmentState, RefitConfig, RefitWork
-        The same by name, as views.
-    params, cov : ndarray, shapes (p,), (p, p)
-        Parameters and their covariance (Laplace), views; the prior's at first.
+    ``mean`` (p,) and ``cov`` (p, p) are the prior. Of more than ``capacity`` segments a new one
+    takes the place of the oldest. ``schedule`` is for the compiled predictor: time between refits
+    (s), segments that one relinearises, rows between starts, rows of the window, and nominal
+    velocities (3). ``memory, values, line, scratch`` are flat; ``state, config, work`` are the same
+    by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are views, the prior's at first.
     """
 
     def __init__(

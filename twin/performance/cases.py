@@ -157,14 +157,8 @@ def _update_often(count, predict, correct):
 class Problem:
     """One filtering problem of 6 states and 25 parameters, as every filter gets it.
 
-    Attributes
-    ----------
-    x, P : ndarray, shapes (31,), (31, 31)
-        Mean and covariance at the start.
-    z : ndarray, shape (6,)
-        The measured states, again and again.
-    Q, R : ndarray, shape (6, 6)
-        Noise of a step, and of a measurement.
+    ``z`` (6,) are the measured states, again and again; ``Q``, ``R`` (6, 6) the noise of a step,
+    and of a measurement.
     """
 
     def __init__(self) -> None:

@@ -70,17 +70,10 @@ _ALL = slice(None)
 class TwinObserver(Observer):
     """Twins of n boats, and their parts of the observations.
 
-    Parameters
-    ----------
-    episodes : Episodes
-        The boats; only their measurements, commands and paths are used.
-    twin : Twin
-        That of the first boat, as new.
-    band_period : float
-        The standard deviations ahead are updated this often, s; 0 for every step.
-    parameters : bool
-        Add the parameters of the identified model and their standard deviations, both in units
-        of the standard deviations that they had at the start.
+    Of the episodes only measurements, commands and paths are used. ``twin`` is that of the first
+    boat, as new. The standard deviations ahead are updated every ``band_period``, s; 0 for every
+    step. ``parameters`` adds the parameters of the identified model and their standard deviations,
+    both in units of the standard deviations that they had at the start.
     """
 
     def __init__(

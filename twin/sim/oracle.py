@@ -133,25 +133,16 @@ def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -
 class Oracle(HistoryPredictor):
     """The true ship in the mean wind and current, from a filtered start.
 
-    Place and heading come from the tight navigation filter; speeds and yaw rate from an
-    observer, the ship itself sailing along and pulled to the navigation's velocities by
-    :data:`GAIN`, so that it does not take the waves of the moment for the boat's motion. The
-    actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the
-    slow changes of the wind are not known to it. Intervals are those of
+    Place and heading come from the tight navigation filter; speeds and yaw rate from an observer,
+    the ship itself sailing along and pulled to the navigation's velocities by :data:`GAIN`, so that
+    it does not take the waves of the moment for the boat's motion. The actuators follow the
+    commands as the true ones do. Waves, their mean drift, gusts and the slow changes of the wind
+    are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        What the navigation is given.
-    vessel : Vessel, optional
-        The true boat; left out, the package's vessel of which the particulars speak.
-    sea : SeaState, optional
-        Its mean wind and current; calm if left out.
-    dof : int
-        Degrees of freedom of the ship, 3 or 6.
-    seed : int
-        Nothing is drawn at random here.
+    ``vessel`` is the true boat; left out, the package's vessel of which the particulars speak.
+    ``sea`` gives mean wind and current; calm if left out. ``dof`` is 3 or 6. Nothing is drawn at
+    random here.
     """
 
     tuning = "none: it knows the boat"

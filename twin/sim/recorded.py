@@ -46,21 +46,9 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> tuple[Part
     """Return the particulars for a log, and whether any were given for it.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
-    archive's boat, else the usv75's without its class.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log.
-    ship : str, optional
-        A TOML file of particulars, of one boat or of several (``[[ship]]``, see
-        :meth:`twin.particulars.Particulars.load`), or the name or file of a vessel of
-        ``usv_gym``.
-
-    Raises
-    ------
-    ParticularsError, VesselError
-        Names the file and the remedy.
+    archive's boat, else the usv75's without its class. ``ship`` is a TOML file of particulars, of
+    one boat or of several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`), or the
+    name or file of a vessel of ``usv_gym``. ParticularsError, VesselError: file and remedy.
     """
     if ship is None:
         file = sibling_path(path, ".toml")

@@ -333,15 +333,10 @@ def sample_like(
 
 @functools.cache
 def nominal(name: str) -> Vessel:
-    """Return the model of a class as known before any data: with errors of its coefficients.
+    """Return the package's model of a class as known before any data: with coefficient errors.
 
     Simulated boats vary around the vessel of the package; of a real class that is not known. So
     each coefficient gets a random error, by :data:`BIAS`.
-
-    Parameters
-    ----------
-    name : str
-        Of a vessel that comes with the package.
 
     Source: docs/explanation/twin.md, The refit.
     """
@@ -404,24 +399,9 @@ def make_prior(
 ) -> Prior:
     """Draw a population, fit the model to each boat, and return what they have in common.
 
-    Parameters
-    ----------
-    model, kind : str
-        Model structure, and kind of boats as for :func:`random_boat`.
-    draw : callable, optional
-        From a generator to a boat and its nominal shaft speed; :func:`random_boat` of the
-        kind if left out.
-    drawn : int
-        Boats to draw; those that the model does not fit are left out.
-    seed : int
-        Seed of the population.
-    workers : int
-        Processes; the result does not depend on it.
-
-    Raises
-    ------
-    PriorError
-        If the model does not fit half of them.
+    ``draw`` goes from a generator to a boat and its nominal shaft speed; :func:`random_boat` of the
+    kind if left out. Of the ``drawn`` boats, those that the model does not fit are left out.
+    PriorError: it does not fit half of them. The result does not depend on ``workers``.
     """
     draw = draw or functools.partial(random_boat, kind)
     found = Parallel(n_jobs=workers)(

@@ -202,8 +202,6 @@ def clarke(form: Form) -> Estimate:
 def soding(form: Form) -> Estimate:
     """Return the added mass in surge, kg.
 
-    Notes
-    -----
     Source: Soding 1982, as in MSS; of a prolate body, for any slender hull.
     """
     values = {"m_x": 2.7 * form.water_density * form.volume ** (5.0 / 3.0) / form.length**2}
@@ -213,8 +211,6 @@ def soding(form: Form) -> Estimate:
 def zhou(form: Form) -> Estimate:
     """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
 
-    Notes
-    -----
     Source: regressions of Zhou et al. 1983 on the charts of Motora 1959.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
@@ -286,8 +282,6 @@ def periods(form: Form, GM_T: float) -> Estimate:
 def kijima_rudder(form: Form) -> Estimate:
     """Return a_H, t_R and epsilon of a rudder behind one screw.
 
-    Notes
-    -----
     Source: Kijima et al. 1990. For outboard drives use 0, 0 and 1.
     """
     C_b = form.block_coefficient
@@ -308,8 +302,6 @@ def kijima_rudder(form: Form) -> Estimate:
 def cross_flow(form: Form) -> Estimate:
     """Return the drag coefficient of sections in cross-flow.
 
-    Notes
-    -----
     Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points.
     """
     drag = float(np.interp(form.beam / (2.0 * form.draft), *_HOERNER.T))

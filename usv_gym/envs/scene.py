@@ -88,12 +88,7 @@ class Scene:
 class Trail:
     """What one boat's pictures remember of its episode: track, fixes and where to look.
 
-    Parameters
-    ----------
-    spacing : float
-        Points of the track are so far apart, m.
-    ahead : float
-        The picture's middle lies so far ahead of the boat, m.
+    Points of the track are ``spacing`` apart; the picture's middle lies ``ahead`` of the boat, m.
     """
 
     fix_period = 0.5

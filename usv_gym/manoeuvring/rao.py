@@ -73,23 +73,9 @@ def respond(
 ) -> Response:
     """Simulate straight motion in a regular wave, and return the amplitudes.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    omega : float
-        Circular frequency of the wave, rad/s.
-    heading : float
-        Direction of the wave less that of the boat, rad: 0 following, pi head sea.
-    speed : float
-        Speed of the boat, m/s, with constant shaft speed.
-    amplitude : float
-        Amplitude of the wave, m.
-
-    Returns
-    -------
-    Response
-        Numbers; NaN if the encounter frequency is below :data:`SLOWEST`.
+    ``omega`` is its circular frequency, rad/s, ``heading`` its direction less that of the boat,
+    rad: 0 following, pi head sea; ``amplitude`` in m. The boat has a constant shaft speed, for
+    ``speed``, m/s. Amplitudes are NaN if the encounter frequency is below :data:`SLOWEST`.
     """
     return _respond(vessel, omega, heading, speed, amplitude, shaft_speed_for(vessel, speed))
 
@@ -150,21 +136,10 @@ def jensen(
 ) -> tuple[Array, Array]:
     """Return heave (m/m) and pitch (rad/m) of a box-shaped ship by Jensen's closed forms.
 
-    Parameters
-    ----------
-    omega : array_like
-        Circular frequency of the wave, rad/s.
-    heading : float
-        Direction of the wave less that of the boat, rad: 0 following, pi head sea.
-    speed : float
-        Speed of the boat, m/s; for Froude numbers below 0.4.
-    length, beam, draft : float
-        Of the water line, m.
-    block : float
-        Block coefficient, which reduces the beam.
+    ``omega`` is the circular frequency of the wave, rad/s, ``heading`` its direction less that of
+    the boat, rad: 0 following, pi head sea; ``speed`` in m/s, for Froude numbers below 0.4; lengths
+    are of the water line, m; ``block`` reduces the beam.
 
-    Notes
-    -----
     Source: Jensen, Mansour and Olsen 2004; the pressure falls with exp(-k T) on every heading.
     """
     w = np.asarray(omega, dtype=float)

@@ -27,10 +27,7 @@ class TrackError(UsvTwinError):
 class Track:
     """Motion of one ship over time.
 
-    Raises
-    ------
-    TrackError
-        For columns of unequal length, numbers that are not finite, and times that do not rise.
+    TrackError: columns of unequal length, numbers that are not finite, or times that do not rise.
     """
 
     t: np.ndarray  # (N,): times, s; rising, in any steps

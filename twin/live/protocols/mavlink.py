@@ -158,12 +158,9 @@ class Servos:
 
 
 class MavlinkFeed(Feed):
-    """Messages of an autopilot as rows; see :class:`~twin.live.protocols.feed.Feed`.
+    """Messages of an autopilot as rows; without ``servos``, the outputs are those of the boat.
 
-    Parameters
-    ----------
-    servos : Servos, optional
-        What the servo outputs stand for; left out, :meth:`Servos.of` the boat.
+    See :class:`~twin.live.protocols.feed.Feed` and :meth:`Servos.of`.
     """
 
     modulus = WRAP / 1000.0

@@ -91,12 +91,8 @@ class LinkImpairment:
 class Stream(ABC):
     """Rows of a log as datagrams.
 
-    Parameters
-    ----------
-    origin : tuple of float
-        Latitude and longitude, degrees, of north = east = 0 in the log.
-    start : float
-        Time of the sender's clock at time 0 of the log, s.
+    ``origin`` is latitude and longitude, degrees, of north = east = 0 in the log; ``start`` the
+    sender's clock at time 0 of the log, s.
     """
 
     def __init__(self, origin: tuple[float, float], start: float) -> None:
@@ -128,12 +124,8 @@ class Stream(ABC):
 class NmeaStream(Stream):
     """Rows as NMEA 0183, a datagram for each; see ``twin/live/protocols/nmea.py``.
 
-    Parameters
-    ----------
-    origin, start
-        See :class:`Stream`; ``start`` is UNIX time, left out: now.
-    tag : bool
-        Whether each sentence has a TAG block with its time.
+    ``start`` is UNIX time, by default now; with ``tag`` each sentence has a TAG block with its
+    time.
     """
 
     def __init__(
@@ -169,12 +161,7 @@ class NmeaStream(Stream):
 class MavlinkStream(Stream):
     """Rows as MAVLink 2, up to three messages for each; see ``twin/live/protocols/mavlink.py``.
 
-    Parameters
-    ----------
-    servos : Servos
-        How commands become servo outputs.
-    origin, start
-        See :class:`Stream`; ``start`` is the time since the autopilot started, left out: 10 s.
+    ``start`` is the time since the autopilot started, by default 10 s.
     """
 
     def __init__(

@@ -86,26 +86,10 @@ class Snapshot:
 class Session(ABC):
     """A thread that lives a run; subclasses say what comes next.
 
-    Attributes
-    ----------
-    monitor : TwinMonitor
-        The twin and what is seen of it.
-    snapshot : Snapshot or None
-        The latest; None before the first.
-    scale : float
-        Seconds of the run per second of the clock.
-    paused : bool
-        Whether time stands still.
-    fresh : threading.Event
-        Set with every new snapshot.
-    changed : int
-        How often another boat or twin took over.
-    message : str
-        What the last order could not do; empty where it could.
-    recorded : Path or None
-        File of the last log that was recorded.
-    error : BaseException or None
-        What ended the thread.
+    ``snapshot`` is the latest, ``fresh`` is set with every new one. ``scale`` is seconds of the run
+    per second of the clock; ``paused``: time stands still. ``changed`` counts how often another
+    boat or twin took over. ``message`` says what the last order could not do. ``recorded`` is the
+    file of the last log that was recorded, ``error`` what ended the thread.
     """
 
     monitor: TwinMonitor

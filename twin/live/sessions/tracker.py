@@ -118,26 +118,12 @@ class _Mean:
 
 
 class TwinMonitor:
-    """A twin and what is to be seen of it.
+    """A twin, which gets its rows here only, and what is to be seen of it.
 
-    Parameters
-    ----------
-    twin : Twin
-        Fresh; it is fed here only.
-
-    Attributes
-    ----------
-    t : float
-        Time of the last row, s; NaN before the first.
-    measured : ndarray, shape (3,)
-        Last fix (m north and east) and last compass heading (rad); NaN before the first.
-    fixes, track : deque of tuple of float
-        Last fixes, and where the boat was (by the truth where it is known, else as estimated), m
-        north and east.
-    gps_age : float
-        Time since the last fix, s.
-    error, error_hold : float
-        See :class:`History`.
+    ``t`` is the time of the last row, s, and ``measured`` (3,) the last fix (m north and east) and
+    compass heading (rad), NaN before the first. ``fixes`` and ``track`` are the last fixes, and
+    where the boat was (by the truth where it is known, else as estimated), m; ``gps_age`` is the
+    time since the last fix, s. ``error, error_hold``: see :class:`History`.
     """
 
     def __init__(self, twin: Twin) -> None:

@@ -141,23 +141,12 @@ def _shipped(path: Path, kind: str) -> Weights:
 
 
 def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) -> Array:
-    """Return the inputs of a net, one token a second.
+    """Return the inputs (B, PAST + AHEAD, TOKEN) of a net, single precision, one token a second.
 
-    Parameters
-    ----------
-    window : ndarray, shape (B, PAST * PATCH, 17)
-        Rows up to and with the origin: six states, four commands, four actuators, and the
-        masks of GPS, compass and IMU: 1 with a fresh sample, then fading.
-    known : ndarray of bool, shape (B, PAST * PATCH)
-        False for rows before the history began.
-    ahead : ndarray, shape (B, AHEAD * PATCH, 4)
-        Actuators under the plan.
-    particulars : Particulars
-        Of the boat.
-
-    Returns
-    -------
-    ndarray, shape (B, PAST + AHEAD, TOKEN), single precision
+    ``window`` (B, PAST * PATCH, 17) has rows up to and with the origin: six states, four commands,
+    four actuators, and the masks of GPS, compass and IMU: 1 with a fresh sample, then fading.
+    ``known`` (B, PAST * PATCH) is False for rows before the history began. ``ahead`` (B, AHEAD *
+    PATCH, 4) are the actuators under the plan.
     """
     U, L = particulars.speed, particulars.length
     B, past = window.shape[:2]
@@ -270,22 +259,11 @@ def run_transformer(w: dict[str, Array], x: Array) -> Array:
 
 
 class FleetPredictor(ActuatedPredictor):
-    """A network that was trained once on simulated boats.
+    """A network that was trained once on simulated boats; subclasses say which.
 
-    Subclasses say which net. Its weights ship with the package; ``python -m
-    twin.training.fleet`` makes new ones. The net learns nothing more during a run.
-
-    Parameters
-    ----------
-    particulars : Particulars
-        Main particulars, which all inputs and outputs scale with, and lags.
-    seed : int
-        Nothing is drawn at random here.
-
-    Raises
-    ------
-    WeightsError
-        The weights are missing, damaged or of another version.
+    Its weights ship with the package; ``python -m twin.training.fleet`` makes new ones.
+    WeightsError: they are missing, damaged or of another version. The net learns nothing more
+    during a run, and draws nothing at random.
     """
 
     kind: ClassVar[str]
