@@ -19,7 +19,6 @@ from usv_gym.physics import GRAVITY
 __all__ = [
     "Estimate",
     "Form",
-    "clarke",
     "cross_flow",
     "hydrostatics",
     "kijima",
@@ -170,33 +169,6 @@ def _damped(source: str, values: Mapping[str, float]) -> list[str]:
         for key in ("Y_v", "N_r", "Y_vvv", "N_rrr")
         if values.get(key, -1.0) > 0.0
     ]
-
-
-def clarke(form: Form) -> Estimate:
-    """Return linear derivatives and added masses, made dimensionless with the length alone.
-
-    Forces over ``rho L^2 U^2 / 2``, moments over ``rho L^3 U^2 / 2``; ``Y_vdot`` over
-    ``rho L^3 / 2``, ``N_rdot`` over ``rho L^5 / 2``.
-    Source: Clarke, Gedling and Hine 1983. The linear derivatives contain no centripetal terms.
-    """
-    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
-    S, beam, flat = math.pi * (d / L) ** 2, B / L, B / d
-    values = {
-        "Y_vdot": -S * (1.0 + 0.16 * C_b * flat - 5.1 * beam**2),
-        "Y_rdot": -S * (0.67 * beam - 0.0033 * flat**2),
-        "N_vdot": -S * (1.1 * beam - 0.041 * flat),
-        "N_rdot": -S * (1.0 / 12.0 + 0.017 * C_b * flat - 0.33 * beam),
-        "Y_v": -S * (1.0 + 0.4 * C_b * flat),
-        "Y_r": -S * (-0.5 + 2.2 * beam - 0.08 * flat),
-        "N_v": -S * (0.5 + 2.4 * d / L),
-        "N_r": -S * (0.25 + 0.039 * flat - 0.56 * beam),
-    }
-    negative = [
-        f"Clarke 1983: {key} is {values[key]:+.3g}: an added inertia below 0 is impossible"
-        for key in ("Y_vdot", "N_rdot")
-        if values[key] > 0.0
-    ]
-    return _estimate("Clarke 1983", form, values, MERCHANT, *negative)
 
 
 def soding(form: Form) -> Estimate:

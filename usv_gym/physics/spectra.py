@@ -178,12 +178,3 @@ GUST_SPECTRA: dict[str, Callable[[Array, float], Array]] = {
     "davenport": davenport_spectrum,
 }
 """Gust spectra by name; each takes frequency (Hz) and mean wind speed (m/s)."""
-
-
-def wind_profile(height: float, wind: float) -> float:
-    """Return the mean wind speed (m/s) at a height (m, above .004), by the logarithmic profile.
-
-    ``wind`` is that 10 m above the sea.
-    """
-    slope = 2.5 * math.sqrt(_DRAG)
-    return wind * (1.0 + slope * math.log(height / 10.0))

@@ -33,7 +33,6 @@ GOLDEN = Path(__file__).parent / "golden" / "usv75_zigzag.json"
 KNOT = 1852.0 / 3600.0
 BOAT = Vessel.load("usv75")
 P = BOAT.packed.copy()
-LOA = BOAT.values["length_overall"]
 CALM = Sea(waves=np.zeros((waves.WAVE_ROWS, 0)), gusts=np.zeros((3, 0)), weather=wx.constant())
 MOTION = [fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R]
 BODY = [fr.U, fr.V, fr.R]

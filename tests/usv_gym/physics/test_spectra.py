@@ -1,4 +1,4 @@
-"""Spectra: published numbers, moments, quantiles, gusts, wind profile."""
+"""Spectra: published numbers, moments, quantiles, gusts."""
 
 from __future__ import annotations
 
@@ -122,13 +122,3 @@ def test_npd_at_other_heights() -> None:
     low = np.array([1e-9])
     ratio = spectra.npd_spectrum(low, 10.0, 20.0) / spectra.npd_spectrum(low, 10.0)
     assert ratio[0] == pytest.approx(2.0**0.45, rel=1e-3)
-
-
-def test_wind_profile() -> None:
-    # ship_and_sea.md: U10 5/2 sqrt(kap) ln(z/z0), z0 = 10 exp(-2/(5 sqrt kap)), kap = .0026
-    assert spectra.wind_profile(10.0, 8.0) == 8.0
-    root = math.sqrt(0.0026)
-    z0 = 10.0 * math.exp(-2.0 / (5.0 * root))
-    for z in (2.0, 19.5, 50.0):
-        expected = 8.0 * 2.5 * root * math.log(z / z0)
-        assert spectra.wind_profile(z, 8.0) == pytest.approx(expected, rel=1e-12)

@@ -15,8 +15,6 @@ from usv_gym.physics import ship, weather, wind
 
 BOAT = Vessel.load("usv75")
 P = BOAT.packed.copy()
-CALM = np.zeros((7, 0))
-NO_FACTORS = np.zeros((6, 0))
 
 angles = st.floats(-math.pi, math.pi)
 

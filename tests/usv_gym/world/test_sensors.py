@@ -40,7 +40,7 @@ from usv_kernel.channels import SENSOR_CHANNELS
 DT = 0.05
 BOAT = Vessel.load("usv75")
 N = BOAT.values["shaft_speed_manoeuvring"]
-GPS_X, GPS_VX, COMPASS, GYRO, ACCEL_X, ACCEL_Y = 0, 2, 4, 5, 6, 7
+GPS_X, COMPASS, GYRO, ACCEL_X, ACCEL_Y = 0, 4, 5, 6, 7
 BIT = np.array([GPS_BIT] * 4 + [COMPASS_BIT] + [IMU_BIT] * 3)
 
 
