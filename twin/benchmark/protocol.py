@@ -101,62 +101,32 @@ FULL = {
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What is to be measured.
+    """What is to be measured."""
 
-    Parameters
-    ----------
-    scenarios, faults, predictors : tuple of str
-        Manoeuvres, losses of sensors such as ``gps10``, and names in ``twin.PREDICTORS`` or
-        ``module:Class``.
-    cases : tuple of Case
-        Conditions in place of ``faults``.
-    seeds : tuple of int
-        Each gives a boat, a sea, sensor errors, and the commands of a random manoeuvre.
-    plans : tuple of str
-        Future commands: ``known`` (Eq 27), or ``hold`` for the last ones.
-    vessel : str
-        Name or TOML file.
-    spread : float
-        Relative variation of the boat from seed to seed, see ``Vessel.varied``.
-    dof : int
-        Degrees of freedom of the simulated ship, 3 or 6.
-    model : str or None
-        Model structure of the predictors; None for the default of each.
-    hs, wind, wind_from_deg : float
-        Sea state: wave height (m), wind speed (m/s) and direction (degrees).
-    logs : tuple of str
-        Recorded runs to score.
-    ship : str or None
-        Particulars of the recorded boat; None for the TOML file beside the log.
-    mapping : str or None
-        Mapping file of the recorded runs, as for ``Log.read``.
-    identify_s : float
-        Time of the first prediction, s; in recorded runs 60 s, or 40 % of a short one.
-    duration_s : float
-        Length of a simulated run, s.
-    fault_after_s : float
-        Time from the first prediction to a loss, s.
-    """
-
-    scenarios: tuple[str, ...] = ("turn", "zigzag")
-    faults: tuple[str, ...] = ("none", "gps10")
-    cases: tuple[Case, ...] = ()
+    scenarios: tuple[str, ...] = ("turn", "zigzag")  # manoeuvres
+    faults: tuple[str, ...] = ("none", "gps10")  # losses of sensors
+    cases: tuple[Case, ...] = ()  # conditions in place of faults
+    # each gives a boat, a sea, sensor errors, and the commands of a random manoeuvre
     seeds: tuple[int, ...] = tuple(range(6))
-    predictors: tuple[str, ...] = tuple(PREDICTORS)
+    predictors: tuple[str, ...] = tuple(PREDICTORS)  # names in twin.PREDICTORS or module:Class
+    # future commands: known (Eq 27), or hold for the last ones
     plans: tuple[str, ...] = ("known", "hold")
-    vessel: str = "usv75"
-    spread: float = SPREAD
-    dof: int = 3
-    model: str | None = None
+    vessel: str = "usv75"  # name or TOML file
+    spread: float = SPREAD  # relative variation of the boat from seed to seed, see Vessel.varied
+    dof: int = 3  # degrees of freedom of the simulated ship, 3 or 6
+    model: str | None = None  # model structure of the predictors; None for the default of each
+    # sea state: wave height (m), wind speed (m/s) and direction (degrees)
     hs: float = 0.5
     wind: float = 4.5
     wind_from_deg: float = 135.0
-    logs: tuple[str, ...] = ()
+    logs: tuple[str, ...] = ()  # recorded runs to score
+    # particulars of the recorded boat; None for the TOML file beside the log
     ship: str | None = None
-    mapping: str | None = None
+    mapping: str | None = None  # mapping file of the recorded runs, as for Log.read
+    # time of the first prediction, s; in recorded runs 60 s, or 40 % of a short one
     identify_s: float = 80.0
-    duration_s: float = 120.0
-    fault_after_s: float = 5.0
+    duration_s: float = 120.0  # length of a simulated run, s
+    fault_after_s: float = 5.0  # time from the first prediction to a loss, s
 
     def __post_init__(self) -> None:
         for name in self.scenarios:

@@ -61,30 +61,10 @@ def turning_circle(
 ) -> Track:
     """Simulate a turning circle up to a change of heading of 720 degrees.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    angle : float
-        Helm angle, rad; positive turns to starboard.
-    n : float
-        Constant shaft speed, rev/s.
-    speed : float, optional
-        Speed of the approach, m/s; default :meth:`Vessel.straight_speed`.
-    dof : int
-        Degrees of freedom, 3 or 6.
-    dt : float, optional
-        Time step, s; default the time to sail 1/200 of a length, at most 0.05 s for a length of
-        7 m, scaled with its square root.
-
-    Returns
-    -------
-    Track
-
-    Raises
-    ------
-    TrialError
-        For impossible arguments, and for a trial that does not end.
+    ``angle`` is that of the helm, rad, positive to starboard; ``n`` the constant shaft speed,
+    rev/s; ``speed`` that of the approach, m/s, by default :meth:`Vessel.straight_speed`; ``dof`` 3
+    or 6; ``dt`` by default the time to sail 1/200 of a length, at most 0.05 s for a length of 7 m,
+    scaled with its square root. TrialError: impossible arguments, and a trial that does not end.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     return trial.sail({"turning circle": _turn(trial.checked_angle(angle))})[0]
