@@ -48,9 +48,10 @@ _SAME = 0.005
 
 @kernel
 def accumulate(gram, terms, which, seconds):
-    """Add regressors times seconds to the Gram matrix (k, k), the integral of phi phi' over time.
+    """Add the products of regressors, times seconds, to the Gram matrix (k, k) of what was seen.
 
-    Its lower triangle is added to. ``which`` (k,) says which of the terms are the regressors phi.
+    It is the integral of phi phi' over time; its lower triangle is added to. ``which`` (k,) says
+    which of the terms (m,) of the moment are the regressors phi.
     """
     for i in range(which.shape[0]):
         weight = seconds * terms[which[i]]

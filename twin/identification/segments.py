@@ -433,8 +433,8 @@ class Segments:
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
         """Iterate to the least of the true objective; return whether it converged.
 
-        Levenberg-Marquardt over ``rows`` (M, 20), until the objective falls by less than the share
-        ``tolerance`` of itself.
+        Levenberg-Marquardt over ``rows`` (M, 20), at most so many iterations, until the objective
+        falls by less than the share ``tolerance`` of itself.
         """
         many, damping = len(self.first), 0.0
         self.relinearise(rows, many)

@@ -18,9 +18,9 @@ from usv_kernel.scalar import actuate, sincos
 def thrust(n: float, u_P: float, p: Record) -> float:
     """Return the open-water thrust (N) of one propeller with an inflow u_P (m/s) along its shaft.
 
-    ``rho D^4 n^2 K_T(J)`` with ``J = u_P / (n D)``, written without the quotient so that it
-    holds through n = 0; astern the propeller is taken as turned round, with a pull at rest
-    of its own.
+    ``n`` is negative astern. ``rho D^4 n^2 K_T(J)`` with ``J = u_P / (n D)``, written without the
+    quotient so that it holds through n = 0; astern the propeller is taken as turned round, with a
+    pull at rest of its own.
     """
     D = p.propeller_diameter
     J_n = u_P / D

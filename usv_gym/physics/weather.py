@@ -107,10 +107,10 @@ def _gauss_markov(value: float, sd: float, tau: float, dt: float, normal: float)
 def advance_slow_wind(
     weather: Record, dt: float, normal_speed: float, normal_direction: float
 ) -> None:
-    """Advance the slow changes of wind speed and direction, in place.
+    """Advance the slow changes of wind speed and direction by a step dt (s), in place.
 
-    An infinite step ``dt`` draws the states that an episode starts with, from the two standard
-    normal numbers.
+    An infinite step draws the states that an episode starts with, from the two standard normal
+    numbers.
     """
     if weather.speed_sd > 0.0:
         weather.speed_drift = _gauss_markov(
