@@ -368,4 +368,10 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
     ]
     if missing:
         raise ParticularsError(f"missing key(s): {', '.join(missing)}")
+    if kind is Particulars and "steering" not in table:
+        raise ParticularsError(
+            'steering is missing: how does the boat steer? "drives": the thrust is turned by a '
+            'drive or rudder angle; "differential": the units are fixed and steer by unequal '
+            "thrust; add the line steering = ..."
+        )
     return table

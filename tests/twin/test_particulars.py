@@ -19,6 +19,7 @@ BOAT = Particulars(
 TEXT = """
 [particulars]
 name = "boat"
+steering = "drives"
 length = 7.5
 beam = 2.5
 draft = 0.4
@@ -143,7 +144,8 @@ def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
         ('name = "boat"', "name = 5", "name = 5 must be a text"),
         ("mass = 2300", "mas = 2300", "unknown key 'mas'; known keys: name, length, beam"),
         ("mass = 2300\n", "", "missing key(s): mass"),
-        ("speed = 5.0", "speed = 5.0\nsteering = 'oars'", "steering = 'oars' is unknown; use one"),
+        ('"drives"', '"oars"', "steering = 'oars' is unknown; use one"),
+        ('steering = "drives"\n', "", "steering is missing: how does the boat steer?"),
         ("speed = 5.0", "speed = 5.0\ndesign = 75", "design = 75 must be a text"),
         ("speed = 5.0", "speed = 5.0\ndesign = 'otter'", "'otter': no prior of this class comes"),
         ("[particulars]", "[boat]", "expected the tables [particulars]"),

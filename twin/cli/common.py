@@ -26,7 +26,7 @@ from twin.model.structure import MODELS
 from twin.parallel import BACKENDS
 from twin.predictors.registry import DEFAULT, PREDICTORS
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
+from twin.sim.recorded import particulars_for_log
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError
 
@@ -82,7 +82,7 @@ ShipOption = Annotated[
         "--ship",
         "--vessel",
         help="Main particulars of the boat: a TOML file, or the name of a vessel. "
-        "Default: the .toml of the log's name beside the log, else usv75.",
+        "Default: the .toml of the log's name beside the log.",
     ),
 ]
 
@@ -148,12 +148,11 @@ def open_log(
     log = Log.read(path, mapping)
     for line in log.notes:
         note(line)
-    found = True
     if resume is not None:
         twin = _load_twin(resume, predictor, ship, model)
     else:
         name = predictor or DEFAULT
-        particulars, found = particulars_for_log(path, ship)
+        particulars = particulars_for_log(path, ship)
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     log = log.without_truth()
@@ -163,8 +162,6 @@ def open_log(
         log = log.slice(-math.inf, math.nextafter(until, math.inf))
         if len(log) == 0:
             raise TwinError(f"--until {until:g}: the log has no row before it")
-    if not found:
-        note(NO_PARTICULARS.format(path))
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
     if resume is not None and not math.isnan(twin.t):
         log = log.slice(math.nextafter(twin.t, math.inf), math.inf)

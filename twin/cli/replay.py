@@ -66,7 +66,7 @@ def replay_command(
             "--ship",
             "--vessel",
             help="Boat, TOML file or name, whose full throttle scales MAVLink's servo outputs. "
-            "Default: the .toml beside the log, else usv75.",
+            "Default: the .toml beside the log.",
         ),
     ] = None,
     shaft_max: ShaftMaxOption = None,
@@ -86,7 +86,7 @@ def replay_command(
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
     else:
-        particulars, _ = particulars_for_log(log, ship)
+        particulars = particulars_for_log(log, ship)
         stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)
     counts: Counter[str] = Counter()
     length = float(run.t[-1] - run.t[0])
