@@ -20,6 +20,8 @@ class Form:
         On the water line, m.
     volume : float
         Displaced, m3.
+    hull_beam : float, optional
+        Of each hull of a catamaran, m.
     length_overall : float, optional
         m; default 1.1 ``length``.
     waterplane : float, optional
@@ -45,6 +47,7 @@ class Form:
     beam: float
     draft: float
     volume: float
+    hull_beam: float | None = None
     length_overall: float | None = None
     waterplane: float | None = None
     height: float | None = None
@@ -68,6 +71,7 @@ class Form:
             beam=v["beam"],
             draft=v["draft"],
             volume=v["block_coefficient"] * length * v["beam"] * v["draft"],
+            hull_beam=v.get("hull_beam"),
             length_overall=v["length_overall"],
             waterplane=v["A_wp"],
             height=v["A_L"] / v["length_overall"],
@@ -134,6 +138,8 @@ class Form:
     @cached_property
     def pontoon(self) -> float:
         """Beam of each hull of a catamaran, m; 0 for a single hull."""
+        if self.hull_beam is not None:
+            return self.hull_beam
         # a catamaran: thrusters wide apart and a small block coefficient
         if (
             self.kind != "thruster_pair"
