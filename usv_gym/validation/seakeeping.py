@@ -148,8 +148,8 @@ def loads_in_waves(study: Study) -> Section:
         "Loads and free motions in waves",
         "Closed forms and quadrature check the formulas of the loads. Natural periods, long-wave "
         "limits and linearity check the simulation in six degrees of freedom. In a very long wave "
-        "the boat must move with the water and tilt with its slope, at rest and under way, as "
-        "hull, propulsion and added mass move relative to the orbital motion. Roll and pitch "
+        "the boat must move with the water and tilt with its slope, at rest and under way. "
+        "Hull, propulsion and added mass move relative to the orbital motion. Roll and pitch "
         "couple with sway, which changes their damping. Waves of .25 m show how linear the boat "
         "remains in a sea with Hs .5 m.",
         tuple(found),
