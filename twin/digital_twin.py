@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, write
+from twin.logs.datum import Datum
 from twin.logs.log import Log
+from twin.logs.tables import StateTable
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
@@ -63,13 +65,17 @@ class Twin:
         Time of the last row, s; NaN before the first.
     cmd : ndarray, shape (4,)
         Its command.
+    datum : Datum or None
+        Latitude, longitude and date of the origin, as the log of :meth:`run` had them.
 
     Examples
     --------
     >>> from twin import Log, Particulars, Twin, recorded_runs
     >>> path = recorded_runs()["boat1_usv_circle"]
     >>> twin = Twin(Particulars.load(path.with_name("boat1_usv_circle.toml")))
-    >>> twin.run(Log.read(path))
+    >>> track = twin.run(Log.read(path))
+    >>> track["u_mps"].shape == track.shape
+    True
     >>> prediction = twin.predict("hold", horizon=10.0)
     >>> prediction.mean.shape
     (40, 6)
@@ -90,6 +96,7 @@ class Twin:
             self.predictor = predictor
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
+        self.datum: Datum | None = None
         self.t = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
@@ -125,6 +132,7 @@ class Twin:
         header = {
             **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
             **{"options": options, "particulars": dataclasses.asdict(self.particulars)},
+            **({} if self.datum is None else {"datum": self.datum.to_json()}),
             **{"t": self.t, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
         }
         write(path, header, arrays | kept)
@@ -210,6 +218,7 @@ class Twin:
             {"t": twin.t, "command": twin.cmd},
             {"t": GAPS},
         )
+        twin.datum = Datum(**header["datum"]) if "datum" in header else None
         twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
         now = twin.predictor.estimate()
         if now.ready and not abs(now.t - twin.t) <= 1e-6:
@@ -256,10 +265,67 @@ class Twin:
         self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
         self.t, self.cmd = t, cmd
 
-    def run(self, log: Log) -> None:
-        """Take every row of a log, one after the other."""
-        for t, z, cmd in log:
+    def run(self, log: Log) -> StateTable:
+        """Take every row of a log, one after the other.
+
+        Parameters
+        ----------
+        log : Log
+            The run, or its next piece.
+
+        Returns
+        -------
+        StateTable, shape (N,)
+            A structured array of what was estimated at each row: time, state and parameters with
+            their standard deviations, latitude, longitude and date where the log has them. It has
+            ``to_pandas()``, ``to_polars()`` and ``write(path)``. A twin that forgets is cheaper:
+            ``for row in log: twin.step(*row)``.
+
+        Raises
+        ------
+        TwinError
+            Names what is wrong, for instance an origin other than that of the log before.
+        """
+        self.locate(log.datum)
+        names = self.estimate_columns
+        rows = np.empty((len(log), len(names)))
+        for k, (t, z, cmd) in enumerate(log):
             self.step(t, z, cmd)
+            rows[k] = self.estimate_row()
+        return StateTable.of(dict(zip(names, rows.T, strict=True)), self.datum)
+
+    def locate(self, datum: Datum | None) -> None:
+        """Take over the datum of a log that is about to come.
+
+        Raises
+        ------
+        TwinError
+            If its origin is not that of the rows before.
+        """
+        if datum is None:
+            return
+        if self.datum is None or math.isnan(self.t):
+            self.datum = datum
+        elif not self.datum.same_place(datum):
+            raise TwinError(
+                f"the log's origin is {datum.latitude}, {datum.longitude}, and that of the rows "
+                f"before {self.datum.latitude}, {self.datum.longitude}: state the latter as datum "
+                "= [latitude, longitude] in [position] of the log's mapping file"
+            )
+
+    @property
+    def estimate_columns(self) -> tuple[str, ...]:
+        """Names of the numbers in :meth:`estimate_row`."""
+        names = self.predictor.parameter_names
+        return (TIME, *STATE, *(f"sd_{c}" for c in STATE), *names, *(f"sd_{n}" for n in names))
+
+    def estimate_row(self) -> Array:
+        """Return time, state and parameters with their standard deviations; NaN until ready."""
+        now = self.estimate()
+        row = np.concatenate([[self.t], now.state, now.sd, now.params, now.params_sd])
+        if not now.ready:
+            row[1:] = np.nan
+        return row
 
     def estimate(self) -> Estimate:
         """Return state and parameters with their standard deviations."""
@@ -310,7 +376,10 @@ class Twin:
                 )
             if not np.isfinite(rows).all():
                 raise TwinError("plan holds NaN or infinity; every command must be a number")
-        return self.predictor.predict(rows, dt)
+        prediction = self.predictor.predict(rows, dt)
+        if self.datum is not None:
+            prediction = dataclasses.replace(prediction, datum=self.datum)
+        return prediction
 
 
 def _floats(table: dict[str, Any]) -> dict[str, Any]:

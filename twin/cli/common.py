@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import functools
 import json
 import math
@@ -156,6 +155,7 @@ def open_log(
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     log = log.without_truth()
+    twin.locate(log.datum)
     if until is not None:
         if not math.isfinite(until):
             raise TwinError(f"--until {until}: must be a finite time in s")
@@ -262,15 +262,6 @@ def radians(degrees: float | None) -> float | None:
 
 
 # files
-def write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
-    """Write rows of numbers in full precision."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([[repr(float(v)) for v in row] for row in rows])
-
-
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Write JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=1) + "\n")

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
 from usv_kernel.errors import UsvTwinError
+
+if TYPE_CHECKING:
+    from twin.logs.datum import Plane
 
 __all__ = [
     "OTHER_UNITS",
@@ -73,6 +77,8 @@ class Entry:
         For the user.
     clock : bool
         Whether the source is a date and time, not a number.
+    plane : callable, optional
+        Takes what ``convert`` takes, and returns the plane on which it puts positions, if any.
     """
 
     names: tuple[str, ...]
@@ -81,6 +87,7 @@ class Entry:
     topic: str = ""
     note: str = ""
     clock: bool = False
+    plane: Callable[[Sequence[Array]], Plane | None] | None = None
 
     def columns(self, values: Sequence[Array]) -> dict[str, Array]:
         """Return the log's columns from the sources' values, each of shape (N,)."""

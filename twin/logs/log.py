@@ -28,8 +28,18 @@ from twin.logs.checks import (
     held_command,
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry, LogError
+from twin.logs.datum import DATUM, Datum
 from twin.logs.mapping import Layout, layout_of
-from twin.logs.readers import CsvFile, ParquetFile, Table, gathered, merged, name_of, shorten
+from twin.logs.readers import (
+    CsvFile,
+    ParquetFile,
+    Table,
+    date_of,
+    gathered,
+    merged,
+    name_of,
+    shorten,
+)
 from twin.logs.rosbag import is_bag, read_bag
 
 __all__ = [
@@ -37,7 +47,7 @@ __all__ = [
     "recorded_runs",
 ]
 
-_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *SINGLE, *OTHER_UNITS)
+_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *SINGLE, *OTHER_UNITS, *DATUM)
 
 # Names that other projects use, and that no spelling distance would find.
 _ALIASES = {
@@ -66,6 +76,10 @@ _ALIASES = {
 }
 
 
+_UNIX = 1e9, 4e9
+"""Times between these are seconds since 1970: September 2001 to 2096."""
+
+
 @dataclass(frozen=True, eq=False)
 class Log:
     """A recorded or simulated run of N rows.
@@ -87,6 +101,8 @@ class Log:
         For tables and pictures.
     notes : tuple of str
         What was missing, converted or repaired when the log was read.
+    datum : Datum or None
+        Latitude, longitude and date of its origin, where they are known.
     """
 
     t: Array
@@ -95,6 +111,7 @@ class Log:
     truth: Array | None = None
     name: str = "log"
     notes: tuple[str, ...] = ()
+    datum: Datum | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays of a wrong shape, of infinite values, or of a time that stands still."""
@@ -169,8 +186,9 @@ class Log:
         Notes
         -----
         NaN becomes an empty cell; each number is written with the digits that give the
-        same float64 back. :meth:`read` returns the same arrays, save for what it would
-        repair or refuse in any file (repeated fixes, a column that never changes).
+        same float64 back. The datum stands in columns of one value each. :meth:`read` returns the
+        same arrays, save for what it would repair or refuse in any file (repeated fixes, a column
+        that never changes).
         """
         import polars as pl
 
@@ -179,6 +197,8 @@ class Log:
         columns.update(zip(MEASUREMENTS, self.z.T, strict=True))
         if self.truth is not None:
             columns.update(zip(TRUTH, self.truth.T, strict=True))
+        if self.datum is not None:
+            columns.update(self.datum.columns(len(self)))
         frame = pl.DataFrame(columns).fill_nan(None)
         path = Path(path)
         if path.suffix == ".parquet":
@@ -334,7 +354,11 @@ def _chosen(
         if header.count(given) > 1:
             raise LogError(f"{source}: column {given} stands twice in {first}; remove one")
     left = [given for given in header if given not in used]
-    absent = [name for name in _KNOWN if OTHER_UNITS.get(name, (name, 1.0))[0] not in made]
+    absent = [
+        name
+        for name in _KNOWN
+        if name not in DATUM and OTHER_UNITS.get(name, (name, 1.0))[0] not in made
+    ]
     hints = {given: hint for given in left if (hint := _meant(given, absent))}
     remedy = [
         f"rename {given} to {hint}"
@@ -410,7 +434,14 @@ def _assemble(table: Table) -> Log:
         absent = [name for name in TRUTH if name not in names]
         if absent:
             notes.append(f"{', '.join(absent)}: not in the file, this part of the truth is unknown")
-    return Log(t, z, cmd, truth, table.name, tuple(notes))
+    datum = Datum.from_columns(names, table.source)
+    if table.epoch is None and _UNIX[0] <= t[0] < _UNIX[1]:
+        table.epoch = 0.0
+        notes.append(f"t_s: seconds since 1970, from {date_of(float(t[0]))}")
+    if datum is None and (table.plane is not None or table.epoch is not None):
+        place = {} if table.plane is None else vars(table.plane)
+        datum = Datum(**place, epoch=table.epoch)
+    return Log(t, z, cmd, truth, table.name, tuple(notes), datum)
 
 
 def _merge_equal_times(table: Table) -> None:

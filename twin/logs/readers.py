@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array, Entry, LogError
+from twin.logs.datum import Plane
 from twin.logs.mapping import Layout
 
 if TYPE_CHECKING:
@@ -76,6 +77,10 @@ class Table:
         Returns the place of a row in the file, for messages.
     notes : list of str
         What was done so far.
+    plane : Plane, optional
+        On which positions are measured, where the file has latitude and longitude.
+    epoch : float, optional
+        Time of t = 0, s since 1970, where the file has dates or stamps.
     """
 
     source: str
@@ -84,6 +89,8 @@ class Table:
     given: dict[str, str]
     line: Callable[[int], str]
     notes: list[str] = field(default_factory=list)
+    plane: Plane | None = None
+    epoch: float | None = None
 
 
 def name_of(path: Path) -> str:
@@ -203,8 +210,11 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     if epoch == epoch:
         notes.append(f"t_s: counted from {date_of(epoch)}")
     data = {}
+    plane = None
     for entry in entries:
-        made = entry.columns([raw[source] for source in entry.sources])
+        values = [raw[source] for source in entry.sources]
+        plane = entry.plane(values) if entry.plane is not None else plane
+        made = entry.columns(values)
         data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
     given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}
     notes += [entry.note for entry in entries if entry.note]
@@ -212,7 +222,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     def line(row: int) -> str:
         return f"{file.unit} {int(place[row])}"
 
-    return Table(file.source, name_of(Path(file.source)), data, given, line, notes)
+    known = None if math.isnan(epoch) else epoch
+    return Table(file.source, name_of(Path(file.source)), data, given, line, notes, plane, known)
 
 
 def _only(timed: Entry, data: Mapping[str, Array]) -> Array:

@@ -16,8 +16,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import STATE, TIME
 from twin.checkpoint import State, restore_attributes, saved_attributes
 from twin.identification.identifiability import Identifiability
+from twin.logs.datum import Datum
+from twin.logs.tables import StateTable
 from twin.particulars import Particulars
 
 __all__ = [
@@ -74,6 +77,8 @@ class Prediction:
         Covariances of their errors.
     low, high : ndarray, shape (K, 6)
         5 % and 95 % points; left out, those of normal errors.
+    datum : Datum or None
+        Where and when t = x = y = 0 is, if the twin knows it.
     """
 
     t0: float
@@ -84,6 +89,7 @@ class Prediction:
     cov: Array
     low: Array = None  # type: ignore[assignment]
     high: Array = None  # type: ignore[assignment]
+    datum: Datum | None = None
 
     def __post_init__(self) -> None:
         for name, side in (("low", -Z90), ("high", Z90)):
@@ -94,6 +100,20 @@ class Prediction:
     def sd(self) -> Array:
         """Standard deviations, shape (K, 6)."""
         return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=1, axis2=2), 0.0))
+
+    def table(self) -> StateTable:
+        """Return the forecast as a structured array, with ``to_pandas()`` and ``write(path)``.
+
+        Its columns are ``t_s``; date, latitude and longitude where the twin knows them; the means
+        by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and ``high_``.
+        """
+        parts = {"": self.mean, "sd_": self.sd, "low_": self.low, "high_": self.high}
+        columns = {
+            f"{kind}{name}": part[:, k]
+            for kind, part in parts.items()
+            for k, name in enumerate(STATE)
+        }
+        return StateTable.of({TIME: self.t, **columns}, self.datum)
 
     def at(self, horizons: Array) -> tuple[Array, Array]:
         """Return mean (h, 6) and covariance (h, 6, 6) at times after t0, interpolated.
