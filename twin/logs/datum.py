@@ -98,7 +98,7 @@ class Datum:
     epoch: float | None = None
 
     def __post_init__(self) -> None:
-        bounds = {"latitude": 89.9, "longitude": 360.0, "epoch": _LAST_YEAR}
+        bounds = {"latitude": 90.0, "longitude": 360.0, "epoch": _LAST_YEAR}
         for name, most in bounds.items():
             value = getattr(self, name)
             if value is None:
