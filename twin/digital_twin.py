@@ -376,10 +376,7 @@ class Twin:
                 )
             if not np.isfinite(rows).all():
                 raise TwinError("plan holds NaN or infinity; every command must be a number")
-        prediction = self.predictor.predict(rows, dt)
-        if self.datum is not None:
-            prediction = dataclasses.replace(prediction, datum=self.datum)
-        return prediction
+        return self.predictor.predict(rows, dt)
 
 
 def _floats(table: dict[str, Any]) -> dict[str, Any]:

@@ -97,7 +97,7 @@ def predict_command(
     _print_prediction(prediction, predictor, plan, run)
     if out is not None:
         about = {"boat": twin.particulars.name, "log": run.name, "predictor": predictor}
-        prediction.table().write(out, **about, plan=plan, from_t_s=prediction.t0)
+        prediction.table(twin.datum).write(out, **about, plan=plan, from_t_s=prediction.t0)
         console.print(f"every 0.1 s: {out}")
 
 

@@ -77,8 +77,6 @@ class Prediction:
         Covariances of their errors.
     low, high : ndarray, shape (K, 6)
         5 % and 95 % points; left out, those of normal errors.
-    datum : Datum or None
-        Where and when t = x = y = 0 is, if the twin knows it.
     """
 
     t0: float
@@ -89,7 +87,6 @@ class Prediction:
     cov: Array
     low: Array = None  # type: ignore[assignment]
     high: Array = None  # type: ignore[assignment]
-    datum: Datum | None = None
 
     def __post_init__(self) -> None:
         for name, side in (("low", -Z90), ("high", Z90)):
@@ -101,11 +98,16 @@ class Prediction:
         """Standard deviations, shape (K, 6)."""
         return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=1, axis2=2), 0.0))
 
-    def table(self) -> StateTable:
+    def table(self, datum: Datum | None = None) -> StateTable:
         """Return the forecast as a structured array, with ``to_pandas()`` and ``write(path)``.
 
-        Its columns are ``t_s``; date, latitude and longitude where the twin knows them; the means
+        Its columns are ``t_s``; date, latitude and longitude where the datum has them; the means
         by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and ``high_``.
+
+        Parameters
+        ----------
+        datum : Datum, optional
+            Where and when t = x = y = 0 is: ``twin.datum`` or ``log.datum``.
         """
         parts = {"": self.mean, "sd_": self.sd, "low_": self.low, "high_": self.high}
         columns = {
@@ -113,7 +115,7 @@ class Prediction:
             for kind, part in parts.items()
             for k, name in enumerate(STATE)
         }
-        return StateTable.of({TIME: self.t, **columns}, self.datum)
+        return StateTable.of({TIME: self.t, **columns}, datum)
 
     def at(self, horizons: Array) -> tuple[Array, Array]:
         """Return mean (h, 6) and covariance (h, 6, 6) at times after t0, interpolated.

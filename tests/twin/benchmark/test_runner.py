@@ -174,7 +174,11 @@ def test_nothing_is_scored_across_a_gap(tmp_path):
     path = tmp_path / "gap.csv"
     dataclasses.replace(log, z=z).write(path)
     settings = Settings(
-        scenarios=(), logs=(str(path),), faults=("none",), predictors=("persistence",)
+        scenarios=(),
+        logs=(str(path),),
+        faults=("none",),
+        predictors=("persistence",),
+        ship=str(recorded_runs()["boat1_usv_circle"].with_name("boat1_usv_circle.toml")),
     )
     (unit,) = units(settings)
     result = bench.run_unit(settings, unit, tmp_path, pictures=False)
