@@ -15,10 +15,10 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.realisation import Sea
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
+from usv_kernel.channels import SENSOR_CHANNELS
 
 SECONDS, AT = 60.0, 41.0
 
@@ -118,7 +118,7 @@ def main(path: str = "boat_in_waves.png") -> None:
     axes[1].set_ylabel("angle (deg)")
     for name, colour in (("accel_x_mps2", "#009e73"), ("accel_y_mps2", "#cc79a7")):
         label = "forward" if "_x_" in name else "starboard"
-        axes[2].plot(t, seen[:, CHANNELS.index(name)], color=colour, label=label)
+        axes[2].plot(t, seen[:, SENSOR_CHANNELS.index(name)], color=colour, label=label)
     axes[2].set(ylabel="accelerometer (m/s$^2$)", xlabel="time (s)")
     for ax in axes:
         ax.set_xlim(AT - 20.0, AT + 15.0)

@@ -47,8 +47,9 @@ FORMAT = "usv-twin state"
 VERSION = 3
 """Version of the format. It rises when a field changes its name or meaning."""
 
-SIZE_MAX = 2**28
-"""Bytes that a saved twin may hold when it is unpacked; the largest need a tenth of it."""
+SIZE_MAX, EXPANSION_MAX = 2**28, 20
+"""A saved twin unpacks to no more bytes than this, or than so many times its file: zeros of an
+empty window shrink to nothing, a long history hardly at all."""
 
 _HEADER = "header.json"
 
@@ -116,7 +117,8 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 names = archive.namelist()
                 size = sum(info.file_size for info in archive.infolist())
-                if size > SIZE_MAX or len(set(names)) < len(names):
+                most = max(SIZE_MAX, EXPANSION_MAX * len(content))
+                if size > most or len(set(names)) < len(names):
                     raise StateError(
                         f"{path}: holds {size:.3g} bytes in {len(names)} parts, more or other than "
                         f"a saved twin has; {_EARLIER}"

@@ -380,7 +380,7 @@ def inner(typing_context, a, first, b, start, count):
 
         with builder.if_else(builder.icmp_signed(">=", count, index(_LANES))) as (wide, narrow):
             with wide:
-                kind, _ = _fused(builder, _LANES)
+                kind = _fused(builder, _LANES)[0]
                 over = builder.and_(count, index(_LANES - 1))
                 fused, (one, other) = term(builder.sub(count, index(_LANES)), _LANES)
                 # the last four overlap those before: what these have seen does not count

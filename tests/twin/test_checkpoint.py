@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin import Prediction, Predictor, StateError, Twin
+from twin import Prediction, Predictor, StateError, Twin, checkpoint
 from twin.checkpoint import SIZE_MAX, VERSION, record_views
 from twin.identification.filter_settings import plain_settings
 from twin.logs.log import Log
@@ -102,6 +102,17 @@ def test_more_than_a_saved_twin_holds_is_refused_before_it_is_unpacked(boat, tmp
     assert path.stat().st_size < 1_000_000
     with pytest.raises(StateError, match="more or other than a saved twin has"):
         Twin.load(path)
+
+
+def test_a_long_history_is_no_reason_to_refuse_a_saved_twin(boat, losses, tmp_path, monkeypatch):
+    path = tmp_path / "boat.twin"
+    saved = Twin(boat, "persistence")
+    saved.run(losses)
+    saved.save(path)
+    monkeypatch.setattr(checkpoint, "SIZE_MAX", 1000)
+    with zipfile.ZipFile(path) as archive:
+        assert sum(info.file_size for info in archive.infolist()) > 1000
+    np.testing.assert_array_equal(Twin.load(path).predict().mean, saved.predict().mean)
 
 
 @pytest.mark.parametrize(

@@ -236,7 +236,7 @@ def replicates(scores: Sequence[Array], seed: int = 0) -> list[Array]:
         Runs are drawn for each agent, episodes within each stratum for all agents alike.
     """
     rng = np.random.default_rng(seed)
-    strata, _, episodes = scores[0].shape
+    strata, episodes = scores[0].shape[::2]
     chosen = rng.integers(episodes, size=(REPLICATES, strata, 1, episodes))
     stratum = np.arange(strata)[:, None, None]
     found = []
@@ -272,7 +272,7 @@ def collect(
     order = [piece for piece in pieces(settings) if piece in done]
     scores = _Scores(settings, {piece: done[piece]["rows"] for piece in order})
     given = {key: value for key, value in dataclasses.asdict(settings).items() if key != "hyper"}
-    algos = dict.fromkeys(algo for algo, _ in settings.arms)
+    algos = dict.fromkeys(arm[0] for arm in settings.arms)
     hyper = {algo: settings.hyper.get(algo) or hyperparameters(algo) for algo in algos}
     return {
         "command": command,
@@ -349,7 +349,7 @@ class _Scores:
         """Return which part of the gap from raw to oracle each agent closes, for each outage."""
         found = []
         for agent in self.agents:
-            algo, _, observation = agent.partition("-")
+            algo, observation = agent.partition("-")[::2]
             against = "ppo" if algo == "recurrent_ppo" else algo
             raw, oracle = f"{against}-raw", f"{against}-oracle"
             if agent in (raw, oracle) or not {raw, oracle} <= set(self.agents) or not observation:
@@ -387,7 +387,7 @@ class _Scores:
     def helps(self) -> list[dict[str, Any]]:
         """Return by how much less the agents with a twin are off the path than those without."""
         found = []
-        for algo in dict.fromkeys(algo for algo, _ in self.settings.arms):
+        for algo in dict.fromkeys(arm[0] for arm in self.settings.arms):
             names = f"{algo}-raw", f"{algo}-twin"
             if not set(names) <= set(self.agents):
                 continue

@@ -332,7 +332,7 @@ def trends(runs: Sequence[dict[str, Any]], sea: str) -> list[dict[str, Any]]:
             if row["grade"] == TYPICAL and (axis == "sea_state" or row["sea"] == sea)
             if (value := value_of(row)) is not None
         ]
-        if len({value for value, _ in kept}) < 3:
+        if len({pair[0] for pair in kept}) < 3:
             continue
         cells: dict[tuple[Any, ...], dict[int, list[dict[str, Any]]]] = {}
         for value, row in kept:

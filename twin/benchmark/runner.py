@@ -86,6 +86,14 @@ def _recorded_identify_s(log: Log) -> float:
     return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
 
 
+class _Parameters(NamedTuple):
+    """What a twin made of its parameters at a time, as it is written."""
+
+    t: float
+    params: list[float]
+    params_sd: list[float]
+
+
 class Run(NamedTuple):
     """A run as predictors meet it.
 
@@ -169,7 +177,7 @@ def run_unit(
     starts: list[float] = []
     skipped = 0
     examples: list[Prediction] = []
-    history: list[tuple[float, Array, Array]] = []
+    history: list[_Parameters] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
         # copies: the base of a view is the whole log with its future
@@ -177,7 +185,7 @@ def run_unit(
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
             estimate = twin.estimate()
-            history.append((t, estimate.params, estimate.params_sd))
+            history.append(_Parameters(t, estimate.params.tolist(), estimate.params_sd.tolist()))
         if t < next_origin - 1e-9 or t > end + 1e-9:
             continue
         while next_origin <= t + 1e-9:
@@ -222,9 +230,7 @@ def run_unit(
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         result["history"] = {
-            "t": [t for t, _, _ in history],
-            "params": [params.tolist() for _, params, _ in history],
-            "params_sd": [params_sd.tolist() for _, _, params_sd in history],
+            **{name: [getattr(row, name) for row in history] for name in _Parameters._fields},
             "names": twin.predictor.parameter_names,
             "units": twin.predictor.parameter_units,
             "blocks": dict(twin.predictor.parameter_blocks),
@@ -398,8 +404,8 @@ def runs(
     if len(tasks) < jobs:
         tasks = [[unit] for task in tasks for unit in task]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
-    for _, done_task in results_of(calls, jobs=jobs, backend=backend):
-        yield from done_task
+    for result in results_of(calls, jobs=jobs, backend=backend):
+        yield from result[1]
 
 
 def _attempt(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from twin.benchmark.protocol import HORIZONS
+from twin.benchmark.protocol import HORIZONS, BenchmarkError
 from twin.logs.log import Log
 from twin.predictors.base import Z90, Prediction
 
@@ -96,7 +96,7 @@ class Reference:
         for entry in (0, 1, 4):
             seen = np.isfinite(log.z[:, entry])
             if not seen.any():
-                raise ValueError(
+                raise BenchmarkError(
                     f"{log.name}: has no positions or no headings to score predictions against"
                 )
             values = log.z[seen, entry]

@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.channels import MEASUREMENTS
 from twin.checkpoint import Field, State, StateError, check_fields
 from twin.particulars import Instruments
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -159,7 +160,7 @@ class LateFusion:
             settings["hold"] = hold
         for name, value in settings.items():
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value} must be a finite number above 0")
+                raise UsvTwinError(f"{name} = {value} must be a finite number above 0")
         self.instruments = instruments
         self.length = float(length)
         self.feedback = bool(feedback)
@@ -286,14 +287,14 @@ class LateFusion:
 
         Raises
         ------
-        ValueError
+        UsvTwinError
             If dt is negative or not finite, or z has another shape.
         """
         z = np.asarray(z, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),):
-            raise ValueError(f"z has shape {z.shape}; expected ({len(MEASUREMENTS)},)")
+            raise UsvTwinError(f"z has shape {z.shape}; expected ({len(MEASUREMENTS)},)")
         if not (math.isfinite(dt) and dt >= 0.0):
-            raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
+            raise UsvTwinError(f"dt = {dt} must be a finite number, 0 or more")
         given = np.isfinite(z)
         if self._have_fix or self._have_heading:
             self._prepare(dt)

@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.filters.linalg import add_product
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 from usv_kernel.simd import Factors, Rows, Strip, accumulate, combine, inner, padded, transpose
@@ -92,7 +93,7 @@ def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float =
     """
     spread = alpha**2 * (n + kappa)
     if not spread > 0.0:
-        raise ValueError(f"alpha^2 (n + kappa) = {spread} must be above 0")
+        raise UsvTwinError(f"alpha^2 (n + kappa) = {spread} must be above 0")
     mean_0 = 1.0 - n / spread
     return np.array([spread, mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / spread])
 

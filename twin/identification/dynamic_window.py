@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.checkpoint import Field, State, check_fields
 from twin.identification.lyapunov import rosenstein, rosenstein_length
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "NOISE_FORMS",
@@ -118,7 +119,7 @@ def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
     Source: Qu et al. 2025, Eq 39.
     """
     if W < 1 or not (math.isfinite(dt) and dt >= 0.0):
-        raise ValueError(f"W = {W} must be 1 or more, dt = {dt} finite and 0 or more")
+        raise UsvTwinError(f"W = {W} must be 1 or more, dt = {dt} finite and 0 or more")
     if math.isnan(lambda_max):
         return 1.0
     rate = min(max(lambda_max, -1e12), 1e12)
@@ -146,7 +147,7 @@ def adjustment_period(trace_P: float, *, form: str = "continuous") -> float:
     ``trace_P == TRACE_LIMIT``.
     """
     if form not in PERIOD_FORMS:
-        raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(PERIOD_FORMS)}")
+        raise UsvTwinError(f"form = {form!r} is unknown; use one of {', '.join(PERIOD_FORMS)}")
     trace = 0.0 if math.isnan(trace_P) else max(trace_P, 0.0)
     if form == "binary":
         return 0.5 * BASE_PERIOD if trace > TRACE_LIMIT else BASE_PERIOD
@@ -177,7 +178,7 @@ class WaveProxy:
     def __init__(self, *, cutoff_period: float = 8.0, memory: float = 10.0) -> None:
         for name, value in (("cutoff_period", cutoff_period), ("memory", memory)):
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value} must be a finite number above 0")
+                raise UsvTwinError(f"{name} = {value} must be a finite number above 0")
         self._slow = cutoff_period / (2.0 * math.pi)
         self._memory = memory
         self.reset()
@@ -218,11 +219,11 @@ class WaveProxy:
 
         Raises
         ------
-        ValueError
+        UsvTwinError
             If dt is negative or not finite.
         """
         if not (math.isfinite(dt) and dt >= 0.0):
-            raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
+            raise UsvTwinError(f"dt = {dt} must be a finite number, 0 or more")
         if not abs(accel) < ACCEL_MAX:
             return self.value
         if math.isnan(self.value):
@@ -267,9 +268,9 @@ class DynamicWindow:
         self, *, base: int = 15, cap: int | None = None, period: str = "continuous"
     ) -> None:
         if base < 1 or (cap is not None and cap < 0):
-            raise ValueError(f"base = {base} must be 1 or more, cap = {cap} 0 or more")
+            raise UsvTwinError(f"base = {base} must be 1 or more, cap = {cap} 0 or more")
         if period not in PERIOD_FORMS:
-            raise ValueError(
+            raise UsvTwinError(
                 f"period = {period!r} is unknown; use one of {', '.join(PERIOD_FORMS)}"
             )
         self.base = base
@@ -353,7 +354,7 @@ class DynamicWindow:
 
         Raises
         ------
-        ValueError
+        UsvTwinError
             If t is not finite or goes back.
 
         Notes
@@ -361,7 +362,7 @@ class DynamicWindow:
         NaN = missing, in each of the values but t.
         """
         if not math.isfinite(t) or t < self._latest:
-            raise ValueError(f"t = {t} must be finite and not before {self._latest}")
+            raise UsvTwinError(f"t = {t} must be finite and not before {self._latest}")
         if math.isnan(self._adjusted):
             self._adjusted = t
         self._latest = t

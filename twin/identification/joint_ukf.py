@@ -407,11 +407,8 @@ class JointUKF:
         self.memory = np.zeros(flat_size(filter_state, self.terms))
         state: FilterState = python_views(filter_state)(self.memory, self.terms)
         self.x, self.P, self.act, self.wind = state.x, state.P, state.act, state.wind
-        self.wave_power, self.counted, self.gram_matrices = (
-            state.wave_power,
-            state.counted,
-            state.gram_matrices,
-        )
+        self.wave_power, self.counted = state.wave_power, state.counted
+        self.gram_matrices = state.gram_matrices
         self.constants = np.concatenate(
             [
                 settings.q,

@@ -83,21 +83,31 @@ class RefitError(UsvTwinError):
 
 @dataclass(frozen=True)
 class RefitSettings:
-    """How the window is cut up and weighted; defaults for 6.3 m at 5.4 m/s, scaled by Froude.
+    """How the window is cut up and weighted.
+
+    The defaults are those of :func:`twin.predictors.dsw_ukf_plus.refit_settings`. They were tuned
+    on a boat of 6.336 m at 5.4 m/s; L and U are length and nominal speed over these.
 
     Parameters
     ----------
-    span, spacing, horizon : float
-        Length of the window, time between starts, length of a segment, s.
+    span : float
+        Length of the window, s. Default 110.
+    spacing : float
+        Time between starts of segments, s. Default 2.
+    horizon : float
+        Length of a segment, s. Default 7.
     every : int
-        Grid steps between the samples that are compared.
+        Grid steps (0.25 s) between the samples that are compared. Default 2.
     sd : ndarray, shape (6,)
         Standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
-        waves make of a perfect forecast.
+        waves make of a perfect forecast. Default 0.175 L, 0.175 L, 0.04, 0.2 U, 0.2 U, 0.025 U/L.
     offset_sd : ndarray, shape (3,)
-        Standard deviations of the initial u, v (m/s) and r (rad/s).
-    scale, knee : float
-        See the head of this file.
+        Standard deviations of the initial u, v (m/s) and r (rad/s). Default 0.075 U, 0.075 U,
+        0.01 U/L.
+    scale : float
+        Weight of the data, see the head of this file. Default 0.15; less for large slow ships.
+    knee : float
+        Where a segment begins to count less, see the head of this file. Default 0.015.
     """
 
     span: float

@@ -92,7 +92,7 @@ class Prior:
             parameters = tuple(names.split(",")[1:])
             table = np.array([row.split(",") for row in rows], dtype=float)
             if table.shape != (len(rows), 1 + len(parameters)) or not np.isfinite(table).all():
-                raise ValueError(f"{len(parameters)} parameters, table of shape {table.shape}")
+                raise PriorError(f"{len(parameters)} parameters, table of shape {table.shape}")
         except (OSError, ValueError) as error:
             raise PriorError(
                 f"{path}: is no prior ({error}); make a new one with "

@@ -257,7 +257,7 @@ def _fastest_rate(motion, wind, hull, terms):
 
     Radius of the spectrum of the Jacobian, by differences.
     """
-    now, shares, thrust = motion.now, motion.shares, motion.thrust[0]
+    now, shares, thrust = motion.now, motion.shares, motion.thrust[2]
     u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
     small, turn = 1e-3, 1e-3 / hull[LENGTH]
     du, dv, dr = _rates((u, v, r, c, s), wind, hull, shares, thrust, terms)
@@ -282,11 +282,24 @@ def _steps_of(dt, wind, hull, scratch):
     terms = scratch.terms[2]
     for d in range(scratch.motions.shape[0]):
         motion = _motion(scratch.motions[d])
-        thrust_rates(terms, motion.shares, motion.thrust[0])
         rate = _fastest_rate(motion, wind, hull, terms)
         if not rate * dt <= SLOW_ENOUGH * few:
             return many
     return few
+
+
+@inlined
+def _thrust_ahead(moves, motion, terms):
+    """Write what the actuators give at start, middle and end of a step; before, that of the end."""
+    thrust = motion.thrust
+    for i in range(3):
+        thrust[0, i] = thrust[2, i]
+    if moves:
+        thrust_rates(terms[1], motion.shares, thrust[1])
+        thrust_rates(terms[2], motion.shares, thrust[2])
+    else:
+        for i in range(3):
+            thrust[1, i] = thrust[2, i]
 
 
 @kernel
@@ -323,6 +336,8 @@ def rollout(start, plan, dt, config, waves, out, work):
     scratch = _workspace(work, D)
     terms, turned = scratch.terms, scratch.turned
     a, b, w = 0.0, 0.0, 0.0
+    _turn_drives(start.act, turned)
+    _thrust(start.act, turned, terms[2])
     for d in range(D):
         motion = _motion(scratch.motions[d])
         now, state = motion.now, start.states[d]
@@ -331,8 +346,7 @@ def rollout(start, plan, dt, config, waves, out, work):
             now[3 + k] = _bounded(state[3 + k], envelope[k])
         now[7], now[6] = sincos(state[2])
         gather(config.model, start.params[d], motion.shares)
-    _turn_drives(start.act, turned)
-    _thrust(start.act, turned, terms[2])
+        thrust_rates(terms[2], motion.shares, motion.thrust[2])
     steps = _steps_of(dt, wind, hull, scratch)
     h = dt / steps
     for row in range(plan.shape[0]):
@@ -341,23 +355,23 @@ def rollout(start, plan, dt, config, waves, out, work):
             act[k] = out.act[row - 1, k] if row > 0 else start.act[k]
         for _ in range(steps):
             moves = _moves(act, command)
-            if moves or moved:  # else the terms of the actuators stay
+            if moves:
+                follow_all(act, command, lags, 1.0, 0.5 * h)
+                _turn_drives(act, turned)
                 for k in range(LEFT_COS, N_TERMS):
                     terms[0, k] = terms[2, k]
-                if moves:
-                    follow_all(act, command, lags, 1.0, 0.5 * h)
-                    _turn_drives(act, turned)
                 _thrust(act, turned, terms[1])
-                if moves:
-                    follow_all(act, command, lags, 1.0, 0.5 * h)
-                    _turn_drives(act, turned)
+                follow_all(act, command, lags, 1.0, 0.5 * h)
+                _turn_drives(act, turned)
                 _thrust(act, turned, terms[2])
+            elif moved:  # the actuators have come to rest
+                for k in range(LEFT_COS, N_TERMS):
+                    terms[0, k] = terms[1, k] = terms[2, k]
             for d in range(D):
                 motion = _motion(scratch.motions[d])
                 now = motion.now
                 if moves or moved:
-                    for k in range(3):
-                        thrust_rates(terms[k], motion.shares, motion.thrust[k])
+                    _thrust_ahead(moves, motion, terms)
                 if velocity.shape[1] > 0:
                     a, b, w = velocity[d, row, 0], velocity[d, row, 1], velocity[d, row, 2]
                 _rk4_step(motion, (a, b, w), h, envelope, wind, hull, terms)

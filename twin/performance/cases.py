@@ -286,14 +286,14 @@ def _rows(name: str, **options: Any) -> Burst:
 
 def window(rows: int = WINDOW) -> Burst:
     """Return a burst of re-runs of the dynamic window over so many rows."""
-    twin, _ = _running_twin("dsw-ukf", window="fixed", w_min=rows, w_max=rows + 1)
+    twin = _running_twin("dsw-ukf", window="fixed", w_min=rows, w_max=rows + 1)[0]
     predictor: Any = twin.predictor
     return partial(predictor._restart, rows), 1
 
 
 def prediction(name: str, horizon: float = 10.0) -> Burst:
     """Return a burst of predictions with their intervals."""
-    twin, _ = _running_twin(name)
+    twin = _running_twin(name)[0]
     return lambda: twin.predict(horizon=horizon), 1
 
 

@@ -300,7 +300,7 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
 @kernel
 def mean_products(deviations, rows, covs):
     """Write the mean over draws of the products of deviations (D, K, n) at rows: (k, n, n)."""
-    D, _, n = deviations.shape
+    D, n = deviations.shape[0], deviations.shape[2]
     covs[:] = 0.0
     for d in range(D):
         for k in range(rows.shape[0]):

@@ -380,7 +380,7 @@ def observer_of(
         Add the parameters of the identified model.
     """
     if not (math.isfinite(band_period) and band_period >= 0.0):
-        raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
+        raise PredictorError(f"band_period = {band_period} must be finite and 0 or more")
     sim, options = episodes.simulation, {}
     if not isinstance(twin, Predictor):
         if len(episodes.seas) > 1 and predictor_class(twin).needs_simulator:

@@ -14,11 +14,11 @@ from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
+from usv_kernel.channels import SENSOR_CHANNELS
 
 __all__ = [
     "CONTROL_STEP",
@@ -141,13 +141,13 @@ def simulate(
     -------
     Log
     """
-    dt = CONTROL_STEP
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
-    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=dt)
+    simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
     simulation.reset([0], [sea_rng])
-    N = max(round(duration / dt), 1)
+    N = max(round(duration / CONTROL_STEP), 1)
     if isinstance(manoeuvre, str):
-        given, called = commands(manoeuvre, np.arange(N) * dt, vessel, helm_rng), manoeuvre
+        times = np.arange(N) * CONTROL_STEP
+        given, called = commands(manoeuvre, times, vessel, helm_rng), manoeuvre
     else:
         given, called = manoeuvre, "own"
     t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
@@ -156,6 +156,6 @@ def simulate(
         if k:
             simulation.step(given[k - 1 : k])
         t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
-        z[k, : len(CHANNELS)] = simulation.z[0]
+        z[k, : len(SENSOR_CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
     return Log(t=t, z=z, cmd=cmd, truth=truth, name=f"{called}_{seed}")

@@ -233,6 +233,11 @@ class Oracle(HistoryPredictor):
         out[_TIME] = self.t
         return out
 
+    @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`: a forecast needs its own row alone."""
+        return 0.0
+
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan."""
         return self._paths(self._extra[None], plan[None], dt)[0]

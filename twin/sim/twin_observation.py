@@ -38,8 +38,8 @@ from twin.predictors.ukf import (
 from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION
 from usv_gym.envs.tasks import ERRORS, follow
 from usv_gym.physics import frames as fr
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.state import BOAT
+from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
@@ -158,9 +158,9 @@ def _next_row(boat, note):
     if t == last:
         return -1.0
     note.last = t
-    for k in range(len(CHANNELS)):
+    for k in range(len(SENSOR_CHANNELS)):
         note.z[k] = boat.measurement[k]
-    for k in range(len(CHANNELS), len(MEASUREMENTS)):
+    for k in range(len(SENSOR_CHANNELS), len(MEASUREMENTS)):
         note.z[k] = math.nan
     return t - last if math.isfinite(last) else 0.0
 

@@ -71,8 +71,8 @@ NETS: dict[str, type[FleetPredictor]] = {"lstm": FleetLSTM, "transformer": Fleet
 _FLEET = 7051
 """Keeps the fleet's draws apart from those of the benchmark: no seed of it is as large."""
 
-DT, SPAN = CONTROL_STEP, 120.0
-"""Control step and length of a run, s."""
+SPAN = 120.0
+"""Length of a run, s."""
 
 SLOWEST = 15.0
 """Longest time, s, in which a boat of the fleet sails its length: slower ones hardly move."""
@@ -202,7 +202,7 @@ def _boat(rng: np.random.Generator) -> Vessel:
 
 def _commands(vessel: Vessel, slow: float, rng: np.random.Generator) -> Array:
     """Return the commands of a run: a manoeuvre of the benchmark, or throttle steps, at random."""
-    t = DT * np.arange(round(SPAN / DT))
+    t = CONTROL_STEP * np.arange(round(SPAN / CONTROL_STEP))
     kind = rng.choice(("turn", "zigzag", "turn-zigzag", "random", "throttle"))
     share, angle = np.full(len(t), rng.uniform(0.75, 1.05)), np.zeros(len(t))
     size = rng.uniform(0.4, 1.4) * ANGLE * rng.choice((-1.0, 1.0))
@@ -274,6 +274,8 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
 
 class _Watch(FleetPredictor):
     """Keeps the history that a net would see, and knows no net."""
+
+    look_back = math.inf  # type: ignore[assignment]
 
     def __init__(self, particulars: Particulars) -> None:
         super(FleetPredictor, self).__init__(particulars)

@@ -502,7 +502,7 @@ def make_prior(
     found = Parallel(n_jobs=workers)(
         delayed(fit_member)(model, kind, draw, seed, i) for i in range(drawn)
     )
-    fitted = [i for i, (_, error, _) in enumerate(found) if np.all(error <= LARGEST_ERROR)]
+    fitted = [i for i, fit in enumerate(found) if np.all(fit[1] <= LARGEST_ERROR)]
     if len(fitted) < max(2, drawn // 2):
         raise PriorError(
             f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "

@@ -486,10 +486,10 @@ def _toml(given: Given, head: list[str], tables: Tables, curve: Curve) -> str:
         lines += ["", f"[{name}]"]
         if name == "propulsion":
             lines.append(f'kind = "{given.kind}"')
-        for key, (unit, _) in keys_of(name, given.kind).items():
+        for key, about in keys_of(name, given.kind).items():
             if key in entries:
                 entry = entries[key]
-                lines.append(_line(key, _round(entry.value), unit, entry.source, entry.guess))
+                lines.append(_line(key, _round(entry.value), about[0], entry.source, entry.guess))
         if name == "hull":
             lines += ["", "[hull.resistance]"]
             for key, unit in (("speed", "m/s"), ("force", "N")):

@@ -14,6 +14,7 @@ from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.envs.tasks import TASK
 from usv_gym.world.simulation import Simulation
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
 
 __all__ = [
@@ -180,7 +181,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         """
         super().reset(seed=seed)
         if options:
-            raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
+            raise UsvTwinError(f"unknown reset options: {', '.join(map(str, options))}")
         obs = np.empty(self._obs_shape, np.float32)
         self.episodes.reset(0, self.np_random, obs[0])
         self._started = True
@@ -211,16 +212,16 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         try:
             values = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ValueError(f"action {action!r} is not an array of numbers") from None
+            raise UsvTwinError(f"action {action!r} is not an array of numbers") from None
         if values.shape != self._shape:
-            raise ValueError(
+            raise UsvTwinError(
                 f"action has shape {values.shape}; it must be {self._shape}: "
                 "see the action table of usv_gym.envs.env.USVEnv"
             )
         self._action[:] = values
         obs = np.empty(self._obs_shape, np.float32)
         if not self.episodes.step(obs, self._callbacks):
-            raise ValueError(
+            raise UsvTwinError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
         self._show()

@@ -16,11 +16,11 @@ from usv_gym.envs.tasks import ERRORS, RULES, TASK, follow, make_task, score_ste
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.faults import Disturbance, FaultError, fault_records, parse_faults
 from usv_gym.world.sea import choice
 from usv_gym.world.simulation import Simulation, advance, out_of_numbers
 from usv_gym.world.state import BOAT, SIMULATION
+from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
@@ -55,7 +55,7 @@ FAULT_START = (10.0, 60.0)
 EPISODE = np.dtype(
     [
         ("task", TASK),
-        ("held", float, len(CHANNELS)),  # last sample of each channel, its unit
+        ("held", float, len(SENSOR_CHANNELS)),  # last sample of each channel, its unit
         ("age", float, 3),  # s, of the last sample of GPS, compass, IMU
         ("known_errors", float, len(ERRORS)),  # errors of the task as known on board
         ("idle_steps", float),  # steps to let pass, after a reset or the end of an episode

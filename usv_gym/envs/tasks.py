@@ -236,7 +236,7 @@ class Task:
         path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records["errors"][i])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
-        raise TypeError("a task must draw its path")
+        raise TaskError("a task must draw its path")
 
 
 class FreeManoeuvre(Task):

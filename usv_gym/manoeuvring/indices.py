@@ -197,7 +197,7 @@ def turning(
     if run.psi[last] >= 1.5 * math.pi:
         begin = max(run.psi[last] - 2.0 * math.pi, math.pi)
         part = slice(int(np.argmax(run.psi >= begin)), last + 1)
-        u, v, _ = np.mean(run.motion[:, part], axis=1)
+        u, v = np.mean(run.motion[:2, part], axis=1)
         r = (run.psi[last] - run.psi[part][0]) / (run.t[last] - run.t[part][0])
         U = math.hypot(u, v)
         rate, radius, ratio = float(r * length / U), float(U / r / length), U / approach

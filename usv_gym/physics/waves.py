@@ -78,8 +78,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
     total = 0.0
     for i in range(waves.shape[1]):
         phase = waves[K_NORTH, i] * x + waves[K_EAST, i] * y - waves[OMEGA, i] * t
-        _, c = sincos(phase + waves[PHASE, i])
-        total += waves[AMPLITUDE, i] * c
+        total += waves[AMPLITUDE, i] * sincos(phase + waves[PHASE, i])[1]
     return total
 
 
@@ -231,7 +230,7 @@ def first_order_loads(
     u, v = north * cp + east * sp, east * cp - north * sp
     if dof != 6:
         return X, Y, N, 0.0, 0.0, 0.0, u, v
-    lift, _ = dots(factors[LIFT], factors[LIFT], cosines)
+    lift = dots(factors[LIFT], factors[LIFT], cosines)[0]
     trim, heel = dots(factors[TRIM], factors[HEEL], sines)
     L, B = p.length_waterline, p.beam
     area = p.block_coefficient * L * B

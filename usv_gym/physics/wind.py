@@ -32,11 +32,9 @@ def gust(t: float, gusts: np.ndarray) -> float:
     for begin in range(0, whole, LANES):
         for k in range(LANES):
             i = begin + k
-            _, c = sincos(gusts[0, i] * t + gusts[1, i])
-            sums[k] += gusts[2, i] * c
+            sums[k] += gusts[2, i] * sincos(gusts[0, i] * t + gusts[1, i])[1]
     for i in range(whole, G):
-        _, c = sincos(gusts[0, i] * t + gusts[1, i])
-        sums[i - whole] += gusts[2, i] * c
+        sums[i - whole] += gusts[2, i] * sincos(gusts[0, i] * t + gusts[1, i])[1]
     half = LANES // 2
     while half > 0:
         for k in range(half):

@@ -129,11 +129,12 @@ def read_mesh(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
             f"{place} is no {path.suffix} file that can be read: damaged, cut off, empty or of "
             "another format; export it again"
         ) from None
-    if not any(len(solid.faces) for _, solid in found):
+    solids = [item[1] for item in found]
+    if not any(len(solid.faces) for solid in solids):
         raise VesselError(f"{place} holds no triangles; export the boat's surface as a mesh")
-    if not all(np.isfinite(solid.vertices).all() for _, solid in found):
+    if not all(np.isfinite(solid.vertices).all() for solid in solids):
         raise VesselError(f"{place} has vertices that are not finite; export it again")
-    for _, solid in found:
+    for solid in solids:
         solid.merge_vertices()
     turn = _GLTF if path.suffix.lower() == ".glb" else _UPRIGHT
     own = {part.name: part for part in moving}

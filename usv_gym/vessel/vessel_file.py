@@ -95,7 +95,8 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
             if key not in keys:
                 of = f" of a {kind}" if name == "propulsion" else ""
                 raise VesselError(f"[{name}] {key}: unknown key{of}; known: {', '.join(keys)}")
-        for key, (unit, _) in keys.items():
+        for key in keys:
+            unit = keys[key][0]
             if key not in given:
                 if key in OPTIONAL:
                     continue

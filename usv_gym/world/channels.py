@@ -1,13 +1,8 @@
-"""The channels of a measurement, and the bit of the sensor that each comes from."""
+"""The bits and columns of the sensors in a measurement row of ``usv_kernel.channels``."""
 
 from __future__ import annotations
 
-from usv_kernel.channels import SENSOR_CHANNELS
-
-__all__ = ["CHANNELS", "COMPASS", "COMPASS_BIT", "GPS", "GPS_BIT", "IMU", "IMU_BIT"]
-
-CHANNELS = SENSOR_CHANNELS
-"""Entries of a measurement row; NaN where there is no new sample."""
+__all__ = ["COMPASS", "COMPASS_BIT", "GPS", "GPS_BIT", "IMU", "IMU_BIT"]
 
 GPS, COMPASS, IMU = slice(0, 4), slice(4, 5), slice(5, 8)
 

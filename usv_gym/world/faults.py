@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from usv_gym.world.channels import CHANNELS, COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
@@ -65,7 +66,7 @@ FAULT = np.dtype(
         ("enter", float),  # probability that a burst begins in a step
         ("leave", float),  # probability that it ends; 0: no bursts
         ("bursting", float),  # 1 within a burst
-        ("sizes", float, len(CHANNELS)),  # spike of each channel, in its unit
+        ("sizes", float, len(SENSOR_CHANNELS)),  # spike of each channel, in its unit
     ]
 )
 """A fault as kernels read and advance it."""
@@ -82,7 +83,7 @@ class FaultError(UsvTwinError):
 
 
 SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
-"""How far a spike is off, in the unit of each of :data:`CHANNELS`. By judgement: far beyond
+"""How far a spike is off, in the unit of each of :data:`SENSOR_CHANNELS`. By judgement: far beyond
 the noise, but possible."""
 
 
@@ -99,7 +100,7 @@ class Disturbance(ABC):
     chance : float
         Share of samples that a fault of ``spikes`` spoils.
     sizes : tuple of float
-        How far a spike is off in each of :data:`CHANNELS`, each with a random sign.
+        How far a spike is off in each of :data:`SENSOR_CHANNELS`, each with a random sign.
     """
 
     kind: str
@@ -122,10 +123,10 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{self.kind} fault: the chance of a spike must lie in [0, 1], got {self.chance}"
             )
-        if np.shape(self.sizes) != (len(CHANNELS),) or not all(map(is_finite, self.sizes)):
+        if np.shape(self.sizes) != (len(SENSOR_CHANNELS),) or not all(map(is_finite, self.sizes)):
             raise FaultError(
-                f"{self.kind} fault: sizes must be {len(CHANNELS)} finite numbers, one for each "
-                f"of usv_gym.world.channels.CHANNELS, got {self.sizes}"
+                f"{self.kind} fault: sizes must be {len(SENSOR_CHANNELS)} finite numbers, one for "
+                f"each of usv_kernel.channels.SENSOR_CHANNELS, got {self.sizes}"
             )
 
     @abstractmethod
@@ -284,8 +285,8 @@ _FAULT = re.compile(
 
 FAULTS_HELP = (
     "none; on for all of them; or a kind and seconds, such as gps10. gps10@30 begins at second 30, "
-    "gps-frozen5 and imu-spikes20 have an effect, gps-random comes again and again. gps-bursts10x2 "
-    "comes in bursts: 10 % of the time, 2 s each. + joins several "
+    "gps-frozen5 and imu-spikes20 have an effect, gps-random comes again and again. gps-bursts and "
+    "gps-bursts10x2 come in bursts: of the latter 10 % of the time, 2 s each. + joins several "
     f"(kinds: {', '.join(FAULT_KINDS)}; effects: {', '.join(EFFECTS)})"
 )
 """What a text of faults may be, for messages."""
@@ -372,7 +373,7 @@ def apply_faults(
     t : ndarray, shape (N,)
         Time, s; starts of faults count from the first.
     z : ndarray, shape (N, 8 or more)
-        Rows that begin with :data:`CHANNELS`; what follows is kept.
+        Rows that begin with :data:`SENSOR_CHANNELS`; what follows is kept.
     faults : sequence of Disturbance
         What goes wrong.
     rng : numpy.random.Generator
@@ -385,12 +386,13 @@ def apply_faults(
     if not faults:
         return z.copy()
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
-    records, out, last = fault_records(faults, step), z.copy(), np.full(len(CHANNELS), math.nan)
+    records, out = fault_records(faults, step), z.copy()
+    last = np.full(len(SENSOR_CHANNELS), math.nan)
     numbers = np.hstack(
         [source.random((len(t), FAULT_NUMBERS)) for source in fault_sources(faults, rng)]
     )
     for k in range(len(t)):
-        strike(float(t[k] - t[0]), numbers[k], records, last, out[k, : len(CHANNELS)])
+        strike(float(t[k] - t[0]), numbers[k], records, last, out[k, : len(SENSOR_CHANNELS)])
     return out
 
 
@@ -411,7 +413,7 @@ def strike(
     last : ndarray, shape (8,)
         The samples handed out last; advanced in place.
     z : ndarray, shape (8,)
-        Samples of :data:`~usv_gym.world.channels.CHANNELS`, changed in place; NaN: none.
+        Samples of :data:`~usv_kernel.channels.SENSOR_CHANNELS`, changed in place; NaN: none.
     """
     lost, frozen = 0, 0
     for i in range(faults.shape[0]):

@@ -102,7 +102,7 @@ class Sea:
         phase : float
             Phase at the origin at time 0, rad.
         """
-        rows, _ = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
+        rows = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)[0]
         return dataclasses.replace(cls.calm(), waves=rows)
 
     def arrays(self) -> ship.Sea:

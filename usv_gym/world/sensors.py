@@ -10,8 +10,8 @@ import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.faults import FaultError, is_finite, strike
+from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size
 
@@ -49,7 +49,7 @@ SENSORS = np.dtype(
         ("compass_bias", float),  # rad
         ("gyro_bias", float),  # rad/s
         ("accel_bias", float, 2),  # m/s2, forward and starboard
-        ("last", float, len(CHANNELS)),  # last sample of each channel, NaN before the first
+        ("last", float, len(SENSOR_CHANNELS)),  # last sample of each channel, NaN before the first
     ]
 )
 """What the sensors of one boat remember."""
@@ -192,7 +192,7 @@ class SensorSuite:
         """Return the record that :func:`measure` reads, for control steps of dt s."""
         record = np.zeros(1, SUITE)[0]
         for name in SUITE.names or ():
-            source, _, kind = name.rpartition("_")
+            source, kind = name.rpartition("_")[::2]
             if kind == "decay":
                 record[name] = math.exp(-dt / getattr(self, f"{source}_bias_time"))
             elif kind == "share":
@@ -324,15 +324,15 @@ def measure(
     phi, theta, psi = state[fr.PHI], state[fr.THETA], state[fr.PSI]
     p, q, r = state[fr.P], state[fr.Q], state[fr.R]
     ahead, side, low = suite.gps_arm[0], suite.gps_arm[1], suite.gps_arm[2]
-    north, east, _ = fr.rotate(phi, theta, psi, ahead, side, low)
-    v_north, v_east, _ = fr.rotate(
+    north, east = fr.rotate(phi, theta, psi, ahead, side, low)[:2]
+    v_north, v_east = fr.rotate(
         phi,
         theta,
         psi,
         state[fr.U] + (q * low - r * side),
         state[fr.V] + (r * ahead - p * low),
         state[fr.W] + (p * side - q * ahead),
-    )
+    )[:2]
     delay = delay_line.shape[0] - 1
     newest = delay_line[count % delay_line.shape[0]]
     newest[0], newest[1] = state[fr.X] + north, state[fr.Y] + east

@@ -144,7 +144,7 @@ class Simulation:
     state : ndarray, shape (n, 16)
         True state; layout in :mod:`usv_gym.physics.frames`.
     z : ndarray, shape (n, 8)
-        What the sensors said last; order of :data:`usv_gym.world.channels.CHANNELS`.
+        What the sensors said last; order of :data:`usv_kernel.channels.SENSOR_CHANNELS`.
     cmd : ndarray, shape (n, 4)
         Command of the last step.
     t : ndarray, shape (n,)

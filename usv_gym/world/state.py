@@ -14,10 +14,10 @@ from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.ship import WORK_ROWS
 from usv_gym.physics.waves import WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
-from usv_gym.world.channels import CHANNELS
 from usv_gym.world.faults import FAULT
 from usv_gym.world.sensors import SENSORS, SUITE
 from usv_kernel.arrays import shaped
+from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import inlined
 from usv_kernel.records import Record, as_records
 
@@ -27,7 +27,7 @@ BOAT = np.dtype(
     [
         ("state", float, fr.STATE_SIZE),  # true state; order and units in physics.frames
         ("command", float, fr.COMMAND_SIZE),  # n_left, n_right (rev/s), delta_left, right (rad)
-        ("measurement", float, len(CHANNELS)),  # of the last step; NaN: no new sample
+        ("measurement", float, len(SENSOR_CHANNELS)),  # of the last step; NaN: no new sample
         ("sensors", SENSORS),  # biases and last samples
         ("weather", WEATHER),  # wind, current, schedule
         ("t", float),  # s, since the reset

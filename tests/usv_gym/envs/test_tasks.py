@@ -16,8 +16,10 @@ from gymnasium.wrappers import (
 )
 
 from twin.sim.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
+from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
+from usv_kernel.errors import ArgumentError
 
 RATED = ("path", "curves", "lawnmower", "waypoints")
 SPEED, LENGTH = 5.0, 7.5
@@ -294,6 +296,21 @@ def test_parameters_are_those_of_the_twin():
         assert np.abs(xi).max() > 0.01
 
 
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_misspelled_options_get_the_nearest_and_all_names(make):
+    with pytest.raises(ArgumentError) as caught:
+        make("USVTwin-v0", fault="gps10", max_epsiode_steps=9)
+    said = str(caught.value)
+    assert "no option 'fault' (did you mean 'faults'?), 'max_epsiode_steps' (did you mean" in said
+    listed = said.partition("its options: ")[2].partition(" was raised")[0]  # of Gymnasium
+    known = listed.split(", ")
+    assert {*EnvConfig.names(), "observation", "twin", "max_episode_steps", "twin_seed"} <= {*known}
+    assert len({*known}) == len(known)
+    assert not {"parameters", "observer", "self"} & {*known}
+    assert ("record" in known) == (make is gym.make)
+    assert ("num_envs" in known) == (make is gym.make_vec)
+
+
 def test_observation_sets_that_cannot_be_say_so():
     with pytest.raises(ValueError, match=r"known: raw, raw_stacked, oracle, twin, twin_params"):
         make_env(observation="all")
@@ -303,6 +320,8 @@ def test_observation_sets_that_cannot_be_say_so():
         make_env(observation="twin_params", twin="persistence")
     with pytest.raises(ValueError, match="is given the sea"):
         make_env(twin="oracle", sea="0|2")
+    with pytest.raises(ArgumentError, match=r"^particulars: observation = 'raw' runs no twin$"):
+        make_env(observation="raw", particulars=None)
     with pytest.raises(TypeError, match="frame_skip=1"):
         TwinObservation(make_env(twin=None, frame_skip=2), "ukf")
     with pytest.raises(ValueError, match="frame_skip = 0"):

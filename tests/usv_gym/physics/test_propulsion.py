@@ -40,7 +40,7 @@ def forces(
 
 
 def as_printed(u: float, v: float, r: float, n: float, delta: float) -> np.ndarray:
-    """Return X, Y, N of the MMG standard method, written as in ship_and_sea.md"""
+    """Return X, Y, N as in docs/explanation/ship_and_sea.md, Propulsion."""
     L, D, rho = V["length_waterline"], V["propeller_diameter"], V["water_density"]
     U = math.hypot(u, v)
     beta, r_ = math.atan2(-v, u), r * L / U

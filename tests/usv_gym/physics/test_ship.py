@@ -100,7 +100,7 @@ def a_sea(seed: int, **kwargs: float) -> Sea:
     return state.realise(BOAT, rng, rng)
 
 
-# ------------------------------------------------- results quoted in ship_and_sea.md
+# ------------------------------------------------- docs/explanation/validation.md, Small boats
 
 
 @pytest.mark.parametrize(("n", "knots"), [(20.4, 11.0), (25.6, 20.0), (39.7, 38.0)])
@@ -166,7 +166,10 @@ def test_advance_and_tactical_diameter(knots: float, advance: float, diameter: f
 
 
 def test_zigzag_overshoot() -> None:
-    """20/20 zigzag at 11 kn: overshoots of 12 to 20 degrees (ship_and_sea.md)."""
+    """20/20 zigzag at 11 kn: overshoots of 12 to 20 degrees.
+
+    Source: docs/explanation/validation.md, Small boats.
+    """
     n = shaft_for(11.0)
     state, side, peaks, peak = start(11.0 * KNOT, n=n), 1.0, [], 0.0
     for _ in range(1200):
@@ -406,7 +409,7 @@ def decay(column: int, size: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("column", "period", "damping"),
     [
-        # ship_and_sea.md: heave 2.1-2.2 s, pitch 2.1 s, roll 1.8-2.3 s; damping as in the file
+        # docs/explanation/validation.md, Loads and free motions in waves; damping as in the file
         (fr.Z, (2.05, 2.2), "zeta_heave"),
         (fr.THETA, (2.0, 2.2), "zeta_pitch"),
         (fr.PHI, (1.8, 2.3), "zeta_roll"),
@@ -527,7 +530,7 @@ def test_thrust_through_bollard_pull_and_standstill() -> None:
     # bollard pull (J = 0) is rho n^2 D^4 k_0
     assert propulsion.thrust(20.0, 0.0, P) == pytest.approx(rho * 400.0 * D**4 * k_0, rel=1e-12)
     assert propulsion.thrust(0.0, 0.0, P) == 0.0
-    # as printed with the quotient, ship_and_sea.md
+    # as printed with the quotient: docs/explanation/ship_and_sea.md, Propulsion
     n, u = 20.0, 5.0
     J = u / (n * D)
     K_T = k_0 + BOAT.values["k_1"] * J + BOAT.values["k_2"] * J**2
@@ -621,7 +624,7 @@ def test_shafts_follow_with_their_lag() -> None:
 
 
 def test_port_propeller_and_positive_angle_turn_to_starboard() -> None:
-    """ship_and_sea.md"""
+    """Signs of docs/explanation/ship_and_sea.md, Frames and notation."""
     assert sail(start(5.0, n=20.0), np.array([25.0, 15.0, 0, 0]), 3.0)[-1, fr.R] > 0.0
     assert sail(start(5.0, n=20.0), helm(20.0, 10.0), 3.0)[-1, fr.R] > 0.0
 

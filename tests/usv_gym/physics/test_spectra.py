@@ -17,7 +17,8 @@ GUST_F = np.geomspace(1 / 600, 0.5, 20_001)
 
 
 def test_pm_moment_of_the_wind_spectrum() -> None:
-    # m0 g^2 / U^4 = .0027365, Hs g / U^2 = .2092: ship_and_sea.md, to 1e-3
+    # m0 g^2 / U^4 = .0027365, Hs g / U^2 = .2092, to 1e-3:
+    # docs/explanation/validation.md, Sea and gusts
     wind = 7.0
     m0 = np.trapezoid(spectra.pm_spectrum_wind(OMEGA, wind), OMEGA)
     assert m0 * GRAVITY**2 / wind**4 == pytest.approx(0.0027365, rel=1e-3)
@@ -27,9 +28,10 @@ def test_pm_moment_of_the_wind_spectrum() -> None:
 @pytest.mark.parametrize("hs", [0.1, 0.5, 6.0])
 def test_pm_moment_and_peak_of_the_height_spectrum(hs: float) -> None:
     spectrum = spectra.pm_spectrum(OMEGA, hs)
-    # consistency wants 4 alpha = .0324 exactly (ship_and_sea.md); the grid ends cost 1e-6
+    # consistency wants .0324 exactly (docs/explanation/ship_and_sea.md, Waves);
+    # the grid ends cost 1e-6
     assert spectra.moments(OMEGA, spectrum).hs == pytest.approx(hs, rel=1e-5)
-    # w_p sqrt(Hs/g) = .4012: ship_and_sea.md, to 1e-3
+    # w_p sqrt(Hs/g) = .4012, to 1e-3: docs/explanation/validation.md, Sea and gusts
     peak = OMEGA[np.argmax(spectrum)]
     assert peak * math.sqrt(hs / GRAVITY) == pytest.approx(0.4012, rel=1e-3)
     # steps of the grid are 2.3e-5
@@ -48,7 +50,7 @@ def test_pm_by_wind_is_pm_by_its_height() -> None:
 
 
 def test_peak_of_the_papers_sea() -> None:
-    # Hs = .5 m: 1.777 rad/s, 3.54 s, 19.5 m: ship_and_sea.md, to 1e-2
+    # Hs = .5 m: 1.777 rad/s, 3.54 s, 19.5 m, to 1e-2: docs/explanation/validation.md, Sea and gusts
     period = spectra.pm_peak_period(0.5)
     assert 2.0 * math.pi / period == pytest.approx(1.777, rel=1e-2)
     assert period == pytest.approx(3.54, rel=1e-2)
@@ -56,8 +58,8 @@ def test_peak_of_the_papers_sea() -> None:
 
 
 def test_equal_energy_components() -> None:
-    # N = 50, Hs = .5: 1.283 to 5.935 rad/s: ship_and_sea.md. That was with
-    # g = 9.81 m/s2; the frequencies go with its root, which is 2e-4 less here
+    # N = 50, Hs = .5: 1.283 to 5.935 rad/s at g = 9.81 m/s2: docs/explanation/validation.md,
+    # Sea and gusts. The frequencies go with the root of g, which is 2e-4 less here
     omega = spectra.pm_equal_energy(0.5, (np.arange(50) + 0.5) / 50)
     scale = math.sqrt(9.81 / GRAVITY)
     np.testing.assert_allclose(omega[[0, -1]] * scale, [1.283, 5.935], atol=5e-4)
@@ -86,7 +88,7 @@ def test_ittc_has_the_height_and_periods_it_is_given() -> None:
 
 
 def test_ittc_constants_are_the_published_ones() -> None:
-    # 487, 1949 with Tp; 173, 691 with T1; 123, 495 with Tz: ship_and_sea.md, rounded there
+    # 487, 1949 with Tp; 173, 691 with T1; 123, 495 with Tz: ITTC 1978, rounded there
     w, hs = np.array([0.5, 1.0, 2.0]), 2.0
     for period, tp, a, b in (
         (8.0, 8.0, 487.0, 1949.0),
@@ -138,7 +140,8 @@ def test_moments_of_a_triangle() -> None:
 @pytest.mark.parametrize(
     ("name", "wind", "sigma", "rel"),
     [
-        # ship_and_sea.md (.871, 1 %; others to two or three figures)
+        # at 10 m/s: docs/explanation/validation.md, Sea and gusts; at 4.5 m/s: separate
+        # computation, two figures
         ("npd", 10.0, 0.871, 0.01),
         ("harris", 10.0, 1.22, 0.01),
         ("davenport", 10.0, 1.20, 0.01),
@@ -160,7 +163,7 @@ def test_npd_at_other_heights() -> None:
 
 
 def test_wind_profile() -> None:
-    # ship_and_sea.md: U10 5/2 sqrt(kap) ln(z/z0), z0 = 10 exp(-2/(5 sqrt kap)), kap = .0026
+    # Fossen 2021: U10 5/2 sqrt(kap) ln(z/z0), z0 = 10 exp(-2/(5 sqrt kap)), kap = .0026
     assert spectra.wind_profile(10.0, 8.0) == 8.0
     root = math.sqrt(0.0026)
     z0 = 10.0 * math.exp(-2.0 / (5.0 * root))

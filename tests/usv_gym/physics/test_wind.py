@@ -33,7 +33,7 @@ def test_the_boat_is_the_one_of_the_golden_rows() -> None:
     assert (v["A_F"], v["A_L"], v["length_overall"], v["s_L"]) == (4.0, 9.0, 7.5, -0.3)
 
 
-# ship_and_sea.md, "Blendermann speed boat", to 1e-4
+# docs/explanation/validation.md, Wind and mean wave drift: to 1e-4
 
 
 def test_head_wind() -> None:
@@ -66,7 +66,7 @@ def test_coefficients_abeam() -> None:
     ],
 )
 def test_golden_loads(gamma: float, want: tuple[float, ...]) -> None:
-    # half a unit of the last printed figure is within the 1e-4 of ship_and_sea.md
+    # half a unit of the last printed figure is within 1e-4
     np.testing.assert_allclose(apparent(gamma), want, rtol=1e-4, atol=1e-10)
 
 

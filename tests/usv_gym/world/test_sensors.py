@@ -18,7 +18,7 @@ from usv_gym.envs.env import USVEnv
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 from usv_gym.world import sensors
-from usv_gym.world.channels import CHANNELS, COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
 from usv_gym.world.faults import (
     EFFECTS,
     FAULT_KINDS,
@@ -35,6 +35,7 @@ from usv_gym.world.faults import (
 from usv_gym.world.sensors import GRADES
 from usv_gym.world.simulation import BLOCK_STEPS, Simulation
 from usv_gym.world.state import BOAT as BOAT_RECORD
+from usv_kernel.channels import SENSOR_CHANNELS
 
 DT = 0.05
 BOAT = Vessel.load("usv75")
@@ -93,7 +94,7 @@ def only(**values: object) -> SensorSuite:
 )
 def test_white_noise(name: str, channels: tuple[int, ...]) -> None:
     z = rows(only(**{name: 0.3}), 20_000)
-    for j in range(len(CHANNELS)):
+    for j in range(len(SENSOR_CHANNELS)):
         if j not in channels:
             assert np.all(z[:, j] == 0.0)
             continue
@@ -119,7 +120,7 @@ def test_gauss_markov_bias(name: str, channels: tuple[int, ...]) -> None:
     tau, step = 10.0, 0.5
     suite = only(**{name: 0.3, f"{name}_time": tau})
     z = rows(suite, 60_000, dt=step)  # 3000 time constants
-    for j in range(len(CHANNELS)):
+    for j in range(len(SENSOR_CHANNELS)):
         if j not in channels:
             assert np.all(z[:, j] == 0.0)
             continue
@@ -154,7 +155,8 @@ def test_accelerometer_in_a_steady_turn_on_a_circle() -> None:
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.U, fr.V, fr.R]] = u, v, r
     z = sample(SensorSuite.perfect(), state, np.zeros(fr.STATE_SIZE))
-    # centripetal: towards the centre, which is to starboard for r > 0 (ship_and_sea.md)
+    # centripetal: towards the centre, which is to starboard for r > 0
+    # (docs/explanation/ship_and_sea.md, Frames and notation)
     assert z[ACCEL_X] == pytest.approx(-v * r, rel=1e-15)
     assert z[ACCEL_Y] == pytest.approx(u * r, rel=1e-15)
 
@@ -203,7 +205,7 @@ def test_rates(rate: float) -> None:
     """So many samples a second, as even as steps allow, and never two in a step."""
     z = rows(only(gps_rate=rate, compass_rate=rate, imu_rate=rate), 20 * 60)
     each = min(rate, 20.0)
-    for j in range(len(CHANNELS)):
+    for j in range(len(SENSOR_CHANNELS)):
         at = np.flatnonzero(np.isfinite(z[:, j]))
         assert at[0] == 0
         assert len(at) == 60 * each

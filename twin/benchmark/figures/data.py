@@ -131,8 +131,8 @@ class Reference:
 
     def slice(self, t0: float, t1: float) -> Reference:
         """Return the part between two times."""
-        parts = [self.within(j, t0, t1) for j in range(6)]
-        return Reference(self.is_truth, [t for t, _ in parts], [v for _, v in parts])
+        times, values = zip(*(self.within(j, t0, t1) for j in range(6)), strict=True)
+        return Reference(self.is_truth, list(times), list(values))
 
 
 def reference_of(log: Log) -> Reference:

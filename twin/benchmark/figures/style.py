@@ -118,7 +118,8 @@ def new_figure(
 
     width, height = size
     # a letter of 9.5 pt is 0.08 inch wide on average; line and gaps 0.58
-    longest = max(len(text) for _, text in entries)
+    handles, labels = zip(*entries, strict=True)
+    longest = max(map(len, labels))
     columns = max(1, min(len(entries), int(width / (0.08 * longest + 0.58))))
     height += 0.55 + 0.19 * -(-len(entries) // columns)
     fig = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
@@ -129,8 +130,8 @@ def new_figure(
     if len(about) > most:
         about = f"{about[: most // 2 - 2]} ... {about[-most // 2 + 3 :]}"
     legend = fig.legend(
-        [handle for handle, _ in entries],
-        [label for _, label in entries],
+        handles,
+        labels,
         # the first line is the place of the title
         title=f"\n{about}",
         title_fontsize=9.5,

@@ -123,7 +123,7 @@ def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
         shade_lost(ax, lost)
         if len(log):
             ax.set_xlim(float(log.t[0]), float(log.t[-1]) + (len(log) < 2))
-        ax.set_ylim(*limits_of([values for _, values, _ in curves[name]], least, 0.1))
+        ax.set_ylim(*limits_of([curve[1] for curve in curves[name]], least, 0.1))
         label = "time (s)" if name in ("heading", "angle") else None
         set_ticks(ax, 6, 3 if name in ("shaft", "angle") else 5, label)
     buffer = io.BytesIO()

@@ -241,7 +241,7 @@ class Feed(ABC):
         self._socket: socket.socket | None = None
         self._output: socket.socket | None = None
         if address is not None:
-            self._socket, _ = open_socket(address, bind=True)
+            self._socket = open_socket(address, bind=True)[0]
             if sys.platform == "linux":
                 for option in (_TIMESTAMP, _DROPPED):
                     self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
@@ -381,7 +381,7 @@ class Feed(ABC):
         while self._socket is not None and budget > 0:
             try:
                 if sys.platform == "linux":
-                    data, ancillary, _, source = self._socket.recvmsg(1 << 16, 128)
+                    data, ancillary, flags, source = self._socket.recvmsg(1 << 16, 128)
                 else:
                     (data, source), ancillary = self._socket.recvfrom(1 << 16), []
             except BlockingIOError:
@@ -396,7 +396,7 @@ class Feed(ABC):
     def _arrived(self, ancillary: list[tuple[int, int, bytes]]) -> float:
         """Return when a datagram came by our clock, from what the system says beside it."""
         age = 0.0
-        for _, kind, content in ancillary:
+        for kind, content in (item[1:] for item in ancillary):
             if kind == _TIMESTAMP and len(content) == 16:
                 seconds, nanoseconds = struct.unpack("@qq", content)
                 age = max(time.time() - seconds - 1e-9 * nanoseconds, 0.0)
@@ -474,7 +474,7 @@ class Feed(ABC):
             first, fix, last = self._buffer[0][0], None, self._buffer[0][0]
             row: dict[str, float] = {}
             count = 0
-            for t, _, values in self._buffer:
+            for t, values in (item[::2] for item in self._buffer):
                 apart = t - first >= self.period - SAME / 2
                 again = t - last >= SAME and not row.keys().isdisjoint(values)
                 if apart or again:

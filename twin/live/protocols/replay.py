@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,14 @@ class Datagram:
     steady: bool = False
 
 
+class _Late(NamedTuple):
+    """A datagram that waits; the number keeps the order of those of one time."""
+
+    due: float
+    number: int
+    datagram: Datagram
+
+
 @dataclass(frozen=True, kw_only=True)
 class LinkImpairment:
     """Shares of the datagrams that are disturbed, each in one way at most.
@@ -101,7 +110,7 @@ class LinkImpairment:
         names = [item.name for item in dataclasses.fields(cls)]
         given: dict[str, float] = {}
         for item in filter(None, (part.strip() for part in text.split(","))):
-            name, _, share = item.partition("=")
+            name, share = item.partition("=")[::2]
             if name not in names or name in given:
                 raise FeedError(
                     f"disturb: {item}: write each of {', '.join(names)} once, as late=.05"
@@ -263,7 +272,7 @@ def schedule(
     rng = np.random.default_rng(seed)
     chances = dataclasses.asdict(disturb or LinkImpairment())
     kinds, edges = [*chances, ""], np.cumsum([*chances.values()])
-    late: list[tuple[float, int, Datagram]] = []
+    late: list[_Late] = []
     held: Datagram | None = None
     order = itertools.count()
     end = math.inf if loop else float(log.t[-1]) - LATE - WAIT
@@ -274,9 +283,9 @@ def schedule(
         return datagram
 
     for datagram in _datagrams(log, stream, loop, counts):
-        while late and late[0][0] <= datagram.due:
-            due, _, delayed = heapq.heappop(late)
-            yield sent(dataclasses.replace(delayed, due=due))
+        while late and late[0].due <= datagram.due:
+            one = heapq.heappop(late)
+            yield sent(dataclasses.replace(one.datagram, due=one.due))
         kind = kinds[int(np.searchsorted(edges, rng.random(), side="right"))]
         swaps = kind == "swapped"
         last = datagram.due > end and (swaps or kind == "late")
@@ -287,7 +296,7 @@ def schedule(
         if kind:
             counts[kind] += 1 if kind == "broken" else datagram.messages
         if kind == "late":
-            heapq.heappush(late, (datagram.due + LATE, next(order), datagram))
+            heapq.heappush(late, _Late(datagram.due + LATE, next(order), datagram))
         elif kind == "swapped":
             held = datagram
         else:
@@ -297,7 +306,7 @@ def schedule(
             if held is not None and overtakes and held.due < datagram.due:
                 yield sent(dataclasses.replace(held, due=datagram.due))
                 held = None
-    for datagram in (*([held] if held else []), *(delayed for _, _, delayed in sorted(late))):
+    for datagram in (*([held] if held else []), *(one.datagram for one in sorted(late))):
         yield sent(datagram)
 
 

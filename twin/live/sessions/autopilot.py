@@ -122,7 +122,8 @@ class Autopilot:
         if self._leg + 2 >= len(self.path):
             self._draw_path(state)
         self._decided = t
-        x, y, psi, u, _, r = state
+        x, y, psi, u = state[:4]
+        r = state[5]
         errors = np.empty(4)
         self._leg = follow(x, y, psi, self.path, self._leg, self._reach, errors)
         e, to_go, off, turn = errors

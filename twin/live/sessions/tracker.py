@@ -250,9 +250,8 @@ class TwinMonitor:
     def history(self) -> History:
         """Return the curves up to now; may be called from any thread."""
         rows, size = list(self._rows), len(self.twin.predictor.parameter_names)
-        curves = np.array([row for row, _, _ in rows]).reshape(-1, 6)
-        parts = (np.array([row[k] for row in rows]).reshape(len(rows), size) for k in (1, 2))
-        return History(*curves.T, *parts)
+        curves, *parts = (np.array([row[k] for row in rows]) for k in range(3))
+        return History(*curves.reshape(-1, 6).T, *(part.reshape(-1, size) for part in parts))
 
     def _weigh(self, t: float, fix: Array) -> None:
         """Compare place and velocity of a fix (4,) with the estimate before it is used."""

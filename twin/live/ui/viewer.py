@@ -136,9 +136,9 @@ def boat(session: Session) -> Boat:
 def check_host(host: str) -> None:
     """Refuse an address that is none of this machine: the server would wait for ever."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as one:
-            one.bind(address)
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(*found[:3]) as one:
+            one.bind(found[4])
     except (OSError, UnicodeError) as error:
         raise OSError(
             f"--host {host}: cannot listen there ({error}); use 127.0.0.1, 0.0.0.0 or an address "

@@ -185,6 +185,11 @@ class LSTMPredictor(HistoryPredictor):
             self._net = _Net(**without_prefix("net", net))
 
     @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`: all that it is going to learn from."""
+        return GRID * self.warm if self._trained else math.inf
+
+    @property
     def trained(self) -> bool:
         """True from the training on, even if it taught nothing."""
         return self._trained
@@ -330,7 +335,7 @@ class LSTMPredictor(HistoryPredictor):
                 blurred[..., :3] += self.noise * rng.standard_normal((W, B, 3))
                 keep = rng.random((B, H)) >= self.dropout
                 mask = tensor(keep / (1.0 - self.dropout))
-                _, (h, c) = lstm(tensor(blurred))
+                h, c = lstm(tensor(blurred))[1]
                 h, c, y = h[0], c[0], first
                 path = []
                 for k in range(self.ahead):

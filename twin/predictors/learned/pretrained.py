@@ -349,6 +349,11 @@ class FleetPredictor(ActuatedPredictor):
         """Return actuators and masks at the row that just came, shape (7,)."""
         return np.concatenate([super().extra_columns(dt), np.exp(-self._age / FADE)])
 
+    @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`."""
+        return GRID * PAST * PATCH
+
     @staticmethod
     def windows(rows: Array, origins: Array) -> tuple[Array, Array]:
         """Return what :func:`tokens` takes: windows of a history (M, 17), and what is known."""
