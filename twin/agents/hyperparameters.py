@@ -68,10 +68,7 @@ def check_algorithm(algo: str) -> None:
 def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]:
     """Return an algorithm's hyperparameters, those of this package if no file is named.
 
-    Raises
-    ------
-    AgentError
-        The file is not there, no TOML, or names what the algorithm does not know.
+    AgentError: the file is missing, no TOML, or names what the algorithm does not know.
     """
     check_algorithm(algo)
     path = Path(__file__).with_name("hyper") / f"{algo}.toml" if path is None else Path(path)

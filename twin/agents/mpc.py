@@ -120,19 +120,12 @@ def commands(knots, config, plan):
 
 @kernel
 def residuals_of(knots, free, goal, config, work, out):
-    """Write the residuals of a plan and of its motion, and return the sum of their squares.
+    """Write the residuals of a plan (2 M,) and of its motion; return the sum of their squares.
 
-    Parameters
-    ----------
-    knots : (2 M,) array
-        The plan.
-    free : bool
-        Whether the legs follow from the motion, or are given: a slope is that of the same legs.
-    goal, config, work : Goal, PlanConfig, PlanWork
-        The motion stands in ``work.paths``, its legs in ``work.legs``.
-    out : (2 K + 3 M,) array
-        Lengths off the path and speed that is lacking, row by row; shaft speeds less the nominal
-        one, and changes from knot to knot.
+    ``free`` says whether the legs follow from the motion, or are given: a slope is that of the same
+    legs. The motion is left in ``work.paths``, its legs in ``work.legs``. ``out`` (2 K + 3 M,) has
+    lengths off the path and speed that is lacking, row by row; shaft speeds less the nominal one,
+    and changes from knot to knot.
     """
     states, legs, errors, leg = work.paths.states[0], work.legs, work.errors, goal.leg
     K, many = states.shape[0], knots.shape[0] // WIDTH
@@ -180,10 +173,7 @@ def _copy(source, target):
 
 @kernel
 def _descend(knots, best, goal, config, work):
-    """Take a damped Gauss-Newton step from a plan rated ``best``; return what the new one costs.
-
-    That is ``best`` again where no step improves the plan, and the plan is left.
-    """
+    """Take a damped Gauss-Newton step from a plan rated ``best``; return the plan's new rating."""
     trial, base, moved, J, H, A, g = (
         work.trial,
         work.base,
@@ -235,22 +225,10 @@ def _descend(knots, best, goal, config, work):
 
 @kernel
 def plan_all(inputs, bounds, paths, config, last, plans, work):
-    """Update the plans of all boats.
+    """Update the plans (n, 2 M) of all boats, and the actions in force (n, 2).
 
-    Parameters
-    ----------
-    inputs : RolloutInputs
-        What the models are rolled from.
-    bounds : (n, 3) array
-        Velocities beyond which a model is not plausible, m/s and rad/s.
-    paths : tuple
-        Legs that the twins are on (n,), and way points (n, P, 2), m.
-    config, work : PlanConfig, PlanWork
-        What the boats have in common; scratch.
-    last : (n, 2) array
-        Actions in force; the new ones are written there.
-    plans : (n, 2 M) array
-        Knots of the decision before; updated.
+    ``bounds`` (n, 3) are velocities beyond which a model is not plausible. ``paths`` are the legs
+    that the twins are on (n,), and way points (n, P, 2), m.
     """
     legs, points = paths
     trial, base, theta = work.trial, work.base, work.start.params[0]
@@ -334,13 +312,7 @@ class ModelPredictive:
         self.weights = progress, effort, change
 
     def begin(self, envs: USVVectorEnv) -> None:
-        """See :meth:`twin.agents.agent.Agent.begin`.
-
-        Raises
-        ------
-        ControllerError
-            Without a twin whose model is compiled.
-        """
+        """See :meth:`twin.agents.agent.Agent.begin`; ControllerError without a compiled model."""
         base = envs.unwrapped
         observer = base.observer
         if not isinstance(observer, CompiledTwins):

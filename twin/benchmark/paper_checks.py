@@ -65,21 +65,10 @@ def henon(n: int) -> Array:
 
 
 def paper_run(xi: Array, angle: float, seconds: float) -> tuple[float, Array]:
-    """Simulate an identified model of the paper from 5 m/s at 380 rpm.
+    """Simulate an identified model of the paper from 5 m/s at 380 rpm; return end time and state.
 
-    Parameters
-    ----------
-    xi : ndarray, shape (25,)
-        Parameters, see :data:`PAPER_TABLE_2`.
-    angle : float
-        Drive angle, rad.
-    seconds : float
-        Duration, s; the run ends early at 1000 m/s.
-
-    Returns
-    -------
-    float and ndarray, shape (6,)
-        End time (s) and state.
+    ``xi`` (25,) is as in :data:`PAPER_TABLE_2`, the drive angle in rad. The run ends early at
+    1000 m/s.
     """
     act, out, terms = np.array([RATED, RATED, angle, angle]), np.empty(6), np.empty(N_TERMS)
     model, calm = PAPER.terms, np.zeros(2)

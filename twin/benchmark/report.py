@@ -119,24 +119,11 @@ def write_report(
     runs: list[RunFigure],
     drawn: Callable[[str], None] | None = None,
 ) -> list[Path]:
-    """Write ``report.html`` and ``pictures/*.svg``.
+    """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
-    Parameters
-    ----------
-    out : Path
-        Folder, made if it is not there.
-    results : dict
-        Content of ``results.json``: ``version``, ``command``, ``settings``, ``rows`` and
-        ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
-    runs : list of RunFigure
-        The runs to be drawn; may be empty.
-    drawn : callable, optional
-        Called with the file name of each picture that is written.
-
-    Returns
-    -------
-    list of Path
-        What was written, the report first.
+    ``results`` is the content of ``results.json``: ``version``, ``command``, ``settings``, ``rows``
+    and ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
+    ``drawn`` is called with the file name of each picture.
     """
     out = Path(out)
     folder = out / "pictures"

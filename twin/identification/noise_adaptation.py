@@ -20,31 +20,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseLimits:
-    """Bounds between which the diagonals of Q and R may move.
+    """Bounds between which the diagonals of Q and R may move."""
 
-    Parameters
-    ----------
-    Q_low, Q_high : ndarray, shape (n,)
-        Bounds of the variances of the process noise.
-    R_low, R_high : ndarray, shape (m,)
-        Bounds of the variances of the measurement noise.
-    """
-
+    # (n,): bounds of the variances of the process noise
     Q_low: Array
     Q_high: Array
+    # (m,): bounds of the variances of the measurement noise
     R_low: Array
     R_high: Array
 
     @classmethod
     def around(cls, Q: ArrayLike, R: ArrayLike, *, factor: float = 100.0) -> NoiseLimits:
-        """Return bounds that lie a factor below and above the start values.
+        """Return bounds that lie a factor (above 1) below and above start values.
 
-        Parameters
-        ----------
-        Q, R : array_like
-            Start values, as matrices or as diagonals.
-        factor : float
-            Ratio of bound and start value, above 1. A variance of 0 stays 0.
+        These are matrices or their diagonals; a variance of 0 stays 0.
         """
         if not factor > 1.0:
             raise UsvTwinError(f"factor = {factor} must be above 1")

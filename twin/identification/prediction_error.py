@@ -87,35 +87,18 @@ class RefitSettings:
 
     The defaults are those of :func:`twin.predictors.dsw_ukf_plus.refit_settings`. They were tuned
     on a boat of 6.336 m at 5.4 m/s; L and U are length and nominal speed over these.
-
-    Parameters
-    ----------
-    span : float
-        Length of the window, s. Default 110.
-    spacing : float
-        Time between starts of segments, s. Default 2.
-    horizon : float
-        Length of a segment, s. Default 7.
-    every : int
-        Grid steps (0.25 s) between the samples that are compared. Default 2.
-    sd : ndarray, shape (6,)
-        Standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
-        waves make of a perfect forecast. Default 0.175 L, 0.175 L, 0.04, 0.2 U, 0.2 U, 0.025 U/L.
-    offset_sd : ndarray, shape (3,)
-        Standard deviations of the initial u, v (m/s) and r (rad/s). Default 0.075 U, 0.075 U,
-        0.01 U/L.
-    scale : float
-        Weight of the data, see the head of this file. Default 0.15; less for large slow ships.
-    knee : float
-        Where a segment begins to count less, see the head of this file. Default 0.015.
     """
 
+    # length of the window, time between starts, length of a segment, s
     span: float
     spacing: float
     horizon: float
-    every: int
+    every: int  # grid steps between the samples that are compared
+    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
+    # waves make of a perfect forecast
     sd: Array
-    offset_sd: Array
+    offset_sd: Array  # (3,): standard deviations of the initial u, v (m/s) and r (rad/s)
+    # see the head of this file
     scale: float
     knee: float
 
@@ -258,10 +241,10 @@ def _add_slopes(some, slopes, by_term, A, j):
 
 @inlined
 def rk4_step(row, after, wind, xi, model, work, linear):
-    """Advance the state over a row of the window under the actuators as they were.
+    """Advance the state over a row of the window; return whether it stays within bounds.
 
-    Returns whether it stays within bounds. ``work.terms[3]`` holds the actuators of the row;
-    with ``linear``, the derivatives of the four stages are written as well.
+    ``work.terms[3]`` holds the actuators of the row; with ``linear``, the derivatives of the four
+    stages are written as well.
     """
     s, stage, sums, terms = work.s, work.stage, work.sums, work.terms
     for j in range(LEFT_COS, N_TERMS):
@@ -286,11 +269,7 @@ def rk4_step(row, after, wind, xi, model, work, linear):
 
 @kernel
 def step_jacobian(A, W, D, T):
-    """Write the derivatives of the state after a step by the state before it and by the terms.
-
-    Source: the Runge-Kutta scheme differentiated backwards; W is the derivative of the state
-    after the step by a stage's rates.
-    """
+    """Write the derivatives of the state after a step, by the step differentiated backwards."""
     T[:] = 0.0
     W[:] = 0.0
     for i in range(N_STATES):
@@ -339,28 +318,12 @@ def propagate_sensitivities(T, limits, S, J):
 
 @kernel
 def linearise(first, rows, xi, model, config, work, H, b):
-    """Roll the model out from one row of a window, and write the quadratic that its errors make.
+    """Roll the model out from row ``first`` of a window; write the quadratic that its errors make.
 
     After it, sum of squared weighted errors, minimised over the initial offset, is about
-    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi.
-
-    Parameters
-    ----------
-    first : int
-        Row to start from; rows wrap around at the end of the array.
-    rows : (M, 20) array
-        The window.
-    xi : (p,) array
-        Parameters.
-    model, config, work : ModelTerms, RefitConfig, LineariseWork
-        Structure; weights and lengths; scratch.
-    H, b : (p, p), (p,) arrays
-        Written.
-
-    Returns
-    -------
-    float
-        c; infinite where the motion leaves all bounds, and nothing is written then.
+    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi (p,). Returned is c;
+    infinite where the motion leaves all bounds, and nothing is written then. Rows (M, 20) wrap
+    around at the end of the array.
 
     Source: sensitivities by differentiating the Runge-Kutta scheme itself, so that they are
     those of the motion as computed.

@@ -46,10 +46,7 @@ class JointWorkspace(NamedTuple):
 
 @kernel
 def propagate_points(act, wind, model, h, terms, sigma):
-    """Send the sigma points through :func:`twin.model.dynamics.step`; write the model's slope.
-
-    Source: Eq (25).
-    """
+    """Send the sigma points through the model; write its slope. Source: Eq (25)."""
     points, slope = sigma.points, sigma.slope
     all_terms(points[0], act, wind, model, terms)
     for i in range(3):
@@ -79,24 +76,9 @@ def propagate_points(act, wind, model, h, terms, sigma):
 
 @inlined
 def joint_predict(state, h, config, work):
-    """Predict state and parameters over one step with the structured UKF.
+    """Predict state and parameters over a step h (s) with the structured UKF, in place.
 
-    Parameters
-    ----------
-    state : JointState
-        Its mean and covariance are predicted in place.
-    h : float
-        Step, s.
-    config : JointConfig
-        Model and weights.
-    work : JointWorkspace
-        Noise of the step, and scratch.
-
-    Returns
-    -------
-    int
-        Number of numerical repairs (see twin.filters.ukf); 0 as a rule.
-
+    Returned is the number of numerical repairs (see twin.filters.ukf); 0 as a rule.
     Source: Eq (28)-(30), (34), (43).
     """
     repairs = sigma_points(state.x, state.P, config.weights, work.sigma)

@@ -29,23 +29,10 @@ N_ACT = 4
 def model_of(
     particulars: Particulars, name: str, *, biased: bool = False, tanker: bool | None = None
 ) -> Structure:
-    """Return the model structure of a boat.
+    """Return the model structure of a boat; StructureError lists the names that there are.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        Main particulars and steering are used.
-    name : str
-        One of ``twin.model.structure.MODELS``.
-    biased : bool
-        Add two earth-fixed accelerations where the structure has none.
-    tanker : bool, optional
-        Whether it is one; what the particulars say if left out.
-
-    Raises
-    ------
-    StructureError
-        Lists the names that there are.
+    ``name`` is one of ``twin.model.structure.MODELS``. ``biased`` adds two earth-fixed
+    accelerations where the structure has none. ``tanker`` follows from the particulars if left out.
     """
     return structure_of(
         name,
@@ -75,26 +62,10 @@ def all_terms(s, act, wind, model, terms):
 
 @kernel
 def derivative(s, xi, act, wind, model, terms, out):
-    """Write the time derivative of the state.
+    """Write the time derivative (6,) of the state, and leave the terms in ``terms`` (50,).
 
-    Parameters
-    ----------
-    s : (6,) array
-        State x, y (m), psi (rad), u, v (m/s), r (rad/s).
-    xi : (p,) array
-        Parameters.
-    act : (4,) array
-        Shaft speeds left and right, in the unit of the structure; drive angles, rad.
-    wind : (2,) array
-        True wind to north and east, m/s; zeros where it is not known.
-    model : ModelTerms
-        Of the structure.
-    terms : (50,) array
-        The terms are left there.
-    out : (6,) array
-        The derivative.
-
-    Source: Eq (20), (26).
+    ``act`` has shaft speeds in the unit of the structure; ``wind`` (2,) is the true wind to
+    north and east, m/s, zeros where it is not known. Source: Eq (20), (26).
     """
     all_terms(s, act, wind, model, terms)
     cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
@@ -106,19 +77,7 @@ def derivative(s, xi, act, wind, model, terms, out):
 
 @kernel
 def step(s, xi, act, wind, model, h, terms, out):
-    """Write the state one Euler step later.
-
-    Parameters
-    ----------
-    s, xi, act, wind, model, terms
-        See :func:`derivative`.
-    h : float
-        Step, s.
-    out : (6,) array
-        The later state; not ``s`` itself.
-
-    Source: Eq (25).
-    """
+    """Write the state one Euler step h (s) later to ``out``, not ``s`` itself. Source: Eq (25)."""
     derivative(s, xi, act, wind, model, terms, out)
     for k in range(N_STATES):
         out[k] = s[k] + h * out[k]

@@ -121,17 +121,7 @@ Source: docs/explanation/twin.md, Tankers.
 
 @inlined
 def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, terms):
-    """Write the terms that depend on the actuators alone.
-
-    Parameters
-    ----------
-    n_left, n_right : float
-        Shaft speeds in the unit of the structure.
-    cos_left, sin_left, cos_right, sin_right : float
-        Of the drive angles.
-    terms : (50,) array
-        Those from LEFT_COS on are written.
-    """
+    """Write the terms from LEFT_COS on, which depend on the actuators alone."""
     left, right = n_left * abs(n_left), n_right * abs(n_right)
     terms[LEFT_COS], terms[RIGHT_COS] = left * cos_left, right * cos_right
     terms[LEFT_SIN], terms[RIGHT_SIN] = left * sin_left, right * sin_right
@@ -169,20 +159,10 @@ def _fin(u, aside, k, hull, terms):
 
 @inlined
 def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
-    """Write the terms that depend on the state; those of the actuators must be there.
+    """Write the terms before LEFT_COS, which depend on the state; the others must be there.
 
-    Parameters
-    ----------
-    u, v, r : float
-        Velocities, m/s and rad/s.
-    cos_psi, sin_psi : float
-        Of the heading.
-    wind : (2,) array
-        Velocity of the true wind to north and east, m/s; zeros where it is not known.
-    hull : (4,) array
-        Constants of the structure.
-    terms : (50,) array
-        Those before LEFT_COS are written.
+    ``wind`` (2,) is the velocity of the true wind to north and east, m/s, zeros where it is not
+    known; ``hull`` (4,) are the constants of the structure.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
     terms[U], terms[V], terms[R] = u, v, r
@@ -217,18 +197,10 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
 
 @kernel
 def term_slopes(velocity, heading, wind, hull, terms, slopes):
-    """Write the derivatives of the state's terms by u, v, r and psi.
+    """Write the derivatives (4, 50) of the state's terms by u, v, r and psi.
 
-    Parameters
-    ----------
-    velocity, heading : tuple of float
-        u, v (m/s), r (rad/s); cosine and sine of the heading.
-    wind, hull
-        See :func:`state_terms`.
-    terms : (50,) array
-        As :func:`state_terms` left it.
-    slopes : (4, 50) array
-        Written where a derivative is not always 0; hand in zeros.
+    ``heading`` is its cosine and sine; ``terms`` are as :func:`state_terms` left them. Slopes are
+    written where they are not always 0: hand in zeros.
     """
     u, v, r = velocity
     cos_psi, sin_psi = heading
@@ -289,25 +261,10 @@ def term_slopes(velocity, heading, wind, hull, terms, slopes):
 
 @inlined
 def accelerations(terms, model, xi, first):
-    """Return the three accelerations from terms and parameters.
+    """Return du/dt, dv/dt (m/s2) and dr/dt (rad/s2) from terms (50,) and parameters.
 
-    Parameters
-    ----------
-    terms : (50,) array
-        All terms.
-    model : ModelTerms
-        Of the structure.
-    xi : (first + p,) array
-        Parameters, from entry ``first`` on.
-    first : int
-        0, or the number of states if these stand before the parameters.
-
-    Returns
-    -------
-    tuple of 3 floats
-        du/dt, dv/dt in m/s2 and dr/dt in rad/s2.
-
-    Source: Eq (20), (23).
+    Parameters begin at entry ``first`` of ``xi``: 0, or the number of states if these stand before
+    them. Source: Eq (20), (23).
     """
     return (
         _sum(0, terms, model, xi, first),
@@ -332,14 +289,7 @@ def _sum(i, terms, model, xi, first):
 def gather(model, xi, shares):
     """Write what each term adds to the accelerations, for many calls of :func:`rates`.
 
-    Parameters
-    ----------
-    model : ModelTerms
-        Of the structure.
-    xi : (p,) array
-        Parameters.
-    shares : (50, 4) array
-        Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
+    ``shares`` (50, 4) are the coefficients in du/dt, dv/dt, dr/dt; the fourth fills up.
     """
     which, limits = model.which, model.limits
     shares[:] = 0.0
@@ -379,32 +329,17 @@ class StructureError(UsvTwinError):
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parameters of a model, and what kernels need of them.
+    """Parameters of a model, and what kernels need of them."""
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`MODELS`.
-    parameters : tuple of str
-        Names of the p parameters: surge, then those common to surge and sway, sway, yaw.
-    units : tuple of str
-        Their units.
-    scales : ndarray, shape (p,)
-        Natural unit of each in powers of L, U and n, by which it becomes dimensionless.
-    terms : ModelTerms
-        Terms, limits and hull constants, for kernels.
-    n_unit : float
-        Shaft speeds are multiplied by this before they enter the terms.
-    mean, sd : ndarray, shape (p,)
-        Prior of each parameter before any data, in SI units.
-    """
-
-    name: str
+    name: str  # one of MODELS
+    # names of the p parameters: surge, then those common to surge and sway, sway, yaw
     parameters: tuple[str, ...]
     units: tuple[str, ...]
+    # (p,): natural unit of each in powers of L, U and n, by which it becomes dimensionless
     scales: Array
-    terms: ModelTerms
-    n_unit: float
+    terms: ModelTerms  # terms, limits and hull constants, for kernels
+    n_unit: float  # shaft speeds are multiplied by this before they enter the terms
+    # (p,): prior of each parameter before any data, in SI units
     mean: Array
     sd: Array
 
@@ -535,29 +470,11 @@ def structure_of(
     tanker: bool = False,
     biased: bool = False,
 ) -> Structure:
-    """Return a model structure for a boat.
+    """Return one of :data:`MODELS` for a boat; StructureError lists the names that there are.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`MODELS`.
-    length, speed, shaft_speed : float
-        On the waterline, m; nominal speed, m/s, and shaft speed at it, rev/s.
-    differential : bool
-        The boat steers by unequal thrust.
-    tanker : bool
-        It is a laden ship of full form, with one propeller.
-    biased : bool
-        Add the two earth-fixed accelerations where the structure has none.
-
-    Returns
-    -------
-    Structure
-
-    Raises
-    ------
-    StructureError
-        Lists the names that there are.
+    ``length`` is on the waterline, m; ``shaft_speed`` that at the nominal ``speed`` (m/s).
+    ``differential``: it steers by unequal thrust. ``tanker``: a laden ship of full form with one
+    propeller. ``biased``: two earth-fixed accelerations are added where there are none.
     """
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")

@@ -64,13 +64,7 @@ WINDOW = 30
 
 
 def select_cases(only: str = "") -> list[Case]:
-    """Return the cases with a text in their names, and those that they are compared with.
-
-    Parameters
-    ----------
-    only : str
-        Part of the names, in upper or lower case; all if empty.
-    """
+    """Return the cases with a text in their names (any case), and those they are compared with."""
     found = {c.name for c in CASES if only.lower() in c.name.lower()}
     for case in CASES:
         if case.name in found:
@@ -163,14 +157,8 @@ def _update_often(count, predict, correct):
 class Problem:
     """One filtering problem of 6 states and 25 parameters, as every filter gets it.
 
-    Attributes
-    ----------
-    x, P : ndarray, shapes (31,), (31, 31)
-        Mean and covariance at the start.
-    z : ndarray, shape (6,)
-        The measured states, again and again.
-    Q, R : ndarray, shape (6, 6)
-        Noise of a step, and of a measurement.
+    ``z`` (6,) are the measured states, again and again; ``Q``, ``R`` (6, 6) the noise of a step,
+    and of a measurement.
     """
 
     def __init__(self) -> None:
@@ -359,17 +347,9 @@ print(time.process_time())
 
 
 def cold_compile_seconds(options: Sequence[dict[str, Any]]) -> float:
-    """Return the CPU time of a process that has to compile all kernels, s.
+    """Return the CPU time (s) of a process that compiles all kernels and steps environments.
 
-    Parameters
-    ----------
-    options : sequence of dict
-        Of ``gym.make``, for the environments that it steps one after the other.
-
-    Raises
-    ------
-    RuntimeError
-        With the last line that the process wrote, if it failed.
+    ``options`` are those of ``gym.make``. RuntimeError has its last line if the process failed.
     """
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(

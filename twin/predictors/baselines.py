@@ -34,20 +34,10 @@ _SPARE = 8
 
 
 def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
-    """Return the states of a boat that keeps body velocity and yaw rate.
+    """Return the states (..., K, 6) of a boat that keeps body velocity and yaw rate.
 
-    Parameters
-    ----------
-    start : ndarray, shape (..., 6)
-        State at time 0.
-    velocity : ndarray, shape (..., 3)
-        Held u, v, r in m/s and rad/s.
-    after : ndarray, shape (K,)
-        Times, s.
-
-    Returns
-    -------
-    ndarray, shape (..., K, 6)
+    ``start`` (..., 6) is the state at time 0, ``velocity`` (..., 3) the held u, v, r, and ``after``
+    (K,) the times, s.
     """
     u, v, r = (velocity[..., i, None] for i in range(3))
     psi_0 = start[..., 2, None]

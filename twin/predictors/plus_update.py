@@ -237,11 +237,7 @@ WAVE_WORK = 5 * _WAVE_ROWS + sector_work_size(_WAVE_ROWS)
 
 @kernel
 def _fit_waves(rows, window, config, work):
-    """Fit autoregressions to what the model left of the last velocities.
-
-    Those of the sectors of headings are for the draws. Another is that of headings as they will be
-    until the next refit, and predicts the waves of the moment.
-    """
+    """Fit autoregressions to the last residuals: by sector for the draws, and of the moment."""
     newest, count = last_row(window), 0
     first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
     N, late = newest + 1 - first, 0
@@ -329,15 +325,7 @@ def update_plus(t, dt, z, cmd, memory, config, work):
 
 @kernel
 def plus_step(t, dt, z, cmd, memory, config, work):
-    """Take one row, and refit when it is time.
-
-    Parameters
-    ----------
-    t, dt, z, cmd
-        See :meth:`twin.predictors.base.Predictor.update`.
-    memory, config, work : PlusMemory, PlusConfig, PlusWork
-        The memory is advanced in place.
-    """
+    """Take one row, as :meth:`twin.predictors.base.Predictor.update`, and refit when it is time."""
     nav, window, model = (
         as_record(memory.nav, NAVIGATION),
         as_record(memory.window, WINDOW),

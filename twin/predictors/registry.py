@@ -66,11 +66,7 @@ class PredictorError(UsvTwinError):
 def predictor_class(name: str) -> type[Predictor]:
     """Return the class of a predictor; errors as for :func:`make_predictor`.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`PREDICTORS`, or ``module:Class``; the module may lie in the working
-        directory.
+    The module of ``module:Class`` may lie in the working directory.
     """
     entry: Any = name
     if not (isinstance(name, str) and ":" in name):

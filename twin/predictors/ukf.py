@@ -109,15 +109,7 @@ class UKFWork(NamedTuple):
 
 @kernel
 def tight_step(dt, z, cmd, memory, config, work):
-    """Take one row: navigate, predict, correct.
-
-    Parameters
-    ----------
-    dt, z, cmd
-        See :meth:`twin.predictors.base.Predictor.update`.
-    memory, config, work : UKFMemory, UKFConfig, UKFWork
-        The memory is advanced in place.
-    """
+    """Navigate, predict, correct by one row: :meth:`twin.predictors.base.Predictor.update`."""
     nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
@@ -339,32 +331,19 @@ def _copy_of(
 
 
 class RolloutInputs(NamedTuple):
-    """What the models of many boats are rolled from.
+    """What the models of many boats are rolled from."""
 
-    Attributes
-    ----------
-    places, velocities : ndarray, shape (n, 3)
-        Position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s).
-    parameters : ndarray, shape (n, p)
-        Of the structure.
-    actuators, winds : ndarray, shapes (n, 4), (n, 2)
-        See :class:`twin.model.rollout.RolloutStart`.
-    fastest : ndarray, shape (n, 3) or (1, 3)
-        Largest velocities met so far; infinite where no model is too wild.
-    nominal : ndarray, shape (3,)
-        Velocities that may be predicted for any such boat.
-    prior : ndarray, shape (p,)
-        Parameters to fall back to where a model exceeds both by far.
-    """
-
+    # (n, 3): position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s)
     places: Array
     velocities: Array
-    parameters: Array
+    parameters: Array  # (n, p): of the structure
+    # (n, 4), (n, 2): see twin.model.rollout.RolloutStart
     actuators: Array
     winds: Array
+    # (n, 3) or (1, 3): largest velocities met so far; infinite where no model is too wild
     fastest: Array
-    nominal: Array
-    prior: Array
+    nominal: Array  # (3,): velocities that may be predicted for any such boat
+    prior: Array  # (p,): parameters to fall back to where a model exceeds both by far
 
 
 def plain(value: Any) -> Any:
@@ -437,13 +416,7 @@ class UKFPredictor(ModelPredictor):
         return {"nav": NAVIGATION, "filter": self.ukf.dtype}
 
     def rollout_inputs(self, memory: Any) -> RolloutInputs:
-        """Return what rollouts of many boats begin with, as views.
-
-        Parameters
-        ----------
-        memory : UKFMemory
-            Like :attr:`memory`, but with a row for each boat.
-        """
+        """Return what rollouts of many boats begin with, as views of their memories, a row each."""
         boats = memory.filter.view(self.ukf.dtype)[:, 0]
         x = boats["x"]
         return RolloutInputs(

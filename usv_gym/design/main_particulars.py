@@ -32,46 +32,25 @@ class DesignError(UsvTwinError):
 
 @dataclass(frozen=True, kw_only=True)
 class MainParticulars:
-    """What is known of a ship, or of a catamaran, before its vessel file is written.
+    """What is known of a ship, or of a catamaran, before its vessel file is written."""
 
-    Parameters
-    ----------
-    name : str
-        Letters, digits, ``_`` and ``-``.
-    length, beam, draft : float
-        At the water line, m; the beam over all hulls.
-    mass : float
-        kg.
-    kind : str
-        Kind of propulsion.
-    units : int or None
-        1 or 2; default 1 for a propeller with rudder, else 2.
-    speed, power : float or None
-        Service speed (m/s) and shaft power of all units (W); default one from the other, or
-        both from a typical Froude number.
-    length_overall : float or None
-        m; default 1.05 ``length``.
-    water_density : float or None
-        kg/m3; default 1025, sea water.
-    hulls : int
-        1, or 2 of a catamaran.
-    hull_beam, spacing : float or None
-        Of a catamaran, m: beam of each hull at the water line, and distance of their centre lines;
-        default of the latter: ``beam - hull_beam``.
-    """
-
-    name: str
+    name: str  # letters, digits, _ and -
+    # at the water line, m; the beam over all hulls
     length: float
     beam: float
     draft: float
-    mass: float
-    kind: str = "steerable_drive"
-    units: int | None = None
+    mass: float  # kg
+    kind: str = "steerable_drive"  # kind of propulsion
+    units: int | None = None  # 1 or 2; default 1 for a propeller with rudder, else 2
+    # service speed (m/s) and shaft power of all units (W); default one from the other, or both from
+    # a typical Froude number
     speed: float | None = None
     power: float | None = None
-    length_overall: float | None = None
-    water_density: float | None = None
-    hulls: int = 1
+    length_overall: float | None = None  # m; default 1.05 length
+    water_density: float | None = None  # kg/m3; default 1025, sea water
+    hulls: int = 1  # 2 of a catamaran
+    # of a catamaran, m: beam of each hull at the water line, and distance of their centre lines;
+    # default of the latter: beam less hull_beam
     hull_beam: float | None = None
     spacing: float | None = None
 

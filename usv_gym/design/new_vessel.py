@@ -48,17 +48,7 @@ STABLE = 0.02
 
 @dataclass(frozen=True)
 class Draft:
-    """The content of a first vessel file.
-
-    Parameters
-    ----------
-    text : str
-        The TOML.
-    vessel : Vessel
-        The vessel in the file.
-    notes : tuple of str
-        Regressions out of range, and limited values.
-    """
+    """A first vessel file: its TOML, its vessel, and notes on values out of range or limited."""
 
     text: str
     vessel: Vessel
@@ -80,13 +70,7 @@ Curve = dict[str, list[float]]
 
 
 def design(known: MainParticulars) -> Draft:
-    """Return a first vessel file for a ship of one hull or of two.
-
-    Raises
-    ------
-    DesignError
-        Names the value and the remedy.
-    """
+    """Return a first vessel file for one hull or two; DesignError names value and remedy."""
     given = completed(known)
     form = form_of(given)
     notes: list[str] = []

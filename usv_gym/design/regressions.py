@@ -21,7 +21,6 @@ from usv_gym.physics import GRAVITY
 __all__ = [
     "Estimate",
     "Form",
-    "clarke",
     "cross_flow",
     "heave_of_two_hulls",
     "hydrostatics",
@@ -52,32 +51,17 @@ FISHING = {"L/B": (4.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Main particulars of a hull, or of each of two equal ones.
+    """Main particulars of a hull, or of each of two equal ones."""
 
-    Parameters
-    ----------
-    length, beam, draft : float
-        At the water line, m; of one hull.
-    block_coefficient : float
-        Displaced volume over length, beam and draft.
-    water_density : float
-        kg/m3.
-    x_G : float
-        Centre of gravity forward of midship, m.
-    hulls : int
-        1, or 2 of a catamaran.
-    spacing : float
-        Between the centre lines of two hulls, m.
-    """
-
+    # at the water line, m
     length: float
     beam: float
     draft: float
-    block_coefficient: float
-    water_density: float = 1025.0
-    x_G: float = 0.0
-    hulls: int = 1
-    spacing: float = 0.0
+    block_coefficient: float  # displaced volume over length, beam and draft
+    water_density: float = 1025.0  # kg/m3
+    x_G: float = 0.0  # centre of gravity forward of midship, m
+    hulls: int = 1  # 2 of a catamaran
+    spacing: float = 0.0  # between the centre lines of two hulls, m
 
     @property
     def volume(self) -> float:
@@ -101,16 +85,9 @@ class Form:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Numbers from a regression.
+    """Numbers from a regression (author and year), by names as in vessel files.
 
-    Parameters
-    ----------
-    source : str
-        Author and year.
-    values : Mapping[str, float]
-        Names as in vessel files.
-    notes : tuple of str
-        One for each particular out of range, and for each impossible result.
+    There is a note for each particular out of range, and for each impossible result.
     """
 
     source: str
@@ -141,15 +118,7 @@ def _estimate(
 def kijima(form: Form, m_x_prime: float) -> Estimate:
     """Return hull coefficients after Kijima and Inoue, with their cross terms.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    m_x_prime : float
-        Added mass in surge, of all hulls, over ``rho L^2 d / 2``.
-
-    Notes
-    -----
+    ``m_x_prime`` is the added mass in surge of all hulls over ``rho L^2 d / 2``.
     Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
     drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
     :func:`cross_flow` replaces them.
@@ -171,18 +140,9 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
 
 
 def yoshimura(form: Form, m_x_prime: float, m_y_prime: float) -> Estimate:
-    """Return all hull coefficients but R_0 after Yoshimura and Masumoto.
+    """Return all hull coefficients but R_0 after Yoshimura and Masumoto 2012.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    m_x_prime, m_y_prime : float
-        Added masses in surge and sway over ``rho L^2 d / 2``.
-
-    Notes
-    -----
-    Source: Yoshimura and Masumoto 2012.
+    Added masses in surge and sway are over ``rho L^2 d / 2``.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c, slender = 2.0 * d / L, C_b * B / L, L / B
@@ -217,41 +177,9 @@ def _damped(source: str, values: Mapping[str, float]) -> list[str]:
     ]
 
 
-def clarke(form: Form) -> Estimate:
-    """Return linear derivatives and added masses, made dimensionless with the length alone.
-
-    Forces over ``rho L^2 U^2 / 2``, moments over ``rho L^3 U^2 / 2``; ``Y_vdot`` over
-    ``rho L^3 / 2``, ``N_rdot`` over ``rho L^5 / 2``.
-
-    Notes
-    -----
-    Source: Clarke, Gedling and Hine 1983. The linear derivatives contain no centripetal terms.
-    """
-    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
-    S, beam, flat = math.pi * (d / L) ** 2, B / L, B / d
-    values = {
-        "Y_vdot": -S * (1.0 + 0.16 * C_b * flat - 5.1 * beam**2),
-        "Y_rdot": -S * (0.67 * beam - 0.0033 * flat**2),
-        "N_vdot": -S * (1.1 * beam - 0.041 * flat),
-        "N_rdot": -S * (1.0 / 12.0 + 0.017 * C_b * flat - 0.33 * beam),
-        "Y_v": -S * (1.0 + 0.4 * C_b * flat),
-        "Y_r": -S * (-0.5 + 2.2 * beam - 0.08 * flat),
-        "N_v": -S * (0.5 + 2.4 * d / L),
-        "N_r": -S * (0.25 + 0.039 * flat - 0.56 * beam),
-    }
-    negative = [
-        f"Clarke 1983: {key} is {values[key]:+.3g}: an added inertia below 0 is impossible"
-        for key in ("Y_vdot", "N_rdot")
-        if values[key] > 0.0
-    ]
-    return _estimate("Clarke 1983", form, values, MERCHANT, *negative)
-
-
 def soding(form: Form) -> Estimate:
     """Return the added mass in surge, kg.
 
-    Notes
-    -----
     Source: Soding 1982, as in MSS; of a prolate body, for any slender hull.
     """
     volume = form.volume / form.hulls
@@ -263,8 +191,6 @@ def soding(form: Form) -> Estimate:
 def zhou(form: Form) -> Estimate:
     """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
 
-    Notes
-    -----
     Source: regressions of Zhou et al. 1983 on the charts of Motora 1959. A hull of a catamaran
     that is deeper than half its beam lies outside them; it is taken at B/d = 2, and from there on
     sway and yaw grow with the square of the draft (strip theory, Newman 1977, section 7.4).
@@ -305,19 +231,10 @@ def zhou(form: Form) -> Estimate:
 
 
 def hydrostatics(form: Form, water_plane: float) -> Estimate:
-    """Return KB, BM_T and BM_L in m.
+    """Return KB, BM_T and BM_L in m, for a coefficient of the water plane.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    water_plane : float
-        Coefficient of the water plane of a hull: its area over length and beam.
-
-    Notes
-    -----
     Source: KB by Morrish; inertia of the water plane by D'Arcangelo 1969, and of two hulls by the
-    parallel axis theorem.
+    parallel axis theorem. The coefficient is of one hull: its area over length and beam.
     """
     L, B, d = form.length, form.beam, form.draft
     volume = form.volume / form.hulls
@@ -337,15 +254,6 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
 def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
     """Return the added mass in heave (kg) and inertias in roll and pitch (kg m2) of a catamaran.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    water_plane : float
-        As for :func:`hydrostatics`.
-
-    Notes
-    -----
     Source: added mass of half a circular cylinder as wide as the hull, pi rho B^2 / 8 a metre
     (Newman 1977, section 4.13), over the share of the length that the water plane fills. In roll it
     acts half the spacing off the centre line; in pitch at a quarter of the length.
@@ -361,17 +269,8 @@ def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
 
 
 def periods(form: Form, GM_T: float) -> Estimate:
-    """Return the natural periods of heave, pitch and roll in s.
+    """Return the natural periods of heave, pitch and roll in s; GM_T in m.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    GM_T : float
-        Transverse metacentric height, m.
-
-    Notes
-    -----
     Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``; roll after the
     weather criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else
     ``0.373 + 0.023 B / d - 0.043 L / 100``.
@@ -386,8 +285,6 @@ def periods(form: Form, GM_T: float) -> Estimate:
 def kijima_rudder(form: Form) -> Estimate:
     """Return a_H, t_R and epsilon of a rudder behind one screw.
 
-    Notes
-    -----
     Source: Kijima et al. 1990. For outboard drives use 0, 0 and 1.
     """
     C_b = form.block_coefficient
@@ -408,10 +305,8 @@ def kijima_rudder(form: Form) -> Estimate:
 def cross_flow(form: Form) -> Estimate:
     """Return the drag coefficient of sections in cross-flow.
 
-    Notes
-    -----
-    Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points. Of two
-    hulls, one lies in the shelter of the other and adds nothing (as in MSS otter.m).
+    Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points. Of two hulls,
+    one lies in the shelter of the other and adds nothing (as in MSS otter.m).
     """
     drag = float(np.interp(form.beam / (2.0 * form.draft), *_HOERNER.T))
     return _estimate("Hoerner 1965", form, {"C_d_crossflow": drag}, {"B/d": (0.1, 8.0)})

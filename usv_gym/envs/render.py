@@ -64,23 +64,11 @@ _FINE = 2  # the map is painted so many times larger, and smoothed
 
 
 class Renderer:
-    """Pictures of the boats of an environment.
+    """Pictures of the boats of an environment, ``size`` pixels wide and high.
 
-    Parameters
-    ----------
-    episodes : Episodes
-        The boats.
-    observer : Observer, optional
-        Its method ``overlay``, if it has one, returns the estimate of the twin of boat i.
-    mode : str
-        ``"rgb_array"`` or ``"human"``.
-    size : tuple of int
-        Width and height, pixels.
-
-    Attributes
-    ----------
-    waits : bool
-        Whether :meth:`look` is left to one who brings a twin from outside.
+    ``observer.overlay``, if there is one, returns the estimate of the twin of boat i. ``mode`` is
+    ``"rgb_array"`` or ``"human"``. ``waits``: :meth:`look` is left to one who brings a twin from
+    outside.
     """
 
     def __init__(
@@ -222,15 +210,7 @@ def _nice(length: float) -> float:
 class Painter:
     """Paints scenes: a map with the north up, a rose, what the instruments say, and a key.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, pixels.
-
-    Attributes
-    ----------
-    placed : list
-        Rectangles of the words and the rose of the last picture.
+    ``placed`` are the rectangles of the words and the rose of the last picture, pixels.
     """
 
     def __init__(self, size: tuple[int, int] = RENDER_SIZE) -> None:
@@ -522,14 +502,9 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
 
 
 class Window:
-    """A window on the screen; its user may close it, and nothing else ends by that.
+    """A window on the screen, size in pixels; its user may close it, and nothing else ends by that.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, pixels.
-    fps : float
-        Frames per second; showing waits for it.
+    Showing waits for ``fps`` frames per second.
     """
 
     def __init__(self, size: tuple[int, int], fps: float) -> None:

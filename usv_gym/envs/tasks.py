@@ -44,19 +44,10 @@ class TaskError(UsvTwinError):
 def path_errors(
     x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
 ) -> None:
-    """Write how a boat stands to one leg of a path.
+    """Write how a boat stands to the leg from point ``leg`` of a path (K, 2) to the next.
 
-    Parameters
-    ----------
-    x, y, psi : float
-        Position in m and heading in rad.
-    points : ndarray, shape (K, 2)
-        Way points, m north and east.
-    leg : int
-        Leg from point ``leg`` to point ``leg + 1``.
-    errors : ndarray, shape (4,)
-        Written: distance to starboard of the leg (m), distance left along it (m), course of
-        the leg less the heading (rad), turn to the next leg (rad; 0 on the last).
+    Errors (4,): distance to starboard of the leg (m), distance left along it (m), course of the leg
+    less the heading (rad), turn to the next leg (rad; 0 on the last).
     """
     dx, dy = points[leg + 1, 0] - points[leg, 0], points[leg + 1, 1] - points[leg, 1]
     course = math.atan2(dy, dx)
@@ -130,18 +121,8 @@ def score_step(
 ) -> None:
     """Write errors and end of one step of one boat, and add its reward terms, from the truth.
 
-    Parameters
-    ----------
-    state : ndarray, shape (16,)
-        True state.
-    action, before : ndarray, shape (A,)
-        Action of this step and of the step before.
-    points : ndarray, shape (K, 2)
-        Path.
-    rules : record of :data:`RULES`
-        What is common to all boats.
-    task : record of :data:`TASK`
-        Written, but for ``known_leg``.
+    ``action`` and ``before`` (A,) are those of this step and the step before. All of the task's
+    record is written but ``known_leg``.
     """
     errors = task.errors
     leg = follow(state[0], state[1], state[5], points, int(task.leg), rules.reach, errors)
@@ -347,13 +328,7 @@ TASKS: dict[str, type[Task]] = {
 
 
 def make_task(name: str, n: int, speed: float, length: float) -> Task:
-    """Return the task of that name for n boats.
-
-    Raises
-    ------
-    TaskError
-        Lists the names that there are.
-    """
+    """Return the task of that name for n boats; TaskError lists the names that there are."""
     try:
         return TASKS[name](n, speed, length)
     except (KeyError, TypeError):

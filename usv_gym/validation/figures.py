@@ -39,15 +39,7 @@ LENGTH = 7.0
 
 
 def draw(study: Study, folder: Path) -> list[Path]:
-    """Write every picture with available data, and return the paths.
-
-    Parameters
-    ----------
-    study : Study
-        Results.
-    folder : Path
-        Output folder; created if missing.
-    """
+    """Write every picture with available data to a folder, and return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, picture in PICTURES.items():

@@ -17,15 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh.
-
-    Parameters
-    ----------
-    vertices : ndarray, shape (V, 3)
-        Points, m.
-    faces : ndarray, shape (F, 3)
-        Rows of ``vertices`` (int32), counter-clockwise as seen from outside.
-    """
+    """A triangle mesh: vertices (V, 3) in m, faces (F, 3) counter-clockwise seen from outside."""
 
     vertices: Array
     faces: NDArray[np.int32]

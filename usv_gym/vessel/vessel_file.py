@@ -27,22 +27,9 @@ def vessel_names() -> tuple[str, ...]:
 
 
 def read_vessel(source: str | Path) -> dict[str, Any]:
-    """Return the fields of a :class:`~usv_gym.vessel.vessel.Vessel` from a file.
+    """Return the keyword arguments of a vessel, in SI units, from a TOML file or a known name.
 
-    Parameters
-    ----------
-    source : str or Path
-        Name (see :func:`vessel_names`) or path of a TOML file.
-
-    Returns
-    -------
-    dict
-        Keyword arguments of the vessel, in SI units.
-
-    Raises
-    ------
-    VesselError
-        Names the key and the remedy.
+    VesselError names the key and the remedy.
     """
     path, design = Path(source), ""
     if str(source) in vessel_names():

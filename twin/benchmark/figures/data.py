@@ -34,67 +34,38 @@ GYRO = MEASUREMENTS.index("gyro_radps")
 
 @dataclass(frozen=True)
 class PredictorFigure:
-    """What the pictures show of one predictor on one run.
+    """What the pictures show of one predictor on one run."""
 
-    Parameters
-    ----------
-    examples : list of Prediction
-        At most three, made at the same times by all predictors.
-    t : ndarray, shape (M,)
-        Times of the parameter history, s.
-    params, params_sd : ndarray, shape (M, p)
-        Model parameters and their standard deviations; no columns where there is no model.
-    names, units : tuple of str
-        Of the p parameters.
-    blocks : dict of str to tuple of int
-        First and last + 1 parameter of the equation of each motion.
-    """
-
-    examples: list[Prediction]
-    t: Array
+    examples: list[Prediction]  # at most three, made at the same times by all predictors
+    t: Array  # (M,): times of the parameter history, s
+    # (M, p): model parameters and their standard deviations; no columns where there is no model
     params: Array
     params_sd: Array
+    # of the p parameters
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+    # first and last + 1 parameter of the equation of each motion
     blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RunFigure:
-    """What the pictures show of one run.
+    """What the pictures show of one run."""
 
-    Parameters
-    ----------
-    scenario, fault : str
-        As in the rows of the results.
-    seed : int
-        Seed of the run.
-    log : Log
-        The run; without truth, the measurements stand in for it.
-    lost : list of tuple of float
-        Start and end of the times without GPS, s.
-    predictors : dict of str to PredictorFigure
-        By name, in the order of the legends.
-    """
-
+    # as in the rows of the results
     scenario: str
     fault: str
     seed: int
-    log: Log
-    lost: list[tuple[float, float]]
-    predictors: dict[str, PredictorFigure]
+    log: Log  # the run; without truth, the measurements stand in for it
+    lost: list[tuple[float, float]]  # start and end of the times without GPS, s
+    predictors: dict[str, PredictorFigure]  # by name, in the order of the legends
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What the predictions are compared with.
+    """What the predictions are compared with: the truth, or measurements.
 
-    Parameters
-    ----------
-    is_truth : bool
-        Whether it is the truth, and not measurements.
-    t, v : list of ndarray
-        Times (s) and values of each of the six states.
+    ``t`` and ``v`` are the times (s) and values of each of the six states.
     """
 
     is_truth: bool

@@ -62,19 +62,7 @@ PANELS = {
 
 
 def prediction_figure(run: RunFigure, start: float, styles: Styles, reference: Reference) -> Figure:
-    """Draw the predictions made at a time against the truth, in six panels.
-
-    Parameters
-    ----------
-    run : RunFigure
-        The run.
-    start : float
-        When the predictions were made, s.
-    styles : dict
-        From :func:`predictor_styles`.
-    reference : Reference
-        What they are compared with.
-    """
+    """Draw the predictions made at a time (s) against the truth, in six panels."""
     examples = examples_at(run, start)
     end = max([start + 10.0, *(float(p.t[-1]) for p in examples.values() if len(p.t))])
     lost = [(a, b) for a, b in run.lost if b > start and a < end]
@@ -133,14 +121,7 @@ def _curve(prediction: Prediction, column: int, unit: float, near: float) -> Arr
 def panel_limits(truth: Array, curves: Iterable[Array], least: float) -> tuple[float, float]:
     """Return limits that show the truth well, and as much of the curves as fits beside it.
 
-    Parameters
-    ----------
-    truth : ndarray
-        Values of the truth; may be empty.
-    curves : iterable of ndarray
-        Predicted values.
-    least : float
-        Smallest range.
+    ``truth`` may be empty; ``least`` is the smallest range.
     """
     finite = [curve[np.isfinite(curve)] for curve in curves]
     if not len(truth):
@@ -198,16 +179,8 @@ def parameter_figure(
 ) -> Figure:
     """Draw the history of the parameters of one equation, a small panel each.
 
-    Parameters
-    ----------
-    run : RunFigure
-        The run.
-    name, motion : str
-        Predictor, and the equation in its ``blocks``.
-    styles : dict
-        From :func:`predictor_styles`.
-    identified : float or None
-        Time of the first prediction, s.
+    ``motion`` names the equation in the predictor's ``blocks``; ``identified`` is the time of the
+    first prediction, s.
     """
     figure = run.predictors[name]
     columns = range(*figure.blocks[motion])

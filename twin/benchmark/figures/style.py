@@ -103,16 +103,8 @@ def new_figure(
 ) -> tuple[Figure, dict[Any, Axes]]:
     """Return a picture with a legend above its panels.
 
-    Parameters
-    ----------
-    title, about : str
-        Two lines above the legend.
-    entries : sequence of (handle, str)
-        The legend.
-    mosaic : list of list
-        Panels by name, as for ``Figure.subplot_mosaic``.
-    size : tuple of float
-        Width, and height without the legend, inch.
+    ``about`` stands below the title. ``entries`` are the (handle, text) of the legend, ``mosaic``
+    as for ``Figure.subplot_mosaic``, ``size`` the width and the height without the legend, inch.
     """
     from matplotlib.figure import Figure
 

@@ -62,16 +62,9 @@ Box = tuple[tuple[float, float], tuple[float, float]]
 
 
 def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
-    """Draw track, speed, yaw rate, heading and commands of a log.
+    """Draw track, speed, yaw rate, heading and commands of a log to a PNG file.
 
-    Parameters
-    ----------
-    log : Log
-        The run.
-    path : Path
-        PNG file to create or replace.
-    lost : sequence of tuple of float
-        Start and end of the times without GPS, s.
+    ``lost`` has the start and end of the times without GPS, s.
     """
     reference, fixes = reference_of(log), gps_fixes(log)
     entries: list[Entry] = [(line(BLACK), reference.label)]

@@ -47,16 +47,9 @@ TRENDS: dict[str, tuple[str, str, dict[str, tuple[str, float]]]] = {
 
 
 def trend_figure(axis: str, rows: Sequence[Mapping[str, Any]], styles: Styles) -> Figure:
-    """Draw the panels of one trend, a line with intervals for each predictor.
+    """Draw the panels of one of :data:`TRENDS`, a line with intervals for each predictor.
 
-    Parameters
-    ----------
-    axis : str
-        In :data:`TRENDS`.
-    rows : sequence of dict
-        Rows of ``results["trends"]`` of this axis.
-    styles : dict
-        From :func:`predictor_styles`.
+    ``rows`` are those of ``results["trends"]`` of this axis.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 

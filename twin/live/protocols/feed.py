@@ -96,27 +96,14 @@ _TIMESTAMP, _DROPPED = 35, 40
 
 @dataclass(frozen=True)
 class Message:
-    """One sound message.
+    """One sound message."""
 
-    Parameters
-    ----------
-    kind : str
-        What it is; a second one of the same kind and time is a repeat.
-    stamp : float, optional
-        Time by its sender's clock, s; None where it has none.
-    values : dict of str to float
-        Measurements and commands, by the names of a log's columns.
-    fix : tuple of float, optional
-        Latitude and longitude, degrees.
-    void : bool
-        It holds nothing valid but its time.
-    """
-
-    kind: str
-    stamp: float | None = None
+    kind: str  # what it is; a second one of the same kind and time is a repeat
+    stamp: float | None = None  # time by its sender's clock, s; None where it has none
+    # measurements and commands, by the names of a log's columns
     values: dict[str, float] = field(default_factory=dict)
-    fix: tuple[float, float] | None = None
-    void: bool = False
+    fix: tuple[float, float] | None = None  # latitude and longitude, degrees
+    void: bool = False  # it holds nothing valid but its time
 
     def sound(self) -> bool:
         """Return whether all that it says can be true."""
@@ -131,11 +118,7 @@ class Message:
 
 
 class _Clock:
-    """The sender's time as a function of ours, fitted to the messages that tell theirs.
-
-    Source: Theil 1950, A rank-invariant method of linear regression (the incomplete method): late
-    messages do not turn the line.
-    """
+    """The sender's time as a function of ours, by a median slope (Theil 1950): robust to delays."""
 
     def __init__(self) -> None:
         self.pairs: deque[tuple[float, float]] = deque(maxlen=100)
@@ -283,14 +266,10 @@ class Feed(ABC):
         )
 
     def take(self) -> list[tuple[float, Array, Array]]:
-        """Return the rows that are complete.
+        """Return the rows that are complete, oldest first: time, measurements (10,), commands (4,).
 
-        Returns
-        -------
-        list of tuple
-            Time, s, strictly increasing over the life of the feed; measurements, shape (10,),
-            in the order of ``twin.logs.log.MEASUREMENTS``, NaN where there is none; commands, shape
-            (4,). Oldest first.
+        Times in s strictly increase over the life of the feed; measurements are in the order of
+        ``twin.logs.log.MEASUREMENTS``, NaN where there is none.
         """
         drained = self._drain()
         now = self.clock()
@@ -302,17 +281,7 @@ class Feed(ABC):
         return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
-        """Take one datagram.
-
-        Parameters
-        ----------
-        data : bytes
-            What came.
-        arrival : float
-            When, by the feed's clock, s.
-        source : tuple, optional
-            From whom.
-        """
+        """Take one datagram that arrived at a time of the feed's clock (s)."""
         if not self._map.pairs:  # until a message tells a time, ours is as good as any
             self._map.tell(arrival, 0.0)
         for item in self.decode(data):
@@ -324,15 +293,7 @@ class Feed(ABC):
         self._release(self._head - self.wait)
 
     def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
-        """Send the twin's estimate; nothing before a position and a receiver are known.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Its estimate.
-        prediction : Prediction, optional
-            Its prediction.
-        """
+        """Send the twin's estimate; nothing before a position and a receiver are known."""
         known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
         if known and (self._reply or self._peer):
             for data in self.encode(estimate, prediction):
@@ -381,7 +342,8 @@ class Feed(ABC):
         while self._socket is not None and budget > 0:
             try:
                 if sys.platform == "linux":
-                    data, ancillary, flags, source = self._socket.recvmsg(1 << 16, 128)
+                    message = self._socket.recvmsg(1 << 16, 128)
+                    data, ancillary, source = message[0], message[1], message[3]
                 else:
                     (data, source), ancillary = self._socket.recvfrom(1 << 16), []
             except BlockingIOError:

@@ -49,24 +49,12 @@ HELLO = 1.0
 
 @dataclass(frozen=True)
 class Datagram:
-    """What is sent at once.
+    """What is sent at once."""
 
-    Parameters
-    ----------
-    due : float
-        When, s of the log.
-    data : bytes
-        What.
-    messages : int
-        How many messages it holds.
-    steady : bool
-        Whether it is never disturbed.
-    """
-
-    due: float
+    due: float  # when, s of the log
     data: bytes
-    messages: int = 1
-    steady: bool = False
+    messages: int = 1  # how many messages it holds
+    steady: bool = False  # whether it is never disturbed
 
 
 class _Late(NamedTuple):
@@ -79,24 +67,12 @@ class _Late(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class LinkImpairment:
-    """Shares of the datagrams that are disturbed, each in one way at most.
+    """Shares of the datagrams that are disturbed, each in one way at most."""
 
-    Parameters
-    ----------
-    late : float
-        Come :data:`LATE` seconds late.
-    doubled : float
-        Come twice.
-    broken : float
-        Have a message with a wrong byte.
-    swapped : float
-        Come after the next one of a later time.
-    """
-
-    late: float = 0.0
-    doubled: float = 0.0
-    broken: float = 0.0
-    swapped: float = 0.0
+    late: float = 0.0  # come LATE seconds late
+    doubled: float = 0.0  # come twice
+    broken: float = 0.0  # have a message with a wrong byte
+    swapped: float = 0.0  # come after the next one of a later time
 
     def __post_init__(self) -> None:
         """Refuse what are no shares."""
@@ -125,12 +101,8 @@ class LinkImpairment:
 class Stream(ABC):
     """Rows of a log as datagrams.
 
-    Parameters
-    ----------
-    origin : tuple of float
-        Latitude and longitude, degrees, of north = east = 0 in the log.
-    start : float
-        Time of the sender's clock at time 0 of the log, s.
+    ``origin`` is latitude and longitude, degrees, of north = east = 0 in the log; ``start`` the
+    sender's clock at time 0 of the log, s.
     """
 
     def __init__(self, origin: tuple[float, float], start: float) -> None:
@@ -162,12 +134,8 @@ class Stream(ABC):
 class NmeaStream(Stream):
     """Rows as NMEA 0183, a datagram for each; see ``twin/live/protocols/nmea.py``.
 
-    Parameters
-    ----------
-    origin, start
-        See :class:`Stream`; ``start`` is UNIX time, left out: now.
-    tag : bool
-        Whether each sentence has a TAG block with its time.
+    ``start`` is UNIX time, by default now; with ``tag`` each sentence has a TAG block with its
+    time.
     """
 
     def __init__(
@@ -203,12 +171,7 @@ class NmeaStream(Stream):
 class MavlinkStream(Stream):
     """Rows as MAVLink 2, up to three messages for each; see ``twin/live/protocols/mavlink.py``.
 
-    Parameters
-    ----------
-    servos : Servos
-        How commands become servo outputs.
-    origin, start
-        See :class:`Stream`; ``start`` is the time since the autopilot started, left out: 10 s.
+    ``start`` is the time since the autopilot started, by default 10 s.
     """
 
     def __init__(
@@ -248,25 +211,9 @@ def schedule(
 ) -> Iterator[Datagram]:
     """Yield the datagrams of a log in the order in which they are sent.
 
-    Parameters
-    ----------
-    log : Log
-        The run; samples that it has not (NaN) are not sent.
-    stream : Stream
-        How rows become datagrams.
-    disturb : LinkImpairment, optional
-        What goes wrong on the way.
-    seed : int
-        Of what goes wrong where.
-    loop : bool
-        Whether to begin again at the end, for ever; the time goes on.
-    counts : Counter, optional
-        Receives the rows, datagrams and messages, and the messages of each kind of
-        disturbance.
-
-    Yields
-    ------
-    Datagram
+    Samples that are NaN are not sent. ``seed`` decides what goes wrong where. With ``loop`` it
+    begins again at the end, for ever; the time goes on. ``counts`` receives the rows, datagrams and
+    messages, and the messages of each kind of disturbance.
     """
     counts = Counter() if counts is None else counts
     rng = np.random.default_rng(seed)
@@ -321,17 +268,10 @@ def _datagrams(log: Log, stream: Stream, loop: bool, counts: Counter[str]) -> It
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast a log is sent.
+    """How fast a log is sent."""
 
-    Parameters
-    ----------
-    speed : float
-        How many times as fast as it happened.
-    clock, sleep : callable
-        The time now, s, and how to wait.
-    """
-
-    speed: float = 1.0
+    speed: float = 1.0  # how many times as fast as it happened
+    # the time now, s, and how to wait
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
 
@@ -350,29 +290,10 @@ def replay(
     progress: Callable[[float], None] = lambda t: None,
     counts: Counter[str] | None = None,
 ) -> Counter[str]:
-    """Send a log as the stream of a boat.
+    """Send a log's datagrams, from :func:`schedule`, to ``udp://HOST:PORT`` as a boat's stream.
 
-    Parameters
-    ----------
-    log : Log
-        The log.
-    datagrams : iterable of Datagram
-        What :func:`schedule` makes of it.
-    stream : Stream
-        Counts the replies.
-    address : str
-        ``udp://HOST:PORT``; without a host, on this machine.
-    pace : Pace, optional
-        How fast; as it happened if left out.
-    progress : callable
-        Receives the time of the log that is sent, s.
-    counts : Counter, optional
-        That of :func:`schedule`, to go on counting.
-
-    Returns
-    -------
-    Counter
-        Datagrams ``unsent``, and messages that came ``back``.
+    ``stream`` counts the replies. ``progress`` receives the time of the log that is sent, s.
+    Returned are the counts: those handed in, datagrams ``unsent``, and messages that came ``back``.
     """
     if len(log) < 2:
         raise FeedError(f"{log.name}: has {len(log)} row(s); a stream needs two")

@@ -47,27 +47,9 @@ _X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_r
 class LogSession(Session):
     """A recorded run: its twin goes through it as fast as it can, and any moment can be seen.
 
-    Parameters
-    ----------
-    log : Log
-        The run; with the truth, if it is known, to judge by.
-    twin : Twin
-        Fresh.
-    vessel : Vessel or None
-        Whose hull is shown.
-    folder : Path
-        As for any session; nothing is recorded twice.
-    plan : str
-        One of ``twin.digital_twin.PLANS``: whether the twin is given the commands that follow.
-
-    Attributes
-    ----------
-    at : float
-        Moment that is shown, s.
-    done : float
-        Moment up to which the twin has come, s.
-    plan : str
-        As above.
+    ``plan``, one of ``twin.digital_twin.PLANS``, says whether the twin is given the commands that
+    follow. ``at`` is the moment that is shown, s, ``done`` the moment up to which the twin has
+    come. Nothing is recorded twice.
     """
 
     def __init__(
