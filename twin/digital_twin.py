@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -268,20 +269,22 @@ class Twin:
         self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
         self.t, self.cmd = t, cmd
 
-    def run(self, log: Log) -> StateTable:
+    def run(self, log: Log, on_row: Callable[[], object] | None = None) -> StateTable:
         """Take every row of a log, one after the other.
 
         Parameters
         ----------
         log : Log
             The run, or its next piece.
+        on_row : callable, optional
+            Called without arguments after each row, for instance to show progress.
 
         Returns
         -------
         StateTable, shape (N,)
             A structured array of what was estimated at each row: time, state and parameters with
             their standard deviations, latitude, longitude and date where the log has them. It has
-            ``to_pandas()``, ``to_polars()`` and ``write(path)``. A twin that forgets is cheaper:
+            ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table:
             ``for row in log: twin.step(*row)``.
 
         Raises
@@ -290,12 +293,23 @@ class Twin:
             Names what is wrong, for instance an origin other than that of the log before.
         """
         self.locate(log.datum)
-        names = self.estimate_columns
-        rows = np.empty((len(log), len(names)))
+        parameters = self.predictor.parameter_names
+        shape = len(log), len(STATE) + len(parameters)
+        mean, sd, ready = np.empty(shape), np.empty(shape), np.empty(len(log), dtype=np.bool_)
         for k, (t, z, cmd) in enumerate(log):
             self.step(t, z, cmd)
-            rows[k] = self.estimate_row()
-        return StateTable.of(dict(zip(names, rows.T, strict=True)), self.datum)
+            ready[k] = self.predictor.write_moments(mean[k], sd[k])
+            if on_row is not None:
+                on_row()
+        np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
+        mean[~ready], sd[~ready] = np.nan, np.nan
+        names = (*STATE, *parameters)
+        means, sds = dict(zip(names, mean.T, strict=True)), dict(zip(names, sd.T, strict=True))
+        columns = {TIME: log.t}
+        for group in (STATE, parameters):
+            columns |= {name: means[name] for name in group}
+            columns |= {f"sd_{name}": sds[name] for name in group}
+        return StateTable.of(columns, self.datum)
 
     def locate(self, datum: Datum | None) -> None:
         """Take over the datum of a log that is about to come.
@@ -315,20 +329,11 @@ class Twin:
                 f"before {self.datum.latitude}, {self.datum.longitude}: state the latter as datum "
                 "= [latitude, longitude] in [position] of the log's mapping file"
             )
-
-    @property
-    def estimate_columns(self) -> tuple[str, ...]:
-        """Names of the numbers in :meth:`estimate_row`."""
-        names = self.predictor.parameter_names
-        return (TIME, *STATE, *(f"sd_{c}" for c in STATE), *names, *(f"sd_{n}" for n in names))
-
-    def estimate_row(self) -> Array:
-        """Return time, state and parameters with their standard deviations; NaN until ready."""
-        now = self.estimate()
-        row = np.concatenate([[self.t], now.state, now.sd, now.params, now.params_sd])
-        if not now.ready:
-            row[1:] = np.nan
-        return row
+        elif not self.datum.same_clock(datum):
+            raise TwinError(
+                f"the log's t = 0 is {datum.date}, and that of the rows before {self.datum.date}: "
+                "give all its times since the latter, or as seconds since 1970 in both logs"
+            )
 
     def estimate(self) -> Estimate:
         """Return state and parameters with their standard deviations."""

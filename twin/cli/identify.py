@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from twin.channels import STATE
@@ -29,7 +28,7 @@ from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
 from twin.logs.columns import LogError
 from twin.logs.log import Log
-from twin.logs.tables import StateTable, check_export
+from twin.logs.tables import check_export
 from twin.predictors.base import Estimate
 from twin.predictors.registry import DEFAULT, PREDICTORS
 
@@ -88,19 +87,12 @@ def identify_command(
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
     prior = fresh.estimate()
-    rows = []
     with row_progress("identifying", len(run)) as advance:
-        for t, z, cmd in run:
-            twin.step(t, z, cmd)
-            if out is not None:
-                rows.append(twin.estimate_row())
-            advance()
+        table = twin.run(run, advance)
     last = twin.estimate()
     if save is not None:
         twin.save(save)
     if out is not None:
-        columns = dict(zip(twin.estimate_columns, np.array(rows).T, strict=True))
-        table = StateTable.of(columns, twin.datum)
         table.write(out, boat=twin.particulars.name, log=run.name, predictor=predictor)
     if json_file is not None:
         write_json(json_file, _estimate_json(last, twin, predictor))

@@ -131,8 +131,14 @@ class Datum:
         place = f"latitude {self.latitude}, longitude {self.longitude}"
         parts = [] if self.latitude is None else [place]
         if self.epoch is not None:
-            parts.append(f"t = 0 at {self.utc(np.zeros(1))[0]} UTC")  # type: ignore[index]
+            parts.append(f"t = 0 at {self.date}")
         return "; ".join(parts)
+
+    @property
+    def date(self) -> str:
+        """The date of t = 0, for messages; empty where it is not known."""
+        dates = self.utc(np.zeros(1))
+        return "" if dates is None else f"{dates[0]} UTC"
 
     def same_place(self, other: Datum) -> bool:
         """Return whether the origins are equal to a centimetre, or one is not known."""
@@ -140,6 +146,12 @@ class Datum:
         if one is None or two is None:
             return True
         return math.hypot(*one.metres(two.latitude, two.longitude)) < 0.01
+
+    def same_clock(self, other: Datum) -> bool:
+        """Return whether t = 0 is the same time to a millisecond, or one is not known."""
+        if self.epoch is None or other.epoch is None:
+            return True
+        return abs(self.epoch - other.epoch) < 1e-3
 
     def to_json(self) -> dict[str, float | None]:
         """Return latitude, longitude and epoch by name."""

@@ -211,6 +211,12 @@ class Predictor(ABC):
             cov[..., i, i] += self.particulars.instruments.gps_bias_sd**2
         return cov
 
+    def add_common_error(self, variance: Array) -> None:
+        """Add the diagonal of :meth:`with_common_error` to variances, state first, shape (6 + p,)."""
+        common = self.particulars.instruments.gps_bias_sd**2
+        variance[0] += common
+        variance[1] += common
+
     @abstractmethod
     def reset(self) -> None:
         """Return to the state before the first row."""
@@ -238,6 +244,19 @@ class Predictor(ABC):
     @abstractmethod
     def estimate(self) -> Estimate:
         """Return the estimate after the last row."""
+
+    def write_moments(self, mean: Array, variance: Array) -> bool:
+        """Write :meth:`estimate` into arrays, state before parameters; return whether it is ready.
+
+        Parameters
+        ----------
+        mean, variance : ndarray, shape (6 + p,)
+            Written to.
+        """
+        now = self.estimate()
+        mean[:] = np.concatenate([now.state, now.params])
+        variance[:] = np.concatenate([now.sd, now.params_sd]) ** 2
+        return now.ready
 
     @property
     def window_s(self) -> float:
