@@ -212,7 +212,7 @@ class Predictor(ABC):
         return cov
 
     def add_common_error(self, variance: Array) -> None:
-        """Add the diagonal of :meth:`with_common_error` to variances, state first, shape (6 + p,)."""
+        """Add what :meth:`with_common_error` does, to variances (6 + p,), state first."""
         common = self.particulars.instruments.gps_bias_sd**2
         variance[0] += common
         variance[1] += common
