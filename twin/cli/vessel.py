@@ -97,6 +97,8 @@ def vessel_new_command(
     for line in first.notes:
         note(line)
     write_text(path, first.text)
+    for finding in inspect(first.vessel).errors:
+        note(finding.text)
     guesses, values = len(first.vessel.guesses), len(first.vessel.values) + 2
     console.print(
         f"{path}: {guesses} of {values} entries are estimates; check it with "

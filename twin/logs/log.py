@@ -438,9 +438,11 @@ def _assemble(table: Table) -> Log:
     if table.epoch is None and _UNIX[0] <= t[0] < _UNIX[1]:
         table.epoch = 0.0
         notes.append(f"t_s: seconds since 1970, from {date_of(float(t[0]))}")
-    if datum is None and (table.plane is not None or table.epoch is not None):
-        place = {} if table.plane is None else vars(table.plane)
-        datum = Datum(**place, epoch=table.epoch)
+    given = datum or Datum()
+    plane = given.plane or table.plane
+    if plane is not None or table.epoch is not None or datum is not None:
+        epoch = table.epoch if given.epoch is None else given.epoch
+        datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
     return Log(t, z, cmd, truth, table.name, tuple(notes), datum)
 
 

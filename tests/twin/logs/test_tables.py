@@ -194,6 +194,9 @@ def test_run_returns_named_columns(boat):
             now = other.estimate()
             np.testing.assert_array_equal([table[k][name] for name in STATE], now.state)
             np.testing.assert_array_equal([table[k][name] for name in names], now.params)
+            np.testing.assert_array_equal([table[k][f"sd_{name}"] for name in STATE], now.sd)
+            sds = [table[k][f"sd_{name}"] for name in names]
+            np.testing.assert_array_equal(sds, now.params_sd)
     north, east = HERE.plane.metres(table["latitude_deg"][3:], table["longitude_deg"][3:])
     np.testing.assert_allclose((north, east), (table["x_m"][3:], table["y_m"][3:]), atol=1e-6)
     assert str(table["time_utc"][5]) == "2024-04-23T12:22:10.750000"
@@ -202,6 +205,17 @@ def test_run_returns_named_columns(boat):
     plain = Twin(boat, "ukf").run(run(datum=None))
     assert plain.dtype.names[:2] == ("t_s", "x_m")
     np.testing.assert_array_equal(plain["x_m"], table["x_m"])
+
+
+@pytest.mark.parametrize("name", ["persistence", "ukf", "dsw-ukf", "dsw-ukf-plus"])
+def test_standard_deviations_of_a_table_are_those_a_forecast_starts_with(boat, name):
+    twin = Twin(boat, name)
+    table = twin.run(run())
+    start = np.sqrt(np.diag(twin.predict("hold").start_cov))
+    sd = [table[f"sd_{channel}"][-1] for channel in STATE]
+    np.testing.assert_array_equal(sd, twin.estimate().sd)
+    if name == "ukf":  # others start a forecast from another filter
+        np.testing.assert_allclose(sd, start, rtol=1e-12)
 
 
 def test_the_datum_is_kept_in_the_twin_file(tmp_path, boat):
@@ -216,6 +230,9 @@ def test_the_datum_is_kept_in_the_twin_file(tmp_path, boat):
     moved = dataclasses.replace(HERE, latitude=PLACE[0] + 0.01)
     with pytest.raises(TwinError, match=r"datum = \[latitude, longitude\]"):
         again.run(dataclasses.replace(later, datum=moved))
+    late = dataclasses.replace(HERE, epoch=HERE.epoch + 60.0)
+    with pytest.raises(TwinError, match="t = 0 is 2024-04-23T12:23"):
+        again.run(dataclasses.replace(later, datum=late))
     again.run(later)
     fresh = Twin(boat, "ukf")
     fresh.run(run(datum=None))

@@ -168,11 +168,26 @@ def test_catamaran_has_the_published_particulars_of_the_otter() -> None:
     first, published = design(OTTER).vessel.values, Vessel.load("otter").values
     near = {"block_coefficient": 0.01, "KG": 0.02, "A_wp": 0.02, "GM_T": 0.02, "I_xx": 0.15}
     near |= {"m_y": 0.1, "J_zz": 0.1, "C_d_crossflow": 0.02, "y_P": 0.01, "A_F": 0.15, "A_L": 0.15}
-    # the model's rules of thumb: Soding of both pontoons as one, 0.25 of the length, a full water
-    # plane, and the mass for m_z
-    near |= {"m_x": 0.4, "I_zz": 0.7, "GM_L": 0.5, "m_z": 0.4, "J_yy": 0.4}
+    near |= {"m_z": 0.4, "J_yy": 0.4}  # rules of thumb there: the mass, and 0.8 of the inertia
     for key, share in near.items():
         assert first[key] == pytest.approx(published[key], rel=share), key
+
+
+def test_catamaran_differs_from_the_otter_where_its_model_takes_one_hull() -> None:
+    first, published = design(OTTER).vessel.values, Vessel.load("otter").values
+    # Soding of both pontoons as one body: volume to the power of 5/3
+    assert first["m_x"] * 2.0 ** (2.0 / 3.0) == pytest.approx(published["m_x"], rel=0.01)
+    # the model gives yaw the gyradius of pitch; masses off the centre line add those of roll
+    assert first["I_zz"] == pytest.approx(published["I_xx"] + published["I_yy"], rel=0.05)
+    # it takes 0.8 of a rectangle's inertia for a water plane of 0.75 of its area
+    form = reg.Form(length=2.0, beam=0.25, draft=0.134146, block_coefficient=0.4, hulls=2)
+    water = reg.hydrostatics(form, 0.75)
+    rectangle = water["BM_L"] / (12.0 * (0.350 * 0.75**2 - 0.405 * 0.75 + 0.146))
+    keel = water["KB"] - published["KG"]
+    assert keel + 0.8 * rectangle == pytest.approx(published["GM_L"], rel=0.01)
+    assert first["GM_L"] == pytest.approx(keel + water["BM_L"], rel=0.01)
+    # it takes 0.2 of I_xx as of a ship, although its m_z acts half the spacing off the centre line
+    assert first["J_xx"] == pytest.approx(published["m_z"] * (0.5 * 0.79) ** 2, rel=0.4)
 
 
 def test_catamaran_has_the_published_particulars_of_the_blueboat(tmp_path) -> None:
