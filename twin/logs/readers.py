@@ -76,6 +76,8 @@ class Table:
         Returns the place of a row in the file, for messages.
     notes : list of str
         What was done so far.
+    lacking : str
+        Which columns that each log needs are not there, and the remedy; empty if none.
     """
 
     source: str
@@ -84,6 +86,7 @@ class Table:
     given: dict[str, str]
     line: Callable[[int], str]
     notes: list[str] = field(default_factory=list)
+    lacking: str = ""
 
 
 def name_of(path: Path) -> str:
