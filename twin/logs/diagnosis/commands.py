@@ -334,16 +334,6 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
                 "record the commands; without them a twin cannot learn",
             )
         ]
-    if seen.min() >= 800.0 and seen.max() <= 2200.0:
-        return [
-            Finding(
-                ERROR,
-                "shaft-pwm",
-                f"{name}: between {seen.min():.0f} and {seen.max():.0f}, never 0: pulse widths",
-                "make neutral 0: scale = 0.02, offset = -30.0 in a mapping file for 1500 us",
-                {"least": float(seen.min()), "most": float(seen.max())},
-            )
-        ]
     shaft = np.nan_to_num(np.abs(n)).mean(axis=1)
     step = float(np.median(np.diff(middle)))
     turns = averaged(recording.t, shaft, middle, 2.0 * step)
@@ -351,7 +341,16 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
     if fast.sum() < 5:
         return []
     advance = float(np.median(speed[fast] / turns[fast]))
-    return _advance(name, advance, float(np.median(turns[fast])), particulars)
+    found = _advance(name, advance, float(np.median(turns[fast])), particulars)
+    if found and seen.min() >= 800.0 and np.ptp(seen) > 20.0 and seen.max() <= 2200.0:
+        what = (
+            f"{name}: between {seen.min():.0f} and {seen.max():.0f}, never 0, as pulse widths are"
+        )
+        remedy = "make neutral 0: scale = 0.02, offset = -30.0 in a mapping file for 1500 us"
+        evidence = {"least": float(seen.min()), "most": float(seen.max())}
+        if not any("rpm, not" in finding.what for finding in found):
+            return [Finding(ERROR, "shaft-pwm", what, remedy, evidence)]
+    return found
 
 
 def _advance(

@@ -19,6 +19,7 @@ from twin.logs.diagnosis.heading import (
     TrackFit,
     check_heading,
     compass_on_track,
+    gyro_lag,
     gyro_on_compass,
     thrust,
 )
@@ -31,7 +32,7 @@ from twin.logs.diagnosis.position import (
     fix_stamps,
     velocity_on_fixes,
 )
-from twin.logs.diagnosis.signals import ENOUGH, white_noise
+from twin.logs.diagnosis.signals import ENOUGH, Lag, white_noise
 from twin.logs.diagnosis.timing import check_timing, sensor_rates
 from twin.particulars import Particulars
 
@@ -58,6 +59,8 @@ class Measured:
         Comparisons of sensors with each other; None where there is nothing to compare.
     effects : dict of str to Effect
         What the commands do to the yaw rate.
+    lags : dict of str to Lag
+        Correlation of sensors at each lag.
     """
 
     rates: dict[str, float]
@@ -68,6 +71,7 @@ class Measured:
     gyro: GyroFit | None
     imu: ImuFit | None
     effects: dict[str, Effect]
+    lags: dict[str, Lag]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +154,9 @@ def measure(recording: Recording) -> Measured:
         "gyro_radps": _noise(t_gyro, gyro),
         "accel_mps2": _noise(*accel),
     }
+    moved = imu_on_fixes(recording)
+    turned = gyro_lag(t, psi, t_gyro, gyro[:, 0])
+    lags = {"gyro behind compass": turned, "GPS behind accelerometers": moved and moved[1]}
     return Measured(
         sensor_rates(recording),
         noise,
@@ -157,8 +164,9 @@ def measure(recording: Recording) -> Measured:
         velocity_on_fixes(fix, velocity),
         compass_on_track(fix, (t, psi), thrust(recording)),
         gyro_on_compass(t, psi, t_gyro, gyro[:, 0]),
-        imu_on_fixes(recording),
+        moved[0] if moved else None,
         yaw_effects(recording),
+        {name: lag for name, lag in lags.items() if lag is not None},
     )
 
 

@@ -120,9 +120,7 @@ class Recording:
         rows = np.arange(len(cmd))[:, None]
         held = np.maximum.accumulate(np.where(np.isnan(cmd), 0, rows), axis=0)
         cmd = np.take_along_axis(cmd, held, axis=0)
-        for j, name in enumerate(COMMANDS):
-            if name not in data:
-                cmd[:, j] = 0.0
+        cmd[:, [column not in data for column in COMMANDS]] = 0.0
         return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite)
 
     def called(self, *names: str) -> str:

@@ -12,6 +12,7 @@ from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import (
     ENOUGH,
+    Lag,
     averaged,
     best_lag,
     fit_line,
@@ -29,7 +30,9 @@ __all__ = [
     "check_heading",
     "compass_in_degrees",
     "compass_on_track",
+    "gyro_lag",
     "gyro_on_compass",
+    "is_late",
     "thrust",
     "turn_ratio",
 ]
@@ -119,29 +122,16 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
     # of the integral over a second
     gyro_noise = white_noise(t_gyro, gyro) * math.sqrt(float(np.median(np.diff(t_gyro))))
     coarse: float = max(float(np.median(np.diff(t_compass))), float(np.median(np.diff(t_gyro))))
-    step = float(max(coarse, 0.02))
     start, end = max(t_compass[0], t_gyro[0]), min(t_compass[-1], t_gyro[-1])
     window = float(max(_WINDOW, 6.0 * coarse))
     if end - start < 10.0 * window:
         return None
-    grid = np.arange(start, end, step)
 
-    def turned(t: Array, angle: Array, width: float, at: Array, late: float = 0.0) -> Array:
-        return sampled(t, angle, at + late + 0.5 * width) - sampled(
-            t, angle, at + late - 0.5 * width
-        )
-
-    found = best_lag(
-        lambda at: turned(t_compass, psi, 0.5 * window, at),
-        lambda at: turned(t_gyro, theta, 0.5 * window, at),
-        grid,
-        min(_LATE, 0.2 * (end - start)),
-    )
-    clear = found is not None and abs(found.correlation) > 0.7 and found.gain > _LAG_GAIN
-    late = found.seconds if found is not None and clear else 0.0
+    found = _lag(t_compass, psi, t_gyro, theta)
+    late = found.seconds if found is not None and is_late(found) else 0.0
 
     at = np.arange(start + 0.5 * window, end - 0.5 * window, 0.5 * window)
-    x, y = turned(t_compass, psi, window, at), turned(t_gyro, theta, window, at, late)
+    x, y = _turned(t_compass, psi, window, at), _turned(t_gyro, theta, window, at + late)
     ok = np.isfinite(x) & np.isfinite(y)
     if ok.sum() < 10:
         return None
@@ -156,8 +146,8 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
         scale, scale_sd, bias = line.slope, 1.5 * line.slope_sd, line.offset
     short = float(max(_SHORT, 2.0 * coarse))
     at = np.arange(start + short, end - short, 0.5 * short)
-    rate = turned(t_compass, psi, short, at) / short
-    left = turned(t_gyro, theta, short, at, late) / short - rate
+    rate = _turned(t_compass, psi, short, at) / short
+    left = _turned(t_gyro, theta, short, at + late) / short - rate
     width = max(round(_STRETCH / (0.5 * short)), 1)
     rough, turning = (
         _local(left, width),
@@ -182,6 +172,46 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
     )
 
 
+def gyro_lag(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array) -> Lag | None:
+    """Return by how much a gyro is later than a compass, with the correlation at each lag.
+
+    Parameters
+    ----------
+    t_compass, compass, t_gyro, gyro : ndarray
+        As for :func:`gyro_on_compass`.
+    """
+    if len(compass) < ENOUGH or len(gyro) < ENOUGH:
+        return None
+    return _lag(t_compass, np.unwrap(compass), t_gyro, integrated(t_gyro, gyro))
+
+
+def is_late(lag: Lag) -> bool:
+    """Return whether a lag between gyro and compass is one, and no accident."""
+    clear = abs(lag.correlation) > 0.7 and abs(lag.seconds) > 4.0 * lag.sd
+    return clear and lag.gain > _LAG_GAIN
+
+
+def _turned(t: Array, angle: Array, width: float, at: Array) -> Array:
+    """Return by how much an angle turns over a width around other times."""
+    return sampled(t, angle, at + 0.5 * width) - sampled(t, angle, at - 0.5 * width)
+
+
+def _lag(t_compass: Array, psi: Array, t_gyro: Array, theta: Array) -> Lag | None:
+    """Return the lag of an integrated gyro behind an unwrapped compass."""
+    coarse = max(float(np.median(np.diff(t))) for t in (t_compass, t_gyro))
+    start, end = max(t_compass[0], t_gyro[0]), min(t_compass[-1], t_gyro[-1])
+    width = 0.5 * max(_WINDOW, 6.0 * coarse)
+    if end - start < 20.0 * width:
+        return None
+    return best_lag(
+        lambda at: _turned(t_compass, psi, width, at),
+        lambda at: _turned(t_gyro, theta, width, at),
+        np.arange(start, end, max(coarse, 0.02)),
+        most=min(_LATE, 0.2 * float(end - start)),
+        width=width,
+    )
+
+
 def _local(values: Array, width: int) -> Array:
     """Return the root mean square of values around each, without those that are NaN."""
     square = np.where(np.isfinite(values), values, 0.0) ** 2
@@ -202,8 +232,8 @@ def turn_ratio(t_compass: Array, psi: Array, t_gyro: Array, gyro: Array) -> floa
     grid = coarse_grid(t_compass)
     by_gyro = np.diff(np.interp(grid, t_gyro, integrated(t_gyro, gyro)))
     by_compass = np.diff(np.interp(grid, t_compass, np.unwrap(psi)))
-    both, square = by_compass @ by_gyro, by_compass @ by_compass
-    similar = both > 0.9 * math.sqrt(square * (by_gyro @ by_gyro))
+    both, square = float(by_compass @ by_gyro), float(by_compass @ by_compass)
+    similar = both > 0.9 * math.sqrt(square * float(by_gyro @ by_gyro))
     return float(both / max(square, 1e-9)) if similar else 0.0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
-from twin.logs.diagnosis.signals import ENOUGH, averaged, best_lag, integrated, sampled
+from twin.logs.diagnosis.signals import ENOUGH, Lag, averaged, best_lag, integrated, sampled
 from twin.particulars import Particulars
 
 __all__ = [
@@ -24,8 +24,8 @@ _WINDOWS = (0.5, 1.0, 2.0, 4.0)
 _MOST_LATE = 3.0
 """Largest delay that is looked for, s."""
 
-_CORRELATION, _GAIN = 0.5, 1.02
-"""The accelerometers tell the delay from this correlation on, and if it explains more."""
+_CORRELATION = 0.7
+"""The accelerometers see the motion of the boat from this correlation on."""
 
 _LATE = 0.3
 """A delay of the fixes worth a word beyond what the particulars state, s."""
@@ -38,6 +38,7 @@ class ImuFit(NamedTuple):
 
     latency: float
     """By which the fixes are late, s."""
+    latency_sd: float
     correlation: float
     scale: float
     """Of the acceleration by the fixes over that of the accelerometers."""
@@ -47,8 +48,10 @@ class ImuFit(NamedTuple):
     """Correlation with the sideways axis reversed."""
 
 
-def imu_on_fixes(recording: Recording) -> ImuFit | None:
+def imu_on_fixes(recording: Recording) -> tuple[ImuFit, Lag] | None:
     """Return how the accelerometers go with velocity over ground or fixes; None if not at all.
+
+    The second is the correlation at each lag.
 
     Parameters
     ----------
@@ -72,12 +75,12 @@ def imu_on_fixes(recording: Recording) -> ImuFit | None:
         return None
     found = [_compare((t, velocity), (t_imu, accel, psi), width, by_velocity) for width in _WINDOWS]
     known = [fit for fit in found if fit is not None]
-    return max(known, key=lambda fit: fit.correlation) if known else None
+    return max(known, key=lambda pair: pair[0].correlation) if known else None
 
 
 def _compare(
     motion: tuple[Array, Array], imu: tuple[Array, Array, Array], width: float, by_velocity: bool
-) -> ImuFit | None:
+) -> tuple[ImuFit, Lag] | None:
     """Return the fit over one width of the windows."""
     t, values = motion
     t_imu, accel, psi = imu
@@ -104,7 +107,11 @@ def _compare(
     grid = np.arange(start, end, step)
     straight, reverse = of_imu(1.0), of_imu(-1.0)
     lag = best_lag(
-        lambda at: changes(straight, at), lambda at: changes((t, values), at), grid, _MOST_LATE
+        lambda at: changes(straight, at),
+        lambda at: changes((t, values), at),
+        grid,
+        most=_MOST_LATE,
+        width=width,
     )
     if lag is None:
         return None
@@ -117,13 +124,15 @@ def _compare(
         power, own = float((np.abs(by_imu[ok]) ** 2).sum()), float((np.abs(moved[ok]) ** 2).sum())
         numbers.append((cross, power, math.sqrt(max(power * own, 1e-300))))
     (cross, power, size), (other, _, size_other) = numbers
-    return ImuFit(
-        lag.seconds if lag.gain > _GAIN and lag.correlation > 0.0 else 0.0,
+    fit = ImuFit(
+        lag.seconds if math.isfinite(lag.sd) else 0.0,
+        lag.sd,
         abs(cross) / size,
         abs(cross) / max(power, 1e-300),
         float(np.angle(cross)),
         abs(other) / size_other,
     )
+    return fit, lag
 
 
 def check_imu(
@@ -163,7 +172,7 @@ def check_imu(
             Finding(ERROR, "accel-unit", what, 'state unit = "g" in a mapping file', evidence)
         )
     stated = 0.0 if particulars is None else particulars.instruments.gps_latency
-    if fit.latency - stated > _LATE:
+    if fit.latency - stated > max(_LATE, 4.0 * fit.latency_sd):
         what = f"the GPS comes {fit.latency:.2f} s after the accelerometers" + (
             f"; the particulars say {stated:g} s" if particulars is not None else ""
         )

@@ -65,8 +65,11 @@ def estimate_instruments(
     if gyro is not None and abs(gyro.correlation) > 0.8:
         found["gyro_bias_sd"] = max(abs(gyro.bias), 5e-4), "mean difference from the compass"
     imu = measured.imu
-    if imu is not None and imu.correlation > 0.7 and 0.0 < imu.latency < LATENCY_MAX:
-        found["gps_latency"] = imu.latency, "best correlation with the accelerometers"
+    if imu is not None and imu.correlation > 0.7 and 0.05 > imu.latency_sd < imu.latency:
+        found["gps_latency"] = (
+            min(imu.latency, LATENCY_MAX),
+            "best correlation with the accelerometers",
+        )
     values: dict[str, Any] = {key: float(f"{value:.3g}") for key, (value, _) in found.items()}
     reasons = {key: why for key, (_, why) in found.items()}
     return dataclasses.replace(base or Instruments(), **values), reasons

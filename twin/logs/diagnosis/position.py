@@ -241,10 +241,12 @@ def _lag_of_velocity(fixes: tuple[Array, Array], summed: tuple[Array, Array]) ->
         lambda at: changes(fixes, at),
         lambda at: changes(summed, at),
         np.arange(start + width, end - width, max(step, 0.05)),
-        _MOST_LATE,
+        most=_MOST_LATE,
+        width=width,
     )
-    clear = found is not None and found.correlation > 0.6 and found.gain > _LAG_GAIN
-    return found.seconds if found is not None and clear else 0.0
+    if found is None or found.correlation < 0.6 or found.gain < _LAG_GAIN:
+        return 0.0
+    return found.seconds if abs(found.seconds) > 4.0 * found.sd else 0.0
 
 
 def check_position(recording: Recording) -> list[Finding]:

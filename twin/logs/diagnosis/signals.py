@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -120,7 +120,7 @@ def averaged(t: Array, values: Array, at: Array, width: float) -> Array:
         return sampled(t, values, at)
     summed = integrated(t, values)
     half = 0.5 * width
-    return np.asarray((sampled(t, summed, at + half) - sampled(t, summed, at - half)) / width)
+    return (sampled(t, summed, at + half) - sampled(t, summed, at - half)) / width
 
 
 def ways(t: Array, fix: Array) -> tuple[Array, Array, float]:
@@ -173,7 +173,6 @@ def fit_line(x: Array, y: Array, loss: float = 2.0) -> Line:
     """
     A = np.column_stack([x, np.ones_like(x)])
     weight = np.ones_like(x)
-    fit = np.zeros(2)
     for _ in range(20):
         normal = A.T @ (A * weight[:, None])
         fit = np.linalg.lstsq(normal, A.T @ (weight * y), rcond=None)[0]
@@ -192,8 +191,10 @@ class Lag(NamedTuple):
     """How much later one signal comes than another."""
 
     seconds: float
+    sd: float
+    """Standard deviation of it, s."""
     correlation: float
-    """At that lag."""
+    """At that lag; of vectors its size, whatever the angle between them."""
     gain: float
     """How many times as much is left unexplained without the lag as with it."""
     lags: Array
@@ -201,46 +202,69 @@ class Lag(NamedTuple):
 
 
 def best_lag(
-    first: Callable[[Array], Array], second: Callable[[Array], Array], grid: Array, most: float
+    first: Callable[[Array], Array],
+    second: Callable[[Array], Array],
+    grid: Array,
+    *,
+    most: float,
+    width: float,
 ) -> Lag | None:
     """Return by how many seconds the second signal is late, where their correlation is largest.
 
     Parameters
     ----------
     first, second : callable
-        Return a signal, shape (N,) or (N, k), at times; NaN where it is unknown.
+        Return a signal, shape (N,) or (N, 2), at times; NaN where it is unknown.
     grid : ndarray, shape (N,)
         Times a constant step apart.
     most : float
         Largest lag, s.
+    width : float
+        Values closer than this say the same, s.
 
     Notes
     -----
-    The signals are compared on the grid, and the peak is refined by a parabola.
+    The signals are compared on the grid, and the peak is refined by a parabola. Sums over the
+    values that both have come from FFTs.
     """
     step = float(grid[1] - grid[0])
-    count = round(most / step)
-    a, b = first(grid), second(grid)
-    a, b = a.reshape(len(grid), -1), b.reshape(len(grid), -1)
+    count = max(round(most / step), 1)
+    size = 1 << (len(grid) + count).bit_length()
+    (x, mx), (y, my) = (_centred(signal(grid)) for signal in (first, second))
     lags = np.arange(-count, count + 1)
-    curve = np.zeros(len(lags))
-    for i, lag in enumerate(lags):
-        x, y = (a[: len(a) - lag], b[lag:]) if lag >= 0 else (a[-lag:], b[:lag])
-        ok = np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
-        if ok.sum() < ENOUGH:
-            return None
-        x, y = x[ok] - x[ok].mean(axis=0), y[ok] - y[ok].mean(axis=0)
-        curve[i] = (x * y).sum() / max(math.sqrt((x * x).sum() * (y * y).sum()), 1e-300)
+
+    def correlate(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.fft.ifft(np.conj(np.fft.fft(a, size)) * np.fft.fft(b, size))[lags]
+
+    common = correlate(mx, my).real
+    if common.min() < ENOUGH:
+        return None
+    power = correlate(np.abs(x) ** 2, my).real * correlate(mx, np.abs(y) ** 2).real
+    cross = correlate(x, y)
+    value = np.abs(cross) if np.iscomplexobj(x) else cross.real
+    curve: Array = value / np.sqrt(np.maximum(power, 1e-300))
+    curve[power < 1e-20 * max(float(power.max()), 1e-300)] = 0.0
     peak = int(np.argmax(np.abs(curve)))
-    shift = 0.0
-    if 0 < peak < len(lags) - 1:
-        left, top, right = curve[peak - 1 : peak + 2] * np.sign(curve[peak])
-        bend = left - 2.0 * top + right
-        shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    found = (float(lags[peak]) + float(np.clip(shift, -0.5, 0.5))) * step
+    found, sd = float(lags[peak]) * step, math.inf
     inside = 0 < peak < len(lags) - 1
+    if inside:
+        left, top, right = curve[peak - 1 : peak + 2] * np.sign(curve[peak])
+        bend = float(left - 2.0 * top + right) / step**2
+        if bend < 0.0:
+            found -= 0.5 * float(right - left) / step / bend
+            independent = max(float(common[peak]) * step / width, 1.0)
+            sd = math.sqrt(max(1.0 - float(top) ** 2, 1e-12) / independent / -bend)
     gain = (1.0 - curve[count] ** 2) / max(1.0 - curve[peak] ** 2, 1e-9) if inside else 1.0
-    return Lag(found, float(curve[peak]), float(gain), lags * step, curve)
+    return Lag(found, sd, float(curve[peak]), float(gain), lags * step, curve)
+
+
+def _centred(values: Array) -> tuple[npt.NDArray[Any], Array]:
+    """Return a signal about its mean, two columns as one complex, and where it is known."""
+    flat: npt.NDArray[Any] = values if values.ndim == 1 else values @ np.array([1.0, 1j])
+    known = np.asarray(np.isfinite(flat), dtype=np.float64)
+    signal = np.where(known > 0.0, flat, 0.0)
+    mean = signal.sum() / max(float(known.sum()), 1.0)
+    return np.where(known > 0.0, signal - mean, 0.0), known
 
 
 def runs_of(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -265,7 +265,7 @@ def _outages(recording: Recording, sensor: str, names: tuple[str, ...]) -> list[
 def _frozen(
     recording: Recording, sensor: str, names: tuple[str, ...], bound: float
 ) -> list[Finding]:
-    """Return a finding where a sensor repeats a value and then jumps: it had stopped."""
+    """Return a finding where a sensor repeats a value for long, unlike itself: it stopped."""
     columns = [MEASUREMENTS.index(name) for name in names]
     valid = np.isfinite(recording.z[:, columns]).all(axis=1)
     at, values = recording.t[valid], recording.z[valid][:, columns]
@@ -277,10 +277,14 @@ def _frozen(
     new = values[~repeated(values)]
     common = float(np.median(np.hypot.reduce(np.diff(new, axis=0), axis=1))) if len(new) > 1 else 0
     least = max(_JUMPS.get(sensor, 0.0), 8.0 * common)
+    # a sensor that never repeats itself otherwise needs no jump to be seen
+    same = repeated(values)
+    long = sum(j - i for i, j in stands)
+    strict = int(same.sum()) - long < 0.02 * len(same)
     jumped = [
         (i, j)
         for i, j in stands
-        if j < len(at) and float(np.hypot.reduce(values[j] - values[j - 1])) > least
+        if strict or (j < len(at) and float(np.hypot.reduce(values[j] - values[j - 1])) > least)
     ]
     if not jumped:
         return []
@@ -292,7 +296,7 @@ def _frozen(
             WARNING,
             f"{sensor}-frozen",
             f"{recording.called(*names)}: the same {sensor} value for up to {length[worst]:.1f} s "
-            f"(from t = {start:.1f} s), then a jump; {len(jumped)} time(s)",
+            f"(from t = {start:.1f} s), {len(jumped)} time(s)",
             "the sensor had stopped: empty these cells",
             {"longest_s": length[worst], "at_s": start, "times": float(len(jumped))},
         )
