@@ -10,10 +10,9 @@ import numpy as np
 
 from twin.benchmark.figures.style import (
     BLACK,
-    GREY,
+    DASHED,
     Array,
     Entry,
-    dots,
     line,
     new_figure,
     set_ticks,
@@ -38,9 +37,9 @@ def draw_check(found: Diagnosis) -> bytes:
     """Return the picture of a diagnosis as PNG."""
     recording = found.recording
     entries: list[Entry] = [
-        (line(BLUE), "by the fixes"),
-        (line(ORANGE), "by velocity, compass or gyro"),
-        (dots(BLACK), "sample"),
+        (line(BLUE), "fixes; left unit"),
+        (line(ORANGE), "compass, velocity; right unit"),
+        (line(GREEN), "gyro; steering angle"),
     ]
     about = ", ".join(
         f"{len(found.of(kind))} {kind}(s)" for kind in ("error", "warning") if found.of(kind)
@@ -116,22 +115,23 @@ def _speed(ax: Axes, recording: Recording) -> None:
 
 
 def _turn(ax: Axes, recording: Recording) -> None:
-    set_title(ax, "yaw rate, deg/s: compass (blue), gyro (orange)")
+    set_title(ax, "yaw rate of compass and gyro, deg/s")
     t, compass = recording.samples("compass_rad")
     t_gyro, gyro = recording.samples("gyro_radps")
     grid = np.linspace(recording.t[0], recording.t[-1], min(_POINTS, len(recording.t)))
-    for at, angle, colour in (
-        (t_gyro, integrated(t_gyro, gyro[:, 0]) if len(t_gyro) > 1 else gyro[:, 0], ORANGE),
-        (t, np.unwrap(compass[:, 0]), BLUE),
+    turned = integrated(t_gyro, gyro[:, 0]) if len(t_gyro) > 1 else gyro[:, 0]
+    for at, angle, style in (
+        (t, np.unwrap(compass[:, 0]), (ORANGE, "-")),
+        (t_gyro, turned, (GREEN, DASHED)),
     ):
         if len(at) >= ENOUGH:
             rate = sampled(at, angle, grid + 0.5) - sampled(at, angle, grid - 0.5)
-            ax.plot(grid, np.degrees(rate), color=colour, lw=1.0)
+            ax.plot(grid, np.degrees(rate), color=style[0], ls=style[1], lw=1.0)
     set_ticks(ax, 6, 4, None)
 
 
 def _heading(ax: Axes, recording: Recording) -> None:
-    set_title(ax, "degrees: course of the fixes (blue), compass (orange)")
+    set_title(ax, "course of the fixes and compass, deg")
     t, compass = recording.samples("compass_rad")
     at, psi = _thin(t, np.degrees(np.remainder(compass[:, 0], 2.0 * math.pi)))
     ax.plot(at, psi, color=ORANGE, ls="", marker=".", ms=2)
@@ -144,26 +144,17 @@ def _heading(ax: Axes, recording: Recording) -> None:
 
 
 def _lags(ax: Axes, found: Diagnosis) -> None:
-    set_title(ax, "correlation at each lag, s")
-    for (name, lag), colour in zip(found.measured.lags.items(), (BLUE, ORANGE), strict=False):
-        ax.plot(lag.lags, lag.curve, color=colour, lw=1.4)
-        ax.axvline(lag.seconds, color=colour, lw=0.8, ls=(0, (4, 2)))
-        ax.annotate(
-            f"{name}: {lag.seconds:+.2f} s",
-            (0.03, 0.12 if colour == BLUE else 0.03),
-            xycoords="axes fraction",
-            color=colour,
-            fontsize=9,
-        )
-    if not found.measured.lags:
-        ax.annotate(
-            "no gyro and no accelerometers", (0.1, 0.5), xycoords="axes fraction", color=GREY
-        )
+    lags = found.measured.lags
+    text = "; ".join(f"{name} {lag.seconds:+.2f} s" for name, lag in lags.items())
+    set_title(ax, f"correlation at each lag: {text}" if lags else "no gyro, no accelerometers")
+    for (name, lag), style in zip(lags.items(), ((GREEN, "-"), (BLUE, DASHED)), strict=False):
+        ax.plot(lag.lags, lag.curve, color=style[0], ls=style[1], lw=1.4, label=name)
+        ax.axvline(lag.seconds, color=style[0], lw=0.8, ls=(0, (4, 2)))
     set_ticks(ax, 5, 4, "lag, s")
 
 
 def _commands(ax: Axes, recording: Recording) -> None:
-    set_title(ax, "shaft speeds, rev/s: left (blue), right (orange); angle, deg (green)")
+    set_title(ax, "commands: shaft speeds, rev/s; angle, deg")
     for j, colour in ((0, BLUE), (1, ORANGE)):
         at, value = _thin(recording.t, recording.cmd[:, j])
         ax.plot(at, value, color=colour, lw=1.0)

@@ -14,15 +14,7 @@ from twin.logs.columns import Array
 from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
-from twin.logs.diagnosis.heading import (
-    GyroFit,
-    TrackFit,
-    check_heading,
-    compass_on_track,
-    gyro_lag,
-    gyro_on_compass,
-    thrust,
-)
+from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
 from twin.logs.diagnosis.imu import ImuFit, check_imu, imu_on_fixes
 from twin.logs.diagnosis.position import (
     StampFit,
@@ -34,6 +26,7 @@ from twin.logs.diagnosis.position import (
 )
 from twin.logs.diagnosis.signals import ENOUGH, Lag, white_noise
 from twin.logs.diagnosis.timing import check_timing, sensor_rates
+from twin.logs.diagnosis.track import TrackFit, compass_on_track, thrust
 from twin.particulars import Particulars
 
 __all__ = [

@@ -19,7 +19,7 @@ __all__ = [
 ]
 
 _WINDOWS = (0.5, 1.0, 2.0, 4.0)
-"""Changes of velocity are compared over so many seconds; the width that agrees best counts."""
+"""Changes of velocity are compared over so many seconds; what tells the delay best counts."""
 
 _MOST_LATE = 3.0
 """Largest delay that is looked for, s."""
@@ -75,7 +75,10 @@ def imu_on_fixes(recording: Recording) -> tuple[ImuFit, Lag] | None:
         return None
     found = [_compare((t, velocity), (t_imu, accel, psi), width, by_velocity) for width in _WINDOWS]
     known = [fit for fit in found if fit is not None]
-    return max(known, key=lambda pair: pair[0].correlation) if known else None
+    clear = [pair for pair in known if pair[0].correlation > _CORRELATION]
+    if clear:
+        return min(clear, key=lambda pair: pair[0].latency_sd)
+    return max(known, key=lambda pair: pair[0].correlation, default=None)
 
 
 def _compare(

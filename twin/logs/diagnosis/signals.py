@@ -242,7 +242,7 @@ def best_lag(
     power = correlate(np.abs(x) ** 2, my).real * correlate(mx, np.abs(y) ** 2).real
     cross = correlate(x, y)
     value = np.abs(cross) if np.iscomplexobj(x) else cross.real
-    curve: Array = value / np.sqrt(np.maximum(power, 1e-300))
+    curve = np.asarray(value / np.sqrt(np.maximum(power, 1e-300)), dtype=np.float64)
     curve[power < 1e-20 * max(float(power.max()), 1e-300)] = 0.0
     peak = int(np.argmax(np.abs(curve)))
     found, sd = float(lags[peak]) * step, math.inf
@@ -255,7 +255,7 @@ def best_lag(
             independent = max(float(common[peak]) * step / width, 1.0)
             sd = math.sqrt(max(1.0 - float(top) ** 2, 1e-12) / independent / -bend)
     gain = (1.0 - curve[count] ** 2) / max(1.0 - curve[peak] ** 2, 1e-9) if inside else 1.0
-    return Lag(found, sd, float(curve[peak]), float(gain), lags * step, curve)
+    return Lag(found, sd, float(curve[peak]), float(gain), step * lags.astype(np.float64), curve)
 
 
 def _centred(values: Array) -> tuple[npt.NDArray[Any], Array]:
