@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import math
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.cli.logs.check_picture import draw_check
 from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, Finding, Recording
 from twin.logs.diagnosis.heading import gyro_on_compass
@@ -22,6 +25,7 @@ from twin.logs.diagnosis.signals import best_lag, fit_line, white_noise
 from twin.logs.log import Log, read_table
 from twin.particulars import Instruments, Particulars, ParticularsError
 from twin.sim.bridge import particulars_of, simulate
+from twin.sim.wrapper import log_of
 from usv_gym import SeaState, Vessel
 from usv_gym.world.sensors import SensorSuite
 
@@ -372,6 +376,56 @@ def test_unknown_particulars_are_to_be_filled_in(tmp_path: Path) -> None:
         text = text.replace(f"# {key} = ?", f"{key} = 1.0")
     path.write_text(text, encoding="utf-8")
     assert Particulars.load(path).steering == "differential"
+
+
+COLUMNS = (*COMMANDS, *MEASUREMENTS)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), seed=st.integers(0, 2**32 - 1), rows=st.integers(0, 400))
+def test_any_columns_give_findings(data: st.DataObject, seed: int, rows: int) -> None:
+    """Noise, constants, holes, steps and numbers of any size: no error, and a report in JSON."""
+    rng = np.random.default_rng(seed)
+    kinds: dict[str, Callable[[], np.ndarray]] = {
+        "noise": lambda: rng.standard_normal(rows),
+        "walk": lambda: np.cumsum(rng.standard_normal(rows)),
+        "constant": lambda: np.full(rows, rng.standard_normal()),
+        "zero": lambda: np.zeros(rows),
+        "ramp": lambda: np.linspace(0.0, 100.0, rows),
+        "holes": lambda: np.where(rng.random(rows) < 0.7, np.nan, rng.standard_normal(rows)),
+        "late": lambda: np.where(np.arange(rows) < 0.9 * rows, np.nan, rng.standard_normal(rows)),
+        "steps": lambda: np.repeat(rng.standard_normal(rows), 7)[:rows],
+        "huge": lambda: 1e300 * rng.standard_normal(rows),
+        "infinite": lambda: np.where(rng.random(rows) < 0.1, np.inf, rng.standard_normal(rows)),
+        "none": lambda: np.full(rows, np.nan),
+    }
+    times: dict[str, Callable[[], np.ndarray]] = {
+        "even": lambda: 0.1 * np.arange(rows),
+        "rough": lambda: np.cumsum(rng.exponential(0.2, rows)),
+        "gaps": lambda: np.cumsum(np.where(rng.random(rows) < 0.05, 40.0, 0.1)),
+        "back": lambda: 0.1 * np.arange(rows) + 0.5 * rng.standard_normal(rows),
+        "holes": lambda: np.where(rng.random(rows) < 0.2, np.nan, np.arange(rows)),
+    }
+    names = data.draw(st.sets(st.sampled_from(COLUMNS)))
+    table = {name: kinds[data.draw(st.sampled_from(sorted(kinds)))]() for name in sorted(names)}
+    table["t_s"] = times[data.draw(st.sampled_from(sorted(times)))]()
+    found = diagnose(Recording.of(table, {}, "any"))
+    json.dumps(found.to_json(), allow_nan=False)
+    particulars_text(found)
+    if rows > 1:
+        assert draw_check(found).startswith(b"\x89PNG") if seed % 10 == 0 else True
+
+
+def test_episodes_of_the_environment_are_sound() -> None:
+    env = gym.make("USVTwin-v0", record=True)
+    env.reset(seed=0)
+    for step in range(600):
+        _, _, over, cut, _ = env.step(np.array([0.8, 0.6 * math.sin(0.05 * step)], np.float32))
+        if over or cut:
+            break
+    log = log_of(env)
+    env.close()
+    assert not alarms(diagnose(recording(log)))
 
 
 # --- estimators -------------------------------------------------------------------------------

@@ -109,13 +109,22 @@ def _compare(
 
     grid = np.arange(start, end, step)
     straight, reverse = of_imu(1.0), of_imu(-1.0)
-    lag = best_lag(
-        lambda at: changes(straight, at),
-        lambda at: changes((t, values), at),
-        grid,
-        most=_MOST_LATE,
-        width=width,
-    )
+
+    def find(turned: bool) -> Lag | None:
+        return best_lag(
+            lambda at: changes(straight, at),
+            lambda at: changes((t, values), at),
+            grid,
+            most=_MOST_LATE,
+            width=width,
+            turned=turned,
+        )
+
+    lag = find(turned=False)
+    # where the axes may be turned, a circle has any delay
+    known = lag is not None and lag.correlation > _CORRELATION and math.isfinite(lag.sd)
+    if not known:
+        lag = find(turned=True)
     if lag is None:
         return None
     moved = changes((t, values), grid + lag.seconds) @ (1.0, 1j)
@@ -128,8 +137,8 @@ def _compare(
         numbers.append((cross, power, math.sqrt(max(power * own, 1e-300))))
     (cross, power, size), (other, _, size_other) = numbers
     fit = ImuFit(
-        lag.seconds if math.isfinite(lag.sd) else 0.0,
-        lag.sd,
+        lag.seconds if known else 0.0,
+        lag.sd if known else math.inf,
         abs(cross) / size,
         abs(cross) / max(power, 1e-300),
         float(np.angle(cross)),

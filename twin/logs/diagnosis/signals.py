@@ -194,7 +194,7 @@ class Lag(NamedTuple):
     sd: float
     """Standard deviation of it, s."""
     correlation: float
-    """At that lag; of vectors its size, whatever the angle between them."""
+    """At that lag."""
     gain: float
     """How many times as much is left unexplained without the lag as with it."""
     lags: Array
@@ -208,6 +208,7 @@ def best_lag(
     *,
     most: float,
     width: float,
+    turned: bool = False,
 ) -> Lag | None:
     """Return by how many seconds the second signal is late, where their correlation is largest.
 
@@ -221,6 +222,8 @@ def best_lag(
         Largest lag, s.
     width : float
         Values closer than this say the same, s.
+    turned : bool
+        Whether vectors may differ by a constant angle.
 
     Notes
     -----
@@ -241,7 +244,7 @@ def best_lag(
         return None
     power = correlate(np.abs(x) ** 2, my).real * correlate(mx, np.abs(y) ** 2).real
     cross = correlate(x, y)
-    value = np.abs(cross) if np.iscomplexobj(x) else cross.real
+    value = np.abs(cross) if turned else cross.real
     curve = np.asarray(value / np.sqrt(np.maximum(power, 1e-300)), dtype=np.float64)
     curve[power < 1e-20 * max(float(power.max()), 1e-300)] = 0.0
     peak = int(np.argmax(np.abs(curve)))
