@@ -97,7 +97,7 @@ class Diagnosis:
             "name": self.recording.name,
             "rows": len(self.recording.stamps),
             "rates_hz": measured.rates,
-            "noise": measured.noise,
+            "noise": _plain(measured.noise),
             **{
                 name: None if fit is None else _plain(fit._asdict())
                 for name in fits
