@@ -73,6 +73,8 @@ class Entry:
         For the user.
     clock : bool
         Whether the source is a date and time, not a number.
+    format : str
+        Of that date, as ``%d/%m/%Y %H:%M:%S``; empty for ISO 8601.
     """
 
     names: tuple[str, ...]
@@ -81,6 +83,7 @@ class Entry:
     topic: str = ""
     note: str = ""
     clock: bool = False
+    format: str = ""
 
     def columns(self, values: Sequence[Array]) -> dict[str, Array]:
         """Return the log's columns from the sources' values, each of shape (N,)."""
