@@ -13,6 +13,7 @@ from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
 from twin.cli.logs.check import log_check_command
 from twin.cli.logs.identify import identify_command
+from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
 from twin.cli.simulate import simulate_command
@@ -38,6 +39,10 @@ app = typer.Typer(
 
 log_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Check a log before it is used."
+)
+
+mapping_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Propose a mapping file for a log."
 )
 
 vessel_app = typer.Typer(
@@ -67,14 +72,18 @@ VESSEL_COMMANDS: dict[str, Callable[..., None]] = {
 
 LOG_COMMANDS: dict[str, Callable[..., None]] = {"check": log_check_command}
 
+MAPPING_COMMANDS: dict[str, Callable[..., None]] = {"new": mapping_new_command}
+
 for group, commands in (
     (app, COMMANDS),
     (log_app, LOG_COMMANDS),
+    (mapping_app, MAPPING_COMMANDS),
     (vessel_app, VESSEL_COMMANDS),
 ):
     for name, command in commands.items():
         group.command(name)(report_user_errors(command))
 app.add_typer(log_app, name="log")
+app.add_typer(mapping_app, name="mapping")
 app.add_typer(vessel_app, name="vessel")
 
 
