@@ -71,6 +71,7 @@ class Entry:
     topic: str = ""  # of the messages; empty for a file of columns
     note: str = ""  # for the user
     clock: bool = False  # whether the source is a date and time, not a number
+    format: str = ""  # of that date, as %d/%m/%Y %H:%M:%S; empty for ISO 8601
     # takes what convert takes, returns the plane on which it puts positions, if any
     plane: Callable[[Sequence[Array]], Plane | None] | None = None
 

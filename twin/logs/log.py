@@ -255,18 +255,41 @@ class Log:
         - An empty command holds the last one.
         - Blank lines are left out.
         """
-        path = Path(path)
-        mapping = mapping_of(path, mapping)
-        layout = None if mapping is None else Layout.load(mapping)
-        if is_bag(path):
-            table = read_bag(path, layout)
-            _require(table.source, table.data, "name them in the mapping")
-            return _assemble(table)
-        file = ParquetFile(path) if path.suffix == ".parquet" else CsvFile(path)
-        entries, left, layout = _chosen(file, layout)
-        table = gathered(file, entries, layout)
-        table.notes += left
-        return _assemble(table)
+        table = read_table(path, mapping)
+        if table.lacking:
+            raise LogError(table.lacking)
+        return assemble(table)
+
+
+def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
+    """Return the columns of a log as its file has them, before any check or repair.
+
+    Parameters
+    ----------
+    path, mapping
+        As for :meth:`Log.read`.
+
+    Raises
+    ------
+    LogError
+        Where the file cannot be read, or has no time. Other columns may be missing:
+        ``lacking`` says which.
+    """
+    path = Path(path)
+    mapping = mapping_of(path, mapping)
+    layout = None if mapping is None else Layout.load(mapping)
+    if is_bag(path):
+        table = read_bag(path, layout)
+        table.lacking = _lacking(table.source, table.data, "name them in the mapping")
+        return table
+    file = ParquetFile(path) if path.suffix == ".parquet" else CsvFile(path)
+    entries, left, layout, lacking = _chosen(file, layout)
+    if not any(TIME in entry.names for entry in entries):
+        raise LogError(lacking)
+    table = gathered(file, entries, layout)
+    table.notes += left
+    table.lacking = lacking
+    return table
 
 
 def sibling_path(path: str | Path, suffix: str) -> Path:
@@ -304,17 +327,16 @@ def recorded_runs() -> dict[str, Path]:
     return {path.name.removesuffix(".csv.gz"): path for path in sorted(folder.glob("*.csv.gz"))}
 
 
-def _require(source: str, names: Collection[str], remedy: str) -> None:
-    """Refuse a table without the columns that each log needs."""
+def _lacking(source: str, names: Collection[str], remedy: str) -> str:
+    """Return which columns that each log needs a table has not, and the remedy; empty if none."""
     missing = [name for name in REQUIRED if name not in names]
-    if missing:
-        raise LogError(f"{source}: column(s) {', '.join(missing)} missing; {remedy}")
+    return f"{source}: column(s) {', '.join(missing)} missing; {remedy}" if missing else ""
 
 
 def _chosen(
     file: CsvFile | ParquetFile, layout: Layout | None
-) -> tuple[list[Entry], list[str], Layout]:
-    """Return how to make a log of a file's columns, what is left out, and the mapping."""
+) -> tuple[list[Entry], list[str], Layout, str]:
+    """Return how to make a log of a file's columns, what is left out, the mapping, what lacks."""
     source, header = file.source, file.header
     first = "the header" if isinstance(file, ParquetFile) else f"line {file.blank + 1}"
     if layout is None and not {"gps_x_m", "gps_y_m"} <= set(header):
@@ -366,16 +388,17 @@ def _chosen(
         if OTHER_UNITS.get(hint, (hint, 1.0))[0] in REQUIRED
     ]
     remedy = remedy or ["add them to the file"]
-    _require(source, made, f"{'; '.join(remedy)}, or name them in a mapping file {there}")
+    remedy_text = f"{'; '.join(remedy)}, or name them in a mapping file {there}"
+    lacking = _lacking(source, made, remedy_text)
     if layout.entries:
         notes = [f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"] if left else []
-        return entries, notes, layout
+        return entries, notes, layout, lacking
     notes = [
         f"{given or '(no name)'}: unknown column, left out"
         + (f"; if it is {hints[given]}, rename it" if given in hints else "")
         for given in left
     ]
-    return entries, notes, layout
+    return entries, notes, layout, lacking
 
 
 def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:
@@ -388,8 +411,19 @@ def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:
     return Entry(names, (given,), lambda values: [values[0] * factor] * len(names), note=note)
 
 
-def _assemble(table: Table) -> Log:
-    """Check and repair the columns of a table and make a log of them."""
+def assemble(table: Table) -> Log:
+    """Check and repair the columns of a table and make a log of them.
+
+    Parameters
+    ----------
+    table : Table
+        From :func:`read_table`; its ``notes`` grow.
+
+    Raises
+    ------
+    LogError
+        Where they cannot be used.
+    """
     notes = table.notes
     _merge_equal_times(table)
     names = table.data

@@ -3,7 +3,8 @@
 A mapping is a TOML file. For a CSV or Parquet file with columns of other names::
 
     [columns]                                       # log column = column of the file
-    t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times
+    t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times,
+                                                    # format = "%d/%m/%Y %I:%M:%S %p" unless ISO
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
     wind_mps = { from = "TWS", unit = "kn", offset = 0.0 }
@@ -206,12 +207,17 @@ class _Parser:
             value = self.number(name, given)
             return Entry(names, (), lambda _: [np.array(value)] * len(names))
         unit = name.rpartition("_")[2]
-        topic, source, factor, offset, table = self.source_of(name, given, unit, ("frame",))
+        topic, source, factor, offset, table = self.source_of(
+            name, given, unit, ("frame", "format")
+        )
         if name == TIME and topic:
             raise self.fail(name, "a message has its own time; choose it with stamp = ...")
         clock = table.get("unit") == "datetime"
         if clock and name != TIME:
             raise self.fail(name, "only t_s may be a datetime")
+        form = self.text(name, table, "format", "")
+        if form and not clock:
+            raise self.fail(name, 'format is for unit = "datetime"')
         frame = table.get("frame", "ned")
         if frame != "ned":
             if frame != "enu" or name not in _ENU:
@@ -231,6 +237,7 @@ class _Parser:
             topic,
             f"{both}: from {what}" + _conversion(factor, offset),
             clock,
+            form,
         )
 
     def position(self, given: Any) -> Entry:

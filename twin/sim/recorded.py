@@ -11,6 +11,7 @@ from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel, vessel_names
 
 __all__ = [
+    "has_particulars",
     "particulars_for_log",
     "read_run",
 ]
@@ -31,6 +32,11 @@ def read_run(
     return Log.read(path, mapping), particulars_for_log(path, ship)
 
 
+def has_particulars(path: str | Path) -> bool:
+    """Return whether a log states its boat: in a file next to it, or as a run of an archive."""
+    return sibling_path(path, ".toml").exists() or archive.known(path)
+
+
 def particulars_for_log(path: str | Path, ship: str | None = None) -> Particulars:
     """Return the particulars for a log.
 
@@ -41,11 +47,11 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> Particular
     log without particulars is such an error.
     """
     file = sibling_path(path, ".toml")
-    if ship is None and not file.exists():
-        if archive.known(path):
-            return archive.ship(path)
+    if ship is None and not has_particulars(path):
         names = ", ".join(vessel_names())
         raise ParticularsError(_NO_PARTICULARS.format(path=path, file=file, names=names))
+    if ship is None and not file.exists():
+        return archive.ship(path)
     ship = str(file) if ship is None else ship
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
