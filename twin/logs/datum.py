@@ -84,11 +84,13 @@ class Plane:
         latitude, longitude, x, y = (values[known] for values in (*fixes, *metres))
         # without a step where it crosses 180 degrees
         longitude = longitude[0] + np.remainder(longitude - longitude[0] + 180.0, 360.0) - 180.0
-        to_north, to_east = radii(float(np.median(latitude)))
-        plane = cls(
-            float(np.median(latitude - np.degrees(x / to_north))),
-            float(np.median(longitude - np.degrees(y / to_east))),
-        )
+        plane = cls(float(np.median(latitude)), 0.0)
+        for _ in range(3):  # the radii are those at the origin
+            to_north, to_east = radii(plane.latitude)
+            plane = cls(
+                float(np.median(latitude - np.degrees(x / to_north))),
+                float(np.median(longitude - np.degrees(y / to_east))),
+            )
         north, east = plane.metres(latitude, longitude)
         error = float(np.quantile(np.hypot(north - x, east - y), 0.9))
         if error > _MISFIT:
