@@ -258,8 +258,8 @@ def accumulate_rows(typing_context, to, factors, rows):
             """Add so many rows in groups of columns, of which the last overlaps the one before."""
             over = builder.and_(count, index(lanes - 1))
             done, group = builder.sub(count, over), index(lanes)
-            with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as place:
-                at = place[0]
+            with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as loop:
+                at = loop[0]
                 columns(at, lanes, begin, block)
             if lanes > 1:
                 with builder.if_then(builder.icmp_signed("!=", over, index(0))):
@@ -282,11 +282,11 @@ def accumulate_rows(typing_context, to, factors, rows):
 
         rest = builder.srem(many, index(_BLOCK))
         end = builder.sub(many, rest)
-        with cgutils.for_range_slice(builder, index(0), end, index(_BLOCK), intp=index) as place:
-            at = place[0]
+        with cgutils.for_range_slice(builder, index(0), end, index(_BLOCK), intp=index) as loop:
+            at = loop[0]
             across(at, _BLOCK)
-        with cgutils.for_range_slice(builder, end, many, index(1), intp=index) as place:
-            at = place[0]
+        with cgutils.for_range_slice(builder, end, many, index(1), intp=index) as loop:
+            at = loop[0]
             across(at, 1)
         return context.get_dummy_value()
 
@@ -326,8 +326,8 @@ def dot3(typing_context, first, factors, rows, count):
             number = builder.load(builder.gep(begin, [index(k)]))
             start = builder.insert_element(start, number, ir.IntType(32)(k))
         totals = [cgutils.alloca_once_value(builder, value) for value in (start, zero, zero, zero)]
-        with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as place:
-            at = place[0]
+        with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as loop:
+            at = loop[0]
             for k, total in enumerate(totals):
                 number = builder.add(at, index(k))
                 factor = _broadcast(builder, builder.load(builder.gep(each, [number])), 4)
@@ -376,8 +376,8 @@ def inner(typing_context, a, first, b, start, count):
                     builder, builder.select(new, builder.fmul(one, other), none)
                 )
                 done, group = builder.sub(count, over), index(_LANES)
-                with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as place:
-                    at = place[0]
+                with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as loop:
+                    at = loop[0]
                     fused, pair = term(at, _LANES)
                     builder.store(builder.call(fused, [*pair, builder.load(total)]), total)
                 builder.store(_folded(builder, builder.load(total), _LANES), result)
@@ -492,8 +492,8 @@ def dots(typing_context, a, b, x):
         count = builder.extract_value(rows[2].shape, 0)
         size = count.type(LANES)
         end = builder.sub(count, builder.srem(count, size))
-        with cgutils.for_range_slice(builder, count.type(0), end, size, intp=count.type) as place:
-            at = place[0]
+        with cgutils.for_range_slice(builder, count.type(0), end, size, intp=count.type) as loop:
+            at = loop[0]
             first, second, factor = (
                 builder.load(
                     builder.bitcast(builder.gep(row.data, [at]), kind.as_pointer()), align=8

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.agents.agent import ControllerError, check_actions, shaft_speeds
+from twin.channels import PSI, U, V, X, Y
 from twin.filters.linalg import cholesky, solve_factored
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import (
@@ -33,7 +34,7 @@ from twin.model.rollout import (
 from twin.model.structure import N_STATES
 from twin.predictors.plus_forecast import PRIOR_SHRINKAGE
 from twin.sim.batched_twins import CompiledTwins
-from usv_gym.envs.tasks import ERRORS, follow, path_errors
+from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, ERRORS, TO_GO, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import kernel
@@ -132,16 +133,16 @@ def residuals_of(knots, free, goal, config, work, out):
     for k in range(K):
         s = states[k]
         if free:
-            leg = follow(s[0], s[1], s[2], goal.points, leg, config.reach, errors)
+            leg = follow(s[X], s[Y], s[PSI], goal.points, leg, config.reach, errors)
             legs[k] = leg
         else:
-            path_errors(s[0], s[1], s[2], goal.points, int(legs[k]), errors)
+            path_errors(s[X], s[Y], s[PSI], goal.points, int(legs[k]), errors)
         # within reach there is a point only where the path ends: there the boat is to stop
         wanted = 1.0
-        if errors[1] < config.reach:
-            wanted = max(errors[1] / config.reach, -1.0)
-        along = s[3] * math.cos(errors[2]) + s[4] * math.sin(errors[2])
-        distance = errors[0] / config.length
+        if errors[TO_GO] < config.reach:
+            wanted = max(errors[TO_GO] / config.reach, -1.0)
+        along = s[U] * math.cos(errors[COURSE_ERROR]) + s[V] * math.sin(errors[COURSE_ERROR])
+        distance = errors[CROSS_TRACK] / config.length
         # its square grows as the distance does: far off the path the boat is to sail back, not wait
         out[k] = distance / (1.0 + distance * distance) ** 0.25
         out[K + k] = config.progress * (wanted - along / config.speed)

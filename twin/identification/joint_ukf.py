@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI
 from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.ukf import UKFWorkspace, scaled_weights
@@ -48,8 +49,6 @@ __all__ = [
 ]
 
 Array = NDArray[Any]
-
-PSI = 2
 
 STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.linalg import add_square, packed_size
 from twin.model.rollout import GRID
 from twin.model.structure import (
@@ -209,18 +210,18 @@ def drive(act, terms):
 def _stage(number, wind, xi, model, work, linear):
     """Write the rates of the state at a stage and, where asked, their derivatives by it."""
     s, k, terms = work.stage, work.rate, work.terms[number]
-    c, n = math.cos(s[2]), math.sin(s[2])
-    u, v, r = s[3], s[4], s[5]
+    c, n = math.cos(s[PSI]), math.sin(s[PSI])
+    u, v, r = s[U], s[V], s[R]
     state_terms(u, v, r, c, n, wind, model.hull, terms)
-    k[0], k[1], k[2] = u * c - v * n, u * n + v * c, r
-    k[3], k[4], k[5] = accelerations(terms, model, xi, 0)
+    k[X], k[Y], k[PSI] = u * c - v * n, u * n + v * c, r
+    k[U], k[V], k[R] = accelerations(terms, model, xi, 0)
     if not linear:
         return
     A, slopes, by_term = work.A[number], work.slopes, work.by_term
     term_slopes((u, v, r), (c, n), wind, model.hull, terms, slopes)
-    A[0, 2], A[0, 3], A[0, 4] = -k[1], c, -n
-    A[1, 2], A[1, 3], A[1, 4] = k[0], n, c
-    A[2, 5] = 1.0
+    A[X, PSI], A[X, U], A[X, V] = -k[Y], c, -n
+    A[Y, PSI], A[Y, U], A[Y, V] = k[X], n, c
+    A[PSI, R] = 1.0
     _add_slopes(BY_PSI, slopes[3], by_term, A, 2)
     _add_slopes(BY_U, slopes[0], by_term, A, 3)
     _add_slopes(BY_V, slopes[1], by_term, A, 4)
@@ -236,7 +237,7 @@ def _add_slopes(some, slopes, by_term, A, j):
         surge += by_term[t, 0] * slopes[t]
         sway += by_term[t, 1] * slopes[t]
         yaw += by_term[t, 2] * slopes[t]
-    A[3, j], A[4, j], A[5, j] = surge, sway, yaw
+    A[U, j], A[V, j], A[R, j] = surge, sway, yaw
 
 
 @inlined
@@ -264,7 +265,7 @@ def rk4_step(row, after, wind, xi, model, work, linear):
             stage[i] = s[i] + h * work.rate[i]
     for i in range(N_STATES):
         s[i] += GRID / 6.0 * sums[i]
-    return abs(s[3]) < 1e3 and abs(s[4]) < 1e3 and abs(s[5]) < 1e2
+    return abs(s[U]) < 1e3 and abs(s[V]) < 1e3 and abs(s[R]) < 1e2
 
 
 @kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.ukf import sigma_points, time_update
 from twin.model.dynamics import all_terms
 from twin.model.structure import N_STATES, accelerations, state_terms
@@ -59,19 +60,19 @@ def propagate_points(act, wind, model, h, terms, sigma):
     sin_psi, cos_psi = sin_0, cos_0
     for i in range(points.shape[0]):
         point = points[i]
-        u, v, r = point[3], point[4], point[5]
-        if point[2] == psi:  # Half of the points move no heading.
+        u, v, r = point[U], point[V], point[R]
+        if point[PSI] == psi:  # Half of the points move no heading.
             cos_psi, sin_psi = cos_0, sin_0
         else:
-            sin_psi, cos_psi = sincos(point[2])
+            sin_psi, cos_psi = sincos(point[PSI])
         state_terms(u, v, r, cos_psi, sin_psi, wind, model.hull, terms)
         du, dv, dr = accelerations(terms, model, point, N_STATES)
-        point[0] += h * (u * cos_psi - v * sin_psi)
-        point[1] += h * (u * sin_psi + v * cos_psi)
-        point[2] += h * r
-        point[3] += h * du
-        point[4] += h * dv
-        point[5] += h * dr
+        point[X] += h * (u * cos_psi - v * sin_psi)
+        point[Y] += h * (u * sin_psi + v * cos_psi)
+        point[PSI] += h * r
+        point[U] += h * du
+        point[V] += h * dv
+        point[R] += h * dr
 
 
 @inlined

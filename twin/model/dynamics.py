@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.model.structure import (
     N_STATES,
     Structure,
@@ -57,7 +58,7 @@ def all_terms(s, act, wind, model, terms):
         math.sin(act[3]),
         terms,
     )
-    state_terms(s[3], s[4], s[5], math.cos(s[2]), math.sin(s[2]), wind, model.hull, terms)
+    state_terms(s[U], s[V], s[R], math.cos(s[PSI]), math.sin(s[PSI]), wind, model.hull, terms)
 
 
 @kernel
@@ -68,11 +69,11 @@ def derivative(s, xi, act, wind, model, terms, out):
     north and east, m/s, zeros where it is not known. Source: Eq (20), (26).
     """
     all_terms(s, act, wind, model, terms)
-    cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
-    out[0] = s[3] * cos_psi - s[4] * sin_psi
-    out[1] = s[3] * sin_psi + s[4] * cos_psi
-    out[2] = s[5]
-    out[3], out[4], out[5] = accelerations(terms, model, xi, 0)
+    cos_psi, sin_psi = math.cos(s[PSI]), math.sin(s[PSI])
+    out[X] = s[U] * cos_psi - s[V] * sin_psi
+    out[Y] = s[U] * sin_psi + s[V] * cos_psi
+    out[PSI] = s[R]
+    out[U], out[V], out[R] = accelerations(terms, model, xi, 0)
 
 
 @kernel

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usv_gym  # noqa: F401 - registers the environment
+from twin.channels import U
 from twin.digital_twin import Twin
 from twin.filters.ukf import UKFWorkspace, measurement_update, workspace
 from twin.identification.filter_settings import plain_settings
@@ -166,7 +167,7 @@ class Problem:
         self.settings = plain_settings(self.boat)
         self.ukf = JointUKF(self.boat, self.settings)
         n = self.boat.shaft_speed * self.settings.n_unit
-        self.ukf.x[3], self.ukf.act[:] = self.boat.speed, (n, n, 0.1, 0.1)
+        self.ukf.x[U], self.ukf.act[:] = self.boat.speed, (n, n, 0.1, 0.1)
         self.x, self.P, self.z = self.ukf.x.copy(), self.ukf.P.copy(), self.ukf.x[:N_STATES].copy()
         self.Q, self.R = 1e-4 * np.eye(N_STATES), 0.1 * np.eye(N_STATES)
         self._terms, self._rate = np.zeros(N_TERMS), np.zeros(N_STATES)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.checkpoint import ANY, COUNT, GAPS, Field, State, StateError, restore_attributes
 from twin.filters.navigation_ekf import Navigator
 from twin.particulars import Particulars
@@ -29,6 +30,10 @@ GAP_MAX = 300.0
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
 
+STATES, VELOCITIES = slice(0, 6), slice(3, 6)
+COMMANDED, ACTUATORS = slice(6, 10), slice(10, 14)
+"""Parts of a row of the history; the actuators only where a predictor follows them."""
+
 _SPARE = 8
 """Rows kept beyond those needed: windows begin at whole seconds, and forecasts within a step."""
 
@@ -46,10 +51,10 @@ def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
     chord = after * np.sinc(half / math.pi)
     c, s = np.cos(psi_0 + half), np.sin(psi_0 + half)
     out = np.empty((*start.shape[:-1], len(after), 6))
-    out[..., 0] = start[..., 0, None] + chord * (u * c - v * s)
-    out[..., 1] = start[..., 1, None] + chord * (u * s + v * c)
-    out[..., 2] = psi_0 + r * after
-    out[..., 3], out[..., 4], out[..., 5] = u, v, r
+    out[..., X] = start[..., 0, None] + chord * (u * c - v * s)
+    out[..., Y] = start[..., 1, None] + chord * (u * s + v * c)
+    out[..., PSI] = psi_0 + r * after
+    out[..., U], out[..., V], out[..., R] = u, v, r
     return out
 
 
@@ -192,7 +197,7 @@ class HistoryPredictor(Predictor):
         while self._next <= t + 1e-9:
             share = 1.0 if dt <= 0.0 else min(max(1.0 - (t - self._next) / dt, 0.0), 1.0)
             row = self._last + share * (now - self._last)
-            row[6:10] = self._cmd
+            row[COMMANDED] = self._cmd
             self._rows.append(row)
             self._next += GRID
             self._drop_old()
@@ -240,7 +245,7 @@ class HistoryPredictor(Predictor):
             rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
             return np.outer(np.sqrt(GRID * np.arange(1, K + 1)), rate)
         ahead = origins[:, None] + np.arange(1, K + 1)
-        error = self.forecast(rows, origins, rows[ahead, 6:10]) - rows[ahead, :6]
+        error = self.forecast(rows, origins, rows[ahead, COMMANDED]) - rows[ahead, STATES]
         self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
         self._errors_at = count
         return self._errors
@@ -280,8 +285,8 @@ class Persistence(HistoryPredictor):
     def _sums(self, rows: Array, later: bool) -> Array:
         """Return sums of u, v, r before each row and after the last, from the first row ever."""
         if later:
-            return np.cumsum(np.concatenate([self._sum[None], rows[:, 3:6]]), axis=0)
-        return np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, 3:6], axis=0)])
+            return np.cumsum(np.concatenate([self._sum[None], rows[:, VELOCITIES]]), axis=0)
+        return np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, VELOCITIES], axis=0)])
 
     def forecast_from_last(self, rows: Array, plan: Array) -> Array:
         """See :meth:`HistoryPredictor.forecast_from_last`."""
@@ -297,7 +302,7 @@ class Persistence(HistoryPredictor):
         width = max(round(self.average / GRID), 1)
         first = np.maximum(origins + 1 - width, 0)
         velocity = (sums[origins + 1] - sums[first]) / (origins + 1 - first)[:, None]
-        return hold_velocity(rows[origins, :6], velocity, GRID * np.arange(1, steps + 1))
+        return hold_velocity(rows[origins, STATES], velocity, GRID * np.arange(1, steps + 1))
 
 
 class SmoothedPersistence(Persistence):

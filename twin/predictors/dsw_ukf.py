@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import MEASUREMENTS
+from twin.channels import MEASUREMENTS, PSI, U
 from twin.checkpoint import (
     COUNT,
     GAPS,
@@ -41,7 +41,6 @@ from twin.filters.ukf import measurement_update
 from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings
 from twin.identification.joint_ukf import (
-    PSI,
     accumulate_information,
     advance,
     clip_velocities,
@@ -452,7 +451,7 @@ class DSWPredictor(ModelPredictor):
             hs=self.waves.update(dt, float(z[_ACCEL_Y])),
             vw=self._wind,
             a_y=float(z[_ACCEL_Y]),
-            motion=float(s[3]),
+            motion=float(s[U]),
         )
 
     def _restart(self, W: int) -> None:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twin.channels import PSI, R, U, V
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.data_weight import note, score, select_trust, selector_state
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
@@ -142,13 +143,13 @@ def _slow_step(dt, nav, window, state, config, terms):
     n, act, slow, envelope = nav.n, state.act, window.slow, config.envelope
     steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
     h = min(dt, 10.0) / steps
-    c, s = math.cos(n[2]), math.sin(n[2])
+    c, s = math.cos(n[PSI]), math.sin(n[PSI])
     c_left, s_left = math.cos(act[2]), math.sin(act[2])
     thrust_terms(act[0], act[1], c_left, s_left, math.cos(act[3]), math.sin(act[3]), terms)
     for _ in range(steps):
         state_terms(slow[0], slow[1], slow[2], c, s, state.wind, config.model.hull, terms)
         rates = accelerations(terms, config.model, state.x, N_STATES)
-        rotate_body_velocity(n[5] - slow[2], h, slow, 0)
+        rotate_body_velocity(n[R] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
             slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
@@ -356,7 +357,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         terms = filter_workspace(work.filter, model.which.shape[1]).terms
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
-    sure = P[3, 3] < fast and P[4, 4] < fast and P[2, 2] < HEADING_GOOD**2
+    sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     good = 1.0 if sure and dt <= GAP_GOOD else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at:

@@ -14,9 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
 from twin.filters.navigation_ekf import aid, is_ready, navigate
 from twin.filters.navigation_state import (
+    IS_MODELLED,
     NAVIGATION,
     NAVIGATION_FIELDS,
     NAVIGATION_SETTINGS,
@@ -29,7 +31,6 @@ from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plai
 from twin.identification.identifiability import Identifiability, assess
 from twin.identification.joint_ukf import (
     JOINT_FIELDS,
-    PSI,
     STEP_MAX,
     JointUKF,
     accumulate_information,
@@ -115,7 +116,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
     x, P, act, wave_power, n, P_nav = state.x, state.P, state.act, state.wave_power, nav.n, nav.P
-    envelope, R, terms, accel, mask = (
+    envelope, noise, terms, accel, mask = (
         given.envelope,
         scratch.R,
         scratch.terms,
@@ -135,7 +136,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         accel[1] = min(max(dv, -speed * turn), speed * turn)
         accel[2] = min(max(dr, -turn * turn), turn * turn)
         # a model that has never been held to a measured motion may spin the navigation
-        accel[3] = nav.has_imu
+        accel[IS_MODELLED] = nav.has_imu
     age = nav.gps_age + dt
     navigate(nav, dt, z, accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
     if nav.begun == 0.0:
@@ -166,7 +167,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     advance(dt, cmd, state, given, scratch)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
-        R[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
+        noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
     if nav.imu_age == 0.0:
         nav.has_imu = 1.0
@@ -175,11 +176,11 @@ def tight_step(dt, z, cmd, memory, config, work):
     no_imu = nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
     if no_gps:
         # what the navigation then says of them is in part the model's own
-        mask[0] = mask[1] = 0.0
-        R[3, 3] *= OUTAGE_NOISE_FACTOR
-        R[4, 4] *= OUTAGE_NOISE_FACTOR
+        mask[X] = mask[Y] = 0.0
+        noise[U, U] *= OUTAGE_NOISE_FACTOR
+        noise[V, V] *= OUTAGE_NOISE_FACTOR
     if no_imu:
-        mask[5] = 0.0
+        mask[R] = 0.0
     if given.wave_time > 0.0:
         for k in range(3):
             i = PSI + 1 + k
@@ -187,20 +188,20 @@ def tight_step(dt, z, cmd, memory, config, work):
             if not (no_imu if k == 2 else no_gps):
                 # a prediction gone wild is no wave: none moves the boat faster than it sails
                 error = min(abs(n[i] - x[i]), 0.25 * envelope[k])
-                more = error * error - P[i, i] - R[i, i]
+                more = error * error - P[i, i] - noise[i, i]
                 share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
                 wave_power[k] = max(wave_power[k] + share * (more - wave_power[k]), 0.0)
-            R[i, i] += given.wave_noise * wave_power[k] / row
-    measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, scratch.sigma)
+            noise[i, i] += given.wave_noise * wave_power[k] / row
+    measurement_update(x, P, n[:N_STATES], mask, noise, PSI, math.inf, scratch.sigma)
     clip_velocities(x, envelope)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
         nav.since_aid = 0.0
         speed, turn = 0.25 * envelope[0], 0.25 * envelope[2]
-        aid(nav, nav_work, 3, x[3], (AID_SD * speed) ** 2)
-        aid(nav, nav_work, 4, x[4], (AID_SD * speed) ** 2)
+        aid(nav, nav_work, 3, x[U], (AID_SD * speed) ** 2)
+        aid(nav, nav_work, 4, x[V], (AID_SD * speed) ** 2)
         if no_imu:
-            aid(nav, nav_work, 5, x[5], (AID_TURN * turn) ** 2)
+            aid(nav, nav_work, 5, x[R], (AID_TURN * turn) ** 2)
     if no_gps:
         for i in range(2):
             spread = P[i, i]
@@ -220,8 +221,11 @@ def _update(dt, z, cmd, memory, config, work):
 @inlined
 def update_wind(z, wind):
     """Take the velocity of the true wind (m/s) from a row (10,), if both parts are there."""
-    if 0.0 <= z[8] < WIND_LIMIT and math.isfinite(z[9]):
-        wind[0], wind[1] = -z[8] * math.cos(z[9]), -z[8] * math.sin(z[9])
+    if 0.0 <= z[WIND_SPEED] < WIND_LIMIT and math.isfinite(z[WIND_FROM]):
+        wind[0], wind[1] = (
+            -z[WIND_SPEED] * math.cos(z[WIND_FROM]),
+            -z[WIND_SPEED] * math.sin(z[WIND_FROM]),
+        )
 
 
 class ModelPredictor(Predictor):

@@ -345,12 +345,12 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     base = env.unwrapped
     if not isinstance(base, USVEnv) or not (base.recorder and base.recorder.rows):
         raise UsvTwinError("make the environment with record=True, and reset it, to get its log")
-    rows = np.array(base.recorder.rows)
+    rows = base.recorder.rows
     log = Log(
-        t=rows[:, 0],
-        cmd=rows[:, 1:5],
-        z=np.array([measurement_row(row[5:13]) for row in rows]),
-        truth=rows[:, 13:][:, list(TRUE_STATE)],
+        t=np.array([row.t for row in rows]),
+        cmd=np.array([row.cmd for row in rows]),
+        z=np.array([measurement_row(row.z) for row in rows]),
+        truth=np.array([row.state[list(TRUE_STATE)] for row in rows]),
         name=f"{base.vessel.name}_episode",
     )
     if path is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -29,17 +29,27 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
 """Where these stand in a task's flat record: one list a step is quicker than seven views."""
 
 
+class Recorded(NamedTuple):
+    """What a step leaves in a log."""
+
+    t: float  # s
+    cmd: np.ndarray  # (4,) command in force: rev/s, rad
+    z: np.ndarray  # (8,) measurement, see SENSOR_CHANNELS
+    state: np.ndarray  # true state of the ship, see usv_gym.physics.frames
+
+
 class Recorder:
-    """Rows of an episode for its log: time, command, measurement and true state per step."""
+    """Rows of an episode for its log."""
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.rows: list[np.ndarray] = []
+        self.rows: list[Recorded] = []
 
     def observe(self, obs: np.ndarray, look: bool = True) -> None:
         """Add the row of this step."""
         sim = self.simulation
-        self.rows.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
+        now = sim.t.item(0), sim.cmd[0].copy(), sim.z[0].copy(), sim.state[0].copy()
+        self.rows.append(Recorded(*now))
 
 
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
+from twin.channels import PSI, R, U, V, X, Y
 from twin.logs.log import Log
 from twin.predictors.base import Prediction
+from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 
 __all__ = [
     "PredictorFigure",
@@ -28,8 +29,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-GYRO = MEASUREMENTS.index("gyro_radps")
 
 
 @dataclass(frozen=True)
@@ -80,19 +79,19 @@ class Reference:
     @property
     def path(self) -> Array:
         """Positions (n, 2) north and east, at the times ``t[0]``."""
-        return np.stack([self.v[0], self.v[1]], axis=1)
+        return np.stack([self.v[X], self.v[Y]], axis=1)
 
     @property
     def speed(self) -> Array:
         """Speed over ground, m/s, at the times of the surge speed."""
-        sway = np.interp(self.t[3], self.t[4], self.v[4]) if len(self.t[4]) else 0.0
-        return np.hypot(self.v[3], sway)
+        sway = np.interp(self.t[U], self.t[V], self.v[V]) if len(self.t[V]) else 0.0
+        return np.hypot(self.v[U], sway)
 
     def position(self, t: float) -> Array:
         """Return the position north and east at a time; NaN where there is none."""
-        if not len(self.t[0]):
+        if not len(self.t[X]):
             return np.full(2, math.nan)
-        return np.array([np.interp(t, self.t[0], self.v[j]) for j in (0, 1)])
+        return np.array([np.interp(t, self.t[X], self.v[j]) for j in (0, 1)])
 
     def within(self, column: int, t0: float, t1: float) -> tuple[Array, Array]:
         """Return times and values of one state between two times."""
@@ -124,21 +123,21 @@ def _measured_states(log: Log) -> Array:
     """Return states (N, 6) as far as the sensors give them; NaN elsewhere."""
     out = np.full((len(log), 6), math.nan)
     out[:, :2] = log.z[:, :2]
-    out[:, 2] = log.z[:, 4]
-    out[:, 5] = log.z[:, GYRO]
-    there = np.isfinite(out[:, 2])
+    out[:, PSI] = log.z[:, COMPASS]
+    out[:, R] = log.z[:, GYRO]
+    there = np.isfinite(out[:, PSI])
     if there.sum() < 2:
         return out
-    t, psi = log.t[there], np.unwrap(out[there, 2])
+    t, psi = log.t[there], np.unwrap(out[there, PSI])
     heading = np.interp(log.t, t, psi)
     c, s = np.cos(heading), np.sin(heading)
-    out[:, 3] = log.z[:, 2] * c + log.z[:, 3] * s
-    out[:, 4] = log.z[:, 3] * c - log.z[:, 2] * s
-    if not np.isfinite(out[:, 5]).any():
+    out[:, U] = log.z[:, GPS_VX] * c + log.z[:, GPS_VY] * s
+    out[:, V] = log.z[:, GPS_VY] * c - log.z[:, GPS_VX] * s
+    if not np.isfinite(out[:, R]).any():
         # no gyro: the slope of the heading over one second, short enough for a boat's turn
         late, early = np.minimum(log.t + 0.5, t[-1]), np.maximum(log.t - 0.5, t[0])
         turned = np.interp(late, t, psi) - np.interp(early, t, psi)
-        out[:, 5] = turned / np.maximum(late - early, 1e-9)
+        out[:, R] = turned / np.maximum(late - early, 1e-9)
     return out
 
 

@@ -36,6 +36,7 @@ from twin.benchmark.figures.style import (
     set_title,
     shade_lost,
 )
+from twin.channels import U
 from twin.predictors.base import Z90, Prediction
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def prediction_figure(run: RunFigure, start: float, styles: Styles, reference: R
     title = f"Predicted at t = {round(start, 1):g} s"
     fig, axes = new_figure(title, run_label(run), entries, mosaic, (WIDTH, 4.8))
 
-    speed = float(np.median(reference.speed)) if len(reference.v[3]) else 1.0
+    speed = float(np.median(reference.speed)) if len(reference.v[U]) else 1.0
     least = (2 * speed, 2 * speed, 10.0, 0.25 * speed, 0.15 * speed, 3.0)
     for column, title in PANELS.items():
         ax, unit = axes[column], 180.0 / math.pi if column in (2, 5) else 1.0

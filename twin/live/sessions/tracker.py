@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
 from usv_gym.envs.scene import TwinOverlay
+from usv_kernel.channels import COMPASS, GPS_X, GYRO
 
 __all__ = [
     "HORIZON",
@@ -52,8 +52,6 @@ SPACING = 0.05
 GAP, NEW_AFTER = 1.0, 30.0
 """Nothing is judged across so many seconds without a row, and after so many the curves begin
 again."""
-
-_X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
 
 
 def overlay_of(prediction: Prediction) -> TwinOverlay:
@@ -176,7 +174,7 @@ class TwinMonitor:
 
         ``truth`` (6,) is for the errors alone, NaN where it is not known. No twin receives it.
         """
-        fix, heading = z[_X : _X + 4], float(z[_COMPASS])
+        fix, heading = z[GPS_X : GPS_X + 4], float(z[COMPASS])
         if t - self.t > NEW_AFTER:
             self._rows, self._step = [], HISTORY_STEP
             self.error = self.error_hold = math.nan
@@ -192,7 +190,7 @@ class TwinMonitor:
             self._fixed_at = t
         if math.isfinite(heading):
             self.measured[2] = heading
-        if math.isfinite(z[_GYRO]):
+        if math.isfinite(z[GYRO]):
             self._gyro_at = t
         self._note_errors(before, truth)
         if not self._rows or t >= self._rows[-1][0][0] + self._step:

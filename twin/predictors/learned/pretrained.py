@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import Field
 from twin.particulars import GRAVITY, Particulars
-from twin.predictors.baselines import GRID
+from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
 from twin.predictors.learned.features import (
     ActuatedPredictor,
     fill_forward,
@@ -152,13 +152,13 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     B, past = window.shape[:2]
     out = np.zeros((B, past + ahead.shape[1], PER_ROW))
     seen = out[:, :past]
-    seen[..., :3] = (window[..., 3:6] / [U, U, U / L] - CENTRE) * SCALE
+    seen[..., :3] = (window[..., VELOCITIES] / [U, U, U / L] - CENTRE) * SCALE
     # the wind is the earth's: how the boat lay to it, from where it lies now
     turned = window[..., 2] - window[:, -1:, 2]
     seen[..., 3], seen[..., 4] = np.cos(turned), np.sin(turned)
     seen[..., 5:8] = window[..., 14:17]
     seen[..., 8] = 1.0
-    acts = np.concatenate([window[..., 10:14], ahead], axis=1)
+    acts = np.concatenate([window[..., ACTUATORS], ahead], axis=1)
     acts[..., :2] /= particulars.shaft_speed
     left, right = np.moveaxis(thrust_features(acts).reshape(*acts.shape[:2], 3, 2), 3, 0)
     out[..., 9], out[..., 10] = 0.5 * (left + right)[..., 0], 0.5 * (left - right)[..., 0]
@@ -307,11 +307,11 @@ class FleetPredictor(ActuatedPredictor):
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
         rows = fill_forward(rows)
         K, block = plans.shape[1], AHEAD * PATCH
-        plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:10])
+        plans = np.where(np.isfinite(plans), plans, rows[origins, None, COMMANDED])
         plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % block, axis=1)], axis=1)
-        acts = self.follow(rows[origins, 10:14], plans)
+        acts = self.follow(rows[origins, ACTUATORS], plans)
         window, known = self.windows(rows, origins)
-        window[..., 3:6] = np.clip(window[..., 3:6], -self.bound, self.bound)
+        window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
         out = []
         # beyond its horizon the net goes on from its own answers
         for first in range(0, plans.shape[1], block):
