@@ -1,4 +1,4 @@
-"""Formats of dates and times as loggers write them, told from the texts."""
+"""Formats of dates and times as loggers write them, from the texts."""
 
 from __future__ import annotations
 

@@ -375,6 +375,12 @@ def _projection(
         latitude, longitude = (value.copy() for value in values[:2])
         # 0, 0 and a status below 0 are a receiver without a fix
         none = (latitude == 0.0) & (longitude == 0.0)
+        beyond = float((np.abs(latitude) > 90.0).mean())
+        if beyond > 0.5 and not (np.abs(longitude) > 90.0).any():
+            raise LogError(
+                f"{source}: [position]: latitudes of up to {np.nanmax(np.abs(latitude)):.4g} "
+                "degrees: latitude and longitude are swapped; exchange the two columns"
+            )
         none |= ~(np.abs(latitude) <= 90.0) | ~(np.abs(longitude) <= 360.0)
         if len(values) > 2:
             none |= values[2] < 0.0

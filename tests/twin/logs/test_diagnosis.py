@@ -289,6 +289,11 @@ FAULTS: dict[str, tuple[Fault, Collection[str], Collection[int]]] = {
     "no fix for 15 s": (no_fix, {"fix-lost"}, TURNING),
     "fixes frozen for 20 s": (frozen(40.0, 60.0, X, Y, VX, VY), {"fix-frozen"}, IN_WAVES),
     "stale rows": (stale, {"stale-rows"}, (0, 1, 2, 3, 4, 9, 10, 14, 16)),
+    "a step of 20 m": (
+        lambda t, z, cmd: (t, z + np.outer(t > 50.0, [14.0] * 2 + [0.0] * 8), cmd),
+        {"fix-steps"},
+        (0, 1, 4, 5, 7, 9, 13, 14, 16),
+    ),
     "a jump of 700 m": (jump, {"fix-jumps"}, TURNING),
 }
 
@@ -512,6 +517,12 @@ def test_jitter_of_the_otter_is_named(run: str) -> None:
     assert not [f.text for f in found.values() if f.severity == ERROR]
 
 
+def test_jump_of_the_gnss_of_the_esso_osaka_is_named() -> None:
+    """Its README: isolated jumps of 0.15 to 0.74 m."""
+    found = found_in("esso_osaka_frt", "zigzag_31-Jul-2020_13_57_45")
+    assert found["fix-steps"].evidence["most_m"] == pytest.approx(0.43, abs=0.1)
+
+
 def test_false_fix_and_clock_gaps_of_the_otter_are_named() -> None:
     found = found_in("otter_oslofjord", "otter_12-44-08")
     assert found["fix-jumps"].evidence["fixes"] == 1
@@ -532,7 +543,8 @@ ALLOWED = {
     "esso_osaka_frt": {"compass-steps", "gyro-compass", "fix-steps", "force", "drift", "spin"},
     "kvlcc2_simman2008": set(),
     "boat1_usv": {"fix-stamps"},  # jittered stamps, fixes in every second row
-    "blueboat_trondheim": {"gyro-compass", "gyro-late"},  # its yaw rate is a filter's output
+    # position and yaw rate are a filter's output
+    "blueboat_trondheim": {"gyro-compass", "gyro-late", "fix-steps"},
 }
 
 

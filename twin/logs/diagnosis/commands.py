@@ -28,6 +28,9 @@ _HORIZONS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _CLEAR, _SHARE = 4.0, 0.15
 """An effect is seen if it is so many standard deviations, and explains this share."""
 
+_SWINGS = 3
+"""A command that swings less often says no more than wind that turns a boat."""
+
 _LEAST_ADVANCE, _LEAST_LENGTHS = 0.008, 0.001
 """Every propeller takes a boat farther than this in a revolution: m, and lengths of the boat."""
 
@@ -131,7 +134,8 @@ def yaw_effects(recording: Recording, sign: float = 1.0) -> dict[str, Effect]:
     signals = {
         name: value
         for name, value in signals.items()
-        if np.std(value) > 0.02 * max(float(np.abs(total).max()) * _reach(name, angle), 1e-12)
+        if _swings(value) >= _SWINGS
+        and np.std(value) > 0.02 * max(float(np.abs(total).max()) * _reach(name, angle), 1e-12)
     }
     if not signals:
         return {}
@@ -141,6 +145,13 @@ def yaw_effects(recording: Recording, sign: float = 1.0) -> dict[str, Effect]:
         if min(np.std(value) for value in sides.values()) > 0.05 * np.abs(force).max():
             best |= _best(recording, turning, sides)
     return best
+
+
+def _swings(value: Array) -> int:
+    """Return how often a command goes from one side of its middle to the other."""
+    middle, half = float(np.mean(value)), 0.25 * float(np.std(value))
+    side = np.sign(value - middle)[np.abs(value - middle) > half]
+    return int((np.diff(side) != 0.0).sum())
 
 
 def _reach(name: str, angle: Array) -> float:

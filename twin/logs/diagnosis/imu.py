@@ -24,8 +24,17 @@ _WINDOWS = (0.5, 1.0, 2.0, 4.0)
 _MOST_LATE = 3.0
 """Largest delay that is looked for, s."""
 
+_ANGLE = 0.05
+"""A bias turns the acceleration by about this angle, rad; on a circle that looks like a delay."""
+
+_SCALE = 0.3
+"""Where the accelerations differ by more than this share, tilt rules and no delay is claimed."""
+
 _CORRELATION = 0.7
 """The accelerometers see the motion of the boat from this correlation on."""
+
+_CLEAR = 0.85
+"""From this correlation on a delay is claimed."""
 
 _LATE = 0.3
 """A delay of the fixes worth a word beyond what the particulars state, s."""
@@ -125,6 +134,9 @@ def _compare(
     known = lag is not None and lag.correlation > _CORRELATION and math.isfinite(lag.sd)
     if not known:
         lag = find(turned=True)
+        # on a circle any angle goes with some delay
+        if lag is not None and float(lag.curve.min()) > 0.8 * lag.correlation:
+            return None
     if lag is None:
         return None
     moved = changes((t, values), grid + lag.seconds) @ (1.0, 1j)
@@ -138,7 +150,7 @@ def _compare(
     (cross, power, size), (other, _, size_other) = numbers
     fit = ImuFit(
         lag.seconds if known else 0.0,
-        lag.sd if known else math.inf,
+        math.hypot(lag.sd, _ANGLE / lag.sharpness) if known else math.inf,
         abs(cross) / size,
         abs(cross) / max(power, 1e-300),
         float(np.angle(cross)),
@@ -184,7 +196,8 @@ def check_imu(
             Finding(ERROR, "accel-unit", what, 'state unit = "g" in a mapping file', evidence)
         )
     stated = 0.0 if particulars is None else particulars.instruments.gps_latency
-    if fit.latency - stated > max(_LATE, 4.0 * fit.latency_sd):
+    sound = fit.correlation > _CLEAR and abs(fit.scale - 1.0) < _SCALE
+    if sound and fit.latency - stated > max(_LATE, 4.0 * fit.latency_sd):
         what = f"the GPS comes {fit.latency:.2f} s after the accelerometers" + (
             f"; the particulars say {stated:g} s" if particulars is not None else ""
         )

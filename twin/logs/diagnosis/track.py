@@ -36,7 +36,9 @@ class TrackFit(NamedTuple):
     offset: float
     """That angle on a straight course, rad ..."""
     offset_sd: float
-    """... and its standard deviation."""
+    """... and its standard deviation; infinite on a circle."""
+    in_current: float
+    """The same angle where a constant current is allowed for, rad; NaN on a straight course."""
     mirrored: float
     """Mean resultant length of course plus heading ..."""
     mirror: float
@@ -86,18 +88,34 @@ def compass_on_track(
         return complex((length * np.exp(1j * angle)).sum() / length.sum())
 
     along, across = mean(course - psi), mean(course + psi)
+    current = _offset_in_current(length / step, course, psi)
     # leeway in turns goes with their curvature, and is none of the offset
     left = np.remainder(course - psi - np.angle(along) + math.pi, TURN) - math.pi
     line = fit_line(turned * step / length, left)
+    curvature = turned * step / length
+    bent = np.abs(curvature) > 0.3 * np.quantile(np.abs(curvature), 0.9)
+    # on a circle nothing tells leeway from an offset
+    circle = bent.mean() > 0.7 and abs(float(np.sign(curvature[bent]).mean())) > 0.6
     return TrackFit(
         abs(along),
         float(np.remainder(np.angle(along) + line.offset + math.pi, TURN) - math.pi),
-        line.offset_sd,
+        math.inf if circle else line.offset_sd,
+        current,
         abs(across),
         float(np.angle(across)),
         abs(mean(psi)),
         float(length.sum()),
     )
+
+
+def _offset_in_current(speed: Array, course: Array, psi: Array) -> float:
+    """Return the angle from heading to motion through water that drifts; NaN on few headings."""
+    ahead = np.exp(1j * psi)
+    if abs(ahead.mean()) > 0.9:
+        return math.nan
+    A = np.column_stack([ahead, np.ones_like(ahead)])
+    fit = np.linalg.lstsq(A, speed * np.exp(1j * course), rcond=None)[0]
+    return float(np.angle(fit[0]))
 
 
 def thrust(recording: Recording) -> tuple[Array, Array] | None:
@@ -133,7 +151,9 @@ def check_track(
     if abs(degrees) > 150.0:
         return [_reversed(recording, plain, fit)]
     bound = _OFFSET_ROUND if fit.headings < 0.5 else _OFFSET_STRAIGHT
-    if abs(fit.offset) < bound + 3.0 * fit.offset_sd:
+    if not abs(fit.offset) > bound + 3.0 * fit.offset_sd:
+        return []
+    if math.isfinite(fit.in_current) and fit.in_current * np.sign(fit.offset) < bound:
         return []
     return [
         Finding(
