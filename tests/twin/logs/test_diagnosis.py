@@ -533,7 +533,7 @@ def test_false_fix_and_clock_gaps_of_the_otter_are_named() -> None:
 def test_swapped_sides_of_the_blueboat_are_named(run: str) -> None:
     """Its source has left and right swapped; the runs are put right."""
     assert "sides-swapped" not in found_in("blueboat_trondheim", run)
-    if run not in ("blueboat_218", "blueboat_221"):  # these hardly steer
+    if run not in ("blueboat_218", "blueboat_221", "blueboat_232"):  # these hardly steer
         assert "sides-swapped" in swapped("blueboat_trondheim", run)
 
 

@@ -28,8 +28,8 @@ _HORIZONS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _CLEAR, _SHARE = 4.0, 0.15
 """An effect is seen if it is so many standard deviations, and explains this share."""
 
-_SWINGS = 3
-"""A command that swings less often says no more than wind that turns a boat."""
+_SWINGS, _STRONG, _MOST = 3, 8.0, 0.5
+"""A command that swings less often could be wind that turns a boat: it must explain more."""
 
 _LEAST_ADVANCE, _LEAST_LENGTHS = 0.008, 0.001
 """Every propeller takes a boat farther than this in a revolution: m, and lengths of the boat."""
@@ -53,11 +53,14 @@ class Effect(NamedTuple):
     """Of the variance of the acceleration that it explains beyond the motion itself."""
     horizon: float
     """Time over which it was seen, s."""
+    swings: int = _SWINGS
+    """How often the command went from one side to the other."""
 
     @property
     def clear(self) -> bool:
         """Whether the data tell its sign."""
-        return abs(self.gain) > _CLEAR * self.sd and self.share > _SHARE
+        clear, share = (_CLEAR, _SHARE) if self.swings >= _SWINGS else (_STRONG, _MOST)
+        return abs(self.gain) > clear * self.sd and self.share > share
 
 
 def _regress(
@@ -134,8 +137,7 @@ def yaw_effects(recording: Recording, sign: float = 1.0) -> dict[str, Effect]:
     signals = {
         name: value
         for name, value in signals.items()
-        if _swings(value) >= _SWINGS
-        and np.std(value) > 0.02 * max(float(np.abs(total).max()) * _reach(name, angle), 1e-12)
+        if np.std(value) > 0.02 * max(float(np.abs(total).max()) * _reach(name, angle), 1e-12)
     }
     if not signals:
         return {}
@@ -184,7 +186,7 @@ def _best(
         for name, effect in zip(signals, effects, strict=False):
             if name not in found or _strength(effect) > _strength(found[name]):
                 found[name] = effect
-    return found
+    return {name: effect._replace(swings=_swings(signals[name])) for name, effect in found.items()}
 
 
 def _strength(effect: Effect) -> float:
