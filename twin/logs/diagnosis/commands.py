@@ -200,6 +200,8 @@ def speed_of(recording: Recording) -> tuple[Array, Array, Array] | None:
     if len(t) < 3 * ENOUGH or turning is None:
         return None
     way, middle, step = ways(t, fix)
+    if not np.isfinite(way).any():
+        return None
     return middle, way / step, averaged(*turning, middle, step)
 
 
@@ -310,7 +312,7 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
 def _angles(recording: Recording) -> list[Finding]:
     """Return a finding about angles that must be degrees."""
     delta = recording.cmd[:, 2:]
-    most = float(np.nanmax(np.abs(delta))) if np.isfinite(delta).any() else 0.0
+    most = float(np.fmax.reduce(np.abs(delta).ravel(), initial=0.0))
     if most <= _MOST_ANGLE:
         return []
     return [
@@ -350,7 +352,7 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
     shaft = np.nan_to_num(np.abs(n)).mean(axis=1)
     step = float(np.median(np.diff(middle)))
     turns = averaged(recording.t, shaft, middle, 2.0 * step)
-    fast = (speed > 0.4 * np.nanmax(speed)) & (turns > 0.2 * np.nanmax(turns))
+    fast = (speed > 0.4 * np.fmax.reduce(speed)) & (turns > 0.2 * np.fmax.reduce(turns))
     if fast.sum() < 5:
         return []
     advance = float(np.median(speed[fast] / turns[fast]))

@@ -75,7 +75,7 @@ def compass_on_track(
     turned = (sampled(t, psi, middle + width) - sampled(t, psi, middle - width)) / step
     psi = averaged(t, psi, middle, step)
     ok = np.isfinite(length) & np.isfinite(psi) & np.isfinite(turned)
-    ok &= length > 0.2 * float(np.nanmax(length, initial=1e-9))
+    ok &= length > 0.2 * float(np.fmax.reduce(length, initial=1e-9))
     if ok.sum() < 8:
         return None
     length, course, psi, turned = length[ok], course[ok], psi[ok], turned[ok]
@@ -121,7 +121,7 @@ def _offset_in_current(speed: Array, course: Array, psi: Array) -> float:
 def thrust(recording: Recording) -> tuple[Array, Array] | None:
     """Return times and the thrust that is commanded, in squared shaft speeds; None if unknown."""
     n = recording.cmd[:, :2]
-    if not np.isfinite(n).any() or not np.nanmax(np.abs(n)) > 0.0:
+    if not np.isfinite(n).any() or not np.fmax.reduce(np.abs(n).ravel()) > 0.0:
         return None
     return recording.t, np.nan_to_num(n * np.abs(n)).sum(axis=1)
 
