@@ -383,6 +383,77 @@ def test_unknown_particulars_are_to_be_filled_in(tmp_path: Path) -> None:
     assert Particulars.load(path).steering == "differential"
 
 
+# --- rest, and forces without a command -------------------------------------------------------
+
+
+def driven(left: np.ndarray, right: np.ndarray, current: float = 0.0) -> Log:
+    """Return a log of the Otter under shares of its nominal shaft speed, 20 a second."""
+    vessel = Vessel.load("otter")
+    n = particulars_of(vessel).shaft_speed
+    cmd = n * np.column_stack([left, right, 0.0 * left, 0.0 * left])
+    sea = SeaState(current=current, current_to=1.0)
+    suite = SensorSuite(gps_white=0.1, gps_bias=0.0)
+    log = simulate(cmd, vessel=vessel, sea=sea, duration=0.05 * len(left), seed=3, suite=suite)
+    return Log(log.t, log.z, log.cmd)
+
+
+def pulses(*parts: tuple[float, float]) -> np.ndarray:
+    """Return thrusts for so many seconds each."""
+    return np.concatenate([np.full(round(20.0 * seconds), share) for seconds, share in parts])
+
+
+def codes_of(log: Log, *hidden: tuple[float, float]) -> set[str]:
+    """Return the codes of a log from which the commands of some times are left out."""
+    cmd = log.cmd.copy()
+    for start, end in hidden:
+        cmd[(log.t > start) & (log.t < end)] = 0.0
+    found = diagnose(recording(Log(log.t, log.z, cmd)))
+    return {finding.code for finding in found.findings}
+
+
+FORCES = {"force", "drift", "spin"}
+
+
+def test_rest_is_noted_and_coasting_is_no_force() -> None:
+    thrust = pulses((60, 1.0), (120, 0.0), (30, 0.7))
+    codes = codes_of(driven(thrust, thrust))
+    assert "rest" in codes
+    assert not codes & FORCES
+
+
+def test_a_current_is_a_drift() -> None:
+    thrust = pulses((60, 1.0), (150, 0.0))
+    codes = codes_of(driven(thrust, thrust, current=0.4))
+    assert "drift" in codes
+    assert "rest" not in codes
+
+
+def test_thrust_that_is_not_recorded_is_a_force() -> None:
+    thrust = pulses((40, 1.0), (60, 0.0), (60, 0.8), (60, 0.0))
+    log = driven(thrust, thrust)
+    assert not codes_of(log) & FORCES
+    assert "force" in codes_of(log, (90.0, 170.0))
+
+
+def test_a_stuck_thruster_turns_the_boat() -> None:
+    thrust = pulses((40, 0.6), (60, 0.0), (60, 0.5), (60, 0.0))
+    log = driven(thrust, 0.0 * thrust)
+    assert codes_of(log, (90.0, 170.0)) & {"spin", "force"}
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_dead_unit_is_named(side: int) -> None:
+    steps = np.random.default_rng(0).uniform(0.3, 1.0, (2, 60))
+    sides = [np.repeat(step, 60) for step in steps]
+    asked = list(sides)
+    sides[side] = np.full(len(sides[side]), 0.6)  # runs on, whatever it is asked
+    log = driven(sides[0], sides[1])
+    cmd = log.cmd.copy()
+    cmd[1:, side] = asked[side] * log.cmd[5, side] / 0.6
+    found = diagnose(recording(Log(log.t, log.z, cmd)))
+    assert f"{('left', 'right')[side]}-unit-dead" in alarms(found)
+
+
 COLUMNS = (*COMMANDS, *MEASUREMENTS)
 
 
