@@ -436,7 +436,7 @@ def test_thrust_that_is_not_recorded_is_a_force() -> None:
 
 
 def test_a_stuck_thruster_turns_the_boat() -> None:
-    thrust = pulses((40, 0.6), (60, 0.0), (60, 0.5), (60, 0.0))
+    thrust = pulses((40, 0.6), (60, 0.0), (60, 0.7), (60, 0.0))
     log = driven(thrust, 0.0 * thrust)
     assert codes_of(log, (90.0, 170.0)) & {"spin", "force"}
 

@@ -25,7 +25,7 @@ _WINDOW = 5.0
 _REST = 0.05
 """A boat below this speed rests, m/s."""
 
-_GAIN, _YAW_GAIN = 0.15, 0.05
+_GAIN, _YAW_GAIN = 0.15, 0.03
 """What a boat gains without a command is a force: speed, m/s, and yaw rate, rad/s."""
 
 _STEADY, _STEADY_TIME = 0.9, 60.0
