@@ -355,7 +355,7 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
     fast = (speed > 0.4 * np.fmax.reduce(speed)) & (turns > 0.2 * np.fmax.reduce(turns))
     if fast.sum() < 5:
         return []
-    advance = float(np.median(speed[fast] / turns[fast]))
+    advance = float(np.quantile(speed[fast] / turns[fast], 0.75))
     found = _advance(name, advance, float(np.median(turns[fast])), particulars)
     if found and seen.min() >= 800.0 and np.ptp(seen) > 20.0 and seen.max() <= 2200.0:
         what = (
@@ -383,17 +383,17 @@ def _advance(
         return [Finding(ERROR, "shaft-unit", f"{said}: no propeller is so small", remedy, evidence)]
     ratio = particulars.speed / particulars.shaft_speed / max(advance, 1e-12)
     for unit, text in _UNITS.items():
-        if 0.6 < ratio / unit < 1.6:
+        if 0.7 < ratio / unit < 1.4:
             what = f"{said}, {ratio:.2g} times too little for this boat: {text}, not rev/s"
             remedy = f'state the unit in a mapping: unit = "{"rpm" if unit > 10.0 else "radps"}"'
             return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
-        if 0.6 < ratio * unit < 1.6:
+        if 0.7 < ratio * unit < 1.4:
             what = f"{said}, {1.0 / ratio:.2g} times too much for this boat: rev/s read as {text}"
             return [Finding(ERROR, "shaft-unit", what, "take the conversion out", evidence)]
     if not _LEAST_LENGTHS < advance / particulars.length < _MOST_LENGTHS:
         what = f"{said}, {advance / particulars.length:.2g} of its length"
         return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
-    if not 0.4 < ratio < 2.5:
+    if not 0.2 < ratio < 5.0:
         what = f"{said}; the particulars say {ratio * advance:.2g} m"
         remedy = (
             "give speed and shaft_speed in the particulars that belong together, in the log's unit"
