@@ -309,7 +309,7 @@ def unseen(name: str, cases: Collection[int]) -> dict[object, list[str]]:
         data = {"t_s": t, **dict(zip(COMMANDS, cmd.T, strict=True))}
         data |= dict(zip(MEASUREMENTS, z.T, strict=True))
         found = diagnose(Recording.of(data, {}, log.name), boat)
-        if not codes & set(alarms(found)):
+        if not codes & {finding.code for finding in found.findings}:
             missed[CASES[index][:5]] = alarms(found)
     return missed
 

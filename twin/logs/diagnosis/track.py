@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.logs.columns import Array
-from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, averaged, fit_line, sampled, ways
 
 __all__ = [
@@ -155,17 +155,18 @@ def check_track(
         return []
     if math.isfinite(fit.in_current) and fit.in_current * np.sign(fit.offset) < bound:
         return []
-    return [
-        Finding(
-            WARNING,
-            "compass-offset",
-            f"{name}: the track goes {abs(degrees):.0f} degrees to the "
-            f"{'right' if degrees > 0.0 else 'left'} of the compass",
-            f"if it is no current: offset = {fit.offset:.3f} in a mapping (magnetic variation, or "
-            "a sensor that sits askew)",
-            evidence,
-        )
-    ]
+    few = fit.headings >= 0.5
+    remedy = (
+        "current, leeway, or the compass: more headings would tell"
+        if few
+        else f"offset = {fit.offset:.3f} in a mapping (magnetic variation, or a sensor askew)"
+    )
+    what = (
+        f"{name}: the track goes {abs(degrees):.0f} degrees to the "
+        f"{'right' if degrees > 0.0 else 'left'} of the compass"
+        + (" on few headings" if few else "")
+    )
+    return [Finding(NOTE if few else WARNING, "compass-offset", what, remedy, evidence)]
 
 
 def _reversed(recording: Recording, plain: TrackFit, fit: TrackFit) -> Finding:
