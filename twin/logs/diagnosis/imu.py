@@ -33,6 +33,9 @@ _SCALE = 0.3
 _CORRELATION = 0.7
 """The accelerometers see the motion of the boat from this correlation on."""
 
+_CHANCE = 4.0
+"""Unrelated signals correlate by less than so many over the root of independent samples."""
+
 _CLEAR = 0.85
 """From this correlation on a delay is claimed."""
 
@@ -148,6 +151,9 @@ def _compare(
         power, own = float((np.abs(by_imu[ok]) ** 2).sum()), float((np.abs(moved[ok]) ** 2).sum())
         numbers.append((cross, power, math.sqrt(max(power * own, 1e-300))))
     (cross, power, size), (other, _, size_other) = numbers
+    chance = _CHANCE / math.sqrt((end - start) / width)
+    if max(abs(cross) / size, abs(other) / size_other) < chance:
+        return None
     fit = ImuFit(
         lag.seconds if known else 0.0,
         math.hypot(lag.sd, _ANGLE / lag.sharpness) if known else math.inf,
