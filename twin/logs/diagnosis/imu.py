@@ -33,7 +33,7 @@ _SCALE = 0.3
 _CORRELATION = 0.7
 """The accelerometers see the motion of the boat from this correlation on."""
 
-_CHANCE = 4.0
+_CHANCE = 5.0
 """Unrelated signals correlate by less than so many over the root of independent samples."""
 
 _CLEAR = 0.85
@@ -189,7 +189,8 @@ def check_imu(
     if fit.correlation < _CORRELATION:
         return []
     found = []
-    if abs(fit.turned) > math.radians(45.0):
+    same = any(0.5 < fit.scale / unit < 2.0 for unit in (1.0, _GRAVITY))
+    if abs(fit.turned) > math.radians(45.0) and same:
         what = (
             f"{names}: the accelerometers point {math.degrees(abs(fit.turned)):.0f} degrees off "
             "the motion"
