@@ -136,7 +136,10 @@ def _compare(
     # where the axes may be turned, a circle has any delay
     known = lag is not None and lag.correlation > _CORRELATION and math.isfinite(lag.sd)
     if not known:
-        lag = find(turned=True)
+        straight_on, lag = lag, find(turned=True)
+        # half a wave later everything points backwards
+        if lag and straight_on and lag.correlation < straight_on.correlation + 0.2:
+            return None
         # on a circle any angle goes with some delay
         if lag is not None and float(lag.curve.min()) > 0.8 * lag.correlation:
             return None
