@@ -338,6 +338,12 @@ class _Position:
     source: str
 
     def __call__(self, values: Sequence[Array]) -> list[Array]:
+        beyond = np.abs(values[0]) > 90.0
+        if beyond.mean() > 0.5 and not (np.abs(values[1]) > 90.0).any():
+            raise LogError(
+                f"{self.source}: [position]: latitudes of up to {np.nanmax(np.abs(values[0])):.4g} "
+                "degrees: latitude and longitude are swapped; exchange the two columns"
+            )
         latitude, longitude = _fixes(values)
         plane = self.plane(values)
         return [latitude, longitude] if plane is None else [*plane.metres(latitude, longitude)]

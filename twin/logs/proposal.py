@@ -10,9 +10,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
 from twin.logs.columns import Array, LogError
 from twin.logs.dates import DateFormat, date_formats
@@ -21,6 +21,9 @@ from twin.logs.diagnosis.heading import gyro_on_compass
 from twin.logs.diagnosis.position import velocity_on_fixes
 from twin.logs.diagnosis.track import compass_on_track
 from twin.logs.readers import CsvFile, ParquetFile, dates
+
+if TYPE_CHECKING:
+    import polars as pl
 
 __all__ = [
     "Proposal",
@@ -154,6 +157,9 @@ def propose(path: str | Path, order: str = "") -> Proposal:
 
 
 def _read(path: Path) -> _Columns:
+    """Return the cells of the first rows of a file."""
+    import polars as pl
+
     if path.suffix == ".parquet":
         frame = pl.scan_parquet(ParquetFile(path).path, glob=False).head(_ROWS).collect()
         frame = frame.with_columns(pl.all().cast(pl.String))

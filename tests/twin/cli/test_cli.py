@@ -17,7 +17,6 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from twin.cli.identify import LEGEND
 from typer.testing import CliRunner
 
 import usv_gym
@@ -26,6 +25,7 @@ from twin.benchmark.metrics import METRICS
 from twin.channels import STATE
 from twin.cli.benchmark import match_files, print_results
 from twin.cli.common import console, parse_seeds
+from twin.cli.logs.identify import LEGEND
 from twin.cli.main import COMMANDS, app, expand_files
 from twin.model.structure import MODELS, structure_of
 from twin.sim.bridge import particulars_of

@@ -39,6 +39,12 @@ _PIECES = 1000
 _STAMP_JITTER = 0.03
 """Stamps of fixes that jitter by more than this are worth a word, s."""
 
+_STEP, _STEP_NOISE = 0.1, 15.0
+"""A fix that steps by more than this (m) and so many times the median step aside has jumped."""
+
+_SINGLE = 0.01
+"""More than this share of the fixes are no single jumps: stamps jitter, or the boat is quick."""
+
 _LATE, _MOST_LATE = 0.25, 3.0
 """A delay between fixes and velocity worth a word, and the largest looked for, s."""
 
@@ -295,8 +301,37 @@ def check_position(recording: Recording) -> list[Finding]:
                 stamps._asdict(),
             )
         )
+    found += _steps(names, t, fix)
     fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
+
+
+def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
+    """Return a finding where fixes step aside and stay there."""
+    if len(t) < 3 * ENOUGH:
+        return []
+    step, width = np.diff(fix, axis=0), np.diff(t)
+    speed = step / width[:, None]
+    # what the steps around it do not explain
+    near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
+    left = np.hypot(*(step[2:-2] - width[2:-2, None] * near).T)
+    even = width[2:-2] < 3.0 * float(np.median(width))
+    bound = max(_STEP, _STEP_NOISE * float(np.median(left)))
+    wild = np.flatnonzero((left > bound) & even)
+    if not 0 < len(wild) <= max(3, _SINGLE * len(t)):
+        return []
+    most = int(wild[np.argmax(left[wild])])
+    at, length = float(t[most + 3]), float(left[most])
+    return [
+        Finding(
+            WARNING,
+            "fix-steps",
+            f"{names}: the fixes step aside by up to {length:.2g} m from one to the next (at t = "
+            f"{at:.1f} s), {len(wild)} time(s)",
+            "the receiver changed satellites or mode: expect errors of the position of this size",
+            {"most_m": length, "at_s": at, "times": float(len(wild))},
+        )
+    ]
 
 
 def _in_degrees(fix: Array) -> str:
