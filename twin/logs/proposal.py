@@ -223,7 +223,9 @@ def _pick(columns: _Columns, meaning: str, *, numeric: bool = True) -> str | Non
     there = [
         name
         for name in columns.left
-        if (name in columns.numbers or not numeric) and _means(name, _NAMES[meaning])
+        if (name in columns.numbers or not numeric)
+        and _means(name, _NAMES[meaning])
+        and "rpm" not in _words(name)  # the r of rpm_r is a side
     ]
     exact = [name for name in there if re.fullmatch(_NAMES[meaning], "".join(_words(name)[:1]))]
     return min(exact or there, key=lambda name: len(_words(name)), default=None)

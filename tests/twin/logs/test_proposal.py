@@ -217,3 +217,13 @@ def test_dates_of_a_stated_format_are_read(tmp_path: Path, run: Log, form: str) 
 )
 def test_formats_of_dates(texts: list[str], formats: list[str]) -> None:
     assert [each.format for each in date_formats(texts)] == formats
+
+
+def test_sides_of_shaft_speeds_are_no_yaw_rate(tmp_path: Path) -> None:
+    file = tmp_path / "rpm.csv"
+    rows = [f"{k},{k},0,0.1,{800 + k % 7},{810 + k % 5}" for k in range(60)]
+    file.write_text("t_s,x,y,heading_rad,rpm_l,rpm_r\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    lines = propose(file).lines["columns"]
+    assert 'n_left_rps = { from = "rpm_l", unit = "rpm" }' in lines
+    assert 'n_right_rps = { from = "rpm_r", unit = "rpm" }' in lines
+    assert not any(line.startswith("gyro") for line in lines)
