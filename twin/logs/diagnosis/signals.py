@@ -148,6 +148,10 @@ def _median(values: Array) -> float:
     return float(np.median(known)) if len(known) else math.inf
 
 
+_HUGE = 1e60
+"""No measurement is larger."""
+
+
 class Line(NamedTuple):
     """``y = slope x + offset``, robustly."""
 
@@ -171,6 +175,11 @@ def fit_line(x: Array, y: Array, loss: float = 2.0) -> Line:
     loss : float
         Residuals beyond so many standard deviations count linearly.
     """
+    # squares of garbage overflow
+    sane = (np.abs(x) < _HUGE) & (np.abs(y) < _HUGE)
+    x, y = x[sane], y[sane]
+    if not len(x):
+        return Line(0.0, 0.0, math.inf, math.inf, math.inf, 0.0)
     A = np.column_stack([x, np.ones_like(x)])
     weight = np.ones_like(x)
     for _ in range(20):
