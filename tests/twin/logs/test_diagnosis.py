@@ -114,32 +114,21 @@ def test_sound_logs_have_no_finding(index: int) -> None:
 Fault = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
-def measured(*columns: int) -> Callable[[Callable[[np.ndarray], np.ndarray]], Fault]:
-    """Return a fault of some measurements from a function of their values."""
+def changed(part: int, *columns: int) -> Callable[[Callable[[np.ndarray], np.ndarray]], Fault]:
+    """Return a fault of some columns of t, z or cmd from a function of their values."""
 
     def of(change: Callable[[np.ndarray], np.ndarray]) -> Fault:
-        def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray):
-            z = z.copy()
-            z[:, columns] = change(z[:, columns])
-            return t, z, cmd
+        def fault(*log: np.ndarray):
+            values = log[part].copy()
+            values[:, columns] = change(values[:, columns])
+            return *log[:part], values, *log[part + 1 :]
 
         return fault
 
     return of
 
 
-def commanded(*columns: int) -> Callable[[Callable[[np.ndarray], np.ndarray]], Fault]:
-    """Return a fault of some commands from a function of their values."""
-
-    def of(change: Callable[[np.ndarray], np.ndarray]) -> Fault:
-        def fault(t: np.ndarray, z: np.ndarray, cmd: np.ndarray):
-            cmd = cmd.copy()
-            cmd[:, columns] = change(cmd[:, columns])
-            return t, z, cmd
-
-        return fault
-
-    return of
+measured, commanded = functools.partial(changed, 1), functools.partial(changed, 2)
 
 
 def late_by(seconds: float, *columns: int) -> Fault:

@@ -71,10 +71,14 @@ _UNIT_NEAR, _RATIO_NEAR = 0.06, 0.15
 class Jumps(NamedTuple):
     """Fixes that no boat can reach from the others."""
 
-    good: npt.NDArray[np.bool_]
-    """Which fixes can be reached."""
-    first: int
-    """Index of the fix before the first jump."""
+    lost: npt.NDArray[np.intp]
+    """Their rows."""
+    fixes: int
+    """How many rows hold a fix."""
+    before: int
+    """Row of the fix before the first jump ..."""
+    after: int
+    """... and of that after it."""
     length: float
     """Of the first jump, m."""
 
@@ -85,10 +89,12 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     Parameters
     ----------
     t, fix : ndarray, shape (N,) and (N, 2)
-        Times, s, and positions, m.
+        Times, s, and positions, m; NaN in rows without a fix.
     """
-    if len(t) < 2:
+    rows = np.flatnonzero(np.isfinite(fix).all(axis=1))
+    if len(rows) < 2:
         return None
+    t, fix = t[rows], fix[rows]
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
@@ -113,7 +119,10 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     while piece >= 0:
         good[start[piece] : end[piece] + 1] = True
         piece = int(before[piece])
-    return Jumps(good, int(broken[0]), float(length[broken[0]]))
+    first = int(broken[0])
+    return Jumps(
+        rows[~good], len(rows), int(rows[first]), int(rows[first + 1]), float(length[first])
+    )
 
 
 class StampFit(NamedTuple):
@@ -275,18 +284,18 @@ def check_position(recording: Recording) -> list[Finding]:
     found = []
     jumps = find_jumps(t, fix)
     if jumps is not None:
-        lost = int((~jumps.good).sum())
+        lost = len(jumps.lost)
         found.append(
             Finding(
                 WARNING if lost < 0.1 * len(t) else ERROR,
                 "fix-jumps",
                 f"{names}: {lost} of {len(t)} fixes cannot be reached from the others (a jump of "
-                f"{jumps.length:.4g} m at t = {t[jumps.first + 1]:.1f} s)",
+                f"{jumps.length:.4g} m at t = {t[jumps.after]:.1f} s)",
                 "single ones are left out when the log is read; else empty these cells",
                 {"fixes": lost, "first_m": jumps.length},
             )
         )
-        t, fix = t[jumps.good], fix[jumps.good]
+        t, fix = np.delete(t, jumps.lost), np.delete(fix, jumps.lost, axis=0)
     stamps = fix_stamps(t, fix)
     if stamps is not None and stamps.along > 2.0 * stamps.across and stamps.jitter > _STAMP_JITTER:
         found.append(
