@@ -91,8 +91,8 @@ def compass_on_track(
     current = _offset_in_current(length / step, course, psi)
     # leeway in turns goes with their curvature, and is none of the offset
     left = np.remainder(course - psi - np.angle(along) + math.pi, TURN) - math.pi
-    line = fit_line(turned * step / length, left)
     curvature = turned * step / length
+    line = fit_line(curvature, left)
     bent = np.abs(curvature) > 0.3 * np.quantile(np.abs(curvature), 0.9)
     # on a circle nothing tells leeway from an offset
     circle = bent.mean() > 0.7 and abs(float(np.sign(curvature[bent]).mean())) > 0.6
