@@ -280,5 +280,5 @@ def _draw_curves(results: Mapping[str, Any]) -> Any:
         _in_metres(ax)
         ax.grid(alpha=0.3)
         ax.legend(fontsize=8, loc="upper right")
-    axes[0, 0].set_ylabel("off the path, m (mean; band: all runs)")
+    axes[0, 0].set_ylabel("off the path, m (mean; shaded: all runs)")
     return figure

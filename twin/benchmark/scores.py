@@ -133,7 +133,7 @@ def score(prediction: Prediction, truth: Array, horizons: Sequence[float]) -> Sc
     headings alone, is at the start, then at the horizons.
     """
     mean, cov = prediction.at(np.array(horizons))
-    low, high = prediction.band(np.array(horizons))
+    low, high = prediction.interval(np.array(horizons))
     start, later = truth[0], truth[1:]
     psi = later[:, 2]
     c, s = np.cos(psi), np.sin(psi)

@@ -111,7 +111,7 @@ def _compare(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]],
             try:
                 with errors.status(f"{name}: compiling"):
                     seconds = cases.cold_compile_seconds(options)
-            except RuntimeError as error:
+            except cases.CompileError as error:
                 note(f"left out: {name}: {error}")
                 continue
             timed = {"rate_per_s": 1.0 / seconds, "median_us": 1e6 * seconds}

@@ -26,6 +26,7 @@ from twin.logs.readers import (
     thinned,
     too_long,
 )
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "is_bag",
@@ -85,7 +86,7 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
                 _sample(topics[link.topic], reader.deserialize(raw, link.msgtype), received)
     except LogError:
         raise
-    except _Absent as error:
+    except _FieldError as error:
         raise LogError(f"{path}: topic {link.topic} ({link.msgtype}): {error}") from None
     except Exception as error:  # a damaged bag fails in as many ways as it has bytes
         reason = shorten(" ".join(str(error).split()) or type(error).__name__, 120)
@@ -128,7 +129,7 @@ def _asked(path: Path, layout: Layout | None, types: dict[str, str]) -> dict[str
     return topics
 
 
-class _Absent(Exception):
+class _FieldError(UsvTwinError):
     """A field that a message lacks, or that is no number."""
 
 
@@ -146,11 +147,13 @@ def _getter(source: str) -> Callable[[Any], float]:
             if optional:
                 return float("nan")
             known = ", ".join(name for name in vars(message) if not name.startswith("_"))
-            raise _Absent(f"no field {source}; the message has {known}") from None
+            raise _FieldError(f"no field {source}; the message has {known}") from None
         try:
             return float(value)
         except (TypeError, ValueError):
-            raise _Absent(f"the field {source} is a {type(value).__name__}, no number") from None
+            raise _FieldError(
+                f"the field {source} is a {type(value).__name__}, no number"
+            ) from None
 
     return get
 

@@ -130,7 +130,7 @@ class Prediction:
             self._between(self.start_cov, self.cov, horizons),
         )
 
-    def band(self, horizons: Array) -> tuple[Array, Array]:
+    def interval(self, horizons: Array) -> tuple[Array, Array]:
         """Return the 5 % and 95 % points, each (h, 6), at times after t0, interpolated.
 
         Parameters

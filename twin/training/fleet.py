@@ -374,11 +374,13 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             super().__init__()
             between = settings.dropout if settings.layers > 1 else 0.0
             self.body = nn.LSTM(TOKEN, width, settings.layers, batch_first=True, dropout=between)
-            self.drop = nn.Dropout(settings.dropout)
+            self.dropout = nn.Dropout(settings.dropout)
             self.read = nn.Linear(width + TOKEN, 3 * PATCH)
 
         def forward(self, x: Any) -> Any:
-            return self.read(torch.cat([self.drop(self.body(x)[0][:, PAST:]), x[:, PAST:]], dim=2))
+            return self.read(
+                torch.cat([self.dropout(self.body(x)[0][:, PAST:]), x[:, PAST:]], dim=2)
+            )
 
     class Layer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -386,14 +388,14 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
             self.qkv, self.mix = nn.Linear(width, 3 * width), nn.Linear(width, width)
             self.up, self.down = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
-            self.drop = nn.Dropout(settings.dropout)
+            self.dropout = nn.Dropout(settings.dropout)
 
         def forward(self, x: Any) -> Any:
             B, T = x.shape[:2]
             q, k, v = self.qkv(self.norm1(x)).view(B, T, 3, HEADS, -1).permute(2, 0, 3, 1, 4)
             seen = nn.functional.scaled_dot_product_attention(q, k, v, is_causal=True)
-            x = x + self.drop(self.mix(seen.transpose(1, 2).reshape(B, T, width)))
-            return x + self.drop(self.down(nn.functional.relu(self.up(self.norm2(x)))))
+            x = x + self.dropout(self.mix(seen.transpose(1, 2).reshape(B, T, width)))
+            return x + self.dropout(self.down(nn.functional.relu(self.up(self.norm2(x)))))
 
     class Transformer(Module):  # type: ignore[misc]
         def __init__(self) -> None:

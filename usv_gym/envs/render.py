@@ -58,7 +58,7 @@ _RED, _PURPLE = (213, 94, 0), (170, 68, 130)
 
 _WATER, _GRID, _PANEL = (236, 244, 249), (219, 230, 237), (255, 255, 255)
 
-_BAND, _HULL = (248, 216, 178), (92, 99, 105)
+_PALE, _HULL = (248, 216, 178), (92, 99, 105)
 
 _FINE = 2  # the map is painted so many times larger, and smoothed
 
@@ -310,9 +310,9 @@ class Painter:
         overlay = scene.overlay
         if overlay:
             near = 3.0 * max(rect.size)
-            places, covs = overlay.band()[1:]
+            places, covs = overlay.interpolate()[1:]
             for shape in at(ellipses(places, covs), near):
-                draw.polygon(canvas, _BAND, shape)
+                draw.polygon(canvas, _PALE, shape)
             for shape in at(ellipses(overlay.ahead[:, :2], overlay.covs, 64), near):
                 draw.polygon(canvas, _RED, shape, thin // 2)
         if len(scene.path):
@@ -411,7 +411,11 @@ class Painter:
             rows += [
                 ("ghost", _RED, "twin: boat now"),
                 ("line", _RED, f"twin: next {scene.overlay.horizons[-1]:g} s"),
-                ("band", _BAND, f"twin: {SDS:g} sd; at {_listed(scene.overlay.horizons)} s"),
+                (
+                    "ellipse",
+                    _PALE,
+                    f"twin: {SDS:g} sd; at {_listed(scene.overlay.horizons)} s",
+                ),
             ]
         if len(scene.path):
             rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
@@ -427,7 +431,7 @@ class Painter:
                 draw.polygon(frame, colour, shape, 0 if kind == "hull" else thin)
             elif kind == "dot":
                 draw.circle(frame, colour, middle, 0.25 * em)
-            elif kind == "band":
+            elif kind == "ellipse":
                 box = self.pg.Rect(left, y - 0.4 * em, 2 * em, 0.8 * em)
                 draw.ellipse(frame, colour, box)
                 draw.ellipse(frame, _RED, box, 1)

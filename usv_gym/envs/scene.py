@@ -16,7 +16,7 @@ __all__ = ["SDS", "Scene", "Trail", "TwinOverlay", "drives", "ellipses", "outlin
 Array = NDArray[np.float64]
 
 SDS = 2.0
-"""Half width of the twin's band in standard deviations."""
+"""Half width of the twin's interval in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class TwinOverlay:
     ahead: Array  # (H, 6): states then
     covs: Array  # (H, 2, 2): covariances of the positions then, m2
 
-    def band(self, steps: int = 60) -> tuple[Array, Array, Array]:
+    def interpolate(self, steps: int = 60) -> tuple[Array, Array, Array]:
         """Return times ahead (T,), positions (T, 2) and their covariances (T, 2, 2) in between.
 
         Positions follow the speeds forecast at each horizon; covariances are linear in time.

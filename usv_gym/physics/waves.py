@@ -92,7 +92,7 @@ def _shape(
 
 
 # A loop becomes vector instructions only while few rows are in play: whether they overlap is
-# looked at before it begins. Hence the short loops below.
+# looked at before it begins. So the loops below are short.
 @kernel
 def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
     """Write the product of two rows."""

@@ -26,7 +26,7 @@ class SeaError(UsvTwinError):
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A wave spectrum as a table, straight between its points and nought beyond them.
+    """A wave spectrum as a table, linear between its points and zero beyond them.
 
     ``omega`` (n,) rises, rad/s, above 0; ``density`` (n,) is in m2 s/rad, not below 0.
     """

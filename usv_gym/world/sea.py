@@ -169,7 +169,7 @@ class SeaState:
             raise SeaError(
                 f"gamma = {self.gamma}: only the spectrum jonswap takes a peak enhancement"
             )
-        self._take_course()
+        self._take_schedule()
         if self.tp is not None and self.hs > STEEPEST * GRAVITY * self.tp**2 / _TURN:
             raise SeaError(
                 f"hs = {self.hs:g} m with tp = {self.tp:g} s: such waves break; the height must be "
@@ -191,7 +191,7 @@ class SeaState:
         if isinstance(spectrum, Spectrum) and self.hs == 0.0 and not self.schedule:
             object.__setattr__(self, "hs", spectrum.moments.hs)
 
-    def _take_course(self) -> None:
+    def _take_schedule(self) -> None:
         """Check the schedule, and take the greatest height and wind from it."""
         try:
             schedule = tuple(SeaKeyframe(*keyframe) for keyframe in self.schedule)

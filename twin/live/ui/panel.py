@@ -317,7 +317,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["heading (twin)"] = f"{math.degrees(overlay.state[2]) % 360.0:05.1f} deg"
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
         sd = math.sqrt(max(float(np.linalg.eigvalsh(overlay.covs[-1])[-1]), 0.0))
-        lines[f"band at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
+        lines[f"interval at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession):
@@ -479,7 +479,7 @@ class Curves:
             if curve.title != title:
                 curve.title = title
                 curve.axes = axes(title)
-            self._draw(curve, seen.t, *band(seen, column))
+            self._draw(curve, seen.t, *interval(seen, column))
 
     def _curve(
         self, title: str, *series: tuple[str, Any, tuple[float, ...]], under_choice: bool = False
@@ -526,7 +526,7 @@ def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:
     )
 
 
-def band(seen: History, column: int) -> tuple[Array, Array, Array]:
-    """Return a parameter and its band."""
+def interval(seen: History, column: int) -> tuple[Array, Array, Array]:
+    """Return a parameter and the ends of its interval, each (n,)."""
     middle, off = seen.params[:, column], SDS * seen.params_sd[:, column]
     return middle, middle - off, middle + off

@@ -246,7 +246,7 @@ class SceneView:
         lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
         self.ghost.position = (float(x), float(y), -lift)
         self.ghost.wxyz = attitude(0.0, 0.0, float(psi))
-        places, covs = overlay.band(STEPS)[1:]
+        places, covs = overlay.interpolate(STEPS)[1:]
         left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
         net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)
         self.ribbon.vertices = self._lifted(net.reshape(-1, 2), height, 0.04)

@@ -129,7 +129,7 @@ def test_what_is_drawn_is_the_prediction():
         seen.step(t, z, cmd)
     prediction = seen.predict()
     overlay = overlay_of(prediction)
-    times, places, covs = overlay.band(80)
+    times, places, covs = overlay.interpolate(80)
     for h in (2.5, 5.0, 10.0):
         k, row = int(np.argmin(np.abs(times - h))), round(h / PLAN_STEP) - 1
         np.testing.assert_allclose(places[k], prediction.mean[row, :2], atol=1e-6)
