@@ -48,7 +48,7 @@ VERSION = 3
 """Version of the format. It rises when a field changes its name or meaning."""
 
 SIZE_MAX, EXPANSION_MAX = 2**28, 20
-"""A saved twin unpacks to no more bytes than this, or than so many times its file: zeros of an
+"""A saved twin unpacks to no more bytes than this, or than so many times its file. Zeros of an
 empty window shrink to nothing, a long history hardly at all."""
 
 _HEADER = "header.json"

@@ -282,10 +282,10 @@ class Twin:
         Returns
         -------
         StateTable, shape (N,)
-            A structured array of what was estimated at each row: time, state and parameters with
-            their standard deviations, latitude, longitude and date where the log has them. It has
-            ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table:
-            ``for row in log: twin.step(*row)``.
+            A structured array of the estimates at each row: time, state and parameters with their
+            standard deviations. Latitude, longitude and date are there where the log has them. It
+            has ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table: ``for row in
+            log: twin.step(*row)``.
 
         Raises
         ------

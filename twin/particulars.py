@@ -110,8 +110,8 @@ class Instruments:
         Where antenna and IMU sit: m forward and m to starboard of the origin, which is the
         point whose position and velocity are wanted.
     tilt_sd, tilt_time : float
-        Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them,
-        0 for one that stays upright or whose IMU removes gravity; and how long a tilt lasts (s).
+        Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them, and
+        how long a tilt lasts (s). 0 for a boat that stays upright or whose IMU removes gravity.
     """
 
     gps_sd: float = 0.4

@@ -1,6 +1,6 @@
 """Sums of rows in vector instructions, written out where compilers do not find them.
 
-A loop over a few dozen numbers is left half scalar by LLVM: what is over of a multiple of sixteen
+A loop over a few dozen numbers is left half scalar by LLVM. The remainder of a division by sixteen
 is done one by one, after checks that the arrays do not overlap. Here the last group of lanes
 overlaps the one before instead, and nothing is stored before all of it has been read.
 """

@@ -1,9 +1,9 @@
 """Model-predictive control with the model that the twin has identified, for many boats at once.
 
-Every decision minimises a sum of squares over the seconds ahead: the distance off the path, all
-of whose legs the boat knows; the speed along it that is lacking; and the effort. The unknowns are
-shaft speed and angle at a few times ("knots"), straight lines between them. The motion under a
-plan is that of the boat's own twin (:func:`twin.model.rollout.rollout`), from the twin's
+Every decision minimises a sum of squares over the seconds ahead. Its terms are the distance from
+the path, the lack of speed along it, and the effort. The boat knows all legs of the path. The
+unknowns are shaft speed and angle at a few times ("knots"), straight lines between them. The motion
+under a plan is that of the boat's own twin (:func:`twin.model.rollout.rollout`), from the twin's
 estimate. Damped Gauss-Newton steps improve the best of a few first guesses: the plan of the
 decision before, and angles that are held. Nothing is drawn at random.
 
@@ -124,9 +124,9 @@ def residuals_of(knots, free, goal, config, work, out):
     """Write the residuals of a plan (2 M,) and of its motion; return the sum of their squares.
 
     ``free`` says whether the legs follow from the motion, or are given: a slope is that of the same
-    legs. The motion is left in ``work.paths``, its legs in ``work.legs``. ``out`` (2 K + 3 M,) has
-    lengths off the path and speed that is lacking, row by row; shaft speeds less the nominal one,
-    and changes from knot to knot.
+    legs. The motion is left in ``work.paths``, its legs in ``work.legs``. ``out`` (2 K + 3 M,) has,
+    row by row, lengths from the path and the lack of speed. Shaft speeds less the nominal one and
+    changes from knot to knot follow.
     """
     states, legs, errors, leg = work.paths.states[0], work.legs, work.errors, goal.leg
     K, many = states.shape[0], knots.shape[0] // WIDTH
@@ -286,8 +286,8 @@ class ModelPredictive:
     steps : int
         Gauss-Newton steps in a decision, at most.
     progress, effort, change : float
-        Weights of the speed that is lacking, of shaft speeds less the nominal one, and of changes
-        from knot to knot; a length off the path has the weight 1.
+        Weights of the lack of speed, of shaft speeds less the nominal one, and of changes from knot
+        to knot. A length from the path has the weight 1.
     """
 
     name = "mpc-twin"

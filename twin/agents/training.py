@@ -1,9 +1,9 @@
 """Training with Stable-Baselines3: reproducible, and it goes on where it was stopped.
 
-A run is a folder. Every ``EVERY`` decisions it comes to a break: the policy is evaluated on fixed
-seeds, all that training needs is written to the folder, and then every random number generator is
-seeded from the run's seed and the decisions made, and every boat begins an episode. So a run
-that goes on from a checkpoint is the run that was never stopped.
+A run is a folder. Every ``EVERY`` decisions it comes to a break. The policy is evaluated on fixed
+seeds, and all that training needs is written to the folder. Then every random number generator is
+seeded from the run's seed and the decisions made, and every boat begins an episode. So a run that
+goes on from a checkpoint is the run that was never stopped.
 """
 
 from __future__ import annotations

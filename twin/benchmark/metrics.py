@@ -161,10 +161,10 @@ _SOURCES = {"mae_median": "mae", "E_runs": "E"}
 def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the summary over seeds: means with 95 % bootstrap intervals, and medians.
 
-    ``J`` is a ratio of means, as in the study: the mean error over all runs over that of the
-    oracle, averaged over channels; ``E`` is J - 1. Their medians are of single runs. ``E_runs`` is
-    the mean of the runs' own E, which few runs with a nearly perfect oracle can dominate.
-    ``mae_median`` is the median MAE as a metric of its own.
+    ``J`` is a ratio of means, as in the study: mean error over all runs over the oracle's, averaged
+    over channels. ``E`` is J - 1. Their medians are of single runs. ``E_runs`` is the mean of the
+    runs' own E, which few runs with a nearly perfect oracle can dominate. ``mae_median`` is the
+    median MAE as a metric of its own.
     """
     order = {tuple(row[key] for key in _CELL): None for row in runs}
     groups = _groups(runs, *_CELL)

@@ -51,11 +51,11 @@ def bench_command(
     """Measure the speed of this package, and of Pendulum and filterpy beside it.
 
     All cases take turns in short bursts. Shown are medians over the rounds, per operation: a step
-    of one boat, an update, a row, a refit, a prediction. "ratio": speed over that of the first
-    case of the block. "target": least rate on the reference machine, where Gymnasium's Pendulum
-    makes 94 k steps/s, or least ratio. "fraction": the part of the target that is reached, with
-    rates scaled by Pendulum's rate here in the same round; 1 or more is enough on any machine.
-    Ctrl-C shows what is there.
+    of one boat, an update, a row, a refit, a prediction. "ratio": speed over that of the first case
+    of the block. "target": least rate on the reference machine, where Gymnasium's Pendulum makes 94
+    k steps/s, or least ratio. "fraction": the part of the target that is reached, with rates scaled
+    by Pendulum's rate in the same round. 1 or more is enough on any machine. Ctrl-C shows what is
+    there.
     """
     if json_out is not None:
         # before the minutes of measuring, not after them

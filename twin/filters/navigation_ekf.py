@@ -4,16 +4,15 @@ An extended Kalman filter with twelve states
 
     n = (x, y, psi, u, v, r, b_gyro, b_ax, b_ay, b_compass, t_x, t_y)
 
-(north and east in m, heading in rad, velocity over the ground forward and starboard in m/s,
-yaw rate in rad/s, the biases of gyro, accelerometers and compass, and the gravity that tilt
-lets into each accelerometer, m/s2: first-order Gauss-Markov, as are the biases, but fast).
-The accelerometers drive u and v; GPS position, GPS velocity, compass and gyro are measured
-one number after the other, so that any of them may be missing in any row. Antenna and IMU may
-sit off the origin.
+(north and east in m, heading in rad, velocity over the ground forward and starboard in m/s, yaw
+rate in rad/s, the biases of gyro, accelerometers and compass, and the gravity that tilt lets into
+each accelerometer, m/s2: first-order Gauss-Markov, as are the biases, but fast). The accelerometers
+drive u and v. GPS position, GPS velocity, compass and gyro are measured one number after the other.
+So any of them may be missing in any row. Antenna and IMU may sit off the origin.
 
-A GPS sample is ``gps_latency`` old, and is compared with where the antenna was then. For that
-a ring holds the recent path by dead reckoning alone: what was corrected since is taken as an
-error of heading and velocity that was there all the time.
+A GPS sample is ``gps_latency`` old, and is compared with where the antenna was then. For that a
+ring holds the recent path by dead reckoning alone. What was corrected since then counts as a
+constant error of heading and velocity.
 
 Where the accelerometers are missing, the accelerations of a model may be handed in; without
 one, velocities are held.
@@ -21,14 +20,14 @@ one, velocities are held.
 No sample, besides NaN, is
 
 - a number that no boat gives (:data:`SPEED_LIMIT` and others);
-- one further than :data:`GATE` standard deviations off, until so many in a row were refused
-  that the filter must be the one that is wrong: then it restarts from that number. An
-  acceleration is refused where it leaps from one row to the next;
-- a frozen one: a sensor all of whose given numbers repeat to the last bit has said nothing
-  new, be it that it is stuck or that the log has more rows than the sensor has samples. But
-  a number may also stay because nothing moves, or because it is rounded. So once it has
-  stayed for :data:`FROZEN_TIME`, a fix or heading that is within its standard deviation of
-  what the filter expects counts as new. An IMU that repeats is always one that says nothing.
+- one further than :data:`GATE` standard deviations off. After many refusals in a row the filter
+  must be wrong: it restarts from that number. An acceleration is refused where it leaps from one
+  row to the next;
+- a frozen one: all numbers of a sensor repeat to the last bit. Either it is stuck, or the log has
+  more rows than the sensor has samples. But a number may also stay because nothing moves, or
+  because it is rounded. So once it has stayed for :data:`FROZEN_TIME`, a fix or heading that is
+  within its standard deviation of what the filter expects counts as new. An IMU that repeats is
+  always one that says nothing.
 
 The filter knows nothing of waves: what it says moves with them.
 """
@@ -312,8 +311,8 @@ def navigate(nav, dt, z, model, settings, work):
     z : ndarray, shape (10,)
         Measurement row in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
     model : ndarray, shape (4,)
-        Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use:
-        1 if a model gave them, 0 if there is none and velocities are held.
+        Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use. 1: a
+        model gave them; 0: there is none, and velocities are held.
     settings, work : record
         :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """

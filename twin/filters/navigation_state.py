@@ -2,7 +2,7 @@
 
 The state is n = (x, y, psi, u, v, r, b_gyro, b_ax, b_ay, b_compass, t_x, t_y): see
 :mod:`twin.filters.navigation_ekf`. What has one size for every boat is a record of a structured
-dtype on flat memory: kernels and Python read and write the same names, and a record goes into a
+dtype on flat memory. Kernels and Python read and write the same names, and a record goes into a
 call as one pointer.
 """
 
@@ -32,8 +32,8 @@ Array = NDArray[np.float64]
 N_NAV = 12
 
 GYRO_BIAS, ACCEL_X_BIAS, ACCEL_Y_BIAS, COMPASS_BIAS, TILT_X, TILT_Y = range(len(STATE), N_NAV)
-"""Places in the filter's state of what follows x, y, psi, u, v, r: biases of the sensors, and the
-specific force that tilt lets in."""
+"""Places in the filter's state after x, y, psi, u, v, r: biases of the sensors, and the specific
+force that tilt lets in."""
 
 IMU_LEAPS = 6
 """Place of the IMU's leaps among the runs of refused numbers."""

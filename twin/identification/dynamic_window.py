@@ -1,20 +1,20 @@
 """The paper's dynamic sliding window: how many samples the identifier looks back on.
 
-The window has W = w + w_r samples (Eq 35). Its variable part w_r follows from a fluctuation
-index of wind and waves (Eq 37) and from a nonlinearity index (Eq 39) that rests on the
-largest Lyapunov exponent of the motion; a lateral acceleration above 0.3 g doubles the
-window. It is adjusted when a period has elapsed that shrinks with the innovation covariance
-(Eq 36). The adaptation of Q and R (Eq 52) stands here as well.
+The window has W = w + w_r samples (Eq 35). Its variable part w_r follows from a fluctuation index
+of wind and waves (Eq 37) and a nonlinearity index (Eq 39). The latter rests on the largest Lyapunov
+exponent of the motion. A lateral acceleration above 0.3 g doubles the window. It is adjusted when a
+period has elapsed that shrinks with the innovation covariance (Eq 36). The adaptation of Q and R
+(Eq 52) stands here as well.
 
-Equations are numbered as the paper prints them beside its formulas: (34) is the augmented
-state, (35) W, (36) the period, (37) the fluctuation index, (38) the exponent, (39) the
-nonlinearity index, (40) w_r, (52) the adaptation, which the text around it calls 49.
+Equations are numbered as the paper prints them beside its formulas. (34) is the augmented state,
+(35) W, (36) the period, (37) the fluctuation index, (38) the exponent. (39) is the nonlinearity
+index, (40) w_r, (52) the adaptation, which the text around it calls 49.
 
 Eq 38 is an estimate from one pair of points. The text names the small-data method of
 Rosenstein, Collins and De Luca (1993, Physica D 65:117-134), and that is what is computed.
 
-None of this is recommended: with 15 noisy samples the exponent measures the noise, and no
-reading of the window was found to beat a plain filter. It is here to reproduce the paper.
+None of this is recommended. With 15 noisy samples the exponent measures the noise. No reading of
+the window was found to beat a plain filter. It is here to reproduce the paper.
 """
 
 from __future__ import annotations

@@ -1,21 +1,21 @@
 """Multi-step prediction-error refit: the parameters with which the model would have predicted best.
 
-A window of navigation states on an even grid is cut into *segments*: every ``spacing`` seconds
-one begins, and from there the model is rolled out over ``horizon`` seconds under the actuators
-as they were. The parameters are those that make the errors of all segments small,
+A window of navigation states on an even grid is cut into *segments*. Every ``spacing`` seconds one
+begins, and from there the model is rolled out over ``horizon`` seconds under the actuators as they
+were. The parameters are those that make the errors of all segments small,
 
     sum over segments of  n_i rho(q_i)  +  (xi - xi_0)' P_0^-1 (xi - xi_0),
     q_i = scale / n_i * min over d of [ sum of (errors / sd)^2 + (d / sd_d)^2 ]
 
-with n_i errors in segment i, a free offset d of the initial u, v, r (it carries a wave, which no
-parameter should absorb) and rho(q) = q up to ``knee``, and knee (1 + log(q / knee)) beyond: a
-segment that a gust or a wave group has disturbed counts less, as if its weight were
-min(1, knee / q). ``scale`` makes up for errors that are correlated from sample to sample. A
-``trust`` other than 1 multiplies what all the segments say, against the prior.
+with n_i errors in segment i, a free offset d of the initial u, v, r, and rho(q) = q up to ``knee``,
+and knee (1 + log(q / knee)) beyond. The offset carries a wave, which no parameter should absorb. A
+segment that a gust or a wave group has disturbed counts less, as if its weight were min(1, knee /
+q). ``scale`` makes up for errors that are correlated from sample to sample. A ``trust`` other than
+1 multiplies what all the segments say, against the prior.
 
-Each segment is kept as a quadratic in xi about the parameters at which it was linearised, with
-the offset removed by its Schur complement, so that a refit costs a sum of small matrices.
-Segments are relinearised a few at a time, those first whose parameters have moved most.
+Each segment is kept as a quadratic in xi about the parameters at which it was linearised. The
+offset is removed by its Schur complement. So a refit costs a sum of small matrices. Segments are
+relinearised a few at a time, those first whose parameters have moved most.
 
 Source: docs/explanation/twin.md, The refit; Levenberg 1944, Marquardt 1963.
 """

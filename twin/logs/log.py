@@ -1,8 +1,7 @@
 """A recorded run: measurements and commands as read from a file, checked and repaired.
 
-A log is all that a twin may see. Missing data is normal in it and stays missing (NaN);
-what cannot be used is refused with the place and the remedy; what was repaired on the way
-is counted in :attr:`Log.notes`.
+A log is all that a twin may see. Missing data is normal in it and stays missing (NaN). What cannot
+be used is refused with the place and the remedy. Repairs are counted in :attr:`Log.notes`.
 """
 
 from __future__ import annotations
@@ -246,9 +245,9 @@ class Log:
         Repairs, each counted in ``notes``:
 
         - An empty cell (or NaN, NA, null) of a measurement is missing data.
-        - A fix bit-equal to the last one is no new sample but a receiver slower than the
-          log, and becomes NaN, its velocity too if that repeats as well; so does a
-          repeated compass value.
+        - A fix bit-equal to the last one is no new sample: the receiver is slower than the log. It
+          becomes NaN, and its velocity too if that repeats as well. So does a repeated compass
+          value.
         - Fixes that no boat can reach from the others (a jump of 500 m and back) become NaN.
         - A step of time above 5 times the median is a gap: missing data.
         - Rows of equal time that do not contradict each other become one.

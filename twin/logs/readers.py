@@ -1,7 +1,7 @@
 """Columns of numbers out of CSV and Parquet files, block by block.
 
-Only the columns that are asked for are kept, and of a file that is too long only the piece or
-the thinned rows that are asked for: a file may be larger than the memory.
+Only the columns that are asked for are kept. Of a file that is too long, only the piece or the
+thinned rows that are asked for are kept: it may be larger than the memory.
 """
 
 from __future__ import annotations

@@ -321,8 +321,9 @@ def rollout(start, plan, dt, config, waves, out, work):
     config : RolloutConfig
         Boat and model.
     waves : Waves
-        At a gain above 0, that of an observer which counts as waves what it leaves of the measured
-        velocities, u and v also turn against the waves' yaw rate. At 0 waves only carry the boat.
+        The gain is that of an observer which counts its residual of the measured velocities as
+        waves. Above 0, u and v also turn against the waves' yaw rate. At 0 waves only carry the
+        boat.
     out : Paths
         Written.
     work : array

@@ -1,9 +1,9 @@
 """What ``usv-twin bench`` times: environments, filters, predictors and ships.
 
 An operation is a step of one boat, an update of a filter, a row or a refit of a predictor, or a
-prediction. Environments sail a turn in sea state 2 with 100 wave components, in the task ``free``
-and without a time limit, so that no episode ends meanwhile. Their bursts are long enough to
-contain what is done only now and then: new noise, forecasts, refits.
+prediction. Environments turn in sea state 2 with 100 wave components, in the task ``free`` and
+without a time limit, so that no episode ends meanwhile. Their bursts are long enough to contain
+what is done only now and then: new noise, forecasts, refits.
 """
 
 from __future__ import annotations

@@ -101,8 +101,9 @@ class Prediction:
     def table(self, datum: Datum | None = None) -> StateTable:
         """Return the forecast as a structured array, with ``to_pandas()`` and ``write(path)``.
 
-        Its columns are ``t_s``; date, latitude and longitude where the datum has them; the means
-        by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and ``high_``.
+        Its columns are ``t_s``; date, latitude and longitude where the datum has them. Then the
+        means by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and
+        ``high_``.
 
         Parameters
         ----------

@@ -61,8 +61,8 @@ def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
 class HistoryPredictor(Predictor):
     """A predictor from the past states of its navigation filter, on an even grid.
 
-    Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the
-    root mean square of their errors at each horizon, against later navigation states.
+    Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the RMS
+    of their errors at each horizon, against later navigation states.
 
     Subclasses provide :meth:`forecast`, and say with :attr:`look_back` how long a history it needs.
     """

@@ -226,9 +226,9 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
     """Write how draws of parameters, start and waves deviate from the mean forecast.
 
     ``mean`` is the mean forecast with rows ``mean_dt`` (s) apart, and the plan of the draws with
-    its predicted waves: the same twice where both are at the same rows. ``normal`` has standard
-    normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used again where
-    they do not reach; the first of the waves are zeros.
+    its predicted waves. It is the same twice where both are at the same rows. ``normal`` has
+    standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used again
+    where they do not reach. The first of the waves are zeros.
     """
     central, own = mean
     by_params, by_start, by_waves = normal

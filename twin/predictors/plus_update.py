@@ -69,16 +69,16 @@ __all__ = [
 ]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s. By it, too, the velocities of a draw take on its waves: what
-was measured is the observer's motion and what that left, and so will be what comes."""
+"""Of the low-frequency observer, 1/s. The velocities of a draw take on its waves by it, too. A
+measured velocity is the observer's motion and its residual, and so will be those to come."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
-"""A row may be fitted if the navigation is as sure as this of velocity (nominal speeds) and
-heading (rad), and if the row before it is not older (s)."""
+"""Largest standard deviations of velocity (nominal speeds) and heading (rad) with which a row may
+be fitted, and greatest age (s) of the row before it."""
 
 WAVE_SPAN, LATE_SPAN = 80.0, 60.0
-"""Waves are predicted from what was left of this many seconds, and drawn from so many of the last
-of them that are any good: before, it is also what was not yet learned."""
+"""Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
+valid ones. Earlier residuals also hold what was not yet learned."""
 
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""

@@ -1,6 +1,6 @@
 """What twins add to observations: n boats in one compiled call where the predictor has one.
 
-The ``ukf`` and ``dsw-ukf-plus`` keep all that they remember in flat arrays, which stand here row by
+The ``ukf`` and ``dsw-ukf-plus`` keep all that they remember in flat arrays. They stand here row by
 row, one for each boat; :attr:`CompiledTwins.boats` gives them by name. Every other predictor is
 asked boat by boat.
 """

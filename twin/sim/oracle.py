@@ -1,8 +1,8 @@
 """The oracle: the best possible prediction, with the true boat in mean wind and current.
 
 It sails the ship of the simulation, in the mean wind and current, which it is given; waves and
-gusts are unknown to it. It is the floor that the excess error of the benchmark is measured from,
-and no twin: on a real boat there is no such thing.
+gusts are unknown to it. It is the reference from which the benchmark measures the excess error. On
+a real boat there is no such thing.
 """
 
 from __future__ import annotations
@@ -133,11 +133,11 @@ def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -
 class Oracle(HistoryPredictor):
     """The true ship in the mean wind and current, from a filtered start.
 
-    Place and heading come from the tight navigation filter; speeds and yaw rate from an observer,
-    the ship itself sailing along and pulled to the navigation's velocities by :data:`GAIN`, so that
-    it does not take the waves of the moment for the boat's motion. The actuators follow the
-    commands as the true ones do. Waves, their mean drift, gusts and the slow changes of the wind
-    are not known to it. Intervals are those of
+    Position and heading come from the tight navigation filter, speeds and yaw rate from an
+    observer. The observer is a simulated copy of the ship, corrected towards the navigation's
+    velocities with the gain :data:`GAIN`, so that the momentary orbital motion of the waves is not
+    taken for the boat's own. The actuators follow the commands as the true ones do. Waves, their
+    mean drift, gusts and the slow changes of the wind are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
     ``vessel`` is the true boat; left out, the package's vessel of which the particulars speak.

@@ -286,9 +286,9 @@ def make_env(
           :class:`TwinObservation`;
         - ``"twin_params"``: and behind that the identified parameters and their standard
           deviations, both in units of the standard deviations that they had at the start;
-        - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only: speeds, yaw
-          rate, heading, errors of the path, shaft speeds and drive angles, in the units of
-          those sets.
+        - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only. It is speeds, yaw
+          rate, heading, errors of the path, shaft speeds and drive angles, in the units of those
+          sets.
 
         Left out, it is ``"twin"``, or ``"raw"`` with ``twin=None``. ``observation_names`` of the
         environment has a name for each entry.

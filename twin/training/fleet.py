@@ -1,11 +1,11 @@
 """A fleet of simulated boats, and the nets that learn from it: ``python -m twin.training.fleet``.
 
-Each boat sails a few manoeuvres in seas of its own, with noisy sensors that fail at times; what
-the navigation filter makes of them is what a net sees, and the truth is what it has to predict.
-Boats, seas and sensors are drawn apart from those of the benchmark.
+Each boat sails a few manoeuvres in seas of its own, with noisy sensors that fail at times. A net
+sees the output of the navigation filter, and has to predict the truth. Boats, seas and sensors are
+drawn apart from those of the benchmark.
 
-Training stops at Ctrl-C and goes on where it was, at the next call; the result depends on
-seed and settings alone (and on the machine's arithmetic).
+Training stops at Ctrl-C and goes on where it was, at the next call. The result depends on seed and
+settings alone (and on the machine's arithmetic).
 
 Source: docs/explanation/twin.md, Learned predictors; boats, nets and training are ours.
 """

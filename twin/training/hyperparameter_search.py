@@ -112,9 +112,9 @@ def search(
 ) -> list[dict[str, Any]]:
     """Return what is known of the configurations that came furthest, the best first.
 
-    Their steps follow from the windows they learn from: ``first`` in the first of the ``rungs``,
-    twice as many in each that follows with the better half. ``folder`` keeps ``search.jsonl`` and
-    the states of trainings. Returned are ``settings``, ``windows`` and ``loss`` of the last rung's.
+    Their steps follow from their training windows: ``first`` in the first of the ``rungs``, twice
+    as many in each that follows with the better half. ``folder`` keeps ``search.jsonl`` and the
+    states of trainings. Returned are ``settings``, ``windows`` and ``loss`` of the last rung's.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "search.jsonl"

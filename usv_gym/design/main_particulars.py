@@ -23,7 +23,7 @@ HULLS = {
     2: {"L/B": (3.0, 30.0), "B/d": (0.5, 10.0), "C_b": (0.1, 0.95)},
 }
 """Bounds of one hull, and of each of two: those of Insel and Molland 1992 (L/B 7 to 15, B/d 1.5 to
-2.5, block coefficient 0.4), widened for small USVs with skegs or inflated hulls."""
+2.5, block coefficient 0.4). They are widened for small USVs with skegs or inflated hulls."""
 
 
 class DesignError(UsvTwinError):

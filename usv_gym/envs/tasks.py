@@ -36,7 +36,7 @@ CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
 N_TERMS = 4
 
 FAILURE = 500.0
-"""What it costs to leave the area or to capsize: as much as some 12 s far off the path, so that an
+"""What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
 agent that looks ahead for less than that never fails on purpose."""
 
 
@@ -241,8 +241,8 @@ class PathFollowing(Task):
     at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
     most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
     once). A way point is reached where the boat passes, two lengths before it, the line across the
-    leg, however far to the side. The episode ends with success where the last one is, and with
-    failure 5 units (50 m) to the side of the leg or of its extension, or capsized.
+    leg, however far to the side. The episode ends with success at the last one. It ends with
+    failure 5 units (50 m) to the side of the leg or its extension, or capsized.
     """
 
     kind = PATH

@@ -47,7 +47,7 @@ def drift_coefficients(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 def drift_coefficients_limited(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean-drift coefficients, kept to where the regression holds.
 
-    Below 0.2 the value at 0.2 is held; from 1.0 to 1.3 it fades to nothing (cos^2): printed
+    Below 0.2 the value at 0.2 is held; from 1.0 to 1.3 it fades to nothing (cos^2). Printed
     polynomials are cubic and would push a 7.5 m boat with four times its weight.
     """
     x = np.asarray(ratio, dtype=float)
@@ -157,10 +157,10 @@ def first_order_loads(
     """Return the first-order loads and the water's motion in the frame of the heading.
 
     Froude-Krylov pressure integrated over a box of the hull's length, beam and draft. The
-    horizontal loads are scaled by the block coefficient, heave by the water plane, roll and
-    pitch by the restoring moments, so that a long wave lifts the boat by its height and
-    tilts it by its slope. The phase is taken at the moving position, so that encounter
-    frequency and turning need no further thought.
+    horizontal loads are scaled by the block coefficient, heave by the water plane, roll and pitch
+    by the restoring moments. So a long wave lifts the boat by its height and tilts it by its slope.
+    The phase is taken at the moving position, so that encounter frequency and turning need no
+    further thought.
 
     ``factors`` is what :func:`box_factors` makes of the waves (7, M); its last rows are scratch.
     Returned are X, Y (N), N (N m); Z (N, down), K, M (N m), zeros with ``dof`` 3; and u, v of the

@@ -212,8 +212,8 @@ class RandomFaults(Disturbance):
 class Bursts(Disturbance):
     """Faults in bursts: a Gilbert-Elliott chain, drawn at each control step.
 
-    Source: Gilbert 1960, Elliott 1963: p from good to bad and r back in each step give the
-    share p / (p + r) and bursts of 1 / r steps.
+    Source: Gilbert 1960, Elliott 1963: p from good to bad and r back in each step. The share is p /
+    (p + r), the mean burst 1 / r steps.
 
     Parameters
     ----------

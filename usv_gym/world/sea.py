@@ -122,11 +122,11 @@ class SeaState:
     wind_from_sd, wind_from_tau : float
         The same for where the wind comes from, rad and s.
     schedule : sequence of SeaKeyframe
-        Up to eight moments between which Hs and wind change linearly (the direction the
-        short way round); before the first and after the last they are held. ``hs`` and
-        ``wind`` are then left out, and become the greatest of the schedule. The waves are one
-        realisation at the greatest Hs times a gain: their periods are those of the greatest
-        Hs throughout. Gusts are drawn for the greatest wind, and scaled with the wind.
+        Up to eight moments between which Hs and wind change linearly (the direction the short way
+        round). Before the first and after the last they are held. ``hs`` and ``wind`` are then left
+        out, and become the greatest of the schedule. The waves are one realisation at the greatest
+        Hs times a gain: their periods are those of the greatest Hs throughout. Gusts are drawn for
+        the greatest wind, and scaled with the wind.
     """
 
     hs: float = 0.0
@@ -350,8 +350,8 @@ class SeaState:
         if self.spreading is not None:
             from scipy.special import betaincinv  # takes a while, and few seas need it
 
-            # (1 + sin)/2 of a cos^2s direction has a beta distribution; one direction at
-            # random in each of M bins of equal energy, dealt out to the frequencies
+            # (1 + sin)/2 of a cos^2s direction has a beta distribution. One direction at random in
+            # each of M bins of equal energy, dealt out to the frequencies
             shape, shares = self.spreading + 0.5, (rng.permutation(M) + rng.random(M)) / M
             aside = np.arcsin(2.0 * betaincinv(shape, shape, shares) - 1.0)
         north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)

@@ -217,9 +217,9 @@ class SensorSuite:
 
 
 GRADES = {
-    # GPS of ship_and_sea.md; IMU and heading of an MTi-300 class data sheet: .01
-    # deg/s/sqrt(Hz) and 60 ug/sqrt(Hz), white at 20 Hz by sqrt(20); biases stable to 10 deg/h
-    # and 15 ug; heading 1 deg RMS in all
+    # GPS of ship_and_sea.md; IMU and heading of an MTi-300 class data sheet. .01 deg/s/sqrt(Hz) and
+    # 60 ug/sqrt(Hz), white at 20 Hz by sqrt(20). Biases stable to 10 deg/h and 15 ug; heading 1 deg
+    # RMS in all
     "best": SensorSuite(
         gps_white=0.2,
         gps_bias=0.7,

@@ -250,8 +250,8 @@ class Simulation:
         """Put some boats back to the start: straight ahead, at the manoeuvring speed.
 
         With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
-        gusts, GPS, compass, IMU and faults each get a child of the boat's generator, so that
-        switching one off leaves the others as they were.
+        gusts, GPS, compass, IMU and faults each get a child of the boat's generator. So switching
+        one off leaves the others as they were.
         """
         n_start = self.vessel.values["shaft_speed_manoeuvring"]
         boats, rngs = list(boats), list(rngs)

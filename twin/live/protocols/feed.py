@@ -179,13 +179,13 @@ class Feed(ABC):
 
     Notes
     -----
-    A row's time is that of its fix, or else of its last sample, on the axis of the sender's
-    clock, from 0 at the first row. Messages without a time are placed by a line through the
-    times of the last ones that had one, over when they came, so that a stream that runs faster
-    than the clock is given as it was. A row's command is the last one up to its time.
+    A row's time is that of its fix, or else of its last sample. It is counted by the sender's clock
+    from the first row. Messages without a time are placed by a line through the times of the last
+    ones with one, over their arrivals. So a stream that runs faster than the clock keeps its times.
+    A row's command is the last one up to its time.
 
     If only late messages come for :data:`RESTART` seconds of their own time, their sender has
-    restarted: its time goes on after what was there, by our own clock. A jump ahead is a gap.
+    restarted. Its time goes on after what was there, by our own clock. A jump ahead is a gap.
     """
 
     modulus: float

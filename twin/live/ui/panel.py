@@ -178,8 +178,8 @@ class SimulatedControls(Controls):
             restart.on_click(lambda _: self._restart())
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
 
-    # The helm's callbacks are coroutines: viser runs those in turn, and functions side by side,
-    # where two quick presses of a key would both move the slider from where it was.
+    # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
+    # side, and two quick presses of a key move the slider only once.
 
     async def _push(self, _: Any) -> None:
         self.session.helm.throttle = self.throttle.value
