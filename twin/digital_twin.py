@@ -326,13 +326,13 @@ class Twin:
         elif not self.datum.same_place(datum):
             raise TwinError(
                 f"the log's origin is {datum.latitude}, {datum.longitude}, and that of the rows "
-                f"before {self.datum.latitude}, {self.datum.longitude}: state the latter as datum "
+                f"before {self.datum.latitude}, {self.datum.longitude}. State the latter as datum "
                 "= [latitude, longitude] in [position] of the log's mapping file"
             )
         elif not self.datum.same_clock(datum):
             raise TwinError(
-                f"the log's t = 0 is {datum.date}, and that of the rows before {self.datum.date}: "
-                "give all its times since the latter, or as seconds since 1970 in both logs"
+                f"the log's t = 0 is {datum.date}, and that of the rows before {self.datum.date}. "
+                "Give all its times since the latter, or as seconds since 1970 in both logs"
             )
 
     def estimate(self) -> Estimate:

@@ -232,7 +232,7 @@ class Particulars:
         if self.design and (self.steering != "drives" or self.tanker):
             raise ParticularsError(
                 f"design = {self.design!r} is a class of boats with drives, and the other "
-                "particulars are not of such a boat: correct them, or leave the class out"
+                "particulars are not of such a boat. Correct them, or leave the class out"
             )
 
     def _check_hulls(self) -> None:
@@ -262,11 +262,11 @@ class Particulars:
         Parameters
         ----------
         path : str or Path
-            File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys
-            are the fields of :class:`Particulars` and :class:`Instruments`, in SI units. A
-            file of several boats has ``[[ship]]`` for each, with the patterns of its logs
-            (``logs = ["my_folder/*"]``, matched from the end of a path) and the tables
-            ``[ship.particulars]`` and ``[ship.instruments]``.
+            File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys are the
+            fields of :class:`Particulars` and :class:`Instruments`, in SI units. A file of several
+            boats has ``[[ship]]`` for each, with the patterns of its logs (``logs =
+            ["my_folder/*"]``, matched from the end of a path) and the tables ``[ship.particulars]``
+            and ``[ship.instruments]``.
         log : str or Path, optional
             Log whose boat is wanted, in a file of several.
 

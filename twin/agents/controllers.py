@@ -107,8 +107,8 @@ class LOS:
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
         """Take over n boats: what :meth:`begin` does, where there is no environment.
 
-        ``speed`` is nominal, m/s; ``dt`` the time between decisions, s; ``reach`` the distance at
-        which a way point counts as reached, m, 0 on a curve.
+        ``speed`` is nominal, m/s, ``dt`` the time between decisions, s. ``reach`` is the distance
+        at which a way point counts as reached, m, 0 on a curve.
         """
         self.dt, self.speed, self.reach = dt, speed, reach
         self.length = vessel.values["length_waterline"]
@@ -131,7 +131,7 @@ class LOS:
         """Return actions (n, 2) in [-1, 1] from how the boats stand to their legs.
 
         ``motion`` (n, 8): cross-track distance and distance to go (m), cosines and sines of course
-        error and next turn, yaw rate (rad/s), forward speed in nominal speeds.
+        error and next turn. Yaw rate (rad/s) and forward speed (nominal speeds) follow.
         """
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
         # where the path ends; elsewhere the next leg has begun by then, and a curve has no end

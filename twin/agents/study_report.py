@@ -62,8 +62,8 @@ def markdown(results: Mapping[str, Any]) -> str:
         f"`{results['command']}`",
         "",
         f"Interquartile means of {runs} trainings of {_steps(results)} decisions and {episodes} "
-        "episodes in each sea state, with 95 % intervals of a stratified bootstrap over runs and "
-        "episodes. Time after a failure counts as the distance that ends the episode.",
+        "episodes in each sea state. The 95 % intervals are of a stratified bootstrap over runs "
+        "and episodes. Time after a failure counts as the distance that ends the episode.",
     ]
     cells = {
         (cell["metric"], cell["sea"], cell["agent"], cell["faults"]): cell

@@ -208,9 +208,9 @@ def _summary_of(
 def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]]:
     """Return the paired comparison of each predictor with a reference, on the same seeds.
 
-    ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval
-    over seeds; ``median_percent`` the median of the changes of single seeds; ``wins`` of
-    ``seeds`` had the smaller MAE. Where the reference did not run there is nothing to compare.
+    ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval over
+    seeds. ``median_percent`` is the median of the changes of single seeds. ``wins`` of ``seeds``
+    had the smaller MAE. Where the reference did not run there is nothing to compare.
     """
     table = {tuple(row[key] for key in KEY): row["mae"] for row in runs}
     rows = []

@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 CHANNELS = ("u", "v", "r", "along", "across", "psi")
 
 STUDY_CHANNELS = ("u", "v", "r", "psi", "displacement")
-"""Channels of the error over that of the oracle; ``displacement`` is the distance between true
-and predicted position, both counted from the start of the prediction."""
+"""Channels of the error over that of the oracle. ``displacement`` is the distance between true and
+predicted position, both counted from the start of the prediction."""
 
 STUDY_HORIZONS = tuple(0.5 * k for k in range(1, 21))
 

@@ -4,11 +4,12 @@ An extended Kalman filter with twelve states
 
     n = (x, y, psi, u, v, r, b_gyro, b_ax, b_ay, b_compass, t_x, t_y)
 
-(north and east in m, heading in rad, velocity over the ground forward and starboard in m/s, yaw
-rate in rad/s, the biases of gyro, accelerometers and compass, and the gravity that tilt lets into
-each accelerometer, m/s2: first-order Gauss-Markov, as are the biases, but fast). The accelerometers
-drive u and v. GPS position, GPS velocity, compass and gyro are measured one number after the other.
-So any of them may be missing in any row. Antenna and IMU may sit off the origin.
+x, y are m north and east, psi is the heading in rad, r the yaw rate in rad/s. u, v are the velocity
+over the ground forward and starboard in m/s. Biases are those of gyro, accelerometers and compass.
+t_x, t_y are the gravity that tilt lets into each accelerometer, m/s2: first-order Gauss-Markov, as
+are the biases, but fast. The accelerometers drive u and v. GPS position, GPS velocity, compass and
+gyro are measured one number after the other. So any of them may be missing in any row. Antenna and
+IMU may sit off the origin.
 
 A GPS sample is ``gps_latency`` old, and is compared with where the antenna was then. For that a
 ring holds the recent path by dead reckoning alone. What was corrected since then counts as a

@@ -75,9 +75,9 @@ _OVERFLOW = 1e12
 def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Array:
     """Return the weights (4,) of the scaled unscented transform for n states and parameters.
 
-    They are the square of the points' distance in standard deviations, alpha^2 (n + kappa); the
-    centre's weights in the mean and in the covariance; the weight of each other point. A small
-    alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
+    The first is the square of the points' distance in standard deviations, alpha^2 (n + kappa).
+    Then come the centre's weights in mean and covariance, and the weight of each other point. A
+    small alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
 
     Source: docs/explanation/twin.md, Joint filter; Wan and van der Merwe 2000.
     """
@@ -387,9 +387,9 @@ class StructuredUKF:
         """Predict over one step; return the number of repairs, 0 as a rule.
 
         ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the (1 + 2 n_s, n)
-        sigma points by those one step later, and the (n_s, n) slope by their derivative by x at
-        ``points[0]`` (only its columns n_s and up count). ``Q_s`` (n_s, n_s) and ``q_xi`` (n_xi,)
-        are the variances of this step.
+        sigma points by those one step later. It overwrites the (n_s, n) slope by their derivative
+        by x at ``points[0]``, of which only columns n_s and up count. ``Q_s`` (n_s, n_s) and
+        ``q_xi`` (n_xi,) are the variances of this step.
         """
         repairs = sigma_points(self.x, self.P, self.weights, self.work)
         n = len(self.x)

@@ -161,7 +161,7 @@ class TrustSelector:
     """Refits of the same segments with unequal trust, and the record of each.
 
     The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is its memory,
-    flat, and ``state`` the same by name; of these, ``params`` (k, p) are the parameters of each
+    flat, and ``state`` the same by name. Of these, ``params`` (k, p) are the parameters of each
     refit, ``errors`` (k,) the mean logarithm of each one's squared errors.
     """
 

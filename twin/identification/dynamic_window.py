@@ -283,9 +283,10 @@ class DynamicWindow:
         """Take one row at time t (s), never before the last; return the length W of the window.
 
         ``trace_P`` is that of the filter's innovation covariance, ``hs`` the wave height, m, or a
-        proxy of it (:class:`WaveProxy`), ``vw`` the wind speed, m/s, ``a_y`` the lateral specific
-        force, m/s2, ``motion`` one channel of the state, whose exponent is taken. NaN = missing,
-        but for t. W is from ``base`` to ``base + cap``. UsvTwinError: t is not finite or goes back.
+        proxy of it (:class:`WaveProxy`). ``vw`` is the wind speed, m/s, ``a_y`` the lateral
+        specific force, m/s2, ``motion`` the channel of the state whose exponent is taken. NaN =
+        missing, but for t. W is from ``base`` to ``base + cap``. UsvTwinError: t is not finite or
+        goes back.
         """
         if not math.isfinite(t) or t < self._latest:
             raise UsvTwinError(f"t = {t} must be finite and not before {self._latest}")

@@ -1,10 +1,9 @@
 """What the data seen say of the parameters: how many, which, and which only together.
 
-A sub-model is one acceleration, linear in its parameters: a = phi' xi + noise. What a run says
-of them is in the Gram matrix of the regressors seen, G, the integral of phi phi' over time
-(:func:`accumulate`), and in how the standard deviations of xi shrank. Each regressor is
-counted in units of 1 / (prior standard deviation of its parameter), and G weighed by the noise
-of the acceleration:
+A sub-model is one acceleration, linear in its parameters: a = phi' xi + noise. What a run says of
+xi is in the Gram matrix G of the regressors seen, and in how the standard deviations of xi shrank.
+G is the integral of phi phi' over time (:func:`accumulate`). Each regressor is counted in units of
+1 / (prior standard deviation of its parameter), and G weighed by the noise of the acceleration:
 
     A = D G D / q,   D = diag(prior sd),  q = variance that the velocity gains per second.
 

@@ -7,7 +7,7 @@ were. The parameters are those that make the errors of all segments small,
     sum over segments of  n_i rho(q_i)  +  (xi - xi_0)' P_0^-1 (xi - xi_0),
     q_i = scale / n_i * min over d of [ sum of (errors / sd)^2 + (d / sd_d)^2 ]
 
-with n_i errors in segment i, a free offset d of the initial u, v, r, and rho(q) = q up to ``knee``,
+with n_i errors in segment i and a free offset d of the initial u, v, r. rho(q) is q up to ``knee``,
 and knee (1 + log(q / knee)) beyond. The offset carries a wave, which no parameter should absorb. A
 segment that a gust or a wave group has disturbed counts less, as if its weight were min(1, knee /
 q). ``scale`` makes up for errors that are correlated from sample to sample. A ``trust`` other than

@@ -244,9 +244,9 @@ def _unpack(packed, A):
 def solve(xi, trust, iterations, damping, state, config, work):
     """Move parameters xi to the least that the weighted quadratics and the prior make.
 
-    ``trust`` is the factor of what the segments say, ``iterations`` the number of robust
-    reweightings, ``damping`` that of Levenberg and Marquardt in units of the prior's information.
-    Returned is False where rounding has left no definite matrix; else its factor is
+    ``trust`` is the factor of the segments' information, ``iterations`` the number of robust
+    reweightings. ``damping`` is that of Levenberg and Marquardt in units of the prior's
+    information. Returned is False where rounding has left no definite matrix; else its factor is
     ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve

@@ -179,7 +179,7 @@ def drop_jumps(t: Array, z: Array, table: Table) -> None:
     if lost > _LOST * jumps.fixes:
         raise LogError(
             f"{table.source}: column(s) {', '.join(dict.fromkeys(given))}, "
-            f"{where} and stays away; read the pieces one by one with start_s and stop_s in [rows] "
+            f"{where} and stays away. Read the pieces one by one with start_s and stop_s in [rows] "
             "of a mapping file, or empty the false cells"
         )
     z[jumps.lost, :2] = np.nan

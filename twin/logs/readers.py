@@ -1,7 +1,7 @@
 """Columns of numbers out of CSV and Parquet files, block by block.
 
-Only the columns that are asked for are kept. Of a file that is too long, only the piece or the
-thinned rows that are asked for are kept: it may be larger than the memory.
+Only the columns that are asked for are kept. Of a file that is too long, which may be larger than
+the memory, only a piece or thinned rows are read.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def said(layout: Layout, before: int, after: int) -> list[str]:
 def too_long(source: str) -> LogError:
     """Return the error of a log of too many rows."""
     return LogError(
-        f"{source}: has more than {MAX_ROWS:,} rows, the most that a log may have; read a piece "
+        f"{source}: has more than {MAX_ROWS:,} rows, the most that a log may have. Read a piece "
         "with start_s and stop_s, or fewer rows with step_s = 0.1, in [rows] of a mapping file "
         "(--mapping FILE)"
     )

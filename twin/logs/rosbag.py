@@ -91,7 +91,7 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
     except Exception as error:  # a damaged bag fails in as many ways as it has bytes
         reason = shorten(" ".join(str(error).split()) or type(error).__name__, 120)
         raise LogError(
-            f"{path}: the bag is damaged, cut off or no ROS 2 bag ({reason}); copy it again, or "
+            f"{path}: the bag is damaged, cut off or no ROS 2 bag ({reason}). Copy it again, or "
             "rescue what is whole with: mcap recover IN.mcap -o OUT.mcap, or: ros2 bag reindex "
             "FOLDER"
         ) from None
@@ -188,7 +188,7 @@ def _times(
         if back > _LATE:
             raise LogError(
                 f"{path}: topic {name}: the time goes back by {back:.3g} s; a clock was set while "
-                'recording: try stamp = "receive" in '
+                'recording. Try stamp = "receive" in '
                 f"{layout.source}, or read the piece before with stop_s"
             )
         if back > 0.0:

@@ -10,10 +10,10 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
 :func:`term_slopes`).
 
 ``paper``
-    the 25 parameters of Eq (20)-(21). What differs from the print: sin, not cos, of the angle in
-    sway and yaw; no stray v in the yaw thrust; u|u| and n|n| instead of squares, for astern. N_v|v|
-    and N_v|r| as in the paper's tables; N_r|r| with r|r|. Boats with fixed propellers steer by
-    unequal thrust: their yaw rows are +T_rL nL|nL| and -T_rR nR|nR|.
+    the 25 parameters of Eq (20)-(21). These differ from the print: sin, not cos, of the angle in
+    sway and yaw, and no stray v in the yaw thrust. It has u|u| and n|n| instead of squares, for
+    astern. N_v|v| and N_v|r| as in the paper's tables; N_r|r| with r|r|. Boats with fixed
+    propellers steer by unequal thrust: their yaw rows are +T_rL nL|nL| and -T_rR nR|nR|.
 ``mmg``
     about thirty, dimensionless but for the length. They are a resistance with a hump (cubic in u),
     damping that grows with speed, and thrust that falls with advance. A rudder or drive in the
@@ -162,7 +162,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     """Write the terms before LEFT_COS, which depend on the state; the others must be there.
 
     ``wind`` (2,) is the velocity of the true wind to north and east, m/s, zeros where it is not
-    known; ``hull`` (4,) are the constants of the structure.
+    known. ``hull`` (4,) are the constants of the structure.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
     terms[U], terms[V], terms[R] = u, v, r
@@ -450,8 +450,8 @@ _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
 }
 
 # A laden ship of full form: most of it is under water. Drag of 0.3 m2 of side and 0.06 m2 of front
-# for each tonne of a 3 m model; centre of pressure forward in a quartering wind. The race of a
-# right-handed propeller that runs astern pushes its stern to port.
+# for each tonne of a 3 m model. The centre of pressure is forward in a quartering wind. The race of
+# a right-handed propeller that runs astern pushes its stern to port.
 _TANKER: dict[str, tuple[int, float, float]] = {
     "X_w": (WIND_X, 0.0009, 0.0006),
     "Y_w": (WIND_Y, 0.002, 0.0012),

@@ -1,13 +1,13 @@
 """The paper's DSW-UKF: late fusion, joint UKF, dynamic sliding window.
 
 It is here to be compared with. With the settings that the paper prints, it is no better than 8 s
-means of the velocities in a steady turn. Running the window again has no reliable effect: six seeds
-gave -54 to +6 % of the error in the turn and -36 to +53 % in the zigzag, against the same filter
-without a window (``window="off"``). Its prediction intervals mean little. In four runs the
-position's standard deviation 10 s ahead had medians of 4 and 5, 13 and 55 m. At some moments the
-prior of 1 on each of 25 parameters lets the covariance run up to where the arithmetic stops it, at
-1e6 m/s and more. The true sway was inside the 90 % interval in 28 to 94 % of the forecasts. All
-that is promised of them is that they are finite and positive definite.
+means of the velocities in a steady turn. Running the window again has no reliable effect. Six seeds
+changed the error by -54 to +6 % in the turn and -36 to +53 % in the zigzag. The reference is the
+same filter without a window (``window="off"``). Its prediction intervals mean little. In four runs
+the position's standard deviation 10 s ahead had medians of 4 and 5, 13 and 55 m. At some moments
+the prior of 1 on each of 25 parameters lets the covariance grow to 1e6 m/s, where the arithmetic
+stops it. The true sway was inside the 90 % interval in 28 to 94 % of the forecasts. All that is
+promised of them is that they are finite and positive definite.
 
 What the paper leaves open is decided in the docstrings below. The pieces that a comparison needs
 are options of :class:`DSWPredictor`. Equations carry the numbers that the paper prints beside them;
@@ -111,8 +111,8 @@ def paper_settings(
         Variances of the measured states, Eq 51.
     n_unit : float, optional
         Factor that brings the shaft speeds of the log to the unit of the model. By default the
-        nominal shaft speed becomes the paper's rated 380 rpm = 6.33 rev/s, so that x0 = 0.1 means
-        for any boat what it meant for theirs. 1 leaves rev/s; 60 is the rpm with which nothing is
+        nominal shaft speed becomes the paper's rated 380 rpm = 6.33 rev/s. So x0 = 0.1 means for
+        any boat what it meant for theirs. 1 leaves rev/s; 60 is the rpm with which nothing is
         learned.
 
         Source: Eq (47), (50), (51).
@@ -234,10 +234,10 @@ class DSWPredictor(ModelPredictor):
 
     At each row the filter takes one step. After every ``stride`` rows it is run once more over the
     last W rows. The parameters and their covariance stay as they are; the state starts from the
-    measured one at the window's begin. The length follows Algorithm 1. Its indices see the trace of
-    the innovation covariance, the surge speed as the motion, a proxy for the wave height from the
-    lateral acceleration (``WaveProxy``), and the wind only if the log has it. So each row is used
-    about W/stride times more. This is one reading: the text does not say what is done with the
+    measured one at the window's begin. The length follows Algorithm 1. Its indices take the trace
+    of the innovation covariance, the surge speed as the motion, and the wind if the log has it. A
+    proxy for the wave height comes from the lateral acceleration (``WaveProxy``). So each row is
+    used about W/stride times more. This is one reading: the text does not say what is done with the
     window. On our boat and on others it does not beat the plain filter. After false numbers
     (spikes, frozen fixes) it is metres off for half a minute and more.
 

@@ -73,8 +73,8 @@ OBSERVER_GAIN = 0.5
 measured velocity is the observer's motion and its residual, and so will be those to come."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
-"""Largest standard deviations of velocity (nominal speeds) and heading (rad) with which a row may
-be fitted, and greatest age (s) of the row before it."""
+"""Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
+greatest age (s) of the row before it."""
 
 WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are predicted from the residuals of this many seconds, and drawn from so many of the last

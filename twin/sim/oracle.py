@@ -103,7 +103,7 @@ def known_vessel(particulars: Particulars) -> Vessel:
         if all(math.isclose(getattr(true, k), getattr(particulars, k)) for k in numbers):
             return vessel
     raise PredictorError(
-        f"oracle: the true boat behind {name!r} is not known; it runs where the vessel is handed "
+        f"oracle: the true boat behind {name!r} is not known. It runs where the vessel is handed "
         "in (benchmark, environment), and on simulated logs of an unchanged vessel"
     )
 
@@ -135,9 +135,9 @@ class Oracle(HistoryPredictor):
 
     Position and heading come from the tight navigation filter, speeds and yaw rate from an
     observer. The observer is a simulated copy of the ship, corrected towards the navigation's
-    velocities with the gain :data:`GAIN`, so that the momentary orbital motion of the waves is not
-    taken for the boat's own. The actuators follow the commands as the true ones do. Waves, their
-    mean drift, gusts and the slow changes of the wind are not known to it. Intervals are those of
+    velocities with the gain :data:`GAIN`. So it filters out the motion that single waves cause. The
+    actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the slow
+    changes of the wind are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
     ``vessel`` is the true boat; left out, the package's vessel of which the particulars speak.

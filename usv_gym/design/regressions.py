@@ -254,9 +254,9 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
 def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
     """Return the added mass in heave (kg) and inertias in roll and pitch (kg m2) of a catamaran.
 
-    It is that of half a circular cylinder as wide as the hull, pi rho B^2 / 8 a metre, over the
-    share of the length that the water plane fills. Source: Newman 1977, section 4.13. In roll it
-    acts half the spacing off the centre line; in pitch at a quarter of the length.
+    It is that of half a circular cylinder as wide as the hull, pi rho B^2 / 8 a metre. It acts over
+    the share of the length that the water plane fills. In roll it acts half the spacing off the
+    centre line; in pitch at a quarter of the length. Source: Newman 1977, section 4.13.
     """
     strip = math.pi / 8.0 * form.water_density * form.beam**2
     m_z = form.hulls * strip * water_plane * form.length
@@ -271,9 +271,9 @@ def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
 def periods(form: Form, GM_T: float) -> Estimate:
     """Return the natural periods of heave, pitch and roll in s; GM_T in m.
 
-    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``; roll after the
-    weather criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else
-    ``0.373 + 0.023 B / d - 0.043 L / 100``.
+    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``. Roll after the weather
+    criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else ``0.373 + 0.023 B / d -
+    0.043 L / 100``.
     """
     B, d = form.beam, form.draft
     heave = 2.0 * math.pi * math.sqrt(2.0 * d / GRAVITY)

@@ -11,14 +11,15 @@ from usv_kernel.records import Record
 from usv_kernel.scalar import fma, sincos
 from usv_kernel.simd import dots, padded
 
-# rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
-# draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
+# rows of the array of wave components, shape (7, M). PRESSURE is rho g a integrated over the draft
+# (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
 OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE, BOTTOM = 0, 1, 2, 3, 4, 5, 6
 
 WAVE_ROWS = 7
 
-# what hull and heading make of each component: by its sine or cosine they give forces to north
-# and east, the yaw moment in two parts, the velocity of the water; then lift, trim, heel; scratch
+# factors of each component from hull and heading. With its sine or cosine they give forces to north
+# and east, the yaw moment in two parts, and the velocity of the water. Then lift, trim, heel;
+# scratch
 FORCE_NORTH, FORCE_EAST, YAW_ALONG, YAW_ACROSS, ORBIT_NORTH, ORBIT_EAST = 0, 1, 2, 3, 4, 5
 
 LIFT, TRIM, HEEL, SCRATCH = 6, 7, 8, 9
@@ -163,8 +164,8 @@ def first_order_loads(
     further thought.
 
     ``factors`` is what :func:`box_factors` makes of the waves (7, M); its last rows are scratch.
-    Returned are X, Y (N), N (N m); Z (N, down), K, M (N m), zeros with ``dof`` 3; and u, v of the
-    water's orbital motion forward and to starboard, mean over the hull (m/s).
+    Returned are X, Y (N), N (N m); Z (N, down), K, M (N m), zeros with ``dof`` 3. Then come u, v of
+    the water's orbital motion forward and to starboard, mean over the hull (m/s).
 
     Source: ship_and_sea.md.
     """
@@ -197,8 +198,8 @@ def first_order_loads(
 def mean_drift_loads(psi: float, sums: np.ndarray) -> tuple[float, float, float]:
     """Return the mean second-order surge force, sway force (N) and yaw moment (N m).
 
-    ``sums`` (6,) holds for X, Y, N in turn the sums over the components of ``1/2 rho g L C a^2``
-    (``L^2`` for N) times the cosine and times the sine of each component's direction.
+    ``sums`` (6,) holds sums over the components for X, Y, N in turn. They are of ``1/2 rho g L C
+    a^2`` (``L^2`` for N), times the cosine and times the sine of the component's direction.
     Source: Eq (18) with g, and L^2 in N, as the dimensions ask for.
     """
     s, c = sincos(psi)

@@ -298,10 +298,10 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     Parameters
     ----------
     text : str
-        ``none``; ``on``, see :data:`ON`; or parts joined by ``+``. A part is a kind, then
-        ``-`` and an effect (``loss`` if left out), then when: seconds, ``-random`` (see
-        :class:`RandomFaults`) or ``-bursts`` (see :class:`Bursts`; per cent and mean
-        seconds may follow as in ``gps-bursts10x2``), and last ``@`` and its start in s.
+        ``none``; ``on``, see :data:`ON`; or parts joined by ``+``. A part is a kind, then ``-`` and
+        an effect (``loss`` if left out), then when, and last ``@`` and its start in s. When is
+        seconds, ``-random`` (see :class:`RandomFaults`) or ``-bursts`` (see :class:`Bursts`). Per
+        cent and mean seconds may follow, as in ``gps-bursts10x2``.
     start : float
         When windows without ``@`` begin, s; random ones and bursts begin at 0.
 

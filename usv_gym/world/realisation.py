@@ -31,7 +31,7 @@ def wave_rows(
 
     The vessel's draft and length decide how deep the pressure reaches and which waves it reflects.
     ``omega`` is in rad/s, ``amplitude`` in m; ``north, east`` are the unit vector of each
-    component's direction; ``phase`` is that at the origin at time 0, rad.
+    component's direction. ``phase`` is that at the origin at time 0, rad.
     """
     omega, amplitude, north, east, phase = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))

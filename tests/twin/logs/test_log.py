@@ -535,7 +535,7 @@ def test_a_jump_that_stays_is_refused(tmp_path: Path, gap: int) -> None:
     table["gps_x_m"][300 : 300 + gap] = np.nan
     message = refused(save(tmp_path / "a.csv", as_text(table)))
     assert f"line {302 + gap}: the position jumps by " in message
-    assert "and stays away; read the pieces one by one with start_s and stop_s" in message
+    assert "and stays away. Read the pieces one by one with start_s and stop_s" in message
 
 
 def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's estimates back.
 
 Taken are GLOBAL_POSITION_INT (fix and velocity), ATTITUDE (heading and yaw rate) and
-SERVO_OUTPUT_RAW (commands, by :class:`Servos`), of one component: the first that sends
+SERVO_OUTPUT_RAW (commands, by :class:`Servos`). They are of one component: the first that sends
 GLOBAL_POSITION_INT, or the autopilot (component 1) with ATTITUDE. While GPS_RAW_INT says that there
 is no fix, the position is no measurement but the autopilot's own dead reckoning, and counts as
 void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not
@@ -9,9 +9,9 @@ known.
 
 The twin answers as the onboard computer (component 191) of that system, with HEARTBEAT once a
 second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (local NED about the first fix,
-with variances). Its forecasts are TRAJECTORY_REPRESENTATION_WAYPOINTS (places, velocities and
-headings 2, 4, 6, 8, 10 s ahead, local NED) and DEBUG_FLOAT_ARRAY ``sd_pos`` (for each of them:
-seconds ahead, standard deviations north and east, m).
+with variances). Its forecasts are TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and
+headings 2, 4, 6, 8, 10 s ahead, local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds
+ahead and standard deviations north and east, m.
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -68,8 +68,8 @@ class Servos:
     Notes
     -----
     The outputs are by default those of ArduPilot's Rover, of 1100, 1500 and 1900 us: steering 1 and
-    throttle 3. For skid steering they are left throttle 1 and right throttle 3. Source:
-    https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
+    throttle 3. For skid steering, they are left throttle 1 and right throttle 3.
+    Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
     """
 
     # at full throttle ahead, rev/s, and at full helm to starboard, rad

@@ -118,7 +118,7 @@ class _Mean:
 class TwinMonitor:
     """A twin, which gets its rows here only, and what is to be seen of it.
 
-    ``t`` is the time of the last row, s; ``measured`` (3,) the last fix (m north and east) and
+    ``t`` is the time of the last row, s. ``measured`` (3,) has the last fix (m north and east) and
     compass heading (rad), NaN before the first. ``fixes`` and ``track`` are the last fixes, and
     where the boat was (the truth where it is known, else the estimate), m. ``gps_age`` is the time
     since the last fix, s. ``error, error_hold``: see :class:`History`.

@@ -179,7 +179,7 @@ class SimulatedControls(Controls):
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
 
     # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
-    # side, and two quick presses of a key move the slider only once.
+    # side, and two quick presses of a key would move the slider only once.
 
     async def _push(self, _: Any) -> None:
         self.session.helm.throttle = self.throttle.value
@@ -375,12 +375,12 @@ def small(*paragraphs: str) -> str:
 HELP = (
     "<b>Scene.</b> The boat is the true one, or as measured last; its copy is at the "
     "twin's estimate. The ribbon is the predicted track of the next 10 s, "
-    f"{SDS:g} standard deviations to either side; the ellipse at its end is the same for the "
+    f"{SDS:g} standard deviations to either side. The ellipse at its end is the same for the "
     "last moment. The ring shows the scale, N the north. Drag to turn the view, scroll to come "
     "nearer.",
-    "<b>Band at 10 s</b>: half the longer axis of that ellipse.",
-    "<b>Error after 10 s</b>: distance from the position predicted 10 s ago to the truth "
-    "where it is known, else with the twin's estimate at a new fix. Beside "
+    "<b>Interval at 10 s</b>: half the longer axis of that ellipse.",
+    "<b>Error after 10 s</b>: distance from the position predicted 10 s ago to the truth. "
+    "Where that is unknown, the twin's estimate at a new fix stands for it. Beside "
     "it, that of a boat that keeps its velocity and turn rate. Of manoeuvres and known "
     "commands the twin is given the commands to come; else it takes the last command to stay.",
     "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",

@@ -41,14 +41,16 @@ class VARPredictor(ActuatedPredictor):
     """A vector autoregression with inputs (VARX), by least squares on the run's own past.
 
     The change of u, v, r over a step is linear in their last :attr:`order` values and in the
-    actuators' values over as many steps, the one ahead included. Those are thrust, its forward and
-    sideways parts and the sine of the angle, sum and difference of both sides. Actuators follow the
-    commands with the lags of the particulars. A step is .25 s for the study boat and as much longer
-    as a ship takes longer to sail its length. Until there is a fit, velocities are held.
+    actuators' values. The latter cover as many steps, the one ahead included. Those are thrust, its
+    forward and sideways parts and the sine of the angle, sum and difference of both sides.
+    Actuators follow the commands with the lags of the particulars. A step is .25 s for the study
+    boat and as much longer as a ship takes longer to sail its length. Until there is a fit,
+    velocities are held.
 
-    Tuning budget: 39 configurations (order 2 to 10, of the inputs 1 to 8, ridge 1e-4 to .1, five
-    sets of inputs, wind by heading, products of velocities, a window of 60 s). They were scored on
-    the four manoeuvres of twelve seeds (100-111) by 10 s forecasts with known commands.
+    Tuning budget: 39 configurations. They varied order (2 to 10, of the inputs 1 to 8), ridge (1e-4
+    to .1), and five sets of inputs. Wind by heading, products of velocities and a window of 60 s
+    were tried, too. All were scored on the four manoeuvres of twelve seeds (100-111) by 10 s
+    forecasts with known commands.
 
     Source: docs/explanation/twin.md, Learned predictors; the inputs are ours.
 
