@@ -322,7 +322,7 @@ class Particulars:
     def tanker(self) -> bool:
         """Whether it is a slow ship of full form, which has one propeller and one rudder."""
         box = SEA_WATER * self.length * self.beam * self.draft
-        full = FULL_FORM * box <= self.mass <= box  # no hull fills more than the box around it
+        full = FULL_FORM * box <= self.mass <= box  # a hull cannot fill more than the box around it
         return self.hulls == 1 and self.steering == "drives" and self.froude <= FAST and full
 
     def to_toml(self) -> str:

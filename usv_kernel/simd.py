@@ -369,7 +369,7 @@ def inner(typing_context, a, first, b, start, count):
                 kind = _fused(builder, _LANES)[0]
                 over = builder.and_(count, index(_LANES - 1))
                 fused, (one, other) = term(builder.sub(count, index(_LANES)), _LANES)
-                # the last four overlap those before: what these have seen does not count
+                # the last four overlap those before, whose elements do not count twice
                 new = _from(builder, builder.sub(index(_LANES), over), _LANES)
                 none = ir.Constant(kind, [0.0] * _LANES)
                 total = cgutils.alloca_once_value(

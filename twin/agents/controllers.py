@@ -134,11 +134,12 @@ class LOS:
         error and next turn. Yaw rate (rad/s) and forward speed (nominal speeds) follow.
         """
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
-        # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
+        # only at the end of the path: elsewhere the next leg has begun by then, and a curve has no
+        # end
         near = (self.reach > 0.0) & (to_go < self.reach)
         left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
         ahead = self.lookahead * self.length
-        # so far the point ahead lies on the next leg
+        # how far the point ahead lies on the next leg
         beyond = np.where(near, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
         course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
         ahead = ahead * left

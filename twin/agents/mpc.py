@@ -72,7 +72,7 @@ class PlanConfig(NamedTuple):
     shift: Any  # (M, M) shares of the knots in those of one decision later
     mixing: Any  # (4, 2) see usv_gym.vessel.vessel.Vessel.mixing
     limits: Any  # (4,) full commands in the unit of the model
-    guesses: Any  # (G, 2 M) first guesses besides the plan of before
+    guesses: Any  # (G, 2 M) first guesses besides the last plan
     boat: Any  # RolloutConfig
 
 
@@ -91,7 +91,7 @@ class PlanWork(NamedTuple):
     paths: Any  # Paths of the motion, (1, K, 6) and (K, 4)
     plan: Any  # (K, 4) commands
     rollout: Any  # scratch of the rollout
-    errors: Any  # (4,) errors of the path
+    errors: Any  # (4,) errors from the path
     legs: Any  # (K,) leg of each row
     trial: Any  # (2 M,) another plan
     base: Any  # (R,) its residuals: R = 2 K + 3 M
@@ -137,13 +137,13 @@ def residuals_of(knots, free, goal, config, work, out):
             legs[k] = leg
         else:
             path_errors(s[X], s[Y], s[PSI], goal.points, int(legs[k]), errors)
-        # within reach there is a point only where the path ends: there the boat is to stop
+        # only the last point of the path can be within reach; there the boat is to stop
         wanted = 1.0
         if errors[TO_GO] < config.reach:
             wanted = max(errors[TO_GO] / config.reach, -1.0)
         along = s[U] * math.cos(errors[COURSE_ERROR]) + s[V] * math.sin(errors[COURSE_ERROR])
         distance = errors[CROSS_TRACK] / config.length
-        # its square grows as the distance does: far off the path the boat is to sail back, not wait
+        # its square grows linearly with the distance, so that far from the path the boat sails back
         out[k] = distance / (1.0 + distance * distance) ** 0.25
         out[K + k] = config.progress * (wanted - along / config.speed)
     for m in range(many):
@@ -247,7 +247,8 @@ def plan_all(inputs, bounds, paths, config, last, plans, work):
                 trial[k] += config.shift[k % M, m] * knots[k - k % M + m]
         _copy(trial, knots)
         best = 0.0
-        for part in PRIOR_SHRINKAGE:  # as the twin does: an implausible model is shrunk
+        # an implausible model is shrunk to its prior, as in the twin's own forecast
+        for part in PRIOR_SHRINKAGE:
             for k in range(theta.shape[0]):
                 prior = inputs.prior[k]
                 theta[k] = prior + part * (inputs.parameters[i, k] - prior)

@@ -272,7 +272,7 @@ def _draw_curves(results: Mapping[str, Any]) -> Any:
         levels = results["levels"]
         for k, (name, level) in enumerate(levels.items()):
             ax.axhline(level, color="0.5", lw=0.8, ls=":")
-            # side by side, for some are alike
+            # side by side, as some curves coincide
             ax.annotate(name, ((k + 0.5) / len(levels), level), fontsize=7, color="0.35",
                         xycoords=("axes fraction", "data"), ha="center", va="bottom")  # fmt: skip
         ax.set_title(panel.upper())

@@ -152,7 +152,7 @@ def train(
         torch.set_num_threads(1)  # several are slower on networks of this size
         learner = _Learner(plan, folder, hyper, curve_seeds)
         try:
-            # only now is it known that there can be such a run
+            # only after the learner could be made
             write_whole(folder / _NOTES, (json.dumps(notes, indent=1) + "\n").encode())
             learner.learn(progress)
         finally:
@@ -252,7 +252,7 @@ class _Learner:
         left = self.plan.steps - self.model.num_timesteps
         if left > 0:
             self.since = time.perf_counter()
-            # learn() resets boats that never were; the break does that, after seeding them
+            # learn() would reset new boats before they are seeded; the break resets them after
             self.model._last_obs = np.empty(0)
             self.model.learn(
                 left, callback=Breaks(), reset_num_timesteps=False, progress_bar=progress
@@ -268,7 +268,8 @@ class _Learner:
                 self._save()
         seed = _seed_of(self.plan.seed, steps)
         model.set_random_seed(seed)  # Python's, numpy's, torch's, the action space's, the boats'
-        # boats that began all at once would end all at once, and a rollout show one part of it
+        # boats that begin together would end together, and a rollout would hold one part of an
+        # episode
         drawn = np.random.default_rng(seed).integers(1, self.plan.max_episode_steps + 1, self.n)
         self.envs.unwrapped.set_options({"first_episode_steps": drawn})
         model._last_obs = self.envs.reset()
@@ -302,7 +303,7 @@ class _Learner:
         model, envs = self.model, self.envs
         buffer = getattr(model, "replay_buffer", None)
         if buffer is not None:
-            # what is new is a file of its own: a buffer may have hundreds of megabytes
+            # new rows go into a file of their own: a buffer may have hundreds of megabytes
             total = model.num_timesteps // envs.num_envs
             rows = np.arange(self.saved, total) % buffer.buffer_size
             _write(self.folder / f"replay_{total:08d}.pt", {
@@ -343,7 +344,7 @@ class _Learner:
         if buffer is not None:
             total = model.num_timesteps // envs.num_envs
             for part in sorted(self.folder.glob("replay_*.pt")):
-                if int(part.stem[7:]) > total:  # its checkpoint was not written any more
+                if int(part.stem[7:]) > total:  # its checkpoint was never written
                     continue
                 arrays = _read(part)
                 upto = int(part.stem[7:])

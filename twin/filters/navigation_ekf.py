@@ -119,7 +119,7 @@ def _correct(nav, work, innovation, variance, age, channel):
             nav.refused[channel] += max(1.0, REFUSED_RATE * age)
             if nav.refused[channel] <= REFUSED_MAX:
                 return False
-            # the filter is lost: take the number as if nothing had been known
+            # the filter has diverged: take the number as if nothing had been known
             nav.lost = 1.0
             for i in range(6):
                 size = H[i] * H[i]
@@ -168,7 +168,7 @@ def _gain(P, H, variance, gain):
     combine(Strip(gain, 0, N_NAV), Factors(H, 0, 1, 1.0), Rows(P, 0, N_NAV, N_NAV))
     for i in range(N_NAV):
         S += H[i] * gain[i]
-    return max(S, variance)  # rounding apart it is no less
+    return max(S, variance)  # it cannot be smaller, but for rounding
 
 
 @kernel
@@ -186,7 +186,7 @@ def aid(nav, work, entry, value, variance):
     """
     work.H[:] = 0.0
     work.H[entry] = 1.0
-    # a model is never so much surer than the filter that the covariance needs a repair
+    # the model's variance is bounded from below, so that the covariance needs no repair
     variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
 
@@ -333,7 +333,7 @@ def navigate(nav, dt, z, model, settings, work):
         if is_ready(nav):
             remember(nav, settings)
         return
-    # a gyro that follows its row before, and an IMU whose arm it can be used for
+    # whether the row before had an IMU sample, and whether gyro and accelerometers are plausible
     follows = dt > 0.0 and dt <= STEP_MAX and nav.imu_age <= 1.5 * dt
     gyro = imu and abs(z[GYRO]) < TURN_LIMIT
     driven = imu and abs(z[ACCEL_X]) < ACCEL_LIMIT and abs(z[ACCEL_Y]) < ACCEL_LIMIT
@@ -345,7 +345,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.last[ACCEL_X], nav.last[ACCEL_Y] = last_x, last_y
         else:
             nav.refused[IMU_LEAPS] = 0.0
-    # what a model gives for this moment does not last through a gap
+    # a model's accelerations of this moment do not hold through a gap
     modelled = model[IS_MODELLED] > 0.0 and dt * dt * settings.r_var_0 <= 1.0
     r_rate, r_mean, r_var = 0.0, n[R], settings.r_density
     if gyro:

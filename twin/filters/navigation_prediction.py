@@ -74,7 +74,7 @@ class Motion(NamedTuple):
     var: float  # what it adds to the variances of u and v
     is_force: bool  # whether ax and ay are specific forces
     r_mean: float  # yaw rate in the middle of the step, rad/s
-    r_rate: float  # its growth where it will not be measured, rad/s2
+    r_rate: float  # yaw acceleration where the rate will not be measured, rad/s2
     r_var: float  # what is added to its variance
 
 

@@ -70,7 +70,7 @@ NAVIGATION = np.dtype(
         ("corrected", "f8", 3),  # sums of the corrections of heading, u, v
         ("count", "f8"),  # entries of the ring so far
         ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see navigation_ekf._present
-        ("lost", "f8"),  # 1 where a number was taken by force in this row
+        ("lost", "f8"),  # 1 where a refused number was taken after all in this row
         ("since_aid", "f8"),  # time since the model aided the filter, s
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come

@@ -185,7 +185,7 @@ def sigma_points(x, P, weights, work):
     for k in range(n):
         points[0, k] = x[k]
         root[n_s, k] = x[k]
-    # each is a row of the root, so many standard deviations off the mean, which follows the root
+    # each is a row of the root times the points' distance, plus the mean, which follows the root
     sides, width = work.scratch, points.shape[1]
     sides[0, 0], sides[0, 1], sides[0, 2] = distance, 1.0, -distance
     for j in range(n_s):

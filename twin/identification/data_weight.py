@@ -56,7 +56,9 @@ LEAST, MOST = 1e-9, 1e9
 class SelectorState(NamedTuple):
     """What the choice of the trust remembers."""
 
-    count: Any  # (4,) segments compared, refit in use, whose turn it is, last row that was noted
+    count: (
+        Any  # (4,) segments compared, refit in use, refit whose turn it is, last row that was noted
+    )
     errors: Any  # (3,) mean logarithm of each refit's squared errors
     params: Any  # (3, p) parameters of each refit
     factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances

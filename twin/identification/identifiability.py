@@ -86,7 +86,7 @@ class Finding:
     # whether the data informed it. Its standard deviation fell to INFORMED of the prior's or below,
     # and its entry in the diagonal of A is 1 or more. Never true for one parameter of a sum
     informed: bool
-    merged_into: str = ""  # name of the sum of which alone the data speak; empty for others
+    merged_into: str = ""  # name of the sum that alone is identified; empty for others
 
     @property
     def ratio(self) -> float:

@@ -95,8 +95,8 @@ class RefitSettings:
     spacing: float
     horizon: float
     every: int  # grid steps between the samples that are compared
-    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
-    # waves make of a perfect forecast
+    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): errors
+    # of a perfect forecast in waves
     sd: Array
     offset_sd: Array  # (3,): standard deviations of the initial u, v (m/s) and r (rad/s)
     # see the head of this file
@@ -278,7 +278,7 @@ def step_jacobian(A, W, D, T):
     for stage in range(3, -1, -1):
         reach = GRID if stage == 3 else 0.5 * GRID
         for i in range(N_STATES):
-            for j in range(2, N_STATES):  # nothing depends on the place
+            for j in range(2, N_STATES):  # nothing depends on the position
                 total = W[i, i] * A[stage, i, j] if i < 2 else 0.0
                 for q in range(2, N_STATES):
                     total += W[i, q] * A[stage, q, j]

@@ -454,7 +454,9 @@ def assemble(table: Table) -> Log:
             z[:, j] = column(name)
             check_measurement(t, z[:, j], name, table)
     drop_repeats(t, z, notes)
-    with np.errstate(over="ignore", invalid="ignore"):  # of any numbers: no jump, no turning
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # these may be any numbers: no check of jumps and turning
         drop_jumps(t, z, table)
         check_turning(t, z, table)
 

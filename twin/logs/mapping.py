@@ -105,7 +105,7 @@ class Layout:
 
 
 LAYOUTS = (
-    ("berthing*", "esso_osaka_berthing"),  # its yaw rate comes late
+    ("berthing*", "esso_osaka_berthing"),  # its yaw rate is late
     ("*", "kvlcc2_marin"),
     ("*", "single_screw"),
     ("*", "boat1_usv"),

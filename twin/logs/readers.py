@@ -98,17 +98,17 @@ def merged(group: npt.NDArray[np.intp], data: Mapping[str, Array]) -> dict[str, 
     for key, values in data.items():
         result[key] = np.full(rows, np.nan)
         valid = ~np.isnan(values)
-        result[key][group[valid]] = values[valid]  # the last of equal indices stays
+        result[key][group[valid]] = values[valid]  # of equal indices, the last one is kept
     return result
 
 
 def thinned(t: Array, data: dict[str, Array], layout: Layout) -> dict[str, Array]:
     """Return the rows that a layout asks for, of columns at the times t."""
     if layout.start > -math.inf or layout.stop < math.inf:
-        # a row without a time is kept, to be complained of
+        # a row without a time is kept, to be reported
         keep = ~((t < layout.start) | (t >= layout.stop))
         t, data = t[keep], {key: values[keep] for key, values in data.items()}
-    # time that stands still, goes back or is missing is left for the complaint about it
+    # a time that stands still, goes back or is missing is kept, to be reported
     if layout.step > 0.0 and len(t) > 1 and (np.diff(t) > 0.0).all():
         cell = np.floor(t / layout.step + 1e-9)
         data = merged(np.cumsum(np.diff(cell, prepend=cell[0]) > 0.0), data)

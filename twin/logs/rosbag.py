@@ -257,13 +257,13 @@ def _commanded(data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     """Hold the commands from the row after their message on; drop the rows before the first."""
     given = [data[key] for key in COMMANDS if key in data]
     if not given or any(np.isnan(values).all() for values in given):
-        return data  # complained of where columns are checked
+        return data  # reported where columns are checked
     first = max(int(np.argmin(np.isnan(values))) for values in given)
     rows = np.arange(len(data[TIME]))
     for key in COMMANDS:
         if key in data:
             last = np.maximum.accumulate(np.where(np.isnan(data[key]), 0, rows))[first:]
-            # a row holds what was in force in the interval that ends at it
+            # a row has the commands in force in the interval that ends at it
             data[key][first:] = data[key][np.concatenate((last[:1], last[:-1]))]
     if first:
         notes.append(f"{first} row(s) before the first command left out")

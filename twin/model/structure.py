@@ -187,7 +187,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     drag, lift, side = _fin(u, aside, 0, hull, terms)
     same = terms[_RACE_RIGHT] == terms[_RACE_LEFT]
     same = same and terms[_COS_RIGHT] == terms[_COS_LEFT] and terms[_SIN_RIGHT] == terms[_SIN_LEFT]
-    if same:  # as a rule
+    if same:  # the common case
         drag, lift, side = drag + drag, lift + lift, side + side
     else:
         more = _fin(u, aside, 1, hull, terms)

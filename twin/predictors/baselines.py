@@ -232,7 +232,7 @@ class HistoryPredictor(Predictor):
     def _own_errors(self, horizon: float = 10.0) -> Array:
         """Return the root mean square errors (K, 6) of this predictor's past forecasts."""
         K, second = round(horizon / GRID), round(1.0 / GRID)
-        # of whole seconds of history: what was asked before must not matter
+        # of whole seconds of history, so that earlier calls do not change the result
         count = (self._dropped + len(self._rows)) // second * second
         if count == self._errors_at:
             return self._errors

@@ -131,10 +131,10 @@ def draws_of(memory, p, K, N, D):
 
 @kernel
 def past_waves(nav, rows, window, w):
-    """Write what is left of the last velocities (6, 3), newest first; zeros if some are no good."""
+    """Write residuals of the last velocities (6, 3), newest first; zeros if a row is invalid."""
     newest = last_row(window)
     w[:] = 0.0
-    # what a gap was bridged with is no wave
+    # rows interpolated over a gap have no waves
     if newest < ORDER or not all_good(newest - ORDER + 2, newest, rows):
         return
     for i in range(3):
@@ -307,7 +307,7 @@ def interval_edges(deviations: Array) -> Array:
     D, K, n = deviations.shape
     place = np.array([0.05, 0.95]) * (D - 1)
     low = place.astype(int)
-    # the draws of one number stand side by side: sorted as far as needed, that is quick
+    # the draws of one number are contiguous, and sorted only as far as needed
     lines = np.ascontiguousarray(deviations.reshape(D, -1).T)
     ordered = np.partition(lines, [*low, *(low + 1)], axis=1).T.reshape(D, K, n)
     share = (place - low)[:, None, None]

@@ -94,7 +94,7 @@ WINDOW = np.dtype(
         ("refit_at", "f8"),  # time of the next refit, s
         ("fastest", "f8", 3),  # largest abs(u), abs(v), abs(r) seen
         ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
-        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the waves of the moment
+        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
     ]
 )
@@ -206,7 +206,7 @@ def all_good(first, last, rows):
 def _take_segments(rows, window, selector, segments, config, model, work):
     """Take the segments that are over into the window; return how many starts were tried."""
     newest, tried = last_row(window), 0
-    # older rows have been written over: after a long gap, nearly all of it
+    # older rows have been overwritten, nearly all of them after a long gap
     start = max(int(window.next_start), newest - rows.shape[0] + 1)
     while start + config.steps < newest:
         if all_good(start, start + config.steps, rows):

@@ -189,7 +189,7 @@ class SeparateTwins(TwinObserver):
             dt, twin = take_row(boat, self._notes[i]), self.twins[i]
             t = note["last"].item()
             if dt >= 0.0:
-                # what a twin keeps must not change with the next row
+                # arrays that a twin keeps must not change with the next row
                 twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
             if not look or note["shown"] == note["last"]:
                 continue

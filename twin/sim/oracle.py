@@ -44,7 +44,7 @@ Source: docs/explanation/twin.md, Waves and prediction intervals.
 STEP = 0.05
 """Longest integration step, s: that of the simulation."""
 
-# entries of what is kept beside each row of the history: time, then the state of the ship
+# extra columns of each row of the history: time, then the state of the ship
 _TIME, _SHIP = 0, 1
 
 _SIZE = _SHIP + fr.STATE_SIZE
@@ -69,7 +69,7 @@ def _sail(state, cmd, t, dt, true):
         total = 0.0
         for i in range(fr.STATE_SIZE):
             total += state[i]
-        if not math.isfinite(total):  # capsized beyond what numbers hold
+        if not math.isfinite(total):  # capsized, with infinite numbers
             for i in range(fr.STATE_SIZE):
                 state[i] = 0.0
         state[fr.U] = min(max(state[fr.U], -limits[0]), limits[0])
@@ -210,7 +210,7 @@ class Oracle(HistoryPredictor):
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`.
 
-        Paths of moments that the last call had are reused: the ship does not change.
+        Paths from rows of the last call are reused, because the ship does not change.
         """
         asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
         known, paths = self._known

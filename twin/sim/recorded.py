@@ -57,7 +57,7 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> Particular
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
         return Particulars.load(ship, log=path)
     if ship == str(file) and "[hull]" not in text:
-        return Particulars.load(ship)  # says which tables are missing
+        return Particulars.load(ship)  # its error names the missing tables
     return particulars_of(Vessel.load(ship))
 
 

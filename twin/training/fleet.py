@@ -254,7 +254,7 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
         suite = SensorSuite.grade(str(rng.choice(("typical", "typical", "best"))))
         particulars = particulars_of(vessel, suite)
         hs, wind = SEAS[rng.integers(len(SEAS))]
-        # no small boat is out in a gale
+        # small boats get no gale
         calm = min(1.0, 0.15 * particulars.length / max(hs, 1e-9))
         sea = SeaState(hs=calm * hs, wind=math.sqrt(calm) * wind, wind_from=rng.uniform(0, 6.28))
         # the manoeuvres of the study boat are those of the benchmark
@@ -528,7 +528,7 @@ def train(
         late = np.arange(1, AHEAD * PATCH + 1) ** settings.late
         weight = torch.from_numpy(((late / late.mean())[:, None] / TYPICAL).astype(np.float32))
         for step in _counted(done, settings, name or f"{settings.kind} learns"):
-            # a training that goes on leaves out what it would have left out
+            # a resumed training uses the same dropout masks as an uninterrupted one
             torch.manual_seed((settings.seed << 32) + step + 1)
             share = step / settings.steps
             for group in optimiser.param_groups:

@@ -60,7 +60,7 @@ _WATER, _GRID, _PANEL = (236, 244, 249), (219, 230, 237), (255, 255, 255)
 
 _PALE, _HULL = (248, 216, 178), (92, 99, 105)
 
-_FINE = 2  # the map is painted so many times larger, and smoothed
+_FINE = 2  # the map is drawn this many times larger, and smoothed
 
 
 class Renderer:
@@ -296,7 +296,7 @@ class Painter:
             pixels = np.stack([rect.centerx + away[..., 1], rect.centery - away[..., 0]], axis=-1)
             return np.clip(pixels, -far, far).tolist()
 
-        # a net that stands still, so that one sees the boat move
+        # a grid fixed to the earth, so that one sees the boat move
         mesh = _nice(0.3 * min(rect.size) / scale)
         corner = np.array([rect.h, rect.w]) / (2.0 * scale)
         low, high = (np.floor((scene.view + k * corner) / mesh).astype(int) for k in (-1, 1))
@@ -320,7 +320,7 @@ class Painter:
             draw.lines(canvas, _GREY, False, points, thin)
             draw.line(canvas, _GREEN, *points[scene.leg : scene.leg + 2], 2 * thin)
             lengths = np.hypot(*np.diff(scene.path, axis=0).T)
-            # the points of a curve would be beads on a string
+            # the many points of a curve are not marked
             marked = lengths.max() > 2.0 * scene.vessel.values["length_overall"]
             for k, point in enumerate(points if marked else []):
                 target = k == scene.leg + 1

@@ -110,7 +110,7 @@ class SB3VecEnv(VecEnv):
         else:
             listed = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(dones):
-            # what the ended episode said, not the new one
+            # infos of the ended episode, not of the new one
             listed[i] = one(infos["final_info"], int(i)) | {
                 "terminal_observation": infos["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),

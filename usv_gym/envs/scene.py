@@ -116,7 +116,7 @@ class Trail:
         if t <= self.t:
             self._begin()
         x, y, psi = float(state[fr.X]), float(state[fr.Y]), float(state[fr.PSI])
-        # looked at with calm: the picture must not shake with the boat
+        # low-pass filtered: the picture must not shake with the boat
         share = 1.0 - math.exp((self.t - t) / 2.0)
         target = self.ahead * np.array([math.cos(psi), math.sin(psi)])
         self._offset += share * (target - self._offset)

@@ -144,7 +144,7 @@ def score_step(
     if rules.kind == PATH:
         angle = errors[COURSE_ERROR]
         along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
-        # as much too fast costs what as much too slow does
+        # too fast costs as much as too slow by the same amount
         first = 1.0 - abs(along / rules.speed - 1.0)
         second = -min(abs(errors[CROSS_TRACK]) / rules.unit, 2.0)
         reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach

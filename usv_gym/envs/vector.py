@@ -64,7 +64,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    closed = True  # until there is something to close
+    closed = True  # close() may be called before __init__ has ended
 
     def __init__(
         self,

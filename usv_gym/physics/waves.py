@@ -92,8 +92,8 @@ def _shape(
         bessel[i] = series if z < 0.01 else (ratio - cosine) * inverse
 
 
-# A loop becomes vector instructions only while few rows are in play: whether they overlap is
-# looked at before it begins. So the loops below are short.
+# LLVM vectorises a loop only if it can check beforehand that its rows do not overlap, which it does
+# for few rows. So the loops below are short.
 @kernel
 def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
     """Write the product of two rows."""

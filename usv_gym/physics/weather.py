@@ -28,7 +28,7 @@ WEATHER = np.dtype(
         ("wind_speed", float, KEYFRAMES),
         ("wind_from", float, KEYFRAMES),
         ("changes", float),  # number of keyframes after the first
-        ("gust_wind", float),  # mean wind speed that the gusts are drawn for, m/s
+        ("gust_wind", float),  # mean wind speed of the drawn gusts, m/s
         # slow wind: Gauss-Markov state, standard deviation and time constant (s)
         ("speed_drift", float),  # m/s
         ("speed_sd", float),

@@ -204,7 +204,7 @@ class RandomFaults(Disturbance):
         _finite_start(self.kind, self.start)
 
     def _timing(self, dt: float) -> dict[str, Any]:
-        # a window that is over when it begins: the first one is drawn then
+        # an empty window, after which the first real one is drawn
         return {"start": self.start, "end": self.start, "gap": self.gap, "length": self.duration}
 
 

@@ -318,7 +318,7 @@ class SeaState:
     def _components(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw the frequencies (rad/s) of the components, and return their amplitudes (m)."""
         M = self.components
-        # one at random in each of M bins, of equal energy or of equal width: never repeats
+        # one frequency at random in each of M bins, of equal energy or width: the sea never repeats
         within = np.arange(M) + rng.random(M)
         if self.discretisation == "random-frequency":
             table = self.wave_spectrum()

@@ -191,7 +191,7 @@ class Simulation:
                 f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
                 "(usv_gym.world.faults.parse_faults reads a text)"
             )
-        fault_records(fixed, dt)  # what does not fit fails here, not at the first reset
+        fault_records(fixed, dt)  # invalid combinations fail here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)

@@ -141,7 +141,7 @@ class _Clock:
             half = (len(ours) + 1) // 2
             passed = ours[half:] - ours[: len(ours) - half]
             rate = 1.0
-            # fewer say nothing of the rate: between two lies as much chance as time
+            # fewer do not give the rate: between two, jitter is as large as the time
             if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and (passed > 0.0).any():
                 steps = theirs[half:] - theirs[: len(ours) - half]
                 rate = max(float(np.median(steps[passed > 0.0] / passed[passed > 0.0])), 0.0)
@@ -282,7 +282,7 @@ class Feed(ABC):
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
         """Take one datagram that arrived at a time of the feed's clock (s)."""
-        if not self._map.pairs:  # until a message tells a time, ours is as good as any
+        if not self._map.pairs:  # until a message has a time, use our own
             self._map.tell(arrival, 0.0)
         for item in self.decode(data):
             counted = item if isinstance(item, str) else self._place(item, arrival)
@@ -402,7 +402,7 @@ class Feed(ABC):
             turns = round((nearest + self._base - stamp) / self.modulus)
             t = stamp + turns * self.modulus - self._base
         key = kind, round(t / SAME)
-        behind = t < self._released + SAME / 2  # stamps of other units may round to a hair later
+        behind = t < self._released + SAME / 2  # stamps in other units may round to slightly later
         if behind:
             self._stale = min(self._stale, t)
             if t - self._stale >= RESTART:
@@ -416,7 +416,7 @@ class Feed(ABC):
         if key in self._seen:
             return "doubled"
         if behind:
-            if t > self._released - RESTART:  # of the clock it still speaks
+            if t > self._released - RESTART:  # its time still counts
                 self._map.tell(arrival, t)
             return "late"
         self._stale = math.inf

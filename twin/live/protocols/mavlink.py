@@ -188,7 +188,7 @@ class MavlinkFeed(Feed):
     def decode(self, data: bytes) -> Iterator[Message | str]:
         """Yield the messages of a datagram; see :meth:`Feed.decode`."""
         if self._parser.buf_len() and data[:1] in (b"\xfd", b"\xfe"):
-            yield "broken"  # the last datagram ended within a message, which this does not go on
+            yield "broken"  # the last datagram ended in a message that this one does not continue
             self._parser = self._writer.parser()
         for item in self._parser.parse_buffer(data) or ():
             yield self._message(item)
@@ -230,7 +230,7 @@ class MavlinkFeed(Feed):
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
         }.get(kind)
-        # a gimbal has an attitude, too
+        # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
         if self.system is None and known:
             self.system = self._writer.system = system

@@ -77,11 +77,11 @@ class Snapshot:
     ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
     # (K, 2): way points, m north and east; none where no path is followed
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
-    sea: Sea | None = None  # waves and wind; None where nobody knows
+    sea: Sea | None = None  # waves and wind; None where unknown
     rate: float = math.nan  # seconds of the run per second of the clock
     # time of the clock for which nothing has come at all, s; 0 where that cannot be
     silence: float = 0.0
-    notes: tuple[str, ...] = ()  # what whoever looks should know
+    notes: tuple[str, ...] = ()  # messages for the user
 
 
 class Session(ABC):
@@ -154,7 +154,7 @@ class Session(ABC):
         """Let go of what is held; in the session's thread, at its end."""
         try:
             self.record(False)
-        except OSError:  # better elsewhere than lost
+        except OSError:  # write it elsewhere rather than lose it
             self.folder = Path(tempfile.gettempdir())
             self.record(False)
 

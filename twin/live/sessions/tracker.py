@@ -1,4 +1,4 @@
-"""A twin fed row by row, judged by what comes after, and what a picture shows of it."""
+"""A twin that takes rows one by one, its errors against later fixes, and what is shown of it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
 
 GAP, NEW_AFTER = 1.0, 30.0
-"""Nothing is judged across so many seconds without a row, and after so many the curves begin
+"""Gap between rows, s: after the first no errors are computed, after the second the curves begin
 again."""
 
 

@@ -241,7 +241,7 @@ class SimulatedControls(Controls):
 
 
 class FeedControls(Controls):
-    """A real boat takes no orders, and nobody holds up its time."""
+    """A real boat takes no orders, and its time cannot be stopped."""
 
     session: FeedSession
 
@@ -281,7 +281,7 @@ class LogControls(Controls):
             self.plan.on_update(lambda _: self.session.order(self.session.again, self.plan.value))
 
         def seek(event: Any) -> None:
-            if event.client is not None:  # not what show() wrote itself
+            if event.client is not None:  # only changes by the user, not by show()
                 self.session.order(self.session.seek, self.at.value)
 
         self.at.on_update(seek)
@@ -505,7 +505,7 @@ class Curves:
     def _draw(handle: Any, t: Array, *values: Array) -> None:
         """Draw what is known; of nothing, an empty plot."""
         rows = np.isfinite(np.stack(values)).any(axis=0)
-        # the browser cannot draw NaN: what one curve lacks is drawn through
+        # the browser cannot draw NaN: gaps of a curve are interpolated
         handle.data = (t[rows], *(padded(value[rows]) for value in values))
 
 

@@ -104,7 +104,7 @@ class SceneView:
             "/sea/ribbon",
             np.zeros(((STEPS + 1) * (ACROSS + 1), 3), np.float32),
             strip(STEPS + 1, ACROSS + 1),
-            # not transparent: what lies on water that is would be drawn in any order
+            # not transparent: on transparent water, objects would be drawn in any order
             color=PALE,
             side="double",
             cast_shadow=False,
@@ -242,7 +242,7 @@ class SceneView:
         if overlay is None:
             return
         x, y, psi = overlay.state[:3]
-        # no twin knows of heave: its boat lies on the water as it is there
+        # twins have no heave: the boat is drawn at the local water level
         lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
         self.ghost.position = (float(x), float(y), -lift)
         self.ghost.wxyz = attitude(0.0, 0.0, float(psi))

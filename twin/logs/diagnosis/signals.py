@@ -175,7 +175,7 @@ def fit_line(x: Array, y: Array, loss: float = 2.0) -> Line:
     loss : float
         Residuals beyond so many standard deviations count linearly.
     """
-    # squares of garbage overflow
+    # squares of invalid values overflow
     sane = (np.abs(x) < _HUGE) & (np.abs(y) < _HUGE)
     x, y = x[sane], y[sane]
     if not len(x):

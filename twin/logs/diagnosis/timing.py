@@ -235,7 +235,7 @@ def _outages(recording: Recording, sensor: str, names: tuple[str, ...]) -> list[
         return []
     edges = np.concatenate(([recording.t[0]], at, [recording.t[-1]]))
     silence = np.diff(edges)
-    # what the clock skipped is said of the clock
+    # gaps that the clock skipped are reported for the clock
     step = np.diff(recording.t)
     clock = np.append(0.0, np.cumsum(np.where(is_gap(recording.t), step, 0.0)))
     silence = silence - np.diff(np.interp(edges, recording.t, clock))
@@ -277,7 +277,7 @@ def _frozen(
     new = values[~repeated(values)]
     common = float(np.median(np.hypot.reduce(np.diff(new, axis=0), axis=1))) if len(new) > 1 else 0
     least = max(_JUMPS.get(sensor, 0.0), 8.0 * common)
-    # a sensor that never repeats itself otherwise needs no jump to be seen
+    # a sensor that never repeats itself otherwise is frozen even without a jump
     same = repeated(values)
     long = sum(j - i for i, j in stands)
     strict = int(same.sum()) - long < 0.02 * len(same)

@@ -266,7 +266,7 @@ class LSTMPredictor(HistoryPredictor):
         sd = inputs.std(axis=0)
         if (sd[:3] < 1e-3 * self._typical).all():
             return None
-        # a command that never changed teaches nothing: it must not matter later either
+        # a command that never changed gets no weight, now or later
         shaft = self.particulars.shaft_speed
         scale = np.concatenate(
             [
@@ -279,7 +279,7 @@ class LSTMPredictor(HistoryPredictor):
         H, rng = self.hidden, np.random.default_rng(self.seed)
         bound = 1.0 / math.sqrt(H)
         bias = rng.uniform(-bound, bound, 4 * H)
-        # a cell that remembers from the start, and a read-out that starts from persistence
+        # forget gates are open at first, and the read-out starts from persistence
         bias[H : 2 * H] += 1.0
         net = _Net(
             centre=inputs.mean(axis=0),

@@ -153,7 +153,7 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     out = np.zeros((B, past + ahead.shape[1], PER_ROW))
     seen = out[:, :past]
     seen[..., :3] = (window[..., VELOCITIES] / [U, U, U / L] - CENTRE) * SCALE
-    # the wind is the earth's: how the boat lay to it, from where it lies now
+    # the wind is fixed to the earth: headings are relative to the present one
     turned = window[..., 2] - window[:, -1:, 2]
     seen[..., 3], seen[..., 4] = np.cos(turned), np.sin(turned)
     seen[..., 5:8] = window[..., 14:17]
@@ -165,7 +165,7 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     out[..., 11] = 1.5 * (left + right)[..., 1]
     out[..., 12] = 1.5 * np.sin(acts[..., 2:]).sum(axis=2)
     seen *= known[..., None]
-    # the plan's places for velocities hold what they were: a steady turn goes on as its mean
+    # the plan's entries for velocities repeat the past mean, so that a steady turn goes on
     count = np.cumsum(known[:, ::-1], axis=1)[:, ::-1]
     means = [seen[:, -n:, :3].sum(axis=1) / np.maximum(count[:, -n], 1)[:, None] for n in MEANS]
     out[:, past:, :3] = np.tile(np.stack(means, axis=1), (1, ahead.shape[1] // PATCH, 1))
@@ -313,7 +313,7 @@ class FleetPredictor(ActuatedPredictor):
         window, known = self.windows(rows, origins)
         window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
         out = []
-        # beyond its horizon the net goes on from its own answers
+        # beyond its horizon the net goes on from its own outputs
         for first in range(0, plans.shape[1], block):
             part = slice(first, first + block)
             path = self.answer(window, known, acts[:, part])

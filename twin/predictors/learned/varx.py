@@ -114,7 +114,7 @@ class VARPredictor(ActuatedPredictor):
             self._fit = self._learn(np.array(self._rows))
             self._errors_at = -math.inf
         elif have < self._due - max(self.first, self.refit):
-            self._due = self.first  # a long gap took the history
+            self._due = self.first  # the history was cleared at a long gap
 
     def _past(self, rows: Array, at: Array) -> Array:
         """Return scaled u, v, r at rows (B,) and the steps before, newest first (B, 3 p)."""
@@ -148,7 +148,7 @@ class VARPredictor(ActuatedPredictor):
         )
         Y = (rows[at + m, VELOCITIES] - rows[at, VELOCITIES]) / self.typical
         centre, sd = X.mean(axis=0), X.std(axis=0)
-        # a column that never changed shows nothing: it must have no weight later
+        # a column that never changed gets no weight, now or later
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
         Z = (X - centre) * scale
         A = Z.T @ Z / len(at) + self.ridge * np.eye(Z.shape[1])
@@ -169,7 +169,7 @@ class VARPredictor(ActuatedPredictor):
         past = self._past(rows, origins)
         size, path = self.bound / self.typical, [past[:, :3]]
         for k in range(plans.shape[1] // m):
-            # newest first, as the past is
+            # newest first, as in the history
             did = inputs[:, k : k + p].reshape(len(origins), -1)
             nu = past[:, :3] + np.concatenate([past, did], axis=1) @ W + b
             path.append(np.clip(nu, -size, size))
