@@ -145,7 +145,7 @@ def take(typing_context, array, at, shape):
 
 @intrinsic(prefer_literal=True)
 def alloca_f64(typing_context, size):
-    """Return so many float64 on the stack; what is in them is left from others.
+    """Return so many float64 on the stack, uninitialised.
 
     For kernels: the number must be a constant, and the array ends with the kernel.
     """

@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 LANES = 16
-"""So many sums of :func:`dots` run side by side."""
+"""Number of sums of :func:`dots` that run in parallel."""
 
 _LANES = 4
 

@@ -105,7 +105,7 @@ class LOS:
         self.fit(base.vessel, base.speed, dt, float(base.task.rules["reach"]), base.num_envs)
 
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
-        """Take over n boats: what :meth:`begin` does, where there is no environment.
+        """Prepare for n boats without an environment; with one, :meth:`begin` does it.
 
         ``speed`` is nominal, m/s, ``dt`` the time between decisions, s. ``reach`` is the distance
         at which a way point counts as reached, m, 0 on a curve.

@@ -47,7 +47,7 @@ FRAME_SKIP = 10
 EPISODE = 240
 
 AFTER_OUTAGE = 20.0
-"""The outage's own score goes on for so long after it, s."""
+"""Time after an outage that still counts for its score, s."""
 
 
 def make_envs(

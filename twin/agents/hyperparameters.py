@@ -129,7 +129,7 @@ def algorithm_class(algo: str) -> type[BaseAlgorithm]:
 
 
 def schedule(name: str, rate: float | str) -> Any:
-    """Return what falls while training: a number, or ``"lin_X"``, which falls from X to 0."""
+    """Return a number as it is, and ``"lin_X"`` as a schedule that falls from X to 0."""
     if not isinstance(rate, str):
         return float(rate)
     kind, first = rate.partition("_")[::2]

@@ -50,10 +50,10 @@ WIDTH = 2
 """Numbers in an action: shaft speed, angle."""
 
 NUDGE = 1e-3
-"""Change of a knot that gives a slope, in parts of full throttle and helm."""
+"""Finite difference of a knot, in parts of full throttle and helm."""
 
 DAMPINGS = (1e-3, 1e-1, 10.0)
-"""Parts of the diagonal that are added to it in turn, until a step is an improvement."""
+"""Levenberg-Marquardt damping, in parts of the diagonal, raised until a step is an improvement."""
 
 
 class PlanConfig(NamedTuple):

@@ -36,7 +36,7 @@ FORMAT = 1
 
 
 class AgentError(UsvTwinError):
-    """Something that steers, trains or is compared does not fit; the message says what."""
+    """An agent, training or comparison that cannot be used; the message says why."""
 
 
 @dataclass

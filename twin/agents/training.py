@@ -226,7 +226,7 @@ class _Learner:
         self.curve: list[dict[str, float]] = []
         self.wall, self.since = 0.0, time.perf_counter()
         self.saved = 0
-        """Transitions that were written, of all that there were."""
+        """Number of transitions that were written."""
         self._resume()
 
     def learn(self, progress: bool) -> None:
@@ -297,7 +297,7 @@ class _Learner:
         self.since = time.perf_counter()
 
     def _save(self) -> None:
-        """Write a checkpoint: arrays and numbers only, which no reader has to trust."""
+        """Write a checkpoint of arrays and numbers only, so that loading it runs no code."""
         import torch
 
         model, envs = self.model, self.envs
@@ -393,7 +393,7 @@ def _write(path: Path, content: Any) -> None:
 
 
 def _seed_of(seed: int, steps: int) -> int:
-    """Return a seed for what follows a break; it is no evaluation's."""
+    """Return the seed of the part after a break, which no evaluation uses."""
     drawn = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
     return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
 

@@ -87,7 +87,7 @@ def _recorded_identify_s(log: Log) -> float:
 
 
 class _Parameters(NamedTuple):
-    """What a twin made of its parameters at a time, as it is written."""
+    """The parameters that a twin estimated at one time, as they are stored."""
 
     t: float
     params: list[float]
@@ -95,7 +95,7 @@ class _Parameters(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A run as predictors meet it."""
+    """A run: what predictors get, and what they are scored against."""
 
     seen: Log  # the rows that predictors get
     reference: Log  # what their predictions are scored against

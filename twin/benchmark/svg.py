@@ -153,5 +153,5 @@ def _tenths(value: int) -> str:
 
 
 def _joined(text: str) -> str:
-    """Return a number that stands after another: a sign parts them too."""
+    """Return a number to follow another, separated by its sign or by a space."""
     return text if text[0] == "-" else f" {text}"

@@ -88,8 +88,8 @@ GATE = 6.0
 """Standard deviations beyond which a number is refused ..."""
 
 REFUSED_MAX = 20.0
-"""... unless this many in a row were refused, one that comes after a pause of 1 s counting
-for :data:`REFUSED_RATE`."""
+"""... unless this many in a row were refused. One after a pause of 1 s counts as
+:data:`REFUSED_RATE`."""
 
 REFUSED_RATE = 5.0
 

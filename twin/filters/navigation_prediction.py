@@ -28,7 +28,7 @@ __all__ = [
 
 @kernel
 def _cap(P, settings):
-    """Keep variances below what can be; one that is cut also loses its correlations."""
+    """Limit variances to what is physical; a limited one also loses its correlations."""
     speed, turn = settings.velocity_var_0, settings.r_var_0
     for i in range(6):
         top = 1e8 * speed / turn  # ten thousand lengths

@@ -39,19 +39,19 @@ IMU_LEAPS = 6
 """Place of the IMU's leaps among the runs of refused numbers."""
 
 IS_MODELLED = 3
-"""Place, after a model's u', v', r', of whether there is one."""
+"""Place of the flag, after a model's u', v', r', that they are given."""
 
 RING_ROWS, RING_COLUMNS = 64, 9
 
 SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
-"""No boat does more: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
-position in m, and heading in rad (not wrapped). Numbers beyond are no samples."""
+"""Limits of valid samples: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
+position in m, and heading in rad (not wrapped). Samples beyond are refused."""
 
 AIDED, AIDED_TURN = 0.05, 0.05
 """How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
 
 VARIANCE_MIN = 1e-12
-"""Below this a variance is rounding."""
+"""Smallest variance; a smaller one is a rounding error."""
 
 NAVIGATION = np.dtype(
     [

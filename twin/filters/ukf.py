@@ -63,7 +63,7 @@ SPREAD, MEAN_0, COVARIANCE_0, OTHERS = 0, 1, 2, 3
 """Entries of the weights."""
 
 _PIVOT_MIN = 1e-14
-"""Below this part of a variance, what a difference leaves of it is rounding."""
+"""Part of a variance below which a difference is a rounding error."""
 
 _NOISE_MIN = 1e-10
 """The least measurement noise, as a part of the variance that it meets."""

@@ -27,10 +27,10 @@ __all__ = [
 ]
 
 _WHOLE_TURN = 0.35
-"""So near to whole turns a step is one of unwrapping, rad."""
+"""A step this near to whole turns is one of unwrapping, rad."""
 
 _LOST = 0.1
-"""More than this share of the fixes is no error of a receiver."""
+"""Largest share of jumping fixes that may be errors of a receiver."""
 
 
 def checked_time(t: Array, table: Table) -> Array:

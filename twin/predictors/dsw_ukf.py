@@ -148,7 +148,7 @@ def _vector_of(name: str, values: ArrayLike, size: int, *, positive: bool) -> Ar
 
 
 RIDGE = 1e-9
-"""What is added to variances of a prediction, as a share: more than rounding can take away."""
+"""Share that is added to the variances of a prediction, so that rounding leaves it definite."""
 
 _WIND, _ACCEL_Y = MEASUREMENTS.index("wind_mps"), MEASUREMENTS.index("accel_y_mps2")
 

@@ -92,7 +92,7 @@ class Trail:
     """
 
     fix_period = 0.5
-    """More fixes than one in so many seconds would run together, s."""
+    """Shortest time between fixes that are drawn, s."""
     longest = 20_000
     """Points that are remembered."""
 

@@ -48,7 +48,7 @@ class TaskError(UsvTwinError):
 def path_errors(
     x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
 ) -> None:
-    """Write how a boat stands to the leg from point ``leg`` of a path (K, 2) to the next.
+    """Write the errors of a boat from a leg: from point ``leg`` of a path (K, 2) to the next.
 
     Errors (4,): distance to starboard of the leg and left along it (m), course of the leg less
     heading, turn to the next leg (rad). The turn is 0 on the last leg.

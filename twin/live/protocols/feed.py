@@ -73,7 +73,7 @@ REPEAT = 0.01
 """A message without a time that repeats the last one within this, s, is that one again."""
 
 HOLD = 2.0
-"""The clock of the sender is taken to run at its own rate for this long, s, without news."""
+"""Time without messages, s, over which the sender's clock is extrapolated at its own rate."""
 
 BYTES_MAX = 1 << 16
 """About so many bytes are read in one call; the rest waits for the next."""
@@ -88,7 +88,7 @@ LIMITS = {
     **dict.fromkeys(COMMANDS[:2], 2000.0),
     **dict.fromkeys(COMMANDS[2:], 0.5 * math.pi + 1e-6),
 }
-"""Beyond these no value is true, whatever its checksum says."""
+"""Limits of valid values, whatever the checksum says."""
 
 # Linux: the kernel's time of a datagram, and how many it has dropped before it
 _TIMESTAMP, _DROPPED = 35, 40

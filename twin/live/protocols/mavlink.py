@@ -46,10 +46,10 @@ WRAP = 2.0**32
 UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
 
 UNUSED = 2**16 - 1
-"""Pulse width of an output that there is not, us."""
+"""Pulse width of an unused output, us."""
 
 NEAR = 5.0
-"""A time of a servo output that is farther than this, s, from the last one is of another clock."""
+"""A servo output whose time differs by more than this, s, from the last one has another clock."""
 
 HEARTBEAT = 1.0
 """Time between two, s."""

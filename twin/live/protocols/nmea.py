@@ -59,10 +59,10 @@ OWN = "U9"
 """Talker of what the twin says."""
 
 HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
-"""Of the prediction that goes back, s."""
+"""Horizons of the prediction that goes back, s."""
 
 LENGTH_MAX = 1024
-"""A longer line is none."""
+"""Longest line that counts as a sentence, characters."""
 
 NO_FIX = {0: "none", 6: "estimated"}
 """GGA qualities that measure nothing, ..."""

@@ -116,7 +116,7 @@ class _Mean:
 
 
 class TwinMonitor:
-    """A twin, which gets its rows here only, and what is to be seen of it.
+    """A twin that is stepped by this class only, and what a view shows of it.
 
     ``t`` is the time of the last row, s. ``measured`` (3,) has the last fix (m north and east) and
     compass heading (rad), NaN before the first. ``fixes`` and ``track`` are the last fixes, and
@@ -242,7 +242,7 @@ class TwinMonitor:
             self._nis_velocity.add(t, float(np.mean((fix[2:] - velocity) ** 2) / np.mean(var)))
 
     def _note_errors(self, before: float, truth: Array | None) -> None:
-        """Say how far off the prediction is whose last moment has come."""
+        """Note the error of the prediction whose horizon has just passed."""
         last = self._place
         if truth is not None and math.isfinite(truth[0]):
             self._place = float(truth[0]), float(truth[1])

@@ -47,7 +47,7 @@ LOSS = 10.0
 """A short loss of GPS, s."""
 
 HEIGHT, LOW = 150, 126
-"""Of a curve, and of one under a choice, pixels: three of a kind fit 720."""
+"""Heights of a curve, and of one under a selection, pixels: three of a kind fit into 720."""
 
 SHOWN = 300.0
 """Of a run that goes on for ever, the curves show the last s."""
@@ -260,7 +260,7 @@ class LogControls(Controls):
     session: LogSession
 
     def _add_record(self) -> None:
-        """It is recorded already."""
+        """Add nothing: the log is recorded already."""
 
     def add(self) -> None:
         """Add the slider of time."""

@@ -48,8 +48,8 @@ TURN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """North, east, down to what viser has: east, north, up."""
 
 CELLS, FAR, NEAR = 56, 16.0, 0.35
-"""The surface has so many cells a side, reaches so many lengths, and its middle cells are so much
-smaller than if all were alike."""
+"""Cells a side of the surface, its extent in lengths, and the size of its middle cells over that of
+equal cells."""
 
 TRACK, FIXES, PATH = 500, 400, 120
 """Most segments of the track, fixes and legs that are drawn."""
