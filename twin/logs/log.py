@@ -485,7 +485,7 @@ def assemble(table: Table) -> Log:
 
 
 def _merge_equal_times(table: Table) -> None:
-    """Make one row of those of equal time, unless they say different things."""
+    """Merge rows of equal time, unless their values differ."""
     t = table.data[TIME]
     step = np.diff(t, prepend=-np.inf)
     if not (step == 0.0).any() or not (step >= 0.0).all():

@@ -72,7 +72,7 @@ _ENU = {
 }
 
 _FAR = 1e5
-"""Farther from the middle fix than this, m, the first one is no datum."""
+"""Largest distance from the middle fix at which the first fix is the datum, m."""
 
 
 @dataclass(frozen=True)

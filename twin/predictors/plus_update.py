@@ -81,7 +81,7 @@ WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 valid ones. Earlier residuals also hold what was not yet learned."""
 
 SEGMENTS_MIN = 3
-"""Fewer say nothing of the parameters."""
+"""Least number of segments for a refit."""
 
 WINDOW = np.dtype(
     [

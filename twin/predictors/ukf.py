@@ -64,7 +64,7 @@ __all__ = [
 Array = NDArray[Any]
 
 WIND_LIMIT = 100.0
-"""No wind is faster, m/s."""
+"""Largest wind speed that counts as measured, m/s."""
 
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
@@ -73,14 +73,14 @@ AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
 
 OUTAGE_NOISE_FACTOR = 400.0
-"""Without GPS the error of the navigation's velocity lasts: so many rows count as one."""
+"""Factor of the velocity's measurement noise without GPS, as its errors last from row to row."""
 
 RESTART_AFTER = 4.0
 """After so long without GPS (in lengths over nominal speed) the state restarts with the next
 fix; the parameters stay ..."""
 
 DIVERGENCE_GATE = 10.0
-"""... as where it is so many standard deviations from what the navigation says."""
+"""... as they do where the state is this many standard deviations from the navigation."""
 
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""

@@ -184,7 +184,7 @@ class Oracle(HistoryPredictor):
         self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
     def extra_columns(self, dt: float) -> Array:
-        """Return the time and the state of the ship that sails along, shape (17,)."""
+        """Return the time and the state of the observer's ship, shape (17,)."""
         out = self._extra.copy()
         state, n = out[_SHIP:], self.navigator.n
         _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), self._true)

@@ -69,7 +69,7 @@ Array = NDArray[Any]
 NETS: dict[str, type[FleetPredictor]] = {"lstm": FleetLSTM, "transformer": FleetTransformer}
 
 _FLEET = 7051
-"""Keeps the fleet's draws apart from those of the benchmark: no seed of it is as large."""
+"""First seed of all random draws, larger than any seed of the benchmark."""
 
 SPAN = 120.0
 """Length of a run, s."""

@@ -117,7 +117,7 @@ CLASS = 0.15
 """The same of the coefficients of one class."""
 
 BIAS = 0.20
-"""How far the coefficients of the model of a class are off, as a standard deviation."""
+"""Standard deviation of the errors of the coefficients of a class's model."""
 
 MEASURED = "kvlcc2_l7"
 """The vessel around which tankers are sampled."""

@@ -79,7 +79,7 @@ def is_finite(value: object) -> bool:
 
 
 class FaultError(UsvTwinError):
-    """A sensor or a fault that cannot be; the message names it and the remedy."""
+    """An invalid sensor or fault; the message names it and the remedy."""
 
 
 SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
@@ -89,7 +89,7 @@ the noise, but possible."""
 
 @dataclass(frozen=True)
 class Disturbance(ABC):
-    """What a fault does to which sensors; when it does so is the subclass's affair.
+    """What a fault does to which sensors; subclasses define when.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class SeaError(UsvTwinError):
-    """A sea state that cannot be; the message names the value and the remedy."""
+    """An invalid sea state; the message names the value and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,16 +29,16 @@ _JITTER = 0.05
 """Steps that spread by more than this share of the median one jitter."""
 
 _SLOW_STEP = 5.0
-"""No logger waits longer between rows, s."""
+"""Longest regular step between a logger's rows, s."""
 
 _OUTAGE_SAMPLES, _OUTAGE = 10.0, 2.0
 """A sensor is lost when it is silent for so many of its intervals and so many seconds."""
 
 _STALE = 0.5
-"""No sensor of a moving boat repeats itself to the last digit for longer, s."""
+"""Longest time over which a working sensor of a moving boat repeats itself to the last digit, s."""
 
 _JUMPS = {"fix": 2.0, "velocity": 0.3, "compass": 0.1, "gyro": 0.05, "accelerometers": 0.1}
-"""A sensor that had stopped goes on at a value at least so far off."""
+"""Least jump of a sensor that goes on after it was frozen."""
 
 SENSORS = {
     "fix": ("gps_x_m", "gps_y_m"),
