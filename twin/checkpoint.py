@@ -145,8 +145,8 @@ def _check_header(path: str | Path, header: Any) -> None:
 
 def _refuse_version(path: str | Path, version: Any, software: Any) -> None:
     raise StateError(
-        f"{path}: has format version {version} of usv-twin {software}, and usv-twin {__version__} "
-        f"reads version {VERSION}; load it with that one, or start a new twin from the log"
+        f"{path}: has format version {version}, written by usv-twin {software}; usv-twin "
+        f"{__version__} reads version {VERSION}: load it with that one, or start a new twin"
     )
 
 
