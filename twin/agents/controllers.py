@@ -40,6 +40,10 @@ NAMES = {
 }
 """Yaw rate and surge of an observation, by the prefix of its entries."""
 
+CROSS, TO_GO = 0, 1
+COSINES, SINES, SPEED = [2, 4], [3, 5], 7
+"""Columns of what a controller is given: path errors, angles (course error, next turn), speed."""
+
 PATH = (
     *("cross_track", "to_go", "cos_course_error", "sin_course_error"),
     *("cos_next_turn", "sin_next_turn"),
@@ -119,8 +123,8 @@ class LOS:
     def act(self, obs: NDArray[np.float32]) -> Array:
         """See :meth:`twin.agents.agent.Agent.act`."""
         motion = obs[:, self._places].astype(float)
-        motion[:, 0] *= self.unit
-        motion[:, 1] *= 10.0 * self.unit
+        motion[:, CROSS] *= self.unit
+        motion[:, TO_GO] *= 10.0 * self.unit
         return self.steer(self._navigate(obs, motion))
 
     def _navigate(self, obs: NDArray[np.float32], motion: Array) -> Array:
@@ -190,16 +194,16 @@ class DeadReckoningLOS(LOS):
         fresh = age < self.dt - 1e-6
         self._track.legs[fresh] = self._legs_at_fix[fresh]
         part = 1.0 - math.exp(-self.dt * self.speed / (self.smoothing * self.length))
-        known = self.speed * np.stack([motion[:, 7], sway], axis=1)
+        known = self.speed * np.stack([motion[:, SPEED], sway], axis=1)
         self._velocity[fresh] += part * (known - self._velocity)[fresh]
         forward, side = self._velocity.T
         step = np.stack([forward * cos - side * sin, forward * sin + side * cos], axis=1)
         step *= np.where(fresh, age, self.dt)[:, None]
         psi = np.arctan2(sin, cos)
         reckon(fresh, step, psi, motion, self._points, self.reach, self._track)
-        motion[:, :2] = self._track.errors[:, :2]
-        angles = self._track.errors[:, 2:]
-        motion[:, 2:6:2], motion[:, 3:6:2] = np.cos(angles), np.sin(angles)
+        motion[:, : TO_GO + 1] = self._track.errors[:, : TO_GO + 1]
+        angles = self._track.errors[:, TO_GO + 1 :]
+        motion[:, COSINES], motion[:, SINES] = np.cos(angles), np.sin(angles)
         return motion
 
 
@@ -229,8 +233,8 @@ def reckon(fresh, step, psi, motion, points, reach, track):
             dx, dy = end[0] - start[0], end[1] - start[1]
             length = math.hypot(dx, dy)
             c, s = dx / length, dy / length
-            place[i, 0] = end[0] - motion[i, 1] * c - motion[i, 0] * s
-            place[i, 1] = end[1] - motion[i, 1] * s + motion[i, 0] * c
+            place[i, 0] = end[0] - motion[i, TO_GO] * c - motion[i, CROSS] * s
+            place[i, 1] = end[1] - motion[i, TO_GO] * s + motion[i, CROSS] * c
         place[i, 0] += step[i, 0]
         place[i, 1] += step[i, 1]
         leg = int(legs[i])

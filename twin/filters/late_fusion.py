@@ -33,9 +33,10 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import MEASUREMENTS
+from twin.channels import MEASUREMENTS, PSI, V
 from twin.checkpoint import Field, State, StateError, check_fields
 from twin.particulars import Instruments
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GYRO
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.scalar import wrap
 
@@ -65,7 +66,11 @@ FIELDS = {
 }
 """What the fields of a saved state may hold."""
 
+NORTH, EAST, NORTH_SPEED, EAST_SPEED, HEADING, TURN = range(6)
+"""State of the IMU filter: place (m), velocity (m/s), heading (rad), yaw rate (rad/s)."""
+
 _GPS_TO_FUSED = np.array([0, 3, 1, 4])
+"""Where north, east and their velocities stand in the state of the GPS filter."""
 
 _GPS_SELECT = np.ix_(_GPS_TO_FUSED, _GPS_TO_FUSED)
 
@@ -171,7 +176,7 @@ class LateFusion:
         self._gps_R = gps_R**2
         self._gps_H = np.eye(6)[_GPS_TO_FUSED]
         self._imu_R = np.array([sensors.compass_sd**2, gyro_var])
-        self._imu_H = np.eye(6)[4:]
+        self._imu_H = np.eye(6)[HEADING:]
         self._selections: dict[tuple[str, bytes], tuple[Array, Array]] = {}
         self.reset()
 
@@ -239,7 +244,7 @@ class LateFusion:
     @property
     def covariance(self) -> Array:
         """Covariance of the result, shape (6, 6), in the order (x, y, psi, u, v, r)."""
-        psi, u, v = self.state[2:5]
+        psi, u, v = self.state[PSI : V + 1]
         c, s = math.cos(psi), math.sin(psi)
         joint = self.imu.P.copy()
         joint[:4, :4] = self.fused_covariance
@@ -269,7 +274,7 @@ class LateFusion:
             self._predict_imu(dt, z, given)
         self._update_yaw(dt, z, given)
         self._update_gps(dt, z, given)
-        psi, r = float(self.imu.x[4]), float(self.imu.x[5])
+        psi, r = float(self.imu.x[HEADING]), float(self.imu.x[TURN])
         c, s = math.cos(psi), math.sin(psi)
         x, y, vx, vy = self.fused.tolist()
         self.state = np.array([x, y, psi, c * vx + s * vy, c * vy - s * vx, r])
@@ -299,9 +304,10 @@ class LateFusion:
         self._gps_Q = np.kron(pair, jerk)
 
         self._imu_F = np.eye(6)
-        self._imu_F[0, 2] = self._imu_F[1, 3] = self._imu_F[4, 5] = dt
+        for to, rate in ((NORTH, NORTH_SPEED), (EAST, EAST_SPEED), (HEADING, TURN)):
+            self._imu_F[to, rate] = dt
         self._imu_F_fading = self._imu_F.copy()
-        self._imu_F_fading[4, 5], self._imu_F_fading[5, 5] = reach, decay
+        self._imu_F_fading[HEADING, TURN], self._imu_F_fading[TURN, TURN] = reach, decay
         self._imu_B = np.zeros((6, 2))
         self._imu_B[0, 0] = self._imu_B[1, 1] = 0.5 * dt2
         self._imu_B[2, 0] = self._imu_B[3, 1] = dt
@@ -313,7 +319,7 @@ class LateFusion:
         # the true acceleration moves on while a sample is held
         with_sample = self.instruments.accel_sd**2 * held + jerk[:2, :2]
         yaw = np.zeros((6, 6))
-        yaw[4:, 4:] = self._yaw_density * white
+        yaw[HEADING:, HEADING:] = self._yaw_density * white
         self._imu_Q = np.kron(with_sample, pair)
         self._imu_Q = _embedded(self._imu_Q) + yaw
         self._imu_Q_bias = _embedded(self.instruments.accel_bias_sd**2 * np.kron(white, pair))
@@ -323,11 +329,12 @@ class LateFusion:
         """Move the IMU filter on, with the acceleration in the earth frame as known input."""
         self._free_time += dt
         imu = self.imu
-        psi = float(imu.x[4])
+        psi = float(imu.x[HEADING])
         F = self._imu_F if self._yaw_age + dt <= self.hold else self._imu_F_fading
-        if given[6] and given[7] and self._have_heading and imu.P[4, 4] < HEADING_VAR_MAX:
+        known = self._have_heading and imu.P[HEADING, HEADING] < HEADING_VAR_MAX
+        if given[ACCEL_X] and given[ACCEL_Y] and known:
             c, s = math.cos(psi), math.sin(psi)
-            ax, ay = float(z[6]), float(z[7])
+            ax, ay = float(z[ACCEL_X]), float(z[ACCEL_Y])
             # The error of a constant bias grows with the time since the filter was set:
             # d(bias^2 t^2)/dt = 2 bias^2 t.
             lever = 2.0 * self._free_time + self._time_scale
@@ -344,31 +351,31 @@ class LateFusion:
     def _update_yaw(self, dt: float, z: Array, given: NDArray[np.bool_]) -> None:
         """Measure compass and gyro; the first compass sample sets the heading."""
         imu = self.imu
-        seen = given[4:6]
+        seen = given[COMPASS : GYRO + 1]
         if not self._have_heading:
             if seen[0]:
                 self._have_heading = True
-                imu.x[4] = z[4]
-                imu.x[5] = z[5] if seen[1] else 0.0
-                imu.P[4:, :] = imu.P[:, 4:] = 0.0
-                imu.P[4, 4] = self._imu_R[0]
-                imu.P[5, 5] = self._imu_R[1] if seen[1] else self._start_yaw_rate_var
+                imu.x[HEADING] = z[COMPASS]
+                imu.x[TURN] = z[GYRO] if seen[1] else 0.0
+                imu.P[HEADING:, :] = imu.P[:, HEADING:] = 0.0
+                imu.P[HEADING, HEADING] = self._imu_R[0]
+                imu.P[TURN, TURN] = self._imu_R[1] if seen[1] else self._start_yaw_rate_var
             elif seen[1]:
-                imu.x[5] = z[5]
+                imu.x[TURN] = z[GYRO]
             return
         if not seen.any():
             self._yaw_age += dt
             return
         self._yaw_age = 0.0
-        psi = float(imu.x[4])
-        z_yaw = np.array([psi + wrap(z[4] - psi) if seen[0] else 0.0, z[5]])
+        psi = float(imu.x[HEADING])
+        z_yaw = np.array([psi + wrap(z[COMPASS] - psi) if seen[0] else 0.0, z[GYRO]])
         H, R = self._select("imu", seen)
         imu.update(z_yaw[seen], R=R, H=H)
 
     def _update_gps(self, dt: float, z: Array, given: NDArray[np.bool_]) -> None:
         """Run the GPS filter, fuse, and feed back."""
         gps, imu = self.gps, self.imu
-        seen = given[:4]
+        seen = given[:COMPASS]
         if not self._have_fix:
             if seen[0] and seen[1]:
                 self._start(z, seen)
@@ -380,7 +387,7 @@ class LateFusion:
         if fresh:
             self._gps_age = 0.0
             H, R = self._select("gps", seen)
-            gps.update(z[:4][seen], R=R, H=H)
+            gps.update(z[:COMPASS][seen], R=R, H=H)
         else:
             self._gps_age += dt
         self.fused, self.fused_covariance, self.weight_gps = fuse(
@@ -391,8 +398,8 @@ class LateFusion:
 
     def _start(self, z: Array, seen: NDArray[np.bool_]) -> None:
         """Set both filters to the first fix."""
-        velocity = np.where(seen[2:], z[2:4], 0.0)
-        velocity_var = np.where(seen[2:], self._gps_R[2], self._start_velocity_var)
+        velocity = np.where(seen[GPS_VX:], z[GPS_VX:COMPASS], 0.0)
+        velocity_var = np.where(seen[GPS_VX:], self._gps_R[GPS_VX], self._start_velocity_var)
         self.gps.x = np.array([z[0], velocity[0], 0.0, z[1], velocity[1], 0.0])
         variances = [
             (self._gps_R[0], float(velocity_var[axis]), self._start_accel_var) for axis in (0, 1)

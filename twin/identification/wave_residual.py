@@ -15,9 +15,10 @@ Source: docs/explanation/twin.md, Waves and prediction intervals.
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 from twin.filters.linalg import cholesky, solve_factored
-from usv_kernel.arrays import shaped
+from usv_kernel.arrays import flat_size, take
 from usv_kernel.jit import inlined, kernel
 
 __all__ = [
@@ -56,8 +57,55 @@ FACTOR = 3 * ORDER
 
 SECTOR_SIZE = FACTOR + 9
 
-WAVE_WORK_SIZE = ORDER * ORDER + 2 * ORDER
+
+class WaveFitWork(NamedTuple):
+    """Scratch of :func:`fit_waves`."""
+
+    G: Any  # (6, 6) products of older values
+    a: Any  # (6,) right side, then solution
+    line: Any  # (1, 6) of the factorisation
+    b: Any  # (6,) of the test of stability
+
+
+@inlined
+def _wave_fit_work(work):
+    """Open the scratch of :func:`fit_waves`."""
+    G, at = take(work, 0, (ORDER, ORDER))
+    a, at = take(work, at, (ORDER,))
+    line, at = take(work, at, (1, ORDER))
+    b, at = take(work, at, (ORDER,))
+    return WaveFitWork(G, a, line, b)
+
+
+WAVE_WORK_SIZE = flat_size(_wave_fit_work)
 """Length of the scratch of :func:`fit_waves`."""
+
+
+class SectorWork(NamedTuple):
+    """Scratch of :func:`fit_sector_ar` for N rows."""
+
+    near: Any  # (N, 3) residuals, weighted by how near the heading was
+    sector: Any  # (N,) sector of each row's heading
+    everywhere: Any  # (3, 7) autocovariances of all headings
+    covariances: Any  # (3, 7) those of a sector
+    kernel: Any  # (24,) weight of a sector so far away
+    seen: Any  # (24, 9) products of one-step errors
+    sums: Any  # (9,) their sum for a sector; coefficients before
+    pooled: Any  # (3,) variances of one-step errors of all headings
+
+
+@inlined
+def _sector_work(work, N):
+    """Open the scratch of :func:`fit_sector_ar`."""
+    near, at = take(work, 0, (N, 3))
+    sector, at = take(work, at, (N,))
+    everywhere, at = take(work, at, (3, ORDER + 1))
+    covariances, at = take(work, at, (3, ORDER + 1))
+    kernel, at = take(work, at, (SECTORS,))
+    seen, at = take(work, at, (SECTORS, 9))
+    sums, at = take(work, at, (9,))
+    pooled, at = take(work, at, (3,))
+    return SectorWork(near, sector, everywhere, covariances, kernel, seen, sums, pooled)
 
 
 @kernel
@@ -68,9 +116,8 @@ def fit_waves(w, coefficients, work):
     ``coefficients`` (6, c), of the last value first, is written; ``work`` is scratch.
     """
     N = w.shape[0]
-    G = shaped(work, 0, (ORDER, ORDER))
-    rest = work[ORDER * ORDER :]
-    a, b, line = rest[:ORDER], rest[ORDER : 2 * ORDER], shaped(rest, ORDER, (1, ORDER))
+    scratch = _wave_fit_work(work)
+    G, a, b, line = scratch.G, scratch.a, scratch.b, scratch.line
     for j in range(w.shape[1]):
         # products with the newest value; those of older values differ in the first and last row
         square = 0.0
@@ -208,7 +255,7 @@ def _join(cov, many, row):
 
 def sector_work_size(N: int) -> int:
     """Return the length of the scratch of :func:`fit_sector_ar` for N rows."""
-    return 4 * N + 6 * (ORDER + 1) + SECTORS + 9 * SECTORS + 12
+    return flat_size(_sector_work, N)
 
 
 @kernel
@@ -224,12 +271,9 @@ def fit_sector_ar(w, psi, good, sectors, work):
     :func:`sector_work_size` long.
     """
     N = w.shape[0]
-    near, at, rest = shaped(work, 0, (N, 3)), work[3 * N :][:N], work[4 * N :]
-    all_, R = shaped(rest, 0, (3, ORDER + 1)), shaped(rest, 3 * ORDER + 3, (3, ORDER + 1))
-    rest = rest[6 * ORDER + 6 :]
-    kernel_of, seen = rest[:SECTORS], shaped(rest, SECTORS, (SECTORS, 9))
-    rest = rest[10 * SECTORS :]
-    sums, many = rest[:9], rest[9:12]
+    scratch = _sector_work(work, N)
+    near, at, all_, R = scratch.near, scratch.sector, scratch.everywhere, scratch.covariances
+    kernel_of, seen, sums, many = scratch.kernel, scratch.seen, scratch.sums, scratch.pooled
     a = sums[:ORDER]
     count = 0.0
     for k in range(N):

@@ -15,6 +15,7 @@ from twin.logs.diagnosis.position import find_jumps
 from twin.logs.diagnosis.signals import ENOUGH
 from twin.logs.diagnosis.timing import GAP_STEPS, is_gap, longest_gap
 from twin.logs.readers import Table
+from usv_kernel.channels import COMPASS, GYRO
 
 __all__ = [
     "check_drive",
@@ -150,7 +151,7 @@ def check_turning(t: Array, z: Array, table: Table) -> None:
     fix, compass, gyro = (np.isfinite(z[:, j]) for j in (0, 4, 5))
     if compass.sum() < ENOUGH:
         return
-    heading, turning = (t[compass], z[compass, 4]), (t[gyro], z[gyro, 5])
+    heading, turning = (t[compass], z[compass, COMPASS]), (t[gyro], z[gyro, GYRO])
     why = compass_in_degrees(heading, (t[fix], z[fix, :2]), turning)
     if why:
         raise LogError(

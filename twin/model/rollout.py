@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI
 from twin.model.actuators import follow_all
 from twin.model.dynamics import N_ACT
 from twin.model.structure import (
@@ -345,7 +346,7 @@ def rollout(start, plan, dt, config, waves, out, work):
         for k in range(3):
             now[k] = state[k]
             now[3 + k] = _bounded(state[3 + k], envelope[k])
-        now[7], now[6] = sincos(state[2])
+        now[7], now[6] = sincos(state[PSI])
         gather(config.model, start.params[d], motion.shares)
         thrust_rates(terms[2], motion.shares, motion.thrust[2])
     steps = _steps_of(dt, wind, hull, scratch)

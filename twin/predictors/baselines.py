@@ -154,7 +154,7 @@ class HistoryPredictor(Predictor):
         # the plan on the grid: the command in force in the middle of each grid step
         middle = (np.arange(K) + 0.5) * GRID
         grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
-        start = self.navigator.n[:6]
+        start = self.navigator.state
         rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._extra])])
         path = self.forecast_from_last(rows, grid_plan)
         path = np.concatenate([start[None], np.nan_to_num(path)])
@@ -206,11 +206,11 @@ class HistoryPredictor(Predictor):
     @property
     def state(self) -> Array:
         """State, a view of shape (6,)."""
-        return self.navigator.n[:6]
+        return self.navigator.state
 
     def estimate(self) -> Estimate:
         """See :meth:`Predictor.estimate`."""
-        sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[:6, :6])))
+        sd = np.sqrt(np.diag(self.with_common_error(self.navigator.P[STATES, STATES])))
         none = np.zeros(0)
         return Estimate(self.t, self.state.copy(), sd, none, none, self.navigator.ready)
 
@@ -223,10 +223,10 @@ class HistoryPredictor(Predictor):
         grow = np.stack([np.interp(after, known, errors[:, j]) for j in range(6)], axis=1)
         # beyond the longest known horizon, errors of position and heading grow linearly
         grow[:, :3] *= np.maximum(after / known[-1], 1.0)[:, None]
-        start_cov = self.with_common_error(self.navigator.P[:6, :6])
+        start_cov = self.with_common_error(self.navigator.P[STATES, STATES])
         cov = np.repeat(start_cov[None], len(plan), axis=0)
         cov[:, range(6), range(6)] += grow**2
-        start = self.navigator.n[:6].copy()
+        start = self.navigator.state.copy()
         return Prediction(self.t, start, start_cov, self.t + after, mean, cov)
 
     def _own_errors(self, horizon: float = 10.0) -> Array:

@@ -49,7 +49,7 @@ from twin.model.structure import (
 )
 from twin.predictors.baselines import GAP_MAX
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
-from usv_kernel.arrays import shaped
+from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 
@@ -232,6 +232,25 @@ def take_segments(memory, config, work):
 
 _WAVE_ROWS = round(WAVE_SPAN / GRID) + 1
 
+
+class WavesWork(NamedTuple):
+    """Scratch of :func:`_fit_waves` for N rows."""
+
+    w: Any  # (N, 3) residuals of u, v, r
+    psi: Any  # (N,) headings
+    good: Any  # (N,) which rows count
+    fit: Any  # of the fits
+
+
+@inlined
+def _waves_work(work, N):
+    """Open the scratch of :func:`_fit_waves`."""
+    w, at = take(work, 0, (N, 3))
+    psi, at = take(work, at, (N,))
+    good, at = take(work, at, (N,))
+    return WavesWork(w, psi, good, work[at:])
+
+
 WAVE_WORK = 5 * _WAVE_ROWS + sector_work_size(_WAVE_ROWS)
 """Length of the scratch of the waves."""
 
@@ -242,13 +261,13 @@ def _fit_waves(rows, window, config, work):
     newest, count = last_row(window), 0
     first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
     N, late = newest + 1 - first, 0
-    w, psi, good = shaped(work, 0, (N, 3)), work[3 * N : 4 * N], work[4 * N : 5 * N]
-    rest, fastest = work[5 * N :], window.fastest
+    scratch = _waves_work(work, N)
+    w, psi, good, fastest = scratch.w, scratch.psi, scratch.good, window.fastest
     for k in range(N - 1, -1, -1):
         row = rows[(first + k) % rows.shape[0]]
-        psi[k], good[k] = row[STATE + 2], row[GOOD]
+        psi[k], good[k] = row[STATE + PSI], row[GOOD]
         for i in range(3):
-            w[k, i] = row[3 + i] - row[LOW + i] if good[k] > 0.0 else 0.0
+            w[k, i] = row[STATE + U + i] - row[LOW + i] if good[k] > 0.0 else 0.0
         if good[k] > 0.0:
             count += 1
             if count <= round(LATE_SPAN / GRID):
@@ -257,7 +276,7 @@ def _fit_waves(rows, window, config, work):
                 fastest[i] = max(fastest[i], abs(row[LOW + i]))
     if count <= 5 * ORDER:
         return
-    fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], rest)
+    fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], scratch.fit)
     for i in range(3):
         mean, square = 0.0, 0.0
         for k in range(N):
@@ -271,7 +290,7 @@ def _fit_waves(rows, window, config, work):
         weight = heading_kernel(psi[k] - heading)
         for i in range(3):
             w[k, i] *= weight
-    fit_waves(w, window.wave_ar[:], rest)
+    fit_waves(w, window.wave_ar[:], scratch.fit)
 
 
 @kernel

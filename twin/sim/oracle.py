@@ -17,7 +17,7 @@ from twin.checkpoint import State
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.logs.log import Log
 from twin.particulars import Particulars
-from twin.predictors.baselines import GRID, HistoryPredictor
+from twin.predictors.baselines import COMMANDED, GRID, HistoryPredictor
 from twin.predictors.registry import PredictorError, predictor_class
 from twin.sim.bridge import TRUE_STATE, particulars_of
 from usv_gym.physics import frames as fr
@@ -44,7 +44,9 @@ Source: docs/explanation/twin.md, Waves and prediction intervals.
 STEP = 0.05
 """Longest integration step, s: that of the simulation."""
 
-# extra columns of each row of the history: time, then the state of the ship
+_EXTRA = COMMANDED.stop
+"""First extra column of a row of the history; from there on time, then the state of the ship."""
+
 _TIME, _SHIP = 0, 1
 
 _SIZE = _SHIP + fr.STATE_SIZE
@@ -212,7 +214,7 @@ class Oracle(HistoryPredictor):
 
         Paths from rows of the last call are reused, because the ship does not change.
         """
-        asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
+        asked = np.concatenate([rows[origins, _EXTRA:], plans.reshape(len(plans), -1)], axis=1)
         known, paths = self._known
         out = np.empty((*plans.shape[:2], len(TRUE_STATE)))
         new = np.ones(len(asked), dtype=np.bool_)
@@ -221,7 +223,7 @@ class Oracle(HistoryPredictor):
             new = (known[place] != asked).any(axis=1)
             out[~new] = paths[place[~new]]
         if new.any():
-            out[new] = self._paths(rows[origins[new], 10:], plans[new], GRID)
+            out[new] = self._paths(rows[origins[new], _EXTRA:], plans[new], GRID)
         self._known = asked, out
         return out
 

@@ -29,7 +29,7 @@ from rich.progress import track
 
 from twin.model.priors import KINDS
 from twin.particulars import Particulars
-from twin.predictors.baselines import ACTUATORS, GRID, VELOCITIES
+from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
 from twin.predictors.learned.lstm import import_torch, undisturbed
 from twin.predictors.learned.pretrained import (
     AHEAD,
@@ -89,7 +89,12 @@ EACH = 8
 WILD = 3.0
 """Velocities over their typical size above which a window is left out."""
 
-SWAPPED = [0, 1, 2, 3, 4, 5, 7, 6, 9, 8, 11, 10, 13, 12, 14, 15, 16]
+SWAPPED = [
+    *range(COMMANDED.start),
+    *(k + step for k in range(COMMANDED.start, ACTUATORS.stop, 2) for step in (1, 0)),
+    *range(ACTUATORS.stop, ROW),
+]
+"""Columns of a history with left and right units exchanged."""
 
 MIRROR = np.array([1, -1, -1, 1, -1, -1, *(1, 1, -1, -1) * 2, 1, 1, 1], dtype=np.float32)
 """A history seen in a mirror: left and right units change places, and sides their sign."""

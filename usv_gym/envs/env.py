@@ -12,7 +12,7 @@ from gymnasium import spaces
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
-from usv_gym.envs.tasks import TASK
+from usv_gym.envs.tasks import N_TERMS, TASK
 from usv_gym.world.simulation import Simulation
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
@@ -27,6 +27,8 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
     for name in ("leg", "errors", "terms", "reward", "terminated", "success", "capsized")
 )
 """Where these stand in a task's flat record: one list a step is quicker than seven views."""
+
+_TERMS_END = _TERMS + N_TERMS
 
 
 class Recorded(NamedTuple):
@@ -254,19 +256,13 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.renderer.look()
 
     def _info(self, progress: list[float]) -> dict[str, Any]:
-        names = self.task.terms
         info = {
             "t_s": self._time.item(0),
             "cross_track_m": progress[_ERRORS],
             "leg": int(progress[_LEG]),
             "is_success": progress[_SUCCESS] != 0.0,
             "capsized": progress[_CAPSIZED] != 0.0,
-            "reward_terms": {
-                names[0]: progress[_TERMS],
-                names[1]: progress[_TERMS + 1],
-                names[2]: progress[_TERMS + 2],
-                names[3]: progress[_TERMS + 3],
-            },
+            "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_TERMS_END], strict=True)),
         }
         if self.observer:
             for name, values in self.observer.infos().items():

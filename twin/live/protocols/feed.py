@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS, R
 from twin.live.protocols.sockets import Address, FeedError, open_socket
 from twin.logs.datum import Plane
 from twin.particulars import Particulars
@@ -322,7 +322,7 @@ class Feed(ABC):
         """Return latitude and longitude, degrees, and velocity north and east, m/s, of a state."""
         if self._plane is None:
             raise FeedError("no fix has come yet: a place on the plane has no latitude")
-        x, y, psi, u, v = state[:5].tolist()
+        x, y, psi, u, v = state[:R].tolist()
         c, s = math.cos(psi), math.sin(psi)
         return *self._plane.degrees(x, y), u * c - v * s, u * s + v * c
 

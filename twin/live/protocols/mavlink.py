@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS, PSI, R, U, V
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.nmea import HORIZONS
 from twin.live.protocols.sockets import FeedError, needed
@@ -204,7 +204,7 @@ class MavlinkFeed(Feed):
         write, now = self._writer, self.stamp_of(estimate.t)
         latitude, longitude, north, east = self.place_of(estimate.state)
         yield write.position(now, (latitude, longitude), (north, east), float(estimate.state[2]))
-        yield write.attitude(now, float(estimate.state[2]), float(estimate.state[5]))
+        yield write.attitude(now, float(estimate.state[PSI]), float(estimate.state[R]))
         yield write.odometry(now, estimate.state, estimate.sd)
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
@@ -336,7 +336,7 @@ class MavlinkWriter:
         x, y, psi, u, v, r = state.tolist()
         nan = math.nan
         pose = _triangle([sd[0], sd[1], nan, nan, nan, sd[2]])
-        velocity = _triangle([sd[3], sd[4], nan, nan, nan, sd[5]])
+        velocity = _triangle([sd[U], sd[V], nan, nan, nan, sd[R]])
         turn = [math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)]
         frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_BODY_FRD
         return self._pack(
@@ -366,7 +366,7 @@ class MavlinkWriter:
         empty, still = [math.nan] * 5, np.zeros(len(states))
         columns = (states[:, 0], states[:, 1], still, north, east, still)
         x, y, z, vx, vy, vz = (_five(column) for column in columns)
-        yaw, rate = _five(states[:, 2]), _five(states[:, 5])
+        yaw, rate = _five(states[:, PSI]), _five(states[:, R])
         return self._pack(
             self._dialect.MAVLink_trajectory_representation_waypoints_message(
                 round(1e6 * stamp),

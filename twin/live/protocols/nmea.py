@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS, R
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.sockets import FeedError, needed
 from twin.predictors.base import Estimate, Prediction
@@ -114,7 +114,7 @@ class NmeaFeed(Feed):
             write.gga(stamp, latitude, longitude, quality=6),
             write.rmc(stamp, self._day(stamp), (latitude, longitude), north, east, mode="E"),
             write.hdt(float(estimate.state[2])),
-            write.rot(float(estimate.state[5])),
+            write.rot(float(estimate.state[R])),
         ]
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.agents.controllers import LOS
+from twin.channels import R
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
 from usv_gym.envs.tasks import Curves, follow
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, commands
@@ -94,7 +95,7 @@ class Autopilot:
             self._draw_path(state)
         self._decided = t
         x, y, psi, u = state[:4]
-        r = state[5]
+        r = state[R]
         errors = np.empty(4)
         self._leg = follow(x, y, psi, self.path, self._leg, self._reach, errors)
         e, to_go, off, turn = errors

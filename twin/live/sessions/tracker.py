@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import U, V
 from twin.digital_twin import Twin
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
@@ -206,7 +207,7 @@ class TwinMonitor:
             return None
         prediction = self.twin.predict(plan, horizon=HORIZON, dt=PLAN_STEP)
         start = prediction.start
-        held = hold_velocity(start, start[3:], np.array([HORIZON]))[0]
+        held = hold_velocity(start, start[U:], np.array([HORIZON]))[0]
         if not self._open or self.t > self._open[-1][0]:
             self._open.append((self.t, prediction.mean[-1, :2], held[:2]))
         return prediction
@@ -238,7 +239,7 @@ class TwinMonitor:
         var = np.maximum(now.sd[:2] ** 2 - how.gps_bias_sd**2, 0.0) + how.gps_sd**2
         self._nis_place.add(t, float(np.mean((fix[:2] - place) ** 2 / var)))
         if math.isfinite(fix[2]):
-            var = now.sd[3:5] ** 2 + how.doppler_sd**2
+            var = now.sd[U : V + 1] ** 2 + how.doppler_sd**2
             self._nis_velocity.add(t, float(np.mean((fix[2:] - velocity) ** 2) / np.mean(var)))
 
     def _note_errors(self, before: float, truth: Array | None) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import U
 from twin.digital_twin import PLANS
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
@@ -312,7 +313,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
     overlay, state = now.overlay, now.boat
     lines = {"time": f"{now.t:.1f} s" + (f" ({now.rate:.2g}x)" if now.rate == now.rate else "")}
     if overlay is not None:
-        u, v, r = overlay.state[3:6]
+        u, v, r = overlay.state[U:]
         lines["speed (twin)"] = f"{math.hypot(u, v):.2f} m/s"
         lines["heading (twin)"] = f"{math.degrees(overlay.state[2]) % 360.0:05.1f} deg"
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"

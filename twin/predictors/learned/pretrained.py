@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI
 from twin.checkpoint import Field
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
@@ -69,6 +70,20 @@ ROW = 17
 """Columns of a history: states, commands, actuators, masks."""
 
 PER_ROW, ABOUT = 13, 6
+
+MASKS = slice(14, ROW)
+"""Masks in a row of a history."""
+
+MOTION, COS, SIN, FRESH, KNOWN = slice(0, 3), 3, 4, slice(5, 8), 8
+"""In a row of a token: velocities, heading, masks, whether the row is known."""
+
+GPS_FRESH, COMPASS_FRESH, IMU_FRESH = range(FRESH.start, FRESH.stop)
+
+THRUST, DIFFERENCE, SIDE_FORCE, ANGLES = range(KNOWN + 1, PER_ROW)
+"""In a row of a token: what the actuators do."""
+
+PLANNED = ABOUT - 1
+"""In what a token says of boat and time: whether it lies ahead."""
 
 TOKEN = PATCH * PER_ROW + ABOUT
 """Numbers in a token."""
@@ -152,32 +167,33 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     B, past = window.shape[:2]
     out = np.zeros((B, past + ahead.shape[1], PER_ROW))
     seen = out[:, :past]
-    seen[..., :3] = (window[..., VELOCITIES] / [U, U, U / L] - CENTRE) * SCALE
+    seen[..., MOTION] = (window[..., VELOCITIES] / [U, U, U / L] - CENTRE) * SCALE
     # the wind is fixed to the earth: headings are relative to the present one
-    turned = window[..., 2] - window[:, -1:, 2]
-    seen[..., 3], seen[..., 4] = np.cos(turned), np.sin(turned)
-    seen[..., 5:8] = window[..., 14:17]
-    seen[..., 8] = 1.0
+    turned = window[..., PSI] - window[:, -1:, PSI]
+    seen[..., COS], seen[..., SIN] = np.cos(turned), np.sin(turned)
+    seen[..., FRESH] = window[..., MASKS]
+    seen[..., KNOWN] = 1.0
     acts = np.concatenate([window[..., ACTUATORS], ahead], axis=1)
     acts[..., :2] /= particulars.shaft_speed
     left, right = np.moveaxis(thrust_features(acts).reshape(*acts.shape[:2], 3, 2), 3, 0)
-    out[..., 9], out[..., 10] = 0.5 * (left + right)[..., 0], 0.5 * (left - right)[..., 0]
-    out[..., 11] = 1.5 * (left + right)[..., 1]
-    out[..., 12] = 1.5 * np.sin(acts[..., 2:]).sum(axis=2)
+    out[..., THRUST] = 0.5 * (left + right)[..., 0]
+    out[..., DIFFERENCE] = 0.5 * (left - right)[..., 0]
+    out[..., SIDE_FORCE] = 1.5 * (left + right)[..., 1]
+    out[..., ANGLES] = 1.5 * np.sin(acts[..., 2:]).sum(axis=2)
     seen *= known[..., None]
     # the plan's entries for velocities repeat the past mean, so that a steady turn goes on
     count = np.cumsum(known[:, ::-1], axis=1)[:, ::-1]
-    means = [seen[:, -n:, :3].sum(axis=1) / np.maximum(count[:, -n], 1)[:, None] for n in MEANS]
-    out[:, past:, :3] = np.tile(np.stack(means, axis=1), (1, ahead.shape[1] // PATCH, 1))
+    means = [seen[:, -n:, MOTION].sum(axis=1) / np.maximum(count[:, -n], 1)[:, None] for n in MEANS]
+    out[:, past:, MOTION] = np.tile(np.stack(means, axis=1), (1, ahead.shape[1] // PATCH, 1))
     about = np.zeros((B, PAST + AHEAD, ABOUT))
-    about[..., :5] = (
+    about[..., :PLANNED] = (
         math.log(GRID * U / L) + 2.0,
         2.0 * U / math.sqrt(GRAVITY * L),
         0.3 * particulars.length / particulars.beam,
         0.3 * particulars.beam / particulars.draft,
         float(particulars.steering == "differential"),
     )
-    about[:, PAST:, 5] = 1.0
+    about[:, PAST:, PLANNED] = 1.0
     out = np.clip(out, -INPUT_MAX, INPUT_MAX).reshape(B, PAST + AHEAD, PATCH * PER_ROW)
     return np.concatenate([out, about], axis=2).astype(np.float32)
 
@@ -189,7 +205,7 @@ def gated(x: Array, gate: float) -> Array:
     """
     out = x.copy()
     rows = out[:, :PAST, : PATCH * PER_ROW].reshape(len(x), PAST, PATCH, PER_ROW)
-    rows[..., :3] *= 1.0 - gate * (1.0 - rows[..., [5, 5, 7]])
+    rows[..., MOTION] *= 1.0 - gate * (1.0 - rows[..., [GPS_FRESH, GPS_FRESH, IMU_FRESH]])
     out[:, :PAST, : PATCH * PER_ROW] = rows.reshape(len(x), PAST, -1)
     return out
 
