@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import math
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from tests.twin.logs.reading import refused
+from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import REQUIRED, LogError
 from twin.logs.log import Log, recorded_runs
-from twin.particulars import Particulars
 
 Columns = dict[str, list[str]]
 ROWS = 40
@@ -60,14 +59,6 @@ def same_bits(a: Log, b: Log) -> bool:
         and x[~np.isnan(x)].tobytes() == y[~np.isnan(y)].tobytes()
         for x, y in pairs
     )
-
-
-def refused(path: Path) -> str:
-    with pytest.raises(LogError) as caught:
-        Log.read(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    return message
 
 
 # --- writing and reading back -----------------------------------------------------------------
@@ -571,118 +562,4 @@ def test_shuffled_rows_and_a_clock_set_back_are_refused(tmp_path: Path) -> None:
 # --- files ------------------------------------------------------------------------------------
 
 
-HEADER = ",".join(REQUIRED).encode()
-ROW = b"0,1,1,0,0,5,6,0.1"
-ZIPPED = gzip.compress(HEADER + b"\n" + ROW + b"\n" + ROW.replace(b"0", b"2", 1) + b"\n", mtime=0)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.csv", HEADER + b"\n" + ROW + b"\n\0\0\0", "is a binary file"),
-        ("a.csv", b"", "the file is empty; write a header"),
-        ("a.csv", b"\n\n", "the file is empty"),
-        ("a.csv.gz", b"", "the file is empty"),
-        ("a.csv.gz", gzip.compress(b""), "the file is empty"),
-        ("a.csv", HEADER, "no row of data after the header (line 1); record"),
-        ("a.csv", HEADER + b"\n\n", "no row of data after the header"),
-        ("a.csv", HEADER + b"\n" + ROW, "1 row of data after the header; a log needs two"),
-        ("a.csv", ROW + b"\n" + ROW, "line 1 holds numbers; put a header of column names"),
-        ("a.csv", HEADER.replace(b",", b";"), "line 1: cells are separated by semicolons; sep"),
-        ("a.csv", HEADER.replace(b",", b"\t"), "line 1: cells are separated by tabs"),
-        ("a.csv", HEADER + b"\r" + ROW, "the lines end in CR only; save the file with LF"),
-        ("a.csv", HEADER + b"\n" + ROW + b"\n" + ROW + b",7,8", "line 3 has 10 cells but the he"),
-        (
-            "a.csv",
-            b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR",
-            "is a binary file or UTF-16 text, not CSV; save",
-        ),
-        ("a.csv", HEADER.decode().encode("utf-16"), "is a binary file or UTF-16 text"),
-        ("a.csv", b"\xff\xfft_s,x\n1,2\n", "line 1 is not UTF-8 text; save"),
-        ("a.csv.gz", HEADER + b"\n", "is not a gzip file although its name ends in .gz; compress"),
-        ("a.csv.gz", ZIPPED[:-9], "the gzip file is damaged or cut off"),
-        ("a.csv.gz", ZIPPED[:20] + b"\0\0" + ZIPPED[22:], "the gzip file is damaged or cut off"),
-        ("a.csv.gz", ZIPPED[:-8] + bytes(8), "the gzip file is damaged or cut off (CRC"),
-    ],
-    ids=lambda value: str(value)[:24] if isinstance(value, str) else "",
-)
-def test_file_that_is_no_log_is_refused(
-    tmp_path: Path, name: str, content: bytes, words: str
-) -> None:
-    path = tmp_path / name
-    path.write_bytes(content)
-    assert words in refused(path)
-
-
-def test_damaged_gzip_tells_how_to_rescue_its_start(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv.gz"
-    path.write_bytes(ZIPPED[: len(ZIPPED) // 2])
-    assert "copy it again" in (message := refused(path))
-    assert "zcat a.csv.gz" in message
-
-
-def test_gzip_is_recognised_by_its_content(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_bytes(ZIPPED)
-    assert len(Log.read(tmp_path / "a.csv")) == 2
-
-
-@pytest.mark.parametrize("name", ["absent.csv", "."])
-def test_file_that_cannot_be_read(tmp_path: Path, name: str) -> None:
-    assert "cannot be read (" in refused(tmp_path / name)
-
-
 # --- the run that ships -----------------------------------------------------------------------
-
-
-def test_shipped_run_has_its_notes() -> None:
-    path = recorded_runs()["boat1_usv_circle"]
-    log = Log.read(path)
-    assert (len(log), log.name, log.truth) == (2354, "boat1_usv_circle", None)
-    assert log.dt == pytest.approx(0.110, abs=1e-9)
-    assert log.notes == (
-        "gyro_radps, accel_x_mps2, accel_y_mps2, wind_mps, wind_from_rad: not in the file, taken "
-        "as never measured",
-        "gps_x_m, gps_y_m: 1064 of 2354 fixes repeat the last one, taken as no new sample "
-        "(longest gap 0.2 s at t = 81.3 s)",
-        "gps_vx_mps, gps_vy_mps: 1064 of 2354 velocities of repeated fixes repeat the last one, "
-        "taken as no new sample (longest gap 0.2 s at t = 81.3 s)",
-        "compass_rad: 1070 of 2354 values repeat the last one, taken as no new sample "
-        "(longest gap 0.3 s at t = 204.1 s)",
-    )
-    assert (log.cmd[:, 2:] == 0.0).all()
-    assert np.abs(log.cmd[:, :2]).max() == 10.0
-
-
-def test_shipped_run_is_consistent() -> None:
-    log = Log.read(recorded_runs()["boat1_usv_circle"])
-    new = ~np.isnan(log.z[:, :4]).any(axis=1)
-    x, y, vx, vy = log.z[new, :4].T
-    step = np.hypot(np.diff(x), np.diff(y))[60:].mean()
-    speed = np.hypot(vx, vy)[60:].mean()
-    # Fixes every 0.2 s; the source's own x and y would give 1.11 here.
-    assert step / (0.2 * speed) == pytest.approx(1.0, abs=2e-3)
-    # It goes where it points, and more thrust to port turns it to starboard.
-    heading = np.interp(log.t[new], log.t[~np.isnan(log.z[:, 4])], log.z[~np.isnan(log.z[:, 4]), 4])
-    assert np.mean(np.cos(heading - np.arctan2(vy, vx))) > 0.99
-    turn = np.gradient(heading, log.t[new])
-    unequal = (log.cmd[:, 0] - log.cmd[:, 1])[new]
-    lag = 2
-    assert np.corrcoef(turn[lag:], unequal[:-lag])[0, 1] > 0.5
-
-
-@pytest.mark.parametrize("name", recorded_runs())
-def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
-    path = recorded_runs()[name]
-    boat = Particulars.load(path.with_name(f"{name}.toml"))
-    log = Log.read(path)
-    speed = np.nanmean(np.hypot(log.z[:, 2], log.z[:, 3]))
-    assert boat.speed == pytest.approx(speed, rel=0.05)
-    assert boat.shaft_speed == pytest.approx(log.cmd[:, :2].mean(), rel=0.05)
-    notice = path.with_name("NOTICE.txt").read_text(encoding="ascii")
-    assert path.name in notice
-    assert "MIT License" in notice
-
-
-def test_names_of_the_columns_do_not_clash() -> None:
-    names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH)
-    assert len(set(names)) == len(names) == 1 + 4 + 10 + 6

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
 import warnings
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -16,11 +12,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import usv_gym
-from twin import Log, Twin
+from tests.usv_gym.envs.acting import actions_of, episode
+from twin import Twin
 from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION
 from twin.sim.bridge import particulars_of
-from twin.sim.wrapper import TwinObservation, USVTwinEnv, log_of, make_env
+from twin.sim.wrapper import TwinObservation, USVTwinEnv, make_env
 from usv_gym import Fault, SeaState, SensorSuite
 from usv_gym.envs.env import USVEnv
 from usv_gym.envs.episodes import OBSERVATION
@@ -31,7 +28,6 @@ from usv_gym.world.faults import FaultError
 from usv_gym.world.recorded_spectrum import SeaError
 from usv_gym.world.simulation import SimulationError
 
-ROOT = Path(usv_gym.__file__).resolve().parent.parent
 INDEX = {name: i for i, name in enumerate((*OBSERVATION, *TWIN_OBSERVATION))}
 AHEAD = np.array([0.8, 0.0], dtype=np.float32)
 INFO = {"t_s", "cross_track_m", "leg", "is_success", "capsized", "reward_terms"}
@@ -43,17 +39,6 @@ VARIANTS = [
     for actions in ("common", "units")
 ]
 VARIANTS.append(pytest.param({"twin": "ukf", "dof": 6, "faults": "on"}, id="ukf-dof6-faults"))
-
-
-def actions_of(env: gym.Env[Any, Any], count: int, seed: int = 0) -> np.ndarray:
-    """Return smooth actions within the space."""
-    rng = np.random.default_rng(seed)
-    width = env.action_space.shape[0]  # type: ignore[index]
-    knots = rng.uniform(-1.0, 1.0, (count // 60 + 2, width))
-    knots[:, : width // 2] = 0.65 + 0.35 * knots[:, : width // 2]
-    at = np.arange(count) / 60.0
-    columns = [np.interp(at, np.arange(len(knots)), column) for column in knots.T]
-    return np.stack(columns, axis=1).astype(np.float32)
 
 
 # ------------------------------------------------- the APIs
@@ -144,70 +129,7 @@ def test_the_documented_tables_have_the_right_sizes() -> None:
 # ------------------------------------------------- in a fresh process
 
 
-def fresh(code: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-W", "error::UserWarning", "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def test_make_by_module_and_id_in_a_fresh_process() -> None:
-    out = fresh(
-        "import gymnasium as gym\n"
-        "env = gym.make('usv_gym:USVTwin-v0', twin='persistence')\n"
-        "print(env.reset(seed=0)[0].shape)"
-    )
-    assert out.strip() == f"({len(INDEX)},)"
-
-
-def test_the_simulator_does_not_import_the_twin() -> None:
-    out = fresh(
-        "import sys, usv_gym, gymnasium as gym\n"
-        "import usv_gym.envs.env\n"
-        "known = 'USVTwin-v0' in gym.registry\n"
-        "print(known, any(m.split('.')[0] == 'twin' for m in sys.modules))\n"
-        "gym.make('USVTwin-v0', twin=None)\n"
-        "print(any(m.split('.')[0] == 'twin' for m in sys.modules))"
-    )
-    assert out.split() == ["True", "False", "True"]
-
-
-def test_the_twin_on_board_does_not_import_the_simulator() -> None:
-    out = fresh(
-        "import sys, twin, twin.predictors.ukf\n"
-        "print(sorted({'usv_gym', 'gymnasium'} & set(sys.modules)))"
-    )
-    assert out.strip() == "[]"
-
-
-def test_optional_packages_are_imported_late() -> None:
-    out = fresh(
-        "import sys, usv_gym, twin\n"
-        "late = {'torch', 'matplotlib', 'filterpy', 'stable_baselines3'}\n"
-        "print(sorted(late & set(sys.modules)))"
-    )
-    assert out.strip() == "[]"
-
-
 # ------------------------------------------------- determinism
-
-
-def episode(env: gym.Env[Any, Any], seed: int | None, count: int) -> tuple[np.ndarray, list[Any]]:
-    obs, info = env.reset(seed=seed)
-    observations, others = [obs], [info]
-    for action in actions_of(env, count):
-        obs, reward, terminated, truncated, info = env.step(action)
-        observations.append(obs)
-        others.append((reward, terminated, truncated, info))
-        if terminated or truncated:
-            break
-    return np.array(observations), others
 
 
 @pytest.mark.parametrize("twin", [None, "ukf"])
@@ -560,95 +482,6 @@ def test_free_manoeuvre_has_no_reward_and_no_end() -> None:
 
 
 # ------------------------------------------------- truth and estimate
-
-
-@pytest.fixture(scope="module", params=["ukf", "dsw-ukf", "persistence"])
-def sailed(request: pytest.FixtureRequest) -> tuple[Any, list[Any], list[np.ndarray]]:
-    """Return an environment after 40 s with a loss, and the estimates of its twin on the way."""
-    env = make_env(twin=request.param, task="free", record=True, faults=[Fault("gps", 20.0, 10.0)])
-    env.reset(seed=8)
-    estimates, states = [env.twin.estimate()], [np.array(env.twin.predictor.state)]
-    for action in actions_of(env, 800):
-        env.step(action)
-        estimates.append(env.twin.estimate())
-        states.append(np.array(env.twin.predictor.state))
-    return env, estimates, states
-
-
-def gives_the_same_estimates(
-    env: Any, log: Log, estimates: list[Any], states: list[np.ndarray]
-) -> None:
-    assert log.truth is None
-    twin = Twin(
-        particulars_of(env.unwrapped.vessel, env.unwrapped.simulation.suite),
-        type(env.twin.predictor)(env.twin.particulars),
-    )
-    assert len(log) == len(estimates) == 801
-    for row, estimate, state in zip(log, estimates, states, strict=True):
-        twin.step(*row)
-        np.testing.assert_array_equal(twin.predictor.state, state)
-        other = twin.estimate()
-        assert (other.t, other.ready) == (estimate.t, estimate.ready)
-        for name in ("state", "sd", "params", "params_sd"):
-            np.testing.assert_array_equal(getattr(other, name), getattr(estimate, name))
-
-
-def test_the_wrapper_estimates_as_a_twin_on_the_log(sailed: Any) -> None:
-    """Bit for bit, without the truth: the twin cannot have seen it."""
-    env, estimates, states = sailed
-    gives_the_same_estimates(env, log_of(env).without_truth(), estimates, states)
-
-
-def test_and_so_does_the_log_on_disk(sailed: Any, tmp_path: Path) -> None:
-    env, estimates, states = sailed
-    path = tmp_path / "episode.csv"
-    log_of(env, path)
-    gives_the_same_estimates(env, Log.read(path).without_truth(), estimates, states)
-
-
-def test_the_log_holds_what_the_sensors_said_and_the_truth(sailed: Any) -> None:
-    env, _, _ = sailed
-    log = log_of(env)
-    assert log.truth is not None
-    np.testing.assert_array_equal(log.t, 0.05 * np.arange(801))
-    np.testing.assert_array_equal(
-        log.truth[-1], env.unwrapped.simulation.state[0, [0, 1, 5, 6, 7, 11]]
-    )
-    np.testing.assert_array_equal(log.cmd[-1], env.unwrapped.simulation.cmd[0])
-    gone = np.isnan(log.z[:, 0])
-    assert np.all(gone[(log.t > 20.01) & (log.t < 29.99)])
-    assert gone.sum() == 200 + 2  # and before the first fix
-    assert np.all(np.isnan(log.z[:, 8]))  # no sensor measures the wind
-
-
-def test_a_log_needs_a_recording() -> None:
-    env = make_env(twin=None)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="record=True"):
-        log_of(env)
-    with pytest.raises(ValueError, match="record=True, and reset"):
-        log_of(make_env(twin=None, record=True))
-
-
-def test_a_new_episode_starts_a_new_log_and_a_new_twin() -> None:
-    env = make_env(task="free", record=True)
-    one, _ = episode(env, 4, 100)
-    episode(env, 5, 60)
-    assert len(log_of(env)) == 61
-    again, _ = episode(env, 4, 100)
-    np.testing.assert_array_equal(one, again)
-
-
-def test_the_position_error_in_info_is_for_grading() -> None:
-    env = make_env(task="free")
-    env.reset(seed=0)
-    for action in actions_of(env, 400):
-        *_, info = env.step(action)
-    s, truth = env.twin.predictor.state, env.unwrapped.simulation.state[0]
-    expected = math.hypot(s[0] - truth[fr.X], s[1] - truth[fr.Y])
-    assert info["twin_position_error_m"] == pytest.approx(expected)
-    # GPS bias of 1 m a side, and more than nothing
-    assert 0.0 < expected < 5.0
 
 
 # ------------------------------------------------- six degrees of freedom, other vessels

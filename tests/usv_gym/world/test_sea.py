@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import math
-import os
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.usv_gym.world.seas import realise, write
 from usv_gym import SEA_STATES, SeaState, Vessel
-from usv_gym.physics import GRAVITY, spectra, waves, wind
+from usv_gym.physics import GRAVITY, waves, wind
 from usv_gym.physics import weather as wx
 from usv_gym.validation.study import an_hour, peak_period
 from usv_gym.world.realisation import Sea
@@ -24,19 +23,11 @@ from usv_gym.world.simulation import Simulation
 
 BOAT = Vessel.load("usv75")
 RHO_G = BOAT.values["water_density"] * GRAVITY
-SHARED = Path(
-    os.environ.get("USV_TWIN_SHARED") or Path(__file__).resolve().parents[3].parent / "shared"
-)
-NDBC = SHARED / "data" / "ndbc_wave_spectra"
 
 # a swell and a wind sea, as a buoy's table would give them
 FREQUENCY = np.linspace(0.05, 0.6, 56)
 DENSITY = np.interp(FREQUENCY, [0.05, 0.1, 0.14, 0.25, 0.32, 0.6], [0.0, 0.5, 0.1, 0.1, 0.8, 0.02])
 MEASURED = Spectrum(2.0 * math.pi * FREQUENCY, DENSITY / (2.0 * math.pi))
-
-
-def realise(state: SeaState, seed: int = 0) -> Sea:
-    return state.realise(BOAT, *np.random.default_rng(seed).spawn(2))
 
 
 def directions(sea: Sea) -> np.ndarray:
@@ -275,11 +266,6 @@ def test_spread_waves_drift_less() -> None:
 # ------------------------------------------------- measured spectra
 
 
-def write(path: Path, header: str, rows: list[object]) -> Path:
-    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]))  # type: ignore[call-overload]
-    return path
-
-
 HERTZ, RADIANS = "frequency_hz,density_m2_per_hz", "omega_radps,density_m2s_per_rad"
 
 
@@ -367,57 +353,6 @@ def test_files_that_are_broken(tmp_path: Path) -> None:
 def test_a_calm_sea_has_no_spectrum() -> None:
     with pytest.raises(SeaError, match="calm"):
         SeaState().wave_spectrum()
-
-
-# six hours that are nearly PM (mismatch below .15), low to high, and two that are not
-NDBC_HOURS = [
-    "1996-07-12 20:00:00",
-    "1996-07-22 04:00:00",
-    "1996-01-05 18:00:00",
-    "1996-12-28 03:00:00",
-    "1996-12-07 11:00:00",
-    "1996-01-17 09:00:00",
-    "1996-05-16 06:00:00",
-    "1996-08-11 07:00:00",
-]
-
-
-@pytest.fixture(scope="module")
-def buoy() -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, dict[str, str]]]:
-    """Return frequencies (Hz), densities (m2/Hz) and parameters of the hours of NDBC 46042."""
-    if not NDBC.is_dir():
-        pytest.skip(f"no NDBC spectra at {NDBC}; set USV_TWIN_SHARED to the folder of the data")
-    with gzip.open(NDBC / "ndbc46042_1996_spectra.csv.gz", "rt") as file:
-        header, *rows = csv.reader(file)
-    f = np.array([float(name[2:-2]) for name in header[1:]])
-    densities = {row[0]: np.array(row[1:], dtype=float) for row in rows if row[0] in NDBC_HOURS}
-    with gzip.open(NDBC / "ndbc46042_1996_params.csv.gz", "rt") as file:
-        parameters = {row["time_utc"]: row for row in csv.DictReader(file)}
-    return f, densities, parameters
-
-
-@pytest.mark.parametrize("discretisation", DISCRETISATIONS)
-@pytest.mark.parametrize("hour", NDBC_HOURS)
-def test_an_hour_of_the_buoy_is_sailed_again(
-    hour: str,
-    discretisation: str,
-    buoy: tuple[np.ndarray, dict[str, np.ndarray], dict[str, dict[str, str]]],
-    tmp_path: Path,
-) -> None:
-    """Spectrum in, an hour of elevation out, spectrum estimated: the same sea."""
-    f, density, parameters = buoy[0], buoy[1][hour], buoy[2][hour]
-    pm_like = float(parameters["mismatch_PM_HsTp"]) < 0.15
-    assert pm_like == (hour in NDBC_HOURS[:6])
-    path = write(tmp_path / "hour.csv", HERTZ, list(zip(f, density, strict=True)))
-    state = SeaState(spectrum=path, components=200, discretisation=discretisation)
-    z, fine, estimate = an_hour(realise(state), segment=400.0)
-    # 5 %: issue 3. Standard errors over 12 seeds: Hs .3 to 1.6 %, Tm02 .4 to 1.3 %
-    assert 4.0 * np.std(z) == pytest.approx(float(parameters["Hs_m"]), rel=0.05)
-    moments = spectra.moments(2.0 * math.pi * fine, estimate / (2.0 * math.pi))
-    assert moments.tm02 == pytest.approx(float(parameters["Tm02_s"]), rel=0.05)
-    # over the buoy's bins: .05 to .08, .103 at most over seeds; PM itself misses by .08 to .55
-    binned = np.array([np.mean(estimate[np.abs(fine - at) < 0.00501]) for at in f])
-    assert np.sum(np.abs(binned - density)) / (2.0 * np.sum(density)) < 0.12
 
 
 # ------------------------------------------------- a schedule, and the slow wind

@@ -1,0 +1,48 @@
+"""Rows of simulated sensors, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from usv_gym import SensorSuite, Vessel
+from usv_gym.world import sensors
+from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.faults import (
+    FAULT_NUMBERS,
+    Disturbance,
+    fault_records,
+    fault_sources,
+)
+from usv_gym.world.state import BOAT as BOAT_RECORD
+
+DT = 0.05
+BOAT = Vessel.load("usv75")
+N = BOAT.values["shaft_speed_manoeuvring"]
+BIT = np.array([GPS_BIT] * 4 + [COMPASS_BIT] + [IMU_BIT] * 3)
+
+
+def rows(
+    suite: SensorSuite,
+    count: int,
+    seed: int = 0,
+    dt: float = DT,
+    faults: Sequence[Disturbance] = (),
+    state: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return what the sensors of a boat that stays as it is say, first row at t = 0."""
+    rng = np.random.default_rng(seed)
+    normals = rng.standard_normal((count, sensors.NOISE_SIZE))
+    draws = [s.random((count, FAULT_NUMBERS)) for s in fault_sources(faults, rng)]
+    numbers, records = np.hstack([normals, *draws]), fault_records(faults, dt)
+    packed, delay_line = suite.pack(dt), np.zeros((suite.delay_steps(dt) + 1, 4))
+    boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, 8))
+    if state is not None:
+        boat["state"] = state
+    sensors.start_sensors(packed, numbers[0], boat["sensors"])
+    for k in range(count):
+        boat["t"], boat["step"] = k * dt, k
+        sensors.measure(boat, dt if k else 0.0, packed, numbers[k], records, delay_line)
+        z[k] = boat["measurement"]
+    return z
