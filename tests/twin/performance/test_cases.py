@@ -200,10 +200,3 @@ def test_memory_of_a_boat(twin, limit):
     boats = cases.make_boats(twin, cases.BOATS)
     arrays = boats.simulation.boats.nbytes / cases.BOATS
     assert arrays < cases.memory_per_boat(twin) < (limit or 64e3)
-
-
-@pytest.mark.bench
-def test_targets_are_reached():
-    measured = measure(CASES, 5)
-    fractions = {case.name: measured.target_fraction(case) for case in CASES}
-    assert {n: part for n, part in fractions.items() if part is not None and part < 1.0} == {}

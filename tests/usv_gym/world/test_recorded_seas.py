@@ -64,7 +64,8 @@ def test_an_hour_of_the_buoy_is_sailed_again(
     f, density, parameters = buoy[0], buoy[1][hour], buoy[2][hour]
     pm_like = float(parameters["mismatch_PM_HsTp"]) < 0.15
     assert pm_like == (hour in NDBC_HOURS[:6])
-    path = write(tmp_path / "hour.csv", header, list(zip(f, density, strict=True)))
+    header, rows = "frequency_hz,density_m2_per_hz", list(zip(f, density, strict=True))
+    path = write(tmp_path / "hour.csv", header, rows)
     state = SeaState(spectrum=path, components=200, discretisation=discretisation)
     z, fine, estimate = an_hour(realise(state), segment=400.0)
     # 5 %: issue 3. Standard errors over 12 seeds: Hs .3 to 1.6 %, Tm02 .4 to 1.3 %
