@@ -307,36 +307,22 @@ def watch(url: str, many: int, seconds: float) -> list[int]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def rates(served: Any, session: SimulatedSession) -> tuple[float, float, float]:
-    """Return frames, seconds and messages to the slowest per second, with five browsers."""
+@pytest.mark.slow
+def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
+    session = SimulatedSession(setup(), tmp_path, "zigzag")
     viewer = served(session)
     wait(lambda: session.t > 2.0)
     seen: list[list[int]] = []
     thread = threading.Thread(target=lambda: seen.append(watch(viewer.url, 5, 8.0)))
     thread.start()
     wait(lambda: len(viewer.server.get_clients()) == 5)
-    begin, t, frames = time.monotonic(), session.t, viewer.frames
-    time.sleep(5.0)
-    span = time.monotonic() - begin
-    made, pace = (viewer.frames - frames) / span, (session.t - t) / span
+    t, frames = session.t, viewer.frames
+    wait(lambda: session.t > t + 1.0 and viewer.frames > frames)  # while all five watch
     thread.join()
+    assert len(seen[0]) == 5 and min(seen[0]) > 0
     wait(lambda: not viewer.server.get_clients())
     t = session.t
-    wait(lambda: session.t > t + 1.0)  # goes on for nobody
-    return made, pace, min(seen[0]) / 8.0
-
-
-@pytest.mark.slow
-def test_five_browsers_hold_up_neither_frames_nor_simulation(served, tmp_path):
-    # how fast they are is measured by the test after this one
-    assert min(rates(served, SimulatedSession(setup(), tmp_path, "zigzag"))) > 0.0
-
-
-@pytest.mark.bench
-def test_twenty_frames_a_second_for_five_browsers(served, tmp_path):
-    made, pace, came = rates(served, SimulatedSession(setup(), tmp_path, "zigzag"))
-    assert pace == pytest.approx(1.0, abs=0.02)
-    assert made > 19.5 and came > 18.0
+    wait(lambda: session.t > t + 1.0)  # goes on without a browser
 
 
 def test_another_boat_and_another_twin_take_over(served, tmp_path):
