@@ -57,7 +57,7 @@ zero_or_more = st.floats(min_value=0.0, allow_infinity=False)
 
 @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_round_trip(tmp_path: Path, data: st.DataObject) -> None:
+def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject) -> None:
     instruments = Instruments(
         **{
             item.name: data.draw(

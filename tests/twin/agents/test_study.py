@@ -170,7 +170,7 @@ def test_what_cannot_be_done_is_said_at_once():
         study.check(dataclasses.replace(TINY, seeds=()))
 
 
-def test_commands(tmp_path, monkeypatch):
+def test_commands_print_the_study(tmp_path, monkeypatch):
     from twin.cli.main import app
 
     hyper = tmp_path / "tiny.toml"

@@ -222,7 +222,7 @@ def own(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_class_by_module_and_name(own):
+def test_a_class_is_found_by_module_and_name(own):
     kind = predictor_class("some_body:Mine")
     assert issubclass(kind, Persistence) and kind.average == 2.0
     assert kind.tuning == "one configuration, by judgement"

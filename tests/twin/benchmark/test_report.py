@@ -284,7 +284,7 @@ return Math.min(...[...document.querySelectorAll('text')].map(
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])
-def test_page_in_a_browser(browser, whole, width, height):
+def test_page_fits_a_browser(browser, whole, width, height):
     driver = browser(width, height)
     driver.get(whole[0].as_uri())
     driver.execute_script("for (const e of document.querySelectorAll('details')) e.open = true")
@@ -422,7 +422,7 @@ def test_equal_names_do_not_overwrite_each_other(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["truth", "recorded", "blind", "short"])
-def test_picture_of_log(tmp_path, kind):
+def test_picture_of_log_is_drawn(tmp_path, kind):
     log = sail(truth=kind != "recorded", rows=1 if kind == "short" else 400)
     if kind == "blind":
         log = Log(log.t, np.full_like(log.z, math.nan), log.cmd)

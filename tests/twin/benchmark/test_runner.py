@@ -300,7 +300,7 @@ def test_without_the_oracle_there_is_no_j(small):
     assert metrics == set(METRICS) - {"J", "E", "E_runs"}
 
 
-def test_coverage_by_channel_and_horizon(small):
+def test_coverage_is_counted_by_channel_and_horizon(small):
     _, results = small
     rows = results["channels"]
     # faults x predictors x plans x channels x horizons

@@ -434,7 +434,7 @@ def test_vessel_new_refuses_what_does_not_float(empty):
     assert not list(empty.iterdir())
 
 
-def test_log_check_of_a_sound_log(folder):
+def test_log_check_finds_nothing_in_a_sound_log(folder):
     out = run("log", "check", folder / "run.csv", "--out", folder / "check.png").stdout
     assert "fix-lost" not in out and "no fix sample for up to 5.0 s" in out  # --faults gps5
     assert "gyro against compass: scale 1.0" in out

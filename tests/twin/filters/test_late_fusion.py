@@ -86,7 +86,7 @@ def rms(out: np.ndarray, s: np.ndarray, start: int = 0) -> np.ndarray:
     return np.sqrt(np.mean((out - s)[start:] ** 2, axis=0))
 
 
-def test_fuse_by_hand() -> None:
+def test_fuse_equals_a_sum_by_hand() -> None:
     phi, K, W = fuse(
         np.array([1.0, 10.0]),
         np.diag([1.0, 4.0]),
@@ -113,7 +113,7 @@ def test_fuse_is_the_inverse_covariance_formula() -> None:
         np.testing.assert_allclose(W, K_imu @ np.linalg.inv(K_gps + K_imu), atol=1e-9)  # Eq 42
 
 
-def test_first_update_of_the_gps_filter_by_hand() -> None:
+def test_first_update_of_the_gps_filter_equals_one_by_hand() -> None:
     # One axis, constant acceleration, no process noise to speak of: the position variance
     # after a second fix one second later is that of two equal measurements of the position,
     # one of them carried on with a known velocity.
@@ -142,7 +142,7 @@ def test_feedback_decides_how_good_velocities_are(seed: int) -> None:
     assert np.hypot(*without[3:5]) > 2.0 * np.hypot(*with_it[3:5])
 
 
-def test_accuracy_with_doppler() -> None:
+def test_accuracy_with_doppler_is_within_bounds() -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(4), 1000, instruments)
     error = rms(run(LateFusion(instruments, LENGTH), z), s, 500)
@@ -181,7 +181,7 @@ def test_latency_is_not_compensated() -> None:
     assert lag == pytest.approx(0.5 * 5.4, rel=0.1)
 
 
-def test_before_the_first_fix() -> None:
+def test_before_the_first_fix_it_follows_compass_and_gyro() -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(0), 200, instruments)
     z[:100, GPS] = math.nan
@@ -222,7 +222,7 @@ def test_reset_is_a_fresh_start() -> None:
     np.testing.assert_array_equal(run(fusion, z), first)
 
 
-def test_gps_loss_of_a_minute() -> None:
+def test_gps_loss_of_a_minute_stays_within_bounds() -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     s, z = measured(np.random.default_rng(3), 2400, instruments)
     lost, back = 600, 1800
@@ -247,7 +247,7 @@ def test_gps_loss_of_a_minute() -> None:
     assert (rms(out, s, back + 200) < [0.8, 0.8, 0.012, 0.25, 0.25, 0.01]).all()
 
 
-def test_loss_of_all_sensors_for_five_minutes() -> None:
+def test_loss_of_all_sensors_for_five_minutes_is_survived() -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)
     n = 600 + 6000 + 600
     s, z = measured(np.random.default_rng(6), n, instruments)
@@ -412,7 +412,7 @@ def test_refuses_what_it_cannot_use() -> None:
     seed=st.integers(0, 5),
     feedback=st.booleans(),
 )
-def test_any_pattern_of_missing_samples(
+def test_any_pattern_of_missing_samples_stays_finite(
     patterns: list[tuple[int, int, float]], seed: int, feedback: bool
 ) -> None:
     instruments = Instruments(gps_sd=1.0, gps_bias_sd=0.0)

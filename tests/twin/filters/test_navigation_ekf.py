@@ -43,7 +43,7 @@ def off(s: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return e
 
 
-def test_accuracy(zigzag, boat):
+def test_accuracy_is_within_bounds(zigzag, boat):
     # A tight INS/GPS filter of this grade gave .08-.09 m/s in u, v (docs/explanation/twin.md); the
     # position error is the receiver's bias of 1 m per axis.
     out, _ = run(zigzag, boat)
@@ -72,7 +72,7 @@ def test_latency_is_made_good(zigzag, boat):
         (slice(5, 8), 10.0, [3.0, 3.0, 0.1, 0.4, 0.6, 0.15]),
     ],
 )
-def test_losses(zigzag, boat, lost, after, bound):
+def test_losses_stay_finite_and_are_recovered_from(zigzag, boat, lost, after, bound):
     z = zigzag.z.copy()
     z[700:900, lost] = math.nan
     out, _ = run(zigzag, boat, z)
@@ -82,7 +82,7 @@ def test_losses(zigzag, boat, lost, after, bound):
     assert (np.abs(error[1100]) < [2.0, 2.0, 0.06, 0.2, 0.2, 0.01]).all()
 
 
-def test_all_sensors_lost_for_minutes(zigzag, boat):
+def test_all_sensors_lost_for_minutes_is_survived(zigzag, boat):
     navigator = Navigator(boat)
     for k in range(600):
         navigator.update(0.05, zigzag.z[k])
@@ -113,7 +113,7 @@ def test_a_jump_that_stays_is_accepted(zigzag, boat):
     assert abs(out[1000, 0] - zigzag.truth[1000, 0] - 200.0) < 5.0
 
 
-def test_irregular_steps_and_gaps(zigzag, boat):
+def test_irregular_steps_and_gaps_stay_accurate(zigzag, boat):
     keep = np.sort(np.random.default_rng(0).choice(np.arange(1, 1200), 500, replace=False))
     keep = keep[(keep < 600) | (keep > 660)]
     thin = dataclasses.replace(
@@ -218,7 +218,7 @@ def test_repeats_are_no_samples_but_rest_is(boat):
     assert navigator.P[0, 0] < 4.0 * (boat.instruments.gps_sd**2 + boat.instruments.gps_bias_sd**2)
 
 
-def test_a_receiver_slower_than_the_log(zigzag, boat):
+def test_a_receiver_slower_than_the_log_stays_accurate(zigzag, boat):
     z = zigzag.z.copy()
     once = z.copy()
     for k in range(len(z)):
@@ -243,7 +243,7 @@ def test_a_gap_is_not_filled_with_the_acceleration_before_it(boat):
 
 @pytest.mark.parametrize("dof", [3, 6])
 @pytest.mark.parametrize("manoeuvre", ["turn", "zigzag"])
-def test_losses_of_thirty_seconds(manoeuvre, dof):
+def test_losses_of_thirty_seconds_stay_within_bounds(manoeuvre, dof):
     boat = particulars_of(BOAT_FILE, dof=dof)
     position, heading, ratio = [], [], []
     for seed in range(300, 306):
@@ -373,7 +373,7 @@ def marathon(
 
 
 @pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 30_000), (PlusPredictor, 10_000)])
-def test_marathon(kind, rows):
+def test_a_marathon_stays_accurate(kind, rows):
     marathon(kind, rows, 0)
 
 

@@ -53,7 +53,7 @@ def slow_rosenstein(
     [(logistic(500), math.log(2.0)), (henon(1000), 0.419)],
     ids=["logistic", "henon"],
 )
-def test_exponent_of_known_maps(series: np.ndarray, published: float) -> None:
+def test_exponent_of_known_maps_equals_theory(series: np.ndarray, published: float) -> None:
     assert rosenstein(series) == pytest.approx(published, rel=0.05)
 
 
@@ -93,7 +93,7 @@ def test_exponent_with_ties_and_repeats_is_that_of_the_slow_version() -> None:
     assert rosenstein(series) == pytest.approx(slow_rosenstein(series, 2, 1, 1, 5, 1.0), abs=1e-12)
 
 
-def test_exponent_of_degenerate_series() -> None:
+def test_exponent_of_degenerate_series_is_finite() -> None:
     assert rosenstein(np.ones(15)) == -math.inf
     assert math.isnan(rosenstein([math.nan] + [1.0] * 14))
     need = rosenstein_length()
@@ -113,7 +113,7 @@ def test_exponent_scales_with_time_and_not_with_size() -> None:
     assert rosenstein(7.0 * series + 3.0) == pytest.approx(rosenstein(series), rel=1e-9)
 
 
-def test_environment_index_by_hand() -> None:
+def test_environment_index_equals_one_by_hand() -> None:
     hs = [0.4, 0.6]  # mean .5, sd .1
     vw = [3.0, 5.0]  # mean 4, sd 1
     assert environment_index(hs, vw) == pytest.approx((0.2 + 0.25) / 3.0)
@@ -127,7 +127,7 @@ def test_environment_index_ignores_scale_and_missing_samples() -> None:
     assert environment_index([0.0, 0.0], [0.0, 0.0]) == 0.0
 
 
-def test_nonlinearity_index_by_hand() -> None:
+def test_nonlinearity_index_equals_one_by_hand() -> None:
     expected = (1.0 + math.exp(0.1) + math.exp(0.2)) / 3.0
     assert nonlinearity_index(2.0, 3, DT) == pytest.approx(expected, rel=1e-14)
     assert nonlinearity_index(0.0, 15, DT) == 1.0
@@ -138,7 +138,7 @@ def test_nonlinearity_index_by_hand() -> None:
         nonlinearity_index(1.0, 0, DT)
 
 
-def test_adjustment_period_by_hand() -> None:
+def test_adjustment_period_equals_one_by_hand() -> None:
     assert adjustment_period(0.0) == 10.0
     assert adjustment_period(2.25) == pytest.approx(5.0)
     assert adjustment_period(6.75) == pytest.approx(2.5)
@@ -194,7 +194,7 @@ def test_window_keeps_its_length_until_the_period_has_elapsed() -> None:
     assert lengths[100] > 15
 
 
-def test_variable_part_by_hand() -> None:
+def test_variable_part_equals_one_by_hand() -> None:
     window = DynamicWindow(period="binary")
     # no motion given: S = 1; waves .2 and .4: V = (1/3) / 3, above the calm .1
     window.update(0.0, hs=0.2)

@@ -40,7 +40,7 @@ def test_gram_is_the_integral_of_products():
     np.testing.assert_allclose(np.tril(gram), 0.75 * np.tril(np.outer([4, 2], [4, 2])))
 
 
-def test_orthogonal_design_by_hand():
+def test_orthogonal_design_equals_one_by_hand():
     """A is diagonal: entries n x^2 sd^2 / q, hence rank sum l/(1+l) and condition max/min."""
     sd = np.array([1.0, 0.5, 2.0])
     phi = np.diag([1.0, 0.4, 0.02])
@@ -148,5 +148,5 @@ def test_of_a_run(zigzag, boat, model):
     assert twin.predictor.identifiability() == before
 
 
-def test_no_model_no_report(boat):
+def test_no_model_gives_no_report(boat):
     assert Twin(boat, "persistence").predictor.identifiability() is None

@@ -66,7 +66,7 @@ def same_bits(a: Log, b: Log) -> bool:
 
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
 @pytest.mark.parametrize("truth", [False, True])
-def test_round_trip(tmp_path: Path, name: str, truth: bool) -> None:
+def test_round_trip_keeps_the_bits(tmp_path: Path, name: str, truth: bool) -> None:
     log = sound(truth=truth)
     log.z[::3, :4] = np.nan
     log.z[:, 8] = np.nan
@@ -89,7 +89,9 @@ def distinct(rows: int, most: float = 1e300) -> st.SearchStrategy[list[float]]:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), rows=st.integers(2, 30))
-def test_round_trip_of_any_numbers(tmp_path: Path, data: st.DataObject, rows: int) -> None:
+def test_round_trip_of_any_numbers_keeps_the_bits(
+    tmp_path: Path, data: st.DataObject, rows: int
+) -> None:
     # neither degrees nor a jump
     most = {"gps_x_m": 15.0, "gps_y_m": 15.0, "compass_rad": 3.0, "wind_from_rad": 3.0}
     z = np.column_stack([data.draw(distinct(rows, most.get(k, 1e300))) for k in MEASUREMENTS])
@@ -124,7 +126,7 @@ def test_equal_logs_give_equal_gzip_files(tmp_path: Path) -> None:
 # --- a log in memory --------------------------------------------------------------------------
 
 
-def test_length_step_rows_and_slices() -> None:
+def test_length_step_rows_and_slices_are_those_of_the_arrays() -> None:
     log = sound(truth=True)
     assert len(log) == ROWS
     assert log.dt == np.median(np.diff(log.t))
@@ -336,7 +338,7 @@ def test_line_numbers_count_blank_lines(tmp_path: Path) -> None:
     assert "column t_s, line 9" in refused(path)
 
 
-def test_blank_lines_spaces_and_marks_of_missing_values(tmp_path: Path) -> None:
+def test_blank_lines_spaces_and_marks_of_missing_values_are_accepted(tmp_path: Path) -> None:
     table = columns()
     plain = save(tmp_path / "a.csv", table)
     lines = plain.read_text().splitlines()

@@ -215,7 +215,7 @@ def test_dates_of_a_stated_format_are_read(tmp_path: Path, run: Log, form: str) 
         ([], []),
     ],
 )
-def test_formats_of_dates(texts: list[str], formats: list[str]) -> None:
+def test_formats_of_dates_are_recognised(texts: list[str], formats: list[str]) -> None:
     assert [each.format for each in date_formats(texts)] == formats
 
 

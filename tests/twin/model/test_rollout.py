@@ -243,7 +243,7 @@ def test_table_3_turns(angle_deg: float, u: float, r_degps: float) -> None:
 # The prior
 
 
-def test_prior_of_the_study_boat() -> None:
+def test_prior_of_the_study_boat_equals_the_table() -> None:
     # Source: docs/explanation/twin.md, Identifiability.
     xi = dict(zip(PAPER.parameters, zip(XI, PAPER.sd, strict=True), strict=True))
     table = {

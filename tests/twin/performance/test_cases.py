@@ -121,7 +121,7 @@ def test_ctrl_c_keeps_what_is_there(monkeypatch, tmp_path):
     assert "second" in printed and "interrupted" in printed and "memory" not in printed
 
 
-def test_rows_of_the_command(tmp_path):
+def test_rows_of_the_command_are_complete(tmp_path):
     out = tmp_path / "rows.json"
     bench("--quick", "--only", "ship,", "--rounds", "1", "--json", out)
     rows = json.loads(out.read_text())
@@ -129,7 +129,7 @@ def test_rows_of_the_command(tmp_path):
     assert all(list(row) == KEYS for row in rows)
 
 
-def test_growth_of_the_command(tmp_path):
+def test_growth_of_the_command_is_printed(tmp_path):
     out = tmp_path / "rows.json"
     only = ("--only", "ship step, 3-DOF", "--rounds", "1")
     printed = bench("--growth", *only, "--json", out)
@@ -149,7 +149,7 @@ def test_cold_compile_starts_without_kernels(tmp_path, monkeypatch):
     assert cases.cold_compile_seconds(()) == 0.0
 
 
-def test_cold_compile_of_the_command(one_case, tmp_path, monkeypatch):
+def test_cold_compile_of_the_command_is_printed(one_case, tmp_path, monkeypatch):
     monkeypatch.setattr(cases, "COLD_COMPILES", {"first use of nothing": ((), 30.0)})
     out = tmp_path / "rows.json"
     assert "at most 30 s" in bench("--only", "first use", "--json", out)
@@ -196,7 +196,7 @@ def test_a_bend_is_found():
 
 
 @pytest.mark.parametrize(("twin", "limit"), cases.MEMORY.values())
-def test_memory_of_a_boat(twin, limit):
+def test_memory_of_a_boat_is_within_bounds(twin, limit):
     boats = cases.make_boats(twin, cases.BOATS)
     arrays = boats.simulation.boats.nbytes / cases.BOATS
     assert arrays < cases.memory_per_boat(twin) < (limit or 64e3)

@@ -107,7 +107,7 @@ def test_window_off_and_fixed_leave_the_indices_alone(boat: Particulars, run: Lo
         assert (other.window.W, math.isnan(other.window.S)) == (15, True)
 
 
-def test_adjustment_period(boat: Particulars, run: Log) -> None:
+def test_adjustment_period_is_kept(boat: Particulars, run: Log) -> None:
     # tr(P) is that of the innovation: above the six ones of R, so above P_max in any case
     for form, least, most in (("binary", 5.0, 5.0), ("continuous", 0.0, 2.8)):
         assert least <= run_of(boat, run, period=form).window.T <= most
@@ -200,12 +200,12 @@ def test_intervals_are_finite_and_positive_definite(boat: Particulars, zigzag: L
         ({"r": -1.0}, "r = -1.0 must be finite and above 0"),
     ],
 )
-def test_wrong_values(boat: Particulars, options: dict[str, Any], message: str) -> None:
+def test_wrong_values_are_refused(boat: Particulars, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DSWPredictor(boat, **options)
 
 
-def test_settings_by_channel(boat: Particulars) -> None:
+def test_settings_are_taken_by_channel(boat: Particulars) -> None:
     settings = paper_settings(boat, x0=np.arange(25.0), p0=np.arange(1.0, 32.0), r=np.full(6, 2.0))
     np.testing.assert_array_equal(settings.xi0, np.arange(25.0))
     np.testing.assert_array_equal(settings.xi0_cov, np.diag(np.arange(7.0, 32.0)))

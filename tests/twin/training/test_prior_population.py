@@ -201,7 +201,7 @@ def test_damaged_prior_file_is_refused(tmp_path: Path, text: str) -> None:
 # ------------------------------------------------- how it is made
 
 
-def test_the_same_population_with_any_number_of_workers(tmp_path: Path) -> None:
+def test_any_number_of_workers_gives_the_same_population(tmp_path: Path) -> None:
     draw = functools.partial(pop.sample_like, particulars_of(Vessel.load("usv75")), "drives")
     one = pop.make_prior("paper", "drives", draw, drawn=4, seed=5)
     two = pop.make_prior("paper", "drives", draw, drawn=4, seed=5, workers=2)

@@ -45,7 +45,7 @@ VARIANTS.append(pytest.param({"twin": "ukf", "dof": 6, "faults": "on"}, id="ukf-
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
-def test_gymnasium_check(kwargs: dict[str, Any]) -> None:
+def test_gymnasium_check_passes(kwargs: dict[str, Any]) -> None:
     made = gym.make("USVTwin-v0", **kwargs)
     env = made.unwrapped
     # what is checked is what was made: the twin is no wrapper that unwrapping takes away
@@ -65,14 +65,14 @@ def test_wrapped_by_hand_is_the_same() -> None:
 
 
 @pytest.mark.parametrize("kwargs", VARIANTS)
-def test_stable_baselines_check(kwargs: dict[str, Any]) -> None:
+def test_stable_baselines_check_passes(kwargs: dict[str, Any]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what its own imports say is not about us
         checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make("USVTwin-v0", **kwargs), warn=True)
 
 
-def test_spec_round_trip() -> None:
+def test_spec_round_trip_gives_the_same_environment() -> None:
     env = gym.make("USVTwin-v0", hs=0.3, task="free", twin="persistence", band_period=2.0)
     again = gym.make(env.spec)
     assert again.spec == env.spec
@@ -85,7 +85,7 @@ def test_spec_round_trip() -> None:
     assert step[4] == step_again[4]
 
 
-def test_time_limit() -> None:
+def test_time_limit_truncates() -> None:
     env = gym.make("USVTwin-v0", twin=None, task="free", sea="calm")
     env.reset(seed=0)
     for k in range(1, 2401):
@@ -231,7 +231,7 @@ def test_the_action_is_not_written_to() -> None:
 
 
 @pytest.mark.parametrize("twin", [None, "ukf"])
-def test_step_before_reset(twin: str | None) -> None:
+def test_step_before_reset_is_refused(twin: str | None) -> None:
     with pytest.raises(gym.error.ResetNeeded, match="reset"):
         make_env(twin=twin).step(AHEAD)
 
@@ -268,7 +268,7 @@ def test_bad_arguments_die_at_once_and_say_what_is_known(
         assert word in str(caught.value)
 
 
-def test_unknown_reset_options() -> None:
+def test_unknown_reset_options_are_refused() -> None:
     with pytest.raises(ValueError, match="unknown reset options: wind"):
         make_env(twin=None).reset(seed=0, options={"wind": 3})
 
@@ -388,7 +388,7 @@ def test_observations_stay_finite_without_sensors_in_a_storm(
     np.testing.assert_allclose(ages, min(6.0 * minutes - 0.1 * start, 10.0), atol=0.02)
 
 
-def test_a_gps_loss_of_ten_seconds() -> None:
+def test_a_gps_loss_of_ten_seconds_is_bridged() -> None:
     env = make_env(twin=None, task="free", faults="gps10")
     starts = []
     for seed in range(4):
@@ -540,7 +540,7 @@ def test_capsizing_ends_the_episode(task: str) -> None:
     assert np.all(np.isfinite(obs))
 
 
-def test_a_minute_without_gps_on_a_boat_that_rolls_and_pitches() -> None:
+def test_a_minute_without_gps_on_a_boat_that_rolls_and_pitches_is_bridged() -> None:
     """Gravity in the accelerometers must not carry the twin away, nor leave it certain."""
     off, claimed = [], []
     for seed in range(4):

@@ -58,7 +58,7 @@ def test_ppo_trains_on_it():
     assert all(np.isfinite(p.detach().numpy()).all() for p in model.policy.parameters())
 
 
-def test_attributes_and_methods():
+def test_attributes_and_methods_are_reached():
     envs = SB3VecEnv(2, twin="ukf")
     envs.reset()
     assert envs.get_attr("max_episode_steps") == [2400, 2400]

@@ -76,7 +76,7 @@ def test_an_unknown_task_is_an_error_that_lists_those_there_are():
 
 
 @pytest.mark.parametrize("name", RATED)
-def test_rewards_of_paths_from_the_true_track(name):
+def test_rewards_of_paths_follow_from_the_true_track(name):
     """Computed a second time from the true states, leg by leg."""
     env = make_env(task=name, twin=None, sea="3", record=True)
     env.reset(seed=5)

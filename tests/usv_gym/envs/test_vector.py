@@ -176,7 +176,7 @@ def test_an_action_that_is_no_number_does_nothing():
             same(a, b)
 
 
-def test_faults_given_as_a_list():
+def test_faults_given_as_a_list_strike():
     faults = [Fault("gps", start=1.0, duration=1.0)]
     envs = natives(twin=None, faults=faults)
     obs, _ = envs.reset(seed=0)
@@ -198,7 +198,7 @@ def test_each_boat_has_a_twin_that_can_be_asked():
     assert envs.unwrapped.twin(2).t == own.t
 
 
-def test_memory_of_a_boat_in_a_batch():
+def test_memory_of_a_boat_in_a_batch_is_within_bounds():
     """64 kB with the twin ``ukf``; twenty is the aim."""
     envs = natives(8, twin="ukf").unwrapped
     arrays = [envs.simulation.rows, envs.task.points, envs.episodes.memory]

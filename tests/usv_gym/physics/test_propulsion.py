@@ -83,7 +83,7 @@ def test_propeller_and_rudder_are_the_mmg_standard_method(
     np.testing.assert_allclose(got, as_printed(u, v, r, n, delta), rtol=1e-9, atol=1e-9)
 
 
-def test_the_thrusters_of_the_otter() -> None:
+def test_the_thrusters_of_the_otter_give_their_bollard_pull() -> None:
     """MSS otter.m: k n|n| each with n in rad/s, k .01108 ahead and .006445 astern."""
     for n, k in ((10.0, 0.02216 / 2), (-10.0, 0.01289 / 2)):
         want = 2.0 * k * (2.0 * math.pi * n) * abs(2.0 * math.pi * n)
@@ -100,7 +100,7 @@ def test_a_single_unit_ignores_the_other_command() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_continuous_through_zero(kind: str) -> None:
+def test_thrust_is_continuous_through_zero(kind: str) -> None:
     """U = 0, J = 0, n = 0, beta_R = 0, beta_P = 0 and delta = 0 are no places to jump at."""
     for column, n, r in itertools.product(range(5), (0.0, 8.0, -8.0), (0.0, 0.05, -0.05)):
         near = []
@@ -159,7 +159,7 @@ def test_a_rudder_works_astern_and_at_rest(kind: str) -> None:
     assert astern[0] < 0.0
 
 
-def test_resistance_of_the_mmg_method_and_of_small_craft() -> None:
+def test_resistance_follows_the_mmg_method_and_small_craft() -> None:
     U, p = 1.1, TANKER.packed.copy()
     q = 0.5 * V["water_density"] * V["length_waterline"] * V["draft"] * U**2
     assert hull.hull_forces(U, 0.0, 0.0, p)[0] == pytest.approx(-q * V["R_0"], rel=1e-12)

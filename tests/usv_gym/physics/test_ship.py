@@ -386,7 +386,7 @@ def jump(function: object, x: float, width: float) -> float:
 @pytest.mark.parametrize("r", [0.0, 0.3])
 @pytest.mark.parametrize("n", [0.0, 10.0, -10.0])
 @pytest.mark.parametrize("column", [fr.U, fr.V, fr.R, fr.N_LEFT, fr.DELTA_LEFT])
-def test_continuous_through_zero(column: int, n: float, r: float) -> None:
+def test_loads_are_continuous_through_zero(column: int, n: float, r: float) -> None:
     """U = 0, r = 0, n = 0, J = 0 and delta = 0 are no places to jump at."""
     base = start(0.0, 0.0, r, n=n)
 
@@ -399,7 +399,7 @@ def test_continuous_through_zero(column: int, n: float, r: float) -> None:
     assert jump(rate, 0.0, 1e-8) < 1e-5
 
 
-def test_continuous_in_every_direction_of_flow_at_rest() -> None:
+def test_loads_are_continuous_in_every_direction_of_flow_at_rest() -> None:
     """The primed velocities v', r' have no limit at U = 0, but their forces must."""
     for angle in np.linspace(0, 2 * math.pi, 17):
         for share in (0.0, 0.5, 10.0):
@@ -417,7 +417,7 @@ def test_continuous_where_the_turn_is_limited() -> None:
     assert jump(lambda u: hull.hull_forces(u, 0.0, r, P), U, 1e-8) < 1e-2
 
 
-def test_thrust_through_bollard_pull_and_standstill() -> None:
+def test_thrust_is_continuous_through_bollard_pull_and_standstill() -> None:
     D, rho, k_0 = (BOAT.values[k] for k in ("propeller_diameter", "water_density", "k_0"))
     # bollard pull (J = 0) is rho n^2 D^4 k_0
     assert propulsion.thrust(20.0, 0.0, P) == pytest.approx(rho * 400.0 * D**4 * k_0, rel=1e-12)
@@ -469,7 +469,7 @@ def test_resistance_has_no_kink_inside_and_grows_with_the_square_beyond() -> Non
 
 
 @pytest.mark.parametrize("points", [3, par.RESISTANCE_POINTS])
-def test_resistance_curve_with_few_and_with_all_points(points: int) -> None:
+def test_resistance_curve_passes_few_and_all_points(points: int) -> None:
     speed = tuple(float(v) for v in range(points))
     force = tuple(50.0 * v**2 for v in speed)
     boat = dataclasses.replace(BOAT, resistance_speed=speed, resistance_force=force)
@@ -525,7 +525,7 @@ def test_port_propeller_and_positive_angle_turn_to_starboard() -> None:
 
 
 @pytest.mark.parametrize("dof", [3, 6])
-def test_fourth_order_in_calm_water(dof: int) -> None:
+def test_the_step_is_of_fourth_order_in_calm_water(dof: int) -> None:
     # between two resistance points (25 and 30 kn), turning one way, below the rate limit:
     # nothing but smooth functions on the way
     state, cmd = start(14.0, v=-0.8, r=0.2, n=33.0, delta=0.1), helm(33.0, math.degrees(0.1))
@@ -569,7 +569,7 @@ def zigzag() -> dict[str, list[float]]:
     return states
 
 
-def test_golden_trajectory() -> None:
+def test_golden_trajectory_is_kept() -> None:
     """Behaviour of a registered id is pinned; the top of this file says how to pin it again."""
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))["states"]
     states = zigzag()

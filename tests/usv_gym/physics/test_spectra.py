@@ -17,7 +17,7 @@ GUST_F = np.geomspace(1 / 600, 0.5, 20_001)
 
 
 @pytest.mark.parametrize("hs", [0.1, 0.5, 6.0])
-def test_pm_moment_and_peak_of_the_height_spectrum(hs: float) -> None:
+def test_pm_moment_and_peak_are_those_of_the_height_spectrum(hs: float) -> None:
     spectrum = spectra.pm_spectrum(OMEGA, hs)
     # consistency wants 4 alpha = .0324 exactly (docs/explanation/ship_and_sea.md);
     # the grid ends cost 1e-6
@@ -97,7 +97,7 @@ def test_jonswap_has_its_height_and_peak(gamma: float) -> None:
     assert np.max(spectrum) > np.max(spectra.ittc_spectrum(OMEGA, 1.5, 6.0)) or gamma == 1.0
 
 
-def test_moments_of_a_triangle() -> None:
+def test_moments_of_a_triangle_equal_theory() -> None:
     # by hand: base 2, height 3, centred on 2: m0 = 3, m1 = 6, m2 = 12.5 (dense: rtol 1e-6)
     omega = np.linspace(1.0, 3.0, 4001)
     m = spectra.moments(omega, 3.0 * (1.0 - np.abs(omega - 2.0)))
@@ -112,13 +112,13 @@ def test_moments_of_a_triangle() -> None:
 
 
 @pytest.mark.parametrize(("name", "sigma"), [("npd", 0.28), ("harris", 0.52), ("davenport", 0.53)])
-def test_gust_standard_deviations(name: str, sigma: float) -> None:
+def test_gust_standard_deviations_equal_theory(name: str, sigma: float) -> None:
     # separate computation, two figures; those at 10 m/s are on the validation page
     spectrum = spectra.GUST_SPECTRA[name](GUST_F, 4.5)
     assert math.sqrt(np.trapezoid(spectrum, GUST_F)) == pytest.approx(sigma, rel=0.02)
 
 
-def test_npd_at_other_heights() -> None:
+def test_npd_at_other_heights_equals_the_norm() -> None:
     # at low frequency only the factor (z/10)^.45 is left
     low = np.array([1e-9])
     ratio = spectra.npd_spectrum(low, 10.0, 20.0) / spectra.npd_spectrum(low, 10.0)

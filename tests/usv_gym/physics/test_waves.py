@@ -88,7 +88,7 @@ def test_sine_is_odd_and_cosine_even_to_the_bit(x: float) -> None:
     assert waves.sincos(-x) == (-s, c)
 
 
-def test_sincos_at_the_seams_of_its_reduction() -> None:
+def test_sincos_is_exact_at_the_seams_of_its_reduction() -> None:
     seams = np.concatenate([np.arange(-9, 10), [101, 4_001, 123_457, 636_000]]) * (math.pi / 4)
     for x in np.concatenate([seams, np.nextafter(seams, 1e9), np.nextafter(seams, -1e9)]):
         s, c = waves.sincos(x)
@@ -161,7 +161,7 @@ def test_a_very_long_wave_lifts_by_its_height_and_tilts_by_its_slope(to: float) 
 
 
 @pytest.mark.parametrize(("psi", "silent"), [(0.0, 1), (math.pi / 2, 0)])
-def test_loads_with_one_wave_number_zero(psi: float, silent: int) -> None:
+def test_loads_with_one_wave_number_zero_are_finite(psi: float, silent: int) -> None:
     # waves to the north along an axis of the boat: k_y or k_x is 0, and so is N
     rows = components(np.array([0.8]), np.array([0.0]), np.array([0.3]), np.array([0.9]))
     got = loads(0.0, 0.0, psi, 0.0, rows)

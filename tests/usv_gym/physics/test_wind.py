@@ -63,7 +63,7 @@ def test_loads_are_continuous_at_the_branches(gamma: float) -> None:
     np.testing.assert_allclose(right, at, atol=2e3 * eps)
 
 
-def test_signs() -> None:
+def test_signs_are_those_of_the_apparent_wind() -> None:
     """Wind from port pushes to starboard; from astern ahead; C_N needs Eq 13's mirror."""
     assert abs(apparent(90.0)[0]) < 1e-10
     assert apparent(60.0)[1] > 0.0
@@ -88,7 +88,9 @@ def test_quadratic_in_speed() -> None:
     delta=st.floats(-0.5, 0.5),
 )
 @settings(max_examples=100, deadline=None)
-def test_no_wind_no_load(u: float, v: float, r: float, psi: float, n: float, delta: float) -> None:
+def test_no_wind_gives_no_load(
+    u: float, v: float, r: float, psi: float, n: float, delta: float
+) -> None:
     """Without wind, the wind areas do not enter the ship at all, to the bit."""
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.PSI, fr.U, fr.V, fr.R]] = psi, u, v, r

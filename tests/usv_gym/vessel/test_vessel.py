@@ -51,7 +51,7 @@ def boat(request: pytest.FixtureRequest) -> Vessel:
     return Vessel.load(request.param)
 
 
-def test_loads_by_name_and_by_path(boat: Vessel) -> None:
+def test_a_vessel_is_loaded_by_name_and_by_path(boat: Vessel) -> None:
     again = Vessel.load(FOLDER / f"{boat.name}.toml")
     assert dict(again.values) == dict(boat.values)
     assert again.title

@@ -253,7 +253,7 @@ def test_the_environment_takes_a_text(faults: str) -> None:
         assert not any(valid[60:])
 
 
-def test_parse_faults() -> None:
+def test_parse_faults_reads_every_form() -> None:
     assert parse_faults("none", 3.0) == ()
     assert parse_faults("on", 3.0) == ON
     assert parse_faults("gps10", 3.0) == (Fault("gps", 3.0, 10.0),)
@@ -285,7 +285,7 @@ def test_on_is_every_effect_on_every_sensor() -> None:
         *("gps10@-1", "gps1e3", "gps\u0663"),
     ],
 )
-def test_faults_that_are_not_understood(text: str) -> None:
+def test_faults_that_are_not_understood_are_refused(text: str) -> None:
     with pytest.raises(
         FaultError, match="write none; on for all of them; or a kind and seconds"
     ) as e:
@@ -334,7 +334,7 @@ def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
     assert clear
 
 
-def test_unknown_kinds_and_impossible_faults() -> None:
+def test_unknown_kinds_and_impossible_faults_are_refused() -> None:
     with pytest.raises(FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, all"):
         parse_faults("radar10", 0.0)
     for start, duration in ((0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)):

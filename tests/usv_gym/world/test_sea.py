@@ -153,7 +153,7 @@ def test_tables_have_the_height(name: str) -> None:
     assert state.wave_spectrum().moments.hs == pytest.approx(state.hs, rel=2e-5)
 
 
-def test_pm_by_wind() -> None:
+def test_pm_by_wind_has_its_height_and_period() -> None:
     # Hs g / U19.5^2 = .2092: docs/explanation/validation.md, Sea and gusts; U19.5 = 1.026 U10
     state = SeaState.from_wind(4.5, gusts="none")
     assert state.hs == pytest.approx(0.2092 * (1.026 * 4.5) ** 2 / GRAVITY, rel=1e-3)
@@ -301,7 +301,7 @@ def test_files_of_spreadsheets_and_analysers_are_read(tmp_path: Path) -> None:
         ({"hs": 1.0, "gamma": 2.0}, "gamma = 2.0: only the spectrum jonswap"),
     ],
 )
-def test_seas_that_contradict_themselves(kwargs: dict[str, Any], message: str) -> None:
+def test_seas_that_contradict_themselves_are_refused(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(SeaError, match=message):
         SeaState(**kwargs)
     with pytest.raises(SeaError, match=r"unknown value.* Hs; known: hs, wind"):
@@ -334,7 +334,7 @@ def test_a_height_scales_a_measured_spectrum() -> None:
         (HERTZ, [(0.1, 0), (0.2, 0), (0.3, 0)], "no energy"),
     ],
 )
-def test_files_that_are_no_spectrum(
+def test_files_that_are_no_spectrum_are_refused(
     tmp_path: Path, header: str, rows: list[object], message: str
 ) -> None:
     path = write(tmp_path / "waves.csv", header, rows)
@@ -343,7 +343,7 @@ def test_files_that_are_no_spectrum(
     assert str(path) in str(caught.value)
 
 
-def test_files_that_are_broken(tmp_path: Path) -> None:
+def test_files_that_are_broken_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "waves.csv.gz"
     broken.write_bytes(b"not gzip")
     with pytest.raises(SeaError, match="cannot be read as a spectrum"):
@@ -399,7 +399,7 @@ def test_gusts_of_a_schedule_are_those_of_its_greatest_wind() -> None:
         assert math.hypot(north, east) == pytest.approx(4.0 + wind.gust(t, sea.gusts) / 3.0)
 
 
-def test_a_schedule_without_waves_or_wind() -> None:
+def test_a_schedule_without_waves_or_wind_stays_calm() -> None:
     sea = realise(SeaState(schedule=[(0.0, 0.0, 2.0), (10.0, 0.0, 4.0)]))
     assert sea.waves.shape == (waves.WAVE_ROWS, 0)
     sea = realise(SeaState(schedule=[(0.0, 0.5, 0.0), (10.0, 0.0, 0.0)]))
@@ -489,7 +489,7 @@ def test_elevation_is_the_kernels_at_every_point() -> None:
         ("wind_from_tau", 0.0, "between 1 and 100000"),
     ],
 )
-def test_seas_that_cannot_be(name: str, value: float, rule: str) -> None:
+def test_seas_that_cannot_be_are_refused(name: str, value: float, rule: str) -> None:
     with pytest.raises(SeaError, match=f"{name} = {value}: must .*{rule}"):
         SeaState(**{name: value})  # type: ignore[arg-type]
 
@@ -529,7 +529,7 @@ def test_seas_that_cannot_be(name: str, value: float, rule: str) -> None:
         ),
     ],
 )
-def test_further_seas_that_cannot_be(kwargs: dict[str, object], message: str) -> None:
+def test_further_seas_that_cannot_be_are_refused(kwargs: dict[str, object], message: str) -> None:
     with pytest.raises(SeaError, match=message):
         SeaState(**kwargs)  # type: ignore[arg-type]
 

@@ -49,7 +49,7 @@ def only(**values: object) -> SensorSuite:
         ("accel_white", (6, 7)),
     ],
 )
-def test_white_noise(name: str, channels: tuple[int, ...]) -> None:
+def test_white_noise_has_its_standard_deviation(name: str, channels: tuple[int, ...]) -> None:
     z = rows(only(**{name: 0.3}), 20_000)
     for j in range(len(SENSOR_CHANNELS)):
         if j not in channels:
@@ -72,7 +72,7 @@ def test_white_noise(name: str, channels: tuple[int, ...]) -> None:
         ("accel_bias", (6, 7)),
     ],
 )
-def test_gauss_markov_bias(name: str, channels: tuple[int, ...]) -> None:
+def test_gauss_markov_bias_has_its_size_and_time(name: str, channels: tuple[int, ...]) -> None:
     """The bias has its sd from the start, and forgets itself with its time constant."""
     tau, step = 10.0, 0.5
     suite = only(**{name: 0.3, f"{name}_time": tau})
@@ -158,7 +158,7 @@ def test_gps_is_late() -> None:
 
 
 @pytest.mark.parametrize("rate", [1.0, 3.0, 8.0, 20.0, 50.0])
-def test_rates(rate: float) -> None:
+def test_rates_are_kept(rate: float) -> None:
     """So many samples a second, as even as steps allow, and never two in a step."""
     z = rows(only(gps_rate=rate, compass_rate=rate, imu_rate=rate), 20 * 60)
     each = min(rate, 20.0)
@@ -192,7 +192,7 @@ def test_the_rate_does_not_depend_on_the_control_step() -> None:
 
 
 @pytest.mark.parametrize("grade", ["typical", "best"])
-def test_statistics_of_a_grade(grade: str) -> None:
+def test_statistics_of_a_grade_are_those_of_its_table(grade: str) -> None:
     """White part and bias of each channel, from its steps and from its spread."""
     suite, step, count = SensorSuite.grade(grade), 5.0, 60_000
     z = rows(suite, count, dt=step)
@@ -236,7 +236,7 @@ def test_grades_are_what_physics_md_says() -> None:
             assert getattr(typical, item.name) <= getattr(SensorSuite.grade("consumer"), item.name)
 
 
-def test_grades_that_do_not_exist() -> None:
+def test_grades_that_do_not_exist_are_refused() -> None:
     with pytest.raises(FaultError, match="'superb'; use best, consumer, typical, perfect or a"):
         SensorSuite.grade("superb")
     assert set(GRADES) == {"best", "consumer", "typical", "perfect"}
@@ -260,7 +260,7 @@ LENGTH = st.floats(-10.0, 10.0)
 
 @settings(deadline=None)  # the first one compiles
 @given(phi=ANGLE, theta=ANGLE, psi=ANGLE, a=LENGTH, b=LENGTH, c=LENGTH)
-def test_rotation_and_back(
+def test_rotation_and_back_is_the_identity(
     phi: float, theta: float, psi: float, a: float, b: float, c: float
 ) -> None:
     earth = fr.rotate(phi, theta, psi, a, b, c)
@@ -379,6 +379,6 @@ def test_a_twin_hears_of_lever_arms() -> None:
         *(("imu_arm", (0.0, math.nan, 0.0)),),
     ],
 )
-def test_impossible_suites(name: str, value: object) -> None:
+def test_impossible_suites_are_refused(name: str, value: object) -> None:
     with pytest.raises(FaultError, match=f"sensor {name} = "):
         SensorSuite(**{name: value})  # type: ignore[arg-type]

@@ -129,7 +129,7 @@ def test_gusts_do_not_touch_the_waves() -> None:
     assert with_gusts.gusts.shape[2] > 0 == without.gusts.shape[2]
 
 
-def test_no_global_randomness() -> None:
+def test_global_randomness_is_not_used() -> None:
     np.random.seed(1)  # noqa: NPY002 - that it changes nothing is the point
     one, _ = run(steps=20)
     np.random.seed(2)  # noqa: NPY002
@@ -146,7 +146,7 @@ def test_it_starts_straight_ahead_at_its_speed() -> None:
     np.testing.assert_array_equal(states[0], expected)
 
 
-def test_shorter_physics_steps_under_the_same_control_step() -> None:
+def test_shorter_physics_steps_change_little() -> None:
     coarse, _ = run(sea=SeaState(), steps=100)
     fine, _ = run(sea=SeaState(), steps=100, dt_physics=0.01)
     # calm water, 5 s with a new random command each step: RK4's error where it is not smooth

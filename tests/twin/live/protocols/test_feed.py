@@ -29,7 +29,7 @@ pytest.importorskip("pymavlink", reason="needs pymavlink: pip install 'usv-twin[
         ("udp://boat.local:65535", ("boat.local", 65535)),
     ],
 )
-def test_addresses(address: str, found: tuple[str, int]) -> None:
+def test_addresses_are_read_or_refused(address: str, found: tuple[str, int]) -> None:
     assert parse_address(address) == found
 
 
@@ -66,7 +66,7 @@ def test_a_host_that_is_none_is_reported() -> None:
 
 
 @pytest.mark.parametrize("latitude", [-77.0, 0.0, 45.0, 89.0])
-def test_the_plane_and_back(latitude: float) -> None:
+def test_the_plane_and_back_gives_the_same_place(latitude: float) -> None:
     plane = Plane(latitude, 179.9999)
     north, east = plane.metres(*plane.degrees(123.0, 456.0))
     assert (north, east) == pytest.approx((123.0, 456.0), abs=1e-6)

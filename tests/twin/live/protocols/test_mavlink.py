@@ -52,7 +52,7 @@ def test_mavlink_1_is_understood(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("steering", ["drives", "differential"])
-def test_servos_there_and_back(steering: str) -> None:
+def test_servos_there_and_back_give_the_same_commands(steering: str) -> None:
     boat = Particulars(
         **{**vars(BOAT), "steering": steering},
     )
@@ -79,7 +79,7 @@ def test_wrong_servos_are_reported(wrong: dict[str, float], why: str) -> None:
         Servos(**{"shaft_speed": 1.0, "angle": 1.0, **wrong})  # type: ignore[arg-type]
 
 
-def test_servo_times_of_32_bits_and_of_other_clocks(wire: Wire) -> None:
+def test_servo_times_of_32_bits_and_of_other_clocks_are_understood(wire: Wire) -> None:
     boot = 5000.0  # beyond 2**32 us
     write = MavlinkWriter()
     for i in range(20):

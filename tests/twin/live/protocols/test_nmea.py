@@ -55,7 +55,7 @@ def test_heading_and_rate_of_turn(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("number", ["0", "1", "2"])
-def test_commands(wire: Wire, usv: Particulars, number: str) -> None:
+def test_commands_are_read(wire: Wire, usv: Particulars, number: str) -> None:
     wire.tell(line(f"IIRPM,S,{number},600.0,,A") + line("IIRSA,5.0,A,-10.0,A"))
     wire.take(after=1.0)
     ((_, _, cmd),) = wire.rows

@@ -141,7 +141,7 @@ def test_wrong_disturbances_are_reported(text: str, why: str) -> None:
         LinkImpairment.parse(text)
 
 
-def test_the_pace(circle: Log) -> None:
+def test_the_pace_is_that_of_the_log(circle: Log) -> None:
     now = [0.0]
     log = circle.slice(0.0, 20.0)
 
@@ -159,7 +159,9 @@ def test_the_pace(circle: Log) -> None:
 
 
 @pytest.mark.parametrize("kind", ["nmea", "mavlink"])
-def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -> None:
+def test_over_the_wire_and_back_is_the_same_log(
+    simulated: tuple[Log, Particulars], kind: str
+) -> None:
     log, boat = simulated
     address = f"udp://:{free_port()}"
     stream = KINDS[kind][1](boat)

@@ -215,7 +215,7 @@ HOLDS = {"constant", "at rest", "few rows", "one row", "all NaN"}
 
 
 @pytest.mark.parametrize("kind", sorted(LEARNS | HOLDS | {"noise"}))
-def test_always_finite_and_within_the_envelope(kind: str) -> None:
+def test_forecasts_are_always_finite_and_within_the_envelope(kind: str) -> None:
     """Whatever the past, forecasts are finite and bounded; too little of it: persistence."""
     pytest.importorskip("torch")
     rows = bad(kind)

@@ -183,7 +183,7 @@ HOLDS = ("few rows", "one row", "all NaN")
 @pytest.mark.parametrize(
     "kind", ["constant", "at rest", "some NaN", "wild", "growing", "noise", *HOLDS]
 )
-def test_always_finite_and_within_the_envelope(kind: str) -> None:
+def test_forecasts_are_always_finite_and_within_the_envelope(kind: str) -> None:
     """Whatever the past, forecasts are finite and bounded."""
     rows = bad(kind)
     predictor = learned(rows)
@@ -198,7 +198,7 @@ def test_always_finite_and_within_the_envelope(kind: str) -> None:
     assert (np.abs(path[..., 3:]) <= predictor.bound + 1e-9).all()
 
 
-def test_slow_irregular_rows_without_velocities() -> None:
+def test_slow_irregular_rows_without_velocities_are_learned() -> None:
     """Rows a second apart, some missing, positions and headings alone: it still predicts."""
     rows = history(481)[::4]
     predictor = VARPredictor(BOAT)
