@@ -89,11 +89,8 @@ EACH = 8
 WILD = 3.0
 """Velocities over their typical size above which a window is left out."""
 
-SWAPPED = [
-    *range(COMMANDED.start),
-    *(k + step for k in range(COMMANDED.start, ACTUATORS.stop, 2) for step in (1, 0)),
-    *range(ACTUATORS.stop, ROW),
-]
+_PAIRS = np.arange(COMMANDED.start, ACTUATORS.stop).reshape(-1, 2)
+SWAPPED = np.r_[: COMMANDED.start, _PAIRS[:, ::-1].ravel(), ACTUATORS.stop : ROW]
 """Columns of a history with left and right units exchanged."""
 
 MIRROR = np.array([1, -1, -1, 1, -1, -1, *(1, 1, -1, -1) * 2, 1, 1, 1], dtype=np.float32)
@@ -537,11 +534,8 @@ def train(
             torch.manual_seed((settings.seed << 32) + step + 1)
             share = step / settings.steps
             for group in optimiser.param_groups:
-                group["lr"] = (
-                    settings.rate
-                    * min(1.0, 20.0 * (step + 1) / settings.steps)
-                    * (0.5 + 0.5 * math.cos(math.pi * share))
-                )
+                warm = min(1.0, 20.0 * (step + 1) / settings.steps)
+                group["lr"] = settings.rate * warm * (0.5 + 0.5 * math.cos(math.pi * share))
             rng = np.random.default_rng([_FLEET, settings.seed, step, 1])
             x, *rest = batch(fleet, settings.batch, rng)
             inputs = torch.from_numpy(gated(x, settings.gate))
