@@ -185,8 +185,8 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
             size = index(lanes * vectors)
             end = builder.sub(count, size)
             last = sums(end, lanes, vectors)
-            with cgutils.for_range_slice(builder, index(0), end, size, intp=index) as (offset, _):
-                write(sums(offset, lanes, vectors))
+            with cgutils.for_range_slice(builder, index(0), end, size, intp=index) as loop:
+                write(sums(loop[0], lanes, vectors))
             write(last)
 
         wide = builder.icmp_signed(">=", count, index(_LANES * _GROUP))
