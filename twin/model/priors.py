@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.boat_prior import ENVIRONMENT, limited
 from twin.model.structure import Structure
 from twin.particulars import FAST, Particulars
 from usv_kernel.errors import UsvTwinError
@@ -27,8 +28,10 @@ __all__ = [
     "KINDS",
     "Prior",
     "PriorError",
+    "boat_or",
     "kind_of",
     "population_prior",
+    "takes",
     "shipped_prior",
 ]
 
@@ -138,3 +141,35 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
     if kind == "differential":
         return structure.mean.copy(), np.diag(structure.sd**2)
     return shipped_prior(structure.name, kind).of(structure)
+
+
+def takes(structure: Structure, particulars: Particulars) -> bool:
+    """Return whether a boat has a prior of its own, of this structure."""
+    prior = particulars.prior
+    return (
+        prior is not None
+        and prior.model == structure.name
+        and not set(prior.parameters).isdisjoint(structure.parameters)
+    )
+
+
+def boat_or(
+    population: tuple[Array, Array], structure: Structure, particulars: Particulars
+) -> tuple[Array, Array]:
+    """Return the boat's own prior, mean (p,) and covariance (p, p) in SI units, if it has one.
+
+    Parameters that it does not have, such as those of wind and sea, keep what the population says,
+    and in no direction is the boat's prior wider. Without one, the population's is returned.
+    """
+    prior = particulars.prior
+    if prior is None or not takes(structure, particulars):
+        return population
+    names = [n for n in prior.parameters if n in structure.parameters and n not in ENVIRONMENT]
+    at = np.array([structure.parameters.index(name) for name in names], dtype=np.int64)
+    own = np.array([prior.parameters.index(name) for name in names], dtype=np.int64)
+    mean, covariance = population[0].copy(), population[1].copy()
+    bound = population[1][np.ix_(at, at)]
+    mean[at] = np.array(prior.mean)[own]
+    covariance[at], covariance[:, at] = 0.0, 0.0
+    covariance[np.ix_(at, at)] = limited(np.array(prior.covariance)[np.ix_(own, own)], bound)
+    return mean, covariance
