@@ -3,7 +3,8 @@
 The runs are combined as random effects. Let z_k and C_k be mean and covariance of run k, in units
 of the population's prior. The boat differs from run to run by a covariance T, of load and fouling:
 
-    T = B + (10 % of each value)^2,   B = covariance of the z_k, if there are several,
+    T = B + (10 % of each value)^2,
+    B = covariance of the z_k, and as if of two runs more, a tenth of the population's,
     mean = (sum (C_k + T)^-1)^-1 sum (C_k + T)^-1 z_k,
     covariance = mean of the C_k + (1 + 1/K) B + (10 % of each value)^2.
 
@@ -55,6 +56,10 @@ WIDENED = 0.1
 
 UNCORRELATED_PART = 0.3
 """Share of each variance between runs that no other parameter explains: runs are few."""
+
+FEW, FEW_VARIANCE = 2.0, 0.1
+"""Before any run, the covariance between runs is taken to be this part of the population's, with
+the weight of so many runs."""
 
 LENGTH_SAME, SHAFT_SAME = 0.05, 0.01
 """Relative differences within which lengths and speeds per shaft speed are those of one boat."""
@@ -249,10 +254,12 @@ def combine(
     root = np.linalg.cholesky(bound)
     z = np.array([np.linalg.solve(root, mean - start) for mean, _ in runs])
     C = np.array([_whitened(root, limited(cov, bound)) for _, cov in runs])
-    B = np.zeros_like(bound)
+    B = FEW * FEW_VARIANCE * np.eye(len(bound))
     if len(runs) > 1:
-        B = np.cov(z.T).reshape(B.shape)
-        B = (1.0 - UNCORRELATED_PART) * B + UNCORRELATED_PART * np.diag(np.diag(B))
+        between = np.cov(z.T).reshape(B.shape)
+        alone = UNCORRELATED_PART * np.diag(np.diag(between))
+        B += (len(runs) - 1) * ((1.0 - UNCORRELATED_PART) * between + alone)
+    B /= FEW + len(runs) - 1
     typical = start + root @ z.mean(axis=0)
     D = _whitened(root, np.diag((WIDENED * typical) ** 2))
     weights = np.linalg.inv(C + B + D)

@@ -34,7 +34,13 @@ from twin.predictors.registry import DEFAULT, PREDICTORS
 
 
 def identify_command(
-    log: LogArgument,
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP. Several with --save-prior.",
+        ),
+    ],
     predictor: Annotated[
         str | None,
         typer.Option(
@@ -67,6 +73,16 @@ def identify_command(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="The last estimate, in full precision.")
     ] = None,
+    save_prior: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for what the runs say of the boat's next run, such as boat.prior. "
+            "Particulars use it with the line: prior = \"boat.prior\"."
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite the file of --save-prior.")
+    ] = False,
 ) -> None:
     """Run the twin over a log, and print the state and the parameters that it estimates.
 
@@ -77,7 +93,31 @@ def identify_command(
     With --save the twin can continue later, here with --resume or in Python with Twin.load. The
     results are the same bits as without the stop. The file holds predictor, boat and instruments;
     those options are then left out.
+
+    With --save-prior, runs of one boat become its own prior: mean and covariance of the parameters,
+    widened for load and fouling. Each run begins without an earlier prior.
+
+    The last five lines are those of usv-twin judge, from fewer forecasts and losses of GPS.
     """
+    if save_prior is not None:
+        if resume is not None:
+            raise OptionError("--save-prior and --resume: a prior is made from whole runs")
+        if save_prior.exists() and not force:
+            raise OptionError(f"--save-prior {save_prior}: is there already; choose another name, or --force")
+    if len(logs) > 1:
+        one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
+        given = [name for name, value in one.items() if value is not None]
+        if given or save_prior is None:
+            raise OptionError(
+                f"{len(logs)} logs: several are for --save-prior"
+                + (f", without {', '.join(given)}" if given else "; name one")
+            )
+    opened = dict(ship=ship, until=until, model=model, mapping=mapping)
+    if len(logs) > 1:
+        twins = [_identified(log, predictor, **opened) for log in logs]
+        _save_prior(save_prior, twins)
+        return
+    log = logs[0]
     run, twin = open_log(
         log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
     )

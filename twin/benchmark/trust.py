@@ -1,0 +1,402 @@
+"""How far a twin of a log may be trusted: five answers with numbers, and a colour.
+
+The twin runs over the log once. Meanwhile its forecasts are scored as in the benchmark, against
+the log's own fixes and headings and beside persistence, and copies of it go on without GPS.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.benchmark.protocol import BenchmarkError
+from twin.benchmark.scores import Reference, Score, score
+from twin.boat_prior import ENVIRONMENT
+from twin.digital_twin import Twin, known_plan
+from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.predictors.base import Z90, Prediction
+from twin.predictors.registry import make_predictor
+
+__all__ = [
+    "AMBER",
+    "GREEN",
+    "RED",
+    "RULES",
+    "Answer",
+    "GpsLoss",
+    "ScoredForecast",
+    "TrustMeter",
+    "Verdict",
+    "position_bound",
+]
+
+Array = NDArray[np.float64]
+
+GREEN, AMBER, RED = "green", "amber", "red"
+
+COLOURS = (GREEN, AMBER, RED)
+
+HORIZON = 10.0
+"""Of the forecasts that are scored, s."""
+
+RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
+"""Error over that of persistence, up to which a forecast is green or amber."""
+
+COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
+"""Share inside the claimed 90 %, from which on it is green or amber."""
+
+BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
+"""Seconds without GPS from which on they are green or amber."""
+
+FAR, FAR_AMBER = 4.0, 2
+"""Prior standard deviations beyond which a parameter is far, and how many such are amber."""
+
+BOUND_MIN, BOUND_NOISE = 5.0, 5.0
+"""The bound of the position error without GPS is at least this (m, standard deviations of a fix),
+or the boat's length if that is more."""
+
+LOSS_SPAN = 60.0
+"""Longest loss of GPS that is tried, s."""
+
+LOSS_MIN = 5.0
+"""A shorter one says nothing, s."""
+
+RULES = (
+    f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
+    f"noise of the sensors; at least {COVERAGE_GREEN:.0%} inside the claimed 90 %; at least "
+    f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations; no "
+    f"finding of the log check. Amber: up to {RATIO_AMBER:g} of persistence; at least "
+    f"{COVERAGE_AMBER:.0%}; at least {BEARS_AMBER:g} s; up to {FAR_AMBER} parameters; warnings; or "
+    "what the log is too short to tell. Red: anything else. The worst answer counts."
+)
+"""The rules of the colours, for a help page."""
+
+
+class ScoredForecast(NamedTuple):
+    """One forecast, and how far it and persistence were off at :data:`HORIZON`."""
+
+    t: float  # time at which it was made, s
+    path: Array  # (k, 2) positions from the start on, m
+    error: tuple[float, float]  # m, rad
+    persistence: tuple[float, float]  # m, rad
+    covered: tuple[bool, bool]  # position and heading inside the claimed 90 %
+
+
+class GpsLoss(NamedTuple):
+    """A stretch of the log in which a copy of the twin got no fixes."""
+
+    t: float  # when it began, s
+    after: Array  # (k,) seconds without GPS at each fix of the log
+    error: Array  # (k,) error of the displacement then, m
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One of the five lines."""
+
+    about: str
+    colour: str  # one of COLOURS
+    text: str
+    numbers: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The five answers, and what they were made from."""
+
+    boat: str
+    log: str
+    predictor: str
+    bound: float  # of the position error without GPS, m
+    answers: tuple[Answer, ...]
+    forecasts: tuple[ScoredForecast, ...]
+    losses: tuple[GpsLoss, ...]
+    # names, and deviation from the prior in its standard deviations, largest first
+    deviations: tuple[tuple[str, float], ...]
+
+    @property
+    def colour(self) -> str:
+        """The worst of the answers' colours."""
+        return max((answer.colour for answer in self.answers), key=COLOURS.index)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers as plain data."""
+        return {
+            "boat": self.boat,
+            "log": self.log,
+            "predictor": self.predictor,
+            "colour": self.colour,
+            "answers": [dataclasses.asdict(answer) for answer in self.answers],
+            "gps_losses": [
+                {"t_s": loss.t, "after_s": loss.after.tolist(), "error_m": loss.error.tolist()}
+                for loss in self.losses
+            ],
+            "deviations_in_prior_sd": dict(self.deviations),
+        }
+
+
+def position_bound(particulars: Particulars) -> float:
+    """Return the position error (m) beyond which a twin without GPS is not to be trusted."""
+    noise = BOUND_NOISE * particulars.instruments.gps_sd
+    return max(particulars.length, BOUND_MIN, noise)
+
+
+class TrustMeter:
+    """Scores a twin while it runs over a log; call it after each row.
+
+    Parameters
+    ----------
+    twin : Twin
+        Before the first row of the log.
+    log : Log
+        Without truth.
+    every : float
+        Time between scored forecasts, s.
+    losses : int
+        Number of losses of GPS, in the later half of the log.
+    share : float
+        Rows of all losses together, as a share of the log's.
+    """
+
+    def __init__(
+        self, twin: Twin, log: Log, *, every: float = 2.0, losses: int = 8, share: float = 4.0
+    ) -> None:
+        self.twin, self.log, self.every = twin, log, every
+        self.particulars = twin.particulars
+        self.bound = position_bound(self.particulars)
+        fresh = copy.deepcopy(twin.predictor)
+        fresh.reset()
+        self._prior = fresh.estimate()
+        self._persistence = make_predictor("persistence", self.particulars)
+        try:
+            self._reference: Reference | None = Reference(log)
+        except BenchmarkError:
+            self._reference = None
+        first, last = float(log.t[0]), float(log.t[-1])
+        span = last - first
+        self._next = first + min(60.0, 0.4 * span)
+        self._end = last - HORIZON
+        length = min(LOSS_SPAN, 0.4 * span, share * span / max(losses, 1))
+        starts = np.linspace(max(self._next, first + 0.5 * span), last - length, losses)
+        self._loss_length = length
+        self._loss_starts = starts.tolist() if length >= LOSS_MIN else []
+        self._row = 0
+        self.forecasts: list[ScoredForecast] = []
+        self.losses: list[GpsLoss] = []
+
+    def __call__(self) -> None:
+        """Take note of the row that the twin has just taken."""
+        row, log = self._row, self.log
+        self._row += 1
+        t = float(log.t[row])
+        step = t - float(log.t[row - 1]) if row else 0.0
+        self._persistence.update(t, step, log.z[row], log.cmd[row])
+        if self._reference is None:
+            return
+        if t >= self._next - 1e-9 and t <= self._end + 1e-9:
+            while self._next <= t + 1e-9:
+                self._next += self.every
+            self._score(row, t)
+        if self._loss_starts and t >= self._loss_starts[0] - 1e-9:
+            del self._loss_starts[0]
+            self._lose_gps(row)
+
+    def _score(self, row: int, t: float) -> None:
+        """Score forecasts of twin and persistence from a row."""
+        assert self._reference is not None
+        times = np.array([t, t + HORIZON])
+        if not self._reference.known(times):
+            return
+        truth = self._reference.at(times)
+        dt = min(max(self.log.dt, 0.1), 0.5)
+        plan = known_plan(self.log, row, HORIZON, dt)
+        scores: list[Score] = []
+        prediction = self.twin.predictor.predict(plan, dt)
+        for one in (prediction, self._persistence.predict(plan, dt)):
+            scores.append(score(_with_noise(one, self.particulars), truth, (HORIZON,)))
+        error, persistence = (
+            (float(s.displacement[0]), float(abs(s.error[0, -1]))) for s in scores
+        )
+        covered = bool(scores[0].covered[0, -1]), bool(scores[0].covered[0, -2])
+        path = np.concatenate([prediction.start[None, :2], prediction.mean[4::5, :2]])
+        self.forecasts.append(ScoredForecast(t, path, error, persistence, covered))
+
+    def _lose_gps(self, row: int) -> None:
+        """Let a copy of the twin go on without fixes, and note its errors."""
+        log, predictor = self.log, copy.deepcopy(self.twin.predictor)
+        t_0 = float(log.t[row])
+        ends = int(np.searchsorted(log.t, t_0 + self._loss_length, side="right"))
+        seen = np.isfinite(log.z[:, :2]).all(axis=1)
+        earlier = np.flatnonzero(seen[: row + 1])
+        if not len(earlier) or t_0 - log.t[earlier[-1]] > 2.0 or not predictor.estimate().ready:
+            return
+        # what the last fixes differ by, such as noise and delay, is no error of the loss
+        start = predictor.state[:2] - self._fix(t_0)
+        after, error = [], []
+        for k in range(row + 1, ends):
+            z = log.z[k].copy()
+            z[:4] = np.nan
+            predictor.update(float(log.t[k]), float(log.t[k] - log.t[k - 1]), z, log.cmd[k])
+            if seen[k]:
+                off = predictor.state[:2] - log.z[k, :2] - start
+                after.append(float(log.t[k]) - t_0)
+                error.append(float(np.hypot(*off)))
+        if after:
+            self.losses.append(GpsLoss(t_0, np.array(after), np.array(error)))
+
+    def _fix(self, t: float) -> Array:
+        """Return the position of the fixes at a time."""
+        assert self._reference is not None
+        return self._reference.at(np.array([t]))[0, :2]
+
+    def verdict(self, findings: Sequence[Finding] = ()) -> Verdict:
+        """Return the five answers.
+
+        Parameters
+        ----------
+        findings : sequence of Finding
+            Of ``twin.logs.diagnosis.diagnose``.
+        """
+        deviations = self._deviations()
+        answers = (
+            self._forecast_answer(),
+            self._coverage_answer(),
+            self._loss_answer(),
+            _parameter_answer(deviations),
+            _sensor_answer(findings),
+        )
+        return Verdict(
+            boat=self.particulars.name,
+            log=self.log.name,
+            predictor=str(self.twin.name),
+            bound=self.bound,
+            answers=answers,
+            forecasts=tuple(self.forecasts),
+            losses=tuple(self.losses),
+            deviations=tuple(deviations),
+        )
+
+    def _forecast_answer(self) -> Answer:
+        if not self.forecasts:
+            return Answer("forecast", AMBER, "cannot tell: too few fixes and headings")
+        own = np.sqrt(np.mean(np.square([f.error for f in self.forecasts]), axis=0))
+        held = np.sqrt(np.mean(np.square([f.persistence for f in self.forecasts]), axis=0))
+        on_board = self.particulars.instruments
+        noise = math.sqrt(2.0) * np.array([on_board.gps_sd, on_board.compass_sd])
+        ratio = own / np.maximum(held, 1e-12)
+        worst = float(np.max(np.where(own <= noise, 0.0, ratio)))
+        degrees = math.degrees(own[1]), math.degrees(held[1])
+        text = (
+            f"{own[0]:.2f} m and {degrees[0]:.1f} degrees off after {HORIZON:g} s; persistence "
+            f"{held[0]:.2f} m and {degrees[1]:.1f} degrees"
+        )
+        numbers = {
+            "n": len(self.forecasts),
+            "displacement_m": float(own[0]),
+            "heading_rad": float(own[1]),
+            "persistence_displacement_m": float(held[0]),
+            "persistence_heading_rad": float(held[1]),
+        }
+        colour = GREEN if worst <= RATIO_GREEN else AMBER if worst <= RATIO_AMBER else RED
+        return Answer("forecast", colour, text, numbers)
+
+    def _coverage_answer(self) -> Answer:
+        if not self.forecasts:
+            return Answer("coverage", AMBER, "cannot tell: no forecast could be scored")
+        place, heading = np.mean([f.covered for f in self.forecasts], axis=0).tolist()
+        text = (
+            f"{place:.0%} of positions and {heading:.0%} of headings inside the claimed 90 % "
+            f"({len(self.forecasts)} forecasts)"
+        )
+        worst = min(place, heading)
+        colour = GREEN if worst >= COVERAGE_GREEN else AMBER if worst >= COVERAGE_AMBER else RED
+        return Answer("coverage", colour, text, {"position": place, "heading": heading})
+
+    def _loss_answer(self) -> Answer:
+        if not self.losses:
+            text = "cannot tell: the log is too short to cut GPS losses into it"
+            return Answer("without GPS", AMBER, text, {"bound_m": self.bound})
+        bears, held = [], []
+        for loss in self.losses:
+            beyond = np.flatnonzero(loss.error > self.bound)
+            held.append(not len(beyond))
+            bears.append(float(loss.after[beyond[0] if len(beyond) else -1]))
+        middle, worst = float(np.median(bears)), min(bears)
+        at_least = "at least " if held[int(np.argsort(bears)[(len(bears) - 1) // 2])] else ""
+        end = float(np.median([loss.error[-1] for loss in self.losses]))
+        text = (
+            f"bears {at_least}{middle:.0f} s until {self.bound:.3g} m off (median of "
+            f"{len(bears)} losses of {self._loss_length:.0f} s; worst {worst:.0f} s; "
+            f"{end:.1f} m off at their end)"
+        )
+        numbers = {
+            "bound_m": self.bound,
+            "seconds": bears,
+            "within_bound": held,
+            "end_error_m": [float(loss.error[-1]) for loss in self.losses],
+        }
+        # a loss that ended within the bound says nothing against longer ones
+        counted = [math.inf if ok else s for s, ok in zip(bears, held, strict=True)]
+        typical = float(np.sort(counted)[(len(counted) - 1) // 2])
+        colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
+        return Answer("without GPS", colour, text, numbers)
+
+    def _deviations(self) -> list[tuple[str, float]]:
+        """Return the parameters by how far they ended from the prior, in its deviations."""
+        last, names = self.twin.estimate(), self.twin.predictor.parameter_names
+        sd = self._prior.params_sd
+        far = np.abs(last.params - self._prior.params) / np.where(sd > 0.0, sd, math.inf)
+        pairs = zip(names, far.tolist(), strict=True)
+        return sorted((p for p in pairs if p[0] not in ENVIRONMENT), key=lambda pair: -pair[1])
+
+
+def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
+    """Return a prediction of what sensors will measure: their noise is added to the intervals."""
+    on_board = particulars.instruments
+    cov, low, high = (a.copy() for a in (prediction.cov, prediction.low, prediction.high))
+    # position: noise of two fixes, at start and end
+    for i in (0, 1):
+        cov[:, i, i] += 2.0 * on_board.gps_sd**2
+    more = (Z90 * on_board.compass_sd) ** 2
+    down, up = prediction.mean[:, 2] - low[:, 2], high[:, 2] - prediction.mean[:, 2]
+    low[:, 2] = prediction.mean[:, 2] - np.sqrt(down**2 + more)
+    high[:, 2] = prediction.mean[:, 2] + np.sqrt(up**2 + more)
+    return dataclasses.replace(prediction, cov=cov, low=low, high=high)
+
+
+def _parameter_answer(deviations: Sequence[tuple[str, float]]) -> Answer:
+    """Return what parameters far from the prior say."""
+    if not deviations:
+        return Answer("parameters", GREEN, "the predictor has none", {"far": {}})
+    far = [(name, size) for name, size in deviations if size > FAR]
+    numbers = {"far": dict(far), "count": len(deviations)}
+    if not far:
+        name, size = deviations[0]
+        text = f"all within {FAR:g} prior standard deviations; largest {name}, {size:.1f}"
+        return Answer("parameters", GREEN, text, numbers)
+    shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
+    text = (
+        f"{len(far)} of {len(deviations)} beyond {FAR:g} prior standard deviations: {shown}"
+        f"{', ...' if len(far) > 4 else ''}; wrong boat, steering or units?"
+    )
+    return Answer("parameters", AMBER if len(far) <= FAR_AMBER else RED, text, numbers)
+
+
+def _sensor_answer(findings: Sequence[Finding]) -> Answer:
+    """Return which sensors and commands the log check doubts."""
+    doubted = [f for f in findings if f.severity in (ERROR, WARNING)]
+    numbers = {"findings": {f.code: f.severity for f in doubted}}
+    if not doubted:
+        return Answer("sensors", GREEN, "none in doubt", numbers)
+    shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
+    colour = RED if any(f.severity == ERROR for f in doubted) else AMBER
+    return Answer("sensors", colour, f"{shown}; see: usv-twin log check", numbers)
