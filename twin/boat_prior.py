@@ -222,7 +222,7 @@ class BoatPrior:
 
 def limited(cov: Array, bound: Array) -> Array:
     """Return a covariance (p, p) that is in no direction wider than another one."""
-    root = np.linalg.cholesky(bound)
+    root: Array = np.linalg.cholesky(np.asarray(bound, dtype=np.float64))
     values, vectors = np.linalg.eigh(_whitened(root, cov))
     turned = root @ vectors
     out: Array = (turned * np.clip(values, NARROWEST, 1.0)) @ turned.T
@@ -231,9 +231,8 @@ def limited(cov: Array, bound: Array) -> Array:
 
 def _whitened(root: Array, cov: Array) -> Array:
     """Return a covariance in units of the one whose Cholesky factor is given."""
-    half = np.linalg.solve(root, np.linalg.solve(root, cov).T)
-    out: Array = 0.5 * (half + half.T)
-    return out
+    half: Array = np.linalg.solve(root, np.linalg.solve(root, cov).T)
+    return np.asarray(0.5 * (half + half.T), dtype=np.float64)
 
 
 def combine(
@@ -251,7 +250,7 @@ def combine(
         The same at the end of each run; one or more.
     """
     start, bound = population
-    root = np.linalg.cholesky(bound)
+    root: Array = np.linalg.cholesky(np.asarray(bound, dtype=np.float64))
     z = np.array([np.linalg.solve(root, mean - start) for mean, _ in runs])
     C = np.array([_whitened(root, limited(cov, bound)) for _, cov in runs])
     B = FEW * FEW_VARIANCE * np.eye(len(bound))

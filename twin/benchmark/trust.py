@@ -17,14 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark.protocol import BenchmarkError
-from twin.benchmark.scores import Reference, Score, score
+from twin.benchmark.scores import Reference, score
 from twin.boat_prior import ENVIRONMENT
 from twin.digital_twin import Twin, known_plan
+from twin.filters.navigation_ekf import Navigator
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.base import Z90, Prediction
-from twin.predictors.registry import make_predictor
+from twin.predictors.baselines import hold_velocity
+from twin.predictors.ukf import UKFPredictor
+from usv_kernel.scalar import wrap
 
 __all__ = [
     "AMBER",
@@ -57,8 +60,11 @@ COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
 BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
 """Seconds without GPS from which on they are green or amber."""
 
-FAR, FAR_AMBER = 4.0, 2
+FAR, FAR_AMBER = 4.0, 4
 """Prior standard deviations beyond which a parameter is far, and how many such are amber."""
+
+SURE_BEFORE, SURE_AFTER = 1.5, 2.0
+"""Standard deviations by which a sign was known before and after, where it is said to be other."""
 
 BOUND_MIN, BOUND_NOISE = 5.0, 5.0
 """The bound of the position error without GPS is at least this (m, standard deviations of a fix),
@@ -67,16 +73,23 @@ or the boat's length if that is more."""
 LOSS_SPAN = 60.0
 """Longest loss of GPS that is tried, s."""
 
+LIGHT_ROWS, LIGHT_LOG = 200, 4000
+"""Of a light meter: rows of the log for each forecast, and from which on it tries two losses."""
+
+SCORED_MIN = 60.0
+"""Forecasts over less time than this are amber at worst, s: they say too little."""
+
 LOSS_MIN = 5.0
 """A shorter one says nothing, s."""
 
 RULES = (
     f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
     f"noise of the sensors; at least {COVERAGE_GREEN:.0%} inside the claimed 90 %; at least "
-    f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations; no "
-    f"finding of the log check. Amber: up to {RATIO_AMBER:g} of persistence; at least "
-    f"{COVERAGE_AMBER:.0%}; at least {BEARS_AMBER:g} s; up to {FAR_AMBER} parameters; warnings; or "
-    "what the log is too short to tell. Red: anything else. The worst answer counts."
+    f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, or of "
+    f"the other sign; no finding of the log check. Amber: up to {RATIO_AMBER:g} of persistence; at "
+    f"least {COVERAGE_AMBER:.0%}; at least {BEARS_AMBER:g} s; up to {FAR_AMBER} parameters; warnings; or "
+    f"what the log is too short to tell (forecasts over less than {SCORED_MIN:g} s). Red: anything "
+    "else. The worst answer counts."
 )
 """The rules of the colours, for a help page."""
 
@@ -159,24 +172,23 @@ class TrustMeter:
         Before the first row of the log.
     log : Log
         Without truth.
-    every : float
-        Time between scored forecasts, s.
-    losses : int
-        Number of losses of GPS, in the later half of the log.
-    share : float
-        Rows of all losses together, as a share of the log's.
+    light : bool
+        Fewer forecasts and one or two short losses, for little more time than the rows take.
     """
 
-    def __init__(
-        self, twin: Twin, log: Log, *, every: float = 2.0, losses: int = 8, share: float = 4.0
-    ) -> None:
+    def __init__(self, twin: Twin, log: Log, *, light: bool = False) -> None:
+        every, losses, share = 2.0, 8, 4.0
+        if light:
+            # a forecast takes as long as some 25 rows, a copy as 200
+            count = max(len(log) // LIGHT_ROWS, 8)
+            every = max(every, 0.6 * float(log.t[-1] - log.t[0]) / count)
+            losses, share = (1, 0.15) if len(log) < LIGHT_LOG else (2, 0.1)
         self.twin, self.log, self.every = twin, log, every
         self.particulars = twin.particulars
         self.bound = position_bound(self.particulars)
-        fresh = copy.deepcopy(twin.predictor)
-        fresh.reset()
-        self._prior = fresh.estimate()
-        self._persistence = make_predictor("persistence", self.particulars)
+        self.prior = twin.estimate()  # parameters before the first row
+        own = isinstance(twin.predictor, UKFPredictor) and light
+        self._navigator = None if own else Navigator(self.particulars)
         try:
             self._reference: Reference | None = Reference(log)
         except BenchmarkError:
@@ -199,7 +211,8 @@ class TrustMeter:
         self._row += 1
         t = float(log.t[row])
         step = t - float(log.t[row - 1]) if row else 0.0
-        self._persistence.update(t, step, log.z[row], log.cmd[row])
+        if self._navigator is not None:
+            self._navigator.update(step, log.z[row])
         if self._reference is None:
             return
         if t >= self._next - 1e-9 and t <= self._end + 1e-9:
@@ -219,14 +232,16 @@ class TrustMeter:
         truth = self._reference.at(times)
         dt = min(max(self.log.dt, 0.1), 0.5)
         plan = known_plan(self.log, row, HORIZON, dt)
-        scores: list[Score] = []
         prediction = self.twin.predictor.predict(plan, dt)
-        for one in (prediction, self._persistence.predict(plan, dt)):
-            scores.append(score(_with_noise(one, self.particulars), truth, (HORIZON,)))
-        error, persistence = (
-            (float(s.displacement[0]), float(abs(s.error[0, -1]))) for s in scores
-        )
-        covered = bool(scores[0].covered[0, -1]), bool(scores[0].covered[0, -2])
+        own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
+        error = float(own.displacement[0]), abs(float(own.error[0, -1]))
+        covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
+        # a light meter has no navigation of its own
+        navigator = self._navigator
+        state = self.twin.predictor.n[:6] if navigator is None else navigator.state  # type: ignore[attr-defined]
+        held = hold_velocity(state, state[3:], np.array([HORIZON]))[0]
+        moved = held[:2] - state[:2] - (truth[1, :2] - truth[0, :2])
+        persistence = float(np.hypot(*moved)), abs(wrap(float(held[2] - truth[1, 2])))
         path = np.concatenate([prediction.start[None, :2], prediction.mean[4::5, :2]])
         self.forecasts.append(ScoredForecast(t, path, error, persistence, covered))
 
@@ -235,7 +250,7 @@ class TrustMeter:
         log, predictor = self.log, copy.deepcopy(self.twin.predictor)
         t_0 = float(log.t[row])
         ends = int(np.searchsorted(log.t, t_0 + self._loss_length, side="right"))
-        seen = np.isfinite(log.z[:, :2]).all(axis=1)
+        seen = np.asarray(np.isfinite(log.z[:, :2]).all(axis=1))
         earlier = np.flatnonzero(seen[: row + 1])
         if not len(earlier) or t_0 - log.t[earlier[-1]] > 2.0 or not predictor.estimate().ready:
             return
@@ -271,7 +286,7 @@ class TrustMeter:
             self._forecast_answer(),
             self._coverage_answer(),
             self._loss_answer(),
-            _parameter_answer(deviations),
+            _parameter_answer(deviations, self._reversed()),
             _sensor_answer(findings),
         )
         return Verdict(
@@ -288,8 +303,8 @@ class TrustMeter:
     def _forecast_answer(self) -> Answer:
         if not self.forecasts:
             return Answer("forecast", AMBER, "cannot tell: too few fixes and headings")
-        own = np.sqrt(np.mean(np.square([f.error for f in self.forecasts]), axis=0))
-        held = np.sqrt(np.mean(np.square([f.persistence for f in self.forecasts]), axis=0))
+        own = _root_mean_square([f.error for f in self.forecasts])
+        held = _root_mean_square([f.persistence for f in self.forecasts])
         on_board = self.particulars.instruments
         noise = math.sqrt(2.0) * np.array([on_board.gps_sd, on_board.compass_sd])
         ratio = own / np.maximum(held, 1e-12)
@@ -306,7 +321,9 @@ class TrustMeter:
             "persistence_displacement_m": float(held[0]),
             "persistence_heading_rad": float(held[1]),
         }
-        colour = GREEN if worst <= RATIO_GREEN else AMBER if worst <= RATIO_AMBER else RED
+        seconds = self.forecasts[-1].t - self.forecasts[0].t
+        likely = worst <= RATIO_AMBER or seconds < SCORED_MIN
+        colour = GREEN if worst <= RATIO_GREEN else AMBER if likely else RED
         return Answer("forecast", colour, text, numbers)
 
     def _coverage_answer(self) -> Answer:
@@ -327,7 +344,7 @@ class TrustMeter:
             return Answer("without GPS", AMBER, text, {"bound_m": self.bound})
         bears, held = [], []
         for loss in self.losses:
-            beyond = np.flatnonzero(loss.error > self.bound)
+            beyond = np.flatnonzero(np.asarray(loss.error > self.bound))
             held.append(not len(beyond))
             bears.append(float(loss.after[beyond[0] if len(beyond) else -1]))
         middle, worst = float(np.median(bears)), min(bears)
@@ -353,10 +370,26 @@ class TrustMeter:
     def _deviations(self) -> list[tuple[str, float]]:
         """Return the parameters by how far they ended from the prior, in its deviations."""
         last, names = self.twin.estimate(), self.twin.predictor.parameter_names
-        sd = self._prior.params_sd
-        far = np.abs(last.params - self._prior.params) / np.where(sd > 0.0, sd, math.inf)
+        sd = self.prior.params_sd
+        far = np.abs(last.params - self.prior.params) / np.where(sd > 0.0, sd, math.inf)
         pairs = zip(names, far.tolist(), strict=True)
         return sorted((p for p in pairs if p[0] not in ENVIRONMENT), key=lambda pair: -pair[1])
+
+    def _reversed(self) -> list[str]:
+        """Return the parameters that ended with the other sign, where both are sure."""
+        last, prior = self.twin.estimate(), self.prior
+        before, after = prior.params, last.params
+        other = (
+            (before * after < 0.0)
+            & (np.abs(before) > SURE_BEFORE * prior.params_sd)
+            & (np.abs(after) > SURE_AFTER * last.params_sd)
+        )
+        names = zip(self.twin.predictor.parameter_names, other.tolist(), strict=True)
+        return [name for name, is_other in names if is_other]
+
+
+def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.square(pairs), axis=0)), dtype=np.float64)
 
 
 def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
@@ -373,22 +406,28 @@ def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
     return dataclasses.replace(prediction, cov=cov, low=low, high=high)
 
 
-def _parameter_answer(deviations: Sequence[tuple[str, float]]) -> Answer:
-    """Return what parameters far from the prior say."""
+def _parameter_answer(deviations: Sequence[tuple[str, float]], other: Sequence[str]) -> Answer:
+    """Return what parameters far from the prior, or of the other sign, say."""
     if not deviations:
-        return Answer("parameters", GREEN, "the predictor has none", {"far": {}})
+        return Answer("parameters", GREEN, "the predictor has none", {"far": {}, "sign": []})
     far = [(name, size) for name, size in deviations if size > FAR]
-    numbers = {"far": dict(far), "count": len(deviations)}
-    if not far:
+    numbers = {"far": dict(far), "sign": list(other), "count": len(deviations)}
+    if not far and not other:
         name, size = deviations[0]
         text = f"all within {FAR:g} prior standard deviations; largest {name}, {size:.1f}"
         return Answer("parameters", GREEN, text, numbers)
-    shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
-    text = (
-        f"{len(far)} of {len(deviations)} beyond {FAR:g} prior standard deviations: {shown}"
-        f"{', ...' if len(far) > 4 else ''}; wrong boat, steering or units?"
-    )
-    return Answer("parameters", AMBER if len(far) <= FAR_AMBER else RED, text, numbers)
+    parts = []
+    if far:
+        shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
+        more = ", ..." if len(far) > 4 else ""
+        parts.append(
+            f"{len(far)} of {len(deviations)} beyond {FAR:g} prior standard deviations: "
+            f"{shown}{more}; wrong boat, steering or units?"
+        )
+    if other:
+        parts.append(f"other sign: {', '.join(other[:4])}; wrong sides or signs of commands?")
+    colour = AMBER if len(far) <= FAR_AMBER else RED
+    return Answer("parameters", colour, " ".join(parts), numbers)
 
 
 def _sensor_answer(findings: Sequence[Finding]) -> Answer:

@@ -31,8 +31,8 @@ __all__ = [
     "boat_or",
     "kind_of",
     "population_prior",
-    "takes",
     "shipped_prior",
+    "takes",
 ]
 
 Array = NDArray[np.float64]

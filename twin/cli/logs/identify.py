@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,16 +15,18 @@ from twin.channels import STATE
 from twin.cli.common import (
     STATE_HEADS,
     STATE_SCALE,
-    LogArgument,
     MappingOption,
     ModelOption,
+    OptionError,
     ShipOption,
     console,
     explain,
     new_table,
+    note,
     open_log,
     row_progress,
     write_json,
+    write_text,
 )
 from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
@@ -30,6 +34,7 @@ from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.logs.tables import check_export
 from twin.predictors.base import Estimate
+from twin.predictors.own_prior import prior_of_runs
 from twin.predictors.registry import DEFAULT, PREDICTORS
 
 
@@ -77,7 +82,7 @@ def identify_command(
         Path | None,
         typer.Option(
             help="File for what the runs say of the boat's next run, such as boat.prior. "
-            "Particulars use it with the line: prior = \"boat.prior\"."
+            'Particulars use it with the line: prior = "boat.prior".'
         ),
     ] = None,
     force: Annotated[
@@ -96,14 +101,14 @@ def identify_command(
 
     With --save-prior, runs of one boat become its own prior: mean and covariance of the parameters,
     widened for load and fouling. Each run begins without an earlier prior.
-
-    The last five lines are those of usv-twin judge, from fewer forecasts and losses of GPS.
     """
     if save_prior is not None:
         if resume is not None:
             raise OptionError("--save-prior and --resume: a prior is made from whole runs")
         if save_prior.exists() and not force:
-            raise OptionError(f"--save-prior {save_prior}: is there already; choose another name, or --force")
+            raise OptionError(
+                f"--save-prior {save_prior}: is there already; choose another name, or --force"
+            )
     if len(logs) > 1:
         one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
         given = [name for name, value in one.items() if value is not None]
@@ -112,15 +117,17 @@ def identify_command(
                 f"{len(logs)} logs: several are for --save-prior"
                 + (f", without {', '.join(given)}" if given else "; name one")
             )
-    opened = dict(ship=ship, until=until, model=model, mapping=mapping)
-    if len(logs) > 1:
-        twins = [_identified(log, predictor, **opened) for log in logs]
-        _save_prior(save_prior, twins)
+    if save_prior is not None and len(logs) > 1:
+        runs = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
+        _save_prior(save_prior, [twin for _, twin in runs])
         return
     log = logs[0]
-    run, twin = open_log(
-        log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
-    )
+    if save_prior is not None:
+        run, twin = _opened(log, predictor, ship, until, model, mapping)
+    else:
+        run, twin = open_log(
+            log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
+        )
     if out is not None:
         check_export(out, twin.datum)
     predictor = str(twin.name)
@@ -147,6 +154,64 @@ def identify_command(
         console.print(f"every row: {out}")
     if save is not None:
         console.print(f"the twin at t = {twin.t:.2f} s: {save}")
+    if save_prior is not None:
+        _save_prior(save_prior, [twin])
+
+
+def _opened(
+    log: Path,
+    predictor: str | None,
+    ship: str | None,
+    until: float | None,
+    model: str | None,
+    mapping: Path | None,
+) -> tuple[Log, Twin]:
+    """Return a log and a twin that begins without a prior of the boat's own."""
+    run, twin = open_log(log, predictor, ship=ship, until=until, model=model, mapping=mapping)
+    if twin.particulars.prior is not None:
+        note("begins without the prior of the particulars: the new one is to hold each run once")
+        bare = dataclasses.replace(twin.particulars, prior=None)
+        datum = twin.datum
+        twin = Twin(bare, str(twin.name), **twin.options)
+        twin.locate(datum)
+    return run, twin
+
+
+def _run_of(
+    log: Path,
+    predictor: str | None,
+    ship: str | None,
+    until: float | None,
+    model: str | None,
+    mapping: Path | None,
+) -> tuple[Log, Twin]:
+    """Return a log and a twin that ran over it."""
+    run, twin = _opened(log, predictor, ship, until, model, mapping)
+    with row_progress(f"identifying {run.name}", len(run)) as advance:
+        twin.run(run, advance)
+    console.print(f"{run.name}: {run.t[-1] - run.t[0]:.0f} s", highlight=False)
+    return run, twin
+
+
+def _save_prior(path: Path, twins: Sequence[Twin]) -> None:
+    """Write the boat's own prior, and print it beside the population's."""
+    prior = prior_of_runs([twin.predictor for twin in twins])
+    write_text(path, prior.file_text())
+    first = twins[0].predictor
+    first.reset()
+    before = first.estimate()
+    places = {name: k for k, name in enumerate(first.parameter_names)}
+    heads = ("", "unit", "population", "sd", "this boat", "sd", "ratio")
+    title = f"prior of {prior.boat} from {prior.runs} run(s), model {prior.model}"
+    table = new_table(title, *heads, left=("", "unit"))
+    for k, name in enumerate(prior.parameters):
+        at, sd = places[name], math.sqrt(prior.covariance[k][k])
+        old = before.params_sd[at]
+        numbers = (before.params[at], old, prior.mean[k], sd)
+        row = (f"{value:.3g}" for value in numbers)
+        table.add_row(name, first.parameter_units[at], *row, f"{sd / old:.2f}")
+    console.print(table)
+    console.print(f'prior: {path}; use it with prior = "{path.name}" in the particulars')
 
 
 def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, Any]:
