@@ -86,10 +86,11 @@ RULES = (
     f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
     f"noise of the sensors; at least {COVERAGE_GREEN:.0%} inside the claimed 90 %; at least "
     f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, or of "
-    f"the other sign; no finding of the log check. Amber: up to {RATIO_AMBER:g} of persistence; at "
-    f"least {COVERAGE_AMBER:.0%}; at least {BEARS_AMBER:g} s; up to {FAR_AMBER} parameters; warnings; or "
-    f"what the log is too short to tell (forecasts over less than {SCORED_MIN:g} s). Red: anything "
-    "else. The worst answer counts."
+    "the other sign; no finding of the log check. "
+    f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
+    f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters; warnings; or what the log is too short to "
+    f"tell (forecasts over less than {SCORED_MIN:g} s). "
+    "Red: anything else. The worst answer counts."
 )
 """The rules of the colours, for a help page."""
 
@@ -350,10 +351,12 @@ class TrustMeter:
         middle, worst = float(np.median(bears)), min(bears)
         at_least = "at least " if held[int(np.argsort(bears)[(len(bears) - 1) // 2])] else ""
         end = float(np.median([loss.error[-1] for loss in self.losses]))
+        tried = "one loss"
+        if len(bears) > 1:
+            tried = f"worst {worst:.0f} s; median of {len(bears)} losses"
         text = (
-            f"bears {at_least}{middle:.0f} s until {self.bound:.3g} m off (median of "
-            f"{len(bears)} losses of {self._loss_length:.0f} s; worst {worst:.0f} s; "
-            f"{end:.1f} m off at their end)"
+            f"bears {at_least}{middle:.0f} s until {self.bound:.3g} m off ({tried} of "
+            f"{self._loss_length:.0f} s; {end:.1f} m off at the end)"
         )
         numbers = {
             "bound_m": self.bound,

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from twin.benchmark.trust import TrustMeter
 from twin.channels import STATE
 from twin.cli.common import (
     STATE_HEADS,
@@ -28,6 +29,7 @@ from twin.cli.common import (
     write_json,
     write_text,
 )
+from twin.cli.logs.judge import findings_of, print_verdict
 from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
 from twin.logs.columns import LogError
@@ -101,6 +103,8 @@ def identify_command(
 
     With --save-prior, runs of one boat become its own prior: mean and covariance of the parameters,
     widened for load and fouling. Each run begins without an earlier prior.
+
+    It ends with the colour and five lines of usv-twin judge, from fewer forecasts and GPS losses.
     """
     if save_prior is not None:
         if resume is not None:
@@ -134,8 +138,15 @@ def identify_command(
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
     prior = fresh.estimate()
+    meter = TrustMeter(twin, run, light=True)
+    meter.prior = prior
     with row_progress("identifying", len(run)) as advance:
-        table = twin.run(run, advance)
+
+        def on_row() -> None:
+            meter()
+            advance()
+
+        table = twin.run(run, on_row)
     last = twin.estimate()
     if save is not None:
         twin.save(save)
@@ -156,6 +167,8 @@ def identify_command(
         console.print(f"the twin at t = {twin.t:.2f} s: {save}")
     if save_prior is not None:
         _save_prior(save_prior, [twin])
+    print_verdict(meter.verdict(findings_of(log, mapping, twin.particulars, until)))
+    explain("usv-twin judge LOG tries more forecasts and GPS losses; its --help has the rules.")
 
 
 def _opened(
@@ -328,10 +341,14 @@ def _print_identifiability(seen: Identifiability) -> None:
         left=("sub-model",),
     )
     for model in seen.submodels:
-        rank, condition = f"{model.effective_rank:.1f}", f"{model.condition_number:.1e}"
-        table.add_row(model.name, str(len(model.parameters)), rank, condition)
+        rank = f"{model.effective_rank:.1f}"
+        table.add_row(model.name, str(len(model.parameters)), rank, model.condition)
     console.print(table)
     explain(
         "effective rank: directions determined by the data and not by the prior. condition "
-        "number: of the regressors in prior standard deviations (4.5e15: singular)."
+        "number: of the regressors in prior standard deviations."
     )
+    for model in seen.submodels:
+        if model.not_shown:
+            shown = "; ".join(model.not_shown)
+            explain(f"{model.name}: the run did not show {shown}; there the prior stays.")
