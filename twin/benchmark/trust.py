@@ -51,6 +51,9 @@ COLOURS = (GREEN, AMBER, RED)
 HORIZON = 10.0
 """Of the forecasts that are scored, s."""
 
+STEP = 0.25
+"""Of the forecasts, s, where the log has no longer one."""
+
 RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
 """Error over that of persistence, up to which a forecast is green or amber."""
 
@@ -73,7 +76,7 @@ or the boat's length if that is more."""
 LOSS_SPAN = 60.0
 """Longest loss of GPS that is tried, s."""
 
-LIGHT_ROWS, LIGHT_LOG = 200, 4000
+LIGHT_ROWS, LIGHT_LOG = 500, 4000
 """Of a light meter: rows of the log for each forecast, and from which on it tries two losses."""
 
 SCORED_MIN = 60.0
@@ -180,10 +183,10 @@ class TrustMeter:
     def __init__(self, twin: Twin, log: Log, *, light: bool = False) -> None:
         every, losses, share = 2.0, 8, 4.0
         if light:
-            # a forecast takes as long as some 25 rows, a copy as 200
-            count = max(len(log) // LIGHT_ROWS, 8)
+            # a forecast takes as long as some 50 rows, a copy as 200
+            count = max(len(log) // LIGHT_ROWS, 6)
             every = max(every, 0.6 * float(log.t[-1] - log.t[0]) / count)
-            losses, share = (1, 0.15) if len(log) < LIGHT_LOG else (2, 0.1)
+            losses, share = (1, 0.15) if len(log) < LIGHT_LOG else (2, 0.12)
         self.twin, self.log, self.every = twin, log, every
         self.particulars = twin.particulars
         self.bound = position_bound(self.particulars)
@@ -231,7 +234,7 @@ class TrustMeter:
         if not self._reference.known(times):
             return
         truth = self._reference.at(times)
-        dt = min(max(self.log.dt, 0.1), 0.5)
+        dt = min(max(self.log.dt, STEP), 0.5)
         plan = known_plan(self.log, row, HORIZON, dt)
         prediction = self.twin.predictor.predict(plan, dt)
         own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
@@ -243,7 +246,7 @@ class TrustMeter:
         held = hold_velocity(state, state[3:], np.array([HORIZON]))[0]
         moved = held[:2] - state[:2] - (truth[1, :2] - truth[0, :2])
         persistence = float(np.hypot(*moved)), abs(wrap(float(held[2] - truth[1, 2])))
-        path = np.concatenate([prediction.start[None, :2], prediction.mean[4::5, :2]])
+        path = np.concatenate([prediction.start[None, :2], prediction.mean[3::4, :2]])
         self.forecasts.append(ScoredForecast(t, path, error, persistence, covered))
 
     def _lose_gps(self, row: int) -> None:
