@@ -393,7 +393,7 @@ def test_replay_sends_a_log_from_its_own_place(files, monkeypatch):
         seen.append(place)
         raise LogError("enough")
 
-    monkeypatch.setattr("twin.cli.replay.NmeaStream", stream)
+    monkeypatch.setattr("twin.cli.logs.replay.NmeaStream", stream)
     for more in ([], ["--origin", "1,2"]):
         code, _ = command("replay", files / "run.csv", "--nmea", "udp://:10110", *more)
         assert code == 2

@@ -1,0 +1,155 @@
+"""Whether a twin may be trusted: scores, colours, and the faults that they are for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from twin import Log, Particulars, Prediction, Twin
+from twin.benchmark.trust import AMBER, GREEN, RED, TrustMeter, Verdict, position_bound
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
+from twin.predictors.ukf import UKFPredictor
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+
+
+@pytest.fixture(scope="module")
+def boat() -> Particulars:
+    return dataclasses.replace(particulars_of(Vessel.load("usv75")), design="")
+
+
+def sailed(seed: int) -> Log:
+    """Return 150 s of random commands in a slight sea, without truth."""
+    return simulate(
+        "random",
+        vessel=Vessel.load("usv75"),
+        sea=SeaState(hs=0.3, wind=3.0),
+        duration=150.0,
+        seed=seed,
+    ).without_truth()
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return sailed(6)
+
+
+def verdict_of(
+    about: Particulars, log: Log, predictor: str = "ukf", light: bool = False
+) -> Verdict:
+    twin = Twin(about, predictor)
+    meter = TrustMeter(twin, log, light=light)
+    twin.run(log, meter)
+    return meter.verdict()
+
+
+@pytest.fixture(scope="module")
+def good(boat: Particulars, log: Log) -> Verdict:
+    return verdict_of(boat, log, "dsw-ukf-plus")
+
+
+def test_a_good_twin_is_green_in_five_answers(good: Verdict) -> None:
+    abouts = ["forecast", "coverage", "without GPS", "parameters", "sensors"]
+    assert [answer.about for answer in good.answers] == abouts
+    assert [answer.colour for answer in good.answers] == [GREEN] * 5
+    assert good.colour == GREEN
+    numbers = good.answers[0].numbers
+    assert numbers["displacement_m"] < 0.5 * numbers["persistence_displacement_m"]
+    assert numbers["n"] == len(good.forecasts) == 41
+    assert len(good.losses) == 8 and all(loss.t >= 74.0 for loss in good.losses)
+    assert all(loss.after[-1] == pytest.approx(60.0, abs=1.0) for loss in good.losses)
+
+
+def test_good_twins_are_never_red_and_mostly_green(boat: Particulars) -> None:
+    colours = [verdict_of(boat, sailed(seed), "dsw-ukf-plus").colour for seed in range(4, 12)]
+    assert RED not in colours and colours.count(GREEN) >= 6, colours
+
+
+def test_scoring_changes_nothing_in_the_twin(boat: Particulars, log: Log) -> None:
+    for light in (False, True):
+        alone, watched = Twin(boat), Twin(boat)
+        alone.run(log)
+        watched.run(log, TrustMeter(watched, log, light=light))
+        np.testing.assert_array_equal(alone.estimate().params, watched.estimate().params)
+        np.testing.assert_array_equal(alone.estimate().state, watched.estimate().state)
+
+
+def test_light_scores_cost_few_forecasts_and_rows(boat: Particulars, log: Log) -> None:
+    light = verdict_of(boat, log, light=True)
+    assert 4 <= len(light.forecasts) <= 7
+    # rows of all losses together, of those of the log
+    assert sum(loss.after[-1] for loss in light.losses) <= 0.2 * (log.t[-1] - log.t[0])
+
+
+def test_the_bound_is_length_or_five_metres_or_noise(boat: Particulars) -> None:
+    assert position_bound(boat) == boat.length
+    small = dataclasses.replace(boat, length=2.0)
+    assert position_bound(small) == 5.0
+    rough = dataclasses.replace(boat.instruments, gps_sd=3.0)
+    assert position_bound(dataclasses.replace(small, instruments=rough)) == 15.0
+
+
+class Sure(UKFPredictor):
+    """Claims to be as good as certain."""
+
+    def predict(self, plan: np.ndarray, dt: float) -> Prediction:
+        made = super().predict(plan, dt)
+        off = np.array([30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        cov = 1e-8 * np.broadcast_to(np.eye(6), made.cov.shape)
+        return Prediction(made.t0, made.start, 1e-8 * np.eye(6), made.t, made.mean + off, cov)
+
+
+def test_wrong_and_certain_forecasts_are_red(boat: Particulars, log: Log) -> None:
+    twin = Twin(boat, Sure(boat))
+    meter = TrustMeter(twin, log)
+    twin.run(log, meter)
+    answers = {answer.about: answer for answer in meter.verdict().answers}
+    assert answers["coverage"].colour == RED
+    assert answers["coverage"].numbers["position"] < 0.1
+    assert answers["forecast"].numbers["displacement_m"] > 20.0
+    assert meter.verdict().colour == RED
+
+
+def test_another_boat_shows_in_the_parameters(boat: Particulars, log: Log, good: Verdict) -> None:
+    other = dataclasses.replace(
+        boat, length=4.0 * boat.length, beam=4.0 * boat.beam, mass=64.0 * boat.mass
+    )
+    found = verdict_of(other, log, "dsw-ukf-plus")
+    assert len(found.answers[3].numbers["far"]) > 0
+    assert found.answers[3].colour in (AMBER, RED)
+    assert "wrong boat" in found.answers[3].text
+    assert good.answers[3].numbers["far"] == {}
+
+
+def test_reversed_steering_shows_in_a_sign(boat: Particulars, log: Log) -> None:
+    cmd = log.cmd.copy()
+    cmd[:, 2:] *= -1.0
+    found = verdict_of(boat, dataclasses.replace(log, cmd=cmd), "dsw-ukf-plus")
+    answer = found.answers[3]
+    assert answer.numbers["sign"] or answer.numbers["far"]
+    assert answer.colour != GREEN
+
+
+def test_findings_of_the_log_check_colour_the_sensors(boat: Particulars, log: Log) -> None:
+    meter = TrustMeter(Twin(boat, "ukf"), log)
+    for severity, colour in ((NOTE, GREEN), (WARNING, AMBER), (ERROR, RED)):
+        answer = meter.verdict([Finding(severity, "gyro-sign", "", "")]).answers[4]
+        assert answer.colour == colour
+        assert ("gyro-sign" in answer.text) == (severity != NOTE)
+
+
+def test_short_logs_cannot_tell(boat: Particulars, log: Log) -> None:
+    found = verdict_of(boat, log.slice(0.0, 9.0))
+    assert [answer.colour for answer in found.answers[:3]] == [AMBER] * 3
+    assert all("cannot tell" in answer.text for answer in found.answers[:3])
+    assert found.colour == AMBER
+    found.to_json()
+
+
+def test_twins_without_parameters_are_scored_too(boat: Particulars, log: Log) -> None:
+    found = verdict_of(boat, log, "persistence")
+    numbers = found.answers[0].numbers
+    assert numbers["displacement_m"] == pytest.approx(numbers["persistence_displacement_m"])
+    assert found.answers[3].text == "the predictor has none"
