@@ -251,8 +251,8 @@ def combine(
     """
     start, bound = population
     root: Array = np.linalg.cholesky(np.asarray(bound, dtype=np.float64))
-    z = np.array([np.linalg.solve(root, mean - start) for mean, _ in runs])
-    C = np.array([_whitened(root, limited(cov, bound)) for _, cov in runs])
+    z = np.array([np.linalg.solve(root, run[0] - start) for run in runs])
+    C = np.array([_whitened(root, limited(run[1], bound)) for run in runs])
     B = FEW * FEW_VARIANCE * np.eye(len(bound))
     if len(runs) > 1:
         between = np.cov(z.T).reshape(B.shape)

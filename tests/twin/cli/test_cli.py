@@ -474,7 +474,7 @@ def test_log_check_names_missing_columns_and_what_the_reader_refuses(tmp_path, f
     assert "error: " in out and "time does not increase" in out
 
 
-def test_judge_answers_in_five_lines_and_one_colour(folder, tmp_path):
+def test_a_verdict_is_five_lines_and_one_colour(folder, tmp_path):
     files = ("--out", tmp_path / "j.png", "--json", tmp_path / "j.json")
     out = run("judge", folder / "run.csv", "-p", "ukf", *files).stdout
     found = json.loads((tmp_path / "j.json").read_text())

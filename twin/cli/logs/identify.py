@@ -122,8 +122,8 @@ def identify_command(
                 + (f", without {', '.join(given)}" if given else "; name one")
             )
     if save_prior is not None and len(logs) > 1:
-        runs = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
-        _save_prior(save_prior, [twin for _, twin in runs])
+        twins = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
+        _save_prior(save_prior, twins)
         return
     log = logs[0]
     if save_prior is not None:
@@ -197,13 +197,13 @@ def _run_of(
     until: float | None,
     model: str | None,
     mapping: Path | None,
-) -> tuple[Log, Twin]:
-    """Return a log and a twin that ran over it."""
+) -> Twin:
+    """Return a twin that ran over a log."""
     run, twin = _opened(log, predictor, ship, until, model, mapping)
     with row_progress(f"identifying {run.name}", len(run)) as advance:
         twin.run(run, advance)
     console.print(f"{run.name}: {run.t[-1] - run.t[0]:.0f} s", highlight=False)
-    return run, twin
+    return twin
 
 
 def _save_prior(path: Path, twins: Sequence[Twin]) -> None:

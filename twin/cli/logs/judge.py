@@ -29,7 +29,7 @@ from twin.predictors.registry import DEFAULT, PREDICTORS
 STYLES = {"green": "green", "amber": "yellow", "red": "red"}
 
 
-def judge_command(
+def verdict_command(
     log: LogArgument,
     predictor: Annotated[
         str,
@@ -69,7 +69,7 @@ def judge_command(
         raise typer.Exit(1)
 
 
-judge_command.__doc__ = f"""Say in five lines and one colour whether a twin of a log may be trusted.
+verdict_command.__doc__ = f"""Say in five lines and one colour whether a twin may be trusted.
 
     The twin runs over the log once. Forecasts are scored against the log's own fixes and headings,
     beside persistence. Copies of the twin go on without fixes in the later half of the log.

@@ -88,10 +88,11 @@ def _losses(ax: Axes, verdict: Verdict) -> None:
 def _parameters(ax: Axes, verdict: Verdict) -> None:
     """Draw the parameters that went furthest from the prior."""
     set_title(ax, "largest changes of parameters")
-    shown = verdict.deviations[:_BARS]
-    colours = [ORANGE if size > FAR else BLUE for _, size in shown]
-    ax.barh(range(len(shown)), [min(size, 4.0 * FAR) for _, size in shown], color=colours)
+    shown = dict(verdict.deviations[:_BARS])
+    sizes = [min(size, 4.0 * FAR) for size in shown.values()]
+    colours = [ORANGE if size > FAR else BLUE for size in sizes]
+    ax.barh(range(len(shown)), sizes, color=colours)
     ax.axvline(FAR, color=BLACK, lw=1.0, ls=DASHED)
     set_ticks(ax, 5, len(shown) or 1, "prior standard deviations")
-    ax.set_yticks(range(len(shown)), [name for name, _ in shown])
+    ax.set_yticks(range(len(shown)), list(shown))
     ax.set_ylim(max(len(shown), 1) - 0.4, -0.6)
