@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from twin.channels import MEASUREMENTS
 from twin.logs.columns import Array, LogError
-from twin.logs.diagnosis.findings import repeated
+from twin.logs.diagnosis.findings import held, repeated
 from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
 from twin.logs.diagnosis.position import find_jumps
 from twin.logs.diagnosis.signals import ENOUGH
@@ -78,8 +78,7 @@ def held_command(values: Array, given: str, table: Table) -> Array:
     table.notes.append(
         f"{given}: {empty.sum()} of {len(values)} cells empty, the last command held"
     )
-    rows = np.arange(len(values))
-    return values[np.maximum.accumulate(np.where(empty, 0, rows))]
+    return held(values)
 
 
 def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
@@ -168,25 +167,24 @@ def check_turning(t: Array, z: Array, table: Table) -> None:
 
 def drop_jumps(t: Array, z: Array, table: Table) -> None:
     """Set fixes that no boat can reach from the others to NaN, in place; refuse many of them."""
-    new = np.flatnonzero(np.isfinite(z[:, :2]).all(axis=1))
-    jumps = find_jumps(t[new], z[new, :2])
+    jumps = find_jumps(t, z[:, :2])
     if jumps is None:
         return
-    row, lost = jumps.first, int((~jumps.good).sum())
+    lost = len(jumps.lost)
     where = (
-        f"{table.line(int(new[row + 1]))}: the position jumps by {jumps.length:.4g} m in "
-        f"{t[new[row + 1]] - t[new[row]]:.3g} s"
+        f"{table.line(jumps.after)}: the position jumps by {jumps.length:.4g} m in "
+        f"{t[jumps.after] - t[jumps.before]:.3g} s"
     )
     given = [table.given[name] for name in MEASUREMENTS[:2]]
-    if lost > _LOST * len(new):
+    if lost > _LOST * jumps.fixes:
         raise LogError(
             f"{table.source}: column(s) {', '.join(dict.fromkeys(given))}, "
             f"{where} and stays away; read the pieces one by one with start_s and stop_s in [rows] "
             "of a mapping file, or empty the false cells"
         )
-    z[new[~jumps.good], :2] = np.nan
+    z[jumps.lost, :2] = np.nan
     table.notes.append(
-        f"gps_x_m, gps_y_m: {lost} of {len(new)} fixes cannot be reached from the others, left "
+        f"gps_x_m, gps_y_m: {lost} of {jumps.fixes} fixes cannot be reached from the others, left "
         f"out ({where})"
     )
 

@@ -1,14 +1,16 @@
-"""Formats of dates and times as loggers write them, found from the texts."""
+"""Formats of dates and times as loggers write them, from the texts."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-import polars as pl
+from typing import TYPE_CHECKING
 
 from twin.logs.readers import dates
+
+if TYPE_CHECKING:
+    import polars as pl
 
 __all__ = [
     "ORDERS",
@@ -53,6 +55,8 @@ def date_formats(texts: Sequence[str]) -> list[DateFormat]:
     texts : sequence of str
         Cells of one column; empty ones are left out.
     """
+    import polars as pl
+
     cells = pl.Series([text.strip() for text in texts if text.strip()], dtype=pl.String)
     if not len(cells):
         return []

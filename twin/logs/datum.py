@@ -14,6 +14,7 @@ from twin.logs.columns import LogError
 
 __all__ = [
     "DATUM",
+    "FIXES",
     "Datum",
     "Plane",
     "radii",
@@ -23,6 +24,12 @@ Array = npt.NDArray[np.float64]
 
 DATUM = ("datum_latitude_deg", "datum_longitude_deg", "datum_epoch_s")
 """Columns of a log's file that hold its datum, each with one value."""
+
+FIXES = ("latitude_deg", "longitude_deg")
+"""Columns that only place a log whose positions are in metres: where each fix was."""
+
+_MISFIT = 5.0
+"""Largest distance of nine fixes in ten from their place on the plane, m."""
 
 _WGS84 = 6378137.0, 0.0066943799901413165
 """Equatorial radius, m, and squared eccentricity of the Earth. Source: WGS 84."""
@@ -61,6 +68,37 @@ class Plane:
 
     latitude: float
     longitude: float
+
+    @classmethod
+    def through(cls, fixes: tuple[Array, Array], metres: tuple[Array, Array], source: str) -> Plane:
+        """Return the plane on which fixes, degrees, lie at places north and east, m.
+
+        Raises
+        ------
+        LogError
+            If the two move otherwise: by a factor, swapped, or turned.
+        """
+        known = np.isfinite(np.sum([*fixes, *metres], axis=0))
+        if not known.any():
+            raise LogError(f"{source}: [datum]: no row has latitude, longitude and a position")
+        latitude, longitude, x, y = (values[known] for values in (*fixes, *metres))
+        # without a step where it crosses 180 degrees
+        longitude = longitude[0] + np.remainder(longitude - longitude[0] + 180.0, 360.0) - 180.0
+        plane = cls(float(np.median(latitude)), 0.0)
+        for _ in range(3):  # the radii are those at the origin
+            to_north, to_east = radii(plane.latitude)
+            plane = cls(
+                float(np.median(latitude - np.degrees(x / to_north))),
+                float(np.median(longitude - np.degrees(y / to_east))),
+            )
+        north, east = plane.metres(latitude, longitude)
+        error = float(np.quantile(np.hypot(north - x, east - y), 0.9))
+        if error > _MISFIT:
+            raise LogError(
+                f"{source}: [datum]: latitude and longitude move otherwise than gps_x_m and "
+                f"gps_y_m (by {error:.3g} m); check scale, order and frame, or use [position]"
+            )
+        return plane
 
     def metres(self, latitude: Any, longitude: Any) -> tuple[Any, Any]:
         """Return metres north and east of the origin; of numbers or arrays, degrees."""

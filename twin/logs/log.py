@@ -28,7 +28,7 @@ from twin.logs.checks import (
     held_command,
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry, LogError
-from twin.logs.datum import DATUM, Datum
+from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.mapping import Layout, layout_of
 from twin.logs.readers import (
     CsvFile,
@@ -474,6 +474,9 @@ def assemble(table: Table) -> Log:
         notes.append(f"t_s: seconds since 1970, from {date_of(float(t[0]))}")
     given = datum or Datum()
     plane = given.plane or table.plane
+    if plane is None and all(name in names for name in FIXES):
+        fixes = names[FIXES[0]], names[FIXES[1]]
+        plane = Plane.through(fixes, (z[:, 0], z[:, 1]), table.source)
     if plane is not None or table.epoch is not None or datum is not None:
         epoch = table.epoch if given.epoch is None else given.epoch
         datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)

@@ -15,6 +15,10 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     longitude = "lon"
     datum = [38.86580, 121.53438]                   # left out: the first fix
 
+    [datum]                                         # positions in metres: where that was
+    latitude = "lat"
+    longitude = "lon"
+
     [velocity]                                      # speed and course over ground
     speed = { from = "SOG", unit = "kn" }
     course = { from = "COG", unit = "deg" }
@@ -43,7 +47,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
-from twin.logs.datum import Datum, Plane
+from twin.logs.datum import FIXES, Datum, Plane
 
 __all__ = [
     "LAYOUTS",
@@ -58,7 +62,7 @@ else:
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
 
-_TABLES = ("columns", "position", "velocity", "heading", "rows")
+_TABLES = ("columns", "position", "velocity", "heading", "datum", "rows")
 
 _ENU = {
     # angles turn the other way and begin at east; y of the body points to port
@@ -169,6 +173,7 @@ class _Parser:
             for name, given in self.known("[columns]", data.get("columns", {}), _COLUMNS).items()
         ]
         makers = {"position": self.position, "velocity": self.velocity, "heading": self.heading}
+        makers["datum"] = self.datum
         entries += [make(data[key]) for key, make in makers.items() if key in data]
         names = [name for entry in entries for name in entry.names]
         for name in names:
@@ -262,6 +267,11 @@ class _Parser:
             plane=position.plane,
         )
 
+    def datum(self, given: Any) -> Entry:
+        table = self.known("[datum]", given, ("latitude", "longitude"))
+        names = [self.text("[datum]", table, key, key) for key in ("latitude", "longitude")]
+        return Entry(FIXES, tuple(names), lambda fixes: [*_fixes(fixes)])
+
     def text(self, where: str, table: Mapping[str, Any], key: str, default: str) -> str:
         value = table.get(key, default)
         if not isinstance(value, str):
@@ -328,6 +338,12 @@ class _Position:
     source: str
 
     def __call__(self, values: Sequence[Array]) -> list[Array]:
+        beyond = np.abs(values[0]) > 90.0
+        if beyond.mean() > 0.5 and not (np.abs(values[1]) > 90.0).any():
+            raise LogError(
+                f"{self.source}: [position]: latitudes of up to {np.nanmax(np.abs(values[0])):.4g} "
+                "degrees: latitude and longitude are swapped; exchange the two columns"
+            )
         latitude, longitude = _fixes(values)
         plane = self.plane(values)
         return [latitude, longitude] if plane is None else [*plane.metres(latitude, longitude)]

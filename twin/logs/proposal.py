@@ -10,9 +10,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
 from twin.logs.columns import Array, LogError
 from twin.logs.dates import DateFormat, date_formats
@@ -21,6 +21,9 @@ from twin.logs.diagnosis.heading import gyro_on_compass
 from twin.logs.diagnosis.position import velocity_on_fixes
 from twin.logs.diagnosis.track import compass_on_track
 from twin.logs.readers import CsvFile, ParquetFile, dates
+
+if TYPE_CHECKING:
+    import polars as pl
 
 __all__ = [
     "Proposal",
@@ -154,6 +157,9 @@ def propose(path: str | Path, order: str = "") -> Proposal:
 
 
 def _read(path: Path) -> _Columns:
+    """Return the cells of the first rows of a file."""
+    import polars as pl
+
     if path.suffix == ".parquet":
         frame = pl.scan_parquet(ParquetFile(path).path, glob=False).head(_ROWS).collect()
         frame = frame.with_columns(pl.all().cast(pl.String))
@@ -217,7 +223,9 @@ def _pick(columns: _Columns, meaning: str, *, numeric: bool = True) -> str | Non
     there = [
         name
         for name in columns.left
-        if (name in columns.numbers or not numeric) and _means(name, _NAMES[meaning])
+        if (name in columns.numbers or not numeric)
+        and _means(name, _NAMES[meaning])
+        and "rpm" not in _words(name)  # the r of rpm_r is a side
     ]
     exact = [name for name in there if re.fullmatch(_NAMES[meaning], "".join(_words(name)[:1]))]
     return min(exact or there, key=lambda name: len(_words(name)), default=None)

@@ -129,7 +129,7 @@ def keys_of(table: str, kind: str) -> dict[str, tuple[str, str]]:
 
 
 def check_values(kind: str, values: Mapping[str, float]) -> None:
-    """Check the SI numbers of a vessel against the schema and each other; hull terms may miss.
+    """Check the SI numbers of a vessel against the schema and each other; hull terms may be absent.
 
     VesselError names the table, the key and the rule.
     """

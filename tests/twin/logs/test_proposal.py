@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from twin.cli.main import app
+from twin.logs.columns import LogError
 from twin.logs.dates import date_formats
 from twin.logs.log import Log, recorded_runs
 from twin.logs.proposal import propose
@@ -163,6 +164,39 @@ def test_an_ambiguous_date_asks(tmp_path: Path, run: Log) -> None:
     assert again.exit_code == 2 and "--force" in again.output
 
 
+def test_the_answer_of_a_user_is_taken(
+    tmp_path: Path, run: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = {**LOGGERS["American"], "Time": lambda log: ["03/05/2024 09:30:00"] * len(log)}
+    path = write(tmp_path / "run.csv", run, columns)
+    monkeypatch.setattr("twin.cli.logs.mapping._is_interactive", lambda: True)
+    result = CliRunner().invoke(app, ["mapping", "new", str(path)], input="what\nmonth-first\n")
+    assert result.exit_code == 0, result.output
+    assert 'format = "%m/%d/%Y %H:%M:%S%.f"' in (tmp_path / "run.mapping.toml").read_text()
+
+
+def test_swapped_latitude_and_longitude_are_refused(tmp_path: Path, run: Log) -> None:
+    path = write(tmp_path / "run.csv", run, LOGGERS["swapped"])
+    assert CliRunner().invoke(app, ["mapping", "new", str(path)]).exit_code == 0
+    mapping = tmp_path / "run.mapping.toml"
+    text = mapping.read_text()
+    assert 'latitude = "Longitude"' in text and "swapped" in text
+    text = text.replace('latitude = "Longitude"', 'latitude = "Latitude"')
+    mapping.write_text(text.replace('longitude = "Latitude"', 'longitude = "Longitude"'))
+    with pytest.raises(LogError, match="latitude and longitude are swapped"):
+        Log.read(path)
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%d.%m.%Y %H:%M:%S.%f", "%m/%d/%y %I:%M:%S.%f %p", "%H:%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f"],
+)
+def test_dates_of_a_stated_format_are_read(tmp_path: Path, run: Log, form: str) -> None:
+    path = write(tmp_path / "run.csv", run, {**LOGGERS["American"], "Time": stamps(form)})
+    assert CliRunner().invoke(app, ["mapping", "new", str(path)]).exit_code == 0
+    assert np.abs(Log.read(path).t - run.t).max() < 2e-3
+
+
 @pytest.mark.parametrize(
     ("texts", "formats"),
     [
@@ -183,3 +217,13 @@ def test_an_ambiguous_date_asks(tmp_path: Path, run: Log) -> None:
 )
 def test_formats_of_dates(texts: list[str], formats: list[str]) -> None:
     assert [each.format for each in date_formats(texts)] == formats
+
+
+def test_sides_of_shaft_speeds_are_no_yaw_rate(tmp_path: Path) -> None:
+    file = tmp_path / "rpm.csv"
+    rows = [f"{k},{k},0,0.1,{800 + k % 7},{810 + k % 5}" for k in range(60)]
+    file.write_text("t_s,x,y,heading_rad,rpm_l,rpm_r\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    lines = propose(file).lines["columns"]
+    assert 'n_left_rps = { from = "rpm_l", unit = "rpm" }' in lines
+    assert 'n_right_rps = { from = "rpm_r", unit = "rpm" }' in lines
+    assert not any(line.startswith("gyro") for line in lines)

@@ -172,6 +172,21 @@ def test_seconds_since_1970_are_a_date(tmp_path):
     assert any("seconds since 1970" in note for note in again.notes)
 
 
+def test_latitude_and_longitude_place_a_log_in_metres():
+    plane = HERE.plane
+    x, y = np.linspace(-50.0, 80.0, 30), np.linspace(0.0, 60.0, 30)
+    fixes = plane.degrees(x, y)
+    found = Plane.through(fixes, (x, y), "a.csv")
+    assert vars(found) == pytest.approx(vars(plane), abs=1e-9)
+    far = Plane(-10.0, 180.0 - 1e-4)
+    assert vars(Plane.through(far.degrees(x, y), (x, y), "a.csv")) == pytest.approx(vars(far))
+    for metres in ((1.2 * x, 1.2 * y), (y, x)):
+        with pytest.raises(LogError, match="move otherwise than gps_x_m"):
+            Plane.through(fixes, metres, "a.csv")
+    with pytest.raises(LogError, match="no row has latitude"):
+        Plane.through(fixes, (x * np.nan, y), "a.csv")
+
+
 # --- the twin ---------------------------------------------------------------------------------
 
 

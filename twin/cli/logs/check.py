@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Annotated
@@ -25,6 +26,7 @@ from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.instruments import particulars_text
 from twin.logs.log import assemble, read_table
+from twin.logs.readers import Table
 from twin.particulars import Particulars
 from twin.sim.recorded import has_particulars, particulars_for_log
 
@@ -76,7 +78,7 @@ def log_check_command(
         what = table.lacking.removeprefix(f"{table.source}: ")
         extra.append(Finding(ERROR, "columns-missing", what, ""))
     elif not found.of(ERROR):
-        extra += _refused(log, mapping)
+        extra += _refused(table)
     findings = (*extra, *found.findings)
     for line in table.notes:
         note(line)
@@ -108,10 +110,10 @@ def log_check_command(
         raise typer.Exit(1)
 
 
-def _refused(log: Path, mapping: Path | None) -> list[Finding]:
+def _refused(table: Table) -> list[Finding]:
     """Return what the strict reader refuses the log for, if the detectors did not see it."""
     try:
-        assemble(read_table(log, mapping))
+        assemble(dataclasses.replace(table, notes=[]))  # its notes repeat the findings
     except LogError as error:
         return [Finding(ERROR, "refused", str(error), "")]
     return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import math
 from typing import TYPE_CHECKING
@@ -29,13 +30,16 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 
+_MOST = 1e7
+"""Larger values are not drawn."""
+
 _POINTS = 4000
 """Most points of a curve."""
 
 
 def draw_check(found: Diagnosis) -> bytes:
     """Return the picture of a diagnosis as PNG."""
-    recording = found.recording
+    recording = _drawable(found.recording)
     entries: list[Entry] = [
         (line(BLUE), "fixes; left unit"),
         (line(ORANGE), "compass, velocity; right unit"),
@@ -61,6 +65,12 @@ def draw_check(found: Diagnosis) -> bytes:
     buffer = io.BytesIO()
     fig.savefig(buffer, format="png")
     return buffer.getvalue()
+
+
+def _drawable(recording: Recording) -> Recording:
+    """Return a recording without the numbers that no picture can hold."""
+    z, cmd = (np.where(np.abs(v) < _MOST, v, np.nan) for v in (recording.z, recording.cmd))
+    return dataclasses.replace(recording, z=z, cmd=cmd)
 
 
 def _thin(*columns: Array) -> list[Array]:

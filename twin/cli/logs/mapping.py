@@ -47,10 +47,15 @@ def mapping_new_command(
     console.print(f"mapping: {path}; try it with usv-twin log check {log}", soft_wrap=True)
 
 
+def _is_interactive() -> bool:
+    """Return whether somebody can answer."""
+    return sys.stdin.isatty()
+
+
 def _ask(log: Path, found: Proposal) -> Proposal:
     """Return the proposal with the order of day and month that the user names."""
     question = next(text for text in found.questions if text.endswith("day first or month first?"))
-    if not sys.stdin.isatty():
+    if not _is_interactive():
         raise OptionError(f"{question} Say so with --dates {' or --dates '.join(ORDERS)}")
     answer = ""
     while answer not in ORDERS:

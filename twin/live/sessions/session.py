@@ -215,7 +215,7 @@ class Session(ABC):
         self.fresh.set()
 
     def _obey(self) -> None:
-        """Carry out what was ordered; what cannot be done is reported, and changes nothing."""
+        """Carry out the commands of the page; report those that fail, which change nothing."""
         with contextlib.suppress(Empty):
             while True:
                 call = self._orders.get_nowait()

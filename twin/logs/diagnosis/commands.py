@@ -28,6 +28,9 @@ _HORIZONS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _CLEAR, _SHARE = 4.0, 0.15
 """An effect is seen if it is so many standard deviations, and explains this share."""
 
+_SWINGS, _STRONG, _MOST = 3, 8.0, 0.5
+"""A command that swings less often could be wind that turns a boat: it must explain more."""
+
 _LEAST_ADVANCE, _LEAST_LENGTHS = 0.008, 0.001
 """Every propeller takes a boat farther than this in a revolution: m, and lengths of the boat."""
 
@@ -50,11 +53,14 @@ class Effect(NamedTuple):
     """Of the variance of the acceleration that it explains beyond the motion itself."""
     horizon: float
     """Time over which it was seen, s."""
+    swings: int = _SWINGS
+    """How often the command went from one side to the other."""
 
     @property
     def clear(self) -> bool:
         """Whether the data tell its sign."""
-        return abs(self.gain) > _CLEAR * self.sd and self.share > _SHARE
+        clear, share = (_CLEAR, _SHARE) if self.swings >= _SWINGS else (_STRONG, _MOST)
+        return abs(self.gain) > clear * self.sd and self.share > share
 
 
 def _regress(
@@ -143,6 +149,13 @@ def yaw_effects(recording: Recording, sign: float = 1.0) -> dict[str, Effect]:
     return best
 
 
+def _swings(value: Array) -> int:
+    """Return how often a command goes from one side of its middle to the other."""
+    middle, half = float(np.mean(value)), 0.25 * float(np.std(value))
+    side = np.sign(value - middle)[np.abs(value - middle) > half]
+    return int((np.diff(side) != 0.0).sum())
+
+
 def _reach(name: str, angle: Array) -> float:
     return max(float(np.abs(angle).max()), 1e-12) if name == "steering" else 1.0
 
@@ -173,7 +186,7 @@ def _best(
         for name, effect in zip(signals, effects, strict=False):
             if name not in found or _strength(effect) > _strength(found[name]):
                 found[name] = effect
-    return found
+    return {name: effect._replace(swings=_swings(signals[name])) for name, effect in found.items()}
 
 
 def _strength(effect: Effect) -> float:
@@ -187,6 +200,8 @@ def speed_of(recording: Recording) -> tuple[Array, Array, Array] | None:
     if len(t) < 3 * ENOUGH or turning is None:
         return None
     way, middle, step = ways(t, fix)
+    if not np.isfinite(way).any():
+        return None
     return middle, way / step, averaged(*turning, middle, step)
 
 
@@ -297,7 +312,7 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
 def _angles(recording: Recording) -> list[Finding]:
     """Return a finding about angles that must be degrees."""
     delta = recording.cmd[:, 2:]
-    most = float(np.nanmax(np.abs(delta))) if np.isfinite(delta).any() else 0.0
+    most = float(np.fmax.reduce(np.abs(delta).ravel(), initial=0.0))
     if most <= _MOST_ANGLE:
         return []
     return [
@@ -337,10 +352,10 @@ def _shafts(recording: Recording, particulars: Particulars | None) -> list[Findi
     shaft = np.nan_to_num(np.abs(n)).mean(axis=1)
     step = float(np.median(np.diff(middle)))
     turns = averaged(recording.t, shaft, middle, 2.0 * step)
-    fast = (speed > 0.4 * np.nanmax(speed)) & (turns > 0.2 * np.nanmax(turns))
+    fast = (speed > 0.4 * np.fmax.reduce(speed)) & (turns > 0.2 * np.fmax.reduce(turns))
     if fast.sum() < 5:
         return []
-    advance = float(np.median(speed[fast] / turns[fast]))
+    advance = float(np.quantile(speed[fast] / turns[fast], 0.75))
     found = _advance(name, advance, float(np.median(turns[fast])), particulars)
     if found and seen.min() >= 800.0 and np.ptp(seen) > 20.0 and seen.max() <= 2200.0:
         what = (
@@ -368,17 +383,17 @@ def _advance(
         return [Finding(ERROR, "shaft-unit", f"{said}: no propeller is so small", remedy, evidence)]
     ratio = particulars.speed / particulars.shaft_speed / max(advance, 1e-12)
     for unit, text in _UNITS.items():
-        if 0.6 < ratio / unit < 1.6:
+        if 0.7 < ratio / unit < 1.4:
             what = f"{said}, {ratio:.2g} times too little for this boat: {text}, not rev/s"
             remedy = f'state the unit in a mapping: unit = "{"rpm" if unit > 10.0 else "radps"}"'
             return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
-        if 0.6 < ratio * unit < 1.6:
+        if 0.7 < ratio * unit < 1.4:
             what = f"{said}, {1.0 / ratio:.2g} times too much for this boat: rev/s read as {text}"
             return [Finding(ERROR, "shaft-unit", what, "take the conversion out", evidence)]
     if not _LEAST_LENGTHS < advance / particulars.length < _MOST_LENGTHS:
         what = f"{said}, {advance / particulars.length:.2g} of its length"
         return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
-    if not 0.4 < ratio < 2.5:
+    if not 0.2 < ratio < 5.0:
         what = f"{said}; the particulars say {ratio * advance:.2g} m"
         remedy = (
             "give speed and shaft_speed in the particulars that belong together, in the log's unit"

@@ -117,12 +117,11 @@ def _plain(numbers: dict[str, Any]) -> dict[str, float | None]:
 
 def without_jumps(recording: Recording) -> Recording:
     """Return a recording in which fixes that no boat can reach from the others are NaN."""
-    new = np.flatnonzero(np.isfinite(recording.z[:, :2]).all(axis=1))
-    jumps = find_jumps(recording.t[new], recording.z[new, :2])
+    jumps = find_jumps(recording.t, recording.z[:, :2])
     if jumps is None:
         return recording
     z = recording.z.copy()
-    z[new[~jumps.good], :2] = np.nan
+    z[jumps.lost, :2] = np.nan
     return dataclasses.replace(recording, z=z)
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "WARNING",
     "Finding",
     "Recording",
+    "held",
     "repeated",
 ]
 
@@ -116,10 +117,7 @@ class Recording:
         z, cmd = stack(MEASUREMENTS), stack(COMMANDS)
         infinite = int(np.isinf(z).sum() + np.isinf(cmd).sum())
         z[np.isinf(z)], cmd[np.isinf(cmd)] = np.nan, np.nan
-        # an empty command is the last one
-        rows = np.arange(len(cmd))[:, None]
-        held = np.maximum.accumulate(np.where(np.isnan(cmd), 0, rows), axis=0)
-        cmd = np.take_along_axis(cmd, held, axis=0)
+        cmd = held(cmd)  # an empty command is the last one
         cmd[:, [column not in data for column in COMMANDS]] = 0.0
         return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite)
 
@@ -143,6 +141,13 @@ class Recording:
         elif columns[0] == 4:
             new &= ~repeated(values)
         return self.t[new], values[new]
+
+
+def held(values: Array) -> Array:
+    """Return values (N,) or (N, k) with NaN replaced by the last number before it, if any."""
+    rows = np.arange(len(values)).reshape((-1,) + (1,) * (values.ndim - 1))
+    last = np.maximum.accumulate(np.where(np.isnan(values), 0, rows), axis=0)
+    return np.take_along_axis(values, last, axis=0)
 
 
 def repeated(values: Array) -> npt.NDArray[np.bool_]:

@@ -25,7 +25,7 @@ _WINDOW = 5.0
 _REST = 0.05
 """A boat below this speed rests, m/s."""
 
-_GAIN, _YAW_GAIN = 0.15, 0.05
+_GAIN, _YAW_GAIN = 0.15, 0.03
 """What a boat gains without a command is a force: speed, m/s, and yaw rate, rad/s."""
 
 _STEADY, _STEADY_TIME = 0.9, 60.0
@@ -81,6 +81,14 @@ def check_forces(recording: Recording) -> list[Finding]:
     return found
 
 
+def _gained(values: Array) -> tuple[float, int]:
+    """Return the largest rise of smoothed values, and where it ends."""
+    middle = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
+    rise = middle - np.minimum.accumulate(middle)
+    at = int(np.argmax(rise))
+    return float(rise[at]), at + 1
+
+
 def _force(
     recording: Recording, grid: Array, velocity: Array, speed_sd: float
 ) -> tuple[float, Finding] | None:
@@ -92,13 +100,16 @@ def _force(
     to = math.degrees(math.atan2(drift[1], drift[0])) % 360.0
     span = f"t = {grid[0]:.0f} to {grid[-1] + _WINDOW:.0f} s"
     evidence = {"from_s": float(grid[0]), "first_mps": first, "last_mps": last, "to_deg": to}
-    if last - first > _GAIN + 5.0 * speed_sd:
+    gained, at = _gained(speed)
+    if gained > _GAIN + 5.0 * speed_sd:
+        to = math.degrees(math.atan2(velocity[at, 1], velocity[at, 0])) % 360.0
         what = (
-            f"the boat gains {last - first:.2f} m/s towards {to:.0f} degrees while nothing is "
-            f"commanded ({span})"
+            f"the boat gains {gained:.2f} m/s towards {to:.0f} degrees until t = {grid[at]:.0f} s "
+            f"while nothing is commanded ({span})"
         )
         remedy = "wind, current, a tow, or a thruster that is stuck or not recorded"
-        return last - first, Finding(WARNING, "force", what, remedy, evidence)
+        evidence |= {"gained_mps": gained, "to_deg": to}
+        return gained, Finding(WARNING, "force", what, remedy, evidence)
     long = grid[-1] - grid[0] > _STEADY_TIME
     if long and last > max(_DRIFT + 3.0 * speed_sd, _STEADY * first):
         what = (
@@ -119,14 +130,16 @@ def _spin(recording: Recording, grid: Array, span: str) -> tuple[float, Finding]
     rate = np.diff(averaged(t, psi, np.append(grid, grid[-1] + 2.5), 2.0)) / np.diff(
         np.append(grid, grid[-1] + 2.5)
     )
-    rate = rate[np.isfinite(rate)]
-    third = len(rate) // 3
-    if third < 2:
+    rate, grid = rate[np.isfinite(rate)], grid[np.isfinite(rate)]
+    if len(rate) < 5:
         return None
-    first, last = (abs(float(np.median(part))) for part in (rate[:third], rate[-third:]))
-    if last - first < _YAW_GAIN:
+    gained, at = _gained(np.abs(rate))
+    if gained < _YAW_GAIN:
         return None
-    what = f"the boat begins to turn at {last:.2f} rad/s while nothing is commanded ({span})"
+    what = (
+        f"the boat begins to turn at {abs(rate[at]):.2f} rad/s at t = {grid[at]:.0f} s while "
+        f"nothing is commanded ({span})"
+    )
     remedy = "a thruster that is stuck or not recorded, or a gust"
-    evidence = {"from_s": float(grid[0]), "first_radps": first, "last_radps": last}
-    return last, Finding(WARNING, "spin", what, remedy, evidence)
+    evidence = {"from_s": float(grid[0]), "at_s": float(grid[at]), "gained_radps": gained}
+    return gained, Finding(WARNING, "spin", what, remedy, evidence)

@@ -137,6 +137,7 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
     at = np.arange(start + short, end - short, 0.5 * short)
     rate = _turned(t_compass, psi, short, at) / short
     left = _turned(t_gyro, theta, short, at + late) / short - rate
+    known = left[np.isfinite(left)]
     width = max(round(_STRETCH / (0.5 * short)), 1)
     rough, turning = (
         _local(left, width),
@@ -153,7 +154,7 @@ def gyro_on_compass(t_compass: Array, compass: Array, t_gyro: Array, gyro: Array
         late,
         both,
         float(np.std(x)),
-        float(np.nanstd(left)),
+        float(np.std(known)) if len(known) else math.nan,
         noise,
         float(rough[bad]),
         float(at[bad]),

@@ -24,8 +24,20 @@ _WINDOWS = (0.5, 1.0, 2.0, 4.0)
 _MOST_LATE = 3.0
 """Largest delay that is looked for, s."""
 
+_ANGLE = 0.05
+"""A bias turns the acceleration by about this angle, rad; on a circle that looks like a delay."""
+
+_SCALE = 0.3
+"""Where the accelerations differ by more than this share, tilt rules and no delay is claimed."""
+
 _CORRELATION = 0.7
 """The accelerometers see the motion of the boat from this correlation on."""
+
+_CHANCE = 5.0
+"""Unrelated signals correlate by less than so many over the root of independent samples."""
+
+_CLEAR = 0.85
+"""From this correlation on a delay is claimed."""
 
 _LATE = 0.3
 """A delay of the fixes worth a word beyond what the particulars state, s."""
@@ -124,7 +136,13 @@ def _compare(
     # where the axes may be turned, a circle has any delay
     known = lag is not None and lag.correlation > _CORRELATION and math.isfinite(lag.sd)
     if not known:
-        lag = find(turned=True)
+        straight_on, lag = lag, find(turned=True)
+        # half a wave later everything points backwards
+        if lag and straight_on and lag.correlation < straight_on.correlation + 0.2:
+            return None
+        # on a circle any angle goes with some delay
+        if lag is not None and float(lag.curve.min()) > 0.8 * lag.correlation:
+            return None
     if lag is None:
         return None
     moved = changes((t, values), grid + lag.seconds) @ (1.0, 1j)
@@ -136,9 +154,12 @@ def _compare(
         power, own = float((np.abs(by_imu[ok]) ** 2).sum()), float((np.abs(moved[ok]) ** 2).sum())
         numbers.append((cross, power, math.sqrt(max(power * own, 1e-300))))
     (cross, power, size), (other, size_other) = numbers[0], numbers[1][::2]
+    chance = _CHANCE / math.sqrt((end - start) / width)
+    if max(abs(cross) / size, abs(other) / size_other) < chance:
+        return None
     fit = ImuFit(
         lag.seconds if known else 0.0,
-        lag.sd if known else math.inf,
+        math.hypot(lag.sd, _ANGLE / lag.sharpness) if known else math.inf,
         abs(cross) / size,
         abs(cross) / max(power, 1e-300),
         float(np.angle(cross)),
@@ -171,7 +192,8 @@ def check_imu(
     if fit.correlation < _CORRELATION:
         return []
     found = []
-    if abs(fit.turned) > math.radians(45.0):
+    same = any(0.5 < fit.scale / unit < 2.0 for unit in (1.0, _GRAVITY))
+    if abs(fit.turned) > math.radians(45.0) and same:
         what = (
             f"{names}: the accelerometers point {math.degrees(abs(fit.turned)):.0f} degrees off "
             "the motion"
@@ -184,7 +206,8 @@ def check_imu(
             Finding(ERROR, "accel-unit", what, 'state unit = "g" in a mapping file', evidence)
         )
     stated = 0.0 if particulars is None else particulars.instruments.gps_latency
-    if fit.latency - stated > max(_LATE, 4.0 * fit.latency_sd):
+    sound = fit.correlation > _CLEAR and abs(fit.scale - 1.0) < _SCALE
+    if sound and fit.latency - stated > max(_LATE, 4.0 * fit.latency_sd):
         what = f"the GPS comes {fit.latency:.2f} s after the accelerometers" + (
             f"; the particulars say {stated:g} s" if particulars is not None else ""
         )

@@ -39,6 +39,12 @@ _PIECES = 1000
 _STAMP_JITTER = 0.03
 """Stamps of fixes that jitter by more than this are worth a word, s."""
 
+_STEP, _STEP_NOISE = 0.1, 15.0
+"""A fix that steps by more than this (m) and so many times the median step aside has jumped."""
+
+_SINGLE = 0.01
+"""More than this share of the fixes are no single jumps: stamps jitter, or the boat is quick."""
+
 _LATE, _MOST_LATE = 0.25, 3.0
 """A delay between fixes and velocity worth a word, and the largest looked for, s."""
 
@@ -65,10 +71,14 @@ _UNIT_NEAR, _RATIO_NEAR = 0.06, 0.15
 class Jumps(NamedTuple):
     """Fixes that no boat can reach from the others."""
 
-    good: npt.NDArray[np.bool_]
-    """Which fixes can be reached."""
-    first: int
-    """Index of the fix before the first jump."""
+    lost: npt.NDArray[np.intp]
+    """Their rows."""
+    fixes: int
+    """How many rows hold a fix."""
+    before: int
+    """Row of the fix before the first jump ..."""
+    after: int
+    """... and of that after it."""
     length: float
     """Of the first jump, m."""
 
@@ -79,10 +89,12 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     Parameters
     ----------
     t, fix : ndarray, shape (N,) and (N, 2)
-        Times, s, and positions, m.
+        Times, s, and positions, m; NaN in rows without a fix.
     """
-    if len(t) < 2:
+    rows = np.flatnonzero(np.isfinite(fix).all(axis=1))
+    if len(rows) < 2:
         return None
+    t, fix = t[rows], fix[rows]
 
     def reached(first: npt.NDArray[np.intp], then: int) -> npt.NDArray[np.bool_]:
         way = np.hypot(*(fix[then] - fix[first]).T)
@@ -107,7 +119,10 @@ def find_jumps(t: Array, fix: Array) -> Jumps | None:
     while piece >= 0:
         good[start[piece] : end[piece] + 1] = True
         piece = int(before[piece])
-    return Jumps(good, int(broken[0]), float(length[broken[0]]))
+    first = int(broken[0])
+    return Jumps(
+        rows[~good], len(rows), int(rows[first]), int(rows[first + 1]), float(length[first])
+    )
 
 
 class StampFit(NamedTuple):
@@ -269,18 +284,18 @@ def check_position(recording: Recording) -> list[Finding]:
     found = []
     jumps = find_jumps(t, fix)
     if jumps is not None:
-        lost = int((~jumps.good).sum())
+        lost = len(jumps.lost)
         found.append(
             Finding(
                 WARNING if lost < 0.1 * len(t) else ERROR,
                 "fix-jumps",
                 f"{names}: {lost} of {len(t)} fixes cannot be reached from the others (a jump of "
-                f"{jumps.length:.4g} m at t = {t[jumps.first + 1]:.1f} s)",
+                f"{jumps.length:.4g} m at t = {t[jumps.after]:.1f} s)",
                 "single ones are left out when the log is read; else empty these cells",
                 {"fixes": lost, "first_m": jumps.length},
             )
         )
-        t, fix = t[jumps.good], fix[jumps.good]
+        t, fix = np.delete(t, jumps.lost), np.delete(fix, jumps.lost, axis=0)
     stamps = fix_stamps(t, fix)
     if stamps is not None and stamps.along > 2.0 * stamps.across and stamps.jitter > _STAMP_JITTER:
         found.append(
@@ -295,8 +310,37 @@ def check_position(recording: Recording) -> list[Finding]:
                 stamps._asdict(),
             )
         )
+    found += _steps(names, t, fix)
     fit = velocity_on_fixes((t, fix), recording.samples("gps_vx_mps", "gps_vy_mps"))
     return found + _velocity(recording, fit)
+
+
+def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
+    """Return a finding where fixes step aside and stay there."""
+    if len(t) < 3 * ENOUGH:
+        return []
+    step, width = np.diff(fix, axis=0), np.diff(t)
+    speed = step / width[:, None]
+    # what the steps around it do not explain
+    near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
+    left = np.hypot(*(step[2:-2] - width[2:-2, None] * near).T)
+    even = width[2:-2] < 3.0 * float(np.median(width))
+    bound = max(_STEP, _STEP_NOISE * float(np.median(left)))
+    wild = np.flatnonzero((left > bound) & even)
+    if not 0 < len(wild) <= max(3, _SINGLE * len(t)):
+        return []
+    most = int(wild[np.argmax(left[wild])])
+    at, length = float(t[most + 3]), float(left[most])
+    return [
+        Finding(
+            WARNING,
+            "fix-steps",
+            f"{names}: the fixes step aside by up to {length:.2g} m from one to the next (at t = "
+            f"{at:.1f} s), {len(wild)} time(s)",
+            "the receiver changed satellites or mode: expect errors of the position of this size",
+            {"most_m": length, "at_s": at, "times": float(len(wild))},
+        )
+    ]
 
 
 def _in_degrees(fix: Array) -> str:

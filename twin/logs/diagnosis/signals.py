@@ -148,6 +148,10 @@ def _median(values: Array) -> float:
     return float(np.median(known)) if len(known) else math.inf
 
 
+_HUGE = 1e60
+"""No measurement is larger."""
+
+
 class Line(NamedTuple):
     """``y = slope x + offset``, robustly."""
 
@@ -171,6 +175,11 @@ def fit_line(x: Array, y: Array, loss: float = 2.0) -> Line:
     loss : float
         Residuals beyond so many standard deviations count linearly.
     """
+    # squares of garbage overflow
+    sane = (np.abs(x) < _HUGE) & (np.abs(y) < _HUGE)
+    x, y = x[sane], y[sane]
+    if not len(x):
+        return Line(0.0, 0.0, math.inf, math.inf, math.inf, 0.0)
     A = np.column_stack([x, np.ones_like(x)])
     weight = np.ones_like(x)
     for _ in range(20):
@@ -193,6 +202,8 @@ class Lag(NamedTuple):
     seconds: float
     sd: float
     """Standard deviation of it, s."""
+    sharpness: float
+    """Of the peak: the frequency of a sine that has such a one, rad/s."""
     correlation: float
     """At that lag."""
     gain: float
@@ -248,17 +259,20 @@ def best_lag(
     curve = np.asarray(value / np.sqrt(np.maximum(power, 1e-300)), dtype=np.float64)
     curve[power < 1e-20 * max(float(power.max()), 1e-300)] = 0.0
     peak = int(np.argmax(np.abs(curve)))
-    found, sd = float(lags[peak]) * step, math.inf
+    found, sd, sharpness = float(lags[peak]) * step, math.inf, 1e-9
     inside = 0 < peak < len(lags) - 1
     if inside:
         left, top, right = curve[peak - 1 : peak + 2] * np.sign(curve[peak])
         bend = float(left - 2.0 * top + right) / step**2
         if bend < 0.0:
             found -= 0.5 * float(right - left) / step / bend
+            sharpness = math.sqrt(-bend / max(float(top), 1e-9))
             independent = max(float(common[peak]) * step / width, 1.0)
             sd = math.sqrt(max(1.0 - float(top) ** 2, 1e-12) / independent / -bend)
     gain = (1.0 - curve[count] ** 2) / max(1.0 - curve[peak] ** 2, 1e-9) if inside else 1.0
-    return Lag(found, sd, float(curve[peak]), float(gain), step * lags.astype(np.float64), curve)
+    return Lag(
+        found, sd, sharpness, float(curve[peak]), float(gain), step * lags.astype(np.float64), curve
+    )
 
 
 def _centred(values: Array) -> tuple[npt.NDArray[Any], Array]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.logs.columns import Array
-from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, averaged, fit_line, sampled, ways
 
 __all__ = [
@@ -36,7 +36,9 @@ class TrackFit(NamedTuple):
     offset: float
     """That angle on a straight course, rad ..."""
     offset_sd: float
-    """... and its standard deviation."""
+    """... and its standard deviation; infinite on a circle."""
+    in_current: float
+    """The same angle where a constant current is allowed for, rad; NaN on a straight course."""
     mirrored: float
     """Mean resultant length of course plus heading ..."""
     mirror: float
@@ -73,7 +75,7 @@ def compass_on_track(
     turned = (sampled(t, psi, middle + width) - sampled(t, psi, middle - width)) / step
     psi = averaged(t, psi, middle, step)
     ok = np.isfinite(length) & np.isfinite(psi) & np.isfinite(turned)
-    ok &= length > 0.2 * float(np.nanmax(length, initial=1e-9))
+    ok &= length > 0.2 * float(np.fmax.reduce(length, initial=1e-9))
     if ok.sum() < 8:
         return None
     length, course, psi, turned = length[ok], course[ok], psi[ok], turned[ok]
@@ -86,13 +88,19 @@ def compass_on_track(
         return complex((length * np.exp(1j * angle)).sum() / length.sum())
 
     along, across = mean(course - psi), mean(course + psi)
+    current = _offset_in_current(length / step, course, psi)
     # leeway in turns goes with their curvature, and is none of the offset
     left = np.remainder(course - psi - np.angle(along) + math.pi, TURN) - math.pi
-    line = fit_line(turned * step / length, left)
+    curvature = turned * step / length
+    line = fit_line(curvature, left)
+    bent = np.abs(curvature) > 0.3 * np.quantile(np.abs(curvature), 0.9)
+    # on a circle nothing tells leeway from an offset
+    circle = bent.mean() > 0.7 and abs(float(np.sign(curvature[bent]).mean())) > 0.6
     return TrackFit(
         abs(along),
         float(np.remainder(np.angle(along) + line.offset + math.pi, TURN) - math.pi),
-        line.offset_sd,
+        math.inf if circle else line.offset_sd,
+        current,
         abs(across),
         float(np.angle(across)),
         abs(mean(psi)),
@@ -100,10 +108,20 @@ def compass_on_track(
     )
 
 
+def _offset_in_current(speed: Array, course: Array, psi: Array) -> float:
+    """Return the angle from heading to motion through water that drifts; NaN on few headings."""
+    ahead = np.exp(1j * psi)
+    if abs(ahead.mean()) > 0.9:
+        return math.nan
+    A = np.column_stack([ahead, np.ones_like(ahead)])
+    fit = np.linalg.lstsq(A, speed * np.exp(1j * course), rcond=None)[0]
+    return float(np.angle(fit[0]))
+
+
 def thrust(recording: Recording) -> tuple[Array, Array] | None:
     """Return times and the thrust that is commanded, in squared shaft speeds; None if unknown."""
     n = recording.cmd[:, :2]
-    if not np.isfinite(n).any() or not np.nanmax(np.abs(n)) > 0.0:
+    if not np.isfinite(n).any() or not np.fmax.reduce(np.abs(n).ravel()) > 0.0:
         return None
     return recording.t, np.nan_to_num(n * np.abs(n)).sum(axis=1)
 
@@ -133,19 +151,22 @@ def check_track(
     if abs(degrees) > 150.0:
         return [_reversed(recording, plain, fit)]
     bound = _OFFSET_ROUND if fit.headings < 0.5 else _OFFSET_STRAIGHT
-    if abs(fit.offset) < bound + 3.0 * fit.offset_sd:
+    if not abs(fit.offset) > bound + 3.0 * fit.offset_sd:
         return []
-    return [
-        Finding(
-            WARNING,
-            "compass-offset",
-            f"{name}: the track goes {abs(degrees):.0f} degrees to the "
-            f"{'right' if degrees > 0.0 else 'left'} of the compass",
-            f"if it is no current: offset = {fit.offset:.3f} in a mapping (magnetic variation, or "
-            "a sensor that sits askew)",
-            evidence,
-        )
-    ]
+    if math.isfinite(fit.in_current) and fit.in_current * np.sign(fit.offset) < bound:
+        return []
+    few = fit.headings >= 0.5
+    remedy = (
+        "current, leeway, or the compass: more headings would tell"
+        if few
+        else f"offset = {fit.offset:.3f} in a mapping (magnetic variation, or a sensor askew)"
+    )
+    what = (
+        f"{name}: the track goes {abs(degrees):.0f} degrees to the "
+        f"{'right' if degrees > 0.0 else 'left'} of the compass"
+        + (" on few headings" if few else "")
+    )
+    return [Finding(NOTE if few else WARNING, "compass-offset", what, remedy, evidence)]
 
 
 def _reversed(recording: Recording, plain: TrackFit, fit: TrackFit) -> Finding:
