@@ -23,15 +23,15 @@ RETIRED = re.compile(
     r"|plus_look|plus_spread|look_ahead|in_python|"
     + words(
         "strangers|rivals?|told|kit|rooms?|anew|astray|she|her|felt|usual|sisters?|unborn|spoiled"
-        "|draw(?:n)? back"
+        "|draw(?:n)? back|whence|hither|thither|nought|aught|lest|whilst|upon|thereof"
     ),
     re.IGNORECASE,
 )
 NAMES = re.compile(
     words(
-        "grams|watchers?|patience|settle|judge|renew|beside|finer|boat_like|feel_wind|spread_now"
+        "grams|watchers?|patience|settle|judge[ds]?|renew|beside|finer|boat_like|feel_wind|spread_now"
         "|spread_ahead|keep_factor|largest_root|echo|alike|fed|stage_course|followers?|rests|fours"
-        "|doubt|miss"
+        "|doubt|miss|bands|take_course|sailing"
     ),
     re.IGNORECASE,
 )

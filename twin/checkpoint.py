@@ -48,7 +48,7 @@ VERSION = 3
 """Version of the format. It rises when a field changes its name or meaning."""
 
 SIZE_MAX, EXPANSION_MAX = 2**28, 20
-"""A saved twin unpacks to no more bytes than this, or than so many times its file: zeros of an
+"""A saved twin unpacks to no more bytes than this, or than so many times its file. Zeros of an
 empty window shrink to nothing, a long history hardly at all."""
 
 _HEADER = "header.json"
@@ -145,9 +145,8 @@ def _check_header(path: str | Path, header: Any) -> None:
 
 def _refuse_version(path: str | Path, version: Any, software: Any) -> None:
     raise StateError(
-        f"{path}: has format version {version}, written by usv-twin {software}; this is usv-twin "
-        f"{__version__}, which reads version {VERSION}: load it with that one, or start a new twin "
-        "from the log"
+        f"{path}: has format version {version} of usv-twin {software}, and usv-twin {__version__} "
+        f"reads version {VERSION}; load it with that one, or start a new twin from the log"
     )
 
 
@@ -292,11 +291,11 @@ def _part_state(part: Any) -> State:
 def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
     """Return the attributes of an object as fields, but those to leave out.
 
-    Saved are numbers, truth values, texts, None, arrays of numbers, lists and deques of numbers
-    or of arrays of one shape, random generators, and objects with ``state_dict`` and
-    ``load_state_dict`` (torch modules too). Functions, classes and modules are constants, and
-    left out. A leading underscore is no part of a field's name. StateError names an attribute of
-    another kind.
+    Saved are numbers, truth values, texts, None, and arrays of numbers. So are lists and deques of
+    numbers or of arrays of one shape, random generators, and objects with ``state_dict`` and
+    ``load_state_dict`` (torch modules too). Functions, classes and modules are constants, and left
+    out. A leading underscore is no part of a field's name. StateError names an attribute of another
+    kind.
     """
     state: State = {}
     for name, value in _attributes(owner, leave_out):
@@ -316,7 +315,7 @@ def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
         else:
             raise StateError(
                 f"attribute {name!r} of {type(owner).__name__} is a {type(value).__name__}, which "
-                "cannot be saved; write state_dict and load_state_dict, or name it in the class's "
+                "cannot be saved. Write state_dict and load_state_dict, or name it in the class's "
                 "`constants` if it never changes"
             )
     return state

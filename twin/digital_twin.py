@@ -254,7 +254,7 @@ class Twin:
             Names what is wrong; the twin is then as it was before.
         """
         z = np.asarray(z, dtype=np.float64)
-        # a copy: the caller may reuse its array
+        # a copy, as the caller may reuse its array
         cmd = np.array(cmd, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
@@ -285,10 +285,10 @@ class Twin:
         Returns
         -------
         StateTable, shape (N,)
-            A structured array of what was estimated at each row: time, state and parameters with
-            their standard deviations, latitude, longitude and date where the log has them. It has
-            ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table:
-            ``for row in log: twin.step(*row)``.
+            A structured array of the estimates at each row: time, state and parameters with their
+            standard deviations. Latitude, longitude and date are there where the log has them. It
+            has ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table: ``for row in
+            log: twin.step(*row)``.
 
         Raises
         ------
@@ -329,13 +329,13 @@ class Twin:
         elif not self.datum.same_place(datum):
             raise TwinError(
                 f"the log's origin is {datum.latitude}, {datum.longitude}, and that of the rows "
-                f"before {self.datum.latitude}, {self.datum.longitude}: state the latter as datum "
+                f"before {self.datum.latitude}, {self.datum.longitude}. State the latter as datum "
                 "= [latitude, longitude] in [position] of the log's mapping file"
             )
         elif not self.datum.same_clock(datum):
             raise TwinError(
-                f"the log's t = 0 is {datum.date}, and that of the rows before {self.datum.date}: "
-                "give all its times since the latter, or as seconds since 1970 in both logs"
+                f"the log's t = 0 is {datum.date}, and that of the rows before {self.datum.date}. "
+                "Give all its times since the latter, or as seconds since 1970 in both logs"
             )
 
     def estimate(self) -> Estimate:

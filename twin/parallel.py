@@ -56,11 +56,11 @@ def results_of(
     """
     from joblib import Parallel, delayed, parallel_config
 
-    # those of clusters give nothing back before all is done: a handful of calls at a time
+    # cluster backends return nothing before all calls are done: send a few at a time
     flows = backend in ("loky", "threading")
     size = len(calls) if flows else 4 * jobs
     with _workers(backend, jobs):
-        with parallel_config(backend=backend):  # knows dask by name, as Parallel does not
+        with parallel_config(backend=backend):  # registers dask, which Parallel alone does not know
             pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
         for first in range(0, len(calls), size):
             some = range(first, min(first + size, len(calls)))

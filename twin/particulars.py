@@ -111,8 +111,8 @@ class Instruments:
         Where antenna and IMU sit: m forward and m to starboard of the origin, which is the
         point whose position and velocity are wanted.
     tilt_sd, tilt_time : float
-        Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them,
-        0 for one that stays upright or whose IMU removes gravity; and how long a tilt lasts (s).
+        Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them, and
+        how long a tilt lasts (s). 0 for a boat that stays upright or whose IMU removes gravity.
     """
 
     gps_sd: float = 0.4
@@ -237,7 +237,7 @@ class Particulars:
         if self.design and (self.steering != "drives" or self.tanker):
             raise ParticularsError(
                 f"design = {self.design!r} is a class of boats with drives, and the other "
-                "particulars are not of such a boat: correct them, or leave the class out"
+                "particulars are not of such a boat. Correct them, or leave the class out"
             )
         if self.prior is not None:
             self._check_prior(self.prior)
@@ -281,11 +281,11 @@ class Particulars:
         Parameters
         ----------
         path : str or Path
-            File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys
-            are the fields of :class:`Particulars` and :class:`Instruments`, in SI units. A
-            file of several boats has ``[[ship]]`` for each, with the patterns of its logs
-            (``logs = ["my_folder/*"]``, matched from the end of a path) and the tables
-            ``[ship.particulars]`` and ``[ship.instruments]``.
+            File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys are the
+            fields of :class:`Particulars` and :class:`Instruments`, in SI units. A file of several
+            boats has ``[[ship]]`` for each, with the patterns of its logs (``logs =
+            ["my_folder/*"]``, matched from the end of a path) and the tables ``[ship.particulars]``
+            and ``[ship.instruments]``.
         log : str or Path, optional
             Log whose boat is wanted, in a file of several.
 
@@ -351,7 +351,7 @@ class Particulars:
     def tanker(self) -> bool:
         """Whether it is a slow ship of full form, which has one propeller and one rudder."""
         box = SEA_WATER * self.length * self.beam * self.draft
-        full = FULL_FORM * box <= self.mass <= box  # no hull fills more than the box around it
+        full = FULL_FORM * box <= self.mass <= box  # a hull cannot fill more than the box around it
         return self.hulls == 1 and self.steering == "drives" and self.froude <= FAST and full
 
     def to_toml(self) -> str:

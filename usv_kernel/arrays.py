@@ -1,8 +1,8 @@
 """Flat memory seen by name: views, records and scratch on the stack, for kernels and for Python.
 
-What lasts, what is configured and what is scratch lies in a few flat float64 arrays, because each
-array that a kernel takes costs a call. An *opener*, an inlined kernel, takes the fields one after
-the other and returns them as a NamedTuple; what has a fixed size is a record of a structured dtype.
+State, configuration and scratch lie in a few flat float64 arrays, because each array makes the call
+of a kernel dearer. An *opener*, an inlined kernel, takes the fields one after the other and returns
+them as a NamedTuple. What has a fixed size is a record of a structured dtype.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def take(typing_context, array, at, shape):
 
 @intrinsic(prefer_literal=True)
 def alloca_f64(typing_context, size):
-    """Return so many float64 on the stack; what is in them is left from others.
+    """Return so many float64 on the stack, uninitialised.
 
     For kernels: the number must be a constant, and the array ends with the kernel.
     """

@@ -3,7 +3,13 @@
 import difflib
 from collections.abc import Iterable, Sequence
 
-__all__ = ["ArgumentError", "UsvTwinError", "check_options", "did_you_mean"]
+__all__ = [
+    "ArgumentError",
+    "BoatIndexError",
+    "UsvTwinError",
+    "check_options",
+    "did_you_mean",
+]
 
 
 class UsvTwinError(ValueError):
@@ -12,6 +18,10 @@ class UsvTwinError(ValueError):
 
 class ArgumentError(UsvTwinError, TypeError):
     """An argument of the wrong kind, or a name that no argument has."""
+
+
+class BoatIndexError(UsvTwinError, IndexError):
+    """A number that no boat of a vector environment has."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

@@ -41,7 +41,7 @@ def structured(rows: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:
 def as_record(typing_context, array, dtype):
     """Return the first numbers of a contiguous float64 array as a record; for kernels.
 
-    Nobody checks that the array is as long as the record.
+    Nothing checks that the array is as long as the record.
     """
     known = isinstance(array, types.Array) and array.layout == "C" and array.ndim == 1
     if not (known and array.dtype == types.float64 and isinstance(dtype, types.DType)):
@@ -58,7 +58,7 @@ def as_record(typing_context, array, dtype):
 def as_records(typing_context, array, at, count, dtype):
     """Return the numbers from the ``at``-th on as an array of ``count`` records; for kernels.
 
-    Nobody checks that the array is as long.
+    Nothing checks that the array is as long.
     """
     known = isinstance(array, types.Array) and array.layout == "C" and array.ndim == 1
     if not (known and array.dtype == types.float64 and isinstance(dtype, types.DType)):

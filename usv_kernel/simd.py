@@ -1,6 +1,6 @@
 """Sums of rows in vector instructions, written out where compilers do not find them.
 
-A loop over a few dozen numbers is left half scalar by LLVM: what is over of a multiple of sixteen
+A loop over a few dozen numbers is left half scalar by LLVM. The remainder of a division by sixteen
 is done one by one, after checks that the arrays do not overlap. Here the last group of lanes
 overlaps the one before instead, and nothing is stored before all of it has been read.
 """
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 LANES = 16
-"""So many sums of :func:`dots` run side by side."""
+"""Number of sums of :func:`dots` that run in parallel."""
 
 _LANES = 4
 
@@ -369,7 +369,7 @@ def inner(typing_context, a, first, b, start, count):
                 kind = _fused(builder, _LANES)[0]
                 over = builder.and_(count, index(_LANES - 1))
                 fused, (one, other) = term(builder.sub(count, index(_LANES)), _LANES)
-                # the last four overlap those before: what these have seen does not count
+                # the last four overlap those before, whose elements do not count twice
                 new = _from(builder, builder.sub(index(_LANES), over), _LANES)
                 none = ir.Constant(kind, [0.0] * _LANES)
                 total = cgutils.alloca_once_value(

@@ -51,7 +51,7 @@ class Agent(Protocol):
 
 
 class ControllerError(UsvTwinError):
-    """A controller that cannot be had, or not for these boats; the message says what can."""
+    """A controller that is unknown or does not suit these boats; the message names the remedy."""
 
 
 def check_actions(name: str, envs: USVVectorEnv) -> None:

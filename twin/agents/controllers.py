@@ -1,7 +1,7 @@
 """Classical controllers, for many boats at once: the baselines that a trained agent must beat.
 
-Line-of-sight guidance steers to a point of the path some way ahead of the boat; a PD law turns
-the boat to the course that leads there. The controllers differ in whom they ask where the boat is.
+Line-of-sight guidance steers to a point of the path some way ahead of the boat. A PD law turns the
+boat to the course that leads there. The controllers differ in whom they ask where the boat is.
 
 Source: Fossen 2021, Handbook of Marine Craft Hydrodynamics and Motion Control, section 12.3-12.4
 (LOS and ILOS guidance), 15.3 (PD heading control).
@@ -105,10 +105,10 @@ class LOS:
         self.fit(base.vessel, base.speed, dt, float(base.task.rules["reach"]), base.num_envs)
 
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
-        """Take over n boats: what :meth:`begin` does, where there is no environment.
+        """Prepare for n boats without an environment; with one, :meth:`begin` does it.
 
-        ``speed`` is nominal, m/s; ``dt`` the time between decisions, s; ``reach`` the distance at
-        which a way point counts as reached, m, 0 on a curve.
+        ``speed`` is nominal, m/s, ``dt`` the time between decisions, s. ``reach`` is the distance
+        at which a way point counts as reached, m, 0 on a curve.
         """
         self.dt, self.speed, self.reach = dt, speed, reach
         self.length = vessel.values["length_waterline"]
@@ -130,15 +130,16 @@ class LOS:
     def steer(self, motion: Array) -> Array:
         """Return actions (n, 2) in [-1, 1] from how the boats stand to their legs.
 
-        ``motion`` (n, 8): cross-track distance and distance to go (m), cosines and sines of the
-        course error and of the next turn, yaw rate (rad/s), and speed forward in nominal speeds.
+        ``motion`` (n, 8): cross-track distance and distance to go (m), cosines and sines of course
+        error and next turn. Yaw rate (rad/s) and forward speed (nominal speeds) follow.
         """
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
-        # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
+        # only at the end of the path: elsewhere the next leg has begun by then, and a curve has no
+        # end
         near = (self.reach > 0.0) & (to_go < self.reach)
         left = np.divide(to_go, self.reach, where=near, out=np.ones_like(e))
         ahead = self.lookahead * self.length
-        # so far the point ahead lies on the next leg
+        # how far the point ahead lies on the next leg
         beyond = np.where(near, 0.0, np.clip(1.0 - to_go / ahead, 0.0, 1.0))
         course = np.arctan2(sin, cos) + self.early * beyond * np.arctan2(sin_turn, cos_turn)
         ahead = ahead * left
@@ -146,8 +147,8 @@ class LOS:
         error = wrapped(course - np.arctan2(aside, ahead))
         step = self.integral * self.dt * self.speed * ahead / (ahead**2 + aside**2 + 1e-9)
         self._drift = np.where(near, 0.0, self._drift + step * e)
-        # at its point the boat goes slowly ahead or astern, whichever is nearer, and not aside;
-        # astern the same angle of the drives turns it the other way
+        # at its point the boat goes slowly ahead or astern, whichever is nearer, and not aside.
+        # Astern the same angle of the drives turns it the other way
         back = np.where(near & (np.cos(error) < 0.0), -1.0, 1.0)
         error = np.where(back < 0.0, wrapped(error + math.pi), error)
         part = np.minimum(np.hypot(left, e / max(self.reach, 1e-9)), 1.0) * np.cos(error)
@@ -217,7 +218,7 @@ class ReckonedTrack(NamedTuple):
 def reckon(fresh, step, psi, motion, points, reach, track):
     """Advance the track by dead reckoning, in place, from the last fix where there is a new one.
 
-    ``step`` (n, 2) is the way since that fix or the last call, m north and east; ``motion`` begins
+    ``step`` (n, 2) is the way since that fix or the last call, m north and east. ``motion`` begins
     with cross-track and to-go of the fix, m; ``points`` (n, K, 2) are way points, m, counted as
     reached within ``reach``.
     """

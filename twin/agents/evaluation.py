@@ -47,7 +47,7 @@ FRAME_SKIP = 10
 EPISODE = 240
 
 AFTER_OUTAGE = 20.0
-"""The outage's own score goes on for so long after it, s."""
+"""Time after an outage that still counts for its score, s."""
 
 
 def make_envs(
@@ -92,12 +92,14 @@ def evaluate(
     -------
     list of dict
         ``agent, sea, faults, seed, return, length_s, success, failed`` (off the path or
-        capsized), ``cross_track_m`` (mean distance off the path until the episode's end; of
-        station keeping, off the point), ``off_path_m`` (the same over all decisions of an episode,
-        of which those after a failure count as the distance that ends it, 50 m, and those after
-        a success do not count: to fail early is no advantage),
-        ``off_path_outage_m`` (the same from the begin of the loss of GPS to 20 s after it; None
-        without one, or where the goal was reached before).
+        capsized), ``cross_track_m``, ``off_path_m`` and ``off_path_outage_m``.
+
+        ``cross_track_m`` is the mean distance from the path until the episode's end; of station
+        keeping, from the point. ``off_path_m`` is the same over all decisions of an episode. Those
+        after a failure count as the distance that ends it, 50 m, so that failing early is no
+        advantage. Those after a success do not count. ``off_path_outage_m`` is the same from the
+        start of the loss of GPS to 20 s after it. It is None without a loss, or where the goal was
+        reached before.
     """
     seeds = [int(seed) for seed in seeds]
     if not seeds:

@@ -91,7 +91,7 @@ def check_hyperparameters(algo: str, values: Mapping[str, Any], where: str) -> N
         "normalize",
     }
     known -= {"policy", "env", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model"}
-    # of a checkpoint or a policy file these are no part
+    # checkpoints and policy files do not have these
     known -= {name for name in known if "sde" in name or "replay" in name or "memory" in name}
     tables = {"": known, "policy_kwargs": _OF_POLICIES, "normalize": _NORMALIZE}
     for table, names in tables.items():
@@ -129,7 +129,7 @@ def algorithm_class(algo: str) -> type[BaseAlgorithm]:
 
 
 def schedule(name: str, rate: float | str) -> Any:
-    """Return what falls while training: a number, or ``"lin_X"``, which falls from X to 0."""
+    """Return a number as it is, and ``"lin_X"`` as a schedule that falls from X to 0."""
     if not isinstance(rate, str):
         return float(rate)
     kind, first = rate.partition("_")[::2]

@@ -1,9 +1,9 @@
 """Model-predictive control with the model that the twin has identified, for many boats at once.
 
-Every decision minimises a sum of squares over the seconds ahead: the distance off the path, all
-of whose legs the boat knows; the speed along it that is lacking; and the effort. The unknowns are
-shaft speed and angle at a few times ("knots"), straight lines between them. The motion under a
-plan is that of the boat's own twin (:func:`twin.model.rollout.rollout`), from the twin's
+Every decision minimises a sum of squares over the seconds ahead. Its terms are the distance from
+the path, the lack of speed along it, and the effort. The boat knows all legs of the path. The
+unknowns are shaft speed and angle at a few times ("knots"), straight lines between them. The motion
+under a plan is that of the boat's own twin (:func:`twin.model.rollout.rollout`), from the twin's
 estimate. Damped Gauss-Newton steps improve the best of a few first guesses: the plan of the
 decision before, and angles that are held. Nothing is drawn at random.
 
@@ -50,10 +50,10 @@ WIDTH = 2
 """Numbers in an action: shaft speed, angle."""
 
 NUDGE = 1e-3
-"""Change of a knot that gives a slope, in parts of full throttle and helm."""
+"""Finite difference of a knot, in parts of full throttle and helm."""
 
 DAMPINGS = (1e-3, 1e-1, 10.0)
-"""Parts of the diagonal that are added to it in turn, until a step is an improvement."""
+"""Levenberg-Marquardt damping, in parts of the diagonal, raised until a step is an improvement."""
 
 
 class PlanConfig(NamedTuple):
@@ -72,7 +72,7 @@ class PlanConfig(NamedTuple):
     shift: Any  # (M, M) shares of the knots in those of one decision later
     mixing: Any  # (4, 2) see usv_gym.vessel.vessel.Vessel.mixing
     limits: Any  # (4,) full commands in the unit of the model
-    guesses: Any  # (G, 2 M) first guesses besides the plan of before
+    guesses: Any  # (G, 2 M) first guesses besides the last plan
     boat: Any  # RolloutConfig
 
 
@@ -91,7 +91,7 @@ class PlanWork(NamedTuple):
     paths: Any  # Paths of the motion, (1, K, 6) and (K, 4)
     plan: Any  # (K, 4) commands
     rollout: Any  # scratch of the rollout
-    errors: Any  # (4,) errors of the path
+    errors: Any  # (4,) errors from the path
     legs: Any  # (K,) leg of each row
     trial: Any  # (2 M,) another plan
     base: Any  # (R,) its residuals: R = 2 K + 3 M
@@ -124,9 +124,9 @@ def residuals_of(knots, free, goal, config, work, out):
     """Write the residuals of a plan (2 M,) and of its motion; return the sum of their squares.
 
     ``free`` says whether the legs follow from the motion, or are given: a slope is that of the same
-    legs. The motion is left in ``work.paths``, its legs in ``work.legs``. ``out`` (2 K + 3 M,) has
-    lengths off the path and speed that is lacking, row by row; shaft speeds less the nominal one,
-    and changes from knot to knot.
+    legs. The motion is left in ``work.paths``, its legs in ``work.legs``. ``out`` (2 K + 3 M,) has,
+    row by row, lengths from the path and the lack of speed. Shaft speeds less the nominal one and
+    changes from knot to knot follow.
     """
     states, legs, errors, leg = work.paths.states[0], work.legs, work.errors, goal.leg
     K, many = states.shape[0], knots.shape[0] // WIDTH
@@ -137,13 +137,13 @@ def residuals_of(knots, free, goal, config, work, out):
             legs[k] = leg
         else:
             path_errors(s[X], s[Y], s[PSI], goal.points, int(legs[k]), errors)
-        # within reach there is a point only where the path ends: there the boat is to stop
+        # only the last point of the path can be within reach; there the boat is to stop
         wanted = 1.0
         if errors[TO_GO] < config.reach:
             wanted = max(errors[TO_GO] / config.reach, -1.0)
         along = s[U] * math.cos(errors[COURSE_ERROR]) + s[V] * math.sin(errors[COURSE_ERROR])
         distance = errors[CROSS_TRACK] / config.length
-        # its square grows as the distance does: far off the path the boat is to sail back, not wait
+        # its square grows linearly with the distance, so that far from the path the boat sails back
         out[k] = distance / (1.0 + distance * distance) ** 0.25
         out[K + k] = config.progress * (wanted - along / config.speed)
     for m in range(many):
@@ -247,7 +247,8 @@ def plan_all(inputs, bounds, paths, config, last, plans, work):
                 trial[k] += config.shift[k % M, m] * knots[k - k % M + m]
         _copy(trial, knots)
         best = 0.0
-        for part in PRIOR_SHRINKAGE:  # as the twin does: an implausible model is shrunk
+        # an implausible model is shrunk to its prior, as in the twin's own forecast
+        for part in PRIOR_SHRINKAGE:
             for k in range(theta.shape[0]):
                 prior = inputs.prior[k]
                 theta[k] = prior + part * (inputs.parameters[i, k] - prior)
@@ -286,8 +287,8 @@ class ModelPredictive:
     steps : int
         Gauss-Newton steps in a decision, at most.
     progress, effort, change : float
-        Weights of the speed that is lacking, of shaft speeds less the nominal one, and of changes
-        from knot to knot; a length off the path has the weight 1.
+        Weights of the lack of speed, of shaft speeds less the nominal one, and of changes from knot
+        to knot. A length from the path has the weight 1.
     """
 
     name = "mpc-twin"

@@ -36,7 +36,7 @@ FORMAT = 1
 
 
 class AgentError(UsvTwinError):
-    """Something that steers, trains or is compared does not fit; the message says what."""
+    """An agent, training or comparison that cannot be used; the message says why."""
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Policy:
         Weights (out, in) and biases (out,) of each layer; the last gives the action.
     lstm : tuple of ndarray, optional
         Weights of inputs (4 H, D) and of the hidden state (4 H, H), and biases (4 H,), of what
-        comes before the layers; gates in the order input, forget, cell, output.
+        comes before the layers. Gates are in the order input, forget, cell, output.
     activation : str
         Of the hidden layers: ``"tanh"`` or ``"relu"``.
     squash : bool

@@ -317,8 +317,8 @@ class _Scores:
                     worst, its, best = (float(iqm(values.ravel())) for values in trio)
                     drawn = replicates(trio)
                     gap = interval(drawn[0] - drawn[2])
-                    # none where chance may have made it, or where the truth did not help: a
-                    # share of nothing says nothing
+                    # no share where the gap is not significant, or where the oracle is no better
+                    # than raw
                     sign = -1.0 if metric == "return" else 1.0
                     real = all(bound is not None and sign * bound > 0.0 for bound in gap)
                     low, high = (

@@ -62,8 +62,8 @@ def markdown(results: Mapping[str, Any]) -> str:
         f"`{results['command']}`",
         "",
         f"Interquartile means of {runs} trainings of {_steps(results)} decisions and {episodes} "
-        "episodes in each sea state, with 95 % intervals of a stratified bootstrap over runs and "
-        "episodes. Time after a failure counts as the distance that ends the episode.",
+        "episodes in each sea state. The 95 % intervals are of a stratified bootstrap over runs "
+        "and episodes. Time after a failure counts as the distance that ends the episode.",
     ]
     cells = {
         (cell["metric"], cell["sea"], cell["agent"], cell["faults"]): cell
@@ -272,7 +272,7 @@ def _draw_curves(results: Mapping[str, Any]) -> Any:
         levels = results["levels"]
         for k, (name, level) in enumerate(levels.items()):
             ax.axhline(level, color="0.5", lw=0.8, ls=":")
-            # side by side, for some are alike
+            # side by side, as some curves coincide
             ax.annotate(name, ((k + 0.5) / len(levels), level), fontsize=7, color="0.35",
                         xycoords=("axes fraction", "data"), ha="center", va="bottom")  # fmt: skip
         ax.set_title(panel.upper())
@@ -280,5 +280,5 @@ def _draw_curves(results: Mapping[str, Any]) -> Any:
         _in_metres(ax)
         ax.grid(alpha=0.3)
         ax.legend(fontsize=8, loc="upper right")
-    axes[0, 0].set_ylabel("off the path, m (mean; band: all runs)")
+    axes[0, 0].set_ylabel("off the path, m (mean; shaded: all runs)")
     return figure

@@ -1,9 +1,9 @@
 """Training with Stable-Baselines3: reproducible, and it goes on where it was stopped.
 
-A run is a folder. Every ``EVERY`` decisions it comes to a break: the policy is evaluated on fixed
-seeds, all that training needs is written to the folder, and then every random number generator is
-seeded from the run's seed and the decisions made, and every boat begins an episode. So a run
-that goes on from a checkpoint is the run that was never stopped.
+A run is a folder. Every ``EVERY`` decisions it comes to a break. The policy is evaluated on fixed
+seeds, and all that training needs is written to the folder. Then every random number generator is
+seeded from the run's seed and the decisions made, and every boat begins an episode. So a run that
+goes on from a checkpoint is the run that was never stopped.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def train(
         torch.set_num_threads(1)  # several are slower on networks of this size
         learner = _Learner(plan, folder, hyper, curve_seeds)
         try:
-            # only now is it known that there can be such a run
+            # only after the learner could be made
             write_whole(folder / _NOTES, (json.dumps(notes, indent=1) + "\n").encode())
             learner.learn(progress)
         finally:
@@ -226,7 +226,7 @@ class _Learner:
         self.curve: list[dict[str, float]] = []
         self.wall, self.since = 0.0, time.perf_counter()
         self.saved = 0
-        """Transitions that were written, of all that there were."""
+        """Number of transitions that were written."""
         self._resume()
 
     def learn(self, progress: bool) -> None:
@@ -252,7 +252,7 @@ class _Learner:
         left = self.plan.steps - self.model.num_timesteps
         if left > 0:
             self.since = time.perf_counter()
-            # learn() resets boats that never were; the break does that, after seeding them
+            # learn() would reset new boats before they are seeded; the break resets them after
             self.model._last_obs = np.empty(0)
             self.model.learn(
                 left, callback=Breaks(), reset_num_timesteps=False, progress_bar=progress
@@ -268,7 +268,8 @@ class _Learner:
                 self._save()
         seed = _seed_of(self.plan.seed, steps)
         model.set_random_seed(seed)  # Python's, numpy's, torch's, the action space's, the boats'
-        # boats that began all at once would end all at once, and a rollout show one part of it
+        # boats that begin together would end together, and a rollout would hold one part of an
+        # episode
         drawn = np.random.default_rng(seed).integers(1, self.plan.max_episode_steps + 1, self.n)
         self.envs.unwrapped.set_options({"first_episode_steps": drawn})
         model._last_obs = self.envs.reset()
@@ -296,13 +297,13 @@ class _Learner:
         self.since = time.perf_counter()
 
     def _save(self) -> None:
-        """Write a checkpoint: arrays and numbers only, which no reader has to trust."""
+        """Write a checkpoint of arrays and numbers only, so that loading it runs no code."""
         import torch
 
         model, envs = self.model, self.envs
         buffer = getattr(model, "replay_buffer", None)
         if buffer is not None:
-            # what is new is a file of its own: a buffer may have hundreds of megabytes
+            # new rows go into a file of their own: a buffer may have hundreds of megabytes
             total = model.num_timesteps // envs.num_envs
             rows = np.arange(self.saved, total) % buffer.buffer_size
             _write(self.folder / f"replay_{total:08d}.pt", {
@@ -343,7 +344,7 @@ class _Learner:
         if buffer is not None:
             total = model.num_timesteps // envs.num_envs
             for part in sorted(self.folder.glob("replay_*.pt")):
-                if int(part.stem[7:]) > total:  # its checkpoint was not written any more
+                if int(part.stem[7:]) > total:  # its checkpoint was never written
                     continue
                 arrays = _read(part)
                 upto = int(part.stem[7:])
@@ -392,7 +393,7 @@ def _write(path: Path, content: Any) -> None:
 
 
 def _seed_of(seed: int, steps: int) -> int:
-    """Return a seed for what follows a break; it is no evaluation's."""
+    """Return the seed of the part after a break, which no evaluation uses."""
     drawn = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
     return FIRST_TRAINING_SEED + drawn % FIRST_TRAINING_SEED
 

@@ -30,6 +30,7 @@ from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "CHECKS",
@@ -52,11 +53,11 @@ PSD = 1e-7
 """Tolerance on negative eigenvalues of a correlation matrix: rounding errors."""
 
 
-class BrokenError(Exception):
+class BrokenError(UsvTwinError):
     """A violation of the contract."""
 
 
-class NotSupportedError(Exception):
+class NotSupportedError(UsvTwinError):
     """An optional feature that a predictor does not have."""
 
 

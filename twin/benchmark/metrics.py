@@ -161,10 +161,10 @@ _SOURCES = {"mae_median": "mae", "E_runs": "E"}
 def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the summary over seeds: means with 95 % bootstrap intervals, and medians.
 
-    ``J`` is a ratio of means, as in the study: the mean error over all runs over that of the
-    oracle, averaged over channels; ``E`` is J - 1. Their medians are of single runs. ``E_runs`` is
-    the mean of the runs' own E, which few runs with a nearly perfect oracle can dominate.
-    ``mae_median`` is the median MAE as a metric of its own.
+    ``J`` is a ratio of means, as in the study: mean error over all runs over the oracle's, averaged
+    over channels. ``E`` is J - 1. Their medians are of single runs. ``E_runs`` is the mean of the
+    runs' own E, which few runs with a nearly perfect oracle can dominate. ``mae_median`` is the
+    median MAE as a metric of its own.
     """
     order = {tuple(row[key] for key in _CELL): None for row in runs}
     groups = _groups(runs, *_CELL)
@@ -208,9 +208,9 @@ def _summary_of(
 def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]]:
     """Return the paired comparison of each predictor with a reference, on the same seeds.
 
-    ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval
-    over seeds; ``median_percent`` the median of the changes of single seeds; ``wins`` of
-    ``seeds`` had the smaller MAE. Where the reference did not run there is nothing to compare.
+    ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval over
+    seeds. ``median_percent`` is the median of the changes of single seeds. ``wins`` of ``seeds``
+    had the smaller MAE. Where the reference did not run there is nothing to compare.
     """
     table = {tuple(row[key] for key in KEY): row["mae"] for row in runs}
     rows = []

@@ -58,8 +58,8 @@ METRICS = {
     "skill": ("skill", "1 - error / error of persistence; below 0 is worse than persistence"),
     "J": (
         "J",
-        "MAE over all runs over that of the oracle, mean of u, v, r, heading and displacement, "
-        "each the mean of every half second up to 10 s",
+        "MAE over all runs over that of the oracle: mean of u, v, r, heading and displacement, "
+        "every half second up to 10 s",
     ),
     "E": ("E", "J - 1, the excess over the oracle"),
     "E_runs": ("mean E of runs", "the same for each run by itself, mean over runs"),
@@ -122,7 +122,7 @@ def write_report(
     """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
     ``results`` is the content of ``results.json``: ``version``, ``command``, ``settings``, ``rows``
-    and ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
+    and ``summary``; ``notes``, a list of lines such as on predictors left out, is optional.
     ``drawn`` is called with the file name of each picture.
     """
     out = Path(out)

@@ -87,7 +87,7 @@ def _recorded_identify_s(log: Log) -> float:
 
 
 class _Parameters(NamedTuple):
-    """What a twin made of its parameters at a time, as it is written."""
+    """The parameters that a twin estimated at one time, as they are stored."""
 
     t: float
     params: list[float]
@@ -95,7 +95,7 @@ class _Parameters(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A run as predictors meet it."""
+    """A run: what predictors get, and what they are scored against."""
 
     seen: Log  # the rows that predictors get
     reference: Log  # what their predictions are scored against
@@ -155,7 +155,7 @@ def run_unit(
     history: list[_Parameters] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
-        # copies: the base of a view is the whole log with its future
+        # copies: through the base of a view, a predictor could see the future
         twin.step(t, z.copy(), cmd.copy())
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
@@ -227,7 +227,7 @@ def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
     if settings.model is not None and kind.models:
         options["model"] = settings.model
     if kind.trains:
-        # in time for the first prediction: its history begins with the first late fix
+        # in time for the first prediction, whose history begins with the first late fix
         options["train_at"] = run.identify - float(run.seen.t[0]) - 0.5
     return Twin(run.particulars, unit.predictor, seed=unit.seed, **options)
 

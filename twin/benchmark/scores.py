@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 CHANNELS = ("u", "v", "r", "along", "across", "psi")
 
 STUDY_CHANNELS = ("u", "v", "r", "psi", "displacement")
-"""Channels of the error over that of the oracle; ``displacement`` is the distance between true
-and predicted position, both counted from the start of the prediction."""
+"""Channels of the error over that of the oracle. ``displacement`` is the distance between true and
+predicted position, both counted from the start of the prediction."""
 
 STUDY_HORIZONS = tuple(0.5 * k for k in range(1, 21))
 
@@ -133,7 +133,7 @@ def score(prediction: Prediction, truth: Array, horizons: Sequence[float]) -> Sc
     headings alone, is at the start, then at the horizons.
     """
     mean, cov = prediction.at(np.array(horizons))
-    low, high = prediction.band(np.array(horizons))
+    low, high = prediction.interval(np.array(horizons))
     start, later = truth[0], truth[1:]
     psi = later[:, 2]
     c, s = np.cos(psi), np.sin(psi)

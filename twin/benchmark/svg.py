@@ -1,8 +1,8 @@
 """A matplotlib picture as a small SVG that can stand in a page with others.
 
-matplotlib writes each number with six decimals, each point of a curve, and names that are the
-same in every picture. Here points that do not show are left out, numbers keep one or two
-decimals, equal styles are written once, and only what is referred to has a name, one of its own.
+matplotlib writes each number with six decimals, each point of a curve, and names that are the same
+in every picture. Here points that do not show are left out, and numbers keep one or two decimals.
+Equal styles are written once. Only what is referred to has a name, which is unique.
 """
 
 from __future__ import annotations
@@ -153,5 +153,5 @@ def _tenths(value: int) -> str:
 
 
 def _joined(text: str) -> str:
-    """Return a number that stands after another: a sign parts them too."""
+    """Return a number to follow another, separated by its sign or by a space."""
     return text if text[0] == "-" else f" {text}"

@@ -51,11 +51,11 @@ def bench_command(
     """Measure the speed of this package, and of Pendulum and filterpy beside it.
 
     All cases take turns in short bursts. Shown are medians over the rounds, per operation: a step
-    of one boat, an update, a row, a refit, a prediction. "ratio": speed over that of the first
-    case of the block. "target": least rate on the reference machine, where Gymnasium's Pendulum
-    makes 94 k steps/s, or least ratio. "fraction": the part of the target that is reached, with
-    rates scaled by Pendulum's rate here in the same round; 1 or more is enough on any machine.
-    Ctrl-C shows what is there.
+    of one boat, an update, a row, a refit, a prediction. "ratio": speed over that of the first case
+    of the block. "target": least rate on the reference machine, where Gymnasium's Pendulum makes 94
+    k steps/s, or least ratio. "fraction": the part of the target that is reached, with rates scaled
+    by Pendulum's rate in the same round. 1 or more is enough on any machine. Ctrl-C shows what is
+    there.
     """
     if json_out is not None:
         # before the minutes of measuring, not after them
@@ -111,7 +111,7 @@ def _compare(only: str, quick: bool, rounds: int) -> tuple[list[dict[str, Any]],
             try:
                 with errors.status(f"{name}: compiling"):
                     seconds = cases.cold_compile_seconds(options)
-            except RuntimeError as error:
+            except cases.CompileError as error:
                 note(f"left out: {name}: {error}")
                 continue
             timed = {"rate_per_s": 1.0 / seconds, "median_us": 1e6 * seconds}

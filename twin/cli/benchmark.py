@@ -396,11 +396,11 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
         note(line)
     explain(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
-        "2, 5 and 10 s, units mixed. Below the MAE: its 95 % interval over seeds. med.: its "
+        "2, 5 and 10 s. Units are mixed. Below the MAE: its 95 % interval over seeds. med.: its "
         "median. CRPS: the same of the whole distribution. norm. (error over the true change) and "
         "skill (1 - error / error of raw persistence): means over channels and horizons. "
         "J: MAE over that of the oracle, mean of u, v, r, heading and displacement over every "
-        "half second up to 10 s; E is J - 1. start: error of the estimated position at the time "
+        "half second up to 10 s. E is J - 1. start: error of the estimated position at the time "
         "of the prediction, m. cov.: share of errors inside the 90 % prediction intervals. "
         "results.json and the report have all intervals and medians, and errors, CRPS and "
         "coverage by channel and horizon."

@@ -46,7 +46,7 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 
 def report_user_errors(command: Command) -> Command:
-    """Turn errors that a user can mend into one line and exit code 2."""
+    """Turn errors that a user can correct into one line and exit code 2."""
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:

@@ -22,9 +22,9 @@ _CLOCK, _NORTH, _EAST, _COS, _SIN, _HEADING, _SURGE, _SWAY, _YAW_RATE = range(RI
 class PastMotion(NamedTuple):
     """Where the boat was when a fix was taken."""
 
-    north: float  # way made since, m
+    north: float  # distance travelled since then, m
     east: float
-    cos: float  # integrals of the heading's since, s
+    cos: float  # integrals of cosine and sine of the heading since then, s
     sin: float
     psi: float  # heading (rad), velocities (m/s) and yaw rate (rad/s) of that time
     u: float
@@ -41,7 +41,7 @@ def remember(nav, settings):
         if nav.clock - nav.ring[(count - 1) % RING_ROWS, _CLOCK] < apart:
             return
     _present(nav, nav.ring[count % RING_ROWS])
-    # the remainder alone counts, and that the ring is full
+    # only the remainder counts, and whether the ring is full
     nav.count = count + 1 if count + 1 < 2 * RING_ROWS else RING_ROWS
 
 
@@ -76,7 +76,7 @@ def past_motion(nav, settings, past):
             if older[_CLOCK] <= then:
                 break
         span = newer[_CLOCK] - older[_CLOCK]
-        # before the oldest entry, the way goes on as it began
+        # before the oldest entry, the path is extrapolated
         if span > 0.0:
             share = min((newer[_CLOCK] - then) / span, 1e3)
         for i in range(RING_COLUMNS):

@@ -1,29 +1,28 @@
 """The paper's late fusion: a GPS filter and an IMU filter, joined by inverse covariance.
 
-Two plain Kalman filters of filterpy run side by side. The GPS filter moves each axis with
-constant acceleration (the matrix printed as Eq 49, an observation matrix, is its transition
-matrix; the one of Eq 48 fits no filter here) and measures position and Doppler velocity. The
-IMU filter takes the accelerometer, turned to the earth frame, as a known input and measures
-compass and gyro. Position and velocity of both are joined by Eq 41 and 42; heading and yaw
-rate come from the IMU filter alone. Equations carry the numbers that the paper prints.
+Two plain Kalman filters of filterpy run side by side. The GPS filter moves each axis with constant
+acceleration, and measures position and Doppler velocity. The matrix printed as Eq 49, an
+observation matrix, is its transition matrix; that of Eq 48 fits no filter here. The IMU filter
+takes the accelerometer, turned to the earth frame, as a known input and measures compass and gyro.
+Position and velocity of both are joined by Eq 41 and 42; heading and yaw rate come from the IMU
+filter alone. Equations carry the numbers that the paper prints.
 
 Decisions that the paper leaves open, all of them ours:
 
-- Feedback. The IMU filter measures neither position nor velocity, so that its covariance
-  grows without end and its weight in Eq 42 goes to zero. The fused value and its covariance
-  are therefore written back into it, in every row that brings a GPS sample and in no other:
-  a prediction of the GPS filter is no new information. ``feedback=False`` shows the scheme
-  as printed.
+- Feedback. The IMU filter measures neither position nor velocity, so that its covariance grows
+  without end and its weight in Eq 42 goes to zero. The fused value and its covariance are therefore
+  written back into it, but only in rows that bring a GPS sample. A prediction of the GPS filter is
+  no new information. ``feedback=False`` shows the scheme as printed.
 - GPS latency is not compensated, as published: a fix counts as being of its row's time.
 - The two estimates share their past once there is feedback, so that the fused covariance is
   too small. The formula is kept as published.
 - Noise that no data sheet states scales by Froude's law with the length of the boat.
 - Losses. Variances are capped (position 1000 lengths, velocity ten times ``sqrt(g * length)``,
-  acceleration g, heading pi), and what is capped loses its correlations, which keeps the
-  covariances positive definite. After ``hold`` seconds without a sample the acceleration of
-  the GPS filter and the yaw rate of the IMU filter fade to zero instead of being carried on
-  for minutes. Without accelerometer, or without any idea of the heading, the IMU filter holds
-  its velocity, with a process noise of ``jerk * g`` over ``sqrt(length / g)``.
+  acceleration g, heading pi). What is capped loses its correlations, which keeps the covariances
+  positive definite. After ``hold`` seconds without a sample, the acceleration of the GPS filter and
+  the yaw rate of the IMU filter fade to zero. Without accelerometer, or without any idea of the
+  heading, the IMU filter holds its velocity, with a process noise of ``jerk * g`` over
+  ``sqrt(length / g)``.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ def fuse(phi_gps: Array, K_gps: Array, phi_imu: Array, K_imu: Array) -> tuple[Ar
     """Join two estimates (n,) of one vector by their inverse covariances (n, n).
 
     Returned are the fused estimate, its covariance if the errors of the two are independent, and
-    the weight of the first estimate; that of the second is ``I - W_gps``.
+    the weight of the first estimate. That of the second is ``I - W_gps``.
 
     Source: Qu et al. 2025, Eq 41 and 42.
     """
@@ -105,9 +104,8 @@ class LateFusion:
         Process noise of the yaw rate: it wanders by about ``yaw * sqrt(g / length)``
         within ``sqrt(length / g)`` seconds.
     hold : float, optional
-        Time without a sample after which accelerations and yaw rate begin to fade, and the
-        time constant with which they do, s; by default the larger of 2 s and
-        ``2.5 * sqrt(length / g)``.
+        Time without a sample after which accelerations and yaw rate begin to fade, and the time
+        constant with which they do, s. By default the larger of 2 s and ``2.5 * sqrt(length / g)``.
 
     Attributes
     ----------
@@ -124,8 +122,8 @@ class LateFusion:
 
     Notes
     -----
-    Before the first fix the result is zero but for psi and r, which follow compass and gyro
-    as soon as these come; before the first compass sample psi counts from zero.
+    Before the first fix the result is zero but for psi and r, which follow compass and gyro as soon
+    as these come. Before the first compass sample psi counts from zero.
 
     Source: Qu et al. 2025, Eq 41, 42 and 49 and the text around them.
     """
@@ -256,9 +254,9 @@ class LateFusion:
         """Take one row of measurements; return the state (6,), heading unwrapped, always finite.
 
         ``dt`` is the time since the row before, s; 0 or more, unused in the first row. ``z`` (10,)
-        are GPS x, y, m; GPS velocity north and east, m/s; compass, rad; gyro, rad/s; accelerometer
-        x and y, m/s2; wind speed, m/s (unused). What is not finite counts as missing. UsvTwinError:
-        dt is negative or not finite, or z has another shape.
+        are GPS x, y (m), GPS velocity north and east (m/s), compass (rad), gyro (rad/s),
+        accelerometer x and y (m/s2). The wind speed (m/s) is unused. What is not finite counts as
+        missing. UsvTwinError: dt is negative or not finite, or z has another shape.
         """
         z = np.asarray(z, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),):

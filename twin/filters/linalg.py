@@ -116,9 +116,9 @@ def add_rows(target, i, columns, factors, rows, which):
 def add_product(target, left, right, columns, rows, sign):
     """Add sign * left' right, summed over rows (first, last), to the target.
 
-    ``columns`` is (size, start, stop): the rows of the target are the first ``size`` columns of
-    left, its columns those of right from start to stop. With left = right and sign = 1 or -1,
-    what is added is symmetric to the last bit.
+    ``columns`` is (size, start, stop). Rows of the target are the first ``size`` columns of left,
+    its columns those of right from start to stop. With left = right and sign = 1 or -1, what is
+    added is symmetric to the last bit.
     """
     size, start, stop = columns
     first, last = rows

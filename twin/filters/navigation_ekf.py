@@ -4,16 +4,16 @@ An extended Kalman filter with twelve states
 
     n = (x, y, psi, u, v, r, b_gyro, b_ax, b_ay, b_compass, t_x, t_y)
 
-(north and east in m, heading in rad, velocity over the ground forward and starboard in m/s,
-yaw rate in rad/s, the biases of gyro, accelerometers and compass, and the gravity that tilt
-lets into each accelerometer, m/s2: first-order Gauss-Markov, as are the biases, but fast).
-The accelerometers drive u and v; GPS position, GPS velocity, compass and gyro are measured
-one number after the other, so that any of them may be missing in any row. Antenna and IMU may
-sit off the origin.
+x, y are m north and east, psi is the heading in rad, r the yaw rate in rad/s. u, v are the velocity
+over the ground forward and starboard in m/s. Biases are those of gyro, accelerometers and compass.
+t_x, t_y are the gravity that tilt lets into each accelerometer, m/s2: first-order Gauss-Markov, as
+are the biases, but fast. The accelerometers drive u and v. GPS position, GPS velocity, compass and
+gyro are measured one number after the other. So any of them may be missing in any row. Antenna and
+IMU may sit off the origin.
 
-A GPS sample is ``gps_latency`` old, and is compared with where the antenna was then. For that
-a ring holds the recent path by dead reckoning alone: what was corrected since is taken as an
-error of heading and velocity that was there all the time.
+A GPS sample is ``gps_latency`` old, and is compared with where the antenna was then. For that a
+ring holds the recent path by dead reckoning alone. What was corrected since then counts as a
+constant error of heading and velocity.
 
 Where the accelerometers are missing, the accelerations of a model may be handed in; without
 one, velocities are held.
@@ -21,14 +21,14 @@ one, velocities are held.
 No sample, besides NaN, is
 
 - a number that no boat gives (:data:`SPEED_LIMIT` and others);
-- one further than :data:`GATE` standard deviations off, until so many in a row were refused
-  that the filter must be the one that is wrong: then it restarts from that number. An
-  acceleration is refused where it leaps from one row to the next;
-- a frozen one: a sensor all of whose given numbers repeat to the last bit has said nothing
-  new, be it that it is stuck or that the log has more rows than the sensor has samples. But
-  a number may also stay because nothing moves, or because it is rounded. So once it has
-  stayed for :data:`FROZEN_TIME`, a fix or heading that is within its standard deviation of
-  what the filter expects counts as new. An IMU that repeats is always one that says nothing.
+- one further than :data:`GATE` standard deviations off. After many refusals in a row the filter
+  must be wrong: it restarts from that number. An acceleration is refused where it leaps from one
+  row to the next;
+- a frozen one: all numbers of a sensor repeat to the last bit. Either it is stuck, or the log has
+  more rows than the sensor has samples. But a number may also stay because nothing moves, or
+  because it is rounded. So once it has stayed for :data:`FROZEN_TIME`, a fix or heading that is
+  within its standard deviation of what the filter expects counts as new. An IMU that repeats is
+  always one that says nothing.
 
 The filter knows nothing of waves: what it says moves with them.
 """
@@ -88,8 +88,8 @@ GATE = 6.0
 """Standard deviations beyond which a number is refused ..."""
 
 REFUSED_MAX = 20.0
-"""... unless this many in a row were refused, one that comes after a pause of 1 s counting
-for :data:`REFUSED_RATE`."""
+"""... unless this many in a row were refused. One after a pause of 1 s counts as
+:data:`REFUSED_RATE`."""
 
 REFUSED_RATE = 5.0
 
@@ -119,7 +119,7 @@ def _correct(nav, work, innovation, variance, age, channel):
             nav.refused[channel] += max(1.0, REFUSED_RATE * age)
             if nav.refused[channel] <= REFUSED_MAX:
                 return False
-            # the filter is lost: take the number as if nothing had been known
+            # the filter has diverged: take the number as if nothing had been known
             nav.lost = 1.0
             for i in range(6):
                 size = H[i] * H[i]
@@ -168,7 +168,7 @@ def _gain(P, H, variance, gain):
     combine(Strip(gain, 0, N_NAV), Factors(H, 0, 1, 1.0), Rows(P, 0, N_NAV, N_NAV))
     for i in range(N_NAV):
         S += H[i] * gain[i]
-    return max(S, variance)  # rounding apart it is no less
+    return max(S, variance)  # it cannot be smaller, but for rounding
 
 
 @kernel
@@ -186,7 +186,7 @@ def aid(nav, work, entry, value, variance):
     """
     work.H[:] = 0.0
     work.H[entry] = 1.0
-    # a model is never so much surer than the filter that the covariance needs a repair
+    # the model's variance is bounded from below, so that the covariance needs no repair
     variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
 
@@ -312,8 +312,8 @@ def navigate(nav, dt, z, model, settings, work):
     z : ndarray, shape (10,)
         Measurement row in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
     model : ndarray, shape (4,)
-        Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use:
-        1 if a model gave them, 0 if there is none and velocities are held.
+        Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use. 1: a
+        model gave them; 0: there is none, and velocities are held.
     settings, work : record
         :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """
@@ -333,7 +333,7 @@ def navigate(nav, dt, z, model, settings, work):
         if is_ready(nav):
             remember(nav, settings)
         return
-    # a gyro that follows its row before, and an IMU whose arm it can be used for
+    # whether the row before had an IMU sample, and whether gyro and accelerometers are plausible
     follows = dt > 0.0 and dt <= STEP_MAX and nav.imu_age <= 1.5 * dt
     gyro = imu and abs(z[GYRO]) < TURN_LIMIT
     driven = imu and abs(z[ACCEL_X]) < ACCEL_LIMIT and abs(z[ACCEL_Y]) < ACCEL_LIMIT
@@ -345,7 +345,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.last[ACCEL_X], nav.last[ACCEL_Y] = last_x, last_y
         else:
             nav.refused[IMU_LEAPS] = 0.0
-    # what a model gives for this moment does not last through a gap
+    # a model's accelerations of this moment do not hold through a gap
     modelled = model[IS_MODELLED] > 0.0 and dt * dt * settings.r_var_0 <= 1.0
     r_rate, r_mean, r_var = 0.0, n[R], settings.r_density
     if gyro:

@@ -28,7 +28,7 @@ __all__ = [
 
 @kernel
 def _cap(P, settings):
-    """Keep variances below what can be; one that is cut also loses its correlations."""
+    """Limit variances to what is physical; a limited one also loses its correlations."""
     speed, turn = settings.velocity_var_0, settings.r_var_0
     for i in range(6):
         top = 1e8 * speed / turn  # ten thousand lengths
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
     var: float  # what it adds to the variances of u and v
     is_force: bool  # whether ax and ay are specific forces
     r_mean: float  # yaw rate in the middle of the step, rad/s
-    r_rate: float  # its growth where it will not be measured, rad/s2
+    r_rate: float  # yaw acceleration where the rate will not be measured, rad/s2
     r_var: float  # what is added to its variance
 
 

@@ -2,7 +2,7 @@
 
 The state is n = (x, y, psi, u, v, r, b_gyro, b_ax, b_ay, b_compass, t_x, t_y): see
 :mod:`twin.filters.navigation_ekf`. What has one size for every boat is a record of a structured
-dtype on flat memory: kernels and Python read and write the same names, and a record goes into a
+dtype on flat memory. Kernels and Python read and write the same names, and a record goes into a
 call as one pointer.
 """
 
@@ -32,26 +32,26 @@ Array = NDArray[np.float64]
 N_NAV = 12
 
 GYRO_BIAS, ACCEL_X_BIAS, ACCEL_Y_BIAS, COMPASS_BIAS, TILT_X, TILT_Y = range(len(STATE), N_NAV)
-"""Places in the filter's state of what follows x, y, psi, u, v, r: biases of the sensors, and the
-specific force that tilt lets in."""
+"""Places in the filter's state after x, y, psi, u, v, r: biases of the sensors, and the specific
+force that tilt lets in."""
 
 IMU_LEAPS = 6
 """Place of the IMU's leaps among the runs of refused numbers."""
 
 IS_MODELLED = 3
-"""Place, after a model's u', v', r', of whether there is one."""
+"""Place of the flag, after a model's u', v', r', that they are given."""
 
 RING_ROWS, RING_COLUMNS = 64, 9
 
 SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
-"""No boat does more: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
-position in m, and heading in rad (not wrapped). Numbers beyond are no samples."""
+"""Limits of valid samples: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
+position in m, and heading in rad (not wrapped). Samples beyond are refused."""
 
 AIDED, AIDED_TURN = 0.05, 0.05
 """How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
 
 VARIANCE_MIN = 1e-12
-"""Below this a variance is rounding."""
+"""Smallest variance; a smaller one is a rounding error."""
 
 NAVIGATION = np.dtype(
     [
@@ -70,7 +70,7 @@ NAVIGATION = np.dtype(
         ("corrected", "f8", 3),  # sums of the corrections of heading, u, v
         ("count", "f8"),  # entries of the ring so far
         ("ring", "f8", (RING_ROWS, RING_COLUMNS)),  # recent past: see navigation_ekf._present
-        ("lost", "f8"),  # 1 where a number was taken by force in this row
+        ("lost", "f8"),  # 1 where a refused number was taken after all in this row
         ("since_aid", "f8"),  # time since the model aided the filter, s
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come

@@ -5,9 +5,9 @@ parameters that stand still but for a random walk. The caller's model must be af
 
     f(s, xi) = f(s, 0) + slope(s) xi,
 
-and the measurement is z = s + noise, each entry present or not. Then, of the 1 + 2 (n_s +
-n_xi) sigma points, those that move xi alone can be summed in closed form: only 1 + 2 n_s are sent
-through the model, and the result is that of the full filter for any alpha, beta and kappa.
+and the measurement is z = s + noise, each entry present or not. Then, of the 1 + 2 (n_s + n_xi)
+sigma points, those that move xi alone can be summed in closed form. Only 1 + 2 n_s are sent through
+the model. The result is that of the full filter for any alpha, beta and kappa.
 
 A step is three calls, with the model in the middle:
 
@@ -63,7 +63,7 @@ SPREAD, MEAN_0, COVARIANCE_0, OTHERS = 0, 1, 2, 3
 """Entries of the weights."""
 
 _PIVOT_MIN = 1e-14
-"""Below this part of a variance, what a difference leaves of it is rounding."""
+"""Part of a variance below which a difference is a rounding error."""
 
 _NOISE_MIN = 1e-10
 """The least measurement noise, as a part of the variance that it meets."""
@@ -75,9 +75,9 @@ _OVERFLOW = 1e12
 def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Array:
     """Return the weights (4,) of the scaled unscented transform for n states and parameters.
 
-    They are the square of the points' distance in standard deviations, alpha^2 (n + kappa); the
-    weight of the centre in the mean; in the covariance; the weight of each other point. A small
-    alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
+    The first is the square of the points' distance in standard deviations, alpha^2 (n + kappa).
+    Then come the centre's weights in mean and covariance, and the weight of each other point. A
+    small alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
 
     Source: docs/explanation/twin.md, Joint filter; Wan and van der Merwe 2000.
     """
@@ -91,8 +91,8 @@ def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float =
 class UKFWorkspace(NamedTuple):
     """Scratch of the filter; the first n = n_s + n_xi columns of each count.
 
-    Rows are padded with zeros to whole groups of lanes, so that what one sum has written in
-    vectors the next one reads in the same.
+    Rows are padded with zeros to whole groups of lanes, so that one sum reads in the vectors that
+    the last one wrote.
     """
 
     points: Any  # (1 + 2 n_s, width) sigma points: the centre, those up, those down
@@ -168,7 +168,7 @@ def _decorrelate(P):
 def sigma_points(x, P, weights, work):
     """Write the sigma points that move a state into the points and root of the workspace.
 
-    P is changed only where it has no Cholesky factor, see the head of this file; returned is the
+    P is changed only where it has no Cholesky factor, see the head of this file. Returned is the
     number of such repairs, 0 as a rule.
 
     Source: Eq (29) with n + lambda in place of n + k; docs/explanation/twin.md, Joint filter.
@@ -185,7 +185,7 @@ def sigma_points(x, P, weights, work):
     for k in range(n):
         points[0, k] = x[k]
         root[n_s, k] = x[k]
-    # each is a row of the root, so many standard deviations off the mean, which follows the root
+    # each is a row of the root times the points' distance, plus the mean, which follows the root
     sides, width = work.scratch, points.shape[1]
     sides[0, 0], sides[0, 1], sides[0, 2] = distance, 1.0, -distance
     for j in range(n_s):
@@ -215,11 +215,11 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
     """Turn the propagated sigma points into the predicted mean and covariance, in place.
 
     ``P`` and ``work`` are as :func:`sigma_points` left them, but with the model's answer in the
-    first n_s columns of the points, and with its slope; both are used up. ``Q_s`` (n_s, n_s) is the
-    process noise of this step, ``q_xi`` (n_xi,) what each parameter's random walk adds. ``limits``
-    (n_s, 2) are first and last + 1 of the columns in which a row of the slope may differ from 0,
-    counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one. Returned is 1 if the
-    prediction was dropped because it overflowed, else 0.
+    first n_s columns of the points, and with its slope. Both are overwritten. ``Q_s`` (n_s, n_s) is
+    the process noise of this step, ``q_xi`` (n_xi,) what each parameter's random walk adds.
+    ``limits`` (n_s, 2) are first and last + 1 of the columns in which a row of the slope may differ
+    from 0, counted in x. They are (n_s, n) for a full row, (n_s, n_s) for an empty one. Returned is
+    1 if the prediction was dropped because it overflowed, else 0.
 
     Source: Eq (30) with the noise added once; docs/explanation/performance.md, The structured UKF.
     """
@@ -231,8 +231,8 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
     common = n_s  # rows[common + j, i] is slope_l . G_j, what slope and root have in common.
     error = 2 * n_s  # rows[error] is the answer at the centre less the mean.
 
-    # The mean. Each pair of answers becomes half its difference and its middle less the mean;
-    # a pair counts twice the weight of a point, whose root goes into the numbers.
+    # The mean. Each pair of answers becomes half its difference and its middle less the mean. A
+    # pair counts twice the weight of a point; its root goes into the numbers.
     scale = math.sqrt(2.0 * weights[OTHERS])
     for i in range(n_s):
         rows[error, i] = 0.0
@@ -308,8 +308,8 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
 
     Source: Eq (31)-(33) for z = s + noise; docs/explanation/twin.md, Joint filter.
     """
-    # Elimination turns the rows (P_s | S | y) of what was measured, with S = P_ss + R = L L',
-    # into L^-1 P_s, L' and L^-1 y; those of what was not are left 0.
+    # Elimination turns the rows (P_s | S | y) of what was measured, with S = P_ss + R = L L', into
+    # L^-1 P_s, L' and L^-1 y. Rows of what was not measured stay 0.
     n = x.shape[0]
     n_s = z.shape[0]
     rows, factors = work.scratch, work.points
@@ -387,9 +387,9 @@ class StructuredUKF:
         """Predict over one step; return the number of repairs, 0 as a rule.
 
         ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the (1 + 2 n_s, n)
-        sigma points by those one step later, and the (n_s, n) slope by their derivative by x at
-        ``points[0]`` (only its columns n_s and up count). ``Q_s`` (n_s, n_s) and ``q_xi`` (n_xi,)
-        are the variances of this step.
+        sigma points by those one step later. It overwrites the (n_s, n) slope by their derivative
+        by x at ``points[0]``, of which only columns n_s and up count. ``Q_s`` (n_s, n_s) and
+        ``q_xi`` (n_xi,) are the variances of this step.
         """
         repairs = sigma_points(self.x, self.P, self.weights, self.work)
         n = len(self.x)

@@ -1,10 +1,10 @@
 """How far to trust the data against the prior: several refits, compared by their forecasts.
 
-A boat of which the prior says little, in waves that are high for it, must lean on its data; one
-that has only been turning must not. No setting suits both, so several refits run side by side
-over the same segments, each with another ``trust``. The one in use is the one with the best
-forecasts. Every forecast is one of a segment that had not been seen: with the parameters that
-each refit had when it began, from the low-frequency velocities, under the actuators as they were.
+A boat in waves that are high for it, of which the prior says little, must rely on its data. One
+that has only been turning must not. No setting suits both, so several refits run side by side over
+the same segments, each with another ``trust``. The one in use is the one with the best forecasts.
+Every forecast is one of a segment that had not been seen. It has the parameters of each refit at
+the segment's start, the low-frequency velocities there, and the actuators as they were.
 
 Place and heading are compared: they add velocities up, and the waves cancel.
 
@@ -56,7 +56,9 @@ LEAST, MOST = 1e-9, 1e9
 class SelectorState(NamedTuple):
     """What the choice of the trust remembers."""
 
-    count: Any  # (4,) segments compared, refit in use, whose turn it is, last row that was noted
+    count: (
+        Any  # (4,) segments compared, refit in use, refit whose turn it is, last row that was noted
+    )
     errors: Any  # (3,) mean logarithm of each refit's squared errors
     params: Any  # (3, p) parameters of each refit
     factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
@@ -160,9 +162,9 @@ SELECTOR_FIELDS = {
 class TrustSelector:
     """Refits of the same segments with unequal trust, and the record of each.
 
-    The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is what it
-    remembers, flat, and ``state`` the same by name; of these, ``params`` (k, p) are the parameters
-    of each refit, ``errors`` (k,) the mean logarithm of each one's squared errors.
+    The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is its memory,
+    flat, and ``state`` the same by name. Of these, ``params`` (k, p) are the parameters of each
+    refit, ``errors`` (k,) the mean logarithm of each one's squared errors.
     """
 
     def __init__(self, segments: Segments) -> None:

@@ -1,20 +1,20 @@
 """The paper's dynamic sliding window: how many samples the identifier looks back on.
 
-The window has W = w + w_r samples (Eq 35). Its variable part w_r follows from a fluctuation
-index of wind and waves (Eq 37) and from a nonlinearity index (Eq 39) that rests on the
-largest Lyapunov exponent of the motion; a lateral acceleration above 0.3 g doubles the
-window. It is adjusted when a period has elapsed that shrinks with the innovation covariance
-(Eq 36). The adaptation of Q and R (Eq 52) stands here as well.
+The window has W = w + w_r samples (Eq 35). Its variable part w_r follows from a fluctuation index
+of wind and waves (Eq 37) and a nonlinearity index (Eq 39). The latter rests on the largest Lyapunov
+exponent of the motion. A lateral acceleration above 0.3 g doubles the window. It is adjusted when a
+period has elapsed that shrinks with the innovation covariance (Eq 36). The adaptation of Q and R
+(Eq 52) stands here as well.
 
-Equations are numbered as the paper prints them beside its formulas: (34) is the augmented
-state, (35) W, (36) the period, (37) the fluctuation index, (38) the exponent, (39) the
-nonlinearity index, (40) w_r, (52) the adaptation, which the text around it calls 49.
+Equations are numbered as the paper prints them beside its formulas. (34) is the augmented state,
+(35) W, (36) the period, (37) the fluctuation index, (38) the exponent. (39) is the nonlinearity
+index, (40) w_r, (52) the adaptation, which the text around it calls 49.
 
 Eq 38 is an estimate from one pair of points. The text names the small-data method of
 Rosenstein, Collins and De Luca (1993, Physica D 65:117-134), and that is what is computed.
 
-None of this is recommended: with 15 noisy samples the exponent measures the noise, and no
-reading of the window was found to beat a plain filter. It is here to reproduce the paper.
+None of this is recommended. With 15 noisy samples the exponent measures the noise. No reading of
+the window was found to beat a plain filter. It is here to reproduce the paper.
 """
 
 from __future__ import annotations
@@ -283,9 +283,10 @@ class DynamicWindow:
         """Take one row at time t (s), never before the last; return the length W of the window.
 
         ``trace_P`` is that of the filter's innovation covariance, ``hs`` the wave height, m, or a
-        proxy of it (:class:`WaveProxy`), ``vw`` the wind speed, m/s, ``a_y`` the lateral specific
-        force, m/s2, ``motion`` one channel of the state, whose exponent is taken. NaN = missing,
-        but for t. W is from ``base`` to ``base + cap``. UsvTwinError: t is not finite or goes back.
+        proxy of it (:class:`WaveProxy`). ``vw`` is the wind speed, m/s, ``a_y`` the lateral
+        specific force, m/s2, ``motion`` the channel of the state whose exponent is taken. NaN =
+        missing, but for t. W is from ``base`` to ``base + cap``. UsvTwinError: t is not finite or
+        goes back.
         """
         if not math.isfinite(t) or t < self._latest:
             raise UsvTwinError(f"t = {t} must be finite and not before {self._latest}")

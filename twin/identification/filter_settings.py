@@ -26,18 +26,18 @@ STUDY_STEP = 0.05
 """Step at which the noises below are quoted, s."""
 
 DISTURBED = 0.0088, 0.039
-"""What drives the velocities (times length, m2/s) and the yaw rate (times length squared,
-rad m2/s) of a tanker within a second: gusts that are no stronger for a longer model, and take
-hold of an area to move a mass."""
+"""What drives the velocities (times length, m2/s) and the yaw rate (times length squared, rad m2/s)
+of a tanker within a second. These are gusts, which are no stronger for a longer model, and act on
+an area to move a mass."""
 
 WAVELESS, WAVELESS_TURN = 0.05, 0.005
 """Part of the measurement noise that is not that of waves; of the yaw rate, which leaves all but
 that of the gyro out."""
 
 WAVE_TIME, WAVE_NOISE, WAVE_PUSH = 1.0, 0.3, 10.0
-"""Waves that move a tanker: time over which they are averaged, and what their mean square adds to
-the densities of measurement noise (both in lengths over nominal speed) and of process noise (in
-nominal speeds over length)."""
+"""Waves that move a tanker: the time over which they are averaged, and what their mean square adds
+to the densities of noise. Time and measurement noise are in lengths over nominal speed, process
+noise is in nominal speeds over length."""
 
 WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
@@ -56,7 +56,7 @@ class FilterSettings:
 
     structure: Structure  # what the accelerations are made of; p parameters
     q: Array  # (6,): variance that each state gains per second
-    # (6,): variance of each measured state for rows 0.05 s apart (of the study boat's time); rows
+    # (6,): variance of each measured state for rows 0.05 s apart (of the study boat's time). Rows
     # further apart count for more, as their waves are less correlated
     r: Array
     p0: Array  # (6,): variance of each state at the start
@@ -65,9 +65,9 @@ class FilterSettings:
     xi0: Array
     xi0_cov: Array
     n_unit: float  # shaft speeds are multiplied by this before they enter the model
-    # time (s) over which is averaged by how much the squared innovations of the velocities exceed
-    # what the filter expects, and what that mean adds to the densities of measurement noise (s) and
-    # process noise (1/s). With zeros nothing is
+    # time (s) of a mean of how much the squared innovations of the velocities exceed their
+    # expectation. Then what that mean adds to the densities of measurement noise (s) and process
+    # noise (1/s). With zeros nothing is
     waves: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # spread of the sigma points
     alpha: float = 1.0

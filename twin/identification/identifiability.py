@@ -1,15 +1,14 @@
 """What the data seen say of the parameters: how many, which, and which only together.
 
-A sub-model is one acceleration, linear in its parameters: a = phi' xi + noise. What a run says
-of them is in the Gram matrix of the regressors seen, G, the integral of phi phi' over time
-(:func:`accumulate`), and in how the standard deviations of xi shrank. Each regressor is
-counted in units of 1 / (prior standard deviation of its parameter), and G weighed by the noise
-of the acceleration:
+A sub-model is one acceleration, linear in its parameters: a = phi' xi + noise. What a run says of
+xi is in the Gram matrix G of the regressors seen, and in how the standard deviations of xi shrank.
+G is the integral of phi phi' over time (:func:`accumulate`). Each regressor is counted in units of
+1 / (prior standard deviation of its parameter), and G weighed by the noise of the acceleration:
 
     A = D G D / q,   D = diag(prior sd),  q = variance that the velocity gains per second.
 
-So A is the information of the data in units of that of the prior: an eigenvalue of 1 is a
-direction of which the data say as much as the prior did.
+So A is the information of the data in units of the prior's. An eigenvalue of 1 is a direction of
+which the data say as much as the prior.
 """
 
 from __future__ import annotations
@@ -71,8 +70,8 @@ class SubModel:
 
     name: str  # surge, sway or yaw
     parameters: tuple[str, ...]  # names of its parameters
-    # number of directions that the data tell and not the prior: sum of l / (1 + l) over the
-    # eigenvalues l of A (see the head of this file), from 0 to the number of parameters
+    # number of directions that the data determine, not the prior: sum of l / (1 + l) over the
+    # eigenvalues l of A. It lies between 0 and the number of parameters
     effective_rank: float
     # largest over smallest eigenvalue of A; NaN without data. It ends at 1/eps = 4.5e15, where the
     # smallest is rounding: not all parameters can be separated
@@ -100,11 +99,10 @@ class Finding:
     # standard deviation before and after the data, in the unit of the first
     prior_sd: float
     sd: float
-    # whether the data informed it: its standard deviation fell to INFORMED of that of the prior or
-    # below, and its own regressor was seen strongly enough for that (its entry in the diagonal of A
-    # is 1 or more). Never true for one parameter of a sum
+    # whether the data informed it. Its standard deviation fell to INFORMED of the prior's or below,
+    # and its entry in the diagonal of A is 1 or more. Never true for one parameter of a sum
     informed: bool
-    merged_into: str = ""  # name of the sum of which alone the data speak; empty for others
+    merged_into: str = ""  # name of the sum that alone is identified; empty for others
 
     @property
     def ratio(self) -> float:
@@ -168,8 +166,8 @@ def assess(
 
     Parameters are merged where the cosine between their regressors over all the data exceeds
     :data:`COLLINEAR` in size. The regressors of a parameter are those of all sub-models that it
-    stands in, each weighed by 1/q: what one sub-model cannot tell apart another one may. The weight
-    of a merged parameter is the ratio of its regressor to that of the first.
+    stands in, each weighed by 1/q. What one sub-model cannot tell apart, another one may. The
+    weight of a merged parameter is the ratio of its regressor to that of the first.
 
     ``submodels`` have a name and the numbers (k,) of their parameters; a parameter may stand in
     several. ``gram_matrices`` are from :func:`accumulate`, one each; ``q`` is the noise of the

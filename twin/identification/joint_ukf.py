@@ -342,11 +342,12 @@ class JointUKF:
     """State and parameters of the twin's model in the structured UKF.
 
     ``memory`` is all that it remembers, flat; ``memory.view(dtype)[0]`` has its fields by name, see
-    :class:`FilterState`. Of these are ``x``, ``P``, six states and then the parameters; ``act``
-    (4,), the actuators as followed from the commands, in the unit of the structure; ``wind`` (2,),
-    the true wind to north and east, m/s, zeros until it is measured; ``wave_power`` (3,), the mean
-    squares of the waves in u, v and r. ``counted`` ends with the time counted, s; ``gram_matrices``
-    are those of surge, sway and yaw, see :func:`twin.identification.identifiability.accumulate`.
+    :class:`FilterState`. ``x`` and ``P`` are of six states and then the parameters. ``act`` (4,)
+    are the actuators as followed from the commands, in the unit of the structure. ``wind`` (2,) is
+    the true wind to north and east, m/s, zeros until it is measured. ``wave_power`` (3,) are the
+    mean squares of the waves in u, v and r. ``counted`` ends with the time counted, s;
+    ``gram_matrices`` are those of surge, sway and yaw, see
+    :func:`twin.identification.identifiability.accumulate`.
     """
 
     def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:

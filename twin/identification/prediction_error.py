@@ -1,21 +1,21 @@
 """Multi-step prediction-error refit: the parameters with which the model would have predicted best.
 
-A window of navigation states on an even grid is cut into *segments*: every ``spacing`` seconds
-one begins, and from there the model is rolled out over ``horizon`` seconds under the actuators
-as they were. The parameters are those that make the errors of all segments small,
+A window of navigation states on an even grid is cut into *segments*. Every ``spacing`` seconds one
+begins, and from there the model is rolled out over ``horizon`` seconds under the actuators as they
+were. The parameters are those that make the errors of all segments small,
 
     sum over segments of  n_i rho(q_i)  +  (xi - xi_0)' P_0^-1 (xi - xi_0),
     q_i = scale / n_i * min over d of [ sum of (errors / sd)^2 + (d / sd_d)^2 ]
 
-with n_i errors in segment i, a free offset d of the initial u, v, r (it carries a wave, which no
-parameter should absorb) and rho(q) = q up to ``knee``, and knee (1 + log(q / knee)) beyond: a
-segment that a gust or a wave group has disturbed counts less, as if its weight were
-min(1, knee / q). ``scale`` makes up for errors that are correlated from sample to sample. A
-``trust`` other than 1 multiplies what all the segments say, against the prior.
+with n_i errors in segment i and a free offset d of the initial u, v, r. rho(q) is q up to ``knee``,
+and knee (1 + log(q / knee)) beyond. The offset carries a wave, which no parameter should absorb. A
+segment that a gust or a wave group has disturbed counts less, as if its weight were min(1, knee /
+q). ``scale`` makes up for errors that are correlated from sample to sample. A ``trust`` other than
+1 multiplies what all the segments say, against the prior.
 
-Each segment is kept as a quadratic in xi about the parameters at which it was linearised, with
-the offset removed by its Schur complement, so that a refit costs a sum of small matrices.
-Segments are relinearised a few at a time, those first whose parameters have moved most.
+Each segment is kept as a quadratic in xi about the parameters at which it was linearised. The
+offset is removed by its Schur complement. So a refit costs a sum of small matrices. Segments are
+relinearised a few at a time, those first whose parameters have moved most.
 
 Source: docs/explanation/twin.md, The refit; Levenberg 1944, Marquardt 1963.
 """
@@ -95,8 +95,8 @@ class RefitSettings:
     spacing: float
     horizon: float
     every: int  # grid steps between the samples that are compared
-    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
-    # waves make of a perfect forecast
+    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): errors
+    # of a perfect forecast in waves
     sd: Array
     offset_sd: Array  # (3,): standard deviations of the initial u, v (m/s) and r (rad/s)
     # see the head of this file
@@ -278,7 +278,7 @@ def step_jacobian(A, W, D, T):
     for stage in range(3, -1, -1):
         reach = GRID if stage == 3 else 0.5 * GRID
         for i in range(N_STATES):
-            for j in range(2, N_STATES):  # nothing depends on the place
+            for j in range(2, N_STATES):  # nothing depends on the position
                 total = W[i, i] * A[stage, i, j] if i < 2 else 0.0
                 for q in range(2, N_STATES):
                     total += W[i, q] * A[stage, q, j]

@@ -244,9 +244,9 @@ def _unpack(packed, A):
 def solve(xi, trust, iterations, damping, state, config, work):
     """Move parameters xi to the least that the weighted quadratics and the prior make.
 
-    ``trust`` is the factor of what the segments say, ``iterations`` the number of robust
-    reweightings, ``damping`` that of Levenberg and Marquardt in units of the prior's information.
-    Returned is False where rounding has left no definite matrix; else its factor is
+    ``trust`` is the factor of the segments' information, ``iterations`` the number of robust
+    reweightings. ``damping`` is that of Levenberg and Marquardt in units of the prior's
+    information. Returned is False where rounding has left no definite matrix; else its factor is
     ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
@@ -281,7 +281,7 @@ def solve(xi, trust, iterations, damping, state, config, work):
                 pull[k] += weight * tug[k]
         _unpack(total, U)
         if cholesky(U, U, scratch.inverse) > 0:
-            return False  # The prior alone is definite: this is rounding.
+            return False  # The prior alone is positive definite: this is rounding.
         solve_factored(U, pull, d)
         for k in range(p):
             xi[k] = prior[k] + d[k]
@@ -293,7 +293,7 @@ def store_factor(U, out):
     """Write the factor (p, p) of the last solution, which is the upper triangle of U."""
     for i in range(U.shape[0]):
         for k in range(U.shape[0]):
-            out[i, k] = U[i, k] if k >= i else 0.0  # below, the workspace holds anything
+            out[i, k] = U[i, k] if k >= i else 0.0  # entries below the diagonal are undefined
 
 
 @kernel
@@ -426,7 +426,7 @@ class Segments:
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
         given = self.state, self.config, self.work
-        # a damped step says nothing of how sure the least is
+        # the factor of a damped step is not that of the posterior
         if solve(self.params, self.trust, iterations, damping, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.trust, self.state, self.work)
 
@@ -452,7 +452,7 @@ class Segments:
                     self.solve(1)
                     return True
             else:
-                # the covariance was that of the point to which this returns
+                # the covariance belongs to the parameters that are restored here
                 cov = self.cov.copy()
                 self.memory[:] = kept
                 self.cov[:] = cov

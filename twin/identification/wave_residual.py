@@ -215,8 +215,8 @@ def sector_work_size(N: int) -> int:
 def fit_sector_ar(w, psi, good, sectors, work):
     """Describe the waves of each sector of headings.
 
-    Autoregressions of autocovariances that are weighted by how near the heading was, both rows of
-    a product by the root of that: so each is stable.
+    The autocovariances are weighted by how near the heading was, both rows of a product by the root
+    of that. So each autoregression is stable.
 
     ``w`` (N, 3) are residuals of u, v, r about zero, zeros where not good; ``good`` (N,) is above 0
     where the row counts. ``sectors`` (24, 27) is written: coefficients (6, 3), of the last value

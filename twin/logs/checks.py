@@ -27,10 +27,10 @@ __all__ = [
 ]
 
 _WHOLE_TURN = 0.35
-"""So near to whole turns a step is one of unwrapping, rad."""
+"""A step this near to whole turns is one of unwrapping, rad."""
 
 _LOST = 0.1
-"""More than this share of the fixes is no error of a receiver."""
+"""Largest share of jumping fixes that may be errors of a receiver."""
 
 
 def checked_time(t: Array, table: Table) -> Array:
@@ -179,7 +179,7 @@ def drop_jumps(t: Array, z: Array, table: Table) -> None:
     if lost > _LOST * jumps.fixes:
         raise LogError(
             f"{table.source}: column(s) {', '.join(dict.fromkeys(given))}, "
-            f"{where} and stays away; read the pieces one by one with start_s and stop_s in [rows] "
+            f"{where} and stays away. Read the pieces one by one with start_s and stop_s in [rows] "
             "of a mapping file, or empty the false cells"
         )
     z[jumps.lost, :2] = np.nan

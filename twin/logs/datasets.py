@@ -1,10 +1,9 @@
 """Runs that others recorded, kept outside the project, as logs and particulars.
 
-Three folders are known by their names: ``esso_osaka_frt`` (a 3 m tanker on a pond, gusty wind
-measured), ``kvlcc2_simman2008`` (a 7 m tanker in the basins of MARIN and HSVA, calm water) and
-``boat1_usv`` (the field run that also ships with the package). Their licences forbid
-passing the first two on. So nothing of them is in this project, and what :func:`export` writes
-from them is for private use.
+Three folders are known by name: ``esso_osaka_frt`` (a 3 m tanker on a pond, gusty wind measured),
+``kvlcc2_simman2008`` (a 7 m tanker in the basins of MARIN and HSVA, calm water) and ``boat1_usv``
+(the field run that also ships with the package). Their licences forbid passing the first two on. So
+nothing of them is in this project, and what :func:`export` writes from them is for private use.
 
 ``Log.read`` knows the columns of these files (``twin/logs/mappings``). Here are their boats.
 

@@ -1,8 +1,7 @@
 """A recorded run: measurements and commands as read from a file, checked and repaired.
 
-A log is all that a twin may see. Missing data is normal in it and stays missing (NaN);
-what cannot be used is refused with the place and the remedy; what was repaired on the way
-is counted in :attr:`Log.notes`.
+A log is all that a twin may see. Missing data is normal in it and stays missing (NaN). What cannot
+be used is refused with the place and the remedy. Repairs are counted in :attr:`Log.notes`.
 """
 
 from __future__ import annotations
@@ -246,9 +245,9 @@ class Log:
         Repairs, each counted in ``notes``:
 
         - An empty cell (or NaN, NA, null) of a measurement is missing data.
-        - A fix bit-equal to the last one is no new sample but a receiver slower than the
-          log, and becomes NaN, its velocity too if that repeats as well; so does a
-          repeated compass value.
+        - A fix bit-equal to the last one is no new sample: the receiver is slower than the log. It
+          becomes NaN, and its velocity too if that repeats as well. So does a repeated compass
+          value.
         - Fixes that no boat can reach from the others (a jump of 500 m and back) become NaN.
         - A step of time above 5 times the median is a gap: missing data.
         - Rows of equal time that do not contradict each other become one.
@@ -455,7 +454,9 @@ def assemble(table: Table) -> Log:
             z[:, j] = column(name)
             check_measurement(t, z[:, j], name, table)
     drop_repeats(t, z, notes)
-    with np.errstate(over="ignore", invalid="ignore"):  # of any numbers: no jump, no turning
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # these may be any numbers: no check of jumps and turning
         drop_jumps(t, z, table)
         check_turning(t, z, table)
 
@@ -484,7 +485,7 @@ def assemble(table: Table) -> Log:
 
 
 def _merge_equal_times(table: Table) -> None:
-    """Make one row of those of equal time, unless they say different things."""
+    """Merge rows of equal time, unless their values differ."""
     t = table.data[TIME]
     step = np.diff(t, prepend=-np.inf)
     if not (step == 0.0).any() or not (step >= 0.0).all():

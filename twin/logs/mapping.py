@@ -72,7 +72,7 @@ _ENU = {
 }
 
 _FAR = 1e5
-"""Farther from the middle fix than this, m, the first one is no datum."""
+"""Largest distance from the middle fix at which the first fix is the datum, m."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Layout:
 
 
 LAYOUTS = (
-    ("berthing*", "esso_osaka_berthing"),  # its yaw rate comes late
+    ("berthing*", "esso_osaka_berthing"),  # its yaw rate is late
     ("*", "kvlcc2_marin"),
     ("*", "single_screw"),
     ("*", "boat1_usv"),

@@ -1,7 +1,7 @@
 """Columns of numbers out of CSV and Parquet files, block by block.
 
-Only the columns that are asked for are kept, and of a file that is too long only the piece or
-the thinned rows that are asked for: a file may be larger than the memory.
+Only the columns that are asked for are kept. Of a file that is too long, which may be larger than
+the memory, only a piece or thinned rows are read.
 """
 
 from __future__ import annotations
@@ -98,17 +98,17 @@ def merged(group: npt.NDArray[np.intp], data: Mapping[str, Array]) -> dict[str, 
     for key, values in data.items():
         result[key] = np.full(rows, np.nan)
         valid = ~np.isnan(values)
-        result[key][group[valid]] = values[valid]  # the last of equal indices stays
+        result[key][group[valid]] = values[valid]  # of equal indices, the last one is kept
     return result
 
 
 def thinned(t: Array, data: dict[str, Array], layout: Layout) -> dict[str, Array]:
     """Return the rows that a layout asks for, of columns at the times t."""
     if layout.start > -math.inf or layout.stop < math.inf:
-        # a row without a time is kept, to be complained of
+        # a row without a time is kept, to be reported
         keep = ~((t < layout.start) | (t >= layout.stop))
         t, data = t[keep], {key: values[keep] for key, values in data.items()}
-    # time that stands still, goes back or is missing is left for the complaint about it
+    # a time that stands still, goes back or is missing is kept, to be reported
     if layout.step > 0.0 and len(t) > 1 and (np.diff(t) > 0.0).all():
         cell = np.floor(t / layout.step + 1e-9)
         data = merged(np.cumsum(np.diff(cell, prepend=cell[0]) > 0.0), data)
@@ -125,7 +125,7 @@ def said(layout: Layout, before: int, after: int) -> list[str]:
 def too_long(source: str) -> LogError:
     """Return the error of a log of too many rows."""
     return LogError(
-        f"{source}: has more than {MAX_ROWS:,} rows, the most that a log may have; read a piece "
+        f"{source}: has more than {MAX_ROWS:,} rows, the most that a log may have. Read a piece "
         "with start_s and stop_s, or fewer rows with step_s = 0.1, in [rows] of a mapping file "
         "(--mapping FILE)"
     )

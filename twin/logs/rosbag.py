@@ -26,6 +26,7 @@ from twin.logs.readers import (
     thinned,
     too_long,
 )
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "is_bag",
@@ -85,12 +86,12 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
                 _sample(topics[link.topic], reader.deserialize(raw, link.msgtype), received)
     except LogError:
         raise
-    except _Absent as error:
+    except _FieldError as error:
         raise LogError(f"{path}: topic {link.topic} ({link.msgtype}): {error}") from None
     except Exception as error:  # a damaged bag fails in as many ways as it has bytes
         reason = shorten(" ".join(str(error).split()) or type(error).__name__, 120)
         raise LogError(
-            f"{path}: the bag is damaged, cut off or no ROS 2 bag ({reason}); copy it again, or "
+            f"{path}: the bag is damaged, cut off or no ROS 2 bag ({reason}). Copy it again, or "
             "rescue what is whole with: mcap recover IN.mcap -o OUT.mcap, or: ros2 bag reindex "
             "FOLDER"
         ) from None
@@ -128,7 +129,7 @@ def _asked(path: Path, layout: Layout | None, types: dict[str, str]) -> dict[str
     return topics
 
 
-class _Absent(Exception):
+class _FieldError(UsvTwinError):
     """A field that a message lacks, or that is no number."""
 
 
@@ -146,11 +147,13 @@ def _getter(source: str) -> Callable[[Any], float]:
             if optional:
                 return float("nan")
             known = ", ".join(name for name in vars(message) if not name.startswith("_"))
-            raise _Absent(f"no field {source}; the message has {known}") from None
+            raise _FieldError(f"no field {source}; the message has {known}") from None
         try:
             return float(value)
         except (TypeError, ValueError):
-            raise _Absent(f"the field {source} is a {type(value).__name__}, no number") from None
+            raise _FieldError(
+                f"the field {source} is a {type(value).__name__}, no number"
+            ) from None
 
     return get
 
@@ -185,7 +188,7 @@ def _times(
         if back > _LATE:
             raise LogError(
                 f"{path}: topic {name}: the time goes back by {back:.3g} s; a clock was set while "
-                'recording: try stamp = "receive" in '
+                'recording. Try stamp = "receive" in '
                 f"{layout.source}, or read the piece before with stop_s"
             )
         if back > 0.0:
@@ -254,13 +257,13 @@ def _commanded(data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     """Hold the commands from the row after their message on; drop the rows before the first."""
     given = [data[key] for key in COMMANDS if key in data]
     if not given or any(np.isnan(values).all() for values in given):
-        return data  # complained of where columns are checked
+        return data  # reported where columns are checked
     first = max(int(np.argmin(np.isnan(values))) for values in given)
     rows = np.arange(len(data[TIME]))
     for key in COMMANDS:
         if key in data:
             last = np.maximum.accumulate(np.where(np.isnan(data[key]), 0, rows))[first:]
-            # a row holds what was in force in the interval that ends at it
+            # a row has the commands in force in the interval that ends at it
             data[key][first:] = data[key][np.concatenate((last[:1], last[:-1]))]
     if first:
         notes.append(f"{first} row(s) before the first command left out")

@@ -63,7 +63,7 @@ def check_export(path: str | Path, datum: Datum | None) -> None:
     if suffix == ".geojson" and (datum is None or datum.plane is None):
         raise ExportError(
             f"{path}: GeoJSON needs latitude and longitude, and the log has positions in metres "
-            "only; read it with a mapping that has [position], give it the columns "
+            "only. Read it with a mapping that has [position], give it the columns "
             "datum_latitude_deg and datum_longitude_deg, or choose .csv or .parquet"
         )
 

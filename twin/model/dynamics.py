@@ -65,8 +65,8 @@ def all_terms(s, act, wind, model, terms):
 def derivative(s, xi, act, wind, model, terms, out):
     """Write the time derivative (6,) of the state, and leave the terms in ``terms`` (50,).
 
-    ``act`` has shaft speeds in the unit of the structure; ``wind`` (2,) is the true wind to
-    north and east, m/s, zeros where it is not known. Source: Eq (20), (26).
+    ``act`` has shaft speeds in the unit of the structure. ``wind`` (2,) is the true wind to north
+    and east, m/s, zeros where it is not known. Source: Eq (20), (26).
     """
     all_terms(s, act, wind, model, terms)
     cos_psi, sin_psi = math.cos(s[PSI]), math.sin(s[PSI])

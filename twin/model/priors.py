@@ -1,10 +1,9 @@
 """Prior of a boat's parameters, from a population of similar boats.
 
-The files in ``twin/model/priors`` hold, for each model structure and kind of boat, the
-dimensionless parameters that random boats were found to have
-(:mod:`twin.training.prior_population`), one boat a row. One file serves boats of every size. For a
-class of boats (:data:`twin.particulars.DESIGNS`) the boats vary around a model of the class, whose
-coefficients have errors of 20 %, as those of any model have.
+The files in ``twin/model/priors`` hold the dimensionless parameters of random boats, for each model
+structure and kind of boat (:mod:`twin.training.prior_population`), one boat a row. One file serves
+boats of every size. For a class of boats (:data:`twin.particulars.DESIGNS`) the boats vary around a
+model of the class. Its coefficients have errors of 20 %, as those of any model have.
 
 Source: docs/explanation/twin.md, The refit.
 """
@@ -134,7 +133,7 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
     """Return mean (p,) and covariance (p, p) of a boat's parameters before any data, in SI units.
 
     They are those of its class, if it is given, else those of its kind. Boats with a fixed pair of
-    thrusters get the structure's own prior: the population of drafted hulls has no catamarans, and
+    thrusters get the structure's own prior. The population of drafted hulls has no catamarans, and
     was the worse prior for Otter and for a recorded boat.
     """
     kind = particulars.design or kind_of(particulars)

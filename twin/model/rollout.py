@@ -186,7 +186,7 @@ def _rk4_step(motion, wave, h, envelope, wind, hull, terms):
     c_1, s_1 = now[6], now[7]
     c_2, s_2, c_3, s_3 = c_1, s_1, c_1, s_1
     du_1, dv_1, dr_1 = _rates((u, v, r, c_1, s_1), wind, hull, shares, thrust[0], terms[0])
-    if hull[BIASED] > 0.0:  # which way the bias points, as far as this stage can know
+    if hull[BIASED] > 0.0:  # sign of the bias, by the state of this stage
         ahead = psi + 0.5 * h * (r + w + 0.25 * h * dr_1)
         s_2, c_2 = sincos(ahead)
         ahead = psi + h * (r + w + 0.5 * h * dr_1)
@@ -321,8 +321,9 @@ def rollout(start, plan, dt, config, waves, out, work):
     config : RolloutConfig
         Boat and model.
     waves : Waves
-        At a gain above 0, that of an observer which counts as waves what it leaves of the measured
-        velocities, u and v also turn against the waves' yaw rate. At 0 waves only carry the boat.
+        The gain is that of an observer which counts its residual of the measured velocities as
+        waves. Above 0, u and v also turn against the waves' yaw rate. At 0 waves only carry the
+        boat.
     out : Paths
         Written.
     work : array

@@ -10,23 +10,23 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
 :func:`term_slopes`).
 
 ``paper``
-    the 25 parameters of Eq (20)-(21). What differs from the print: sin, not cos, of the
-    angle in sway and yaw; no stray v in the yaw thrust; u|u| and n|n| instead of squares, for
-    astern; N_v|v| and N_v|r| as in the paper's tables; N_r|r| with r|r|. Boats with fixed
+    the 25 parameters of Eq (20)-(21). These differ from the print: sin, not cos, of the angle in
+    sway and yaw, and no stray v in the yaw thrust. It has u|u| and n|n| instead of squares, for
+    astern. N_v|v| and N_v|r| as in the paper's tables; N_r|r| with r|r|. Boats with fixed
     propellers steer by unequal thrust: their yaw rows are +T_rL nL|nL| and -T_rR nR|nR|.
 ``mmg``
-    about thirty, dimensionless but for the length: a resistance with a hump (cubic in u),
-    damping that grows with speed, thrust that falls with advance, a rudder or drive in the
-    inflow of hull and propeller, apparent wind, and slow biases. The biases of yaw go with the
-    heading, once and twice around: wind and waves turn a boat that lies across them, and what
+    about thirty, dimensionless but for the length. They are a resistance with a hump (cubic in u),
+    damping that grows with speed, and thrust that falls with advance. A rudder or drive in the
+    inflow of hull and propeller, apparent wind, and slow biases follow. The biases of yaw go with
+    the heading, once and twice around. Wind and waves turn a boat that lies across them, and what
     is not measured must be learned. Left and right propeller enter as their mean and difference,
     because nothing tells them apart when they turn at the same speed. A tanker has one propeller:
     in the place of the difference, N_dn is the turning of one that runs astern. Behind it, flow
-    from port is not straightened as flow from starboard is: Y_S and N_S, of tankers alone, are
-    what the rudder's lift gains from one side and loses from the other.
+    from port is not straightened as flow from starboard is. Y_S and N_S, of tankers alone, are what
+    the rudder's lift gains from one side and loses from the other.
 
-Both can have two *earth-fixed accelerations* (E_north, E_east), which stand for what wind and
-current do and the model does not know; they enter surge and sway together.
+Both can have two *earth-fixed accelerations* (E_north, E_east) for what wind and current do beyond
+the model. They enter surge and sway together.
 
 Source: Qu et al. 2025, Eq (20)-(22), with the corrections of
 docs/explanation/ship_and_sea.md, What the paper gets wrong; docs/explanation/twin.md, Tankers.
@@ -92,7 +92,7 @@ N_STATES = 6
 ) = range(50)  # fmt: skip
 
 N_TERMS = 50
-"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
+"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone. Those
 before UUU are in every structure, the others of the state where all terms are needed."""
 
 _SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT, FIN_SIDE)
@@ -162,7 +162,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     """Write the terms before LEFT_COS, which depend on the state; the others must be there.
 
     ``wind`` (2,) is the velocity of the true wind to north and east, m/s, zeros where it is not
-    known; ``hull`` (4,) are the constants of the structure.
+    known. ``hull`` (4,) are the constants of the structure.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
     terms[U], terms[V], terms[R] = u, v, r
@@ -187,7 +187,7 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
     drag, lift, side = _fin(u, aside, 0, hull, terms)
     same = terms[_RACE_RIGHT] == terms[_RACE_LEFT]
     same = same and terms[_COS_RIGHT] == terms[_COS_LEFT] and terms[_SIN_RIGHT] == terms[_SIN_LEFT]
-    if same:  # as a rule
+    if same:  # the common case
         drag, lift, side = drag + drag, lift + lift, side + side
     else:
         more = _fin(u, aside, 1, hull, terms)
@@ -437,8 +437,8 @@ _TABLES = {"paper": _PAPER, "mmg": _MMG}
 MODELS = tuple(_TABLES)
 """Names of the structures."""
 
-# A pair of fixed propellers .2 L off the middle turns a boat whose radius of gyration is
-# .25 L; it has no angle, hence no side force.
+# A pair of fixed propellers .2 L off the middle turns a boat whose radius of gyration is .25 L. It
+# has no angle, so no side force.
 _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
     "T_vL": (LEFT_SIN, 0.0, 0.06965),
     "T_vR": (RIGHT_SIN, 0.0, 0.06965),
@@ -449,9 +449,9 @@ _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
     "N_dn": (DIFFERENCE, 0.48, 0.28),
 }
 
-# A laden ship of full form: more water than wind takes hold of (drag of 0.3 m2 of side and 0.06 m2
-# of front for each tonne of a 3 m model; centre of pressure forward in a quartering wind). The
-# race of a right-handed propeller that runs astern pushes its stern to port.
+# A laden ship of full form: most of it is under water. Drag of 0.3 m2 of side and 0.06 m2 of front
+# for each tonne of a 3 m model. The centre of pressure is forward in a quartering wind. The race of
+# a right-handed propeller that runs astern pushes its stern to port.
 _TANKER: dict[str, tuple[int, float, float]] = {
     "X_w": (WIND_X, 0.0009, 0.0006),
     "Y_w": (WIND_Y, 0.002, 0.0012),

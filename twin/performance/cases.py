@@ -1,9 +1,9 @@
 """What ``usv-twin bench`` times: environments, filters, predictors and ships.
 
 An operation is a step of one boat, an update of a filter, a row or a refit of a predictor, or a
-prediction. Environments sail a turn in sea state 2 with 100 wave components, in the task ``free``
-and without a time limit, so that no episode ends meanwhile. Their bursts are long enough to
-contain what is done only now and then: new noise, forecasts, refits.
+prediction. Environments turn in sea state 2 with 100 wave components, in the task ``free`` and
+without a time limit, so that no episode ends meanwhile. Their bursts are long enough to contain
+what is done only now and then: new noise, forecasts, refits.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
 from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 from usv_kernel.simd import padded
 from usv_kernel.warmup import QUIET
@@ -47,12 +48,18 @@ __all__ = [
     "CASES",
     "COLD_COMPILES",
     "MEMORY",
+    "CompileError",
     "cold_compile_seconds",
     "memory_per_boat",
     "select_cases",
 ]
 
 Array = NDArray[np.float64]
+
+
+class CompileError(UsvTwinError):
+    """A process that was to compile all kernels ended with an error."""
+
 
 STEPS = 512
 """Environment steps in a burst: one boat's block of noise."""
@@ -350,7 +357,7 @@ print(time.process_time())
 def cold_compile_seconds(options: Sequence[dict[str, Any]]) -> float:
     """Return the CPU time (s) of a process that compiles all kernels and steps environments.
 
-    ``options`` are those of ``gym.make``. RuntimeError has its last line if the process failed.
+    ``options`` are those of ``gym.make``. CompileError has its last line if the process failed.
     """
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(
@@ -360,7 +367,7 @@ def cold_compile_seconds(options: Sequence[dict[str, Any]]) -> float:
             text=True,
         )
     if done.returncode:
-        raise RuntimeError(
+        raise CompileError(
             done.stderr.strip().rpartition("\n")[2] or f"ended with {done.returncode}"
         )
     return float(done.stdout)

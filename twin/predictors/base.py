@@ -101,8 +101,9 @@ class Prediction:
     def table(self, datum: Datum | None = None) -> StateTable:
         """Return the forecast as a structured array, with ``to_pandas()`` and ``write(path)``.
 
-        Its columns are ``t_s``; date, latitude and longitude where the datum has them; the means
-        by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and ``high_``.
+        Its columns are ``t_s``; date, latitude and longitude where the datum has them. Then the
+        means by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and
+        ``high_``.
 
         Parameters
         ----------
@@ -130,7 +131,7 @@ class Prediction:
             self._between(self.start_cov, self.cov, horizons),
         )
 
-    def band(self, horizons: Array) -> tuple[Array, Array]:
+    def interval(self, horizons: Array) -> tuple[Array, Array]:
         """Return the 5 % and 95 % points, each (h, 6), at times after t0, interpolated.
 
         Parameters

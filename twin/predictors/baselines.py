@@ -61,8 +61,8 @@ def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
 class HistoryPredictor(Predictor):
     """A predictor from the past states of its navigation filter, on an even grid.
 
-    Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the
-    root mean square of their errors at each horizon, against later navigation states.
+    Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the RMS
+    of their errors at each horizon, against later navigation states.
 
     Subclasses provide :meth:`forecast`, and say with :attr:`look_back` how long a history it needs.
     """
@@ -104,7 +104,7 @@ class HistoryPredictor(Predictor):
 
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        # files of before rows were dropped lack the number
+        # earlier files lack the number
         state = {"dropped": 0, **state}
         restore_attributes(self, state, self._left_out(), self.fields())
         if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
@@ -165,16 +165,16 @@ class HistoryPredictor(Predictor):
         """Return the forecast (K, 6) from the last row of all that is kept, under a plan (K, 4)."""
         return self.forecast(rows, np.array([len(rows) - 1]), plan[None])[0]
 
-    def drop(self, rows: Array) -> None:
-        """See the oldest rows before they are dropped."""
+    def before_drop(self, rows: Array) -> None:
+        """See the oldest rows before they are dropped; a subclass may keep sums of them."""
 
     def _drop_old(self) -> None:
-        """Drop rows that nothing needs any more: many at a time, as seldom as that."""
+        """Drop rows that nothing needs any more, many at a time."""
         seconds = max(self.memory, self.look_back)
         keep = math.inf if math.isinf(seconds) else math.ceil(seconds / GRID) + _SPARE
         if len(self._rows) >= 2 * keep:
             old = len(self._rows) - int(keep)
-            self.drop(np.array(self._rows[:old]))
+            self.before_drop(np.array(self._rows[:old]))
             del self._rows[:old]
             self._dropped += old
 
@@ -232,7 +232,7 @@ class HistoryPredictor(Predictor):
     def _own_errors(self, horizon: float = 10.0) -> Array:
         """Return the root mean square errors (K, 6) of this predictor's past forecasts."""
         K, second = round(horizon / GRID), round(1.0 / GRID)
-        # of whole seconds of history: what was asked before must not matter
+        # of whole seconds of history, so that earlier calls do not change the result
         count = (self._dropped + len(self._rows)) // second * second
         if count == self._errors_at:
             return self._errors
@@ -278,7 +278,7 @@ class Persistence(HistoryPredictor):
         """See :attr:`HistoryPredictor.look_back`."""
         return self.average
 
-    def drop(self, rows: Array) -> None:
+    def before_drop(self, rows: Array) -> None:
         """Keep the sum of the rows: the means go on with the same bits."""
         self._sum = self._sums(rows, self._dropped > 0)[-1]
 

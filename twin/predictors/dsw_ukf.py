@@ -1,17 +1,17 @@
 """The paper's DSW-UKF: late fusion, joint UKF, dynamic sliding window.
 
-It is here to be compared with, and stated plainly: with the settings that the paper prints it is no
-better than 8 s means of the velocities in a steady turn, and running the window again has no
-reliable effect: six seeds gave -54 to +6 % of the error in the turn and -36 to +53 % in the zigzag,
-against the same filter without a window (``window="off"``). Its prediction intervals mean little:
-in four runs the position's standard deviation 10 s ahead had medians of 4 and 5, 13 and 55 m, and
-at some moments the prior of 1 on each of 25 parameters lets the covariance run up to where the
-arithmetic stops it, at 1e6 m/s and more; the true sway was inside the 90 % interval in 28 to 94 %
-of the forecasts. All that is promised of them is that they are finite and positive definite.
+It is here to be compared with. With the settings that the paper prints, it is no better than 8 s
+means of the velocities in a steady turn. Running the window again has no reliable effect. Six seeds
+changed the error by -54 to +6 % in the turn and -36 to +53 % in the zigzag. The reference is the
+same filter without a window (``window="off"``). Its prediction intervals mean little. In four runs
+the position's standard deviation 10 s ahead had medians of 4 and 5, 13 and 55 m. At some moments
+the prior of 1 on each of 25 parameters lets the covariance grow to 1e6 m/s, where the arithmetic
+stops it. The true sway was inside the 90 % interval in 28 to 94 % of the forecasts. All that is
+promised of them is that they are finite and positive definite.
 
-What the paper leaves open is decided in the docstrings below, each decision where it is made;
-the pieces that a comparison needs are options of :class:`DSWPredictor`. Equations carry the numbers
-that the paper prints beside them; its text calls Eq 52 "49".
+What the paper leaves open is decided in the docstrings below. The pieces that a comparison needs
+are options of :class:`DSWPredictor`. Equations carry the numbers that the paper prints beside them;
+its text calls Eq 52 "49".
 
 Source: Qu et al. 2025, sections 3.2.2 and 3.2.3.
 """
@@ -90,9 +90,9 @@ def paper_settings(
 ) -> FilterSettings:
     """Return the settings that the paper prints: x0 = 0.1, Q = 1e-4 I, R = I.
 
-    What it does not print is ours: P0 = I (the only one of several that learns) and alpha = 1
-    (a small alpha loses ten digits with 31 states). Velocities are held within four times
-    what is nominal, without which some runs would overflow.
+    What it does not print is ours: P0 = I, the only one of several that learns, and alpha = 1. A
+    small alpha loses ten digits with 31 states. Velocities are held within four times what is
+    nominal, without which some runs would overflow.
 
     Parameters
     ----------
@@ -110,10 +110,10 @@ def paper_settings(
     r : float or array_like, shape (6,)
         Variances of the measured states, Eq 51.
     n_unit : float, optional
-        Factor that brings the shaft speeds of the log to the unit of the model. By default
-        the nominal shaft speed becomes the paper's rated 380 rpm = 6.33 rev/s, so that x0 = 0.1
-        means for any boat what it meant for theirs; 1 leaves rev/s; 60 is the rpm with which
-        nothing is learned.
+        Factor that brings the shaft speeds of the log to the unit of the model. By default the
+        nominal shaft speed becomes the paper's rated 380 rpm = 6.33 rev/s. So x0 = 0.1 means for
+        any boat what it meant for theirs. 1 leaves rev/s; 60 is the rpm with which nothing is
+        learned.
 
         Source: Eq (47), (50), (51).
     """
@@ -148,7 +148,7 @@ def _vector_of(name: str, values: ArrayLike, size: int, *, positive: bool) -> Ar
 
 
 RIDGE = 1e-9
-"""What is added to variances of a prediction, as a share: more than rounding can take away."""
+"""Share that is added to the variances of a prediction, so that rounding leaves it definite."""
 
 _WIND, _ACCEL_Y = MEASUREMENTS.index("wind_mps"), MEASUREMENTS.index("accel_y_mps2")
 
@@ -232,19 +232,18 @@ def _finish_row(dt, joint):
 class DSWPredictor(ModelPredictor):
     """The paper's DSW-UKF: late fusion, joint UKF, dynamic sliding window.
 
-    At each row the filter takes one step. After every ``stride`` rows it is run once more
-    over the last W rows: the parameters and their covariance stay as they are, the state
-    starts from the measured one at the window's begin. The length follows Algorithm 1; its
-    indices see the trace of the innovation covariance, the surge speed as the motion, a
-    proxy for the wave height from the lateral acceleration (``WaveProxy``),
-    and the wind only if the log has it. So each row is used about W/stride times more. This
-    is one reading of a text that does not say what is done with the window; on our boat and
-    on others it does not beat the plain filter. After false numbers (spikes, frozen fixes) it is
-    metres off for half a minute and more.
+    At each row the filter takes one step. After every ``stride`` rows it is run once more over the
+    last W rows. The parameters and their covariance stay as they are; the state starts from the
+    measured one at the window's begin. The length follows Algorithm 1. Its indices take the trace
+    of the innovation covariance, the surge speed as the motion, and the wind if the log has it. A
+    proxy for the wave height comes from the lateral acceleration (``WaveProxy``). So each row is
+    used about W/stride times more. This is one reading: the text does not say what is done with the
+    window. On our boat and on others it does not beat the plain filter. After false numbers
+    (spikes, frozen fixes) it is metres off for half a minute and more.
 
-    Two rules never act as they are printed: with R = I over six states the trace is above
-    P_max = 2.25 in every row, so that the binary period is always T0/2; and V < 0.1 in any
-    steady sea, so that the calm rule hangs on S alone.
+    Two rules never act as they are printed. With R = I over six states the trace is above P_max =
+    2.25 in every row, so the binary period is always T0/2. And V < 0.1 in any steady sea, so the
+    calm rule depends on S alone.
 
     Parameters
     ----------
@@ -260,18 +259,18 @@ class DSWPredictor(ModelPredictor):
         Rows between re-runs, 1 or more; 7 is near the half window of 15 that makes the
         paper's 210 iterations of its 80 s.
     w_min, w_max : int
-        Bounds of W, rows. The paper gives w = 15; that w_r stays within w, which the rule of
-        the lateral acceleration implies, is ours (Eq 40 alone would give some 40 rows).
+        Bounds of W, rows. The paper gives w = 15. That w_r stays within w, which the rule of the
+        lateral acceleration implies, is ours (Eq 40 alone would give some 40 rows).
     period : str
         Form of Eq 36, one of ``dynamic_window.PERIOD_FORMS``; by default
         Algorithm 1's.
     adapt : str
-        ``"off"``, or the form of Eq 52, one of ``dynamic_window.NOISE_FORMS``.
-        ``"literal"``: Q grows with the size of the state error (the innovation, per state), R
-        with that of the control error, read as the mean distance between commands and
-        actuators (shaft speeds in nominal ones, angles in rad), which says nothing of a sensor.
-        ``"signed"``: both follow the squared state error less what the filter expects of it.
-        Both stay within a factor of 100 of their start.
+        ``"off"``, or the form of Eq 52, one of ``dynamic_window.NOISE_FORMS``. ``"literal"``: Q
+        grows with the size of the state error (the innovation, per state), R with that of the
+        control error. That is read as the mean distance between commands and actuators (shaft
+        speeds in nominal ones, angles in rad). It says nothing of a sensor. ``"signed"``: both
+        follow the squared state error less what the filter expects of it. Both stay within a factor
+        of 100 of their start.
     adapts : str
         What Eq 52 moves, one of :data:`ADAPTED`. Q alone is ours: R never helped.
     adapt_gain : float

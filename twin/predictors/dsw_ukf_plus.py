@@ -219,7 +219,7 @@ class PlusPredictor(UKFPredictor):
         self.segments.reset()
         self.selector.reset()
         window["refit_at"] = -math.inf
-        # until the waves have been seen: as high as a refit takes them to be, and without memory
+        # until waves have been measured: as high as the refit assumes, and white
         window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
 
     def fields(self) -> dict[str, Field]:
@@ -305,7 +305,7 @@ class PlusPredictor(UKFPredictor):
 
     def _draws(self, central: MeanForecast, plan: Array, dt: float) -> tuple[Draws, int]:
         """Return draws around a mean forecast, and how many rows of the plan are one of theirs."""
-        # they are rolled at coarse steps: only how far they part is used
+        # they are rolled out in coarse steps: only their spread is used
         coarse, every = coarse_plan(plan, dt)
         K, h, p, D = len(coarse), dt * every, len(self.segments.prior), len(self.normal[0])
         N = _grid_steps(K * h)
@@ -326,7 +326,7 @@ class PlusPredictor(UKFPredictor):
         mean_products(out.deviations, np.arange(K + 1), covs)
         start_cov = self.with_common_error(np.zeros((N_STATES, N_STATES)))
         covs[:, :2, :2] += start_cov[:2, :2]
-        # where the position is now is as unsure as where it goes, and of another cause
+        # the error of the present position is independent of that of the displacement
         out.deviations[:, :, :2] += (self.normal[1][:, :2] @ _root(start_cov[:2, :2]).T)[:, None]
         low, high = (upsample(edge, every, len(plan)) for edge in interval_edges(out.deviations))
         return Prediction(

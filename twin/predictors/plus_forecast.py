@@ -131,10 +131,10 @@ def draws_of(memory, p, K, N, D):
 
 @kernel
 def past_waves(nav, rows, window, w):
-    """Write what is left of the last velocities (6, 3), newest first; zeros if some are no good."""
+    """Write residuals of the last velocities (6, 3), newest first; zeros if a row is invalid."""
     newest = last_row(window)
     w[:] = 0.0
-    # what a gap was bridged with is no wave
+    # rows interpolated over a gap have no waves
     if newest < ORDER or not all_good(newest - ORDER + 2, newest, rows):
         return
     for i in range(3):
@@ -226,9 +226,9 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
     """Write how draws of parameters, start and waves deviate from the mean forecast.
 
     ``mean`` is the mean forecast with rows ``mean_dt`` (s) apart, and the plan of the draws with
-    its predicted waves: the same twice where both are at the same rows. ``normal`` has standard
-    normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used again where
-    they do not reach; the first of the waves are zeros.
+    its predicted waves. It is the same twice where both are at the same rows. ``normal`` has
+    standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used again
+    where they do not reach. The first of the waves are zeros.
     """
     central, own = mean
     by_params, by_start, by_waves = normal
@@ -307,7 +307,7 @@ def interval_edges(deviations: Array) -> Array:
     D, K, n = deviations.shape
     place = np.array([0.05, 0.95]) * (D - 1)
     low = place.astype(int)
-    # the draws of one number stand side by side: sorted as far as needed, that is quick
+    # the draws of one number are contiguous, and sorted only as far as needed
     lines = np.ascontiguousarray(deviations.reshape(D, -1).T)
     ordered = np.partition(lines, [*low, *(low + 1)], axis=1).T.reshape(D, K, n)
     share = (place - low)[:, None, None]

@@ -69,19 +69,19 @@ __all__ = [
 ]
 
 OBSERVER_GAIN = 0.5
-"""Of the low-frequency observer, 1/s. By it, too, the velocities of a draw take on its waves: what
-was measured is the observer's motion and what that left, and so will be what comes."""
+"""Of the low-frequency observer, 1/s. The velocities of a draw take on its waves by it, too. A
+measured velocity is the observer's motion and its residual, and so will be those to come."""
 
 SPEED_GOOD, HEADING_GOOD, GAP_GOOD = 0.25, 0.1, 2.5
-"""A row may be fitted if the navigation is as sure as this of velocity (nominal speeds) and
-heading (rad), and if the row before it is not older (s)."""
+"""Largest standard deviations of velocity (nominal speeds) and heading (rad) of a row to fit, and
+greatest age (s) of the row before it."""
 
 WAVE_SPAN, LATE_SPAN = 80.0, 60.0
-"""Waves are predicted from what was left of this many seconds, and drawn from so many of the last
-of them that are any good: before, it is also what was not yet learned."""
+"""Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
+valid ones. Earlier residuals also hold what was not yet learned."""
 
 SEGMENTS_MIN = 3
-"""Fewer say nothing of the parameters."""
+"""Least number of segments for a refit."""
 
 WINDOW = np.dtype(
     [
@@ -94,7 +94,7 @@ WINDOW = np.dtype(
         ("refit_at", "f8"),  # time of the next refit, s
         ("fastest", "f8", 3),  # largest abs(u), abs(v), abs(r) seen
         ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
-        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the waves of the moment
+        ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
     ]
 )
@@ -206,7 +206,7 @@ def all_good(first, last, rows):
 def _take_segments(rows, window, selector, segments, config, model, work):
     """Take the segments that are over into the window; return how many starts were tried."""
     newest, tried = last_row(window), 0
-    # older rows have been written over: after a long gap, nearly all of it
+    # older rows have been overwritten, nearly all of them after a long gap
     start = max(int(window.next_start), newest - rows.shape[0] + 1)
     while start + config.steps < newest:
         if all_good(start, start + config.steps, rows):

@@ -96,7 +96,7 @@ def _imported(name: str, entry: str) -> Any:
         sys.path.append(here)  # as for python -m, and in the workers of any backend too
     try:
         return getattr(import_module(module), attribute)
-    except Exception as error:  # whatever foreign code does when it is imported
+    except Exception as error:  # foreign code may raise anything when it is imported
         if name in EXTRAS and isinstance(error, ImportError):
             raise  # names the command that installs it
         raise PredictorError(

@@ -64,7 +64,7 @@ __all__ = [
 Array = NDArray[Any]
 
 WIND_LIMIT = 100.0
-"""No wind is faster, m/s."""
+"""Largest wind speed that counts as measured, m/s."""
 
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
@@ -73,14 +73,14 @@ AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
 
 OUTAGE_NOISE_FACTOR = 400.0
-"""Without GPS the error of the navigation's velocity lasts: so many rows count as one."""
+"""Factor of the velocity's measurement noise without GPS, as its errors last from row to row."""
 
 RESTART_AFTER = 4.0
 """After so long without GPS (in lengths over nominal speed) the state restarts with the next
 fix; the parameters stay ..."""
 
 DIVERGENCE_GATE = 10.0
-"""... as where it is so many standard deviations from what the navigation says."""
+"""... as they do where the state is this many standard deviations from the navigation."""
 
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
@@ -135,7 +135,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         accel[0] = min(max(du, -speed * turn), speed * turn)
         accel[1] = min(max(dv, -speed * turn), speed * turn)
         accel[2] = min(max(dr, -turn * turn), turn * turn)
-        # a model that has never been held to a measured motion may spin the navigation
+        # a model never fitted to a measured motion may make the navigation diverge in yaw
         accel[IS_MODELLED] = nav.has_imu
     age = nav.gps_age + dt
     navigate(nav, dt, z, accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
@@ -148,7 +148,7 @@ def tight_step(dt, z, cmd, memory, config, work):
                 P[i, i] = given.p0[i]
             nav.begun = 1.0
         return
-    # so long a rollout is far from linear in the parameters: its error would ruin them
+    # so long a rollout is far from linear in the parameters, which its errors would corrupt
     diverged = age > RESTART_AFTER * 4.0 / envelope[2] and nav.gps_age == 0.0
     for i in range(N_STATES):
         error = n[i] - x[i]
@@ -175,7 +175,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     no_gps = nav.gps_age > AID_AFTER
     no_imu = nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
     if no_gps:
-        # what the navigation then says of them is in part the model's own
+        # the navigation's velocities then come in part from the model itself
         mask[X] = mask[Y] = 0.0
         noise[U, U] *= OUTAGE_NOISE_FACTOR
         noise[V, V] *= OUTAGE_NOISE_FACTOR
@@ -186,7 +186,7 @@ def tight_step(dt, z, cmd, memory, config, work):
             i = PSI + 1 + k
             # held while the sensor that would measure them is gone
             if not (no_imu if k == 2 else no_gps):
-                # a prediction gone wild is no wave: none moves the boat faster than it sails
+                # a diverged prediction is no wave: no wave moves the boat faster than it sails
                 error = min(abs(n[i] - x[i]), 0.25 * envelope[k])
                 more = error * error - P[i, i] - noise[i, i]
                 share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
@@ -349,7 +349,7 @@ class RolloutInputs(NamedTuple):
     # (n, 4), (n, 2): see twin.model.rollout.RolloutStart
     actuators: Array
     winds: Array
-    # (n, 3) or (1, 3): largest velocities met so far; infinite where no model is too wild
+    # (n, 3) or (1, 3): largest velocities met so far; infinite to accept any model
     fastest: Array
     nominal: Array  # (3,): velocities that may be predicted for any such boat
     prior: Array  # (p,): parameters to fall back to where a model exceeds both by far

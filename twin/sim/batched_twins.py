@@ -1,6 +1,6 @@
 """What twins add to observations: n boats in one compiled call where the predictor has one.
 
-The ``ukf`` and ``dsw-ukf-plus`` keep all that they remember in flat arrays, which stand here row by
+The ``ukf`` and ``dsw-ukf-plus`` keep all that they remember in flat arrays. They stand here row by
 row, one for each boat; :attr:`CompiledTwins.boats` gives them by name. Every other predictor is
 asked boat by boat.
 """
@@ -189,7 +189,7 @@ class SeparateTwins(TwinObserver):
             dt, twin = take_row(boat, self._notes[i]), self.twins[i]
             t = note["last"].item()
             if dt >= 0.0:
-                # what a twin keeps must not change with the next row
+                # arrays that a twin keeps must not change with the next row
                 twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
             if not look or note["shown"] == note["last"]:
                 continue

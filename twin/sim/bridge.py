@@ -111,7 +111,7 @@ def simulate(
     """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
     ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands (N, 4) of
-    the control steps; ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
+    the control steps. ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
     """
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)

@@ -1,8 +1,8 @@
 """The oracle: the best possible prediction, with the true boat in mean wind and current.
 
 It sails the ship of the simulation, in the mean wind and current, which it is given; waves and
-gusts are unknown to it. It is the floor that the excess error of the benchmark is measured from,
-and no twin: on a real boat there is no such thing.
+gusts are unknown to it. It is the reference from which the benchmark measures the excess error. On
+a real boat there is no such thing.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Source: docs/explanation/twin.md, Waves and prediction intervals.
 STEP = 0.05
 """Longest integration step, s: that of the simulation."""
 
-# entries of what is kept beside each row of the history: time, then the state of the ship
+# extra columns of each row of the history: time, then the state of the ship
 _TIME, _SHIP = 0, 1
 
 _SIZE = _SHIP + fr.STATE_SIZE
@@ -69,7 +69,7 @@ def _sail(state, cmd, t, dt, true):
         total = 0.0
         for i in range(fr.STATE_SIZE):
             total += state[i]
-        if not math.isfinite(total):  # capsized beyond what numbers hold
+        if not math.isfinite(total):  # capsized, with infinite numbers
             for i in range(fr.STATE_SIZE):
                 state[i] = 0.0
         state[fr.U] = min(max(state[fr.U], -limits[0]), limits[0])
@@ -103,7 +103,7 @@ def known_vessel(particulars: Particulars) -> Vessel:
         if all(math.isclose(getattr(true, k), getattr(particulars, k)) for k in numbers):
             return vessel
     raise PredictorError(
-        f"oracle: the true boat behind {name!r} is not known; it runs where the vessel is handed "
+        f"oracle: the true boat behind {name!r} is not known. It runs where the vessel is handed "
         "in (benchmark, environment), and on simulated logs of an unchanged vessel"
     )
 
@@ -133,11 +133,11 @@ def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -
 class Oracle(HistoryPredictor):
     """The true ship in the mean wind and current, from a filtered start.
 
-    Place and heading come from the tight navigation filter; speeds and yaw rate from an observer,
-    the ship itself sailing along and pulled to the navigation's velocities by :data:`GAIN`, so that
-    it does not take the waves of the moment for the boat's motion. The actuators follow the
-    commands as the true ones do. Waves, their mean drift, gusts and the slow changes of the wind
-    are not known to it. Intervals are those of
+    Position and heading come from the tight navigation filter, speeds and yaw rate from an
+    observer. The observer is a simulated copy of the ship, corrected towards the navigation's
+    velocities with the gain :data:`GAIN`. So it filters out the motion that single waves cause. The
+    actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the slow
+    changes of the wind are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
     ``vessel`` is the true boat; left out, the package's vessel of which the particulars speak.
@@ -184,7 +184,7 @@ class Oracle(HistoryPredictor):
         self._known = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
     def extra_columns(self, dt: float) -> Array:
-        """Return the time and the state of the ship that sails along, shape (17,)."""
+        """Return the time and the state of the observer's ship, shape (17,)."""
         out = self._extra.copy()
         state, n = out[_SHIP:], self.navigator.n
         _sail(state, self._cmd, self.t - dt, min(dt, GAP_MAX), self._true)
@@ -210,7 +210,7 @@ class Oracle(HistoryPredictor):
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`.
 
-        Paths of moments that the last call had are reused: the ship does not change.
+        Paths from rows of the last call are reused, because the ship does not change.
         """
         asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
         known, paths = self._known

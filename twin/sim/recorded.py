@@ -41,10 +41,10 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> Particular
     """Return the particulars for a log.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
-    archive's boat. ``ship`` is a TOML file of particulars, of one boat or of several (``[[ship]]``,
-    see :meth:`twin.particulars.Particulars.load`), or the name or file of a vessel of ``usv_gym``;
-    ``<log>.toml`` may be a vessel file as well. ParticularsError, VesselError: file and remedy; a
-    log without particulars is such an error.
+    archive's boat. ``ship`` is a TOML file of particulars, of one boat or several (``[[ship]]``,
+    see :meth:`twin.particulars.Particulars.load`). Or it is the name or file of a vessel of
+    ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError, VesselError: file
+    and remedy; a log without particulars is such an error.
     """
     file = sibling_path(path, ".toml")
     if ship is None and not has_particulars(path):
@@ -57,14 +57,14 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> Particular
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
         return Particulars.load(ship, log=path)
     if ship == str(file) and "[hull]" not in text:
-        return Particulars.load(ship)  # says which tables are missing
+        return Particulars.load(ship)  # its error names the missing tables
     return particulars_of(Vessel.load(ship))
 
 
 _NO_PARTICULARS = (
-    "{path}: no particulars of the boat; write [particulars] into {file} (usv-twin vessel new "
-    "--name BOAT --length M --beam M --draft M --mass KG --kind KIND --out {file} estimates them), "
-    "or name the boat with --ship FILE or --ship NAME ({names})"
+    "{path}: no particulars of the boat. Write [particulars] into {file} (usv-twin vessel new "
+    "--name BOAT --length M --beam M --draft M --mass KG --kind KIND --out {file} estimates them). "
+    "Or name the boat with --ship FILE or --ship NAME ({names})"
 )
 
 

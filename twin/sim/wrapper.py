@@ -23,7 +23,7 @@ from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import OBSERVATION, Episodes
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.vector import USVVectorEnv
-from usv_kernel.errors import ArgumentError, UsvTwinError, check_options
+from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError, check_options
 
 __all__ = [
     "OBSERVATIONS",
@@ -215,7 +215,7 @@ class USVTwinVectorEnv(USVVectorEnv):
     def twin(self, i: int) -> Twin:
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
-            raise IndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
+            raise BoatIndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
         assert isinstance(self.observer, TwinObserver)
         return self.observer.twin(operator.index(i))
 
@@ -286,9 +286,9 @@ def make_env(
           :class:`TwinObservation`;
         - ``"twin_params"``: and behind that the identified parameters and their standard
           deviations, both in units of the standard deviations that they had at the start;
-        - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only: speeds, yaw
-          rate, heading, errors of the path, shaft speeds and drive angles, in the units of
-          those sets.
+        - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only. It is speeds, yaw
+          rate, heading, errors of the path, shaft speeds and drive angles, in the units of those
+          sets.
 
         Left out, it is ``"twin"``, or ``"raw"`` with ``twin=None``. ``observation_names`` of the
         environment has a name for each entry.

@@ -1,11 +1,11 @@
 """A fleet of simulated boats, and the nets that learn from it: ``python -m twin.training.fleet``.
 
-Each boat sails a few manoeuvres in seas of its own, with noisy sensors that fail at times; what
-the navigation filter makes of them is what a net sees, and the truth is what it has to predict.
-Boats, seas and sensors are drawn apart from those of the benchmark.
+Each boat sails a few manoeuvres in seas of its own, with noisy sensors that fail at times. A net
+sees the output of the navigation filter, and has to predict the truth. Boats, seas and sensors are
+drawn apart from those of the benchmark.
 
-Training stops at Ctrl-C and goes on where it was, at the next call; the result depends on
-seed and settings alone (and on the machine's arithmetic).
+Training stops at Ctrl-C and goes on where it was, at the next call. The result depends on seed and
+settings alone (and on the machine's arithmetic).
 
 Source: docs/explanation/twin.md, Learned predictors; boats, nets and training are ours.
 """
@@ -69,7 +69,7 @@ Array = NDArray[Any]
 NETS: dict[str, type[FleetPredictor]] = {"lstm": FleetLSTM, "transformer": FleetTransformer}
 
 _FLEET = 7051
-"""Keeps the fleet's draws apart from those of the benchmark: no seed of it is as large."""
+"""First seed of all random draws, larger than any seed of the benchmark."""
 
 SPAN = 120.0
 """Length of a run, s."""
@@ -254,7 +254,7 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
         suite = SensorSuite.grade(str(rng.choice(("typical", "typical", "best"))))
         particulars = particulars_of(vessel, suite)
         hs, wind = SEAS[rng.integers(len(SEAS))]
-        # no small boat is out in a gale
+        # small boats get no gale
         calm = min(1.0, 0.15 * particulars.length / max(hs, 1e-9))
         sea = SeaState(hs=calm * hs, wind=math.sqrt(calm) * wind, wind_from=rng.uniform(0, 6.28))
         # the manoeuvres of the study boat are those of the benchmark
@@ -374,11 +374,13 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             super().__init__()
             between = settings.dropout if settings.layers > 1 else 0.0
             self.body = nn.LSTM(TOKEN, width, settings.layers, batch_first=True, dropout=between)
-            self.drop = nn.Dropout(settings.dropout)
+            self.dropout = nn.Dropout(settings.dropout)
             self.read = nn.Linear(width + TOKEN, 3 * PATCH)
 
         def forward(self, x: Any) -> Any:
-            return self.read(torch.cat([self.drop(self.body(x)[0][:, PAST:]), x[:, PAST:]], dim=2))
+            return self.read(
+                torch.cat([self.dropout(self.body(x)[0][:, PAST:]), x[:, PAST:]], dim=2)
+            )
 
     class Layer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -386,14 +388,14 @@ def make_net(settings: FleetSettings, torch: Any) -> Any:
             self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
             self.qkv, self.mix = nn.Linear(width, 3 * width), nn.Linear(width, width)
             self.up, self.down = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
-            self.drop = nn.Dropout(settings.dropout)
+            self.dropout = nn.Dropout(settings.dropout)
 
         def forward(self, x: Any) -> Any:
             B, T = x.shape[:2]
             q, k, v = self.qkv(self.norm1(x)).view(B, T, 3, HEADS, -1).permute(2, 0, 3, 1, 4)
             seen = nn.functional.scaled_dot_product_attention(q, k, v, is_causal=True)
-            x = x + self.drop(self.mix(seen.transpose(1, 2).reshape(B, T, width)))
-            return x + self.drop(self.down(nn.functional.relu(self.up(self.norm2(x)))))
+            x = x + self.dropout(self.mix(seen.transpose(1, 2).reshape(B, T, width)))
+            return x + self.dropout(self.down(nn.functional.relu(self.up(self.norm2(x)))))
 
     class Transformer(Module):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -526,7 +528,7 @@ def train(
         late = np.arange(1, AHEAD * PATCH + 1) ** settings.late
         weight = torch.from_numpy(((late / late.mean())[:, None] / TYPICAL).astype(np.float32))
         for step in _counted(done, settings, name or f"{settings.kind} learns"):
-            # a training that goes on leaves out what it would have left out
+            # a resumed training uses the same dropout masks as an uninterrupted one
             torch.manual_seed((settings.seed << 32) + step + 1)
             share = step / settings.steps
             for group in optimiser.param_groups:

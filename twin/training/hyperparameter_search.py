@@ -48,7 +48,7 @@ Array = NDArray[Any]
 FIRST = 8192
 """Windows that the first, shortest training learns from."""
 
-JUDGED = 2048
+VALIDATION_WINDOWS = 2048
 """Windows that score a net."""
 
 OTHERS, BOATS = 1, 60
@@ -87,14 +87,14 @@ def windows(fleet: list[Run], count: int, seed: int) -> list[tuple[Array, ...]]:
     return [batch(fleet, 128, rng) for _ in range(max(count // 128, 1))]
 
 
-def losses(weights: Weights, judges: list[tuple[Array, ...]]) -> Array:
+def losses(weights: Weights, validation: list[tuple[Array, ...]]) -> Array:
     """Return the errors (n, 6) of a net on windows of other boats, from :func:`windows`.
 
     They are means over 10 s of the absolute errors of x, y, psi, u, v, r, over their typical size.
     """
     torch = import_torch("the search for settings of nets")
     out = []
-    for x, *rest in judges:
+    for x, *rest in validation:
         start, sailed, truth = map(torch.from_numpy, rest)
         path = roll(torch.from_numpy(weights.run(x)), start, sailed, torch)
         out.append((torch.abs(path - truth).mean(dim=1).numpy()) / TYPICAL)
@@ -104,7 +104,7 @@ def losses(weights: Weights, judges: list[tuple[Array, ...]]) -> Array:
 def search(
     configurations: list[FleetSettings],
     fleet: list[Run],
-    judges: list[tuple[Array, ...]],
+    validation: list[tuple[Array, ...]],
     folder: Path,
     *,
     first: int = FIRST,
@@ -112,9 +112,9 @@ def search(
 ) -> list[dict[str, Any]]:
     """Return what is known of the configurations that came furthest, the best first.
 
-    Their steps follow from the windows they learn from: ``first`` in the first of the ``rungs``,
-    twice as many in each that follows with the better half. ``folder`` keeps ``search.jsonl`` and
-    the states of trainings. Returned are ``settings``, ``windows`` and ``loss`` of the last rung's.
+    Their steps follow from their training windows: ``first`` in the first of the ``rungs``, twice
+    as many in each that follows with the better half. ``folder`` keeps ``search.jsonl`` and the
+    states of trainings. Returned are ``settings``, ``windows`` and ``loss`` of the last rung's.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "search.jsonl"
@@ -132,7 +132,7 @@ def search(
             found = next((line for line in known if line["settings"] == about), None)
             if found is None:
                 name = f"{settings.kind} {i + 1}/{len(field)}, rung {rung + 1}/{rungs}"
-                error = losses(train(settings, fleet, folder, name=name), judges).mean(axis=0)
+                error = losses(train(settings, fleet, folder, name=name), validation).mean(axis=0)
                 found = {
                     "settings": about,
                     "windows": count,
@@ -176,8 +176,8 @@ def main(
         tried = [dataclasses.replace(draw(kind, i, seed), boats=boats) for i in range(trials)]
         fleet = sail_fleet(tried[0], work, jobs)
         rest = sail_fleet(dataclasses.replace(tried[0], seed=OTHERS, boats=others), work, jobs)
-        judges = windows(rest, JUDGED, OTHERS)
-        best = search(tried, fleet, judges, work, first=first, rungs=rungs)
+        validation = windows(rest, VALIDATION_WINDOWS, OTHERS)
+        best = search(tried, fleet, validation, work, first=first, rungs=rungs)
     except (FleetError, ImportError) as error:
         raise SystemExit(f"{APP}: {error}") from None
     except KeyboardInterrupt:

@@ -117,7 +117,7 @@ CLASS = 0.15
 """The same of the coefficients of one class."""
 
 BIAS = 0.20
-"""How far the coefficients of the model of a class are off, as a standard deviation."""
+"""Standard deviation of the errors of the coefficients of a class's model."""
 
 MEASURED = "kvlcc2_l7"
 """The vessel around which tankers are sampled."""
@@ -129,7 +129,7 @@ LARGEST_HELM = math.radians(25.0)
 class CalmRun:
     """A run in calm water with a scaled clock; rows are :data:`ROW` apart."""
 
-    particulars: Particulars  # of the boat, by the clock of the run
+    particulars: Particulars  # of the boat, in the time unit of the run
     states: Array  # (N + 1, 6): x, y (m), psi (rad), u, v (m/s), r (rad/s)
     actuators: Array  # (N + 1, 4): shaft speeds (rev/s) and angles (rad)
     between: Array  # (N, 4): actuators half a row after row k
@@ -232,7 +232,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
     mean and standard deviation decide where the runs show little. Errors are of u, v (typical
     speeds) and r (typical speeds over length).
     """
-    # what calm water does not show stays where it is
+    # parameters that calm water does not show keep their prior means
     sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
     about = runs[0].particulars
     turn = about.speed / about.length
@@ -256,7 +256,7 @@ def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array
         for k in range(0, len(window) - HORIZON, STRIDE)
     ]
     xi = structure.mean
-    # a second ahead the errors are nearly linear in the parameters: from there the way is safe
+    # errors one second ahead are nearly linear in the parameters: a safe start for the long horizon
     for horizon in (NEAR, HORIZON):
         ahead = dataclasses.replace(settings, horizon=ROW * horizon)
         segments = Segments(structure.terms, structure.mean, np.diag(sd**2), ahead, len(starts))
@@ -277,7 +277,7 @@ def _drafted(kind: str, rng: np.random.Generator, **particulars: Any) -> tuple[V
         "differential": "thruster_pair",
     }
     draft = design(MainParticulars(name=kind, kind=propulsion[kind], **particulars)).vessel
-    # the regression of N_v holds for slender hulls, and overstates it for broad and fine ones
+    # N_v is overestimated for broad and fine hulls: its regression is of slender ones
     part = rng.uniform(0.2, 1.0) if kind == "drives" else 1.0
     values = {**draft.values, "N_v": part * draft.values["N_v"]}
     vessel = dataclasses.replace(draft, values=values)
@@ -340,7 +340,7 @@ def nominal(name: str) -> Vessel:
 
     Source: docs/explanation/twin.md, The refit.
     """
-    # the number after those of the boats, so that none equals it
+    # a seed that no boat has
     return Vessel.load(name).varied(np.random.default_rng((SEED, DRAWN)), BIAS, BUILT)
 
 
@@ -380,7 +380,7 @@ def fit_member(
     rng = np.random.default_rng((seed, i))
     vessel, n = draw(rng)
     run = sail_calm(vessel, rng, n)
-    # by the clock of the run no ship is slow
+    # in the time unit of the run no ship is slow
     structure = model_of(run.particulars, model, tanker=kind == TANKER)
     xi, error = project(structure, [run])
     shown = _shown(structure)

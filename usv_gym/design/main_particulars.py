@@ -22,8 +22,9 @@ HULLS = {
     1: {"L/B": (1.5, 15.0), "B/d": (1.2, 20.0), "C_b": (0.2, 0.95)},
     2: {"L/B": (3.0, 30.0), "B/d": (0.5, 10.0), "C_b": (0.1, 0.95)},
 }
-"""Bounds of one hull, and of each of two: those of Insel and Molland 1992 (L/B 7 to 15, B/d 1.5 to
-2.5, block coefficient 0.4), widened for small USVs with skegs or inflated hulls."""
+"""Bounds of one hull, and of each of two. The latter are those of Insel and Molland 1992 (L/B 7 to
+15, B/d 1.5 to 2.5, block coefficient 0.4). They are widened for small USVs with skegs or inflated
+hulls."""
 
 
 class DesignError(UsvTwinError):

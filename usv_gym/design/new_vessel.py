@@ -207,8 +207,8 @@ def _resistance(form: reg.Form, speed: float) -> float:
 
     Two hulls have twice that of one: Insel and Molland 1992 without their interference factors.
     """
-    # ITTC 1957 line with 25 % for form and 0.0004 for roughness on the wetted surface of Denny and
-    # Mumford, smaller above Froude number 0.9 by planing; hump of the 7.5 m boat (0.14 of the
+    # ITTC 1957 line with 25 % for form and 0.0004 for roughness. Wetted surface of Denny and
+    # Mumford, smaller above Froude number 0.9 by planing. Hump of the 7.5 m boat (0.14 of the
     # weight), less for slender hulls
     if speed == 0.0:
         return 0.0

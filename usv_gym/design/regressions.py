@@ -191,9 +191,9 @@ def soding(form: Form) -> Estimate:
 def zhou(form: Form) -> Estimate:
     """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
 
-    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959. A hull of a catamaran
-    that is deeper than half its beam lies outside them; it is taken at B/d = 2, and from there on
-    sway and yaw grow with the square of the draft (strip theory, Newman 1977, section 7.4).
+    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959. A hull of a catamaran that
+    is deeper than half its beam lies outside them. It is taken at B/d = 2; from there on, sway and
+    yaw grow with the square of the draft (strip theory, Newman 1977, section 7.4).
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     deep = max(2.0 * d / B, 1.0) if form.hulls > 1 else 1.0
@@ -254,9 +254,9 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
 def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
     """Return the added mass in heave (kg) and inertias in roll and pitch (kg m2) of a catamaran.
 
-    Source: added mass of half a circular cylinder as wide as the hull, pi rho B^2 / 8 a metre
-    (Newman 1977, section 4.13), over the share of the length that the water plane fills. In roll it
-    acts half the spacing off the centre line; in pitch at a quarter of the length.
+    It is that of half a circular cylinder as wide as the hull, pi rho B^2 / 8 a metre. It acts over
+    the share of the length that the water plane fills. In roll it acts half the spacing off the
+    centre line; in pitch at a quarter of the length. Source: Newman 1977, section 4.13.
     """
     strip = math.pi / 8.0 * form.water_density * form.beam**2
     m_z = form.hulls * strip * water_plane * form.length
@@ -271,9 +271,9 @@ def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
 def periods(form: Form, GM_T: float) -> Estimate:
     """Return the natural periods of heave, pitch and roll in s; GM_T in m.
 
-    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``; roll after the
-    weather criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else
-    ``0.373 + 0.023 B / d - 0.043 L / 100``.
+    Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``. Roll after the weather
+    criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else ``0.373 + 0.023 B / d -
+    0.043 L / 100``.
     """
     B, d = form.beam, form.draft
     heave = 2.0 * math.pi * math.sqrt(2.0 * d / GRAVITY)

@@ -38,9 +38,9 @@ class EnvConfig:
         Errors and rates of the sensors, or one of :data:`usv_gym.world.sensors.GRADES`
         (``"typical"``, ``"best"``, ``"consumer"``, ``"perfect"``).
     faults : str or sequence of Disturbance
-        ``"none"``; ``"on"`` (everything, again and again); a text such as ``"gps10"`` (10 s
-        without GPS, beginning at random between 10 and 60 s) or ``"gps10@30+imu-spikes-random"``,
-        see :func:`usv_gym.world.faults.parse_faults`; or faults with their times. Of several
+        ``"none"``, ``"on"`` (everything, again and again), a text, or faults with their times.
+        Texts are such as ``"gps10"`` (10 s without GPS, beginning at random between 10 and 60 s) or
+        ``"gps10@30+imu-spikes-random"``, see :func:`usv_gym.world.faults.parse_faults`. Of several
         texts, as in ``"none|gps10|gps30"``, each episode draws one.
     task : str
         One of :data:`usv_gym.envs.tasks.TASKS`.
@@ -50,8 +50,8 @@ class EnvConfig:
         Steps of ``dt`` that an action is held for; the reward is their sum, and sensors (and
         a twin) run in each of them.
     dof : int
-        Degrees of freedom of the ship: 3 (surge, sway, yaw), or 6, with heave, roll and pitch
-        in the waves, and their share of gravity in the accelerometers.
+        Degrees of freedom of the ship: 3 (surge, sway, yaw) or 6. With 6 it heaves, rolls and
+        pitches in the waves, and the accelerometers measure gravity by the tilt.
     dt, dt_physics : float
         Control and integration step, s.
     """

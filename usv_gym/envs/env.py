@@ -72,9 +72,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     1 angle of both drives             1 is ``steer_max``; > 0 turns to starboard
     = ================================ ========================================
 
-    ``actions="units"`` gives one for each actuator: left and right shaft, then left and right
-    drive or rudder (a single unit has one of each; a fixed pair of thrusters has shafts only,
-    and the common angle then speeds one up and slows the other).
+    ``actions="units"`` gives one for each actuator: left and right shaft, then left and right drive
+    or rudder. A single unit has one of each. A fixed pair of thrusters has shafts only; the common
+    angle then speeds one up and slows the other.
 
     Observation
     -----------

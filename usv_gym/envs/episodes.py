@@ -90,7 +90,7 @@ EPISODE = np.dtype(
         ("idle_steps", float),  # steps to let pass, after a reset or the end of an episode
     ]
 )
-"""What lasts of one episode besides the boat."""
+"""State of one episode besides that of the boat."""
 
 EPISODES = np.dtype(
     [
@@ -305,7 +305,7 @@ class Episodes:
         self.speed = self.vessel.straight_speed(n_manoeuvring)
         self.task = make_task(config.task, n, self.speed, limits["length_waterline"])
         self.memory = np.zeros((n, record_size(EPISODE)))
-        """What lasts of each episode, as kernels take it."""
+        """State of each episode, as kernels take it."""
         self.records = structured(self.memory, EPISODE)
         self.task.records = self.records["task"]
         common = config.actions == "common"

@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 STACK = 8
-"""So many decisions are seen at once, this one included."""
+"""Decisions in a stacked observation, this one included."""
 
 _ALL = slice(None)
 
@@ -36,7 +36,7 @@ _TRUE = (
     SURGE, SWAY, YAW_RATE, COS_HEADING, SIN_HEADING, OFF_PATH, TO_END,
     COS_COURSE_ERROR, SIN_COURSE_ERROR, COS_NEXT_TURN, SIN_NEXT_TURN, SHAFTS,
 ) = range(12)  # fmt: skip
-"""Places of the entries above; those of a twin's estimate begin alike."""
+"""Places of the entries above; a twin's estimate begins with the same entries."""
 
 
 class Stacked(Observer):
@@ -50,7 +50,7 @@ class Stacked(Observer):
         self._before = np.zeros((episodes.n, STACK, len(OBSERVATION)), np.float32)
 
     def reset(self, i: int) -> None:
-        """See :class:`Observer`; until there are others, the first look stands for all."""
+        """See :class:`Observer`; the first observation fills all places."""
         self._seen_at[i] = -1.0
 
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
@@ -104,7 +104,7 @@ class TrueState(Observer):
         self._episodes = episodes
 
     def reset(self, i: int) -> None:
-        """See :class:`Observer`; there is nothing to forget."""
+        """See :class:`Observer`; there is no state."""
 
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
         """See :class:`Observer`."""
@@ -120,4 +120,4 @@ OBSERVERS: dict[str, Callable[[Episodes], Observer] | None] = {
     "raw_stacked": Stacked,
     "oracle": TrueState,
 }
-"""Observation set to what it adds to the sensors' entries."""
+"""Observer of each observation set, which adds entries to those of the sensors."""

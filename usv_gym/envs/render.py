@@ -58,9 +58,9 @@ _RED, _PURPLE = (213, 94, 0), (170, 68, 130)
 
 _WATER, _GRID, _PANEL = (236, 244, 249), (219, 230, 237), (255, 255, 255)
 
-_BAND, _HULL = (248, 216, 178), (92, 99, 105)
+_PALE, _HULL = (248, 216, 178), (92, 99, 105)
 
-_FINE = 2  # the map is painted so many times larger, and smoothed
+_FINE = 2  # the map is drawn this many times larger, and smoothed
 
 
 class Renderer:
@@ -296,7 +296,7 @@ class Painter:
             pixels = np.stack([rect.centerx + away[..., 1], rect.centery - away[..., 0]], axis=-1)
             return np.clip(pixels, -far, far).tolist()
 
-        # a net that stands still, so that one sees the boat move
+        # a grid fixed to the earth, so that one sees the boat move
         mesh = _nice(0.3 * min(rect.size) / scale)
         corner = np.array([rect.h, rect.w]) / (2.0 * scale)
         low, high = (np.floor((scene.view + k * corner) / mesh).astype(int) for k in (-1, 1))
@@ -310,9 +310,9 @@ class Painter:
         overlay = scene.overlay
         if overlay:
             near = 3.0 * max(rect.size)
-            places, covs = overlay.band()[1:]
+            places, covs = overlay.interpolate()[1:]
             for shape in at(ellipses(places, covs), near):
-                draw.polygon(canvas, _BAND, shape)
+                draw.polygon(canvas, _PALE, shape)
             for shape in at(ellipses(overlay.ahead[:, :2], overlay.covs, 64), near):
                 draw.polygon(canvas, _RED, shape, thin // 2)
         if len(scene.path):
@@ -320,7 +320,7 @@ class Painter:
             draw.lines(canvas, _GREY, False, points, thin)
             draw.line(canvas, _GREEN, *points[scene.leg : scene.leg + 2], 2 * thin)
             lengths = np.hypot(*np.diff(scene.path, axis=0).T)
-            # the points of a curve would be beads on a string
+            # the many points of a curve are not marked
             marked = lengths.max() > 2.0 * scene.vessel.values["length_overall"]
             for k, point in enumerate(points if marked else []):
                 target = k == scene.leg + 1
@@ -411,7 +411,11 @@ class Painter:
             rows += [
                 ("ghost", _RED, "twin: boat now"),
                 ("line", _RED, f"twin: next {scene.overlay.horizons[-1]:g} s"),
-                ("band", _BAND, f"twin: {SDS:g} sd; at {_listed(scene.overlay.horizons)} s"),
+                (
+                    "ellipse",
+                    _PALE,
+                    f"twin: {SDS:g} sd; at {_listed(scene.overlay.horizons)} s",
+                ),
             ]
         if len(scene.path):
             rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
@@ -427,7 +431,7 @@ class Painter:
                 draw.polygon(frame, colour, shape, 0 if kind == "hull" else thin)
             elif kind == "dot":
                 draw.circle(frame, colour, middle, 0.25 * em)
-            elif kind == "band":
+            elif kind == "ellipse":
                 box = self.pg.Rect(left, y - 0.4 * em, 2 * em, 0.8 * em)
                 draw.ellipse(frame, colour, box)
                 draw.ellipse(frame, _RED, box, 1)

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from usv_gym.envs.vector import USVVectorEnv
-from usv_kernel.errors import ArgumentError, UsvTwinError
+from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError
 
 __all__ = [
     "SB3VecEnv",
@@ -110,7 +110,7 @@ class SB3VecEnv(VecEnv):
         else:
             listed = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(dones):
-            # what the ended episode said, not the new one
+            # infos of the ended episode, not of the new one
             listed[i] = one(infos["final_info"], int(i)) | {
                 "terminal_observation": infos["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
@@ -156,7 +156,7 @@ class SB3VecEnv(VecEnv):
     def _boats(self, indices: Indices) -> list[int]:
         boats = list(self._get_indices(indices))
         if not set(boats) <= set(range(self.num_envs)):
-            raise IndexError(f"indices {boats}: boats count from 0 to {self.num_envs - 1}")
+            raise BoatIndexError(f"indices {boats}: boats count from 0 to {self.num_envs - 1}")
         return boats
 
     def env_is_wrapped(

@@ -16,7 +16,7 @@ __all__ = ["SDS", "Scene", "Trail", "TwinOverlay", "drives", "ellipses", "outlin
 Array = NDArray[np.float64]
 
 SDS = 2.0
-"""Half width of the twin's band in standard deviations."""
+"""Half width of the twin's interval in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class TwinOverlay:
     ahead: Array  # (H, 6): states then
     covs: Array  # (H, 2, 2): covariances of the positions then, m2
 
-    def band(self, steps: int = 60) -> tuple[Array, Array, Array]:
+    def interpolate(self, steps: int = 60) -> tuple[Array, Array, Array]:
         """Return times ahead (T,), positions (T, 2) and their covariances (T, 2, 2) in between.
 
         Positions follow the speeds forecast at each horizon; covariances are linear in time.
@@ -92,7 +92,7 @@ class Trail:
     """
 
     fix_period = 0.5
-    """More fixes than one in so many seconds would run together, s."""
+    """Shortest time between fixes that are drawn, s."""
     longest = 20_000
     """Points that are remembered."""
 
@@ -116,7 +116,7 @@ class Trail:
         if t <= self.t:
             self._begin()
         x, y, psi = float(state[fr.X]), float(state[fr.Y]), float(state[fr.PSI])
-        # looked at with calm: the picture must not shake with the boat
+        # low-pass filtered: the picture must not shake with the boat
         share = 1.0 - math.exp((self.t - t) / 2.0)
         target = self.ahead * np.array([math.cos(psi), math.sin(psi)])
         self._offset += share * (target - self._offset)

@@ -36,7 +36,7 @@ CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
 N_TERMS = 4
 
 FAILURE = 500.0
-"""What it costs to leave the area or to capsize: as much as some 12 s far off the path, so that an
+"""What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
 agent that looks ahead for less than that never fails on purpose."""
 
 
@@ -48,10 +48,10 @@ class TaskError(UsvTwinError):
 def path_errors(
     x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
 ) -> None:
-    """Write how a boat stands to the leg from point ``leg`` of a path (K, 2) to the next.
+    """Write the errors of a boat from a leg: from point ``leg`` of a path (K, 2) to the next.
 
-    Errors (4,): distance to starboard of the leg (m), distance left along it (m), course of the leg
-    less the heading (rad), turn to the next leg (rad; 0 on the last).
+    Errors (4,): distance to starboard of the leg and left along it (m), course of the leg less
+    heading, turn to the next leg (rad). The turn is 0 on the last leg.
     """
     dx, dy = points[leg + 1, 0] - points[leg, 0], points[leg + 1, 1] - points[leg, 1]
     course = math.atan2(dy, dx)
@@ -144,7 +144,7 @@ def score_step(
     if rules.kind == PATH:
         angle = errors[COURSE_ERROR]
         along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
-        # as much too fast costs what as much too slow does
+        # too fast costs as much as too slow by the same amount
         first = 1.0 - abs(along / rules.speed - 1.0)
         second = -min(abs(errors[CROSS_TRACK]) / rules.unit, 2.0)
         reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
@@ -237,12 +237,13 @@ class FreeManoeuvre(Task):
 class PathFollowing(Task):
     """Follow straight legs of 10 to 20 lengths, with turns of up to 70 degrees between them.
 
-    Reward per step of ``dt``, from the truth: ``progress`` (1 at the nominal speed along the leg, 0
-    at rest and at twice that speed), ``cross_track`` (minus the distance off the leg in units, at
-    most 2), ``effort`` (minus 0.05 times the change of the action) and ``failure`` (minus 500,
-    once). A way point is reached where the boat passes, two lengths before it, the line across the
-    leg, however far to the side. The episode ends with success where the last one is, and with
-    failure 5 units (50 m) to the side of the leg or of its extension, or capsized.
+    The reward per step of ``dt`` is from the truth, a sum of four terms. ``progress`` is 1 at the
+    nominal speed along the leg, 0 at rest and at twice that speed. ``cross_track`` is minus the
+    distance from the leg in units, at most 2. ``effort`` is minus 0.05 times the change of the
+    action, and ``failure`` minus 500, once. A way point is reached where the boat passes, two
+    lengths before it, the line across the leg, however far to the side. The episode ends with
+    success at the last one. It ends with failure 5 units (50 m) to the side of the leg or its
+    extension, or capsized.
     """
 
     kind = PATH

@@ -64,7 +64,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    closed = True  # until there is something to close
+    closed = True  # close() may be called before __init__ has ended
 
     def __init__(
         self,
@@ -152,9 +152,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             See the class.
         options : dict, optional
             ``"reset_mask"``: array of bool, shape (n,): only these are reset.
-            ``"first_episode_steps"``: array of int, shape (n,): decisions after which the
-            episodes that begin now are truncated, instead of ``max_episode_steps``, so that
-            boats need not end all at once.
+            ``"first_episode_steps"``: array of int, shape (n,): decisions after which the episodes
+            that begin now are truncated. It replaces ``max_episode_steps``: boats need not end all
+            at once.
 
         Returns
         -------

@@ -1,11 +1,11 @@
 """Manoeuvring indices of tracks, and the criteria of IMO.
 
-Lengths are in ship lengths (argument ``length``; between perpendiculars for IMO), rates of turn
-are ``r L / U`` with the present speed U, times in s, angles in rad. A turn to port is mirrored
-first, so that advance, transfer, diameter, rate and drift are positive to either side.
+Lengths are in ship lengths (argument ``length``; between perpendiculars for IMO). Rates of turn are
+``r L / U`` with the present speed U, times in s, angles in rad. A turn to port is mirrored first,
+so that advance, transfer, diameter, rate and drift are positive to either side.
 
-``origin`` is the time of the order. By default it is the first motion of the helm, which is later
-by the delay of the steering gear if the track holds actual helm angles.
+``origin`` is the time of the order. By default it is the first motion of the helm. If the track
+holds actual helm angles, that is later by the delay of the steering gear.
 """
 
 from __future__ import annotations
@@ -351,10 +351,10 @@ def imo(
 ) -> list[Criterion]:
     """Return the manoeuvring criteria of IMO for the given trials.
 
-    They hold for loaded ships of 100 m and more in deep calm water, at 90 % or more of the speed at
-    85 % of full power. ``length`` is between perpendiculars, m; ``speed`` that of the approach,
-    m/s. Circles are at 35 degrees or the largest helm angle, zigzags 10/10 and 20/20, stopping is
-    full astern; the worst of several counts.
+    They hold for loaded ships of 100 m and more in deep calm water. The approach has 90 % or more
+    of the speed at 85 % of full power. ``length`` is between perpendiculars, m; ``speed`` that of
+    the approach, m/s. Circles are at 35 degrees or the largest helm angle, zigzags 10/10 and 20/20,
+    stopping is full astern; the worst of several counts.
 
     Source: IMO MSC.137(76), 5.3.
     """

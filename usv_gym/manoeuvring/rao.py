@@ -136,9 +136,9 @@ def jensen(
 ) -> tuple[Array, Array]:
     """Return heave (m/m) and pitch (rad/m) of a box-shaped ship by Jensen's closed forms.
 
-    ``omega`` is the circular frequency of the wave, rad/s, ``heading`` its direction less that of
-    the boat, rad: 0 following, pi head sea; ``speed`` in m/s, for Froude numbers below 0.4; lengths
-    are of the water line, m; ``block`` reduces the beam.
+    ``omega`` is the circular frequency of the wave, rad/s. ``heading`` is its direction less that
+    of the boat, rad: 0 following, pi head sea. ``speed`` is in m/s, for Froude numbers below 0.4.
+    Lengths are of the water line, m; ``block`` reduces the beam.
 
     Source: Jensen, Mansour and Olsen 2004; the pressure falls with exp(-k T) on every heading.
     """

@@ -61,10 +61,11 @@ def turning_circle(
 ) -> Track:
     """Simulate a turning circle up to a change of heading of 720 degrees.
 
-    ``angle`` is that of the helm, rad, positive to starboard; ``n`` the constant shaft speed,
-    rev/s; ``speed`` that of the approach, m/s, by default :meth:`Vessel.straight_speed`; ``dof`` 3
-    or 6; ``dt`` by default the time to sail 1/200 of a length, at most 0.05 s for a length of 7 m,
-    scaled with its square root. TrialError: impossible arguments, and a trial that does not end.
+    ``angle`` is that of the helm, rad, positive to starboard, ``n`` the constant shaft speed,
+    rev/s. ``speed`` is that of the approach, m/s, by default :meth:`Vessel.straight_speed`; ``dof``
+    is 3 or 6. ``dt`` is by default the time to sail 1/200 of a length. It is at most 0.05 s for a
+    length of 7 m, scaled with its square root. TrialError: impossible arguments, and a trial that
+    does not end.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     return trial.sail({"turning circle": _turn(trial.checked_angle(angle))})[0]

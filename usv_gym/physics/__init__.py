@@ -6,10 +6,10 @@ Notation, signs and units of every file in this folder
 =======================================================
 
 Frames
-    Earth: north-east-down (NED), x north, y east, z down. Body: x forward, y starboard,
-    z down, origin in the still water line, at midship or at the length of the centre of
-    gravity (``x_G`` of the vessel file says which). psi is clockwise from north; r > 0 turns
-    to starboard, phi > 0 is starboard down, theta > 0 is bow up.
+    Earth: north-east-down (NED), x north, y east, z down. Body: x forward, y starboard, z down,
+    origin in the still water line. It is at midship or at the length of the centre of gravity
+    (``x_G`` of the vessel file says which). psi is clockwise from north; r > 0 turns to starboard,
+    phi > 0 is starboard down, theta > 0 is bow up.
 State (16 numbers, indices in :mod:`~usv_gym.physics.frames`)
     ``eta = (x, y, z, phi, theta, psi)`` in m and rad,
     ``nu = (u, v, w, p, q, r)`` over the ground in m/s and rad/s,

@@ -17,7 +17,7 @@ R_PRIME_MAX = 4.0
 """Largest |r'| that the polynomial sees: turning on the spot has no r' at all."""
 
 R_0_BAND = 0.2
-"""R_0 of the MMG method changes its sign with u, over this band of u / U."""
+"""R_0 of the MMG method changes its sign with u, over this range of u / U."""
 
 
 @kernel

@@ -19,7 +19,7 @@ def thrust(n: float, u_P: float, p: Record) -> float:
     """Return the open-water thrust (N) of one propeller with an inflow u_P (m/s) along its shaft.
 
     ``n`` is negative astern. ``rho D^4 n^2 K_T(J)`` with ``J = u_P / (n D)``, written without the
-    quotient so that it holds through n = 0; astern the propeller is taken as turned round, with a
+    quotient so that it holds through n = 0. Astern the propeller is taken as turned round, with a
     pull at rest of its own.
     """
     D = p.propeller_diameter
@@ -60,9 +60,9 @@ def _rudder_forces(
 ) -> tuple[float, float, float]:
     """Return X, Y, N of one propeller and the rudder behind it.
 
-    Source: MMG standard method, Yasukawa and Yoshimura 2015. The rudder's inflow is written
-    without the quotient J, so that it holds with the ship at rest, and with signed squares,
-    so that it goes through zero when the ship goes astern.
+    Source: MMG standard method, Yasukawa and Yoshimura 2015. The rudder's inflow is written without
+    the quotient J, so that it holds with the ship at rest. Signed squares let it go through zero
+    when the ship goes astern.
     """
     L, D = p.length_waterline, p.propeller_diameter
     U = math.sqrt(u * u + v * v)

@@ -1,10 +1,9 @@
 """The ship: sum of forces, kinematics, Runge-Kutta step (Eq 1-8).
 
-Where the model ends: forces are those of a displacement ship. Above about 0.6 of the Froude
-number sqrt(g L) the resistance curve is all that knows of planing: trim, lift, the shorter
-periods of heave and pitch, porpoising and the heel into a turn of a planing hull are not
-there. Waves are linear and the hull wall-sided: no slamming, no green water, no capsizing in
-breaking seas.
+Where the model ends: forces are those of a displacement ship. Above about 0.6 of the Froude number
+sqrt(g L) only the resistance curve models planing. Trim, lift, the shorter periods of heave and
+pitch, porpoising and the heel into a turn are not modelled. Waves are linear and the hull
+wall-sided: no slamming, no green water, no capsizing in breaking seas.
 """
 
 from __future__ import annotations
@@ -83,13 +82,13 @@ def derivative(
 ) -> None:
     """Write the time derivative of the state (16,) at time t; the sea's factors are written before.
 
-    Source: Eq (1)-(8), ship_and_sea.md. The sum of rigid body and added mass is driven by
-    the velocity through a current, which is exact where that is the same everywhere (Fossen
-    2021, section 10.3). In waves, hull and propulsion feel the orbital motion of the water, and
-    the added mass its acceleration: a boat on a long wave moves with the water. Weight and
-    buoyancy act along the vertical, the water plane's share at its centre; the wave's push on
-    the boat's mass at its centre of gravity; hull, added mass, propulsion and wind at their
-    heights in the vessel file.
+    Source: Eq (1)-(8), ship_and_sea.md. The sum of rigid body and added mass is driven by the
+    velocity through a current. That is exact where the current is the same everywhere (Fossen 2021,
+    section 10.3). In waves, hull and propulsion feel the orbital motion of the water, and the added
+    mass its acceleration. So a boat on a long wave moves with the water. Weight and buoyancy act
+    along the vertical, the water plane's share at its centre. The wave's push on the boat's mass
+    acts at the centre of gravity. Hull, added mass, propulsion and wind act at their heights in the
+    vessel file.
     """
     p, waves, weather, gain = ship.p, sea.waves, sea.weather, air.wave_gain
     psi, r = state[fr.PSI], state[fr.R]

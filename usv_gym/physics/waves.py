@@ -11,14 +11,15 @@ from usv_kernel.records import Record
 from usv_kernel.scalar import fma, sincos
 from usv_kernel.simd import dots, padded
 
-# rows of the array of wave components, shape (7, M); PRESSURE is rho g a integrated over the
-# draft (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
+# rows of the array of wave components, shape (7, M). PRESSURE is rho g a integrated over the draft
+# (N/m), BOTTOM the share of it that acts on a metre at the bottom (1/m)
 OMEGA, K_NORTH, K_EAST, PHASE, AMPLITUDE, PRESSURE, BOTTOM = 0, 1, 2, 3, 4, 5, 6
 
 WAVE_ROWS = 7
 
-# what hull and heading make of each component: by its sine or cosine they give forces to north
-# and east, the yaw moment in two parts, the velocity of the water; then lift, trim, heel; scratch
+# factors of each component from hull and heading. With its sine or cosine they give forces to north
+# and east, the yaw moment in two parts, and the velocity of the water. Then lift, trim, heel;
+# scratch
 FORCE_NORTH, FORCE_EAST, YAW_ALONG, YAW_ACROSS, ORBIT_NORTH, ORBIT_EAST = 0, 1, 2, 3, 4, 5
 
 LIFT, TRIM, HEEL, SCRATCH = 6, 7, 8, 9
@@ -47,7 +48,7 @@ def drift_coefficients(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 def drift_coefficients_limited(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean-drift coefficients, kept to where the regression holds.
 
-    Below 0.2 the value at 0.2 is held; from 1.0 to 1.3 it fades to nothing (cos^2): printed
+    Below 0.2 the value at 0.2 is held; from 1.0 to 1.3 it fades to nothing (cos^2). Printed
     polynomials are cubic and would push a 7.5 m boat with four times its weight.
     """
     x = np.asarray(ratio, dtype=float)
@@ -91,8 +92,8 @@ def _shape(
         bessel[i] = series if z < 0.01 else (ratio - cosine) * inverse
 
 
-# A loop becomes vector instructions only while few rows are in play: whether they overlap is
-# looked at before it begins. Hence the short loops below.
+# LLVM vectorises a loop only if it can check beforehand that its rows do not overlap, which it does
+# for few rows. So the loops below are short.
 @kernel
 def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
     """Write the product of two rows."""
@@ -157,14 +158,14 @@ def first_order_loads(
     """Return the first-order loads and the water's motion in the frame of the heading.
 
     Froude-Krylov pressure integrated over a box of the hull's length, beam and draft. The
-    horizontal loads are scaled by the block coefficient, heave by the water plane, roll and
-    pitch by the restoring moments, so that a long wave lifts the boat by its height and
-    tilts it by its slope. The phase is taken at the moving position, so that encounter
-    frequency and turning need no further thought.
+    horizontal loads are scaled by the block coefficient, heave by the water plane, roll and pitch
+    by the restoring moments. So a long wave lifts the boat by its height and tilts it by its slope.
+    The phase is taken at the moving position, so that encounter frequency and turning need no
+    further thought.
 
     ``factors`` is what :func:`box_factors` makes of the waves (7, M); its last rows are scratch.
-    Returned are X, Y (N), N (N m); Z (N, down), K, M (N m), zeros with ``dof`` 3; and u, v of the
-    water's orbital motion forward and to starboard, mean over the hull (m/s).
+    Returned are X, Y (N), N (N m); Z (N, down), K, M (N m), zeros with ``dof`` 3. Then come u, v of
+    the water's orbital motion forward and to starboard, mean over the hull (m/s).
 
     Source: ship_and_sea.md.
     """
@@ -197,8 +198,8 @@ def first_order_loads(
 def mean_drift_loads(psi: float, sums: np.ndarray) -> tuple[float, float, float]:
     """Return the mean second-order surge force, sway force (N) and yaw moment (N m).
 
-    ``sums`` (6,) holds for X, Y, N in turn the sums over the components of ``1/2 rho g L C a^2``
-    (``L^2`` for N) times the cosine and times the sine of each component's direction.
+    ``sums`` (6,) holds sums over the components for X, Y, N in turn. They are of ``1/2 rho g L C
+    a^2`` (``L^2`` for N), times the cosine and times the sine of the component's direction.
     Source: Eq (18) with g, and L^2 in N, as the dimensions ask for.
     """
     s, c = sincos(psi)

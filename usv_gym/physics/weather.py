@@ -28,7 +28,7 @@ WEATHER = np.dtype(
         ("wind_speed", float, KEYFRAMES),
         ("wind_from", float, KEYFRAMES),
         ("changes", float),  # number of keyframes after the first
-        ("gust_wind", float),  # mean wind speed that the gusts are drawn for, m/s
+        ("gust_wind", float),  # mean wind speed of the drawn gusts, m/s
         # slow wind: Gauss-Markov state, standard deviation and time constant (s)
         ("speed_drift", float),  # m/s
         ("speed_sd", float),
@@ -84,8 +84,8 @@ def air_velocity(t: float, gusts: np.ndarray, weather: Record) -> tuple[float, f
     """Return the velocity of the air in m/s, north and east, at time t (s).
 
     The direction turns the short way round. Gusts (3, G) grow and fall with the mean speed (their
-    intensity stays); the slow drift of the speed is kept within the mean speed either way,
-    so that no wind stays no wind.
+    intensity stays). The slow drift of the speed is kept within the mean speed either way, so that
+    no wind stays no wind.
     """
     i, j, share = _between(t, weather)
     speed, come_from = weather.wind_speed[i], weather.wind_from[i]

@@ -196,7 +196,7 @@ def tanker_replay(study: Study) -> Section:
         "speed. RMS errors are over the whole run. Nothing is fitted, and all rows are reported "
         "only. Runs of MARIN stay within half a ship length. Long zigzags of HSVA end several "
         "lengths from the record, with wrong overshoots. One reason is that the recorded rudder "
-        "reverses when the real ship reaches the switch heading; the model has not reached it, "
+        "reverses when the real ship reaches the switch heading. The model has not reached it, "
         "and nothing corrects its heading. Sensitivity to the start is not the reason: 1e-3 rad/s "
         "more at the start moves the tracks by 0.16 lengths RMS or less. The main cause is "
         "unknown. The tested model had another propeller (0.204 m, here 0.216 m) and a horn "

@@ -79,9 +79,9 @@ def sea(study: Study) -> Section:
         "elevation at one place (Welch's method). It must have the significant height and the "
         "peak period of the given spectrum within 5 %. Peak periods are from the mean frequency "
         "weighted with S^4 (Young 1995). Twelve measured hours of NDBC buoy 46042 (1996, one a "
-        "month, close to a PM spectrum) are simulated from their spectra; the mismatch is the "
-        "integral of the absolute difference over twice the energy. Waves are linear and long- "
-        "crested here.",
+        "month, close to a PM spectrum) are simulated from their spectra. The mismatch is the "
+        "integral of the absolute difference over twice the energy. Waves are linear and "
+        "long-crested here.",
         (
             *rows(constants, SEPARATE, 1e-3),
             *rows(half_metre, SEPARATE, 1e-2),

@@ -185,8 +185,8 @@ def motions(study: Study) -> Section:
         found += rows(entries, "Jensen's closed forms", 2.5, "factor", 3)
     return Section(
         "Motions in waves against Jensen's closed forms",
-        "Response amplitudes of the simulated boat in low regular waves, as ratios to an "
-        "independent theory of box-shaped ships, for waves longer than two ship lengths, and the "
+        "Shown are ratios of the simulated boat's response amplitudes to an independent theory of "
+        "box-shaped ships, in low regular waves longer than two ship lengths. Then follow the "
         "resulting motions in a PM sea with Hs .5 m. They agree within 20 % at rest and within a "
         "factor of 2.5 under way. These tolerances were chosen after the values were known, so "
         "they detect changes and prove little. Resonance in head seas at speed is up to half "

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from usv_gym.vessel.mesh import Array, Mesh
+from usv_kernel.errors import UsvTwinError
 
-__all__ = ["COLOURS", "Boat", "Colour", "Part"]
+__all__ = ["COLOURS", "Boat", "Colour", "Part", "PartError"]
 
 Colour = tuple[int, int, int]
 
@@ -23,6 +24,12 @@ COLOURS: dict[str, Colour] = {
     "propeller": (181, 134, 52),
 }
 """Red, green and blue (0 to 255) by kind of part; rudders have the colour of drives."""
+
+
+class PartError(UsvTwinError, KeyError):
+    """A name that no part of a boat has."""
+
+    __str__ = ValueError.__str__  # KeyError would put the message in quotes
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +66,7 @@ class Boat:
         for part in self.parts:
             if part.name == name:
                 return part
-        raise KeyError(f"no part {name!r}; there are: {', '.join(p.name for p in self.parts)}")
+        raise PartError(f"no part {name!r}; there are: {', '.join(p.name for p in self.parts)}")
 
     def position_of(self, part: Part) -> Array:
         """Return the position of a part in the ship's frame with straight drives, m, shape (3,)."""

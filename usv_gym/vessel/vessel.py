@@ -236,7 +236,7 @@ class Vessel:
         if not surplus(0.0) > 0.0 > surplus(top):
             raise VesselError(
                 f"{self.name}: [propulsion] k_0, k_1, k_2: at {n:g} rev/s the propellers do not "
-                "balance the resistance at any speed; K_T must be above 0 at rest and fall with J"
+                "balance the resistance at any speed. K_T must be above 0 at rest and fall with J"
             )
         return _root(surplus, 0.0, top)
 
@@ -251,10 +251,10 @@ class Vessel:
         geometry) for its speeds. The length overall follows the length, the water plane length and
         beam. Actuators, shaft speeds and name stay.
 
-        A boat is drawn again if it breaks the schema, is course-unstable (or more so than this
-        vessel, if that is unstable), or if its speed at the manoeuvring shaft speed differs by more
-        than a factor of 4/3. VesselError: a spread is negative or infinite, or no boat could be
-        drawn.
+        A boat is drawn again if it breaks the schema, or is course-unstable (or more so than this
+        vessel, if that is unstable). It is also drawn again if its speed at the manoeuvring shaft
+        speed differs by more than a factor of 4/3. VesselError: a spread is negative or infinite,
+        or no boat could be drawn.
 
         Source: docs/explanation/ship_and_sea.md, Vessels.
         """

@@ -79,7 +79,7 @@ def is_finite(value: object) -> bool:
 
 
 class FaultError(UsvTwinError):
-    """A sensor or a fault that cannot be; the message names it and the remedy."""
+    """An invalid sensor or fault; the message names it and the remedy."""
 
 
 SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
@@ -89,7 +89,7 @@ the noise, but possible."""
 
 @dataclass(frozen=True)
 class Disturbance(ABC):
-    """What a fault does to which sensors; when it does so is the subclass's affair.
+    """What a fault does to which sensors; subclasses define when.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class RandomFaults(Disturbance):
         _finite_start(self.kind, self.start)
 
     def _timing(self, dt: float) -> dict[str, Any]:
-        # a window that is over when it begins: the first one is drawn then
+        # an empty window, after which the first real one is drawn
         return {"start": self.start, "end": self.start, "gap": self.gap, "length": self.duration}
 
 
@@ -212,8 +212,8 @@ class RandomFaults(Disturbance):
 class Bursts(Disturbance):
     """Faults in bursts: a Gilbert-Elliott chain, drawn at each control step.
 
-    Source: Gilbert 1960, Elliott 1963: p from good to bad and r back in each step give the
-    share p / (p + r) and bursts of 1 / r steps.
+    Source: Gilbert 1960, Elliott 1963: p from good to bad and r back in each step. The share is p /
+    (p + r), the mean burst 1 / r steps.
 
     Parameters
     ----------
@@ -298,10 +298,10 @@ def parse_faults(text: str, start: float) -> tuple[Disturbance, ...]:
     Parameters
     ----------
     text : str
-        ``none``; ``on``, see :data:`ON`; or parts joined by ``+``. A part is a kind, then
-        ``-`` and an effect (``loss`` if left out), then when: seconds, ``-random`` (see
-        :class:`RandomFaults`) or ``-bursts`` (see :class:`Bursts`; per cent and mean
-        seconds may follow as in ``gps-bursts10x2``), and last ``@`` and its start in s.
+        ``none``; ``on``, see :data:`ON`; or parts joined by ``+``. A part is a kind, then ``-`` and
+        an effect (``loss`` if left out), then when, and last ``@`` and its start in s. When is
+        seconds, ``-random`` (see :class:`RandomFaults`) or ``-bursts`` (see :class:`Bursts`). Per
+        cent and mean seconds may follow, as in ``gps-bursts10x2``.
     start : float
         When windows without ``@`` begin, s; random ones and bursts begin at 0.
 

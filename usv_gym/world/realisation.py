@@ -30,8 +30,8 @@ def wave_rows(
     """Return wave components (7, M) as the kernels read them, and the sums (6,) of mean drift.
 
     The vessel's draft and length decide how deep the pressure reaches and which waves it reflects.
-    ``omega`` is in rad/s, ``amplitude`` in m; ``north, east`` are the unit vector that each
-    component goes along; ``phase`` is that at the origin at time 0, rad.
+    ``omega`` is in rad/s, ``amplitude`` in m; ``north, east`` are the unit vector of each
+    component's direction. ``phase`` is that at the origin at time 0, rad.
     """
     omega, amplitude, north, east, phase = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))

@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 
 class SeaError(UsvTwinError):
-    """A sea state that cannot be; the message names the value and the remedy."""
+    """An invalid sea state; the message names the value and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A wave spectrum as a table, straight between its points and nought beyond them.
+    """A wave spectrum as a table, linear between its points and zero beyond them.
 
     ``omega`` (n,) rises, rad/s, above 0; ``density`` (n,) is in m2 s/rad, not below 0.
     """

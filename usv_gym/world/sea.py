@@ -122,11 +122,11 @@ class SeaState:
     wind_from_sd, wind_from_tau : float
         The same for where the wind comes from, rad and s.
     schedule : sequence of SeaKeyframe
-        Up to eight moments between which Hs and wind change linearly (the direction the
-        short way round); before the first and after the last they are held. ``hs`` and
-        ``wind`` are then left out, and become the greatest of the schedule. The waves are one
-        realisation at the greatest Hs times a gain: their periods are those of the greatest
-        Hs throughout. Gusts are drawn for the greatest wind, and scaled with the wind.
+        Up to eight moments between which Hs and wind change linearly (the direction the short way
+        round). Before the first and after the last they are held. ``hs`` and ``wind`` are then left
+        out, and become the greatest of the schedule. The waves are one realisation at the greatest
+        Hs times a gain: their periods are those of the greatest Hs throughout. Gusts are drawn for
+        the greatest wind, and scaled with the wind.
     """
 
     hs: float = 0.0
@@ -169,7 +169,7 @@ class SeaState:
             raise SeaError(
                 f"gamma = {self.gamma}: only the spectrum jonswap takes a peak enhancement"
             )
-        self._take_course()
+        self._take_schedule()
         if self.tp is not None and self.hs > STEEPEST * GRAVITY * self.tp**2 / _TURN:
             raise SeaError(
                 f"hs = {self.hs:g} m with tp = {self.tp:g} s: such waves break; the height must be "
@@ -191,7 +191,7 @@ class SeaState:
         if isinstance(spectrum, Spectrum) and self.hs == 0.0 and not self.schedule:
             object.__setattr__(self, "hs", spectrum.moments.hs)
 
-    def _take_course(self) -> None:
+    def _take_schedule(self) -> None:
         """Check the schedule, and take the greatest height and wind from it."""
         try:
             schedule = tuple(SeaKeyframe(*keyframe) for keyframe in self.schedule)
@@ -318,7 +318,7 @@ class SeaState:
     def _components(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw the frequencies (rad/s) of the components, and return their amplitudes (m)."""
         M = self.components
-        # one at random in each of M bins, of equal energy or of equal width: never repeats
+        # one frequency at random in each of M bins, of equal energy or width: the sea never repeats
         within = np.arange(M) + rng.random(M)
         if self.discretisation == "random-frequency":
             table = self.wave_spectrum()
@@ -350,8 +350,8 @@ class SeaState:
         if self.spreading is not None:
             from scipy.special import betaincinv  # takes a while, and few seas need it
 
-            # (1 + sin)/2 of a cos^2s direction has a beta distribution; one direction at
-            # random in each of M bins of equal energy, dealt out to the frequencies
+            # (1 + sin)/2 of a cos^2s direction has a beta distribution. One direction at random in
+            # each of M bins of equal energy, dealt out to the frequencies
             shape, shares = self.spreading + 0.5, (rng.permutation(M) + rng.random(M)) / M
             aside = np.arcsin(2.0 * betaincinv(shape, shape, shares) - 1.0)
         north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)

@@ -217,9 +217,9 @@ class SensorSuite:
 
 
 GRADES = {
-    # GPS of ship_and_sea.md; IMU and heading of an MTi-300 class data sheet: .01
-    # deg/s/sqrt(Hz) and 60 ug/sqrt(Hz), white at 20 Hz by sqrt(20); biases stable to 10 deg/h
-    # and 15 ug; heading 1 deg RMS in all
+    # GPS of ship_and_sea.md; IMU and heading of an MTi-300 class data sheet. .01 deg/s/sqrt(Hz) and
+    # 60 ug/sqrt(Hz), white at 20 Hz by sqrt(20). Biases stable to 10 deg/h and 15 ug; heading 1 deg
+    # RMS in all
     "best": SensorSuite(
         gps_white=0.2,
         gps_bias=0.7,
@@ -349,7 +349,7 @@ def measure(
     newest[GPS_VX], newest[GPS_VY] = v_north, v_east
     for i in range(z.shape[0]):
         z[i] = math.nan
-    # a late receiver has nothing to say until its first fix is old enough
+    # a receiver with latency gives nothing until its first fix is old enough
     if count >= delay and _due(count - delay, suite.gps_share):
         old = delay_line[(count - delay) % delay_line.shape[0]]
         z[GPS_X] = old[GPS_X] + sensors.gps_bias[0] + suite.gps_white * noise.gps[0]

@@ -191,7 +191,7 @@ class Simulation:
                 f"faults = {faults!r}: give a sequence of usv_gym.Fault and the like "
                 "(usv_gym.world.faults.parse_faults reads a text)"
             )
-        fault_records(fixed, dt)  # what does not fit fails here, not at the first reset
+        fault_records(fixed, dt)  # invalid combinations fail here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
@@ -250,8 +250,8 @@ class Simulation:
         """Put some boats back to the start: straight ahead, at the manoeuvring speed.
 
         With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
-        gusts, GPS, compass, IMU and faults each get a child of the boat's generator, so that
-        switching one off leaves the others as they were.
+        gusts, GPS, compass, IMU and faults each get a child of the boat's generator. So switching
+        one off leaves the others as they were.
         """
         n_start = self.vessel.values["shaft_speed_manoeuvring"]
         boats, rngs = list(boats), list(rngs)

@@ -450,7 +450,7 @@ def test_repeated_fixes_and_headings_are_no_new_sample(tmp_path: Path) -> None:
     )
 
 
-def sailing(rows: int = 600, turn: float = 0.04) -> dict[str, np.ndarray]:
+def straight_ahead_log(rows: int = 600, turn: float = 0.04) -> dict[str, np.ndarray]:
     """Return the columns of a boat that goes where it points, at 10 Hz."""
     t = 0.1 * np.arange(rows)
     psi = 1.2 + turn * t + 0.3 * np.sin(0.2 * t)
@@ -487,7 +487,7 @@ def as_text(table: dict[str, np.ndarray]) -> Columns:
 def test_degrees_under_a_name_of_radians_are_refused(
     tmp_path: Path, name: str, words: str, wrap: bool
 ) -> None:
-    table = sailing()
+    table = straight_ahead_log()
     Log.read(save(tmp_path / "a.csv", as_text(table)))
     table[name] = np.degrees(table[name])
     if wrap and name != "gyro_radps":
@@ -497,7 +497,7 @@ def test_degrees_under_a_name_of_radians_are_refused(
 
 
 def test_unwrapped_heading_in_degrees_is_refused_by_the_yaw_rate(tmp_path: Path) -> None:
-    table = sailing(1200, 0.2)
+    table = straight_ahead_log(1200, 0.2)
     table["compass_rad"] = np.degrees(np.unwrap(table["compass_rad"]))
     for name in ("gps_vx_mps", "gps_vy_mps"):
         table.pop(name, None)
@@ -508,7 +508,7 @@ def test_unwrapped_heading_in_degrees_is_refused_by_the_yaw_rate(tmp_path: Path)
 @pytest.mark.parametrize("turn", [0.0, 0.04, -0.3])
 @pytest.mark.parametrize("wrap", [0.0, math.pi, math.inf])
 def test_radians_wrapped_or_not_are_accepted(tmp_path: Path, turn: float, wrap: float) -> None:
-    table = sailing(1200, turn)
+    table = straight_ahead_log(1200, turn)
     if wrap < math.inf:
         table["compass_rad"] = np.mod(table["compass_rad"] + wrap, 2.0 * math.pi) - wrap
     assert Log.read(save(tmp_path / "a.csv", as_text(table))).notes[1:] == ()
@@ -519,7 +519,7 @@ def test_radians_wrapped_or_not_are_accepted(tmp_path: Path, turn: float, wrap: 
 
 @pytest.mark.parametrize(("first", "count"), [(0, 1), (100, 1), (300, 40), (597, 3)])
 def test_a_jump_and_back_is_left_out(tmp_path: Path, first: int, count: int) -> None:
-    table = sailing()
+    table = straight_ahead_log()
     table["gps_x_m"][first : first + count] += 500.0
     log = Log.read(save(tmp_path / "a.csv", as_text(table)))
     assert np.flatnonzero(np.isnan(log.z[:, 0])).tolist() == [*range(first, first + count)]
@@ -530,22 +530,22 @@ def test_a_jump_and_back_is_left_out(tmp_path: Path, first: int, count: int) -> 
 
 @pytest.mark.parametrize("gap", [0, 50])
 def test_a_jump_that_stays_is_refused(tmp_path: Path, gap: int) -> None:
-    table = sailing()
+    table = straight_ahead_log()
     table["gps_y_m"][300:] -= 500.0
     table["gps_x_m"][300 : 300 + gap] = np.nan
     message = refused(save(tmp_path / "a.csv", as_text(table)))
     assert f"line {302 + gap}: the position jumps by " in message
-    assert "and stays away; read the pieces one by one with start_s and stop_s" in message
+    assert "and stays away. Read the pieces one by one with start_s and stop_s" in message
 
 
 def test_a_position_of_noise_is_refused(tmp_path: Path) -> None:
-    table = sailing(3000)
+    table = straight_ahead_log(3000)
     table["gps_x_m"] += 500.0 * np.random.default_rng(0).standard_normal(3000)
     assert "the position jumps by" in refused(save(tmp_path / "a.csv", as_text(table)))
 
 
 def test_rows_of_equal_time_are_merged_unless_they_contradict(tmp_path: Path) -> None:
-    table = sailing()
+    table = straight_ahead_log()
     twice = {name: np.repeat(values, 2) for name, values in table.items()}
     log = Log.read(save(tmp_path / "a.csv", as_text(twice)))
     assert same_bits(log, Log.read(save(tmp_path / "b.csv", as_text(table))))
@@ -560,9 +560,9 @@ def test_rows_of_equal_time_are_merged_unless_they_contradict(tmp_path: Path) ->
 
 def test_shuffled_rows_and_a_clock_set_back_are_refused(tmp_path: Path) -> None:
     order = np.random.default_rng(1).permutation(600)
-    shuffled = {name: values[order] for name, values in sailing().items()}
+    shuffled = {name: values[order] for name, values in straight_ahead_log().items()}
     assert "time does not increase" in refused(save(tmp_path / "a.csv", as_text(shuffled)))
-    table = sailing()
+    table = straight_ahead_log()
     table["t_s"][300:] -= 20.0
     message = refused(save(tmp_path / "a.csv", as_text(table)))
     assert "line 302: time does not increase (10 s after 29.9 s)" in message

@@ -618,7 +618,7 @@ def test_log_of_too_many_rows_is_refused(
     monkeypatch.setattr(table, "_BLOCK_BYTES", 4000)
     monkeypatch.setattr(table, "_BLOCK_ROWS", 30)
     message = refused(path)
-    assert "has more than 100 rows, the most that a log may have; read a piece" in message
+    assert "has more than 100 rows, the most that a log may have. Read a piece" in message
     for rows, count in (("start_s = 12.0", 80), ("stop_s = 9.95", 100), ("step_s = 0.5", 40)):
         mapping = written(tmp_path / "m.toml", f"[rows]\n{rows}\n")
         assert len(Log.read(path, mapping)) == count

@@ -88,12 +88,12 @@ def test_intervals_are_given_or_normal():
     np.testing.assert_allclose(plain.high - mean, 2.0 * 1.6448536, rtol=1e-7)
     np.testing.assert_allclose(mean - plain.low, 2.0 * 1.6448536, rtol=1e-7)
     skew = dataclasses.replace(plain, low=mean - 1.0, high=mean + 5.0)
-    low, high = skew.band(np.array([1.5, 2.0]))
+    low, high = skew.interval(np.array([1.5, 2.0]))
     middle = skew.at(np.array([1.5, 2.0]))[0]
     np.testing.assert_allclose(middle - low, 1.0)
     np.testing.assert_allclose(high - middle, 5.0)
     # halfway to the first row: between the spread of the start and that of the row
-    low, high = skew.band(np.array([0.5]))
+    low, high = skew.interval(np.array([0.5]))
     np.testing.assert_allclose(high, 0.5 * (1.6448536 + mean[:1] + 5.0), rtol=1e-7)
 
 

@@ -73,8 +73,8 @@ def test_the_better_half_is_trained_longer(
     simulated: tuple[list[Run], list[Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """4, 2, 1 trainings, twice as long each time; Ctrl-C and going on change nothing."""
-    runs, judges, _ = simulated
-    best = fleet_search.search(TRIED, runs, judges, tmp_path / "a", first=FIRST, rungs=3)
+    runs, validation, _ = simulated
+    best = fleet_search.search(TRIED, runs, validation, tmp_path / "a", first=FIRST, rungs=3)
     lines = found(tmp_path / "a")
     assert [line["settings"]["steps"] for line in lines] == [2] * 4 + [4] * 2 + [8]
     assert [line["windows"] for line in lines] == [32] * 4 + [64] * 2 + [128]
@@ -93,9 +93,9 @@ def test_the_better_half_is_trained_longer(
 
     monkeypatch.setattr(fleet_search, "train", stops)
     with pytest.raises(KeyboardInterrupt):
-        fleet_search.search(TRIED, runs, judges, tmp_path / "b", first=FIRST, rungs=3)
+        fleet_search.search(TRIED, runs, validation, tmp_path / "b", first=FIRST, rungs=3)
     assert found(tmp_path / "b") == lines[:3]
-    again = fleet_search.search(TRIED, runs, judges, tmp_path / "b", first=FIRST, rungs=3)
+    again = fleet_search.search(TRIED, runs, validation, tmp_path / "b", first=FIRST, rungs=3)
     assert again == best and found(tmp_path / "b") == lines
     assert len(trained) == 4 + 4
 
@@ -104,12 +104,12 @@ def test_untrained_net_holds_velocities(
     simulated: tuple[list[Run], list[Any], Path], tmp_path: Path
 ) -> None:
     """Its answer is to hold the velocities, and it is scored for that."""
-    runs, judges, _ = simulated
+    runs, validation, _ = simulated
     weights = fleet.train(dataclasses.replace(TRIED[0], steps=1), runs, tmp_path)
     weights.arrays["read.weight"][:] = 0.0
     weights.arrays["read.bias"][:] = 0.0
-    errors = fleet_search.losses(weights, judges)
-    _, start, _, truth = judges[0]
+    errors = fleet_search.losses(weights, validation)
+    _, start, _, truth = validation[0]
     held = np.abs(truth[..., 3:] - start[:, None]).mean(axis=1) / fleet.TYPICAL[3:]
     assert errors.shape == (len(start), 6)
     np.testing.assert_allclose(errors[:, 3:], held, rtol=1e-4)

@@ -618,7 +618,7 @@ def test_the_log_holds_what_the_sensors_said_and_the_truth(sailed: Any) -> None:
     gone = np.isnan(log.z[:, 0])
     assert np.all(gone[(log.t > 20.01) & (log.t < 29.99)])
     assert gone.sum() == 200 + 2  # and before the first fix
-    assert np.all(np.isnan(log.z[:, 8]))  # nobody measures the wind
+    assert np.all(np.isnan(log.z[:, 8]))  # no sensor measures the wind
 
 
 def test_a_log_needs_a_recording() -> None:

@@ -226,7 +226,7 @@ def test_the_band_of_the_twin_grows_with_the_horizon() -> None:
     sail(env, 12.0)
     overlay = scene(env).overlay
     assert overlay and overlay.horizons.tolist() == [1.0, 2.0, 5.0, 10.0]
-    times, places, covs = overlay.band()
+    times, places, covs = overlay.interpolate()
     shapes = ellipses(places, covs)
     width = np.linalg.norm(shapes - places[:, None], axis=-1).max(axis=1)
     assert times[0] == 0.0 and times[-1] == 10.0

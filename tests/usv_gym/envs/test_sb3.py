@@ -15,6 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from usv_gym.envs.sb3 import SB3VecEnv
+from usv_kernel.errors import BoatIndexError
 
 OPTIONS = {"twin": "ukf", "faults": "gps3@2", "max_episode_steps": 60}
 
@@ -63,7 +64,7 @@ def test_attributes_and_methods():
     assert envs.get_attr("max_episode_steps") == [2400, 2400]
     assert envs.get_attr("num_envs", indices=1) == [2]
     assert envs.get_attr("action_space") == [envs.action_space] * 2
-    with pytest.raises(IndexError, match="boats count from 0 to 1"):
+    with pytest.raises(BoatIndexError, match="boats count from 0 to 1"):
         envs.get_attr("task", indices=9)
     with pytest.raises(TypeError, match="all boats at once"):
         envs.env_method("reset")

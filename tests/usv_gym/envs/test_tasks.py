@@ -169,7 +169,7 @@ def test_a_decision_of_ten_steps_is_ten_steps():
     one, other = long.reset(seed=3)[0], short.reset(seed=3)[0]
     np.testing.assert_array_equal(one, other)
     valid = [k for k, name in enumerate(OBSERVATION) if name.endswith("_valid")]
-    bands = [k for k, name in enumerate(long.observation_names) if "ahead" in name and "sd" in name]
+    sds = [k for k, name in enumerate(long.observation_names) if "ahead" in name and "sd" in name]
     for action in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2)):
         one, reward, *_, info = long.step(action)
         total, seen = 0.0, np.zeros(len(valid))
@@ -179,7 +179,7 @@ def test_a_decision_of_ten_steps_is_ten_steps():
         assert reward == pytest.approx(total)
         np.testing.assert_array_equal(long.simulation.state, short.simulation.state)
         np.testing.assert_array_equal(one[valid], seen)  # a sample since the last decision
-        rest = np.delete(np.arange(len(one)), [*valid, *bands])  # bands come every 5 s
+        rest = np.delete(np.arange(len(one)), [*valid, *sds])  # they come every 5 s
         np.testing.assert_allclose(one[rest], other[rest], atol=1e-6)
         assert info["t_s"] == last["t_s"]
 

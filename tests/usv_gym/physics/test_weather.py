@@ -109,7 +109,7 @@ def test_slow_wind_has_its_standard_deviation_and_time_constant() -> None:
     # N = boats * T / (2 tau) = 1600 and 667 independent values: the standard error of a
     # standard deviation is 1/sqrt(2 N) = 1.8 and 2.7 %; three of them
     np.testing.assert_allclose(np.std(states, axis=(0, 1)), sd, rtol=0.08)
-    # the first value is one of them, not nought: 1/sqrt(2 * 40) = 11 %
+    # the first value is one of them, not zero: 1/sqrt(2 * 40) = 11 %
     np.testing.assert_allclose(np.std(states[:, 0], axis=0), sd, rtol=0.33)
     # correlation over one time constant: exp(-1), standard error about 1/sqrt(N)
     for j, lag in enumerate((tau / dt).astype(int)):
@@ -129,7 +129,7 @@ def test_slow_wind_turns_about_the_mean_wind() -> None:
     for _ in range(60):
         wx.advance_slow_wind(weather, 1.0, 0.0, 0.0)
     assert wind_at(0.0, weather)[0] == pytest.approx(8.0 - 0.5 * math.exp(-1.0), rel=1e-9)
-    assert weather["from_drift"] == 0.25  # a standard deviation of nought leaves it alone
+    assert weather["from_drift"] == 0.25  # a standard deviation of zero leaves it alone
 
 
 @given(mean=st.floats(0.0, 20.0), drift=st.floats(-40.0, 40.0))

@@ -22,6 +22,7 @@ from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.vessel.geometry import Boat, Form, Mesh, boat_of, encode_mesh
 from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, VesselError
+from usv_kernel.errors import UsvTwinError
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -92,8 +93,9 @@ def test_parts_are_closed_and_have_few_vertices(vessel: Vessel) -> None:
         assert np.isfinite(part.mesh.vertices).all()
     assert len({part.name for part in boat.parts}) == len(boat.parts)
     assert sum(len(part.mesh.vertices) for part in boat.parts) < 4000
-    with pytest.raises(KeyError, match=r"no part 'keel'.*hull"):
+    with pytest.raises(KeyError, match=r"^no part 'keel'.*hull") as caught:
         boat["keel"]
+    assert isinstance(caught.value, UsvTwinError)
 
 
 def test_catamarans_have_two_hulls() -> None:

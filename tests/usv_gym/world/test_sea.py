@@ -610,6 +610,6 @@ def test_replace_changes_what_is_given() -> None:
     two = SeaState.named("2")
     changed = two.replace(hs=1.0, wind=None)
     assert (changed.hs, changed.wind) == (1.0, two.wind)
-    assert two.replace(hs=0.0).hs == 0.0  # nought is a value
+    assert two.replace(hs=0.0).hs == 0.0  # zero is a value
     with pytest.raises(SeaError, match="hs"):
         two.replace(hs=-1.0)

@@ -105,7 +105,7 @@ def error_figure(about: str, rows: Sequence[Mapping[str, Any]], styles: Styles) 
                 for h in sorted(table)
             }
             for key, table in errors.items()
-            # the thin lines are those of the first plan: of all plans they would be too many
+            # thin lines for the first plan only: those of all plans would be too many
             if key[0] == channel and (key[1] in strong or key[2] == plans[0])
         }
         set_title(axes[channel], title)
@@ -124,7 +124,7 @@ def _draw_errors(
     ends = {}
     for (predictor, plan), curve in curves.items():
         x = np.log10(list(curve))
-        # a point far outside is as good as one at infinity, and can be drawn
+        # a point far outside stands for one at infinity, which cannot be drawn
         y = np.clip(_log10(list(curve.values())), low - 1.0, high + 1.0)
         strong = predictor in styles
         colour, style = styles.get(predictor, (PALE, "-"))

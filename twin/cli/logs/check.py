@@ -61,9 +61,9 @@ def log_check_command(
 ) -> None:
     """Tell what is in a log and what is wrong with it, before anything is run.
 
-    Rates, gaps, jitter, noise and delays of the sensors; compass against gyro and track, speed
-    against fixes, commands against the motion; units, signs and sides; rest, and forces without
-    a command. One line a finding, with its number and the remedy.
+    Checked are rates, gaps, jitter, noise and delays of the sensors. Compass is compared with gyro
+    and track, speed with fixes, commands with the motion. Units, signs and sides, rest, and forces
+    without a command are checked, too. One line a finding, with its number and the remedy.
 
     Exit code 0: sound; 1: errors (with --strict also warnings); 2: it cannot be read.
     """

@@ -124,7 +124,7 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
     ends = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
     horizons = [h for h in ends if h < span - 1e-6] + [span]
     mean = prediction.at(np.array(horizons))[0]
-    low, high = prediction.band(np.array(horizons))
+    low, high = prediction.interval(np.array(horizons))
     up, down = high - mean, mean - low
     mean[:, 2] %= 2.0 * math.pi
     table = new_table(

@@ -73,7 +73,7 @@ REPEAT = 0.01
 """A message without a time that repeats the last one within this, s, is that one again."""
 
 HOLD = 2.0
-"""The clock of the sender is taken to run at its own rate for this long, s, without news."""
+"""Time without messages, s, over which the sender's clock is extrapolated at its own rate."""
 
 BYTES_MAX = 1 << 16
 """About so many bytes are read in one call; the rest waits for the next."""
@@ -88,7 +88,7 @@ LIMITS = {
     **dict.fromkeys(COMMANDS[:2], 2000.0),
     **dict.fromkeys(COMMANDS[2:], 0.5 * math.pi + 1e-6),
 }
-"""Beyond these no value is true, whatever its checksum says."""
+"""Limits of valid values, whatever the checksum says."""
 
 # Linux: the kernel's time of a datagram, and how many it has dropped before it
 _TIMESTAMP, _DROPPED = 35, 40
@@ -141,7 +141,7 @@ class _Clock:
             half = (len(ours) + 1) // 2
             passed = ours[half:] - ours[: len(ours) - half]
             rate = 1.0
-            # fewer say nothing of the rate: between two lies as much chance as time
+            # fewer do not give the rate: between two, jitter is as large as the time
             if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and (passed > 0.0).any():
                 steps = theirs[half:] - theirs[: len(ours) - half]
                 rate = max(float(np.median(steps[passed > 0.0] / passed[passed > 0.0])), 0.0)
@@ -179,13 +179,13 @@ class Feed(ABC):
 
     Notes
     -----
-    A row's time is that of its fix, or else of its last sample, on the axis of the sender's
-    clock, from 0 at the first row. Messages without a time are placed by a line through the
-    times of the last ones that had one, over when they came, so that a stream that runs faster
-    than the clock is given as it was. A row's command is the last one up to its time.
+    A row's time is that of its fix, or else of its last sample. It is counted by the sender's clock
+    from the first row. Messages without a time are placed by a line through the times of the last
+    ones with one, over their arrivals. So a stream that runs faster than the clock keeps its times.
+    A row's command is the last one up to its time.
 
     If only late messages come for :data:`RESTART` seconds of their own time, their sender has
-    restarted: its time goes on after what was there, by our own clock. A jump ahead is a gap.
+    restarted. Its time goes on after what was there, by our own clock. A jump ahead is a gap.
     """
 
     modulus: float
@@ -282,7 +282,7 @@ class Feed(ABC):
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
         """Take one datagram that arrived at a time of the feed's clock (s)."""
-        if not self._map.pairs:  # until a message tells a time, ours is as good as any
+        if not self._map.pairs:  # until a message has a time, use our own
             self._map.tell(arrival, 0.0)
         for item in self.decode(data):
             counted = item if isinstance(item, str) else self._place(item, arrival)
@@ -402,7 +402,7 @@ class Feed(ABC):
             turns = round((nearest + self._base - stamp) / self.modulus)
             t = stamp + turns * self.modulus - self._base
         key = kind, round(t / SAME)
-        behind = t < self._released + SAME / 2  # stamps of other units may round to a hair later
+        behind = t < self._released + SAME / 2  # stamps in other units may round to slightly later
         if behind:
             self._stale = min(self._stale, t)
             if t - self._stale >= RESTART:
@@ -416,7 +416,7 @@ class Feed(ABC):
         if key in self._seen:
             return "doubled"
         if behind:
-            if t > self._released - RESTART:  # of the clock it still speaks
+            if t > self._released - RESTART:  # its time still counts
                 self._map.tell(arrival, t)
             return "late"
         self._stale = math.inf

@@ -1,16 +1,17 @@
 """MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's estimates back.
 
 Taken are GLOBAL_POSITION_INT (fix and velocity), ATTITUDE (heading and yaw rate) and
-SERVO_OUTPUT_RAW (commands, by :class:`Servos`), of the first component that sends the first, or
-as autopilot (component 1) the second. While GPS_RAW_INT says that there is no fix, the position is
-no measurement but the autopilot's own dead reckoning, and counts as void. The largest value of a
-field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not known.
+SERVO_OUTPUT_RAW (commands, by :class:`Servos`). They are of one component: the first that sends
+GLOBAL_POSITION_INT, or the autopilot (component 1) with ATTITUDE. While GPS_RAW_INT says that there
+is no fix, the position is no measurement but the autopilot's own dead reckoning, and counts as
+void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not
+known.
 
-The twin answers as the onboard computer (component 191) of that system: HEARTBEAT once a second,
-and of its estimates GLOBAL_POSITION_INT, ATTITUDE, ODOMETRY (local NED about the first fix, with
-variances), TRAJECTORY_REPRESENTATION_WAYPOINTS (places, velocities and headings 2, 4, 6, 8, 10 s
-ahead, local NED) and DEBUG_FLOAT_ARRAY ``sd_pos`` (for each of them: seconds ahead, standard
-deviations north and east, m).
+The twin answers as the onboard computer (component 191) of that system, with HEARTBEAT once a
+second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (local NED about the first fix,
+with variances). Its forecasts are TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and
+headings 2, 4, 6, 8, 10 s ahead, local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds
+ahead and standard deviations north and east, m.
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -45,10 +46,10 @@ WRAP = 2.0**32
 UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
 
 UNUSED = 2**16 - 1
-"""Pulse width of an output that there is not, us."""
+"""Pulse width of an unused output, us."""
 
 NEAR = 5.0
-"""A time of a servo output that is farther than this, s, from the last one is of another clock."""
+"""A servo output whose time differs by more than this, s, from the last one has another clock."""
 
 HEARTBEAT = 1.0
 """Time between two, s."""
@@ -66,8 +67,8 @@ class Servos:
 
     Notes
     -----
-    The outputs are those of ArduPilot's Rover by default: steering 1 and throttle 3, or for
-    skid steering left throttle 1 and right throttle 3, of 1100, 1500 and 1900 us.
+    The outputs are by default those of ArduPilot's Rover, of 1100, 1500 and 1900 us: steering 1 and
+    throttle 3. For skid steering, they are left throttle 1 and right throttle 3.
     Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
     """
 
@@ -187,7 +188,7 @@ class MavlinkFeed(Feed):
     def decode(self, data: bytes) -> Iterator[Message | str]:
         """Yield the messages of a datagram; see :meth:`Feed.decode`."""
         if self._parser.buf_len() and data[:1] in (b"\xfd", b"\xfe"):
-            yield "broken"  # the last datagram ended within a message, which this does not go on
+            yield "broken"  # the last datagram ended in a message that this one does not continue
             self._parser = self._writer.parser()
         for item in self._parser.parse_buffer(data) or ():
             yield self._message(item)
@@ -229,7 +230,7 @@ class MavlinkFeed(Feed):
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
         }.get(kind)
-        # a gimbal has an attitude, too
+        # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
         if self.system is None and known:
             self.system = self._writer.system = system

@@ -1,7 +1,7 @@
 r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as sentences.
 
-Taken are GGA and RMC (fix and velocity; of the same epoch they are one fix), HDT (true heading),
-ROT (rate of turn), RPM and RSA (commands) of any talker, and ZDA and TAG blocks for the time.
+Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
+RPM and RSA (commands). GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give the time.
 
 =========  ====================================================================================
 RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
@@ -9,18 +9,18 @@ RSA        rudder angle, degrees, above 0 to starboard; the first is starboard o
 ``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
 =========  ====================================================================================
 
-HDT, ROT, RPM and RSA hold no time: they have that of the sentence before them in the same
-datagram (ZDA, GGA, RMC, a TAG block), or else that of their arrival by the sender's clock. A
-TAG block in whole seconds is the time of the first sentence of its kind in that second alone.
+HDT, ROT, RPM and RSA hold no time. They have that of the sentence before them in the same datagram
+(ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's clock. A TAG
+block in whole seconds is the time of the first sentence of its kind in that second alone.
 
-What goes back has the talker U9 (NMEA 0183 leaves U0 to U9 to users): GGA of quality 6
+What goes back has the talker U9, as NMEA 0183 leaves U0 to U9 to users. It is GGA of quality 6
 (estimated), RMC of mode E, HDT, ROT, and for now (0 s) and each of :data:`HORIZONS` ::
 
     $PUTWP,hhmmss.sss,h.h,ddmm.mmmmm,N,dddmm.mmmmm,E,hhh.h,n.nn,e.ee,c.cc*hh<CR><LF>
 
-with the time at which it was predicted, the horizon (s), latitude, longitude, heading (degrees),
-standard deviations north and east (m, at most 999.99) and the correlation of the two. Each
-sentence is at most 82 characters long, as the standard asks.
+with the time of prediction, the horizon (s), latitude, longitude and heading (degrees). Standard
+deviations north and east (m, at most 999.99) and their correlation follow. Each sentence is at most
+82 characters long, as the standard asks.
 
 Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
 """
@@ -59,10 +59,10 @@ OWN = "U9"
 """Talker of what the twin says."""
 
 HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
-"""Of the prediction that goes back, s."""
+"""Horizons of the prediction that goes back, s."""
 
 LENGTH_MAX = 1024
-"""A longer line is none."""
+"""Longest line that counts as a sentence, characters."""
 
 NO_FIX = {0: "none", 6: "estimated"}
 """GGA qualities that measure nothing, ..."""

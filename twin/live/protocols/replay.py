@@ -237,7 +237,7 @@ def schedule(
         swaps = kind == "swapped"
         last = datagram.due > end and (swaps or kind == "late")
         if datagram.steady or last or (swaps and held is not None):
-            kind = ""  # nothing comes after the end, and no two change places at once
+            kind = ""  # nothing comes after the last one, and overlapping pairs are not swapped
         if kind == "broken":
             datagram = dataclasses.replace(datagram, data=stream.broken(datagram.data, rng))
         if kind:
@@ -309,7 +309,7 @@ def replay(
                 output.sendto(datagram.data, target)
             except OSError:
                 counts["unsent"] += 1
-            with contextlib.suppress(OSError):  # nothing, or nobody, there
+            with contextlib.suppress(OSError):  # no reply is waiting, or no receiver is there
                 while True:
                     counts["back"] += stream.count_replies(output.recv(1 << 16))
             progress(datagram.due)

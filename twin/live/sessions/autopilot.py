@@ -63,13 +63,13 @@ class Autopilot:
         """Return the commands to come, as :meth:`twin.digital_twin.Twin.predict` takes them."""
         if self.autopilot in MANOEUVRES:
             return self._manoeuvre(t, np.arange(0.0, HORIZON, PLAN_STEP))
-        if self.autopilot == "path":  # what is done against waves and noise does not last
+        if self.autopilot == "path":  # corrections of waves and noise cancel over time
             return np.tile(self._steady, (round(HORIZON / PLAN_STEP), 1))
         return "hold"
 
     def _manoeuvre(self, t: float, ahead: Array) -> Array:
         """Return the commands (K, 4) of the manoeuvre in so many seconds (K,) from now."""
-        # a function of time: what is drawn at random is drawn alike each time
+        # a function of time: random parts come from the same seed at each call
         rng, now = np.random.default_rng(self._random_seed), t - self._since
         times = np.append(0.0, now + ahead)
         shaft = self._nominal * self.throttle

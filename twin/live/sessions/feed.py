@@ -76,7 +76,7 @@ class FeedSession(Session):
         boat = measured_boat(monitor.measured, self._cmd)
         rate = self._rate(monitor.t) if silence == 0.0 else 0.0
         seen = self._seen(boat, silence, rate=rate, notes=self.notes)
-        # of a boat that is heard of no more, nothing is known that others should go by
+        # no estimates go out for a boat that is no longer heard of
         if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
             self._answered = now
             self.feed.send(monitor.twin.estimate(), seen.prediction)

@@ -67,7 +67,7 @@ class LogSession(Session):
         self._prepare(twin, plan)
 
     def _prepare(self, twin: Twin, plan: str) -> None:
-        """Let a fresh twin stand before the first row."""
+        """Make a new twin, before the first row."""
         if plan not in PLANS:
             raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
         self.plan, self._row, self.done = plan, 0, float(self.log.t[0])

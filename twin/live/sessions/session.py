@@ -77,15 +77,15 @@ class Snapshot:
     ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
     # (K, 2): way points, m north and east; none where no path is followed
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
-    sea: Sea | None = None  # waves and wind; None where nobody knows
+    sea: Sea | None = None  # waves and wind; None where unknown
     rate: float = math.nan  # seconds of the run per second of the clock
     # time of the clock for which nothing has come at all, s; 0 where that cannot be
     silence: float = 0.0
-    notes: tuple[str, ...] = ()  # what whoever looks should know
+    notes: tuple[str, ...] = ()  # messages for the user
 
 
 class Session(ABC):
-    """A thread that lives a run; subclasses say what comes next.
+    """A thread that runs a boat and its twin; subclasses define its steps.
 
     ``snapshot`` is the latest, ``fresh`` is set with every new one. ``scale`` is seconds of the run
     per second of the clock; ``paused``: time stands still. ``changed`` counts how often another
@@ -115,7 +115,7 @@ class Session(ABC):
         return self.monitor.history()
 
     def start(self) -> None:
-        """Begin to live."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -140,21 +140,21 @@ class Session(ABC):
 
     @abstractmethod
     def _advance(self) -> None:
-        """Live on up to the present moment of the clock; no longer than about :data:`MAX_LAG`."""
+        """Advance to the present time of the clock, by no more than about :data:`MAX_LAG`."""
 
     @abstractmethod
     def _look(self) -> Snapshot | None:
         """Return what is seen now; None while there is nothing."""
 
     def _mark_restart(self) -> None:
-        """Forget the pace of before: from now on time runs otherwise."""
+        """Restart the measurement of the pace, which has changed."""
         self._marks.clear()
 
     def _close(self) -> None:
-        """Let go of what is held; in the session's thread, at its end."""
+        """Release resources; in the session's thread, at its end."""
         try:
             self.record(False)
-        except OSError:  # better elsewhere than lost
+        except OSError:  # write it elsewhere rather than lose it
             self.folder = Path(tempfile.gettempdir())
             self.record(False)
 

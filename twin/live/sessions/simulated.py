@@ -34,7 +34,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 NEVER = 1e12
-"""A fault that begins so late has not been ordered, s."""
+"""Start of a fault that has not been ordered, s."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""A twin fed row by row, judged by what comes after, and what a picture shows of it."""
+"""A twin that takes rows one by one, its errors against later fixes, and what is shown of it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SPACING = 0.05
 """Points of the track are at least so many lengths apart."""
 
 GAP, NEW_AFTER = 1.0, 30.0
-"""Nothing is judged across so many seconds without a row, and after so many the curves begin
+"""Gap between rows, s: after the first no errors are computed, after the second the curves begin
 again."""
 
 
@@ -76,13 +76,13 @@ class History:
     """Curves over time."""
 
     t: Array  # (T,): time, s
-    # (T,): how far off the place that was predicted 10 s before is, m: by the twin, and by holding
-    # velocity and turn rate; NaN where nothing tells
+    # (T,): error (m) of the position predicted 10 s before: by the twin, and by held velocity and
+    # turn rate. NaN where there is no reference
     error: Array
     error_hold: Array
     window: Array  # (T,): data that the identifier looks back on, s; NaN where there is no window
     # (T,): normalised innovations squared per degree of freedom of the fixes, mean of the last 30
-    # s: 1 where the twin is as sure as it should be, more where it is too sure
+    # s. 1: variances fit the errors; more: they are too small
     nis_place: Array
     nis_velocity: Array
     # (T, p): parameters and their standard deviations
@@ -116,12 +116,12 @@ class _Mean:
 
 
 class TwinMonitor:
-    """A twin, which gets its rows here only, and what is to be seen of it.
+    """A twin that is stepped by this class only, and what a view shows of it.
 
-    ``t`` is the time of the last row, s, and ``measured`` (3,) the last fix (m north and east) and
+    ``t`` is the time of the last row, s. ``measured`` (3,) has the last fix (m north and east) and
     compass heading (rad), NaN before the first. ``fixes`` and ``track`` are the last fixes, and
-    where the boat was (by the truth where it is known, else as estimated), m; ``gps_age`` is the
-    time since the last fix, s. ``error, error_hold``: see :class:`History`.
+    where the boat was (the truth where it is known, else the estimate), m. ``gps_age`` is the time
+    since the last fix, s. ``error, error_hold``: see :class:`History`.
     """
 
     def __init__(self, twin: Twin) -> None:
@@ -242,7 +242,7 @@ class TwinMonitor:
             self._nis_velocity.add(t, float(np.mean((fix[2:] - velocity) ** 2) / np.mean(var)))
 
     def _note_errors(self, before: float, truth: Array | None) -> None:
-        """Say how far off the prediction is whose last moment has come."""
+        """Note the error of the prediction whose horizon has just passed."""
         last = self._place
         if truth is not None and math.isfinite(truth[0]):
             self._place = float(truth[0]), float(truth[1])

@@ -47,7 +47,7 @@ LOSS = 10.0
 """A short loss of GPS, s."""
 
 HEIGHT, LOW = 150, 126
-"""Of a curve, and of one under a choice, pixels: three of a kind fit 720."""
+"""Heights of a curve, and of one under a selection, pixels: three of a kind fit into 720."""
 
 SHOWN = 300.0
 """Of a run that goes on for ever, the curves show the last s."""
@@ -178,8 +178,8 @@ class SimulatedControls(Controls):
             restart.on_click(lambda _: self._restart())
         self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
 
-    # The helm's callbacks are coroutines: viser runs those in turn, and functions side by side,
-    # where two quick presses of a key would both move the slider from where it was.
+    # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
+    # side, and two quick presses of a key would move the slider only once.
 
     async def _push(self, _: Any) -> None:
         self.session.helm.throttle = self.throttle.value
@@ -241,7 +241,7 @@ class SimulatedControls(Controls):
 
 
 class FeedControls(Controls):
-    """A real boat takes no orders, and nobody holds up its time."""
+    """A real boat takes no orders, and its time cannot be stopped."""
 
     session: FeedSession
 
@@ -260,7 +260,7 @@ class LogControls(Controls):
     session: LogSession
 
     def _add_record(self) -> None:
-        """It is recorded already."""
+        """Add nothing: the log is recorded already."""
 
     def add(self) -> None:
         """Add the slider of time."""
@@ -281,7 +281,7 @@ class LogControls(Controls):
             self.plan.on_update(lambda _: self.session.order(self.session.again, self.plan.value))
 
         def seek(event: Any) -> None:
-            if event.client is not None:  # not what show() wrote itself
+            if event.client is not None:  # only changes by the user, not by show()
                 self.session.order(self.session.seek, self.at.value)
 
         self.at.on_update(seek)
@@ -317,7 +317,7 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["heading (twin)"] = f"{math.degrees(overlay.state[2]) % 360.0:05.1f} deg"
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
         sd = math.sqrt(max(float(np.linalg.eigvalsh(overlay.covs[-1])[-1]), 0.0))
-        lines[f"band at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
+        lines[f"interval at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession):
@@ -375,12 +375,12 @@ def small(*paragraphs: str) -> str:
 HELP = (
     "<b>Scene.</b> The boat is the true one, or as measured last; its copy is at the "
     "twin's estimate. The ribbon is the predicted track of the next 10 s, "
-    f"{SDS:g} standard deviations to either side; the ellipse at its end is the same for the "
+    f"{SDS:g} standard deviations to either side. The ellipse at its end is the same for the "
     "last moment. The ring shows the scale, N the north. Drag to turn the view, scroll to come "
     "nearer.",
-    "<b>Band at 10 s</b>: half the longer axis of that ellipse.",
-    "<b>Error after 10 s</b>: distance from the position predicted 10 s ago to the truth "
-    "where it is known, else with the twin's estimate at a new fix. Beside "
+    "<b>Interval at 10 s</b>: half the longer axis of that ellipse.",
+    "<b>Error after 10 s</b>: distance from the position predicted 10 s ago to the truth. "
+    "Where that is unknown, the twin's estimate at a new fix stands for it. Beside "
     "it, that of a boat that keeps its velocity and turn rate. Of manoeuvres and known "
     "commands the twin is given the commands to come; else it takes the last command to stay.",
     "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
@@ -479,7 +479,7 @@ class Curves:
             if curve.title != title:
                 curve.title = title
                 curve.axes = axes(title)
-            self._draw(curve, seen.t, *band(seen, column))
+            self._draw(curve, seen.t, *interval(seen, column))
 
     def _curve(
         self, title: str, *series: tuple[str, Any, tuple[float, ...]], under_choice: bool = False
@@ -505,7 +505,7 @@ class Curves:
     def _draw(handle: Any, t: Array, *values: Array) -> None:
         """Draw what is known; of nothing, an empty plot."""
         rows = np.isfinite(np.stack(values)).any(axis=0)
-        # the browser cannot draw NaN: what one curve lacks is drawn through
+        # the browser cannot draw NaN: gaps of a curve are interpolated
         handle.data = (t[rows], *(padded(value[rows]) for value in values))
 
 
@@ -526,7 +526,7 @@ def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:
     )
 
 
-def band(seen: History, column: int) -> tuple[Array, Array, Array]:
-    """Return a parameter and its band."""
+def interval(seen: History, column: int) -> tuple[Array, Array, Array]:
+    """Return a parameter and the ends of its interval, each (n,)."""
     middle, off = seen.params[:, column], SDS * seen.params_sd[:, column]
     return middle, middle - off, middle + off

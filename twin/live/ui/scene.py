@@ -48,8 +48,8 @@ TURN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """North, east, down to what viser has: east, north, up."""
 
 CELLS, FAR, NEAR = 56, 16.0, 0.35
-"""The surface has so many cells a side, reaches so many lengths, and its middle cells are so much
-smaller than if all were alike."""
+"""Cells a side of the surface, its extent in lengths, and the size of its middle cells over that of
+equal cells."""
 
 TRACK, FIXES, PATH = 500, 400, 120
 """Most segments of the track, fixes and legs that are drawn."""
@@ -104,7 +104,7 @@ class SceneView:
             "/sea/ribbon",
             np.zeros(((STEPS + 1) * (ACROSS + 1), 3), np.float32),
             strip(STEPS + 1, ACROSS + 1),
-            # not transparent: what lies on water that is would be drawn in any order
+            # not transparent: on transparent water, objects would be drawn in any order
             color=PALE,
             side="double",
             cast_shadow=False,
@@ -242,11 +242,11 @@ class SceneView:
         if overlay is None:
             return
         x, y, psi = overlay.state[:3]
-        # no twin knows of heave: its boat lies on the water as it is there
+        # twins have no heave: the boat is drawn at the local water level
         lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
         self.ghost.position = (float(x), float(y), -lift)
         self.ghost.wxyz = attitude(0.0, 0.0, float(psi))
-        places, covs = overlay.band(STEPS)[1:]
+        places, covs = overlay.interpolate(STEPS)[1:]
         left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
         net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)
         self.ribbon.vertices = self._lifted(net.reshape(-1, 2), height, 0.04)

@@ -23,7 +23,7 @@ CURVES = 0.5
 """Time between two pictures of the curves, s."""
 
 UNWATCHED = 1.0
-"""Time between two frames that nobody sees, s."""
+"""Time between two frames without a viewer, s."""
 
 
 class Viewer:
@@ -36,7 +36,7 @@ class Viewer:
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
         check_host(host)
         self.session, self.frames = session, 0
-        # it says where it listens, whoever asks; so does the command, in one line
+        # the server prints its address; the command does so in one line
         with contextlib.redirect_stdout(io.StringIO()):
             self.server: Any = needed("viser").ViserServer(
                 host=host, port=port, label="usv-twin", verbose=False
@@ -85,7 +85,7 @@ class Viewer:
                 self.scene.show(snapshot)
                 self.controls.show(snapshot)
             self._curves_behind = True
-        # also of a session that pauses: its last moment may have come too soon for a picture
+        # also while a session pauses: its last moment may not have been drawn yet
         if self._curves_behind and now >= self._curves_due:
             self._curves_due = now + CURVES
             self._curves_behind = False

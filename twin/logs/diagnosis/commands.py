@@ -219,7 +219,7 @@ def surge_effect(recording: Recording) -> Effect | None:
     ahead = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
     step = float(middle[1] - middle[0])
     summed = integrated(recording.t, total)
-    # from the middle of one way to that of the next
+    # from the middle of one step to that of the next
     pushed = np.diff(sampled(recording.t, summed, middle)) / step
     turned = np.diff(psi) / step
     own = [ahead[:-1], ahead[:-1] * np.abs(ahead[:-1]), turned**2]

@@ -435,7 +435,7 @@ def _steps(recording: Recording, compass: tuple[Array, Array]) -> list[Finding]:
         return []
     step, width = np.diff(psi), np.diff(t)
     rate = step / width
-    # what the steps around it do not explain
+    # the part of the jump that the steps around it do not explain
     left = step[2:-2] - width[2:-2] * np.median(
         [rate[:-4], rate[1:-3], rate[3:-1], rate[4:]], axis=0
     )

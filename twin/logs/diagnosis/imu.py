@@ -133,14 +133,14 @@ def _compare(
         )
 
     lag = find(turned=False)
-    # where the axes may be turned, a circle has any delay
+    # with unknown axes, a circle fits any delay
     known = lag is not None and lag.correlation > _CORRELATION and math.isfinite(lag.sd)
     if not known:
         straight_on, lag = lag, find(turned=True)
-        # half a wave later everything points backwards
+        # half a period later all signs are reversed
         if lag and straight_on and lag.correlation < straight_on.correlation + 0.2:
             return None
-        # on a circle any angle goes with some delay
+        # on a circle every angle of the axes fits with some delay
         if lag is not None and float(lag.curve.min()) > 0.8 * lag.correlation:
             return None
     if lag is None:

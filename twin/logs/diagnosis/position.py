@@ -321,7 +321,7 @@ def _steps(names: str, t: Array, fix: Array) -> list[Finding]:
         return []
     step, width = np.diff(fix, axis=0), np.diff(t)
     speed = step / width[:, None]
-    # what the steps around it do not explain
+    # the part of the jump that the steps around it do not explain
     near = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
     left = np.hypot(*(step[2:-2] - width[2:-2, None] * near).T)
     even = width[2:-2] < 3.0 * float(np.median(width))

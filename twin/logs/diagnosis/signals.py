@@ -175,7 +175,7 @@ def fit_line(x: Array, y: Array, loss: float = 2.0) -> Line:
     loss : float
         Residuals beyond so many standard deviations count linearly.
     """
-    # squares of garbage overflow
+    # squares of invalid values overflow
     sane = (np.abs(x) < _HUGE) & (np.abs(y) < _HUGE)
     x, y = x[sane], y[sane]
     if not len(x):
@@ -203,11 +203,11 @@ class Lag(NamedTuple):
     sd: float
     """Standard deviation of it, s."""
     sharpness: float
-    """Of the peak: the frequency of a sine that has such a one, rad/s."""
+    """Frequency of the sine whose correlation has such a peak, rad/s."""
     correlation: float
     """At that lag."""
     gain: float
-    """How many times as much is left unexplained without the lag as with it."""
+    """Residual without the lag over that with it."""
     lags: Array
     curve: Array
 

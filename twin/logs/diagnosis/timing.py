@@ -29,16 +29,16 @@ _JITTER = 0.05
 """Steps that spread by more than this share of the median one jitter."""
 
 _SLOW_STEP = 5.0
-"""No logger waits longer between rows, s."""
+"""Longest regular step between a logger's rows, s."""
 
 _OUTAGE_SAMPLES, _OUTAGE = 10.0, 2.0
 """A sensor is lost when it is silent for so many of its intervals and so many seconds."""
 
 _STALE = 0.5
-"""No sensor of a moving boat repeats itself to the last digit for longer, s."""
+"""Longest time over which a working sensor of a moving boat repeats itself to the last digit, s."""
 
 _JUMPS = {"fix": 2.0, "velocity": 0.3, "compass": 0.1, "gyro": 0.05, "accelerometers": 0.1}
-"""A sensor that had stopped goes on at a value at least so far off."""
+"""Least jump of a sensor that goes on after it was frozen."""
 
 SENSORS = {
     "fix": ("gps_x_m", "gps_y_m"),
@@ -235,7 +235,7 @@ def _outages(recording: Recording, sensor: str, names: tuple[str, ...]) -> list[
         return []
     edges = np.concatenate(([recording.t[0]], at, [recording.t[-1]]))
     silence = np.diff(edges)
-    # what the clock skipped is said of the clock
+    # gaps that the clock skipped are reported for the clock
     step = np.diff(recording.t)
     clock = np.append(0.0, np.cumsum(np.where(is_gap(recording.t), step, 0.0)))
     silence = silence - np.diff(np.interp(edges, recording.t, clock))
@@ -277,7 +277,7 @@ def _frozen(
     new = values[~repeated(values)]
     common = float(np.median(np.hypot.reduce(np.diff(new, axis=0), axis=1))) if len(new) > 1 else 0
     least = max(_JUMPS.get(sensor, 0.0), 8.0 * common)
-    # a sensor that never repeats itself otherwise needs no jump to be seen
+    # a sensor that never repeats itself otherwise is frozen even without a jump
     same = repeated(values)
     long = sum(j - i for i, j in stands)
     strict = int(same.sum()) - long < 0.02 * len(same)

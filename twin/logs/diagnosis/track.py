@@ -89,12 +89,12 @@ def compass_on_track(
 
     along, across = mean(course - psi), mean(course + psi)
     current = _offset_in_current(length / step, course, psi)
-    # leeway in turns goes with their curvature, and is none of the offset
+    # leeway in turns is proportional to their curvature, and not part of the offset
     left = np.remainder(course - psi - np.angle(along) + math.pi, TURN) - math.pi
     curvature = turned * step / length
     line = fit_line(curvature, left)
     bent = np.abs(curvature) > 0.3 * np.quantile(np.abs(curvature), 0.9)
-    # on a circle nothing tells leeway from an offset
+    # on a circle, leeway and offset are not separable
     circle = bent.mean() > 0.7 and abs(float(np.sign(curvature[bent]).mean())) > 0.6
     return TrackFit(
         abs(along),

@@ -27,7 +27,7 @@ def thrust_features(cmd: Array) -> Array:
 
     The result is (..., 6), in (rev/s)^2.
     """
-    # the bound only keeps squares of nonsense finite
+    # the bound only keeps squares of invalid values finite
     n, delta = np.clip(cmd[..., :2], -1e6, 1e6), cmd[..., 2:]
     thrust = n * np.abs(n)
     return np.concatenate([thrust, thrust * np.sin(delta), thrust * np.cos(delta)], axis=-1)

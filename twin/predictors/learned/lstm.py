@@ -1,7 +1,7 @@
 """The learned comparator: an LSTM that a run trains on its own past.
 
-Torch is needed to train, and only there: nothing of it is imported with this module, and the
-forecasts are plain numpy, so that a predictor can be copied and pickled.
+Torch is needed to train, and only there; this module imports nothing of it. Forecasts are plain
+numpy, so that a predictor can be copied and pickled.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ class LSTMPredictor(HistoryPredictor):
     Its prediction intervals are somewhat narrow at first: forecasts of rows that it was trained
     on count as past forecasts until :attr:`memory` has gone by.
 
-    Tuning budget: 16 configurations, scored on the turn and the zigzag of four seeds
-    (100-103) by 10 s forecasts with known commands; none was tried on other seeds.
+    Tuning budget: 16 configurations, scored on the turn and the zigzag of four seeds (100-103) by
+    10 s forecasts with known commands. None was tried on other seeds.
 
     Source: Qu et al. 2025, Table 4, compares with an LSTM; the design of this one is ours.
 
@@ -266,7 +266,7 @@ class LSTMPredictor(HistoryPredictor):
         sd = inputs.std(axis=0)
         if (sd[:3] < 1e-3 * self._typical).all():
             return None
-        # a command that never changed teaches nothing: it must not matter later either
+        # a command that never changed gets no weight, now or later
         shaft = self.particulars.shaft_speed
         scale = np.concatenate(
             [
@@ -279,7 +279,7 @@ class LSTMPredictor(HistoryPredictor):
         H, rng = self.hidden, np.random.default_rng(self.seed)
         bound = 1.0 / math.sqrt(H)
         bias = rng.uniform(-bound, bound, 4 * H)
-        # a cell that remembers from the start, and a read-out that starts from persistence
+        # forget gates are open at first, and the read-out starts from persistence
         bias[H : 2 * H] += 1.0
         net = _Net(
             centre=inputs.mean(axis=0),

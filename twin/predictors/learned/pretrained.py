@@ -1,8 +1,8 @@
 """Networks trained on a fleet of simulated boats, evaluated in plain numpy.
 
 :mod:`twin.training.fleet` trains them, with torch; nothing here needs it. A net sees the last
-:data:`PAST` s of a run and the plan, as tokens of a second each, in lengths of the boat and its
-typical speed, with masks for what is missing; it answers with the increments of u, v, r under
+:data:`PAST` s of a run and the plan as tokens of a second each. They are in lengths of the boat and
+its typical speed, with masks for what is missing. It answers with the increments of u, v, r under
 the plan. So it has to infer the boat from the run itself.
 """
 
@@ -144,7 +144,7 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     """Return the inputs (B, PAST + AHEAD, TOKEN) of a net, single precision, one token a second.
 
     ``window`` (B, PAST * PATCH, 17) has rows up to and with the origin: six states, four commands,
-    four actuators, and the masks of GPS, compass and IMU: 1 with a fresh sample, then fading.
+    four actuators, three masks. Those of GPS, compass and IMU are 1 with a fresh sample, then fade.
     ``known`` (B, PAST * PATCH) is False for rows before the history began. ``ahead`` (B, AHEAD *
     PATCH, 4) are the actuators under the plan.
     """
@@ -153,7 +153,7 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     out = np.zeros((B, past + ahead.shape[1], PER_ROW))
     seen = out[:, :past]
     seen[..., :3] = (window[..., VELOCITIES] / [U, U, U / L] - CENTRE) * SCALE
-    # the wind is the earth's: how the boat lay to it, from where it lies now
+    # the wind is fixed to the earth: headings are relative to the present one
     turned = window[..., 2] - window[:, -1:, 2]
     seen[..., 3], seen[..., 4] = np.cos(turned), np.sin(turned)
     seen[..., 5:8] = window[..., 14:17]
@@ -165,7 +165,7 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
     out[..., 11] = 1.5 * (left + right)[..., 1]
     out[..., 12] = 1.5 * np.sin(acts[..., 2:]).sum(axis=2)
     seen *= known[..., None]
-    # the plan's places for velocities hold what they were: a steady turn goes on as its mean
+    # the plan's entries for velocities repeat the past mean, so that a steady turn goes on
     count = np.cumsum(known[:, ::-1], axis=1)[:, ::-1]
     means = [seen[:, -n:, :3].sum(axis=1) / np.maximum(count[:, -n], 1)[:, None] for n in MEANS]
     out[:, past:, :3] = np.tile(np.stack(means, axis=1), (1, ahead.shape[1] // PATCH, 1))
@@ -313,7 +313,7 @@ class FleetPredictor(ActuatedPredictor):
         window, known = self.windows(rows, origins)
         window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
         out = []
-        # beyond its horizon the net goes on from its own answers
+        # beyond its horizon the net goes on from its own outputs
         for first in range(0, plans.shape[1], block):
             part = slice(first, first + block)
             path = self.answer(window, known, acts[:, part])
@@ -341,7 +341,8 @@ class FleetLSTM(FleetPredictor):
 
     Tuning budget: 40 configurations of 8192 windows each, by successive halving in five rungs
     (:mod:`twin.training.hyperparameter_search`), 77 trainings, scored on 60 other boats of the
-    fleet; 6 short trainings before that. The settings of the training that ships are in its file.
+    fleet. 6 short trainings came before that. The settings of the training that ships are in its
+    file.
     """
 
     tuning = "40 configurations by successive halving (77 trainings) on 60 boats of the fleet"
@@ -352,8 +353,8 @@ class FleetLSTM(FleetPredictor):
 class FleetTransformer(FleetPredictor):
     """A causal transformer, trained once on simulated boats, in the LSTM's harness.
 
-    Tuning budget: the LSTM's 40 configurations (rates of its own, one to three layers), halved
-    in three rungs, 70 trainings, scored on the same boats; 3 short trainings before that.
+    Tuning budget: the LSTM's 40 configurations (rates of its own, one to three layers), halved in
+    three rungs, 70 trainings, scored on the same boats. 3 short trainings came before that.
     """
 
     tuning = "40 configurations by successive halving (70 trainings) on 60 boats of the fleet"

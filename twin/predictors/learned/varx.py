@@ -40,16 +40,17 @@ ROWS_MIN = 40
 class VARPredictor(ActuatedPredictor):
     """A vector autoregression with inputs (VARX), by least squares on the run's own past.
 
-    The change of u, v, r over a step is linear in their last :attr:`order` values and in what
-    the actuators did in as many steps, the one ahead included: thrust, its forward and
-    sideways parts and the sine of the angle, sum and difference of both sides. Actuators
-    follow the commands with the lags of the particulars. A step is .25 s for the study boat
-    and as much longer as a ship takes longer to sail its length. Until there is a fit,
+    The change of u, v, r over a step is linear in their last :attr:`order` values and in the
+    actuators' values. The latter cover as many steps, the one ahead included. Those are thrust, its
+    forward and sideways parts and the sine of the angle, sum and difference of both sides.
+    Actuators follow the commands with the lags of the particulars. A step is .25 s for the study
+    boat and as much longer as a ship takes longer to sail its length. Until there is a fit,
     velocities are held.
 
-    Tuning budget: 39 configurations (order 2 to 10, of the inputs 1 to 8, ridge 1e-4 to .1,
-    five sets of inputs, wind by heading, products of velocities, a window of 60 s), scored on
-    the four manoeuvres of twelve seeds (100-111) by 10 s forecasts with known commands.
+    Tuning budget: 39 configurations. They varied order (2 to 10, of the inputs 1 to 8), ridge (1e-4
+    to .1), and five sets of inputs. Wind by heading, products of velocities and a window of 60 s
+    were tried, too. All were scored on the four manoeuvres of twelve seeds (100-111) by 10 s
+    forecasts with known commands.
 
     Source: docs/explanation/twin.md, Learned predictors; the inputs are ours.
 
@@ -113,7 +114,7 @@ class VARPredictor(ActuatedPredictor):
             self._fit = self._learn(np.array(self._rows))
             self._errors_at = -math.inf
         elif have < self._due - max(self.first, self.refit):
-            self._due = self.first  # a long gap took the history
+            self._due = self.first  # the history was cleared at a long gap
 
     def _past(self, rows: Array, at: Array) -> Array:
         """Return scaled u, v, r at rows (B,) and the steps before, newest first (B, 3 p)."""
@@ -147,7 +148,7 @@ class VARPredictor(ActuatedPredictor):
         )
         Y = (rows[at + m, VELOCITIES] - rows[at, VELOCITIES]) / self.typical
         centre, sd = X.mean(axis=0), X.std(axis=0)
-        # a column that never changed shows nothing: it must have no weight later
+        # a column that never changed gets no weight, now or later
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
         Z = (X - centre) * scale
         A = Z.T @ Z / len(at) + self.ridge * np.eye(Z.shape[1])
@@ -168,7 +169,7 @@ class VARPredictor(ActuatedPredictor):
         past = self._past(rows, origins)
         size, path = self.bound / self.typical, [past[:, :3]]
         for k in range(plans.shape[1] // m):
-            # newest first, as the past is
+            # newest first, as in the history
             did = inputs[:, k : k + p].reshape(len(origins), -1)
             nu = past[:, :3] + np.concatenate([past, did], axis=1) @ W + b
             path.append(np.clip(nu, -size, size))

@@ -183,7 +183,7 @@ def test_nothing_goes_back_before_there_is_a_place(wire: Wire) -> None:
     assert wire.feed.counts["sent"] == wire.feed.counts["unsent"] == 0
 
 
-def test_wide_bands_keep_a_sentence_within_the_standard() -> None:
+def test_wide_intervals_keep_a_sentence_within_the_standard() -> None:
     text = NmeaWriter("U9").predicted(
         1.0, 10.0, (-59.999999999, 179.999999999), 2 * math.pi - 1e-9, np.diag([1e9, 1e9])
     )

@@ -1,4 +1,4 @@
-"""What is seen of a twin, and how it is judged."""
+"""What is shown of a twin, and how its errors are measured."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_error_is_the_distance_from_the_true_place_ten_seconds_later():
     assert seen.error < 30.0
 
 
-def test_nothing_is_judged_across_a_gap_or_by_a_twin_without_fixes():
+def test_no_error_is_computed_across_a_gap_or_without_fixes():
     log = sailed(60.0, faults=(Fault("gps", 20.0, 35.0),))
     seen = monitor()
     for t, z, cmd in log:
@@ -129,7 +129,7 @@ def test_what_is_drawn_is_the_prediction():
         seen.step(t, z, cmd)
     prediction = seen.predict()
     overlay = overlay_of(prediction)
-    times, places, covs = overlay.band(80)
+    times, places, covs = overlay.interpolate(80)
     for h in (2.5, 5.0, 10.0):
         k, row = int(np.argmin(np.abs(times - h))), round(h / PLAN_STEP) - 1
         np.testing.assert_allclose(places[k], prediction.mean[row, :2], atol=1e-6)

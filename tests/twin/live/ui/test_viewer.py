@@ -95,8 +95,8 @@ def status(driver: Any) -> dict[str, str]:
     return dict(rows)
 
 
-def band(driver: Any) -> float:
-    return float(re.search(r"([\d.]+) m", status(driver)["band at 10 s"]).group(1))
+def interval(driver: Any) -> float:
+    return float(re.search(r"([\d.]+) m", status(driver)["interval at 10 s"]).group(1))
 
 
 def press(driver: Any, text: str) -> None:
@@ -123,7 +123,7 @@ def pixels(driver: Any, name: str) -> np.ndarray:
 def opened(browser: Any, viewer: Viewer) -> Any:
     driver = browser(1280, 720)
     driver.get(viewer.url)
-    wait(lambda: "band at 10 s" in status(driver))
+    wait(lambda: "interval at 10 s" in status(driver))
     # what the browser says of its missing graphics card is in the way
     driver.execute_script(CLOSE_NOTE)
     return driver
@@ -156,17 +156,17 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
     wait(lambda: session.t > 40.0)
     session.order(session.set_scale, 1.0)
     driver = opened(browser, viewer)
-    first = pixels(driver, "sailing")
+    first = pixels(driver, "before")
     where, said = session.snapshot.boat[:2], status(driver)
     wait(lambda: math.dist(session.snapshot.boat[:2], where) > 10.0)
     wait(lambda: status(driver)["time"] != said["time"])
     time.sleep(1.0)
-    second = pixels(driver, "sailing_on")
+    second = pixels(driver, "after")
     scene = (slice(100, 700), slice(300, 900))
     changed = np.abs(first[scene] - second[scene]).max(axis=-1) > 24
     assert changed.mean() > 0.02, "the picture stands still"
 
-    before = band(driver)
+    before = interval(driver)
     press(driver, "lose GPS until pressed")
     wait(lambda: status(driver)["GPS"].startswith("LOST"))
     fixes = viewer.scene.fixes.points.copy()
@@ -177,7 +177,7 @@ def test_a_boat_is_seen_to_sail_and_to_lose_its_gps(browser, served, tmp_path):
     np.testing.assert_array_equal(session.snapshot.fixes[-1], last)
     # drawn where they were; only the water under them moves
     np.testing.assert_array_equal(viewer.scene.fixes.points[:, :2], fixes[:, :2])
-    wait(lambda: band(driver) > 1.2 * before)  # the page follows a little later
+    wait(lambda: interval(driver) > 1.2 * before)  # the page follows a little later
     pixels(driver, "gps_lost")
     press(driver, "find GPS again")
     wait(lambda: not status(driver)["GPS"].startswith("LOST"))
