@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,6 +62,9 @@ the weight of so many runs."""
 
 LENGTH_SAME, SHAFT_SAME = 0.05, 0.01
 """Relative differences within which lengths and speeds per shaft speed are those of one boat."""
+
+LEAST, MOST = 1e-6, 1e6
+"""Within which lengths (m), speeds (m/s) and shaft speeds (rev/s) of boats lie."""
 
 NARROWEST = 1e-8
 """Smallest variance in units of the population's: below it is rounding."""
@@ -109,11 +111,15 @@ class BoatPrior:
         for name in ("boat", "model", "steering"):
             if not isinstance(getattr(self, name), str):
                 raise BoatPriorError(f"{name} = {getattr(self, name)!r} must be a text")
-        for name in ("length", "speed", "shaft_speed", "runs"):
+        for name in ("length", "speed", "shaft_speed"):
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or not (math.isfinite(value) and value > 0):
-                raise BoatPriorError(f"{name} = {value!r} must be a finite number above 0")
+            if not (number and LEAST <= value <= MOST):
+                raise BoatPriorError(
+                    f"{name} = {value!r:.20} must be a number from {LEAST:g} to {MOST:g}"
+                )
+        if type(self.runs) is not int or not 0 < self.runs <= MOST:
+            raise BoatPriorError(f"runs = {self.runs!r:.20} must be a whole number above 0")
         names = self.parameters
         texts = isinstance(names, (list, tuple)) and all(isinstance(n, str) for n in names)
         if not texts or not names or len(set(names)) < len(names):
@@ -121,7 +127,7 @@ class BoatPrior:
         try:
             mean = np.asarray(self.mean, dtype=np.float64)
             cov = np.asarray(self.covariance, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise BoatPriorError("mean and covariance must be numbers") from None
         p = len(names)
         if mean.shape != (p,) or cov.shape != (p, p):
@@ -136,7 +142,6 @@ class BoatPrior:
             raise BoatPriorError("covariance must be symmetric, with variances above 0")
         if np.linalg.eigvalsh(cov / np.outer(size, size))[0] < -1e-9 * p:
             raise BoatPriorError("covariance must have no negative eigenvalue")
-        object.__setattr__(self, "runs", int(self.runs))
         object.__setattr__(self, "parameters", tuple(names))
         object.__setattr__(self, "mean", tuple(mean.tolist()))
         object.__setattr__(self, "covariance", tuple(tuple(row) for row in cov.tolist()))

@@ -244,6 +244,10 @@ class Particulars:
 
     def _check_prior(self, prior: BoatPrior) -> None:
         """Refuse a prior of another boat."""
+        if not isinstance(prior, BoatPrior):
+            raise ParticularsError(
+                f"prior = {prior!r}: read it with twin.boat_prior.BoatPrior.load"
+            )
         try:
             prior.check_boat(
                 length=self.length,
@@ -325,15 +329,13 @@ class Particulars:
     def from_tables(cls, particulars: Any, instruments: Any) -> Particulars:
         """Return particulars from plain tables of values by field name, in SI units.
 
-        ``prior`` may be a :class:`BoatPrior`, a table of its fields, or a path. ParticularsError
-        names key and remedy.
+        ``prior`` may be a :class:`BoatPrior` or a table of its fields. ParticularsError names key
+        and remedy.
         """
         on_board = Instruments(**_known(Instruments, instruments))
         about = dict(_known(cls, particulars))
         prior = about.pop("prior", None)
-        if isinstance(prior, str):
-            prior = BoatPrior.load(prior)
-        elif prior is not None and not isinstance(prior, BoatPrior):
+        if prior is not None and not isinstance(prior, BoatPrior):
             prior = BoatPrior.from_table(prior)
         return cls(**about, instruments=on_board, prior=prior)
 

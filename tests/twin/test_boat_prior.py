@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from twin import Log, Particulars, Twin, known_plan
 from twin.benchmark.scores import Reference
 from twin.boat_prior import WIDENED, BoatPrior, BoatPriorError, combine, limited
 from twin.logs import datasets
+from twin.model.priors import PriorError
 from twin.particulars import ParticularsError
 from twin.predictors.own_prior import prior_note, prior_of_runs
 from twin.sim.bridge import particulars_of, simulate
@@ -143,11 +145,31 @@ def test_priors_of_other_boats_are_refused(
         (good.replace("runs = 1", "runs = 1\nmore = 2"), "missing or unknown: more"),
         (good.replace('"X_u", ', "", 1), "parameters need"),
         (good.replace("mean = [", "mean = [nan, ", 1), "shapes"),
+        (good[: len(good) // 2], "not valid TOML"),
+        (re.sub(r"(?m)^length = .*", f"length = 1{400 * '0'}", good), "length = 1000"),
+        (re.sub(r"(?m)^speed = .*", "speed = 1e-308", good), "speed = 1e-308 must be"),
+        (re.sub(r"(?m)^mean = \[[^,]*", f"mean = [1{400 * '0'}", good), "must be numbers"),
+        (re.sub(r"(?m)^mean = \[[^,]*", "mean = [nan", good), "finite"),
+        (good.replace("  [", "  [-", 1), "variances above 0"),
     ):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(BoatPriorError, match=words) as caught:
             BoatPrior.load(path)
         assert str(path) in str(caught.value)
+
+
+def test_priors_of_no_such_model_are_refused(prior: BoatPrior, boat: Particulars) -> None:
+    names = ("X_odd", *prior.parameters[1:])
+    for change, words in (
+        ({"model": "other"}, "not one of paper, mmg"),
+        ({"parameters": names}, "'X_odd'"),
+        ({"mean": (1e6, *prior.mean[1:])}, "X_u = 1e"),
+    ):
+        wrong = dataclasses.replace(prior, **change)
+        with pytest.raises(PriorError, match=words):
+            Twin(dataclasses.replace(boat, prior=wrong))
+    with pytest.raises(ParticularsError, match=r"BoatPrior\.load"):
+        dataclasses.replace(boat, prior="boat.prior")
 
 
 def test_saved_twins_need_no_prior_file(

@@ -80,9 +80,9 @@ LIGHT_ROWS, LIGHT_LOG = 500, 4000
 """Of a light meter: rows of the log for each forecast, and from which on it tries two losses."""
 
 SCORED_MIN = 60.0
-"""Forecasts over less time than this are amber at worst, s: they say too little."""
+"""Forecasts over less time than this, s, say too little: they are never red."""
 
-LOSS_MIN = 5.0
+LOSS_MIN = BEARS_AMBER
 """A shorter one says nothing, s."""
 
 RULES = (
@@ -286,11 +286,14 @@ class TrustMeter:
             Of ``twin.logs.diagnosis.diagnose``.
         """
         deviations = self._deviations()
+        parameters = _parameter_answer(deviations, self._reversed())
+        if not self.twin.estimate().ready:
+            parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
         answers = (
             self._forecast_answer(),
             self._coverage_answer(),
             self._loss_answer(),
-            _parameter_answer(deviations, self._reversed()),
+            parameters,
             _sensor_answer(findings),
         )
         return Verdict(
@@ -325,40 +328,48 @@ class TrustMeter:
             "persistence_displacement_m": float(held[0]),
             "persistence_heading_rad": float(held[1]),
         }
-        seconds = self.forecasts[-1].t - self.forecasts[0].t
-        likely = worst <= RATIO_AMBER or seconds < SCORED_MIN
-        colour = GREEN if worst <= RATIO_GREEN else AMBER if likely else RED
+        colour = self._colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER)
         return Answer("forecast", colour, text, numbers)
 
     def _coverage_answer(self) -> Answer:
         if not self.forecasts:
             return Answer("coverage", AMBER, "cannot tell: no forecast could be scored")
         place, heading = np.mean([f.covered for f in self.forecasts], axis=0).tolist()
+        count = len(self.forecasts)
         text = (
             f"{place:.0%} of positions and {heading:.0%} of headings inside the claimed 90 % "
-            f"({len(self.forecasts)} forecasts)"
+            f"({count} {'forecast' if count == 1 else 'forecasts'})"
         )
         worst = min(place, heading)
-        colour = GREEN if worst >= COVERAGE_GREEN else AMBER if worst >= COVERAGE_AMBER else RED
+        colour = self._colour(worst >= COVERAGE_GREEN, worst >= COVERAGE_AMBER)
         return Answer("coverage", colour, text, {"position": place, "heading": heading})
+
+    def _colour(self, is_green: bool, is_amber: bool) -> str:
+        """Return the colour of scores of the forecasts; few of them are never red."""
+        few = self.forecasts[-1].t - self.forecasts[0].t < SCORED_MIN
+        return GREEN if is_green else AMBER if is_amber or few else RED
 
     def _loss_answer(self) -> Answer:
         if not self.losses:
-            text = "cannot tell: the log is too short to cut GPS losses into it"
+            long_enough = self._loss_length >= LOSS_MIN
+            lacks = "has too few fixes and headings" if long_enough else "is too short"
+            text = f"cannot tell: the log {lacks} to cut GPS losses into it"
             return Answer("without GPS", AMBER, text, {"bound_m": self.bound})
         bears, held = [], []
         for loss in self.losses:
             beyond = np.flatnonzero(np.asarray(loss.error > self.bound))
             held.append(not len(beyond))
             bears.append(float(loss.after[beyond[0] if len(beyond) else -1]))
-        middle, worst = float(np.median(bears)), min(bears)
-        at_least = "at least " if held[int(np.argsort(bears)[(len(bears) - 1) // 2])] else ""
+        # a loss that ended within the bound says nothing against longer ones
+        counted = [math.inf if ok else s for s, ok in zip(bears, held, strict=True)]
+        median = int(np.argsort(counted, kind="stable")[(len(counted) - 1) // 2])
+        at_least = "at least " if held[median] else ""
         end = float(np.median([loss.error[-1] for loss in self.losses]))
         tried = "one loss"
         if len(bears) > 1:
-            tried = f"worst {worst:.0f} s; median of {len(bears)} losses"
+            tried = f"worst {min(bears):.0f} s; median of {len(bears)} losses"
         text = (
-            f"bears {at_least}{middle:.0f} s until {self.bound:.3g} m off ({tried} of "
+            f"bears {at_least}{bears[median]:.0f} s until {self.bound:.3g} m off ({tried} of "
             f"{self._loss_length:.0f} s; {end:.1f} m off at the end)"
         )
         numbers = {
@@ -367,9 +378,7 @@ class TrustMeter:
             "within_bound": held,
             "end_error_m": [float(loss.error[-1]) for loss in self.losses],
         }
-        # a loss that ended within the bound says nothing against longer ones
-        counted = [math.inf if ok else s for s, ok in zip(bears, held, strict=True)]
-        typical = float(np.sort(counted)[(len(counted) - 1) // 2])
+        typical = counted[median]
         colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
         return Answer("without GPS", colour, text, numbers)
 

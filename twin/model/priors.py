@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.boat_prior import ENVIRONMENT, limited
-from twin.model.structure import Structure
+from twin.model.structure import MODELS, Structure
 from twin.particulars import FAST, Particulars
 from usv_kernel.errors import UsvTwinError
 
@@ -35,6 +35,11 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+FARTHEST = 100.0
+"""Standard deviations of the population beyond which no boat's own mean lies."""
+
+_REMEDY = "make it again with usv-twin identify --save-prior, or leave it out"
 
 KINDS = ("drives", "rudder", "differential")
 """Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
@@ -143,13 +148,27 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
 
 
 def takes(structure: Structure, particulars: Particulars) -> bool:
-    """Return whether a boat has a prior of its own, of this structure."""
+    """Return whether a boat has a prior of its own, of this structure.
+
+    PriorError: a prior of no known model, or with parameters that its model does not have.
+    """
     prior = particulars.prior
-    return (
-        prior is not None
-        and prior.model == structure.name
-        and not set(prior.parameters).isdisjoint(structure.parameters)
-    )
+    if prior is None:
+        return False
+    if prior.model not in MODELS:
+        raise PriorError(
+            f"the prior of {prior.boat!r} is of the model {prior.model!r}, which is not one of "
+            f"{', '.join(MODELS)}: {_REMEDY}"
+        )
+    if prior.model != structure.name:
+        return False
+    odd = sorted(set(prior.parameters) - {*structure.parameters, *ENVIRONMENT})
+    if odd:
+        raise PriorError(
+            f"the prior of {prior.boat!r} has parameters that the model {structure.name!r} of "
+            f"this boat does not have, such as {odd[0]!r}: {_REMEDY}"
+        )
+    return True
 
 
 def boat_or(
@@ -159,6 +178,7 @@ def boat_or(
 
     Parameters that it does not have, such as those of wind and sea, keep what the population says,
     and in no direction is the boat's prior wider. Without one, the population's is returned.
+    PriorError: a prior that is not of such a boat.
     """
     prior = particulars.prior
     if prior is None or not takes(structure, particulars):
@@ -169,6 +189,13 @@ def boat_or(
     mean, covariance = population[0].copy(), population[1].copy()
     bound = population[1][np.ix_(at, at)]
     mean[at] = np.array(prior.mean)[own]
+    far = np.abs(mean[at] - population[0][at]) > FARTHEST * np.sqrt(np.diag(bound))
+    if far.any():
+        name = names[int(np.argmax(far))]
+        raise PriorError(
+            f"the prior of {prior.boat!r} has {name} = {prior.mean[own[int(np.argmax(far))]]:g}, "
+            f"over {FARTHEST:g} standard deviations from boats like this: {_REMEDY}"
+        )
     covariance[at], covariance[:, at] = 0.0, 0.0
     covariance[np.ix_(at, at)] = limited(np.array(prior.covariance)[np.ix_(own, own)], bound)
     return mean, covariance

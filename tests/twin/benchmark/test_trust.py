@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from twin import Log, Particulars, Prediction, Twin
-from twin.benchmark.trust import AMBER, GREEN, RED, TrustMeter, Verdict, position_bound
+from twin.benchmark.trust import (
+    AMBER,
+    GREEN,
+    RED,
+    Answer,
+    GpsLoss,
+    TrustMeter,
+    Verdict,
+    position_bound,
+)
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.predictors.ukf import UKFPredictor
 from twin.sim.bridge import particulars_of, simulate
@@ -20,7 +29,7 @@ def boat() -> Particulars:
     return dataclasses.replace(particulars_of(Vessel.load("usv75")), design="")
 
 
-def sailed(seed: int) -> Log:
+def simulated(seed: int) -> Log:
     """Return 150 s of random commands in a slight sea, without truth."""
     return simulate(
         "random",
@@ -33,7 +42,7 @@ def sailed(seed: int) -> Log:
 
 @pytest.fixture(scope="module")
 def log() -> Log:
-    return sailed(6)
+    return simulated(6)
 
 
 def verdict_of(
@@ -63,7 +72,7 @@ def test_a_good_twin_is_green_in_five_answers(good: Verdict) -> None:
 
 
 def test_good_twins_are_never_red_and_mostly_green(boat: Particulars) -> None:
-    colours = [verdict_of(boat, sailed(seed), "dsw-ukf-plus").colour for seed in range(4, 12)]
+    colours = [verdict_of(boat, simulated(seed), "dsw-ukf-plus").colour for seed in range(4, 12)]
     assert RED not in colours and colours.count(GREEN) >= 6, colours
 
 
@@ -146,6 +155,45 @@ def test_short_logs_cannot_tell(boat: Particulars, log: Log) -> None:
     assert all("cannot tell" in answer.text for answer in found.answers[:3])
     assert found.colour == AMBER
     found.to_json()
+
+
+def test_few_bad_forecasts_are_amber_not_red(boat: Particulars, log: Log) -> None:
+    twin = Twin(boat, Sure(boat))
+    short = log.slice(0.0, 20.0)
+    meter = TrustMeter(twin, short)
+    twin.run(short, meter)
+    forecast, coverage, losses = meter.verdict().answers[:3]
+    assert coverage.numbers["position"] == 0.0 and "1 forecast)" in coverage.text
+    assert [forecast.colour, coverage.colour, losses.colour] == [AMBER] * 3
+    assert "too short" in losses.text
+
+
+def test_logs_without_fixes_cannot_tell(boat: Particulars, log: Log) -> None:
+    z = log.z.copy()
+    z[:, :4] = np.nan
+    found = verdict_of(boat, dataclasses.replace(log, z=z))
+    assert [answer.colour for answer in found.answers[:4]] == [AMBER] * 4
+    assert all("cannot tell" in answer.text for answer in found.answers[:4])
+    assert "too few fixes" in found.answers[2].text
+
+
+def test_seconds_without_gps_are_the_lower_median_of_all_losses(
+    boat: Particulars, log: Log
+) -> None:
+    meter = TrustMeter(Twin(boat, "ukf"), log)
+    after = np.arange(1.0, 61.0)
+
+    def answer(*leaves_at: float) -> Answer:
+        meter.losses = [
+            GpsLoss(80.0, after, np.where(after < s, 0.0, 2.0 * meter.bound)) for s in leaves_at
+        ]
+        return meter.verdict().answers[2]
+
+    assert "bears 20 s" in answer(5.0, 20.0, 99.0, 99.0).text
+    assert answer(5.0, 20.0, 99.0, 99.0).colour == AMBER
+    assert "bears at least 60 s" in answer(5.0, 99.0, 99.0).text
+    assert answer(5.0, 99.0, 99.0).colour == GREEN
+    assert answer(5.0, 8.0, 99.0).colour == RED
 
 
 def test_twins_without_parameters_are_scored_too(boat: Particulars, log: Log) -> None:

@@ -12,6 +12,7 @@ from twin.benchmark.figures.style import (
     BLACK,
     DASHED,
     Entry,
+    dots,
     line,
     new_figure,
     set_ticks,
@@ -34,7 +35,8 @@ def draw_verdict(verdict: Verdict, log: Log) -> bytes:
     entries: list[Entry] = [
         (line(BLUE), f"twin, {HORIZON:g} s ahead"),
         (line(ORANGE), "persistence"),
-        (line(BLACK, DASHED), "bound; fixes"),
+        (dots(BLACK), "fixes"),
+        (line(BLACK, DASHED), "bound"),
     ]
     mosaic = [["track", "distance"], ["track", "heading"], ["parameters", "losses"]]
     fig, axes = new_figure(
