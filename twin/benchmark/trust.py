@@ -91,8 +91,9 @@ RULES = (
     f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, or of "
     "the other sign; no finding of the log check. "
     f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
-    f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters; warnings; or what the log is too short to "
-    f"tell (forecasts over less than {SCORED_MIN:g} s). "
+    f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
+    "green; warnings; or what the log is too short to tell "
+    f"(forecasts over less than {SCORED_MIN:g} s). "
     "Red: anything else. The worst answer counts."
 )
 """The rules of the colours, for a help page."""
@@ -286,16 +287,14 @@ class TrustMeter:
             Of ``twin.logs.diagnosis.diagnose``.
         """
         deviations = self._deviations()
+        scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
         parameters = _parameter_answer(deviations, self._reversed())
         if not self.twin.estimate().ready:
             parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
-        answers = (
-            self._forecast_answer(),
-            self._coverage_answer(),
-            self._loss_answer(),
-            parameters,
-            _sensor_answer(findings),
-        )
+        elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
+            # the prior may be too narrow for a boat that its twin predicts well
+            parameters = dataclasses.replace(parameters, colour=AMBER)
+        answers = (*scores, parameters, _sensor_answer(findings))
         return Verdict(
             boat=self.particulars.name,
             log=self.log.name,

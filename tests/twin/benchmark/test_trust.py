@@ -132,6 +132,17 @@ def test_another_boat_shows_in_the_parameters(boat: Particulars, log: Log, good:
     assert good.answers[3].numbers["far"] == {}
 
 
+def test_parameters_alone_are_never_red() -> None:
+    otter = Vessel.load("otter")
+    about = particulars_of(otter)
+    sea = SeaState(hs=0.1, wind=3.0)
+    run = simulate("random", vessel=otter, sea=sea, duration=200.0, seed=2)
+    found = verdict_of(about, run.without_truth(), "dsw-ukf-plus")
+    assert [answer.colour for answer in found.answers[:3]] == [GREEN] * 3
+    assert len(found.answers[3].numbers["far"]) > 4
+    assert found.answers[3].colour == AMBER
+
+
 def test_reversed_steering_shows_in_a_sign(boat: Particulars, log: Log) -> None:
     cmd = log.cmd.copy()
     cmd[:, 2:] *= -1.0
