@@ -133,9 +133,12 @@ class Twin:
         }
         state = self.predictor.state_dict()
         kept = {f"state.{k}": v for k, v in state.items() if isinstance(v, np.ndarray)}
+        about = dataclasses.asdict(self.particulars)
+        if self.particulars.prior is None:
+            del about["prior"]
         header = {
             **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
-            **{"options": options, "particulars": dataclasses.asdict(self.particulars)},
+            **{"options": options, "particulars": about},
             **({} if self.datum is None else {"datum": self.datum.to_json()}),
             **{"t": self.t, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
         }

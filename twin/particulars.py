@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from twin.boat_prior import BoatPrior, BoatPriorError
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
@@ -184,6 +185,9 @@ class Particulars:
         Of a catamaran, m: beam of each hull, and distance of their centre lines; 0 where unknown.
     instruments : Instruments
         Sensors on board.
+    prior : BoatPrior, optional
+        What earlier runs of this boat say of its parameters. In a file: the path of what
+        ``usv-twin identify --save-prior`` wrote, counted from the folder of the file.
     """
 
     name: str
@@ -202,6 +206,7 @@ class Particulars:
     hull_beam: float = 0.0
     spacing: float = 0.0
     instruments: Instruments = field(default_factory=Instruments)
+    prior: BoatPrior | None = None
 
     def __post_init__(self) -> None:
         _check_fields(
@@ -234,6 +239,24 @@ class Particulars:
                 f"design = {self.design!r} is a class of boats with drives, and the other "
                 "particulars are not of such a boat. Correct them, or leave the class out"
             )
+        if self.prior is not None:
+            self._check_prior(self.prior)
+
+    def _check_prior(self, prior: BoatPrior) -> None:
+        """Refuse a prior of another boat."""
+        if not isinstance(prior, BoatPrior):
+            raise ParticularsError(
+                f"prior = {prior!r}: read it with twin.boat_prior.BoatPrior.load"
+            )
+        try:
+            prior.check_boat(
+                length=self.length,
+                speed=self.speed,
+                shaft_speed=self.shaft_speed,
+                steering=self.steering,
+            )
+        except BoatPriorError as error:
+            raise ParticularsError(f"prior: {error}") from None
 
     def _check_hulls(self) -> None:
         """Refuse hulls that contradict each other or the mass."""
@@ -295,18 +318,26 @@ class Particulars:
                     "expected the tables [particulars] and, if wished, [instruments]; "
                     f"found {', '.join(sorted(table)) or 'none'}"
                 )
-            return cls.from_tables(table["particulars"], table.get("instruments", {}))
-        except ParticularsError as error:
+            about = table["particulars"]
+            if isinstance(about, dict) and isinstance(about.get("prior"), str):
+                about = {**about, "prior": BoatPrior.load(path.parent / about["prior"])}
+            return cls.from_tables(about, table.get("instruments", {}))
+        except (ParticularsError, BoatPriorError) as error:
             raise ParticularsError(f"{path}: {error}") from None
 
     @classmethod
     def from_tables(cls, particulars: Any, instruments: Any) -> Particulars:
         """Return particulars from plain tables of values by field name, in SI units.
 
-        Without ``instruments``, these are among the first. ParticularsError names key and remedy.
+        ``prior`` may be a :class:`BoatPrior` or a table of its fields. ParticularsError names key
+        and remedy.
         """
         on_board = Instruments(**_known(Instruments, instruments))
-        return cls(**_known(cls, particulars), instruments=on_board)
+        about = dict(_known(cls, particulars))
+        prior = about.pop("prior", None)
+        if prior is not None and not isinstance(prior, BoatPrior):
+            prior = BoatPrior.from_table(prior)
+        return cls(**about, instruments=on_board, prior=prior)
 
     @property
     def time_scale(self) -> float:
@@ -330,7 +361,7 @@ class Particulars:
         lines = ["# Main particulars for the twin, SI units.", "[particulars]"]
         for item in dataclasses.fields(self):
             hull = item.name in ("hulls", "hull_beam", "spacing")
-            if item.name != "instruments" and not (hull and self.hulls == 1):
+            if item.name not in ("instruments", "prior") and not (hull and self.hulls == 1):
                 value = getattr(self, item.name)
                 # A JSON string is a TOML string, quotes and all.
                 is_text = isinstance(value, str)
@@ -341,6 +372,8 @@ class Particulars:
             value = getattr(self.instruments, item.name)
             text = repr(list(value) if isinstance(value, tuple) else float(value))
             lines.append(f"{item.name} = {text}")
+        if self.prior is not None:
+            lines += ["", "[particulars.prior]", self.prior.to_toml().rstrip()]
         return "\n".join(lines) + "\n"
 
 
@@ -376,7 +409,7 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
     for key, value in table.items():
         if key not in fields:
             raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
-        if key.endswith("_arm"):
+        if key.endswith("_arm") or key == "prior":
             continue  # the class itself checks it
         text = key in ("name", "steering", "design")
         wanted = str if text else (int, float)

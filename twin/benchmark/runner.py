@@ -43,7 +43,7 @@ from twin.predictors.base import Prediction
 from twin.predictors.registry import predictor_class
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
-from twin.sim.recorded import read_run
+from twin.sim.recorded import particulars_for_log, read_run
 from usv_gym.world.channels import GPS_BIT
 from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, apply_faults, parse_faults
 from usv_gym.world.sensors import SensorSuite
@@ -276,6 +276,8 @@ def digest(settings: Settings, unit: Unit) -> str:
     read = list(files_of(unit.log, settings.mapping)) if unit.log else []
     if unit.log and settings.ship is None:
         read.append(sibling_path(unit.log, ".toml"))
+    if unit.log and (prior := particulars_for_log(unit.log, settings.ship).prior) is not None:
+        value.update(prior.file_text().encode())
     for path in (*read, Path(ship or "")):
         if path.is_file():
             with path.open("rb") as file:

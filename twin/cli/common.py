@@ -23,6 +23,7 @@ from twin.files import write_whole
 from twin.logs.log import Log
 from twin.model.structure import MODELS
 from twin.parallel import BACKENDS
+from twin.predictors.own_prior import prior_note
 from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
@@ -159,6 +160,8 @@ def open_log(
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     for line in log.notes:
         note(line)
+    if unused := prior_note(twin.predictor, str(twin.name)):
+        note(unused)
     log = log.without_truth()
     twin.locate(log.datum)
     if until is not None:

@@ -13,6 +13,7 @@ from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
 from twin.cli.logs.check import log_check_command
 from twin.cli.logs.identify import identify_command
+from twin.cli.logs.judge import verdict_command
 from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
@@ -52,6 +53,7 @@ vessel_app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "simulate": simulate_command,
     "identify": identify_command,
+    "judge": verdict_command,
     "predict": predict_command,
     "benchmark": benchmark_command,
     "validate": validate_command,

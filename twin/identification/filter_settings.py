@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.model.dynamics import model_of
-from twin.model.priors import population_prior
+from twin.model.priors import boat_or, population_prior
 from twin.model.structure import Structure
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
 from usv_kernel.errors import UsvTwinError
@@ -105,14 +105,15 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
     structure = model_of(particulars, model or "paper")
+    mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
     return FilterSettings(
         structure=structure,
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,
         p0=p0**2,
         q_xi=np.zeros(len(structure)),
-        xi0=structure.mean,
-        xi0_cov=np.diag(structure.sd**2),
+        xi0=mean,
+        xi0_cov=covariance,
         n_unit=structure.n_unit,
     )
 
@@ -126,12 +127,13 @@ def _of_a_tanker(particulars: Particulars) -> FilterSettings:
     structure = calm.structure
     mean, covariance = population_prior(structure, particulars)
     wander = np.isin(structure.parameters, WANDERING) * np.diag(covariance) / WANDER_TIME
+    mean, covariance = boat_or((mean, PRIOR_INFLATION * covariance), structure, particulars)
     return dataclasses.replace(
         calm,
         q=np.concatenate([calm.q[:3], disturbed**2]),
         r=np.array([*5 * (WAVELESS,), WAVELESS_TURN]) ** 2 * calm.r,
         q_xi=wander,
         xi0=mean,
-        xi0_cov=PRIOR_INFLATION * covariance,
+        xi0_cov=covariance,
         waves=(WAVE_TIME * time, WAVE_NOISE * time, WAVE_PUSH / time),
     )

@@ -41,6 +41,12 @@ COLLINEAR = 0.999
 INFORMED = math.sqrt(0.5)
 """Standard deviation over that of the prior at which data and prior say equally much."""
 
+NOT_SHOWN = 1e-10
+"""Information of a direction, as a share of the largest, below which it is rounding."""
+
+_PART = 0.1
+"""Weight (prior standard deviations) below which a parameter is left out of a direction."""
+
 _SAME = 0.005
 """Part of 1 within which a weight of a merged parameter is not written."""
 
@@ -70,6 +76,16 @@ class SubModel:
     # largest over smallest eigenvalue of A; NaN without data. It ends at 1/eps = 4.5e15, where the
     # smallest is rounding: not all parameters can be separated
     condition_number: float
+    # in words, the directions of which the data say nothing at all: parameters by themselves, then
+    # combinations, in prior standard deviations
+    not_shown: tuple[str, ...] = ()
+
+    @property
+    def condition(self) -> str:
+        """The condition number for a reader: in words where it is rounding."""
+        if math.isnan(self.condition_number):
+            return "no data"
+        return "not all shown" if self.not_shown else f"{self.condition_number:.1e}"
 
 
 @dataclass(frozen=True)
@@ -122,10 +138,9 @@ class Identifiability:
 
     def __str__(self) -> str:
         """Return a table in plain text."""
-        lines = [f"{'sub-model':<10}{'parameters':>12}{'effective rank':>16}{'condition':>12}"]
+        lines = [f"{'sub-model':<10}{'parameters':>12}{'effective rank':>16}{'condition':>15}"]
         lines += [
-            f"{m.name:<10}{len(m.parameters):>12}{m.effective_rank:>16.1f}"
-            f"{m.condition_number:>12.1e}"
+            f"{m.name:<10}{len(m.parameters):>12}{m.effective_rank:>16.1f}{m.condition:>15}"
             for m in self.submodels
         ]
         width = max((len(item.name) for item in (*self.parameters, *self.sums)), default=0) + 2
@@ -171,8 +186,10 @@ def assess(
         gram = (triangle + np.tril(triangle, -1).T) / noise
         total[np.ix_(columns, columns)] += gram
         scale = prior_sd[columns]
-        rank, condition = _spectrum(gram * scale * scale[:, None])
-        found.append(SubModel(name, tuple(names[i] for i in columns), rank, condition))
+        A = gram * scale * scale[:, None]
+        rank, condition = _spectrum(A)
+        parameters = tuple(names[i] for i in columns)
+        found.append(SubModel(name, parameters, rank, condition, _not_shown(parameters, A)))
 
     def finding(weights: Array, members: Sequence[int], label: str, merged: str = "") -> Finding:
         variance = float(weights @ before @ weights)
@@ -209,6 +226,38 @@ def _spectrum(A: Array) -> tuple[float, float]:
     top = float(values[-1])
     floor = max(float(values[0]), np.finfo(np.float64).eps * top)
     return float((values / (1.0 + values)).sum()), top / floor if top > 0.0 else math.nan
+
+
+def _not_shown(names: Sequence[str], A: Array) -> tuple[str, ...]:
+    """Return in words the directions of which the information A says nothing."""
+    size = np.diag(A)
+    if not size.max() > 0.0:
+        return ()
+    absent = size <= NOT_SHOWN * size.max()
+    found = [", ".join(name for name, gone in zip(names, absent, strict=True) if gone)]
+    found = [text for text in found if text]
+    places = np.flatnonzero(~absent)
+    values, vectors = np.linalg.eigh(A[np.ix_(places, places)])
+    flat = values <= NOT_SHOWN * values[-1]
+    # a basis with as few parameters in each direction as there can be
+    directions = _reduced(vectors[:, flat].T)
+    for row in directions:
+        kept = np.flatnonzero(np.abs(row) > _PART)
+        found.append(_label([names[places[k]] for k in kept], row[kept]))
+    return tuple(found)
+
+
+def _reduced(rows: Array) -> Array:
+    """Return rows with the same span, each with an entry of 1 where the others have 0."""
+    rows = rows.copy()
+    for k in range(len(rows)):
+        rest = np.abs(rows[k:])
+        i, j = divmod(int(np.argmax(rest)), rest.shape[1])
+        rows[[k, k + i]] = rows[[k + i, k]]
+        rows[k] /= rows[k, j]
+        others = np.arange(len(rows)) != k
+        rows[others] -= rows[others, j][:, None] * rows[k]
+    return rows
 
 
 def _groups(total: Array) -> list[list[int]]:

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.model.structure import Structure
+from twin.boat_prior import ENVIRONMENT, limited
+from twin.model.structure import MODELS, Structure
 from twin.particulars import FAST, Particulars
 from usv_kernel.errors import UsvTwinError
 
@@ -26,12 +27,19 @@ __all__ = [
     "KINDS",
     "Prior",
     "PriorError",
+    "boat_or",
     "kind_of",
     "population_prior",
     "shipped_prior",
+    "takes",
 ]
 
 Array = NDArray[np.float64]
+
+FARTHEST = 100.0
+"""Standard deviations of the population beyond which no boat's own mean lies."""
+
+_REMEDY = "make it again with usv-twin identify --save-prior, or leave it out"
 
 KINDS = ("drives", "rudder", "differential")
 """Kinds of boats: fast ones on steerable drives, ships with rudders, fixed pairs of thrusters."""
@@ -137,3 +145,57 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
     if kind == "differential":
         return structure.mean.copy(), np.diag(structure.sd**2)
     return shipped_prior(structure.name, kind).of(structure)
+
+
+def takes(structure: Structure, particulars: Particulars) -> bool:
+    """Return whether a boat has a prior of its own, of this structure.
+
+    PriorError: a prior of no known model, or with parameters that its model does not have.
+    """
+    prior = particulars.prior
+    if prior is None:
+        return False
+    if prior.model not in MODELS:
+        raise PriorError(
+            f"the prior of {prior.boat!r} is of the model {prior.model!r}, which is not one of "
+            f"{', '.join(MODELS)}: {_REMEDY}"
+        )
+    if prior.model != structure.name:
+        return False
+    odd = sorted(set(prior.parameters) - {*structure.parameters, *ENVIRONMENT})
+    if odd:
+        raise PriorError(
+            f"the prior of {prior.boat!r} has parameters that the model {structure.name!r} of "
+            f"this boat does not have, such as {odd[0]!r}: {_REMEDY}"
+        )
+    return True
+
+
+def boat_or(
+    population: tuple[Array, Array], structure: Structure, particulars: Particulars
+) -> tuple[Array, Array]:
+    """Return the boat's own prior, mean (p,) and covariance (p, p) in SI units, if it has one.
+
+    Parameters that it does not have, such as those of wind and sea, keep what the population says,
+    and in no direction is the boat's prior wider. Without one, the population's is returned.
+    PriorError: a prior that is not of such a boat.
+    """
+    prior = particulars.prior
+    if prior is None or not takes(structure, particulars):
+        return population
+    names = [n for n in prior.parameters if n in structure.parameters and n not in ENVIRONMENT]
+    at = np.array([structure.parameters.index(name) for name in names], dtype=np.int64)
+    own = np.array([prior.parameters.index(name) for name in names], dtype=np.int64)
+    mean, covariance = population[0].copy(), population[1].copy()
+    bound = population[1][np.ix_(at, at)]
+    mean[at] = np.array(prior.mean)[own]
+    far = np.abs(mean[at] - population[0][at]) > FARTHEST * np.sqrt(np.diag(bound))
+    if far.any():
+        name = names[int(np.argmax(far))]
+        raise PriorError(
+            f"the prior of {prior.boat!r} has {name} = {prior.mean[own[int(np.argmax(far))]]:g}, "
+            f"over {FARTHEST:g} standard deviations from boats like this: {_REMEDY}"
+        )
+    covariance[at], covariance[:, at] = 0.0, 0.0
+    covariance[np.ix_(at, at)] = limited(np.array(prior.covariance)[np.ix_(own, own)], bound)
+    return mean, covariance

@@ -38,7 +38,7 @@ from twin.identification.prediction_error import COLUMNS, RefitSettings
 from twin.identification.segments import SEGMENT_FIELDS, Segments
 from twin.identification.wave_residual import FACTOR
 from twin.model.dynamics import model_of
-from twin.model.priors import population_prior
+from twin.model.priors import boat_or, population_prior
 from twin.model.rollout import GRID, upsample
 from twin.model.structure import N_STATES
 from twin.particulars import STUDY_LENGTH, STUDY_SPEED, Particulars
@@ -112,7 +112,8 @@ class PlusPredictor(UKFPredictor):
     model : str
         One of ``twin.model.structure.MODELS``.
     prior : tuple of ndarray, optional
-        Mean (p,) and covariance (p, p) of the parameters; those of like boats if left out.
+        Mean (p,) and covariance (p, p) of the parameters; those of the boat's own prior or of
+        like boats if left out.
     settings : RefitSettings, optional
         :func:`refit_settings` if left out.
     period : float
@@ -146,7 +147,9 @@ class PlusPredictor(UKFPredictor):
                 f"above 0 s, 0 or more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
         structure = model_of(particulars, model, biased=True)
-        mean, cov = prior or population_prior(structure, particulars)
+        mean, cov = prior or boat_or(
+            population_prior(structure, particulars), structure, particulars
+        )
         p = len(structure)
         if np.shape(mean) != (p,) or np.shape(cov) != (p, p):
             raise UsvTwinError(

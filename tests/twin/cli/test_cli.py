@@ -472,3 +472,57 @@ def test_log_check_names_missing_columns_and_what_the_reader_refuses(tmp_path, f
     (tmp_path / "twice.csv").write_text("\n".join(twice) + "\n")
     out = run("log", "check", tmp_path / "twice.csv", "--no-picture", check=1).stdout
     assert "error: " in out and "time does not increase" in out
+
+
+def test_a_verdict_is_five_lines_and_one_colour(folder, tmp_path):
+    files = ("--out", tmp_path / "j.png", "--json", tmp_path / "j.json")
+    out = run("judge", folder / "run.csv", "-p", "ukf", *files).stdout
+    found = json.loads((tmp_path / "j.json").read_text())
+    assert found["colour"] in ("green", "amber") and f"ukf: {found['colour']}" in out
+    lines = out.splitlines()
+    at = next(i for i, line in enumerate(lines) if "ukf: " in line)
+    for line, answer in zip(lines[at + 1 :], found["answers"], strict=False):
+        assert line.split()[0] == answer["colour"] and answer["text"] in line
+    assert (tmp_path / "j.png").read_bytes().startswith(b"\x89PNG")
+    # the gyro's sign is an error of the log check
+    log = Log.read(folder / "run.csv").without_truth()
+    log.z[:, 5] *= -1.0
+    log.write(tmp_path / "bad.csv")
+    (tmp_path / "bad.toml").write_text((folder / "run.toml").read_text())
+    out = run("judge", tmp_path / "bad.csv", "-p", "ukf", "--no-picture", check=1).stdout
+    assert "ukf: red" in out and "gyro-sign" in out
+
+
+def test_identify_ends_with_five_answers_and_says_what_was_not_shown(folder):
+    out = run("identify", folder / "run.csv").stdout
+    lines = out.splitlines()
+    heads = [line.split()[1] for line in lines if re.match("(green|amber|red) ", line)]
+    assert heads == ["forecast", "coverage", "without", "parameters", "sensors"]
+    assert "e+15" not in out and "e+16" not in out and "singular" not in out
+    assert "the run did not show" in out
+
+
+def test_identify_saves_and_uses_a_prior(folder, tmp_path):
+    log, kept = folder / "run.csv", tmp_path / "boat.prior"
+    out = run("identify", log, log, "--save-prior", kept).stdout
+    assert "from 2 run(s), model mmg" in out and 'prior = "boat.prior"' in out
+    text = (folder / "run.toml").read_text()
+    own = tmp_path / "own.toml"
+    own.write_text(text.replace("[particulars]", '[particulars]\nprior = "boat.prior"'))
+    again = run("identify", log, "--ship", own, "--json", tmp_path / "a.json").stdout
+    assert "starts without it" not in again
+    run("identify", log, "--json", tmp_path / "b.json")
+    a, b = (json.loads((tmp_path / f"{n}.json").read_text())["parameters_sd"] for n in "ab")
+    assert a["X_nn"] < b["X_nn"]
+    assert "ukf has the model 'paper'" in run("identify", log, "--ship", own, "-p", "ukf").stdout
+    # a prior of runs that began with it would count them twice: they begin without
+    out = run("identify", log, "--ship", own, "--save-prior", tmp_path / "2.prior").stdout
+    assert "begins without the prior" in out
+    for arguments, words in (
+        ((log, "--save-prior", kept), "--force"),
+        ((log, log), "several are for --save-prior"),
+        ((log, log, "--save-prior", tmp_path / "3.prior", "--save", "x"), "without --save"),
+        ((log, "-p", "persistence", "--save-prior", tmp_path / "3.prior"), "no parameters"),
+    ):
+        assert words in run("identify", *arguments, check=2).stderr
+    assert not (tmp_path / "3.prior").exists()

@@ -150,3 +150,27 @@ def test_of_a_run(zigzag, boat, model):
 
 def test_no_model_gives_no_report(boat):
     assert Twin(boat, "persistence").predictor.identifiability() is None
+
+
+def test_directions_without_data_are_said_in_words() -> None:
+    """One regressor never seen, and one that is always the sum of two others."""
+    rng = np.random.default_rng(0)
+    a, b = rng.standard_normal((2, 500))
+    phi = np.stack([a, b, a + b, 0.0 * a], axis=1)
+    found = assess(
+        ("A", "B", "S", "W"), [("surge", range(4))], [phi.T @ phi], [1.0], np.eye(4), np.eye(4), 1.0
+    ).submodels[0]
+    assert found.condition == "not all shown"
+    assert found.not_shown[0] == "W"
+    (combination,) = found.not_shown[1:]
+    assert {name for name in "ABSW" if name in combination} == {"A", "B", "S"}
+    whole = assess(
+        ("A", "B"),
+        [("surge", range(2))],
+        [phi[:, :2].T @ phi[:, :2]],
+        [1.0],
+        np.eye(2),
+        np.eye(2),
+        1.0,
+    ).submodels[0]
+    assert whole.not_shown == () and "e+0" in whole.condition

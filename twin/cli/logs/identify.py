@@ -2,39 +2,52 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from twin.benchmark.trust import TrustMeter
 from twin.channels import STATE
 from twin.cli.common import (
     STATE_HEADS,
     STATE_SCALE,
-    LogArgument,
     MappingOption,
     ModelOption,
+    OptionError,
     ShipOption,
     console,
     explain,
     new_table,
+    note,
     open_log,
     row_progress,
     write_json,
+    write_text,
 )
+from twin.cli.logs.judge import findings_of, print_verdict
 from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
 from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.logs.tables import check_export
 from twin.predictors.base import Estimate
+from twin.predictors.own_prior import prior_of_runs
 from twin.predictors.registry import DEFAULT, PREDICTORS
 
 
 def identify_command(
-    log: LogArgument,
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP. Several with --save-prior.",
+        ),
+    ],
     predictor: Annotated[
         str | None,
         typer.Option(
@@ -67,6 +80,16 @@ def identify_command(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="The last estimate, in full precision.")
     ] = None,
+    save_prior: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for what the runs say of the boat's next run, such as boat.prior. "
+            'Particulars use it with the line: prior = "boat.prior".'
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite the file of --save-prior.")
+    ] = False,
 ) -> None:
     """Run the twin over a log, and print the state and the parameters that it estimates.
 
@@ -77,18 +100,53 @@ def identify_command(
     With --save the twin can continue later, here with --resume or in Python with Twin.load. The
     results are the same bits as without the stop. The file holds predictor, boat and instruments;
     those options are then left out.
+
+    With --save-prior, runs of one boat become its own prior: mean and covariance of the parameters,
+    widened for load and fouling. Each run begins without an earlier prior.
+
+    It ends with the colour and five lines of usv-twin judge, from fewer forecasts and GPS losses.
     """
-    run, twin = open_log(
-        log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
-    )
+    if save_prior is not None:
+        if resume is not None:
+            raise OptionError("--save-prior and --resume: a prior is made from whole runs")
+        if save_prior.exists() and not force:
+            raise OptionError(
+                f"--save-prior {save_prior}: is there already; choose another name, or --force"
+            )
+    if len(logs) > 1:
+        one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
+        given = [name for name, value in one.items() if value is not None]
+        if given or save_prior is None:
+            raise OptionError(
+                f"{len(logs)} logs: several are for --save-prior"
+                + (f", without {', '.join(given)}" if given else "; name one")
+            )
+    if save_prior is not None and len(logs) > 1:
+        twins = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
+        _save_prior(save_prior, twins)
+        return
+    log = logs[0]
+    if save_prior is not None:
+        run, twin = _opened(log, predictor, ship, until, model, mapping)
+    else:
+        run, twin = open_log(
+            log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
+        )
     if out is not None:
         check_export(out, twin.datum)
     predictor = str(twin.name)
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
     prior = fresh.estimate()
+    meter = TrustMeter(twin, run, light=True)
+    meter.prior = prior
     with row_progress("identifying", len(run)) as advance:
-        table = twin.run(run, advance)
+
+        def on_row() -> None:
+            meter()
+            advance()
+
+        table = twin.run(run, on_row)
     last = twin.estimate()
     if save is not None:
         twin.save(save)
@@ -107,6 +165,66 @@ def identify_command(
         console.print(f"every row: {out}")
     if save is not None:
         console.print(f"the twin at t = {twin.t:.2f} s: {save}")
+    if save_prior is not None:
+        _save_prior(save_prior, [twin])
+    print_verdict(meter.verdict(findings_of(log, mapping, twin.particulars, until)))
+    explain("usv-twin judge LOG tries more forecasts and GPS losses; its --help has the rules.")
+
+
+def _opened(
+    log: Path,
+    predictor: str | None,
+    ship: str | None,
+    until: float | None,
+    model: str | None,
+    mapping: Path | None,
+) -> tuple[Log, Twin]:
+    """Return a log and a twin that begins without a prior of the boat's own."""
+    run, twin = open_log(log, predictor, ship=ship, until=until, model=model, mapping=mapping)
+    if twin.particulars.prior is not None:
+        note("begins without the prior of the particulars: the new one is to hold each run once")
+        bare = dataclasses.replace(twin.particulars, prior=None)
+        datum = twin.datum
+        twin = Twin(bare, str(twin.name), **twin.options)
+        twin.locate(datum)
+    return run, twin
+
+
+def _run_of(
+    log: Path,
+    predictor: str | None,
+    ship: str | None,
+    until: float | None,
+    model: str | None,
+    mapping: Path | None,
+) -> Twin:
+    """Return a twin that ran over a log."""
+    run, twin = _opened(log, predictor, ship, until, model, mapping)
+    with row_progress(f"identifying {run.name}", len(run)) as advance:
+        twin.run(run, advance)
+    console.print(f"{run.name}: {run.t[-1] - run.t[0]:.0f} s", highlight=False)
+    return twin
+
+
+def _save_prior(path: Path, twins: Sequence[Twin]) -> None:
+    """Write the boat's own prior, and print it beside the population's."""
+    prior = prior_of_runs([twin.predictor for twin in twins])
+    write_text(path, prior.file_text())
+    first = twins[0].predictor
+    first.reset()
+    before = first.estimate()
+    places = {name: k for k, name in enumerate(first.parameter_names)}
+    heads = ("", "unit", "population", "sd", "this boat", "sd", "ratio")
+    title = f"prior of {prior.boat} from {prior.runs} run(s), model {prior.model}"
+    table = new_table(title, *heads, left=("", "unit"))
+    for k, name in enumerate(prior.parameters):
+        at, sd = places[name], math.sqrt(prior.covariance[k][k])
+        old = before.params_sd[at]
+        numbers = (before.params[at], old, prior.mean[k], sd)
+        row = (f"{value:.3g}" for value in numbers)
+        table.add_row(name, first.parameter_units[at], *row, f"{sd / old:.2f}")
+    console.print(table)
+    console.print(f'prior: {path}; use it with prior = "{path.name}" in the particulars')
 
 
 def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, Any]:
@@ -223,10 +341,14 @@ def _print_identifiability(seen: Identifiability) -> None:
         left=("sub-model",),
     )
     for model in seen.submodels:
-        rank, condition = f"{model.effective_rank:.1f}", f"{model.condition_number:.1e}"
-        table.add_row(model.name, str(len(model.parameters)), rank, condition)
+        rank = f"{model.effective_rank:.1f}"
+        table.add_row(model.name, str(len(model.parameters)), rank, model.condition)
     console.print(table)
     explain(
         "effective rank: directions determined by the data and not by the prior. condition "
-        "number: of the regressors in prior standard deviations (4.5e15: singular)."
+        "number: of the regressors in prior standard deviations."
     )
+    for model in seen.submodels:
+        if model.not_shown:
+            shown = "; ".join(model.not_shown)
+            explain(f"{model.name}: the run did not show {shown}; there the prior stays.")

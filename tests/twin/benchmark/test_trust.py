@@ -1,0 +1,214 @@
+"""Whether a twin may be trusted: scores, colours, and the faults that they are for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from twin import Log, Particulars, Prediction, Twin
+from twin.benchmark.trust import (
+    AMBER,
+    GREEN,
+    RED,
+    Answer,
+    GpsLoss,
+    TrustMeter,
+    Verdict,
+    position_bound,
+)
+from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
+from twin.predictors.ukf import UKFPredictor
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+
+
+@pytest.fixture(scope="module")
+def boat() -> Particulars:
+    return dataclasses.replace(particulars_of(Vessel.load("usv75")), design="")
+
+
+def simulated(seed: int) -> Log:
+    """Return 150 s of random commands in a slight sea, without truth."""
+    return simulate(
+        "random",
+        vessel=Vessel.load("usv75"),
+        sea=SeaState(hs=0.3, wind=3.0),
+        duration=150.0,
+        seed=seed,
+    ).without_truth()
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulated(6)
+
+
+def verdict_of(
+    about: Particulars, log: Log, predictor: str = "ukf", light: bool = False
+) -> Verdict:
+    twin = Twin(about, predictor)
+    meter = TrustMeter(twin, log, light=light)
+    twin.run(log, meter)
+    return meter.verdict()
+
+
+@pytest.fixture(scope="module")
+def good(boat: Particulars, log: Log) -> Verdict:
+    return verdict_of(boat, log, "dsw-ukf-plus")
+
+
+def test_a_good_twin_is_green_in_five_answers(good: Verdict) -> None:
+    abouts = ["forecast", "coverage", "without GPS", "parameters", "sensors"]
+    assert [answer.about for answer in good.answers] == abouts
+    assert [answer.colour for answer in good.answers] == [GREEN] * 5
+    assert good.colour == GREEN
+    numbers = good.answers[0].numbers
+    assert numbers["displacement_m"] < 0.5 * numbers["persistence_displacement_m"]
+    assert numbers["n"] == len(good.forecasts) == 41
+    assert len(good.losses) == 8 and all(loss.t >= 74.0 for loss in good.losses)
+    assert all(loss.after[-1] == pytest.approx(60.0, abs=1.0) for loss in good.losses)
+
+
+def test_good_twins_are_never_red_and_mostly_green(boat: Particulars) -> None:
+    colours = [verdict_of(boat, simulated(seed), "dsw-ukf-plus").colour for seed in range(4, 12)]
+    assert RED not in colours and colours.count(GREEN) >= 6, colours
+
+
+def test_scoring_changes_nothing_in_the_twin(boat: Particulars, log: Log) -> None:
+    for light in (False, True):
+        alone, watched = Twin(boat), Twin(boat)
+        alone.run(log)
+        watched.run(log, TrustMeter(watched, log, light=light))
+        np.testing.assert_array_equal(alone.estimate().params, watched.estimate().params)
+        np.testing.assert_array_equal(alone.estimate().state, watched.estimate().state)
+
+
+def test_light_scores_cost_few_forecasts_and_rows(boat: Particulars, log: Log) -> None:
+    light = verdict_of(boat, log, light=True)
+    assert 4 <= len(light.forecasts) <= 7
+    # rows of all losses together, of those of the log
+    assert sum(loss.after[-1] for loss in light.losses) <= 0.2 * (log.t[-1] - log.t[0])
+
+
+def test_the_bound_is_length_or_five_metres_or_noise(boat: Particulars) -> None:
+    assert position_bound(boat) == boat.length
+    small = dataclasses.replace(boat, length=2.0)
+    assert position_bound(small) == 5.0
+    rough = dataclasses.replace(boat.instruments, gps_sd=3.0)
+    assert position_bound(dataclasses.replace(small, instruments=rough)) == 15.0
+
+
+class Sure(UKFPredictor):
+    """Claims to be as good as certain."""
+
+    def predict(self, plan: np.ndarray, dt: float) -> Prediction:
+        made = super().predict(plan, dt)
+        off = np.array([30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        cov = 1e-8 * np.broadcast_to(np.eye(6), made.cov.shape)
+        return Prediction(made.t0, made.start, 1e-8 * np.eye(6), made.t, made.mean + off, cov)
+
+
+def test_wrong_and_certain_forecasts_are_red(boat: Particulars, log: Log) -> None:
+    twin = Twin(boat, Sure(boat))
+    meter = TrustMeter(twin, log)
+    twin.run(log, meter)
+    answers = {answer.about: answer for answer in meter.verdict().answers}
+    assert answers["coverage"].colour == RED
+    assert answers["coverage"].numbers["position"] < 0.1
+    assert answers["forecast"].numbers["displacement_m"] > 20.0
+    assert meter.verdict().colour == RED
+
+
+def test_another_boat_shows_in_the_parameters(boat: Particulars, log: Log, good: Verdict) -> None:
+    other = dataclasses.replace(
+        boat, length=4.0 * boat.length, beam=4.0 * boat.beam, mass=64.0 * boat.mass
+    )
+    found = verdict_of(other, log, "dsw-ukf-plus")
+    assert len(found.answers[3].numbers["far"]) > 0
+    assert found.answers[3].colour in (AMBER, RED)
+    assert "wrong boat" in found.answers[3].text
+    assert good.answers[3].numbers["far"] == {}
+
+
+def test_parameters_alone_are_never_red() -> None:
+    otter = Vessel.load("otter")
+    about = particulars_of(otter)
+    sea = SeaState(hs=0.1, wind=3.0)
+    run = simulate("random", vessel=otter, sea=sea, duration=200.0, seed=2)
+    found = verdict_of(about, run.without_truth(), "dsw-ukf-plus")
+    assert [answer.colour for answer in found.answers[:3]] == [GREEN] * 3
+    assert len(found.answers[3].numbers["far"]) > 4
+    assert found.answers[3].colour == AMBER
+
+
+def test_reversed_steering_shows_in_a_sign(boat: Particulars, log: Log) -> None:
+    cmd = log.cmd.copy()
+    cmd[:, 2:] *= -1.0
+    found = verdict_of(boat, dataclasses.replace(log, cmd=cmd), "dsw-ukf-plus")
+    answer = found.answers[3]
+    assert answer.numbers["sign"] or answer.numbers["far"]
+    assert answer.colour != GREEN
+
+
+def test_findings_of_the_log_check_colour_the_sensors(boat: Particulars, log: Log) -> None:
+    meter = TrustMeter(Twin(boat, "ukf"), log)
+    for severity, colour in ((NOTE, GREEN), (WARNING, AMBER), (ERROR, RED)):
+        answer = meter.verdict([Finding(severity, "gyro-sign", "", "")]).answers[4]
+        assert answer.colour == colour
+        assert ("gyro-sign" in answer.text) == (severity != NOTE)
+
+
+def test_short_logs_cannot_tell(boat: Particulars, log: Log) -> None:
+    found = verdict_of(boat, log.slice(0.0, 9.0))
+    assert [answer.colour for answer in found.answers[:3]] == [AMBER] * 3
+    assert all("cannot tell" in answer.text for answer in found.answers[:3])
+    assert found.colour == AMBER
+    found.to_json()
+
+
+def test_few_bad_forecasts_are_amber_not_red(boat: Particulars, log: Log) -> None:
+    twin = Twin(boat, Sure(boat))
+    short = log.slice(0.0, 20.0)
+    meter = TrustMeter(twin, short)
+    twin.run(short, meter)
+    forecast, coverage, losses = meter.verdict().answers[:3]
+    assert coverage.numbers["position"] == 0.0 and "1 forecast)" in coverage.text
+    assert [forecast.colour, coverage.colour, losses.colour] == [AMBER] * 3
+    assert "too short" in losses.text
+
+
+def test_logs_without_fixes_cannot_tell(boat: Particulars, log: Log) -> None:
+    z = log.z.copy()
+    z[:, :4] = np.nan
+    found = verdict_of(boat, dataclasses.replace(log, z=z))
+    assert [answer.colour for answer in found.answers[:4]] == [AMBER] * 4
+    assert all("cannot tell" in answer.text for answer in found.answers[:4])
+    assert "too few fixes" in found.answers[2].text
+
+
+def test_seconds_without_gps_are_the_lower_median_of_all_losses(
+    boat: Particulars, log: Log
+) -> None:
+    meter = TrustMeter(Twin(boat, "ukf"), log)
+    after = np.arange(1.0, 61.0)
+
+    def answer(*leaves_at: float) -> Answer:
+        meter.losses = [
+            GpsLoss(80.0, after, np.where(after < s, 0.0, 2.0 * meter.bound)) for s in leaves_at
+        ]
+        return meter.verdict().answers[2]
+
+    assert "bears 20 s" in answer(5.0, 20.0, 99.0, 99.0).text
+    assert answer(5.0, 20.0, 99.0, 99.0).colour == AMBER
+    assert "bears at least 60 s" in answer(5.0, 99.0, 99.0).text
+    assert answer(5.0, 99.0, 99.0).colour == GREEN
+    assert answer(5.0, 8.0, 99.0).colour == RED
+
+
+def test_twins_without_parameters_are_scored_too(boat: Particulars, log: Log) -> None:
+    found = verdict_of(boat, log, "persistence")
+    numbers = found.answers[0].numbers
+    assert numbers["displacement_m"] == pytest.approx(numbers["persistence_displacement_m"])
+    assert found.answers[3].text == "the predictor has none"

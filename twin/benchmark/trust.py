@@ -1,0 +1,455 @@
+"""How far a twin of a log may be trusted: five answers with numbers, and a colour.
+
+The twin runs over the log once. Meanwhile its forecasts are scored as in the benchmark, against
+the log's own fixes and headings and beside persistence, and copies of it go on without GPS.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.benchmark.protocol import BenchmarkError
+from twin.benchmark.scores import Reference, score
+from twin.boat_prior import ENVIRONMENT
+from twin.digital_twin import Twin, known_plan
+from twin.filters.navigation_ekf import Navigator
+from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.predictors.base import Z90, Prediction
+from twin.predictors.baselines import hold_velocity
+from twin.predictors.ukf import UKFPredictor
+from usv_kernel.scalar import wrap
+
+__all__ = [
+    "AMBER",
+    "GREEN",
+    "RED",
+    "RULES",
+    "Answer",
+    "GpsLoss",
+    "ScoredForecast",
+    "TrustMeter",
+    "Verdict",
+    "position_bound",
+]
+
+Array = NDArray[np.float64]
+
+GREEN, AMBER, RED = "green", "amber", "red"
+
+COLOURS = (GREEN, AMBER, RED)
+
+HORIZON = 10.0
+"""Of the forecasts that are scored, s."""
+
+STEP = 0.25
+"""Of the forecasts, s, where the log has no longer one."""
+
+RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
+"""Error over that of persistence, up to which a forecast is green or amber."""
+
+COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
+"""Share inside the claimed 90 %, from which on it is green or amber."""
+
+BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
+"""Seconds without GPS from which on they are green or amber."""
+
+FAR, FAR_AMBER = 4.0, 4
+"""Prior standard deviations beyond which a parameter is far, and how many such are amber."""
+
+SURE_BEFORE, SURE_AFTER = 1.5, 2.0
+"""Standard deviations by which a sign was known before and after, where it is said to be other."""
+
+BOUND_MIN, BOUND_NOISE = 5.0, 5.0
+"""The bound of the position error without GPS is at least this (m, standard deviations of a fix),
+or the boat's length if that is more."""
+
+LOSS_SPAN = 60.0
+"""Longest loss of GPS that is tried, s."""
+
+LIGHT_ROWS, LIGHT_LOG = 500, 4000
+"""Of a light meter: rows of the log for each forecast, and from which on it tries two losses."""
+
+SCORED_MIN = 60.0
+"""Forecasts over less time than this, s, say too little: they are never red."""
+
+LOSS_MIN = BEARS_AMBER
+"""A shorter one says nothing, s."""
+
+RULES = (
+    f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
+    f"noise of the sensors; at least {COVERAGE_GREEN:.0%} inside the claimed 90 %; at least "
+    f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, or of "
+    "the other sign; no finding of the log check. "
+    f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
+    f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
+    "green; warnings; or what the log is too short to tell "
+    f"(forecasts over less than {SCORED_MIN:g} s). "
+    "Red: anything else. The worst answer counts."
+)
+"""The rules of the colours, for a help page."""
+
+
+class ScoredForecast(NamedTuple):
+    """One forecast, and how far it and persistence were off at :data:`HORIZON`."""
+
+    t: float  # time at which it was made, s
+    path: Array  # (k, 2) positions from the start on, m
+    error: tuple[float, float]  # m, rad
+    persistence: tuple[float, float]  # m, rad
+    covered: tuple[bool, bool]  # position and heading inside the claimed 90 %
+
+
+class GpsLoss(NamedTuple):
+    """A stretch of the log in which a copy of the twin got no fixes."""
+
+    t: float  # when it began, s
+    after: Array  # (k,) seconds without GPS at each fix of the log
+    error: Array  # (k,) error of the displacement then, m
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One of the five lines."""
+
+    about: str
+    colour: str  # one of COLOURS
+    text: str
+    numbers: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The five answers, and what they were made from."""
+
+    boat: str
+    log: str
+    predictor: str
+    bound: float  # of the position error without GPS, m
+    answers: tuple[Answer, ...]
+    forecasts: tuple[ScoredForecast, ...]
+    losses: tuple[GpsLoss, ...]
+    # names, and deviation from the prior in its standard deviations, largest first
+    deviations: tuple[tuple[str, float], ...]
+
+    @property
+    def colour(self) -> str:
+        """The worst of the answers' colours."""
+        return max((answer.colour for answer in self.answers), key=COLOURS.index)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers as plain data."""
+        return {
+            "boat": self.boat,
+            "log": self.log,
+            "predictor": self.predictor,
+            "colour": self.colour,
+            "answers": [dataclasses.asdict(answer) for answer in self.answers],
+            "gps_losses": [
+                {"t_s": loss.t, "after_s": loss.after.tolist(), "error_m": loss.error.tolist()}
+                for loss in self.losses
+            ],
+            "deviations_in_prior_sd": dict(self.deviations),
+        }
+
+
+def position_bound(particulars: Particulars) -> float:
+    """Return the position error (m) beyond which a twin without GPS is not to be trusted."""
+    noise = BOUND_NOISE * particulars.instruments.gps_sd
+    return max(particulars.length, BOUND_MIN, noise)
+
+
+class TrustMeter:
+    """Scores a twin while it runs over a log; call it after each row.
+
+    Parameters
+    ----------
+    twin : Twin
+        Before the first row of the log.
+    log : Log
+        Without truth.
+    light : bool
+        Fewer forecasts and one or two short losses, for little more time than the rows take.
+    """
+
+    def __init__(self, twin: Twin, log: Log, *, light: bool = False) -> None:
+        every, losses, share = 2.0, 8, 4.0
+        if light:
+            # a forecast takes as long as some 50 rows, a copy as 200
+            count = max(len(log) // LIGHT_ROWS, 6)
+            every = max(every, 0.6 * float(log.t[-1] - log.t[0]) / count)
+            losses, share = (1, 0.15) if len(log) < LIGHT_LOG else (2, 0.12)
+        self.twin, self.log, self.every = twin, log, every
+        self.particulars = twin.particulars
+        self.bound = position_bound(self.particulars)
+        self.prior = twin.estimate()  # parameters before the first row
+        own = isinstance(twin.predictor, UKFPredictor) and light
+        self._navigator = None if own else Navigator(self.particulars)
+        try:
+            self._reference: Reference | None = Reference(log)
+        except BenchmarkError:
+            self._reference = None
+        first, last = float(log.t[0]), float(log.t[-1])
+        span = last - first
+        self._next = first + min(60.0, 0.4 * span)
+        self._end = last - HORIZON
+        length = min(LOSS_SPAN, 0.4 * span, share * span / max(losses, 1))
+        starts = np.linspace(max(self._next, first + 0.5 * span), last - length, losses)
+        self._loss_length = length
+        self._loss_starts = starts.tolist() if length >= LOSS_MIN else []
+        self._row = 0
+        self.forecasts: list[ScoredForecast] = []
+        self.losses: list[GpsLoss] = []
+
+    def __call__(self) -> None:
+        """Take note of the row that the twin has just taken."""
+        row, log = self._row, self.log
+        self._row += 1
+        t = float(log.t[row])
+        step = t - float(log.t[row - 1]) if row else 0.0
+        if self._navigator is not None:
+            self._navigator.update(step, log.z[row])
+        if self._reference is None:
+            return
+        if t >= self._next - 1e-9 and t <= self._end + 1e-9:
+            while self._next <= t + 1e-9:
+                self._next += self.every
+            self._score(row, t)
+        if self._loss_starts and t >= self._loss_starts[0] - 1e-9:
+            del self._loss_starts[0]
+            self._lose_gps(row)
+
+    def _score(self, row: int, t: float) -> None:
+        """Score forecasts of twin and persistence from a row."""
+        assert self._reference is not None
+        times = np.array([t, t + HORIZON])
+        if not self._reference.known(times):
+            return
+        truth = self._reference.at(times)
+        dt = min(max(self.log.dt, STEP), 0.5)
+        plan = known_plan(self.log, row, HORIZON, dt)
+        prediction = self.twin.predictor.predict(plan, dt)
+        own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
+        error = float(own.displacement[0]), abs(float(own.error[0, -1]))
+        covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
+        # a light meter has no navigation of its own
+        navigator = self._navigator
+        state = self.twin.predictor.n[:6] if navigator is None else navigator.state  # type: ignore[attr-defined]
+        held = hold_velocity(state, state[3:], np.array([HORIZON]))[0]
+        moved = held[:2] - state[:2] - (truth[1, :2] - truth[0, :2])
+        persistence = float(np.hypot(*moved)), abs(wrap(float(held[2] - truth[1, 2])))
+        path = np.concatenate([prediction.start[None, :2], prediction.mean[3::4, :2]])
+        self.forecasts.append(ScoredForecast(t, path, error, persistence, covered))
+
+    def _lose_gps(self, row: int) -> None:
+        """Let a copy of the twin go on without fixes, and note its errors."""
+        log, predictor = self.log, copy.deepcopy(self.twin.predictor)
+        t_0 = float(log.t[row])
+        ends = int(np.searchsorted(log.t, t_0 + self._loss_length, side="right"))
+        seen = np.asarray(np.isfinite(log.z[:, :2]).all(axis=1))
+        earlier = np.flatnonzero(seen[: row + 1])
+        if not len(earlier) or t_0 - log.t[earlier[-1]] > 2.0 or not predictor.estimate().ready:
+            return
+        # what the last fixes differ by, such as noise and delay, is no error of the loss
+        start = predictor.state[:2] - self._fix(t_0)
+        after, error = [], []
+        for k in range(row + 1, ends):
+            z = log.z[k].copy()
+            z[:4] = np.nan
+            predictor.update(float(log.t[k]), float(log.t[k] - log.t[k - 1]), z, log.cmd[k])
+            if seen[k]:
+                off = predictor.state[:2] - log.z[k, :2] - start
+                after.append(float(log.t[k]) - t_0)
+                error.append(float(np.hypot(*off)))
+        if after:
+            self.losses.append(GpsLoss(t_0, np.array(after), np.array(error)))
+
+    def _fix(self, t: float) -> Array:
+        """Return the position of the fixes at a time."""
+        assert self._reference is not None
+        return self._reference.at(np.array([t]))[0, :2]
+
+    def verdict(self, findings: Sequence[Finding] = ()) -> Verdict:
+        """Return the five answers.
+
+        Parameters
+        ----------
+        findings : sequence of Finding
+            Of ``twin.logs.diagnosis.diagnose``.
+        """
+        deviations = self._deviations()
+        scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
+        parameters = _parameter_answer(deviations, self._reversed())
+        if not self.twin.estimate().ready:
+            parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
+        elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
+            # the prior may be too narrow for a boat that its twin predicts well
+            parameters = dataclasses.replace(parameters, colour=AMBER)
+        answers = (*scores, parameters, _sensor_answer(findings))
+        return Verdict(
+            boat=self.particulars.name,
+            log=self.log.name,
+            predictor=str(self.twin.name),
+            bound=self.bound,
+            answers=answers,
+            forecasts=tuple(self.forecasts),
+            losses=tuple(self.losses),
+            deviations=tuple(deviations),
+        )
+
+    def _forecast_answer(self) -> Answer:
+        if not self.forecasts:
+            return Answer("forecast", AMBER, "cannot tell: too few fixes and headings")
+        own = _root_mean_square([f.error for f in self.forecasts])
+        held = _root_mean_square([f.persistence for f in self.forecasts])
+        on_board = self.particulars.instruments
+        noise = math.sqrt(2.0) * np.array([on_board.gps_sd, on_board.compass_sd])
+        ratio = own / np.maximum(held, 1e-12)
+        worst = float(np.max(np.where(own <= noise, 0.0, ratio)))
+        degrees = math.degrees(own[1]), math.degrees(held[1])
+        text = (
+            f"{own[0]:.2f} m and {degrees[0]:.1f} degrees off after {HORIZON:g} s; persistence "
+            f"{held[0]:.2f} m and {degrees[1]:.1f} degrees"
+        )
+        numbers = {
+            "n": len(self.forecasts),
+            "displacement_m": float(own[0]),
+            "heading_rad": float(own[1]),
+            "persistence_displacement_m": float(held[0]),
+            "persistence_heading_rad": float(held[1]),
+        }
+        colour = self._colour(worst <= RATIO_GREEN, worst <= RATIO_AMBER)
+        return Answer("forecast", colour, text, numbers)
+
+    def _coverage_answer(self) -> Answer:
+        if not self.forecasts:
+            return Answer("coverage", AMBER, "cannot tell: no forecast could be scored")
+        place, heading = np.mean([f.covered for f in self.forecasts], axis=0).tolist()
+        count = len(self.forecasts)
+        text = (
+            f"{place:.0%} of positions and {heading:.0%} of headings inside the claimed 90 % "
+            f"({count} {'forecast' if count == 1 else 'forecasts'})"
+        )
+        worst = min(place, heading)
+        colour = self._colour(worst >= COVERAGE_GREEN, worst >= COVERAGE_AMBER)
+        return Answer("coverage", colour, text, {"position": place, "heading": heading})
+
+    def _colour(self, is_green: bool, is_amber: bool) -> str:
+        """Return the colour of scores of the forecasts; few of them are never red."""
+        few = self.forecasts[-1].t - self.forecasts[0].t < SCORED_MIN
+        return GREEN if is_green else AMBER if is_amber or few else RED
+
+    def _loss_answer(self) -> Answer:
+        if not self.losses:
+            long_enough = self._loss_length >= LOSS_MIN
+            lacks = "has too few fixes and headings" if long_enough else "is too short"
+            text = f"cannot tell: the log {lacks} to cut GPS losses into it"
+            return Answer("without GPS", AMBER, text, {"bound_m": self.bound})
+        bears, held = [], []
+        for loss in self.losses:
+            beyond = np.flatnonzero(np.asarray(loss.error > self.bound))
+            held.append(not len(beyond))
+            bears.append(float(loss.after[beyond[0] if len(beyond) else -1]))
+        # a loss that ended within the bound says nothing against longer ones
+        counted = [math.inf if ok else s for s, ok in zip(bears, held, strict=True)]
+        median = int(np.argsort(counted, kind="stable")[(len(counted) - 1) // 2])
+        at_least = "at least " if held[median] else ""
+        end = float(np.median([loss.error[-1] for loss in self.losses]))
+        tried = "one loss"
+        if len(bears) > 1:
+            tried = f"worst {min(bears):.0f} s; median of {len(bears)} losses"
+        text = (
+            f"bears {at_least}{bears[median]:.0f} s until {self.bound:.3g} m off ({tried} of "
+            f"{self._loss_length:.0f} s; {end:.1f} m off at the end)"
+        )
+        numbers = {
+            "bound_m": self.bound,
+            "seconds": bears,
+            "within_bound": held,
+            "end_error_m": [float(loss.error[-1]) for loss in self.losses],
+        }
+        typical = counted[median]
+        colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
+        return Answer("without GPS", colour, text, numbers)
+
+    def _deviations(self) -> list[tuple[str, float]]:
+        """Return the parameters by how far they ended from the prior, in its deviations."""
+        last, names = self.twin.estimate(), self.twin.predictor.parameter_names
+        sd = self.prior.params_sd
+        far = np.abs(last.params - self.prior.params) / np.where(sd > 0.0, sd, math.inf)
+        pairs = zip(names, far.tolist(), strict=True)
+        return sorted((p for p in pairs if p[0] not in ENVIRONMENT), key=lambda pair: -pair[1])
+
+    def _reversed(self) -> list[str]:
+        """Return the parameters that ended with the other sign, where both are sure."""
+        last, prior = self.twin.estimate(), self.prior
+        before, after = prior.params, last.params
+        other = (
+            (before * after < 0.0)
+            & (np.abs(before) > SURE_BEFORE * prior.params_sd)
+            & (np.abs(after) > SURE_AFTER * last.params_sd)
+        )
+        names = zip(self.twin.predictor.parameter_names, other.tolist(), strict=True)
+        return [name for name, is_other in names if is_other]
+
+
+def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.square(pairs), axis=0)), dtype=np.float64)
+
+
+def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
+    """Return a prediction of what sensors will measure: their noise is added to the intervals."""
+    on_board = particulars.instruments
+    cov, low, high = (a.copy() for a in (prediction.cov, prediction.low, prediction.high))
+    # position: noise of two fixes, at start and end
+    for i in (0, 1):
+        cov[:, i, i] += 2.0 * on_board.gps_sd**2
+    more = (Z90 * on_board.compass_sd) ** 2
+    down, up = prediction.mean[:, 2] - low[:, 2], high[:, 2] - prediction.mean[:, 2]
+    low[:, 2] = prediction.mean[:, 2] - np.sqrt(down**2 + more)
+    high[:, 2] = prediction.mean[:, 2] + np.sqrt(up**2 + more)
+    return dataclasses.replace(prediction, cov=cov, low=low, high=high)
+
+
+def _parameter_answer(deviations: Sequence[tuple[str, float]], other: Sequence[str]) -> Answer:
+    """Return what parameters far from the prior, or of the other sign, say."""
+    if not deviations:
+        return Answer("parameters", GREEN, "the predictor has none", {"far": {}, "sign": []})
+    far = [(name, size) for name, size in deviations if size > FAR]
+    numbers = {"far": dict(far), "sign": list(other), "count": len(deviations)}
+    if not far and not other:
+        name, size = deviations[0]
+        text = f"all within {FAR:g} prior standard deviations; largest {name}, {size:.1f}"
+        return Answer("parameters", GREEN, text, numbers)
+    parts = []
+    if far:
+        shown = ", ".join(f"{name} ({size:.1f})" for name, size in far[:4])
+        more = ", ..." if len(far) > 4 else ""
+        parts.append(
+            f"{len(far)} of {len(deviations)} beyond {FAR:g} prior standard deviations: "
+            f"{shown}{more}; wrong boat, steering or units?"
+        )
+    if other:
+        parts.append(f"other sign: {', '.join(other[:4])}; wrong sides or signs of commands?")
+    colour = AMBER if len(far) <= FAR_AMBER else RED
+    return Answer("parameters", colour, " ".join(parts), numbers)
+
+
+def _sensor_answer(findings: Sequence[Finding]) -> Answer:
+    """Return which sensors and commands the log check doubts."""
+    doubted = [f for f in findings if f.severity in (ERROR, WARNING)]
+    numbers = {"findings": {f.code: f.severity for f in doubted}}
+    if not doubted:
+        return Answer("sensors", GREEN, "none in doubt", numbers)
+    shown = ", ".join(f.code for f in doubted[:4]) + (", ..." if len(doubted) > 4 else "")
+    colour = RED if any(f.severity == ERROR for f in doubted) else AMBER
+    return Answer("sensors", colour, f"{shown}; see: usv-twin log check", numbers)
