@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 
 from twin.model.structure import (
+    BY_CURRENT,
+    CURRENT,
     N_STATES,
     Structure,
     accelerations,
+    current_of,
     state_terms,
     structure_of,
+    through_water,
     thrust_terms,
 )
 from twin.particulars import Particulars
@@ -17,9 +21,11 @@ from usv_kernel.jit import inlined, kernel
 
 __all__ = [
     "N_ACT",
-    "all_terms",
+    "current_terms",
     "derivative",
+    "drive",
     "model_of",
+    "rates_over_ground",
     "step",
 ]
 
@@ -27,7 +33,12 @@ N_ACT = 4
 
 
 def model_of(
-    particulars: Particulars, name: str, *, biased: bool = False, tanker: bool | None = None
+    particulars: Particulars,
+    name: str,
+    *,
+    biased: bool = False,
+    tanker: bool | None = None,
+    current: bool = False,
 ) -> Structure:
     """Return the model structure of a boat.
 
@@ -41,6 +52,8 @@ def model_of(
         Add two earth-fixed accelerations where the structure has none.
     tanker : bool, optional
         Whether it is one; what the particulars say if left out.
+    current : bool
+        Add the velocity of the water.
 
     Raises
     ------
@@ -55,12 +68,13 @@ def model_of(
         differential=particulars.steering == "differential",
         tanker=particulars.tanker if tanker is None else tanker,
         biased=biased,
+        current=current,
     )
 
 
 @inlined
-def all_terms(s, act, wind, model, terms):
-    """Write every term of a state and of its actuators; arguments as for :func:`derivative`."""
+def drive(act, terms):
+    """Write the terms of the actuators."""
     thrust_terms(
         act[0],
         act[1],
@@ -70,7 +84,40 @@ def all_terms(s, act, wind, model, terms):
         math.sin(act[3]),
         terms,
     )
-    state_terms(s[3], s[4], s[5], math.cos(s[2]), math.sin(s[2]), wind, model.hull, terms)
+
+
+@inlined
+def rates_over_ground(motion, wind, current, xi, first, model, terms):
+    """Return the three accelerations over the ground; the terms of the actuators must be there.
+
+    Parameters
+    ----------
+    motion : tuple of float
+        u, v over the ground (m/s), r (rad/s), cosine and sine of the heading.
+    wind, current
+        See :func:`twin.model.structure.through_water`.
+    xi, first, model, terms
+        See :func:`twin.model.structure.accelerations`.
+    """
+    u, v, r, c, s = motion
+    (u, v), over, (ahead, aside) = through_water((u, v), (c, s), wind, current)
+    state_terms(u, v, r, c, s, over, model.hull, terms)
+    du, dv, dr = accelerations(terms, model, xi, first)
+    return du + r * aside, dv - r * ahead, dr
+
+
+@inlined
+def current_terms(motion, wind, xi, first, model, terms):
+    """Write the accelerations' slopes by the current among the terms, by differences."""
+    if not model.hull[CURRENT] >= 0.0:
+        return
+    small, (north, east) = 1e-4, current_of(xi, first, model.hull)
+    by_north = rates_over_ground(motion, wind, (north + small, east), xi, first, model, terms)
+    by_east = rates_over_ground(motion, wind, (north, east + small), xi, first, model, terms)
+    rate = rates_over_ground(motion, wind, (north, east), xi, first, model, terms)
+    for i in range(3):
+        terms[BY_CURRENT + 2 * i] = (by_north[i] - rate[i]) / small
+        terms[BY_CURRENT + 2 * i + 1] = (by_east[i] - rate[i]) / small
 
 
 @kernel
@@ -89,19 +136,20 @@ def derivative(s, xi, act, wind, model, terms, out):
         True wind to north and east, m/s; zeros where it is not known.
     model : ModelTerms
         Of the structure.
-    terms : (50,) array
+    terms : (58,) array
         The terms are left there.
     out : (6,) array
         The derivative.
 
     Source: Eq (20), (26).
     """
-    all_terms(s, act, wind, model, terms)
+    drive(act, terms)
     cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
     out[0] = s[3] * cos_psi - s[4] * sin_psi
     out[1] = s[3] * sin_psi + s[4] * cos_psi
     out[2] = s[5]
-    out[3], out[4], out[5] = accelerations(terms, model, xi, 0)
+    motion, current = (s[3], s[4], s[5], cos_psi, sin_psi), current_of(xi, 0, model.hull)
+    out[3], out[4], out[5] = rates_over_ground(motion, wind, current, xi, 0, model, terms)
 
 
 @kernel

@@ -37,15 +37,9 @@ from twin.identification.wave_residual import (
     heading_kernel,
     sector_work_size,
 )
-from twin.model.dynamics import N_ACT
+from twin.model.dynamics import N_ACT, drive, rates_over_ground
 from twin.model.rollout import GRID, rotate_body_velocity
-from twin.model.structure import (
-    N_STATES,
-    ModelTerms,
-    accelerations,
-    state_terms,
-    thrust_terms,
-)
+from twin.model.structure import N_STATES, ModelTerms, current_of
 from twin.predictors.baselines import GAP_MAX
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from usv_kernel.arrays import shaped
@@ -143,11 +137,13 @@ def _slow_step(dt, nav, window, state, config, terms):
     steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
     h = min(dt, 10.0) / steps
     c, s = math.cos(n[2]), math.sin(n[2])
-    c_left, s_left = math.cos(act[2]), math.sin(act[2])
-    thrust_terms(act[0], act[1], c_left, s_left, math.cos(act[3]), math.sin(act[3]), terms)
+    drive(act, terms)
+    current = current_of(state.x, N_STATES, config.model.hull)
     for _ in range(steps):
-        state_terms(slow[0], slow[1], slow[2], c, s, state.wind, config.model.hull, terms)
-        rates = accelerations(terms, config.model, state.x, N_STATES)
+        motion = slow[0], slow[1], slow[2], c, s
+        rates = rates_over_ground(
+            motion, state.wind, current, state.x, N_STATES, config.model, terms
+        )
         rotate_body_velocity(n[5] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))

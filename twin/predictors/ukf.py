@@ -41,8 +41,8 @@ from twin.identification.joint_ukf import (
     limit_covariances,
 )
 from twin.model.actuators import follow_all
-from twin.model.dynamics import all_terms
-from twin.model.structure import N_STATES, ModelTerms, accelerations
+from twin.model.dynamics import current_terms, drive, rates_over_ground
+from twin.model.structure import N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from usv_kernel.jit import inlined, kernel
@@ -135,9 +135,12 @@ def tight_step(dt, z, cmd, memory, config, work):
     for k in range(4):
         accel[k] = 0.0
     if nav.begun > 0.0:
-        all_terms(x, act, state.wind, model, terms)
+        drive(act, terms)
+        motion = x[3], x[4], x[5], math.cos(x[2]), math.sin(x[2])
+        current = current_of(x, N_STATES, model.hull)
+        du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
+        current_terms(motion, state.wind, x, N_STATES, model, terms)
         accumulate_information(dt, terms, state, model)
-        du, dv, dr = accelerations(terms, model, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
         accel[0] = min(max(du, -speed * turn), speed * turn)
         accel[1] = min(max(dv, -speed * turn), speed * turn)
