@@ -287,7 +287,7 @@ def rk4_step(row, after, wind, xi, model, work, linear):
     """
     s, stage, sums, terms = work.s, work.stage, work.sums, work.terms
     for j in range(LEFT_COS, N_TERMS):
-        terms[0, j] = terms[3, j]
+        terms[0, j] = terms[3, j] if j < BY_CURRENT else 0.0
     drive(row[MIDDLE:], terms[1])
     for j in range(LEFT_COS, N_TERMS):
         terms[2, j] = terms[1, j]

@@ -42,7 +42,7 @@ from twin.identification.joint_ukf import (
 )
 from twin.model.actuators import follow_all
 from twin.model.dynamics import current_terms, drive, rates_over_ground
-from twin.model.structure import N_STATES, ModelTerms, current_of
+from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from usv_kernel.jit import inlined, kernel
@@ -202,7 +202,11 @@ def tight_step(dt, z, cmd, memory, config, work):
                 share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
                 wave_power[k] = max(wave_power[k] + share * (more - wave_power[k]), 0.0)
             R[i, i] += given.wave_noise * wave_power[k] / row
+    water = current_of(x, N_STATES, model.hull)
     measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, scratch.sigma)
+    if no_gps and model.hull[CURRENT] >= 0.0:
+        at = N_STATES + int(model.hull[CURRENT])
+        x[at], x[at + 1] = water
     clip_velocities(x, envelope)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
