@@ -241,7 +241,7 @@ def _unpack(packed, A):
 
 
 @kernel
-def solve(xi, trust, iterations, damping, state, config, work):
+def solve(xi, trust, since, iterations, damping, state, config, work):
     """Move parameters to the least that the weighted quadratics and the prior make.
 
     Parameters
@@ -250,6 +250,8 @@ def solve(xi, trust, iterations, damping, state, config, work):
         Where to begin; the result.
     trust : float
         Factor of what the segments say.
+    since : int
+        Segments that begin before this row do not count.
     iterations : int
         Of the robust weights.
     damping : float
@@ -283,7 +285,7 @@ def solve(xi, trust, iterations, damping, state, config, work):
                 for j in range(p):
                     pull[i] += damping * U[min(i, j), max(i, j)] * start[j]
         for i in range(first.shape[0]):
-            if first[i] < 0.0:
+            if first[i] < 0.0 or first[i] < since:
                 continue
             q = scale / samples * _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes)
             weight = trust * scale * (1.0 if q <= knee else knee / q)
@@ -465,7 +467,7 @@ class Segments:
         """
         given = self.state, self.config, self.work
         # a damped step says nothing of how sure the least is
-        if solve(self.params, self.trust, iterations, damping, *given) and damping == 0.0:
+        if solve(self.params, self.trust, 0, iterations, damping, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.trust, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:

@@ -75,7 +75,7 @@ Array = NDArray[Any]
 UNHURRIED = 1.5
 """Time scale, in units of the study boat's, from which on segments are too correlated."""
 
-CURRENT_ON = __import__("os").environ.get("CUR","1") == "1"
+CURRENT_ON = __import__("os").environ.get("CUR", "1") == "1"
 DRAWS_MIN, DRAWS_MAX = 20, 10_000
 """Fewer draws give no 5 % point; more take minutes and gigabytes."""
 

@@ -147,7 +147,8 @@ def _slow_step(dt, nav, window, state, config, terms):
         rotate_body_velocity(n[5] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
-            slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
+            reach = 0.125 * envelope[i]
+            slow[i] = min(max(slow[i], n[3 + i] - reach), n[3 + i] + reach)
 
 
 @inlined
@@ -253,7 +254,7 @@ def _fit_waves(rows, window, config, work):
             if count <= round(LATE_SPAN / GRID):
                 late = k
             for i in range(3):
-                fastest[i] = max(fastest[i], abs(row[LOW + i]))
+                fastest[i] = max(fastest[i], abs(row[STATE + 3 + i]))
     if count <= 5 * ORDER:
         return
     fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], rest)
@@ -291,7 +292,11 @@ def _refit(memory, config, work):
     if count < SEGMENTS_MIN:
         return
     relinearise(given.relinearised, rows, segments.params, segments, given, model, scratch)
-    select_trust(selector, segments, given, scratch)
+    row = rows[newest % rows.shape[0]]
+    bounds = work.waves[:3]
+    for i in range(3):
+        bounds[i] = max(1.5 * window.fastest[i], given.nominal[i])
+    select_trust(newest, row, bounds, selector, segments, given, model, scratch)
     state = filter_state(memory.filter, model)
     x, P = state.x, state.P
     for i in range(p):
