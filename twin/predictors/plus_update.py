@@ -8,7 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.filters.navigation_state import NAVIGATION
-from twin.identification.data_weight import note, score, select_trust, selector_state
+from twin.identification.data_weight import (
+    CHOSEN,
+    SCORED,
+    note,
+    score,
+    select_trust,
+    selector_state,
+)
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
     ACT,
@@ -72,6 +79,8 @@ heading (rad), and if the row before it is not older (s)."""
 WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are predicted from what was left of this many seconds, and drawn from so many of the last
 of them that are any good: before, it is also what was not yet learned."""
+
+DRIFT_PART = float(__import__("os").environ.get("DP", "0.2"))
 
 SEGMENTS_MIN = 3
 """Fewer say nothing of the parameters."""
@@ -296,6 +305,10 @@ def _refit(memory, config, work):
     bounds = work.waves[:3]
     for i in range(3):
         bounds[i] = max(1.5 * window.fastest[i], given.nominal[i])
+    if selector.count[SCORED] >= SEGMENTS_MIN:
+        place = math.exp(selector.errors[int(selector.count[CHOSEN])]) / given.weights[0]
+        nav = as_record(memory.nav, NAVIGATION)
+        nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
     select_trust(newest, row, bounds, selector, segments, given, model, scratch)
     state = filter_state(memory.filter, model)
     x, P = state.x, state.P

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import aid, is_ready, navigate
+from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, navigate
 from twin.filters.navigation_state import (
     NAVIGATION,
     NAVIGATION_FIELDS,
@@ -67,6 +67,9 @@ WIND_LIMIT = 100.0
 
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
+
+MODEL_DRIFT = float(__import__("os").environ.get("MD", "0.02"))
+"""Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least."""
 
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
@@ -185,6 +188,11 @@ def tight_step(dt, z, cmd, memory, config, work):
     no_gps = nav.gps_age > AID_AFTER
     no_imu = nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
     if no_gps:
+        lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * envelope[0]) ** 2)
+        at = N_STATES + int(model.hull[CURRENT])
+        for i in range(2):
+            more = P[at + i, at + i] if at >= N_STATES else 0.0
+            P_nav[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
         # what the navigation then says of them is in part the model's own
         mask[0] = mask[1] = 0.0
         R[3, 3] *= OUTAGE_NOISE_FACTOR
