@@ -385,7 +385,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
     sure = P[3, 3] < fast and P[4, 4] < fast and P[2, 2] < HEADING_GOOD**2
     good = 1.0 if sure and dt <= GAP_GOOD and nav.gps_age <= GAP_GOOD else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
-    if t >= window.refit_at:
+    if t >= window.refit_at and nav.gps_age <= GAP_GOOD:
         period = refit_config(config.refit, model.which.shape[1]).period
         window.refit_at = t + period - 1e-9
         _refit(memory, config, work)
