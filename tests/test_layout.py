@@ -51,7 +51,7 @@ def is_command(node: ast.FunctionDef) -> bool:
 
 def test_functions_take_few_arguments():
     many = []
-    for path in MODULES:
+    for path in [*MODULES, *sorted((ROOT / "tests").rglob("*.py"))]:
         for node in ast.walk(tree(path)):
             if isinstance(node, ast.FunctionDef) and node.name != "__init__":
                 positional = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
@@ -61,6 +61,26 @@ def test_functions_take_few_arguments():
                 if count > ARGUMENTS and not is_command(node):
                     many.append(f"{path.relative_to(ROOT)}: {node.name} takes {count}")
     assert not many
+
+
+def test_errors_have_one_base():
+    """No bare ValueError or TypeError, which ``except UsvTwinError`` would not catch."""
+    demanded = {"__reduce_ex__"}  # by Python's protocols, which know their own errors only
+    bare = []
+    for path in MODULES:
+        nodes = list(ast.walk(tree(path)))
+        allowed = {
+            inner
+            for node in nodes
+            if isinstance(node, ast.FunctionDef) and node.name in demanded
+            for inner in ast.walk(node)
+        }
+        for node in nodes:
+            if isinstance(node, ast.Raise) and node.exc is not None and node not in allowed:
+                named = node.exc.func if isinstance(node.exc, ast.Call) else node.exc
+                if ast.unparse(named) in ("Exception", "ValueError", "TypeError"):
+                    bare.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not bare
 
 
 def test_arguments_are_written_out():
@@ -78,16 +98,15 @@ def test_arguments_are_written_out():
     assert not splatted
 
 
-def test_unpackings_have_names():
-    """A tuple of which most is thrown away should have had named fields."""
+def test_no_part_of_an_unpacking_is_thrown_away():
+    """A tuple of which a part is not wanted should have named fields."""
     thrown = [
-        f"{path.relative_to(ROOT)}:{node.lineno}"
+        f"{path.relative_to(ROOT)}:{part.lineno}"
         for path in MODULES
-        for node in ast.walk(tree(path))
-        if isinstance(node, ast.Assign)
-        for target in node.targets
-        if isinstance(target, ast.Tuple)
-        and sum(isinstance(e, ast.Name) and e.id == "_" for e in target.elts) > 2
+        for part in ast.walk(tree(path))
+        if isinstance(part, ast.Tuple)
+        and isinstance(part.ctx, ast.Store)
+        and any(isinstance(e, ast.Name) and e.id == "_" for e in part.elts)
     ]
     assert not thrown
 

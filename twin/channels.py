@@ -7,9 +7,17 @@ from usv_kernel.channels import SENSOR_CHANNELS
 __all__ = [
     "COMMANDS",
     "MEASUREMENTS",
+    "PSI",
     "STATE",
     "TIME",
     "TRUTH",
+    "WIND_FROM",
+    "WIND_SPEED",
+    "R",
+    "U",
+    "V",
+    "X",
+    "Y",
 ]
 
 TIME = "t_s"
@@ -22,8 +30,14 @@ MEASUREMENTS = (*SENSOR_CHANNELS, "wind_mps", "wind_from_rad")
 """Columns of ``Log.z``: those of the sensors, speed of the true wind, and the direction that it
 comes from, clockwise from north."""
 
+WIND_SPEED, WIND_FROM = range(len(SENSOR_CHANNELS), len(MEASUREMENTS))
+"""Places of the wind among them."""
+
 TRUTH = ("true_x_m", "true_y_m", "true_psi_rad", "true_u_mps", "true_v_mps", "true_r_radps")
 """Columns of ``Log.truth``: the simulated state, for scoring only."""
 
 STATE = ("x_m", "y_m", "psi_rad", "u_mps", "v_mps", "r_radps")
 """Columns of a state: north, east, heading, speed forward, to starboard, yaw rate."""
+
+X, Y, PSI, U, V, R = range(len(STATE))
+"""Their places."""

@@ -71,16 +71,9 @@ class StateError(UsvTwinError):
 
 
 def write(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write a header and arrays to one file, whole or not at all.
+    """Write a header of plain JSON data and arrays to one file, whole or not at all.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file. One that is there is replaced once the new one is on the disk.
-    header : mapping
-        Plain data for JSON.
-    arrays : mapping of str to ndarray
-        Numbers, truth values or texts.
+    A file that is there is replaced once the new one is on the disk.
     """
     content = io.BytesIO()
     about = {"format": FORMAT, "version": VERSION, "software": __version__, **header}
@@ -99,15 +92,7 @@ def write(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, NDAr
 def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return header and arrays of a file that :func:`write` wrote.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Raises
-    ------
-    StateError
-        It is no such file, is damaged, or has another format version.
+    StateError: it is no such file, is damaged, or has another format version.
     """
     content = Path(path).read_bytes()
     header: Any = None
@@ -168,32 +153,19 @@ def _refuse_version(path: str | Path, version: Any, software: Any) -> None:
 
 @dataclass(frozen=True)
 class Field:
-    """What a field of a saved state may hold.
+    """What a field of a saved state may hold."""
 
-    Parameters
-    ----------
-    low, high : float or tuple of float
-        Bounds of its numbers, inclusive; a tuple for those of a vector.
-    integer : bool
-        Only whole numbers, as for what a kernel uses as an index or a counter.
-    nan, infinite : bool
-        Whether NaN and infinity are allowed.
-    covariance : bool
-        Symmetric in its last two axes, with variances of 0 or more.
-    shape : tuple, optional
-        Its shape, None for any length; that of the present value if left out.
-    none : bool
-        Whether None is allowed.
-    """
-
+    # bounds of its numbers, inclusive; a tuple for those of a vector
     low: float | tuple[float, ...] = -HUGE
     high: float | tuple[float, ...] = HUGE
-    integer: bool = False
+    integer: bool = False  # only whole numbers, as for what a kernel uses as an index or a counter
+    # whether NaN and infinity are allowed
     nan: bool = False
     infinite: bool = False
-    covariance: bool = False
+    covariance: bool = False  # symmetric in its last two axes, with variances of 0 or more
+    # its shape, None for any length; that of the present value if left out
     shape: tuple[int | None, ...] | None = None
-    none: bool = False
+    none: bool = False  # whether None is allowed
 
     def problem(self, value: Any, like: Any) -> str | None:
         """Return what is wrong with a value in the place of another; None if nothing is."""
@@ -253,21 +225,10 @@ COUNT = Field(low=0.0, high=COUNT_MAX, integer=True)
 def check_fields(
     found: Mapping[str, Any], wanted: Mapping[str, Any], fields: Mapping[str, Field]
 ) -> None:
-    """Compare saved fields with those of the object that they are for.
+    """Compare saved fields with ``wanted``, the present values, in shapes, types and bounds.
 
-    Parameters
-    ----------
-    found : mapping
-        Saved fields.
-    wanted : mapping
-        Present values by name, which shapes and types must equal.
-    fields : mapping of str to Field
-        What each may hold; :data:`ANY` where it is left out.
-
-    Raises
-    ------
-    StateError
-        Names the field and the remedy.
+    ``fields`` say what each may hold, :data:`ANY` where left out. StateError names the field and
+    the remedy.
     """
     for name in wanted:
         if name not in found:
@@ -329,24 +290,13 @@ def _part_state(part: Any) -> State:
 
 
 def saved_attributes(owner: Any, leave_out: Iterable[str] = ()) -> State:
-    """Return the attributes of an object as fields.
+    """Return the attributes of an object as fields, but those to leave out.
 
     Saved are numbers, truth values, texts, None, arrays of numbers, lists and deques of numbers
     or of arrays of one shape, random generators, and objects with ``state_dict`` and
     ``load_state_dict`` (torch modules too). Functions, classes and modules are constants, and
-    left out. A leading underscore is no part of a field's name.
-
-    Parameters
-    ----------
-    owner : object
-        Any.
-    leave_out : iterable of str
-        Attributes that are constants, or follow from others.
-
-    Raises
-    ------
-    StateError
-        Names an attribute of another kind.
+    left out. A leading underscore is no part of a field's name. StateError names an attribute of
+    another kind.
     """
     state: State = {}
     for name, value in _attributes(owner, leave_out):
@@ -378,23 +328,10 @@ def restore_attributes(
     leave_out: Iterable[str] = (),
     fields: Mapping[str, Field] | None = None,
 ) -> None:
-    """Give an object the attributes that :func:`saved_attributes` returned.
+    """Give a newly made object of the same class what :func:`saved_attributes` returned.
 
-    Parameters
-    ----------
-    owner : object
-        A newly made one of the same class.
-    state : mapping
-        Fields by name.
-    leave_out : iterable of str
-        As for :func:`saved_attributes`.
-    fields : mapping of str to Field, optional
-        What fields may hold. Without one, an array keeps its type and number of axes.
-
-    Raises
-    ------
-    StateError
-        Names the field and the remedy.
+    ``fields`` say what fields may hold; without one, an array keeps its type and number of axes.
+    StateError names the field and the remedy.
     """
     checks = fields or {}
     attributes = dict(_attributes(owner, leave_out))

@@ -87,6 +87,9 @@ class Twin:
         self.name = None if isinstance(predictor, Predictor) else predictor
         self.seed, self.options = seed, options
         if isinstance(predictor, Predictor):
+            if options:
+                kind = type(predictor).__name__
+                raise TwinError(f"{', '.join(options)}: give options where the {kind} is made")
             self.predictor = predictor
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)

@@ -33,18 +33,7 @@ class BackendError(UsvTwinError):
 
 
 def check_backend(backend: str) -> None:
-    """Refuse a kind of workers that is not known, or not installed.
-
-    Parameters
-    ----------
-    backend : str
-        One of :data:`BACKENDS`.
-
-    Raises
-    ------
-    BackendError
-        Names what there is, or what to install.
-    """
+    """Refuse workers not in :data:`BACKENDS`, or not installed; BackendError says what to do."""
     if backend not in BACKENDS:
         raise BackendError(f"no backend is called {backend!r}; known: {', '.join(BACKENDS)}")
     module, package = BACKENDS[backend]
@@ -59,23 +48,11 @@ def check_backend(backend: str) -> None:
 def results_of(
     calls: Sequence[Callable[[], _Result]], *, jobs: int = 1, backend: str = "loky"
 ) -> Iterator[tuple[int, _Result]]:
-    """Make calls, each in a worker, and yield the results as they come.
+    """Make calls, each in a worker, and yield number and result of each as they come.
 
-    Parameters
-    ----------
-    calls : sequence of callable
-        What to do; with other backends than ``threading`` they are sent as pickles.
-    jobs : int
-        Workers.
-    backend : str
-        One of :data:`BACKENDS`. ``dask`` uses the cluster that ``DASK_SCHEDULER_ADDRESS`` names,
-        ``ray`` the one of ``RAY_ADDRESS``; else each starts one on this machine. A folder that
-        the calls write to must be shared with a cluster.
-
-    Yields
-    ------
-    int, result
-        Which call, and what it returned.
+    With other backends than ``threading`` the calls are sent as pickles. ``dask`` uses the cluster
+    that ``DASK_SCHEDULER_ADDRESS`` names, ``ray`` the one of ``RAY_ADDRESS``; else each starts one
+    on this machine. A folder that the calls write to must be shared with a cluster.
     """
     from joblib import Parallel, delayed, parallel_config
 

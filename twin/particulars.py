@@ -273,17 +273,9 @@ class Particulars:
 
     @classmethod
     def from_tables(cls, particulars: Any, instruments: Any) -> Particulars:
-        """Return particulars from plain tables.
+        """Return particulars from plain tables of values by field name, in SI units.
 
-        Parameters
-        ----------
-        particulars, instruments : dict
-            Values by name of field, SI units; without ``instruments`` among the first.
-
-        Raises
-        ------
-        ParticularsError
-            Names the key and the remedy.
+        Without ``instruments``, these are among the first. ParticularsError names key and remedy.
         """
         on_board = Instruments(**_known(Instruments, instruments))
         return cls(**_known(cls, particulars), instruments=on_board)

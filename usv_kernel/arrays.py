@@ -32,17 +32,7 @@ Array = NDArray[Any]
 
 
 def reshaped(array: Array, at: int, shape: tuple[int, ...]) -> Array:
-    """Return what :func:`shaped` returns in a kernel.
-
-    Parameters
-    ----------
-    array : ndarray
-        Contiguous.
-    at : int
-        The first of them, counted as they lie in memory.
-    shape : tuple of int
-        Of the view.
-    """
+    """Return what :func:`shaped` returns in a kernel."""
     size = int(np.prod(shape))
     return array.reshape(-1)[at : at + size].reshape(shape)
 
@@ -59,15 +49,7 @@ def python_views(opener: Callable[..., Any], **names: Any) -> Callable[..., Any]
 
 
 def flat_size(opener: Callable[..., Any], *sizes: Any) -> int:
-    """Return how many numbers the fields of an opener take.
-
-    Parameters
-    ----------
-    opener : kernel
-        ``opener(memory, *sizes)`` takes its fields from the beginning of the memory.
-    *sizes
-        What the shapes of the fields follow from.
-    """
+    """Return how many numbers the fields of ``opener(memory, *sizes)`` take."""
     end = 0
 
     def count(array: Any, at: int, shape: tuple[int, ...]) -> tuple[Array, int]:

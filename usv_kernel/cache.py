@@ -31,19 +31,7 @@ KERNEL_MODULES: set[str] = set()
 
 
 def sources_digest(root: Path = _ROOT) -> str:
-    """Return a digest of the whole program.
-
-    Parameters
-    ----------
-    root : Path
-        Folder that holds the packages.
-
-    Returns
-    -------
-    str
-        Twenty hexadecimal digits. They change with every edit of a source, vessel, prior or
-        weight file.
-    """
+    """Return 20 hexadecimal digits that change with every source, vessel, prior or weight file."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         for path in sorted((root / package).rglob("*")):
@@ -61,22 +49,10 @@ def running_program() -> str:
 
 
 def module_digest(module: str, root: Path = _ROOT) -> str:
-    """Return a digest of a module and of all that it imports from the three packages.
+    """Return 20 hexadecimal digits that change with a module and all that it imports from here.
 
     numba's own cache checks the file of the outermost function only. It would run old machine
     code after an edit of a function that this one calls in another file.
-
-    Parameters
-    ----------
-    module : str
-        Dotted name.
-    root : Path
-        Folder that holds the packages.
-
-    Returns
-    -------
-    str
-        Twenty hexadecimal digits. They change with every edit of any of these files.
     """
     found: set[Path] = set()
     todo = _files_of(module, root)

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-__all__ = ["SENSOR_CHANNELS"]
+__all__ = [
+    "ACCEL_X",
+    "ACCEL_Y",
+    "COMPASS",
+    "GPS_VX",
+    "GPS_VY",
+    "GPS_X",
+    "GPS_Y",
+    "GYRO",
+    "SENSOR_CHANNELS",
+]
 
 SENSOR_CHANNELS = (
     "gps_x_m",
@@ -16,3 +26,6 @@ SENSOR_CHANNELS = (
 )
 """Position and velocity over ground north (x) and east (y), heading clockwise from north, yaw rate,
 specific force forward and to starboard."""
+
+GPS_X, GPS_Y, GPS_VX, GPS_VY, COMPASS, GYRO, ACCEL_X, ACCEL_Y = range(len(SENSOR_CHANNELS))
+"""Their places in a row of measurements."""

@@ -57,10 +57,7 @@ _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name i
 
 
 class _Typing(Context):  # type: ignore[misc]
-    """numba's typing context with a cache for operators: their look-up is an eighth of a compile.
-
-    Functions are not cached, as another target (CUDA) may change them.
-    """
+    """numba's typing context with a cache for operators: look-ups take an eighth of a compile."""
 
     _known: ClassVar[dict[tuple[Any, ...], Any]] = {}
 
@@ -226,10 +223,7 @@ class _PartCache(Cache):  # type: ignore[misc]
 
 
 class _Flags(Flags):  # type: ignore[misc]
-    """Flags that compare by the options that were set.
-
-    numba compares all options with their defaults at each look-up: a tenth of a compile.
-    """
+    """Flags that compare by the options set: comparing all defaults is a tenth of a compile."""
 
     __slots__ = ()
 
@@ -263,17 +257,7 @@ class _Part(_Dispatcher):
 
 
 class Kernel(_Dispatcher):
-    """A compiled function; other kernels call its ``part``.
-
-    Parameters
-    ----------
-    function : callable
-        What to compile.
-    locals : dict, optional
-        See :func:`numba.jit`.
-    targetoptions : dict
-        Options of :func:`numba.jit`.
-    """
+    """A compiled function; other kernels call its ``part``. Options as of :func:`numba.jit`."""
 
     def __init__(self, function: Any, locals: Any = None, targetoptions: Any = None) -> None:
         given = locals or {}  # numba before 0.62 wants a dictionary

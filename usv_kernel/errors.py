@@ -1,7 +1,44 @@
-"""Base class of the errors that a user can correct."""
+"""Base class of the errors that a user can correct, and the message for a misspelled name."""
 
-__all__ = ["UsvTwinError"]
+import difflib
+from collections.abc import Iterable, Sequence
+
+__all__ = ["ArgumentError", "UsvTwinError", "check_options", "did_you_mean"]
 
 
 class UsvTwinError(ValueError):
     """Invalid input; the message names the value, its place and the remedy."""
+
+
+class ArgumentError(UsvTwinError, TypeError):
+    """An argument of the wrong kind, or a name that no argument has."""
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the known name that is nearest, as ``" (did you mean 'sea'?)"``; empty if none is."""
+    near = difflib.get_close_matches(str(name), list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def check_options(owner: str, options: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse names of options that do not exist.
+
+    Parameters
+    ----------
+    owner : str
+        What has the options, as it begins the message.
+    options : iterable of str
+        Names that were given.
+    known : sequence of str
+        Names that exist.
+
+    Raises
+    ------
+    ArgumentError
+        Names what is unknown, the nearest match and all options.
+    """
+    unknown = [f"{name!r}{did_you_mean(name, known)}" for name in options if name not in known]
+    if unknown:
+        raise ArgumentError(
+            f"{owner} has no option {', '.join(unknown)}; its options: {', '.join(known)}"
+        )

@@ -40,24 +40,13 @@ _OPTIONS = {
 def kernel(function: F, inline: bool = False) -> F:
     """Compile a function to machine code on its first call, and keep the code on disk.
 
-    A kernel that would allocate memory fails to compile. So nothing counts references, which
-    would double the run time of kernels that pass views on. A kernel that returns views is for
-    other kernels only: see :func:`py_func`.
+    A kernel that would allocate memory fails to compile. So nothing counts references, which would
+    double the run time of kernels that pass views on. A kernel that returns views is for other
+    kernels only: see :func:`py_func`. It releases the interpreter lock while it runs. With
+    ``inline`` it is inlined into every caller; see :func:`inlined`.
 
-    Floating-point rules are strict. With fast math, sums would round differently wherever they
-    are inlined, and equal seeds would no longer give equal bits.
-
-    Parameters
-    ----------
-    function : callable
-        Function of scalars and arrays.
-    inline : bool
-        Inline it into every caller; see :func:`inlined`.
-
-    Returns
-    -------
-    callable
-        The compiled function; it releases the interpreter lock while it runs.
+    Floating-point rules are strict. With fast math, sums would round differently wherever they are
+    inlined, and equal seeds would no longer give equal bits.
     """
     KERNEL_MODULES.add(function.__module__)
     folder = cache_directory(function.__module__)

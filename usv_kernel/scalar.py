@@ -74,22 +74,9 @@ def wrap(angle: float) -> float:
 
 @kernel
 def actuate(value: float, target: float, lag: float, rate: float) -> float:
-    """Return the rate of change of a first-order actuator with a rate limit.
+    """Return the rate of change (units per s) of a first-order actuator with a rate limit.
 
+    ``lag`` is the time constant, s, above 0; ``rate`` the largest rate, units per s.
     It replaces Eq (11) and (27) of Qu et al. 2025, which can only move away from zero.
-
-    Parameters
-    ----------
-    value, target : float
-        Present and commanded value, in the unit of the actuator.
-    lag : float
-        Time constant, s; above 0.
-    rate : float
-        Largest rate, units per s.
-
-    Returns
-    -------
-    float
-        Rate, units per s.
     """
     return min(max((target - value) / lag, -rate), rate)

@@ -87,18 +87,10 @@ class Rows(NamedTuple):
 
 @intrinsic
 def accumulate(typing_context, to, factors, rows):
-    """Add the sum over j of factor j times row j to a strip.
+    """Add the sum over j of factor j times row j, in their order and fused, to a strip.
 
-    Parameters
-    ----------
-    to : Strip
-        What is added to. What is added may lie in the same array, but not in the strip.
-    factors : Factors
-        Those of the rows.
-    rows : Rows
-        Added in their order, each term fused.
-
-    All arrays are contiguous float64. For kernels only.
+    What is added may lie in the same array, but not in the strip. All arrays are contiguous
+    float64. For kernels only.
     """
     return _sums(to, factors, rows, add=True)
 
@@ -193,8 +185,8 @@ def _sums(to: Any, factors: Any, rows: Any, add: bool) -> tuple[Any, Any]:
             size = index(lanes * vectors)
             end = builder.sub(count, size)
             last = sums(end, lanes, vectors)
-            with cgutils.for_range_slice(builder, index(0), end, size, intp=index) as (offset, _):
-                write(sums(offset, lanes, vectors))
+            with cgutils.for_range_slice(builder, index(0), end, size, intp=index) as loop:
+                write(sums(loop[0], lanes, vectors))
             write(last)
 
         wide = builder.icmp_signed(">=", count, index(_LANES * _GROUP))
@@ -266,7 +258,8 @@ def accumulate_rows(typing_context, to, factors, rows):
             """Add so many rows in groups of columns, of which the last overlaps the one before."""
             over = builder.and_(count, index(lanes - 1))
             done, group = builder.sub(count, over), index(lanes)
-            with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as (at, _):
+            with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as loop:
+                at = loop[0]
                 columns(at, lanes, begin, block)
             if lanes > 1:
                 with builder.if_then(builder.icmp_signed("!=", over, index(0))):
@@ -289,9 +282,11 @@ def accumulate_rows(typing_context, to, factors, rows):
 
         rest = builder.srem(many, index(_BLOCK))
         end = builder.sub(many, rest)
-        with cgutils.for_range_slice(builder, index(0), end, index(_BLOCK), intp=index) as (at, _):
+        with cgutils.for_range_slice(builder, index(0), end, index(_BLOCK), intp=index) as loop:
+            at = loop[0]
             across(at, _BLOCK)
-        with cgutils.for_range_slice(builder, end, many, index(1), intp=index) as (at, _):
+        with cgutils.for_range_slice(builder, end, many, index(1), intp=index) as loop:
+            at = loop[0]
             across(at, 1)
         return context.get_dummy_value()
 
@@ -310,21 +305,11 @@ def _broadcast(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
 
 @intrinsic
 def dot3(typing_context, first, factors, rows, count):
-    """Return three sums over k of ``factors[k] * rows[k, :3]``, begun with the numbers ``first``.
+    """Return three sums over k < count of ``factors[k] * rows[k, :3]``, begun with ``first`` (3,).
 
-    Parameters
-    ----------
-    first : (3,) array
-        What the sums begin with.
-    factors : (n,) array
-        Factors.
-    rows : (n, 4) array
-        Rows; the fourth number of each does not matter.
-    count : int
-        So many of them; a constant, a multiple of four.
-
-    Every fourth term goes into a sum of its own, so that they need not wait for each other. All
-    arrays are contiguous float64. For kernels only.
+    ``rows`` is (n, 4); the fourth number of each does not matter. ``count`` is a constant, a
+    multiple of four. Every fourth term goes into a sum of its own, so that they need not wait for
+    each other. All arrays are contiguous float64. For kernels only.
     """
     _check_rows(first, factors, rows)
     triple = types.UniTuple(types.float64, 3)  # type: ignore[attr-defined]
@@ -341,7 +326,8 @@ def dot3(typing_context, first, factors, rows, count):
             number = builder.load(builder.gep(begin, [index(k)]))
             start = builder.insert_element(start, number, ir.IntType(32)(k))
         totals = [cgutils.alloca_once_value(builder, value) for value in (start, zero, zero, zero)]
-        with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as (at, _):
+        with cgutils.for_range_slice(builder, index(0), args[3], index(4), intp=index) as loop:
+            at = loop[0]
             for k, total in enumerate(totals):
                 number = builder.add(at, index(k))
                 factor = _broadcast(builder, builder.load(builder.gep(each, [number])), 4)
@@ -380,7 +366,7 @@ def inner(typing_context, a, first, b, start, count):
 
         with builder.if_else(builder.icmp_signed(">=", count, index(_LANES))) as (wide, narrow):
             with wide:
-                kind, _ = _fused(builder, _LANES)
+                kind = _fused(builder, _LANES)[0]
                 over = builder.and_(count, index(_LANES - 1))
                 fused, (one, other) = term(builder.sub(count, index(_LANES)), _LANES)
                 # the last four overlap those before: what these have seen does not count
@@ -390,7 +376,8 @@ def inner(typing_context, a, first, b, start, count):
                     builder, builder.select(new, builder.fmul(one, other), none)
                 )
                 done, group = builder.sub(count, over), index(_LANES)
-                with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as (at, _):
+                with cgutils.for_range_slice(builder, index(0), done, group, intp=index) as loop:
+                    at = loop[0]
                     fused, pair = term(at, _LANES)
                     builder.store(builder.call(fused, [*pair, builder.load(total)]), total)
                 builder.store(_folded(builder, builder.load(total), _LANES), result)
@@ -505,7 +492,8 @@ def dots(typing_context, a, b, x):
         count = builder.extract_value(rows[2].shape, 0)
         size = count.type(LANES)
         end = builder.sub(count, builder.srem(count, size))
-        with cgutils.for_range_slice(builder, count.type(0), end, size, intp=count.type) as (at, _):
+        with cgutils.for_range_slice(builder, count.type(0), end, size, intp=count.type) as loop:
+            at = loop[0]
             first, second, factor = (
                 builder.load(
                     builder.bitcast(builder.gep(row.data, [at]), kind.as_pointer()), align=8

@@ -28,15 +28,10 @@ MESSAGE_DELAY = 0.3
 
 
 class CompileListener(event.Listener):  # type: ignore[misc]
-    """Listener of numba's compile events; kernels that are read from disk raise none.
+    """Listener of numba's compile events in some modules; kernels read from disk raise none.
 
     On a terminal it shows a spinner on stderr during compilation. Elsewhere it prints one line.
     Worker processes print nothing.
-
-    Parameters
-    ----------
-    modules : set of str
-        Names of the modules with kernels of this project.
     """
 
     def __init__(self, modules: set[str]) -> None:

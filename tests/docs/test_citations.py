@@ -44,6 +44,12 @@ def test_cited_pages_and_sections_exist():
     assert not wrong
 
 
+def test_links_have_a_text():
+    """GitHub shows nothing for a link without one."""
+    pages = [*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md")]
+    assert not [str(path) for path in pages if "[](" in path.read_text(encoding="utf-8")]
+
+
 def test_no_specification_file_is_cited():
     code = [path for path in SOURCES if path.suffix != ".md" and path.name != Path(__file__).name]
     wrong = {str(path.relative_to(ROOT)) for path in code if OLD.search(path.read_text("utf-8"))}

@@ -28,26 +28,18 @@ GUARD = 12345.0
 
 
 @kernel
-def add(to, at, count, factors, start, step, sign, rows, first, width, many):
-    accumulate(
-        Strip(to, at, count), Factors(factors, start, step, sign), Rows(rows, first, width, many)
-    )
+def add(strip, factors, rows):
+    accumulate(strip, factors, rows)
 
 
 @kernel
-def write(to, at, count, factors, start, step, sign, rows, first, width, many):
-    combine(
-        Strip(to, at, count), Factors(factors, start, step, sign), Rows(rows, first, width, many)
-    )
+def write(strip, factors, rows):
+    combine(strip, factors, rows)
 
 
 @kernel
-def add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many):
-    accumulate_rows(
-        Block(to, at, apart, size, count),
-        Factors(factors, start, step, sign),
-        Rows(rows, first, width, many),
-    )
+def add_matrix(block, factors, rows):
+    accumulate_rows(block, factors, rows)
 
 
 @kernel
@@ -123,7 +115,11 @@ def test_rows_are_added_or_written_and_nothing_else(count, many, step, sign, off
     for call, base in ((add, before[at : at + count]), (write, 0.0)):
         to = np.full(len(before), GUARD)
         to[at : at + count] = before[at : at + count]
-        call(to, at, count, factors, start, step, sign, rows, first, width, many)
+        call(
+            Strip(to, at, count),
+            Factors(factors, start, step, sign),
+            Rows(rows, first, width, many),
+        )
         np.testing.assert_allclose(to[at : at + count], base + expected, rtol=0, atol=1e-13)
         assert (to[:at] == GUARD).all() and (to[at + count :] == GUARD).all()
 
@@ -145,21 +141,11 @@ def test_a_matrix_of_rows_is_added_as_row_by_row(size, count, many, sign, gaps, 
     rows = rng.normal(size=first + many * width + count + 1)
     to = rng.normal(size=at + size * apart + count + 1)
     singly = to.copy()
+    of_rows = Rows(rows, first, width, many)
     for i in range(size):
-        add(
-            singly,
-            at + i * apart,
-            count,
-            factors,
-            start + i,
-            step,
-            sign,
-            rows,
-            first,
-            width,
-            many,
-        )
-    add_matrix(to, at, apart, size, count, factors, start, step, sign, rows, first, width, many)
+        one = Strip(singly, at + i * apart, count)
+        add(one, Factors(factors, start + i, step, sign), of_rows)
+    add_matrix(Block(to, at, apart, size, count), Factors(factors, start, step, sign), of_rows)
     # to the bit: each number's terms are fused in the same order
     np.testing.assert_array_equal(to, singly)
 
@@ -167,7 +153,7 @@ def test_a_matrix_of_rows_is_added_as_row_by_row(size, count, many, sign, gaps, 
 def test_infinity_stays_in_its_column():
     rows, to = np.ones(9), np.zeros((2, 9))
     rows[1] = math.inf  # seen twice: by the first eight columns, and by the last
-    add_matrix(to, 0, 9, 2, 9, np.ones(2), 0, 1, 1.0, rows, 0, 9, 1)
+    add_matrix(Block(to, 0, 9, 2, 9), Factors(np.ones(2), 0, 1, 1.0), Rows(rows, 0, 9, 1))
     expected = np.ones((2, 9))
     expected[:, 1] = math.inf
     np.testing.assert_array_equal(to, expected)
@@ -217,14 +203,14 @@ def test_rows_may_lie_in_the_array_that_they_are_added_to():
     square = np.random.default_rng(0).normal(size=(7, 37))
     expected = square.copy()
     expected[5] += square[:5].T @ square[6, :5]
-    add(square, 5 * 37, 37, square, 6 * 37, 1, 1.0, square, 0, 37, 5)
+    add(Strip(square, 5 * 37, 37), Factors(square, 6 * 37, 1, 1.0), Rows(square, 0, 37, 5))
     np.testing.assert_allclose(square, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("bad", [np.zeros(4, np.float32), np.zeros((4, 4))[:, ::2]])
 def test_other_arrays_do_not_compile(bad):
     with pytest.raises(Exception, match="sums of rows take"):
-        add(bad, 0, 4, np.zeros(4), 0, 1, 1.0, np.zeros(4), 0, 4, 1)
+        add(Strip(bad, 0, 4), Factors(np.zeros(4), 0, 1, 1.0), Rows(np.zeros(4), 0, 4, 1))
 
 
 @kernel

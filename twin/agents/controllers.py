@@ -107,18 +107,8 @@ class LOS:
     def fit(self, vessel: Vessel, speed: float, dt: float, reach: float, n: int = 1) -> None:
         """Take over n boats: what :meth:`begin` does, where there is no environment.
 
-        Parameters
-        ----------
-        vessel : Vessel
-            The boats.
-        speed : float
-            Their nominal speed, m/s.
-        dt : float
-            Time between two decisions, s.
-        reach : float
-            Distance at which a way point counts as reached, m; 0 on a curve.
-        n : int
-            Number of boats.
+        ``speed`` is nominal, m/s; ``dt`` the time between decisions, s; ``reach`` the distance at
+        which a way point counts as reached, m, 0 on a curve.
         """
         self.dt, self.speed, self.reach = dt, speed, reach
         self.length = vessel.values["length_waterline"]
@@ -138,18 +128,10 @@ class LOS:
         return motion
 
     def steer(self, motion: Array) -> Array:
-        """Return actions from how the boats stand to their legs, and from their motion.
+        """Return actions (n, 2) in [-1, 1] from how the boats stand to their legs.
 
-        Parameters
-        ----------
-        motion : ndarray, shape (n, 8)
-            Cross-track distance and distance to go (m), cosines and sines of the course error
-            and of the next turn, yaw rate (rad/s), and speed forward in nominal speeds.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Shaft speed and helm, parts of the full ones in [-1, 1].
+        ``motion`` (n, 8): cross-track distance and distance to go (m), cosines and sines of the
+        course error and of the next turn, yaw rate (rad/s), and speed forward in nominal speeds.
         """
         e, to_go, cos, sin, cos_turn, sin_turn, r, u = motion.T
         # where the path ends; elsewhere the next leg has begun by then, and a curve has no end
@@ -180,14 +162,9 @@ class LOS:
 class DeadReckoningLOS(LOS):
     """The same between and without fixes: compass, last known speed and time carry the boat on.
 
-    Where a leg ends it knows from the way points, which are the boat's own.
-
-    Parameters
-    ----------
-    smoothing : float
-        Time over which the known speeds are averaged, against waves, in times to sail a length.
-    **options
-        Those of :class:`LOS`.
+    Where a leg ends it knows from the way points, which are the boat's own. Known speeds are
+    averaged over ``smoothing``, against waves, in times to sail a length; other options are those
+    of :class:`LOS`.
     """
 
     def __init__(self, *, smoothing: float = 12.0, **options: Any) -> None:
@@ -238,24 +215,11 @@ class ReckonedTrack(NamedTuple):
 
 @kernel
 def reckon(fresh, step, psi, motion, points, reach, track):
-    """Advance places by dead reckoning, from the last fix where there is a new one.
+    """Advance the track by dead reckoning, in place, from the last fix where there is a new one.
 
-    Parameters
-    ----------
-    fresh : (n,) array of bool
-        Whether there is a new fix.
-    step : (n, 2) array
-        Way made since that fix, or since the last call, m north and east.
-    psi : (n,) array
-        Compass heading, rad.
-    motion : (n, ...) array
-        Begins with cross-track and to-go of the fix, m.
-    points : (n, K, 2) array
-        Way points, m north and east.
-    reach : float
-        Distance at which a way point counts as reached, m.
-    track : ReckonedTrack
-        Advanced in place.
+    ``step`` (n, 2) is the way since that fix or the last call, m north and east; ``motion`` begins
+    with cross-track and to-go of the fix, m; ``points`` (n, K, 2) are way points, m, counted as
+    reached within ``reach``.
     """
     place, legs, errors = track.place, track.legs, track.errors
     for i in range(fresh.shape[0]):
@@ -273,13 +237,7 @@ def reckon(fresh, step, psi, motion, points, reach, track):
 
 
 def places(envs: USVVectorEnv, names: tuple[str, ...]) -> list[int]:
-    """Return where entries stand in an observation.
-
-    Raises
-    ------
-    ControllerError
-        Names an entry that is not there.
-    """
+    """Return where entries stand in an observation; ControllerError names one that is missing."""
     there = list(envs.observation_names)
     missing = [name for name in names if name not in there]
     if missing:

@@ -54,22 +54,10 @@ def make_envs(
     n: int, *, observation: str, twin: str = "ukf", frame_skip: int = FRAME_SKIP,
     max_episode_steps: int = EPISODE, **env: Any,
 ) -> USVVectorEnv:  # fmt: skip
-    """Make n boats for an agent.
+    """Make n boats for an agent, as ``gym.make_vec("USVTwin-v0", ...)`` with its options ``env``.
 
-    Parameters
-    ----------
-    n : int
-        Number of boats.
-    observation : str
-        What the agent sees; see :func:`twin.sim.wrapper.make_env`.
-    twin : str
-        Which twin, where it sees one.
-    frame_skip : int
-        Steps of 0.05 s for which an action is held.
-    max_episode_steps : int
-        Decisions in an episode.
-    **env
-        Other options of ``gym.make_vec("USVTwin-v0", ...)``.
+    An action is held for ``frame_skip`` steps of 0.05 s; an episode has ``max_episode_steps`` such
+    decisions. ``twin`` counts where the observation has one.
     """
     envs: Any = gym.make_vec(
         "USVTwin-v0",

@@ -68,10 +68,7 @@ def check_algorithm(algo: str) -> None:
 def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]:
     """Return an algorithm's hyperparameters, those of this package if no file is named.
 
-    Raises
-    ------
-    AgentError
-        The file is not there, no TOML, or names what the algorithm does not know.
+    AgentError: the file is missing, no TOML, or names what the algorithm does not know.
     """
     check_algorithm(algo)
     path = Path(__file__).with_name("hyper") / f"{algo}.toml" if path is None else Path(path)
@@ -121,7 +118,7 @@ def check_hyperparameters(algo: str, values: Mapping[str, Any], where: str) -> N
 
 def algorithm_class(algo: str) -> type[BaseAlgorithm]:
     """Return the class of an algorithm by its name."""
-    module, name, _ = ALGORITHMS[algo]
+    module, name = ALGORITHMS[algo][:2]
     try:
         found: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
     except ImportError:
@@ -135,7 +132,7 @@ def schedule(name: str, rate: float | str) -> Any:
     """Return what falls while training: a number, or ``"lin_X"``, which falls from X to 0."""
     if not isinstance(rate, str):
         return float(rate)
-    kind, _, first = rate.partition("_")
+    kind, first = rate.partition("_")[::2]
     try:
         start = float(first)
     except ValueError:

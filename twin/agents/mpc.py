@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.agents.agent import ControllerError, check_actions, shaft_speeds
+from twin.channels import PSI, U, V, X, Y
 from twin.filters.linalg import cholesky, solve_factored
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import (
@@ -33,7 +34,7 @@ from twin.model.rollout import (
 from twin.model.structure import N_STATES
 from twin.predictors.plus_forecast import PRIOR_SHRINKAGE
 from twin.sim.batched_twins import CompiledTwins
-from usv_gym.envs.tasks import ERRORS, follow, path_errors
+from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, ERRORS, TO_GO, follow, path_errors
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.arrays import shaped
 from usv_kernel.jit import kernel
@@ -120,35 +121,28 @@ def commands(knots, config, plan):
 
 @kernel
 def residuals_of(knots, free, goal, config, work, out):
-    """Write the residuals of a plan and of its motion, and return the sum of their squares.
+    """Write the residuals of a plan (2 M,) and of its motion; return the sum of their squares.
 
-    Parameters
-    ----------
-    knots : (2 M,) array
-        The plan.
-    free : bool
-        Whether the legs follow from the motion, or are given: a slope is that of the same legs.
-    goal, config, work : Goal, PlanConfig, PlanWork
-        The motion stands in ``work.paths``, its legs in ``work.legs``.
-    out : (2 K + 3 M,) array
-        Lengths off the path and speed that is lacking, row by row; shaft speeds less the nominal
-        one, and changes from knot to knot.
+    ``free`` says whether the legs follow from the motion, or are given: a slope is that of the same
+    legs. The motion is left in ``work.paths``, its legs in ``work.legs``. ``out`` (2 K + 3 M,) has
+    lengths off the path and speed that is lacking, row by row; shaft speeds less the nominal one,
+    and changes from knot to knot.
     """
     states, legs, errors, leg = work.paths.states[0], work.legs, work.errors, goal.leg
     K, many = states.shape[0], knots.shape[0] // WIDTH
     for k in range(K):
         s = states[k]
         if free:
-            leg = follow(s[0], s[1], s[2], goal.points, leg, config.reach, errors)
+            leg = follow(s[X], s[Y], s[PSI], goal.points, leg, config.reach, errors)
             legs[k] = leg
         else:
-            path_errors(s[0], s[1], s[2], goal.points, int(legs[k]), errors)
+            path_errors(s[X], s[Y], s[PSI], goal.points, int(legs[k]), errors)
         # within reach there is a point only where the path ends: there the boat is to stop
         wanted = 1.0
-        if errors[1] < config.reach:
-            wanted = max(errors[1] / config.reach, -1.0)
-        along = s[3] * math.cos(errors[2]) + s[4] * math.sin(errors[2])
-        distance = errors[0] / config.length
+        if errors[TO_GO] < config.reach:
+            wanted = max(errors[TO_GO] / config.reach, -1.0)
+        along = s[U] * math.cos(errors[COURSE_ERROR]) + s[V] * math.sin(errors[COURSE_ERROR])
+        distance = errors[CROSS_TRACK] / config.length
         # its square grows as the distance does: far off the path the boat is to sail back, not wait
         out[k] = distance / (1.0 + distance * distance) ** 0.25
         out[K + k] = config.progress * (wanted - along / config.speed)
@@ -180,10 +174,7 @@ def _copy(source, target):
 
 @kernel
 def _descend(knots, best, goal, config, work):
-    """Take a damped Gauss-Newton step from a plan rated ``best``; return what the new one costs.
-
-    That is ``best`` again where no step improves the plan, and the plan is left.
-    """
+    """Take a damped Gauss-Newton step from a plan rated ``best``; return the plan's new rating."""
     trial, base, moved, J, H, A, g = (
         work.trial,
         work.base,
@@ -235,22 +226,10 @@ def _descend(knots, best, goal, config, work):
 
 @kernel
 def plan_all(inputs, bounds, paths, config, last, plans, work):
-    """Update the plans of all boats.
+    """Update the plans (n, 2 M) of all boats, and the actions in force (n, 2).
 
-    Parameters
-    ----------
-    inputs : RolloutInputs
-        What the models are rolled from.
-    bounds : (n, 3) array
-        Velocities beyond which a model is not plausible, m/s and rad/s.
-    paths : tuple
-        Legs that the twins are on (n,), and way points (n, P, 2), m.
-    config, work : PlanConfig, PlanWork
-        What the boats have in common; scratch.
-    last : (n, 2) array
-        Actions in force; the new ones are written there.
-    plans : (n, 2 M) array
-        Knots of the decision before; updated.
+    ``bounds`` (n, 3) are velocities beyond which a model is not plausible. ``paths`` are the legs
+    that the twins are on (n,), and way points (n, P, 2), m.
     """
     legs, points = paths
     trial, base, theta = work.trial, work.base, work.start.params[0]
@@ -334,13 +313,7 @@ class ModelPredictive:
         self.weights = progress, effort, change
 
     def begin(self, envs: USVVectorEnv) -> None:
-        """See :meth:`twin.agents.agent.Agent.begin`.
-
-        Raises
-        ------
-        ControllerError
-            Without a twin whose model is compiled.
-        """
+        """See :meth:`twin.agents.agent.Agent.begin`; ControllerError without a compiled model."""
         base = envs.unwrapped
         observer = base.observer
         if not isinstance(observer, CompiledTwins):

@@ -66,39 +66,22 @@ LEVEL = 95.0
 
 @dataclass(frozen=True)
 class Settings:
-    """What the study does.
+    """What the study does."""
 
-    Parameters
-    ----------
-    arms : tuple of (str, str)
-        Algorithms and observation sets.
-    steps : int, optional
-        Decisions of each training; left out: ``n_timesteps`` of the algorithm's hyperparameters.
-    seeds : tuple of int
-        Trainings of each arm.
-    controllers : tuple of str
-        Classical controllers beside them.
-    seas, outages : tuple of str
-        Where agents are evaluated.
-    evaluation_seeds : tuple of int
-        Episodes of each sea state with each outage.
-    curve_seeds : tuple of int
-        Episodes of each point of the learning curves.
-    options : dict
-        Options of :class:`~twin.agents.training.Plan`, such as ``twin`` and ``task``.
-    hyper : dict
-        Hyperparameters by algorithm; those of this package if left out.
-    """
-
-    arms: tuple[tuple[str, str], ...] = ARMS
+    arms: tuple[tuple[str, str], ...] = ARMS  # algorithms and observation sets
+    # decisions of each training; left out: n_timesteps of the algorithm's hyperparameters
     steps: int | None = None
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    controllers: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # trainings of each arm
+    controllers: tuple[str, ...] = ()  # classical controllers beside them
+    # where agents are evaluated
     seas: tuple[str, ...] = SEAS
     outages: tuple[str, ...] = OUTAGES
+    # episodes of each sea state with each outage
     evaluation_seeds: tuple[int, ...] = EVALUATION_SEEDS
-    curve_seeds: tuple[int, ...] = CURVE_SEEDS
+    curve_seeds: tuple[int, ...] = CURVE_SEEDS  # episodes of each point of the learning curves
+    # options of Plan, such as twin and task
     options: Mapping[str, Any] = field(default_factory=dict)
+    # hyperparameters by algorithm; those of this package if left out
     hyper: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def plan(self, algo: str, observation: str, seed: int) -> Plan:
@@ -145,22 +128,10 @@ def work(
 ) -> Iterator[tuple[Piece, dict[str, Any]]]:
     """Train and evaluate all that is not done yet, and yield each piece as it comes.
 
-    Parameters
-    ----------
-    settings : Settings
-        What to do.
-    folder : Path
-        Where ``runs/`` are; an interrupted study goes on there.
-    jobs : int
-        Workers; the results do not depend on it.
-    backend : str
-        Kind of workers, see :func:`twin.parallel.results_of`; the results do not depend on it.
-
-    Yields
-    ------
-    Piece, dict
-        ``rows`` (see :func:`~twin.agents.evaluation.evaluate`), and the learning ``curve``; of a
-        controller, its ``level`` on the episodes of the learning curves.
+    An interrupted study goes on in the folder's ``runs/``. The results do not depend on ``jobs``
+    and ``backend``, see :func:`twin.parallel.results_of`. Yielded with a piece are ``rows`` (see
+    :func:`~twin.agents.evaluation.evaluate`), and the learning ``curve``; of a controller, its
+    ``level`` on the episodes of the learning curves.
     """
     todo = pieces(settings)
     calls = [functools.partial(_work_one, settings, folder, piece) for piece in todo]
@@ -221,22 +192,13 @@ def iqm(values: Array) -> Array:
 
 
 def replicates(scores: Sequence[Array], seed: int = 0) -> list[Array]:
-    """Return interquartile means of bootstrap samples of agents that met the same episodes.
+    """Return interquartile means (REPLICATES,) of bootstrap samples of each agent.
 
-    Parameters
-    ----------
-    scores : sequence of ndarray, shape (S, R, E)
-        Of each agent: strata (sea states), runs, episodes. R may differ.
-    seed : int
-        Of the samples.
-
-    Returns
-    -------
-    list of ndarray, shape (REPLICATES,)
-        Runs are drawn for each agent, episodes within each stratum for all agents alike.
+    Scores are (S, R, E) each: strata (sea states), runs, episodes; R may differ. Runs are drawn for
+    each agent, episodes within each stratum for all agents at once, as they met the same ones.
     """
     rng = np.random.default_rng(seed)
-    strata, _, episodes = scores[0].shape
+    strata, episodes = scores[0].shape[::2]
     chosen = rng.integers(episodes, size=(REPLICATES, strata, 1, episodes))
     stratum = np.arange(strata)[:, None, None]
     found = []
@@ -258,21 +220,11 @@ def interval(sample: Array) -> tuple[float | None, float | None]:
 def collect(
     settings: Settings, done: Mapping[Piece, Mapping[str, Any]], command: str
 ) -> dict[str, Any]:
-    """Return all that the study found, ready for JSON.
-
-    Parameters
-    ----------
-    settings : Settings
-        What was asked for.
-    done : mapping
-        What :func:`work` yielded.
-    command : str
-        How it was started.
-    """
+    """Return all that the study found, from what :func:`work` yielded, ready for JSON."""
     order = [piece for piece in pieces(settings) if piece in done]
     scores = _Scores(settings, {piece: done[piece]["rows"] for piece in order})
     given = {key: value for key, value in dataclasses.asdict(settings).items() if key != "hyper"}
-    algos = dict.fromkeys(algo for algo, _ in settings.arms)
+    algos = dict.fromkeys(arm[0] for arm in settings.arms)
     hyper = {algo: settings.hyper.get(algo) or hyperparameters(algo) for algo in algos}
     return {
         "command": command,
@@ -349,7 +301,7 @@ class _Scores:
         """Return which part of the gap from raw to oracle each agent closes, for each outage."""
         found = []
         for agent in self.agents:
-            algo, _, observation = agent.partition("-")
+            algo, observation = agent.partition("-")[::2]
             against = "ppo" if algo == "recurrent_ppo" else algo
             raw, oracle = f"{against}-raw", f"{against}-oracle"
             if agent in (raw, oracle) or not {raw, oracle} <= set(self.agents) or not observation:
@@ -387,7 +339,7 @@ class _Scores:
     def helps(self) -> list[dict[str, Any]]:
         """Return by how much less the agents with a twin are off the path than those without."""
         found = []
-        for algo in dict.fromkeys(algo for algo, _ in self.settings.arms):
+        for algo in dict.fromkeys(arm[0] for arm in self.settings.arms):
             names = f"{algo}-raw", f"{algo}-twin"
             if not set(names) <= set(self.agents):
                 continue
@@ -431,13 +383,7 @@ def _short(value: float | None) -> float | None:
 
 
 def check(settings: Settings) -> None:
-    """Refuse what cannot be done before hours are spent on it.
-
-    Raises
-    ------
-    AgentError
-        No seeds, or a controller that is not known.
-    """
+    """Raise AgentError for no seeds or an unknown controller, before hours are spent on it."""
     if not (settings.seeds and settings.evaluation_seeds):
         raise AgentError("a study needs a seed to train and a seed to evaluate on")
     known = controllers() if settings.controllers else {}

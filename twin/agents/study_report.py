@@ -70,7 +70,7 @@ def markdown(results: Mapping[str, Any]) -> str:
         for cell in results["cells"]
     }
     for metric, title in METRICS.items():
-        seas = list(dict.fromkeys(sea for name, sea, _, _ in cells if name == metric))
+        seas = list(dict.fromkeys(key[1] for key in cells if key[0] == metric))
         for sea in seas:
             shown = [name for name in outages if any(
                 key[0] == metric and key[1] == sea and key[3] == name for key in cells
@@ -178,7 +178,7 @@ def _in_metres(ax: Any) -> None:
 
 
 def _style(agent: str) -> dict[str, Any]:
-    algo, _, observation = agent.partition("-")
+    algo, observation = agent.partition("-")[::2]
     dashed = "--" if algo == "recurrent_ppo" else "-"
     label = "raw, recurrent" if algo == "recurrent_ppo" else observation.replace("_", " ")
     return {"color": COLOURS[observation], "linestyle": dashed, "label": label}

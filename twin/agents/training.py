@@ -63,38 +63,22 @@ _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "
 
 @dataclass(frozen=True)
 class Plan:
-    """What is trained.
+    """What is trained."""
 
-    Parameters
-    ----------
-    algo : str
-        One of :data:`ALGORITHMS`.
-    observation : str
-        What the agent sees, one of :data:`twin.sim.wrapper.OBSERVATIONS`.
-    steps : int
-        Decisions of all boats together.
-    seed : int
-        Of the run.
-    twin, task, sea, faults, vessel : str
-        Options of the environment; of ``"a|b"`` one is drawn at each reset.
-    frame_skip, max_episode_steps : int
-        Steps of 0.05 s for which a decision is held, and decisions in an episode.
-    every : int
-        Decisions between two checkpoints.
-    """
-
-    algo: str
-    observation: str
-    steps: int
-    seed: int = 0
+    algo: str  # one of ALGORITHMS
+    observation: str  # what the agent sees, one of twin.sim.wrapper.OBSERVATIONS
+    steps: int  # decisions of all boats together
+    seed: int = 0  # of the run
+    # options of the environment; of "a|b" one is drawn at each reset
     twin: str = "ukf"
     task: str = "path"
     sea: str = "0|2|4"
     faults: str = "none|gps10|gps30|gps60"
     vessel: str = "usv75"
+    # steps of 0.05 s for which a decision is held, and decisions in an episode
     frame_skip: int = FRAME_SKIP
     max_episode_steps: int = EPISODE
-    every: int = EVERY
+    every: int = EVERY  # decisions between two checkpoints
 
     def __post_init__(self) -> None:
         check_algorithm(self.algo)
@@ -123,31 +107,16 @@ class Plan:
 
 @dataclass(frozen=True)
 class Run:
-    """What a training came to.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it is.
-    policy : Policy
-        What was learnt.
-    curve : list of dict
-        ``decisions, wall_s, return, cross_track_m, off_path_m, success`` at each checkpoint.
-    """
+    """What a training came to."""
 
     folder: Path
     policy: Policy
+    # decisions, wall_s, return, cross_track_m, off_path_m, success at each checkpoint
     curve: list[dict[str, float]]
 
     @classmethod
     def of(cls, folder: Path) -> Run:
-        """Return the run of a folder.
-
-        Raises
-        ------
-        AgentError
-            It has not ended, or is no run.
-        """
+        """Return the run of a folder; AgentError where it has not ended, or is no run."""
         if not (folder / _POLICY).exists():
             went = "has not ended: the command that began it goes on with it"
             raise AgentError(f"{folder}: {went if (folder / _NOTES).exists() else 'is no run'}")
@@ -165,26 +134,12 @@ def train(
     progress: bool = False,
     curve_seeds: tuple[int, ...] = CURVE_SEEDS,
 ) -> Run:
-    """Train an agent, or go on with it, until it is done.
+    """Train an agent, or go on with it, until it is done; AgentError: the folder holds another run.
 
-    Parameters
-    ----------
-    plan : Plan
-        What to train.
-    folder : str or Path
-        The run: ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
-        ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``.
-    hyper : mapping, optional
-        See :func:`hyperparameters`; those of this package if left out.
-    progress : bool
-        Show a bar.
-    curve_seeds : tuple of int
-        Episodes of each point of the learning curve.
-
-    Raises
-    ------
-    AgentError
-        The folder holds another run.
+    The folder has ``run.json`` (the plan), ``checkpoint.pt`` and ``replay_*.pt`` until it ends,
+    ``curve.csv``, ``tensorboard/``, and at the end ``policy.npz``. ``hyper`` is that of
+    :func:`hyperparameters` if left out; ``curve_seeds`` are the episodes of each point of the
+    learning curve.
     """
     folder = Path(folder)
     hyper = dict(hyperparameters(plan.algo) if hyper is None else hyper)
@@ -445,16 +400,7 @@ def _seed_of(seed: int, steps: int) -> int:
 def policy_of(model: Any, envs: VecNormalize, plan: Plan, settings: dict[str, Any]) -> Policy:
     """Return the deterministic actor of a model of Stable-Baselines3 as plain arrays.
 
-    Parameters
-    ----------
-    model : BaseAlgorithm
-        PPO, SAC or RecurrentPPO.
-    envs : VecNormalize
-        How its observations are normalised.
-    plan : Plan
-        What it was trained for.
-    settings : dict
-        Kept in the file.
+    The model is PPO, SAC or RecurrentPPO; ``settings`` are kept in the file.
     """
     net = model.policy
     off_policy = hasattr(net, "actor")

@@ -62,15 +62,7 @@ class NotSupportedError(Exception):
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of one check.
-
-    Parameters
-    ----------
-    name, text : str
-        Of the check, and its result.
-    passed : bool or None
-        None: not supported, which the contract allows.
-    """
+    """The outcome of one check; ``passed`` is None where it is not supported, which is allowed."""
 
     name: str
     passed: bool | None
@@ -391,16 +383,8 @@ CHECKS: dict[str, Callable[[_Trial], str]] = {
 def check(name: str, checks: Sequence[str] = tuple(CHECKS)) -> list[Finding]:
     """Return the finding of each check of the contract.
 
-    Parameters
-    ----------
-    name : str
-        In ``twin.PREDICTORS``, or ``module:Class``.
-    checks : sequence of str
-        Of :data:`CHECKS`; the rest is skipped where the predictor cannot be made.
-
-    Returns
-    -------
-    list of Finding
+    ``name`` is in ``twin.PREDICTORS``, or ``module:Class``. Of the checks, from :data:`CHECKS`, the
+    rest is skipped where the predictor cannot be made.
 
     Examples
     --------

@@ -48,13 +48,7 @@ BASELINE, ORACLE = "persistence", "oracle"
 
 
 def rows_of(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Yield the errors of each run, predictor, plan, channel and horizon.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        From :func:`twin.benchmark.runner.run_unit`.
-    """
+    """Yield the errors of each run, predictor, plan, channel and horizon."""
     for result in results:
         for plan, table in result["plans"].items():
             for channel, values in table["channels"].items():
@@ -100,11 +94,6 @@ def run_rows(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
       the mean over :data:`STUDY_HORIZONS`; ``E`` is J - 1. Over runs: :func:`summarise`.
     - ``start_error``: mean error of the estimated position at the start of predictions, m.
     - ``displacement_10s`` (m), ``psi_10s`` (rad): MAE after 10 s.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        From :func:`twin.benchmark.runner.run_unit`.
     """
     rows: dict[tuple[Any, ...], dict[str, Any]] = {}
     tables: dict[tuple[Any, ...], Array] = {}
@@ -176,11 +165,6 @@ def summarise(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     oracle, averaged over channels; ``E`` is J - 1. Their medians are of single runs. ``E_runs`` is
     the mean of the runs' own E, which few runs with a nearly perfect oracle can dominate.
     ``mae_median`` is the median MAE as a metric of its own.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        From :func:`run_rows`.
     """
     order = {tuple(row[key] for key in _CELL): None for row in runs}
     groups = _groups(runs, *_CELL)
@@ -226,14 +210,7 @@ def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]
 
     ``change_percent`` is the change of the mean pooled MAE, with a 95 % bootstrap interval
     over seeds; ``median_percent`` the median of the changes of single seeds; ``wins`` of
-    ``seeds`` had the smaller MAE.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        From :func:`run_rows`.
-    against : str
-        Predictor to compare with; where it did not run there is nothing to compare.
+    ``seeds`` had the smaller MAE. Where the reference did not run there is nothing to compare.
     """
     table = {tuple(row[key] for key in KEY): row["mae"] for row in runs}
     rows = []
@@ -265,15 +242,10 @@ def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]
 
 
 def channel_table(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return errors, CRPS and coverage by channel and horizon, mean over seeds.
+    """Return errors, CRPS and coverage by channel and horizon, mean over pooled seeds.
 
     ``coverage90`` is the share of errors inside the 90 % intervals, of the displacement inside the
     90 % ellipse. The displacement has no CRPS: those of ``along`` and ``across`` stand for it.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        From :func:`twin.benchmark.runner.run_unit`; seeds are pooled.
     """
     cells: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for result in results:
@@ -312,17 +284,11 @@ TRENDS: dict[str, Callable[[dict[str, Any]], float | None]] = {
 
 
 def trends(runs: Sequence[dict[str, Any]], sea: str) -> list[dict[str, Any]]:
-    """Return the error against the length of a GPS loss and against the sea state.
+    """Return the error against the length of a GPS loss, and against the sea state.
 
     Each value is the mean over boats of the mean over scenarios, with its 95 % bootstrap
-    interval over boats. A trend needs at least three values of its variable.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        From :func:`run_rows`.
-    sea : str
-        Name of the sea state for the trend over losses of GPS.
+    interval over boats. A trend needs at least three values of its variable; that over losses is
+    in one sea state.
     """
     rows = []
     for axis, value_of in TRENDS.items():
@@ -332,7 +298,7 @@ def trends(runs: Sequence[dict[str, Any]], sea: str) -> list[dict[str, Any]]:
             if row["grade"] == TYPICAL and (axis == "sea_state" or row["sea"] == sea)
             if (value := value_of(row)) is not None
         ]
-        if len({value for value, _ in kept}) < 3:
+        if len({pair[0] for pair in kept}) < 3:
             continue
         cells: dict[tuple[Any, ...], dict[int, list[dict[str, Any]]]] = {}
         for value, row in kept:
@@ -365,14 +331,7 @@ def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict
 
     ``ratio`` is its mean over runs, with a 95 % bootstrap interval, ``geometric`` its geometric
     mean. ``change_percent`` compares the mean ratio with that of ``against`` on the same runs,
-    with its paired interval.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        From :func:`twin.benchmark.runner.run_unit`; those of simulated runs are left out.
-    against : str
-        Predictor to compare with.
+    with its paired interval. Simulated runs are left out.
     """
     cells: dict[tuple[str, ...], dict[str, float]] = {}
     for result in results:

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from twin.channels import R, U, V
 from twin.filters.ukf import scaled_weights
 from twin.identification.lyapunov import rosenstein
 from twin.model import dynamics
@@ -65,21 +66,10 @@ def henon(n: int) -> Array:
 
 
 def paper_run(xi: Array, angle: float, seconds: float) -> tuple[float, Array]:
-    """Simulate an identified model of the paper from 5 m/s at 380 rpm.
+    """Simulate an identified model of the paper from 5 m/s at 380 rpm; return end time and state.
 
-    Parameters
-    ----------
-    xi : ndarray, shape (25,)
-        Parameters, see :data:`PAPER_TABLE_2`.
-    angle : float
-        Drive angle, rad.
-    seconds : float
-        Duration, s; the run ends early at 1000 m/s.
-
-    Returns
-    -------
-    float and ndarray, shape (6,)
-        End time (s) and state.
+    ``xi`` (25,) is as in :data:`PAPER_TABLE_2`, the drive angle in rad. The run ends early at
+    1000 m/s.
     """
     act, out, terms = np.array([RATED, RATED, angle, angle]), np.empty(6), np.empty(N_TERMS)
     model, calm = PAPER.terms, np.zeros(2)
@@ -89,7 +79,7 @@ def paper_run(xi: Array, angle: float, seconds: float) -> tuple[float, Array]:
         return out.copy()
 
     def fast(_: float, s: Array) -> float:
-        return 1000.0 - float(np.hypot(s[3], s[4]))
+        return 1000.0 - float(np.hypot(s[U], s[V]))
 
     fast.terminal = True  # type: ignore[attr-defined]
     start = [0.0, 0.0, 0.0, 5.0, 0.0, 0.0]
@@ -119,7 +109,7 @@ def twin_numbers(study: Study) -> Section:
         ahead = np.where(np.arange(len(table)) < PAPER.blocks["surge"][1], table, 0.0)
         state = paper_run(ahead, 0.0, 200.0)[1]
         found += rows(
-            [(f"Table {name} model: straight speed, m/s", state[3], speed)], SEPARATE, 1e-3
+            [(f"Table {name} model: straight speed, m/s", state[U], speed)], SEPARATE, 1e-3
         )
     end = paper_run(PAPER_TABLE_2, 20.0 * DEGREE, 30.0)[0]
     escape = [("Table 2 model, 20 deg: escapes at, s", end, 7.3)]
@@ -127,8 +117,8 @@ def twin_numbers(study: Study) -> Section:
     for angle, u, r in ((20.0, 10.35, 4.26), (-20.0, 11.51, -2.23)):
         state = paper_run(PAPER_TABLE_3, angle * DEGREE, 300.0)[1]
         steady = [
-            (f"Table 3 model, {angle:+g} deg: u, m/s", state[3], u),
-            (f"Table 3 model, {angle:+g} deg: r, deg/s", state[5] / DEGREE, r),
+            (f"Table 3 model, {angle:+g} deg: u, m/s", state[U], u),
+            (f"Table 3 model, {angle:+g} deg: r, deg/s", state[R] / DEGREE, r),
         ]
         found += rows(steady, SEPARATE, 0.01)
     reported = [

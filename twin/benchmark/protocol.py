@@ -59,27 +59,13 @@ class BenchmarkError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Case:
-    """Conditions of a simulated run.
+    """Conditions of a simulated run."""
 
-    Parameters
-    ----------
-    name : str
-        In results and file names.
-    fault : str
-        Losses of sensors such as ``gps10``.
-    sea : str
-        One of ``usv_gym.world.sea.SEA_STATES``; empty: that of the settings.
-    grade : str
-        One of ``usv_gym.world.sensors.GRADES``.
-    drawn : bool
-        Whether the report shows single runs.
-    """
-
-    name: str
-    fault: str = "none"
-    sea: str = ""
-    grade: str = TYPICAL
-    drawn: bool = False
+    name: str  # in results and file names
+    fault: str = "none"  # losses of sensors such as gps10
+    sea: str = ""  # one of usv_gym.world.sea.SEA_STATES; empty: that of the settings
+    grade: str = TYPICAL  # one of usv_gym.world.sensors.GRADES
+    drawn: bool = False  # whether the report shows single runs
 
     def __post_init__(self) -> None:
         parse_faults(self.fault, 0.0)
@@ -115,62 +101,32 @@ FULL = {
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What is to be measured.
+    """What is to be measured."""
 
-    Parameters
-    ----------
-    scenarios, faults, predictors : tuple of str
-        Manoeuvres, losses of sensors such as ``gps10``, and names in ``twin.PREDICTORS`` or
-        ``module:Class``.
-    cases : tuple of Case
-        Conditions in place of ``faults``.
-    seeds : tuple of int
-        Each gives a boat, a sea, sensor errors, and the commands of a random manoeuvre.
-    plans : tuple of str
-        Future commands: ``known`` (Eq 27), or ``hold`` for the last ones.
-    vessel : str
-        Name or TOML file.
-    spread : float
-        Relative variation of the boat from seed to seed, see ``Vessel.varied``.
-    dof : int
-        Degrees of freedom of the simulated ship, 3 or 6.
-    model : str or None
-        Model structure of the predictors; None for the default of each.
-    hs, wind, wind_from_deg : float
-        Sea state: wave height (m), wind speed (m/s) and direction (degrees).
-    logs : tuple of str
-        Recorded runs to score.
-    ship : str or None
-        Particulars of the recorded boat; None for the TOML file beside the log.
-    mapping : str or None
-        Mapping file of the recorded runs, as for ``Log.read``.
-    identify_s : float
-        Time of the first prediction, s; in recorded runs 60 s, or 40 % of a short one.
-    duration_s : float
-        Length of a simulated run, s.
-    fault_after_s : float
-        Time from the first prediction to a loss, s.
-    """
-
-    scenarios: tuple[str, ...] = ("turn", "zigzag")
-    faults: tuple[str, ...] = ("none", "gps10")
-    cases: tuple[Case, ...] = ()
+    scenarios: tuple[str, ...] = ("turn", "zigzag")  # manoeuvres
+    faults: tuple[str, ...] = ("none", "gps10")  # losses of sensors
+    cases: tuple[Case, ...] = ()  # conditions in place of faults
+    # each gives a boat, a sea, sensor errors, and the commands of a random manoeuvre
     seeds: tuple[int, ...] = tuple(range(6))
-    predictors: tuple[str, ...] = tuple(PREDICTORS)
+    predictors: tuple[str, ...] = tuple(PREDICTORS)  # names in twin.PREDICTORS or module:Class
+    # future commands: known (Eq 27), or hold for the last ones
     plans: tuple[str, ...] = ("known", "hold")
-    vessel: str = "usv75"
-    spread: float = SPREAD
-    dof: int = 3
-    model: str | None = None
+    vessel: str = "usv75"  # name or TOML file
+    spread: float = SPREAD  # relative variation of the boat from seed to seed, see Vessel.varied
+    dof: int = 3  # degrees of freedom of the simulated ship, 3 or 6
+    model: str | None = None  # model structure of the predictors; None for the default of each
+    # sea state: wave height (m), wind speed (m/s) and direction (degrees)
     hs: float = 0.5
     wind: float = 4.5
     wind_from_deg: float = 135.0
-    logs: tuple[str, ...] = ()
+    logs: tuple[str, ...] = ()  # recorded runs to score
+    # particulars of the recorded boat; None for the TOML file beside the log
     ship: str | None = None
-    mapping: str | None = None
+    mapping: str | None = None  # mapping file of the recorded runs, as for Log.read
+    # time of the first prediction, s; in recorded runs 60 s, or 40 % of a short one
     identify_s: float = 80.0
-    duration_s: float = 120.0
-    fault_after_s: float = 5.0
+    duration_s: float = 120.0  # length of a simulated run, s
+    fault_after_s: float = 5.0  # time from the first prediction to a loss, s
 
     def __post_init__(self) -> None:
         for name in self.scenarios:
@@ -271,13 +227,7 @@ UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
 
 
 def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the predictors that can run here, and a line on each that cannot.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names in ``twin.PREDICTORS``, or ``module:Class``.
-    """
+    """Return the predictors that can run here, and a line on each that cannot."""
     usable, notes = [], []
     for name in names:
         module, extra = EXTRAS.get(name, (None, ""))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -113,30 +113,24 @@ class Picture(NamedTuple):
     caption: str
 
 
-def write_report(out: Path, results: dict[str, Any], runs: list[RunFigure]) -> list[Path]:
-    """Write ``report.html`` and ``pictures/*.svg``.
+def write_report(
+    out: Path,
+    results: dict[str, Any],
+    runs: list[RunFigure],
+    drawn: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
-    Parameters
-    ----------
-    out : Path
-        Folder, made if it is not there.
-    results : dict
-        Content of ``results.json``: ``version``, ``command``, ``settings``, ``rows`` and
-        ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
-    runs : list of RunFigure
-        The runs to be drawn; may be empty.
-
-    Returns
-    -------
-    list of Path
-        What was written, the report first.
+    ``results`` is the content of ``results.json``: ``version``, ``command``, ``settings``, ``rows``
+    and ``summary``; ``notes``, a list of lines such as on predictors left out, may be there.
+    ``drawn`` is called with the file name of each picture.
     """
     out = Path(out)
     folder = out / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("*.[ps][nv]g"):
         stale.unlink()
-    pictures = _Pictures(folder)
+    pictures = _Pictures(folder, drawn)
     rows = [*(results.get("rows") or []), *(results.get("summary") or [])]
     names = dict.fromkeys(text_of(row, "predictor") for row in rows)
     styles = predictor_styles({**names, **{name: None for run in runs for name in run.predictors}})
@@ -181,8 +175,8 @@ def _template() -> Template:
 class _Pictures:
     """Writes each picture to its file and returns it for the page."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, drawn: Callable[[str], None] | None) -> None:
+        self.folder, self.drawn = folder, drawn
         self.written: list[Path] = []
         self.styles: dict[str, str] = {}
 
@@ -197,6 +191,8 @@ class _Pictures:
         svg = svg_of(fig, f"p{len(self.written)}", caption, self.styles)
         path.write_text(standalone(svg, self.styles), encoding="utf-8")
         self.written.append(path)
+        if self.drawn:
+            self.drawn(path.name)
         return Picture(Markup(svg), caption)
 
 
@@ -242,7 +238,8 @@ def _cases(results: Row, pictures: _Pictures, styles: Styles) -> list[dict[str, 
             seeds = len({number_of(row, "seed") for row in here["rows"]})
             caption = (
                 "Error growth: mean absolute error of position and heading against the horizon, "
-                f"mean of {seeds} run{'' if seeds == 1 else 's'}. An arrow head marks a curve that "
+                f"mean of {seeds} run{'' if seeds == 1 else 's'}. Thin grey lines, with names, are "
+                "the other predictors, with the first plan. An arrow head marks a curve that "
                 "leaves the picture; the table counts it in full."
             )
             picture = pictures.add(fig, f"{scenario}_{case}_error", caption)
@@ -285,7 +282,7 @@ def _summary_grid(summary: Sequence[Row]) -> Grid | None:
         metric: _best(metric, [row[metric] for row in entries.values() if metric in row])
         for metric in metrics
     }
-    plans = len({plan for _, plan in entries}) > 1
+    plans = len({key[1] for key in entries}) > 1
     rows = []
     for (predictor, plan), row in entries.items():
         cells = [Cell(predictor), *([Cell(plan)] if plans else [])]

@@ -86,27 +86,22 @@ def _recorded_identify_s(log: Log) -> float:
     return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
 
 
+class _Parameters(NamedTuple):
+    """What a twin made of its parameters at a time, as it is written."""
+
+    t: float
+    params: list[float]
+    params_sd: list[float]
+
+
 class Run(NamedTuple):
-    """A run as predictors meet it.
+    """A run as predictors meet it."""
 
-    Attributes
-    ----------
-    seen : Log
-        The rows that predictors get.
-    reference : Log
-        What their predictions are scored against.
-    particulars : Particulars
-        Of the boat.
-    identify : float
-        Time of the first prediction, s.
-    simulator : tuple
-        Vessel, sea and degrees of freedom for an oracle; empty for a recorded run.
-    """
-
-    seen: Log
-    reference: Log
-    particulars: Particulars
-    identify: float
+    seen: Log  # the rows that predictors get
+    reference: Log  # what their predictions are scored against
+    particulars: Particulars  # of the boat
+    identify: float  # time of the first prediction, s
+    # vessel, sea and degrees of freedom for an oracle; empty for a recorded run
     simulator: tuple[Any, ...]
 
 
@@ -139,24 +134,12 @@ def load_run(settings: Settings, unit: Unit) -> Run:
 def run_unit(
     settings: Settings, unit: Unit, folder: Path, *, pictures: bool, run: Run | None = None
 ) -> dict[str, Any]:
-    """Run one predictor on one run, score it, and keep the result in a file.
+    """Run one predictor on one run, score it, and keep the result in a file of the folder.
 
-    Parameters
-    ----------
-    settings, unit
-        What to do.
-    folder : Path
-        Folder of results; the file is replaced as a whole or not at all.
-    pictures : bool
-        Keep what the pictures need: parameter histories and a few predictions.
-    run : Run, optional
-        From :func:`load_run`, where it is at hand.
-
-    Returns
-    -------
-    dict
-        ``unit``, ``plans`` with a table of scores each (see
-        :func:`twin.benchmark.scores.table_of`), and what the pictures need.
+    The file is replaced as a whole or not at all. ``pictures`` keeps what the pictures need:
+    parameter histories and a few predictions. ``run`` is from :func:`load_run`, where at hand.
+    The result has ``unit``, ``plans`` with a table of scores each (see
+    :func:`twin.benchmark.scores.table_of`), and what the pictures need.
     """
     run = run or load_run(settings, unit)
     seen, identify = run.seen, run.identify
@@ -169,7 +152,7 @@ def run_unit(
     starts: list[float] = []
     skipped = 0
     examples: list[Prediction] = []
-    history: list[tuple[float, Array, Array]] = []
+    history: list[_Parameters] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
         # copies: the base of a view is the whole log with its future
@@ -177,7 +160,7 @@ def run_unit(
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
             estimate = twin.estimate()
-            history.append((t, estimate.params, estimate.params_sd))
+            history.append(_Parameters(t, estimate.params.tolist(), estimate.params_sd.tolist()))
         if t < next_origin - 1e-9 or t > end + 1e-9:
             continue
         while next_origin <= t + 1e-9:
@@ -221,9 +204,7 @@ def run_unit(
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         result["history"] = {
-            "t": [t for t, _, _ in history],
-            "params": [params.tolist() for _, params, _ in history],
-            "params_sd": [params_sd.tolist() for _, _, params_sd in history],
+            **{name: [getattr(row, name) for row in history] for name in _Parameters._fields},
             "names": twin.predictor.parameter_names,
             "units": twin.predictor.parameter_units,
             "blocks": dict(twin.predictor.parameter_blocks),
@@ -343,11 +324,7 @@ def all_finished(settings: Settings, folder: Path) -> bool:
 
 
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
-    """Return whether a run is shown in the report.
-
-    These are the first seed of the cases that are drawn, and the first runs of each folder of
-    recorded runs.
-    """
+    """Return whether a run is drawn: first seeds of drawn cases, first runs of each folder."""
     if unit.log:
         folder = Path(unit.log).absolute().parent
         peers = [path for path in settings.logs if Path(path).absolute().parent == folder]
@@ -363,26 +340,12 @@ MAX_DRAWN_LOGS = 3
 def runs(
     settings: Settings, folder: Path, *, jobs: int = 1, backend: str = "loky"
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
-    """Do all work that is not done yet, and yield each result when it is there.
+    """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
     A worker takes a run, which is simulated or read once, with all its predictors; where there
-    are fewer runs than workers, single predictors.
-
-    Parameters
-    ----------
-    settings : Settings
-        What to do.
-    folder : Path
-        Folder of results.
-    jobs : int
-        Workers; the results do not depend on it.
-    backend : str
-        One of ``twin.parallel.BACKENDS``; the results do not depend on it.
-
-    Yields
-    ------
-    Unit, dict or Exception
-        A result, or why there is none (a log that cannot be read, say); the rest goes on.
+    are fewer runs than workers, single predictors. The results do not depend on ``jobs`` and
+    ``backend`` (one of ``twin.parallel.BACKENDS``). After an error (a log that cannot be read, say)
+    the rest goes on.
     """
     todo: dict[str, list[Unit]] = {}
     for unit in units(settings):
@@ -397,8 +360,8 @@ def runs(
     if len(tasks) < jobs:
         tasks = [[unit] for task in tasks for unit in task]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
-    for _, done_task in results_of(calls, jobs=jobs, backend=backend):
-        yield from done_task
+    for result in results_of(calls, jobs=jobs, backend=backend):
+        yield from result[1]
 
 
 def _attempt(
@@ -441,21 +404,10 @@ def collect(
     notes: Sequence[str] = (),
     against: str | None = None,
 ) -> dict[str, Any]:
-    """Return the content of ``results.json``.
+    """Return the content of ``results.json``; results that are missing are left out.
 
-    Parameters
-    ----------
-    settings : Settings
-        What was measured.
-    done : dict
-        Results by unit; those that are missing are left out.
-    command : str
-        The command that made them.
-    notes : sequence of str
-        Remarks for a reader.
-    against : str, optional
-        Reference of the paired comparisons; :data:`AGAINST` if left out, on recorded runs
-        :data:`AGAINST_RECORDED` where it takes part.
+    ``notes`` are remarks for a reader. ``against`` is the reference of the paired comparisons:
+    :data:`AGAINST` if left out, on recorded runs :data:`AGAINST_RECORDED` where it takes part.
     """
     ordered = [done[unit] for unit in units(settings) if unit in done]
     runs = run_rows(ordered)
@@ -521,15 +473,7 @@ def warm_up(settings: Settings) -> None:
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:
-    """Return what the report draws: one entry for each run that kept its pictures.
-
-    Parameters
-    ----------
-    settings : Settings
-        What was measured.
-    done : dict
-        Results by unit.
-    """
+    """Return what the report draws: one entry for each run that kept its pictures."""
     shown: dict[tuple[str, str, int], RunFigure] = {}
     for unit in units(settings):
         result = done.get(unit)

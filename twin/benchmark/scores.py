@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from twin.benchmark.protocol import HORIZONS
+from twin.benchmark.protocol import HORIZONS, BenchmarkError
 from twin.logs.log import Log
 from twin.predictors.base import Z90, Prediction
 
@@ -51,22 +51,12 @@ def crps(error: Array, down: Array, up: Array) -> Array:
     """Return the continuous ranked probability score of two-piece normal distributions.
 
     Such a distribution has one width below its mode and another above it, here those of a
-    prediction's 5 % and 95 % points. With equal widths it is the normal distribution. The score
-    has the unit of the values; without any width it is the absolute error.
+    prediction's 5 % and 95 % points. ``error`` is truth less mode, ``down`` and ``up`` the widths
+    (standard deviations). With equal widths it is the normal distribution. The score has the unit
+    of the values; without any width it is the absolute error.
 
     Source: CRPS = E|X - y| - E|X - X'| / 2, Gneiting and Raftery 2007. Equal to
     ``scoringrules.crps_2pnormal``, whose import compiles for seconds in every worker.
-
-    Parameters
-    ----------
-    error : ndarray
-        Truth less mode.
-    down, up : ndarray
-        Widths (standard deviations) below and above the mode.
-
-    Returns
-    -------
-    ndarray
     """
     near = np.maximum(np.where(error < 0.0, down, up), 1e-12)
     far = np.maximum(np.where(error < 0.0, up, down), 1e-12)
@@ -96,7 +86,7 @@ class Reference:
         for entry in (0, 1, 4):
             seen = np.isfinite(log.z[:, entry])
             if not seen.any():
-                raise ValueError(
+                raise BenchmarkError(
                     f"{log.name}: has no positions or no headings to score predictions against"
                 )
             values = log.z[seen, entry]
@@ -123,42 +113,24 @@ class Reference:
 
 
 class Score(NamedTuple):
-    """One prediction against the truth, at h horizons.
+    """One prediction against the truth, at h horizons."""
 
-    Attributes
-    ----------
-    error, change : ndarray, shape (h, c)
-        Errors and true changes of the channels, the last c of :data:`CHANNELS`.
-    displacement : ndarray, shape (h,)
-        Error of the displacement, m.
-    crps : ndarray, shape (h, c)
-        See :func:`crps`.
-    covered : ndarray of bool, shape (h, c + 1)
-        Whether the 90 % intervals cover channels and displacement.
-    """
-
+    # (h, c): errors and true changes of the channels, the last c of CHANNELS
     error: Array
     change: Array
-    displacement: Array
-    crps: Array
+    displacement: Array  # (h,): error of the displacement, m
+    crps: Array  # (h, c): see crps
+    # (h, c + 1): whether the 90 % intervals cover channels and displacement
     covered: NDArray[np.bool_]
 
 
 def score(prediction: Prediction, truth: Array, horizons: Sequence[float]) -> Score:
-    """Compare one prediction with the truth.
+    """Compare one prediction with the truth, at horizons (s after the start).
 
     Positions count from the start of the prediction. So the error of the start, which comes from
     the receiver and is common to all predictors, does not count again at each horizon. It is
-    reported on its own (``start_error``).
-
-    Parameters
-    ----------
-    prediction : Prediction
-        The prediction.
-    truth : ndarray, shape (1 + h, 6) or (1 + h, 3)
-        True states, or positions and headings alone: at the start, then at the horizons.
-    horizons : sequence of float
-        Seconds after the start.
+    reported on its own (``start_error``). ``truth`` (1 + h, 6), or (1 + h, 3) for positions and
+    headings alone, is at the start, then at the horizons.
     """
     mean, cov = prediction.at(np.array(horizons))
     low, high = prediction.band(np.array(horizons))
@@ -197,19 +169,11 @@ def score(prediction: Prediction, truth: Array, horizons: Sequence[float]) -> Sc
 
 
 def table_of(parts: Sequence[Score]) -> dict[str, Any]:
-    """Return the table of scores of one predictor on one run.
+    """Return the table of scores, at :data:`STUDY_HORIZONS`, of one predictor on one run.
 
-    Parameters
-    ----------
-    parts : sequence of Score
-        At :data:`STUDY_HORIZONS`.
-
-    Returns
-    -------
-    dict
-        ``n`` predictions; by channel (also ``displacement``) ``mae``, ``mse``, ``crps`` and
-        ``coverage90`` at :data:`HORIZONS`; ``scale``, the root mean square of the true change;
-        ``curves``, the MAE of the study's channels at every half second.
+    It has ``n`` predictions; by channel (also ``displacement``) ``mae``, ``mse``, ``crps`` and
+    ``coverage90`` at :data:`HORIZONS`; ``scale``, the root mean square of the true change;
+    ``curves``, the MAE of the study's channels at every half second.
     """
     error, change, distance, crps_of, covered = map(np.array, zip(*parts, strict=True))
     channels = CHANNELS[-error.shape[2] :]

@@ -39,18 +39,11 @@ _FONT = re.compile(r"font-family:[^;]*;?")
 
 
 def svg_of(fig: Figure, prefix: str, label: str, styles: dict[str, str]) -> str:
-    """Return a picture as an SVG element; equal pictures are equal texts.
+    """Return a picture as an SVG element of its size; equal pictures are equal texts.
 
-    Parameters
-    ----------
-    fig : Figure
-        The picture; its size in inches is that of the SVG.
-    prefix : str
-        Begins each name in the picture: a word that no other picture of the page has.
-    label : str
-        What is to be seen, for those who hear the page.
-    styles : dict of str to str
-        Classes by style, of all pictures of the page; those of this picture are added.
+    ``prefix`` begins each name in it: a word that no other picture of the page has. ``label`` is
+    what is to be seen, for those who hear the page. ``styles`` are the classes by style of all
+    pictures of the page; those of this one are added.
     """
     import matplotlib
 

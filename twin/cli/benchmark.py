@@ -227,6 +227,7 @@ def benchmark_command(
         for run, reason in {**missing, **failed}.items()
     )
     command = shlex.join(["usv-twin", *sys.argv[1:]])
+    console.print(f"scoring {len(done)} results")
     results = runner.collect(settings, done, command, notes + not_scored, against)
     if full:  # hundreds of thousands of rows: a table of their own
         (out / "rows.csv.gz").write_bytes(compressed_csv(results.pop("rows")))
@@ -245,8 +246,15 @@ def benchmark_command(
         raise BenchmarkError("nothing could be scored; the lines above say why")
     from twin.benchmark.report import write_report
 
-    with console.status("drawing the report"):
-        written = write_report(out, results, runner.run_figures(settings, done))
+    figures = runner.run_figures(settings, done)
+    console.print(f"drawing {out / 'pictures'}: errors, and {len(figures)} run(s) in detail")
+    with progress_bar(transient=True) as progress:
+        bar = progress.add_task("drawing", total=None)
+
+        def drawn(name: str) -> None:
+            progress.update(bar, advance=1, description=name)
+
+        written = write_report(out, results, figures, drawn)
     console.print(f"{out / 'results.json'}, {written[0]}")
 
 
@@ -409,13 +417,13 @@ def _print_overview(cells: Cells) -> None:
     excess = all("E" in metrics for block in cells.values() for metrics in block.values())
     metric, title = ("E", "E, excess over the oracle") if excess else ("mae", "MAE")
     name_width = max(map(len, predictors))
-    for plan in dict.fromkeys(plan for _, _, plan in cells):
+    for plan in dict.fromkeys(key[2] for key in cells):
         columns = [key for key in cells if key[2] == plan]
         widest = max(len(word) for key in columns for word in key[:2]) + 1
         many = max(1, (console.width - name_width - 2) // max(widest, 7))
         for first in range(0, len(columns), many):
             shown = columns[first : first + many]
-            heads = (f"{scenario}\n{case}" for scenario, case, _ in shown)
+            heads = ("\n".join(key[:2]) for key in shown)
             table = new_table(f"{title}, plan {plan}", "predictor", *heads, left=("predictor",))
             for name in predictors:
                 values = (cells[key].get(name, {}).get(metric) for key in shown)

@@ -24,11 +24,11 @@ from twin.files import write_whole
 from twin.logs.log import Log
 from twin.model.structure import MODELS
 from twin.parallel import BACKENDS
-from twin.predictors.registry import DEFAULT, PREDICTORS
+from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
 from usv_kernel.cache import cached
-from usv_kernel.errors import UsvTwinError
+from usv_kernel.errors import UsvTwinError, did_you_mean
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -145,17 +145,21 @@ def open_log(
     mapping: Path | None = None,
 ) -> tuple[Log, Twin]:
     """Read a log, print what is missing in it, and make a twin for it or load one."""
+    name, found = predictor or DEFAULT, True
+    predictor_class(name)
+    if model is not None and model not in MODELS:
+        raise OptionError(
+            f"--model {model}{did_you_mean(model, MODELS)}: use one of {', '.join(MODELS)}"
+        )
     log = Log.read(path, mapping)
-    for line in log.notes:
-        note(line)
-    found = True
     if resume is not None:
         twin = _load_twin(resume, predictor, ship, model)
     else:
-        name = predictor or DEFAULT
         particulars, found = particulars_for_log(path, ship)
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
+    for line in log.notes:
+        note(line)
     log = log.without_truth()
     if until is not None:
         if not math.isfinite(until):

@@ -71,7 +71,7 @@ def evaluate_command(
     chosen = {"task": task, "twin": twin, "vessel": vessel}
     given = {key: value for key, value in chosen.items() if value is not None}
     agents = [agent for model in models for agent in _agents(model)]
-    same = _trained_with([agent for _, agent in agents], given)
+    same = _trained_with([pair[1] for pair in agents], given)
     heads = ("agent", "sea", *outages)
     table = new_table(
         f"task {same['task']}: distance off the path, m; median [95 % interval], share of failures",
@@ -85,7 +85,7 @@ def evaluate_command(
     made: dict[int, list[dict[str, Any]]] = {}
     with progress_bar(TimeElapsedColumn()) as progress:
         bar = progress.add_task("evaluating", total=len(calls))
-        for i, rows in results_of([call for _, call in calls], jobs=jobs, backend=backend):
+        for i, rows in results_of([pair[1] for pair in calls], jobs=jobs, backend=backend):
             made[i] = rows
             progress.advance(bar)
     found = [{"model": calls[i][0], **same, **row} for i in sorted(made) for row in made[i]]

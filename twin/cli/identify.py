@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -148,6 +149,7 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         source = _source(found[name]) if name in found else ""
         table.add_row(name, units[i], *(f"{v:.3g}" for v in numbers), f"{ratio:.2f}", source)
     console.print(table)
+    _print_legend(twin)
     explain(
         "ratio: sd over that of the prior. source data: it fell to 0.71 or below, and the "
         "parameter's own regressor was excited. source sum: its regressor was collinear with "
@@ -160,6 +162,39 @@ def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:
         explain(
             f"Shaft speeds enter the thrust terms times {settings.n_unit:.4g} (see FilterSettings)."
         )
+
+
+LEGEND = {
+    r"[XYN]_": ("X, Y, N", "terms of the acceleration forward, to starboard, in yaw"),
+    r"[XYN]_[uvr|]+$": ("u, v, r", "surge speed, sway speed, yaw rate, and products of them"),
+    r"E_": ("E", "slow acceleration to north and to east, of wind and current"),
+    r"[XYN]_nn$": ("nn", "thrust at rest: mean n|n| of the shafts, n the shaft speed"),
+    r"[XYN]_nu$": ("nu", "change of thrust with speed: mean |n| u of the shafts"),
+    r"T_": ("T_uL, T_uR ...", "thrust n|n| of the left, right shaft in surge, sway, yaw"),
+    r"N_dn$": ("dn", "left less right thrust; of a tanker, thrust astern"),
+    r"[XYN]_F$": ("F", "drag and lift of rudders or drives in the flow at the stern"),
+    r"[XYN]_S$": ("S", "force of flow from the side on rudders or drives"),
+    r"[XYN]_w$": ("w", "apparent wind, its speed squared"),
+    r"N_0$": ("0", "constant yaw acceleration"),
+    r"N_(cos|sin)$": ("cos, sin", "yaw acceleration that turns with the heading"),
+    r"N_(cos|sin)2$": ("cos2, sin2", "the same, with twice the heading"),
+}
+"""What names of parameters mean: pattern, what is printed for it, and its meaning."""
+
+
+def _print_legend(twin: Twin) -> None:
+    """Print what the names of a model's parameters mean, as far as they occur."""
+    if getattr(twin.predictor, "ukf", None) is None:
+        return  # of another package, with names of its own
+    table = new_table("what the names mean", "", "", left=("",), show_header=False)
+    table.columns[-1].no_wrap = False
+    for pattern, (name, meaning) in LEGEND.items():
+        if any(re.match(pattern, one) for one in twin.predictor.parameter_names):
+            table.add_row(name, meaning)
+    console.print(table)
+    explain(
+        "N_v|v| times v|v| is a yaw acceleration. See docs/explanation/twin.md, Model structure."
+    )
 
 
 SOURCE_COLUMNS = ("", "unit", "source")

@@ -61,6 +61,8 @@ def predict_command(
     ] = None,
 ) -> None:
     """Run the twin over a log up to a time, and predict the motion after it."""
+    dt = horizon / max(round(horizon / 0.1), 1)
+    commands = None if plan in ("hold", "known") else _read_plan(Path(plan), horizon, dt)
     run, twin = open_log(log, predictor, ship=ship, model=model, mapping=mapping)
     last = float(run.t[-1])
     if at is None:
@@ -81,13 +83,9 @@ def predict_command(
             advance()
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
-    dt = horizon / max(round(horizon / 0.1), 1)
-    if plan == "hold":
-        prediction = twin.predict("hold", horizon=horizon, dt=dt)
-    elif plan == "known":
-        prediction = twin.predict(known_plan(run, row, horizon, dt), dt=dt)
-    else:
-        prediction = twin.predict(_read_plan(Path(plan), horizon, dt), dt=dt)
+    if plan == "known":
+        commands = known_plan(run, row, horizon, dt)
+    prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
     _print_prediction(prediction, predictor, plan, run)
     if out is not None:
         parts = (prediction.mean, prediction.sd, prediction.low, prediction.high)
@@ -119,7 +117,8 @@ def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
 
 def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Log) -> None:
     span = float(prediction.t[-1] - prediction.t0)
-    horizons = [h for h in (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0) if h < span] + [span]
+    ends = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+    horizons = [h for h in ends if h < span - 1e-6] + [span]
     mean = prediction.at(np.array(horizons))[0]
     low, high = prediction.band(np.array(horizons))
     up, down = high - mean, mean - low
@@ -132,6 +131,7 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
     )
     parts = (part * STATE_SCALE for part in (mean, up, down))
     for horizon, *rows in zip(horizons, *parts, strict=True):
-        cells = (f"{m:.2f}\n+{u:.2f} -{d:.2f}" for m, u, d in zip(*rows, strict=True))
+        # one below the other: side by side they do not fit into 80 columns
+        cells = (f"{m:.2f}\n+{u:.2f}\n-{d:.2f}" for m, u, d in zip(*rows, strict=True))
         table.add_row(f"{horizon:g}", *cells)
     console.print(table)

@@ -86,7 +86,7 @@ def replay_command(
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
     else:
-        particulars, _ = particulars_for_log(log, ship)
+        particulars = particulars_for_log(log, ship)[0]
         stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)
     counts: Counter[str] = Counter()
     length = float(run.t[-1] - run.t[0])

@@ -200,7 +200,7 @@ def _feed_twin(ship: str | None, predictor: str) -> tuple[Twin, Vessel | None]:
     """Return the twin of a boat that sends its measurements, and the vessel to show."""
     if predictor_class(predictor).needs_simulator:
         raise PredictorError(f"predictor {predictor!r}: the sea of a real boat is not known to it")
-    particulars, _ = particulars_for_log(Path("feed"), ship or "usv75")
+    particulars = particulars_for_log(Path("feed"), ship or "usv75")[0]
     if ship is None:
         particulars = dataclasses.replace(particulars, design="")
         note("the boat is taken to be the usv75; --vessel names another")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from twin.channels import PSI, R
 from twin.filters.navigation_state import RING_COLUMNS, RING_ROWS
 from usv_kernel.jit import kernel
 
@@ -13,13 +15,30 @@ __all__ = [
 ]
 
 
+_CLOCK, _NORTH, _EAST, _COS, _SIN, _HEADING, _SURGE, _SWAY, _YAW_RATE = range(RING_COLUMNS)
+"""A row of the ring: time, path, and heading, u, v, r."""
+
+
+class PastMotion(NamedTuple):
+    """Where the boat was when a fix was taken."""
+
+    north: float  # way made since, m
+    east: float
+    cos: float  # integrals of the heading's since, s
+    sin: float
+    psi: float  # heading (rad), velocities (m/s) and yaw rate (rad/s) of that time
+    u: float
+    v: float
+    r: float
+
+
 @kernel
 def remember(nav, settings):
     """Write the present into the ring, unless the last entry is too near."""
     count = int(nav.count)
     if count > 0:
         apart = settings.latency / (RING_ROWS - 4)
-        if nav.clock - nav.ring[(count - 1) % RING_ROWS, 0] < apart:
+        if nav.clock - nav.ring[(count - 1) % RING_ROWS, _CLOCK] < apart:
             return
     _present(nav, nav.ring[count % RING_ROWS])
     # the remainder alone counts, and that the ring is full
@@ -28,21 +47,20 @@ def remember(nav, settings):
 
 @kernel
 def _present(nav, row):
-    """Write time, path, and heading, u, v without corrections, then yaw rate."""
-    row[0] = nav.clock
+    """Write a row of the ring; heading, u, v without corrections."""
+    row[_CLOCK] = nav.clock
     for i in range(4):
-        row[1 + i] = nav.path[i]
+        row[_NORTH + i] = nav.path[i]
     for i in range(3):
-        row[5 + i] = nav.n[2 + i] - nav.corrected[i]
-    row[8] = nav.n[5]
+        row[_HEADING + i] = nav.n[PSI + i] - nav.corrected[i]
+    row[_YAW_RATE] = nav.n[R]
 
 
 @kernel
 def past_motion(nav, settings, past):
     """Write where the boat was when the fix was taken.
 
-    ``past`` becomes the way made since to north and east (m), the integrals of cos and sin
-    of the heading (s), and then heading, u, v and r of that time.
+    ``past`` is scratch, a row of the ring.
     """
     _present(nav, past)
     late = settings.latency
@@ -55,23 +73,28 @@ def past_motion(nav, settings, past):
         older = past
         for back in range(1, depth + 1):
             newer, older = older, nav.ring[(count - back) % RING_ROWS]
-            if older[0] <= then:
+            if older[_CLOCK] <= then:
                 break
-        span = newer[0] - older[0]
+        span = newer[_CLOCK] - older[_CLOCK]
         # before the oldest entry, the way goes on as it began
         if span > 0.0:
-            share = min((newer[0] - then) / span, 1e3)
+            share = min((newer[_CLOCK] - then) / span, 1e3)
         for i in range(RING_COLUMNS):
             # ``newer`` may be ``past`` itself
-            past[i] = (
-                newer[i] + share * (older[i] - newer[i]) if i < 5 or share <= 1.0 else older[i]
-            )
+            linear = i < _HEADING or share <= 1.0
+            past[i] = newer[i] + share * (older[i] - newer[i]) if linear else older[i]
     turned, du, dv = nav.corrected[0], nav.corrected[1], nav.corrected[2]
     c, s = math.cos(turned), math.sin(turned)
-    C, S = nav.path[2] - past[3], nav.path[3] - past[4]
-    north = nav.path[0] - past[1] + du * C - dv * S
-    east = nav.path[1] - past[2] + du * S + dv * C
-    past[0], past[1] = c * north - s * east, s * north + c * east
-    past[2], past[3] = c * C - s * S, s * C + c * S
-    past[4], past[5], past[6] = past[5] + turned, past[6] + du, past[7] + dv
-    past[7] = past[8]
+    C, S = nav.path[2] - past[_COS], nav.path[3] - past[_SIN]
+    north = nav.path[0] - past[_NORTH] + du * C - dv * S
+    east = nav.path[1] - past[_EAST] + du * S + dv * C
+    return PastMotion(
+        north=c * north - s * east,
+        east=s * north + c * east,
+        cos=c * C - s * S,
+        sin=s * C + c * S,
+        psi=past[_HEADING] + turned,
+        u=past[_SURGE] + du,
+        v=past[_SWAY] + dv,
+        r=past[_YAW_RATE],
+    )

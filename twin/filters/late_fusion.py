@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.channels import MEASUREMENTS
 from twin.checkpoint import Field, State, StateError, check_fields
 from twin.particulars import Instruments
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -71,26 +72,11 @@ _GPS_SELECT = np.ix_(_GPS_TO_FUSED, _GPS_TO_FUSED)
 
 
 def fuse(phi_gps: Array, K_gps: Array, phi_imu: Array, K_imu: Array) -> tuple[Array, Array, Array]:
-    """Join two estimates of one vector by their inverse covariances.
+    """Join two estimates (n,) of one vector by their inverse covariances (n, n).
 
-    Parameters
-    ----------
-    phi_gps, phi_imu : ndarray, shape (n,)
-        The two estimates.
-    K_gps, K_imu : ndarray, shape (n, n)
-        Their covariances; positive definite.
+    Returned are the fused estimate, its covariance if the errors of the two are independent, and
+    the weight of the first estimate; that of the second is ``I - W_gps``.
 
-    Returns
-    -------
-    phi : ndarray, shape (n,)
-        Fused estimate.
-    K : ndarray, shape (n, n)
-        Its covariance, if the errors of the two are independent.
-    W_gps : ndarray, shape (n, n)
-        Weight of the first estimate; that of the second is ``I - W_gps``.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 41 and 42.
     """
     # solve on the transpose: the sum and both covariances are symmetric
@@ -159,7 +145,7 @@ class LateFusion:
             settings["hold"] = hold
         for name, value in settings.items():
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value} must be a finite number above 0")
+                raise UsvTwinError(f"{name} = {value} must be a finite number above 0")
         self.instruments = instruments
         self.length = float(length)
         self.feedback = bool(feedback)
@@ -267,33 +253,18 @@ class LateFusion:
         return 0.5 * (P + P.T)
 
     def update(self, dt: float, z: ArrayLike) -> Array:
-        """Take one row of measurements.
+        """Take one row of measurements; return the state (6,), heading unwrapped, always finite.
 
-        Parameters
-        ----------
-        dt : float
-            Time since the row before, s; 0 or more. Unused in the first row.
-        z : array_like, shape (10,)
-            GPS x, y, m; GPS velocity north and east, m/s; compass, rad; gyro, rad/s;
-            accelerometer x and y, m/s2; wind speed, m/s (unused). What is not finite counts
-            as missing.
-
-        Returns
-        -------
-        ndarray, shape (6,)
-            State (x, y, psi, u, v, r): m, m, rad (unwrapped), m/s, m/s, rad/s; always
-            finite. A new array in each call.
-
-        Raises
-        ------
-        ValueError
-            If dt is negative or not finite, or z has another shape.
+        ``dt`` is the time since the row before, s; 0 or more, unused in the first row. ``z`` (10,)
+        are GPS x, y, m; GPS velocity north and east, m/s; compass, rad; gyro, rad/s; accelerometer
+        x and y, m/s2; wind speed, m/s (unused). What is not finite counts as missing. UsvTwinError:
+        dt is negative or not finite, or z has another shape.
         """
         z = np.asarray(z, dtype=np.float64)
         if z.shape != (len(MEASUREMENTS),):
-            raise ValueError(f"z has shape {z.shape}; expected ({len(MEASUREMENTS)},)")
+            raise UsvTwinError(f"z has shape {z.shape}; expected ({len(MEASUREMENTS)},)")
         if not (math.isfinite(dt) and dt >= 0.0):
-            raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
+            raise UsvTwinError(f"dt = {dt} must be a finite number, 0 or more")
         given = np.isfinite(z)
         if self._have_fix or self._have_heading:
             self._prepare(dt)
@@ -467,12 +438,7 @@ def _inverse_small(S: Array) -> Array:
 
 
 def _capped(P: Array, cap: Array) -> Array:
-    """Return P with no variance above its cap.
-
-    A capped variance also loses its correlations. The rest stays as it was, so that P stays
-    positive definite. A correlation kept with a variance that is too small would be a gain
-    that is too large: the filter would then run away.
-    """
+    """Return P with no variance above its cap; a capped one also loses its correlations."""
     P = 0.5 * (P + P.T)
     over = P.diagonal() > cap
     if over.any():

@@ -24,22 +24,10 @@ _PIVOT_MIN = 1e-13
 
 @kernel
 def cholesky(A, U, work):
-    """Write the upper Cholesky factor of a symmetric matrix, U' U = A.
+    """Write the upper Cholesky factor U (n, n) of a symmetric A, U' U = A; U may be A itself.
 
-    Parameters
-    ----------
-    A : (n, n) array
-        Symmetric; its upper triangle is read.
-    U : (n, n) array
-        Its factor, also the upper triangle alone; where A is not positive definite to
-        rounding, the row of that pivot is left 0. May be A itself.
-    work : (1, n) array
-        Scratch.
-
-    Returns
-    -------
-    int
-        Number of such pivots.
+    Only upper triangles are read and written. Where A is not positive definite to rounding, the
+    row of that pivot is left 0; returned is the number of such pivots. ``work`` (1, n) is scratch.
     """
     n, lost = A.shape[0], 0
     for j in range(n):
@@ -62,14 +50,9 @@ def cholesky(A, U, work):
 
 @kernel
 def solve_factored(U, b, x):
-    """Write the solution of U' U x = b.
+    """Write the solution x of U' U x = b, with U of full rank from :func:`cholesky`.
 
-    Parameters
-    ----------
-    U : (n, n) array
-        From :func:`cholesky`, without a lost pivot.
-    b, x : (n,) arrays
-        Right side and solution; may be the same.
+    ``x`` may be ``b``.
     """
     n = U.shape[0]
     for i in range(n):
@@ -88,16 +71,9 @@ def solve_factored(U, b, x):
 
 @kernel
 def invert(U, out, work):
-    """Write the inverse of U' U.
+    """Write the inverse of U' U, symmetric to the last bit; ``work`` (n + 1, n) is scratch.
 
-    Parameters
-    ----------
-    U : (n, n) array
-        From :func:`cholesky`, without a lost pivot.
-    out : (n, n) array
-        The inverse, symmetric to the last bit.
-    work : (n + 1, n) array
-        Scratch.
+    U is from :func:`cholesky`, without a lost pivot.
     """
     n = U.shape[0]
     Y, column = work[:n], work[n:]  # Y = the inverse of U', lower
@@ -123,16 +99,8 @@ def invert(U, out, work):
 def add_rows(target, i, columns, factors, rows, which):
     """Add factors[0, j] * rows[j] for j = first ... last - 1 to some columns of target[i].
 
-    Parameters
-    ----------
-    target : (a, b) array
-        Row ``i`` is changed.
-    columns, which : (start, stop), (first, last)
-        Columns that are changed, and rows that are added.
-    factors : (1, d) array
-        Of the rows.
-    rows : (d, b) array
-        May be the target, of which row ``i`` is not among those then.
+    ``columns`` is (start, stop), ``which`` (first, last). ``rows`` may be the target, of which row
+    ``i`` is not among those then.
     """
     start, stop = columns
     first, last = which
@@ -146,22 +114,11 @@ def add_rows(target, i, columns, factors, rows, which):
 
 @kernel
 def add_product(target, left, right, columns, rows, sign):
-    """Add sign * left' right, summed over some of their rows, to the target.
+    """Add sign * left' right, summed over rows (first, last), to the target.
 
-    With left = right and sign = 1 or -1, what is added is symmetric to the last bit.
-
-    Parameters
-    ----------
-    target : (a, b) array
-        Its rows are the first ``size`` columns of left, its columns those of right.
-    left, right : (c, a), (c, b) arrays
-        Factors.
-    columns : (size, start, stop)
-        Rows of the target, and its columns from start to stop.
-    rows : (first, last)
-        Rows of the factors.
-    sign : float
-        1 or -1.
+    ``columns`` is (size, start, stop): the rows of the target are the first ``size`` columns of
+    left, its columns those of right from start to stop. With left = right and sign = 1 or -1,
+    what is added is symmetric to the last bit.
     """
     size, start, stop = columns
     first, last = rows
@@ -175,15 +132,7 @@ def add_product(target, left, right, columns, rows, sign):
 
 @kernel
 def add_square(target, rows):
-    """Add rows' rows to the upper triangle of the target.
-
-    Parameters
-    ----------
-    target : (a, a) array
-        Its upper triangle is added to.
-    rows : (b, a) array
-        Factor.
-    """
+    """Add rows' rows to the upper triangle of the target (a, a)."""
     n = target.shape[0]
     for i in range(n):
         accumulate(
@@ -195,14 +144,9 @@ def add_square(target, rows):
 
 @kernel
 def dot(a, b, lanes):
-    """Return the product of two vectors, summed in lanes so that it can be done in vectors.
+    """Return the product of two vectors (6 n,), summed in lanes (n,) so that it can be vectorised.
 
-    Parameters
-    ----------
-    a, b : (6 n,) arrays
-        Vectors; see :func:`packed_size`.
-    lanes : (n,) array
-        Scratch.
+    See :func:`packed_size`.
     """
     n = lanes.shape[0]
     A, B, C, D = a[:n], a[n : 2 * n], a[2 * n : 3 * n], a[3 * n : 4 * n]

@@ -41,11 +41,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.checkpoint import State, check_fields, fill, record_views
 from twin.filters.dead_reckoning import past_motion, remember
 from twin.filters.navigation_prediction import Motion, mend, predict
 from twin.filters.navigation_state import (
     ACCEL_LIMIT,
+    ACCEL_X_BIAS,
+    ACCEL_Y_BIAS,
+    COMPASS_BIAS,
+    GYRO_BIAS,
+    IMU_LEAPS,
+    IS_MODELLED,
     N_NAV,
     NAVIGATION,
     NAVIGATION_FIELDS,
@@ -54,12 +61,15 @@ from twin.filters.navigation_state import (
     REACH,
     ROUNDS,
     SPEED_LIMIT,
+    TILT_X,
+    TILT_Y,
     TURN_LIMIT,
     VARIANCE_MIN,
     initial_navigation,
     navigation_settings,
 )
 from twin.particulars import Particulars
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
@@ -145,10 +155,10 @@ def _forget_biases(nav, settings):
             P[i, k] = 0.0
             P[k, i] = 0.0
         n[i] = 0.0
-    P[6, 6] = settings.gyro_bias_var
-    P[7, 7] = P[8, 8] = settings.accel_bias_var
-    P[9, 9] = settings.compass_bias_var
-    P[10, 10] = P[11, 11] = settings.tilt_var
+    P[GYRO_BIAS, GYRO_BIAS] = settings.gyro_bias_var
+    P[ACCEL_X_BIAS, ACCEL_X_BIAS] = P[ACCEL_Y_BIAS, ACCEL_Y_BIAS] = settings.accel_bias_var
+    P[COMPASS_BIAS, COMPASS_BIAS] = settings.compass_bias_var
+    P[TILT_X, TILT_X] = P[TILT_Y, TILT_Y] = settings.tilt_var
 
 
 @kernel
@@ -193,31 +203,31 @@ def _start(nav, z, settings):
     n, P = nav.n, nav.P
     speed = settings.velocity_var_0
     fastest = SPEED_LIMIT * math.sqrt(speed)
-    if abs(z[4]) < ROUNDS:
-        n[2] = z[4]
+    if abs(z[COMPASS]) < ROUNDS:
+        n[PSI] = z[COMPASS]
         nav.has_heading = 1.0
-    if abs(z[0]) < REACH and abs(z[1]) < REACH:
-        n[0], n[1] = z[0], z[1]
-        n[3] = n[4] = 0.0
-        if abs(z[2]) < fastest and abs(z[3]) < fastest:
-            n[3], n[4] = z[2], z[3]
+    if abs(z[GPS_X]) < REACH and abs(z[GPS_Y]) < REACH:
+        n[X], n[Y] = z[GPS_X], z[GPS_Y]
+        n[U] = n[V] = 0.0
+        if abs(z[GPS_VX]) < fastest and abs(z[GPS_VY]) < fastest:
+            n[U], n[V] = z[GPS_VX], z[GPS_VY]
         nav.has_fix = 1.0
         nav.gps_age = 0.0
-    if abs(z[5]) < TURN_LIMIT:
-        n[5] = z[5]
+    if abs(z[GYRO]) < TURN_LIMIT:
+        n[R] = z[GYRO]
     if not is_ready(nav):
         return
     old = settings.latency + nav.gps_age
-    c, s = math.cos(n[2]), math.sin(n[2])
+    c, s = math.cos(n[PSI]), math.sin(n[PSI])
     forward, side = settings.gps_x, settings.gps_y
-    north, east = n[3], n[4]
-    n[0] += old * north - c * forward + s * side
-    n[1] += old * east - s * forward - c * side
-    n[3] = north * c + east * s + n[5] * side
-    n[4] = east * c - north * s - n[5] * forward
-    P[0, 0] = P[1, 1] = settings.gps_var + old * old * speed
-    P[2, 2] = settings.compass_var + settings.compass_bias_var
-    P[2, 9] = P[9, 2] = -settings.compass_bias_var
+    north, east = n[U], n[V]
+    n[X] += old * north - c * forward + s * side
+    n[Y] += old * east - s * forward - c * side
+    n[U] = north * c + east * s + n[R] * side
+    n[V] = east * c - north * s - n[R] * forward
+    P[X, X] = P[Y, Y] = settings.gps_var + old * old * speed
+    P[PSI, PSI] = settings.compass_var + settings.compass_bias_var
+    P[PSI, COMPASS_BIAS] = P[COMPASS_BIAS, PSI] = -settings.compass_bias_var
     nav.gps_age = nav.compass_age = nav.imu_age = 0.0
 
 
@@ -242,16 +252,16 @@ def _same(z, nav, sensor, first, last, dt):
 @kernel
 def _take_fix(nav, z, dt, repeats, settings, work):
     """Correct by position and velocity of the antenna when the fix was taken."""
-    n, P, H, past, before = nav.n, nav.P, work.H, work.past[:], work.before
-    past_motion(nav, settings, past)
+    n, P, H, before = nav.n, nav.P, work.H, work.before
+    past = past_motion(nav, settings, work.past[:])
     for i in range(N_NAV):
         before[i] = n[i]
-    c, s = math.cos(past[4]), math.sin(past[4])
+    c, s = math.cos(past.psi), math.sin(past.psi)
     late, age = settings.latency, nav.gps_age
     # unknown change of velocity from then to now
     drift = settings.accel_var * min(dt, STEP_MAX) * late
     drift += settings.tilt_var * late * min(late, 2.0 * settings.tilt_time)
-    drift += max(P[7, 7], P[8, 8]) * late * late
+    drift += max(P[ACCEL_X_BIAS, ACCEL_X_BIAS], P[ACCEL_Y_BIAS, ACCEL_Y_BIAS]) * late * late
     # ... shared by all fixes of that time
     drift *= max(late / max(age, dt, 1e-3), 1.0)
     gps_var = settings.gps_var + drift * late * late / 3.0
@@ -264,20 +274,21 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         for i in range(6):
             H[i] = 0.0
         if j == 0:
-            expected = before[0] - past[0] + c * forward - s * side
-            H[0], H[2], H[3], H[4] = 1.0, past[1] - s * forward - c * side, -past[2], past[3]
+            expected = before[X] - past.north + c * forward - s * side
+            H[X], H[PSI], H[U], H[V] = 1.0, past.east - s * forward - c * side, -past.cos, past.sin
         elif j == 1:
-            expected = before[1] - past[1] + s * forward + c * side
-            H[1], H[2], H[3], H[4] = 1.0, c * forward - s * side - past[0], -past[3], -past[2]
+            expected = before[Y] - past.east + s * forward + c * side
+            H[Y], H[PSI] = 1.0, c * forward - s * side - past.north
+            H[U], H[V] = -past.sin, -past.cos
         else:
-            u, v = past[5] - past[7] * side, past[6] + past[7] * forward
+            u, v = past.u - past.r * side, past.v + past.r * forward
             north, east = u * c - v * s, u * s + v * c
             if j == 2:
                 expected = north
-                H[2], H[3], H[4], H[5] = -east, c, -s, -c * side - s * forward
+                H[PSI], H[U], H[V], H[R] = -east, c, -s, -c * side - s * forward
             else:
                 expected = east
-                H[2], H[3], H[4], H[5] = north, s, c, c * forward - s * side
+                H[PSI], H[U], H[V], H[R] = north, s, c, c * forward - s * side
         innovation = z[j] - expected
         for i in range(6):
             innovation -= H[i] * (n[i] - before[i])
@@ -312,8 +323,8 @@ def navigate(nav, dt, z, model, settings, work):
     nav.gps_age += dt
     nav.compass_age += dt
     nav.imu_age += dt
-    last_gyro = nav.last[5]
-    last_x, last_y = nav.last[6], nav.last[7]
+    last_gyro = nav.last[GYRO]
+    last_x, last_y = nav.last[ACCEL_X], nav.last[ACCEL_Y]
     gps_repeats = _same(z, nav, 0, 0, 4, dt)
     compass_repeats = _same(z, nav, 1, 4, 5, dt)
     imu = not _same(z, nav, 2, 5, 8, dt)
@@ -324,22 +335,28 @@ def navigate(nav, dt, z, model, settings, work):
         return
     # a gyro that follows its row before, and an IMU whose arm it can be used for
     follows = dt > 0.0 and dt <= STEP_MAX and nav.imu_age <= 1.5 * dt
-    gyro = imu and abs(z[5]) < TURN_LIMIT
-    driven = imu and abs(z[6]) < ACCEL_LIMIT and abs(z[7]) < ACCEL_LIMIT
+    gyro = imu and abs(z[GYRO]) < TURN_LIMIT
+    driven = imu and abs(z[ACCEL_X]) < ACCEL_LIMIT and abs(z[ACCEL_Y]) < ACCEL_LIMIT
     if driven and follows:
-        leap = max(abs(z[6] - last_x), abs(z[7] - last_y))
-        if leap > settings.leap and nav.refused[6] < 0.5 * REFUSED_MAX:
-            nav.refused[6] += 1.0
+        leap = max(abs(z[ACCEL_X] - last_x), abs(z[ACCEL_Y] - last_y))
+        if leap > settings.leap and nav.refused[IMU_LEAPS] < 0.5 * REFUSED_MAX:
+            nav.refused[IMU_LEAPS] += 1.0
             driven = False
-            nav.last[6], nav.last[7] = last_x, last_y
+            nav.last[ACCEL_X], nav.last[ACCEL_Y] = last_x, last_y
         else:
-            nav.refused[6] = 0.0
+            nav.refused[IMU_LEAPS] = 0.0
     # what a model gives for this moment does not last through a gap
-    modelled = model[3] > 0.0 and dt * dt * settings.r_var_0 <= 1.0
-    r_rate, r_mean, r_var = 0.0, n[5], settings.r_density
+    modelled = model[IS_MODELLED] > 0.0 and dt * dt * settings.r_var_0 <= 1.0
+    r_rate, r_mean, r_var = 0.0, n[R], settings.r_density
     if gyro:
-        change = z[5] - n[6] - n[5]
-        S = P[5, 5] + 2.0 * P[5, 6] + P[6, 6] + settings.gyro_var + r_var * dt
+        change = z[GYRO] - n[GYRO_BIAS] - n[R]
+        S = (
+            P[R, R]
+            + 2.0 * P[R, GYRO_BIAS]
+            + P[GYRO_BIAS, GYRO_BIAS]
+            + settings.gyro_var
+            + r_var * dt
+        )
         if change * change < GATE * GATE * S:
             r_mean += 0.5 * change
     elif modelled:
@@ -354,16 +371,16 @@ def navigate(nav, dt, z, model, settings, work):
         if driven and j == steps - 1:
             forward, side = settings.imu_x, settings.imu_y
             turn = r_mean * r_mean
-            spin = (z[5] - last_gyro) / dt if gyro and follows else 0.0
+            spin = (z[GYRO] - last_gyro) / dt if gyro and follows else 0.0
             if not abs(spin) * STEP_MAX < 1.0:
                 spin = 0.0
-            force_x = z[6] + turn * forward + spin * side
-            force_y = z[7] + turn * side - spin * forward
+            force_x = z[ACCEL_X] + turn * forward + spin * side
+            force_y = z[ACCEL_Y] + turn * side - spin * forward
             var = settings.accel_var * h * h
             motion = Motion(h, force_x, force_y, var, True, r_mean, r_rate, r_var * h)
         else:
             if not gyro:
-                r_mean = n[5] + 0.5 * h * r_rate
+                r_mean = n[R] + 0.5 * h * r_rate
             motion = Motion(h, ax, ay, held, False, r_mean, r_rate, r_var * h)
         predict(nav, settings, motion, work.A)
     if steps > 1:
@@ -372,22 +389,22 @@ def navigate(nav, dt, z, model, settings, work):
     for i in range(N_NAV):
         H[i] = 0.0
     if gyro:
-        H[5] = H[6] = 1.0
-        innovation = z[5] - n[5] - n[6]
+        H[R] = H[GYRO_BIAS] = 1.0
+        innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
         age = nav.imu_age
         if _correct(nav, work, innovation, settings.gyro_var, age, 5):
             nav.imu_age = 0.0
-        H[5] = H[6] = 0.0
-    if abs(z[4]) < ROUNDS:
-        innovation = wrap(z[4] - n[2] - n[9])
+        H[R] = H[GYRO_BIAS] = 0.0
+    if abs(z[COMPASS]) < ROUNDS:
+        innovation = wrap(z[COMPASS] - n[PSI] - n[COMPASS_BIAS])
         var, age = settings.compass_var, nav.compass_age
         if not compass_repeats or (
             nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
-            H[2] = H[9] = 1.0
+            H[PSI] = H[COMPASS_BIAS] = 1.0
             if _correct(nav, work, innovation, var, age, 4):
                 nav.compass_age = 0.0
-            H[2] = H[9] = 0.0
+            H[PSI] = H[COMPASS_BIAS] = 0.0
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
         _take_fix(nav, z, dt, gps_repeats, settings, work)
     if nav.lost > 0.0:

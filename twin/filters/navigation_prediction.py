@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from twin.filters.navigation_state import N_NAV, SPEED_LIMIT, TURN_LIMIT
+from twin.channels import PSI, R, U, V, X, Y
+from twin.filters.navigation_state import (
+    ACCEL_X_BIAS,
+    ACCEL_Y_BIAS,
+    COMPASS_BIAS,
+    GYRO_BIAS,
+    N_NAV,
+    SPEED_LIMIT,
+    TILT_X,
+    TILT_Y,
+    TURN_LIMIT,
+)
 from usv_kernel.jit import kernel
 
 __all__ = [
@@ -17,10 +28,7 @@ __all__ = [
 
 @kernel
 def _cap(P, settings):
-    """Keep variances below what can be; one that is cut also loses its correlations.
-
-    Left with them it would be a gain that is too large, and the filter would run away.
-    """
+    """Keep variances below what can be; one that is cut also loses its correlations."""
     speed, turn = settings.velocity_var_0, settings.r_var_0
     for i in range(6):
         top = 1e8 * speed / turn  # ten thousand lengths
@@ -76,12 +84,12 @@ def predict(nav, settings, motion, A):
     n, P, path, corrected = nav.n, nav.P, nav.path, nav.corrected
     h, ax, ay, driven = motion.h, motion.ax, motion.ay, motion.is_force
     r_mean, r_rate = motion.r_mean, motion.r_rate
-    u, v, r = n[3], n[4], n[5]
-    psi = n[2] + 0.5 * h * r_mean
+    u, v, r = n[U], n[V], n[R]
+    psi = n[PSI] + 0.5 * h * r_mean
     c, s = math.cos(psi), math.sin(psi)
     if driven:
-        ax -= n[7] + n[10]
-        ay -= n[8] + n[11]
+        ax -= n[ACCEL_X_BIAS] + n[TILT_X]
+        ay -= n[ACCEL_Y_BIAS] + n[TILT_Y]
         u_mean = u + 0.5 * h * (ax + v * r_mean)
         v_mean = v + 0.5 * h * (ay - u * r_mean)
         ax += v_mean * r_mean
@@ -91,42 +99,48 @@ def predict(nav, settings, motion, A):
     north, east = u_mean * c - v_mean * s, u_mean * s + v_mean * c
     # first five rows of A P; A = I + h F
     for k in range(N_NAV):
-        A[0, k] = P[0, k] + h * (P[3, k] * c - P[4, k] * s - P[2, k] * east)
-        A[1, k] = P[1, k] + h * (P[3, k] * s + P[4, k] * c + P[2, k] * north)
-        A[2, k] = P[2, k] + h * P[5, k]
+        A[X, k] = P[X, k] + h * (P[U, k] * c - P[V, k] * s - P[PSI, k] * east)
+        A[Y, k] = P[Y, k] + h * (P[U, k] * s + P[V, k] * c + P[PSI, k] * north)
+        A[PSI, k] = P[PSI, k] + h * P[R, k]
     if driven:
         for k in range(N_NAV):
-            A[3, k] = P[3, k] + h * (r * P[4, k] + v * P[5, k] - P[7, k] - P[10, k])
-            A[4, k] = P[4, k] - h * (r * P[3, k] + u * P[5, k] + P[8, k] + P[11, k])
+            A[U, k] = P[U, k] + h * (r * P[V, k] + v * P[R, k] - P[ACCEL_X_BIAS, k] - P[TILT_X, k])
+            A[V, k] = P[V, k] - h * (r * P[U, k] + u * P[R, k] + P[ACCEL_Y_BIAS, k] + P[TILT_Y, k])
     else:
         for k in range(N_NAV):
-            A[3, k] = P[3, k]
-            A[4, k] = P[4, k]
+            A[U, k] = P[U, k]
+            A[V, k] = P[V, k]
     # their part of (A P) A'; the rest of the columns stays
     for i in range(5):
         for k in range(5, N_NAV):
             P[i, k] = A[i, k]
             P[k, i] = A[i, k]
-        P[i, 0] = A[i, 0] + h * (A[i, 3] * c - A[i, 4] * s - A[i, 2] * east)
-        P[i, 1] = A[i, 1] + h * (A[i, 3] * s + A[i, 4] * c + A[i, 2] * north)
-        P[i, 2] = A[i, 2] + h * A[i, 5]
+        P[i, X] = A[i, X] + h * (A[i, U] * c - A[i, V] * s - A[i, PSI] * east)
+        P[i, Y] = A[i, Y] + h * (A[i, U] * s + A[i, V] * c + A[i, PSI] * north)
+        P[i, PSI] = A[i, PSI] + h * A[i, R]
         if driven:
-            P[i, 3] = A[i, 3] + h * (r * A[i, 4] + v * A[i, 5] - A[i, 7] - A[i, 10])
-            P[i, 4] = A[i, 4] - h * (r * A[i, 3] + u * A[i, 5] + A[i, 8] + A[i, 11])
+            P[i, U] = A[i, U] + h * (r * A[i, V] + v * A[i, R] - A[i, ACCEL_X_BIAS] - A[i, TILT_X])
+            P[i, V] = A[i, V] - h * (r * A[i, U] + u * A[i, R] + A[i, ACCEL_Y_BIAS] + A[i, TILT_Y])
         else:
-            P[i, 3] = A[i, 3]
-            P[i, 4] = A[i, 4]
+            P[i, U] = A[i, U]
+            P[i, V] = A[i, V]
     for i in range(5):
         for k in range(i):
             P[i, k] = P[k, i]
     decay = h / settings.bias_time
-    P[3, 3] += motion.var
-    P[4, 4] += motion.var
-    P[5, 5] += motion.r_var
-    P[6, 6] += 2.0 * decay * (settings.gyro_bias_var - P[6, 6])
-    P[7, 7] += 2.0 * decay * (settings.accel_bias_var - P[7, 7])
-    P[8, 8] += 2.0 * decay * (settings.accel_bias_var - P[8, 8])
-    P[9, 9] += 2.0 * decay * (settings.compass_bias_var - P[9, 9])
+    P[U, U] += motion.var
+    P[V, V] += motion.var
+    P[R, R] += motion.r_var
+    P[GYRO_BIAS, GYRO_BIAS] += 2.0 * decay * (settings.gyro_bias_var - P[GYRO_BIAS, GYRO_BIAS])
+    P[ACCEL_X_BIAS, ACCEL_X_BIAS] += (
+        2.0 * decay * (settings.accel_bias_var - P[ACCEL_X_BIAS, ACCEL_X_BIAS])
+    )
+    P[ACCEL_Y_BIAS, ACCEL_Y_BIAS] += (
+        2.0 * decay * (settings.accel_bias_var - P[ACCEL_Y_BIAS, ACCEL_Y_BIAS])
+    )
+    P[COMPASS_BIAS, COMPASS_BIAS] += (
+        2.0 * decay * (settings.compass_bias_var - P[COMPASS_BIAS, COMPASS_BIAS])
+    )
     stay = math.exp(-h / settings.tilt_time)
     for i in range(10, N_NAV):
         for k in range(N_NAV):
@@ -135,18 +149,18 @@ def predict(nav, settings, motion, A):
         P[i, i] += (1.0 - stay * stay) * settings.tilt_var
         n[i] *= stay
     _cap(P, settings)
-    n[0] += h * north
-    n[1] += h * east
-    n[2] += h * r_mean
-    n[3] += h * ax
-    n[4] += h * ay
-    n[5] += h * r_rate
+    n[X] += h * north
+    n[Y] += h * east
+    n[PSI] += h * r_mean
+    n[U] += h * ax
+    n[V] += h * ay
+    n[R] += h * r_rate
     for i in range(6, 10):
         n[i] *= 1.0 - decay
     fastest = SPEED_LIMIT * math.sqrt(settings.velocity_var_0)
-    n[3] = min(max(n[3], -fastest), fastest)
-    n[4] = min(max(n[4], -fastest), fastest)
-    n[5] = min(max(n[5], -TURN_LIMIT), TURN_LIMIT)
+    n[U] = min(max(n[U], -fastest), fastest)
+    n[V] = min(max(n[V], -fastest), fastest)
+    n[R] = min(max(n[R], -TURN_LIMIT), TURN_LIMIT)
     # the same step without the corrections that were made so far
     c, s = math.cos(psi - corrected[0]), math.sin(psi - corrected[0])
     path[0] += h * ((u_mean - corrected[1]) * c - (v_mean - corrected[2]) * s)

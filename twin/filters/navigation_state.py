@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import STATE
 from twin.checkpoint import FLAG, Field
 from twin.particulars import GRAVITY, Particulars
 
@@ -29,6 +30,16 @@ __all__ = [
 Array = NDArray[np.float64]
 
 N_NAV = 12
+
+GYRO_BIAS, ACCEL_X_BIAS, ACCEL_Y_BIAS, COMPASS_BIAS, TILT_X, TILT_Y = range(len(STATE), N_NAV)
+"""Places in the filter's state of what follows x, y, psi, u, v, r: biases of the sensors, and the
+specific force that tilt lets in."""
+
+IMU_LEAPS = 6
+"""Place of the IMU's leaps among the runs of refused numbers."""
+
+IS_MODELLED = 3
+"""Place, after a model's u', v', r', of whether there is one."""
 
 RING_ROWS, RING_COLUMNS = 64, 9
 

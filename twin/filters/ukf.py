@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.filters.linalg import add_product
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 from usv_kernel.simd import Factors, Rows, Strip, accumulate, combine, inner, padded, transpose
@@ -72,27 +73,17 @@ _OVERFLOW = 1e12
 
 
 def scaled_weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Array:
-    """Return the weights of the scaled unscented transform.
+    """Return the weights (4,) of the scaled unscented transform for n states and parameters.
 
-    Parameters
-    ----------
-    n : int
-        Length of x, states and parameters.
-    alpha, beta, kappa : float
-        Spread of the points, weight of the centre in the covariance, second spread. A small
-        alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
-
-    Returns
-    -------
-    (4,) array
-        Square of the points' distance in standard deviations, alpha^2 (n + kappa); weight of
-        the centre in the mean; in the covariance; weight of each other point.
+    They are the square of the points' distance in standard deviations, alpha^2 (n + kappa); the
+    weight of the centre in the mean; in the covariance; the weight of each other point. A small
+    alpha loses digits: 1e-3 with n = 31 gives the centre a weight of -1e6.
 
     Source: docs/explanation/twin.md, Joint filter; Wan and van der Merwe 2000.
     """
     spread = alpha**2 * (n + kappa)
     if not spread > 0.0:
-        raise ValueError(f"alpha^2 (n + kappa) = {spread} must be above 0")
+        raise UsvTwinError(f"alpha^2 (n + kappa) = {spread} must be above 0")
     mean_0 = 1.0 - n / spread
     return np.array([spread, mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / spread])
 
@@ -128,10 +119,7 @@ def _eliminate(rows, factors, j):
 
 @kernel
 def _factorise(P, root, factors, n_s):
-    """Write the first n_s rows of the upper Cholesky factor of P; return whether they exist.
-
-    They do not either where a parameter would be left a negative variance, given the states.
-    """
+    """Write the first n_s rows of P's upper Cholesky factor; return whether it exists."""
     n = P.shape[0]
     for j in range(n_s):
         row, origin = root[j, :n], P[j]
@@ -178,23 +166,10 @@ def _decorrelate(P):
 
 @kernel
 def sigma_points(x, P, weights, work):
-    """Write the sigma points that move a state.
+    """Write the sigma points that move a state into the points and root of the workspace.
 
-    Parameters
-    ----------
-    x : (n,) array
-        Mean, states first.
-    P : (n, n) array
-        Covariance; changed only where it has no Cholesky factor, see the head of this file.
-    weights : (4,) array
-        From :func:`scaled_weights`.
-    work : UKFWorkspace
-        Its points and root are filled.
-
-    Returns
-    -------
-    int
-        Number of repairs of P; 0 as a rule.
+    P is changed only where it has no Cholesky factor, see the head of this file; returned is the
+    number of such repairs, 0 as a rule.
 
     Source: Eq (29) with n + lambda in place of n + k; docs/explanation/twin.md, Joint filter.
     """
@@ -237,31 +212,14 @@ def _hold(P, Q_s, q_xi):
 
 @kernel
 def time_update(x, P, Q_s, q_xi, limits, weights, work):
-    """Turn the propagated sigma points into the predicted mean and covariance.
+    """Turn the propagated sigma points into the predicted mean and covariance, in place.
 
-    Parameters
-    ----------
-    x : (n,) array
-        Mean; predicted in place.
-    P : (n, n) array
-        Covariance, as :func:`sigma_points` left it; predicted in place.
-    Q_s : (n_s, n_s) array
-        Process noise of the states for this step; symmetric.
-    q_xi : (n_xi,) array
-        Variance that each parameter's random walk adds in this step.
-    limits : (n_s, 2) array of int
-        First and last + 1 of the columns in which a row of the slope may differ from 0,
-        counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one.
-    weights : (4,) array
-        From :func:`scaled_weights`.
-    work : UKFWorkspace
-        As :func:`sigma_points` left it, but with the model's answer in the first n_s columns
-        of the points, and with its slope; both are used up.
-
-    Returns
-    -------
-    int
-        1 if the prediction was dropped because it overflowed, else 0.
+    ``P`` and ``work`` are as :func:`sigma_points` left them, but with the model's answer in the
+    first n_s columns of the points, and with its slope; both are used up. ``Q_s`` (n_s, n_s) is the
+    process noise of this step, ``q_xi`` (n_xi,) what each parameter's random walk adds. ``limits``
+    (n_s, 2) are first and last + 1 of the columns in which a row of the slope may differ from 0,
+    counted in x: (n_s, n) for a full row, (n_s, n_s) for an empty one. Returned is 1 if the
+    prediction was dropped because it overflowed, else 0.
 
     Source: Eq (30) with the noise added once; docs/explanation/performance.md, The structured UKF.
     """
@@ -341,33 +299,12 @@ def time_update(x, P, Q_s, q_xi, limits, weights, work):
 
 @kernel
 def measurement_update(x, P, z, mask, R, angle, gate, work):
-    """Correct mean and covariance by a measurement of the states, as far as there is one.
+    """Correct mean and covariance, in place, by the measured states z (n_s,) that mask names.
 
-    Parameters
-    ----------
-    x : (n,) array
-        Mean; corrected in place.
-    P : (n, n) array
-        Covariance; corrected in place.
-    z : (n_s,) array
-        Measured states; what is not finite counts as missing.
-    mask : (n_s,) array of bool
-        Entries of z that were measured.
-    R : (n_s, n_s) array
-        Covariance of the measurement noise; symmetric.
-    angle : int
-        Index of a state in radians, whose innovation is wrapped; -1 if there is none.
-    gate : float
-        Normalised innovation squared above which the measurement is refused as a whole;
-        infinity to refuse none.
-    work : UKFWorkspace
-        Scratch.
-
-    Returns
-    -------
-    float
-        Normalised innovation squared; chi-square of as many degrees as there were entries.
-        Above ``gate``, or infinite, it says that x and P were left as they were.
+    What is not finite counts as missing. ``angle`` is the index of a state in radians, whose
+    innovation is wrapped; -1 if there is none. ``gate`` is the normalised innovation squared above
+    which the measurement is refused as a whole. Returned is that number, chi-square of as many
+    degrees as there were entries; above ``gate``, or infinite, x and P were left as they were.
 
     Source: Eq (31)-(33) for z = s + noise; docs/explanation/twin.md, Joint filter.
     """
@@ -421,18 +358,8 @@ def measurement_update(x, P, z, mask, R, angle, gate, work):
 class StructuredUKF:
     """The filter as an object, for notebooks and tests.
 
-    Parameters
-    ----------
-    x : (n_s + n_xi,) array
-        Mean, states first.
-    P : (n_s + n_xi, n_s + n_xi) array
-        Covariance.
-    n_s : int
-        Number of states.
-    limits : (n_s, 2) array of int or None
-        Where the slope may differ from 0, see :func:`time_update`; None: everywhere.
-    alpha, beta, kappa : float
-        Of :func:`scaled_weights`.
+    ``x`` (n_s + n_xi,) begins with the n_s states. ``limits`` (n_s, 2) say where the slope may
+    differ from 0, see :func:`time_update`; None: everywhere. Others: see :func:`scaled_weights`.
     """
 
     def __init__(
@@ -457,23 +384,12 @@ class StructuredUKF:
     def predict(
         self, model: Callable[[Array, Array], None], Q_s: ArrayLike, q_xi: ArrayLike
     ) -> int:
-        """Predict over one step.
+        """Predict over one step; return the number of repairs, 0 as a rule.
 
-        Parameters
-        ----------
-        model : callable
-            ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the
-            (1 + 2 n_s, n) sigma points by those one step later, and the (n_s, n) slope by
-            their derivative by x at ``points[0]`` (only its columns n_s and up count).
-        Q_s : (n_s, n_s) array
-            Process noise of the states for this step.
-        q_xi : (n_xi,) array
-            Variances of the parameters' random walk for this step.
-
-        Returns
-        -------
-        int
-            Number of repairs; 0 as a rule.
+        ``model(points, slope)`` overwrites the states ``points[:, :n_s]`` of the (1 + 2 n_s, n)
+        sigma points by those one step later, and the (n_s, n) slope by their derivative by x at
+        ``points[0]`` (only its columns n_s and up count). ``Q_s`` (n_s, n_s) and ``q_xi`` (n_xi,)
+        are the variances of this step.
         """
         repairs = sigma_points(self.x, self.P, self.weights, self.work)
         n = len(self.x)
@@ -489,21 +405,9 @@ class StructuredUKF:
         )
 
     def update(self, z: ArrayLike, R: ArrayLike, angle: int = -1, gate: float = math.inf) -> float:
-        """Correct by a measurement of the states.
+        """Correct by measured states z (n_s,), NaN where there is none; return the NIS.
 
-        Parameters
-        ----------
-        z : (n_s,) array
-            Measured states; NaN where there is none.
-        R : (n_s, n_s) array
-            Covariance of the measurement noise.
-        angle, gate
-            See :func:`measurement_update`.
-
-        Returns
-        -------
-        float
-            Normalised innovation squared.
+        See :func:`measurement_update`.
         """
         z = np.asarray(z, dtype=np.float64)
         R = np.asarray(R, dtype=np.float64)

@@ -90,16 +90,8 @@ def selector_state(memory, p, steps, spacing):
 def forecast_error(first, rows, xi, model, config, work):
     """Return the error of a forecast from one row of a window in place and heading.
 
-    Parameters
-    ----------
-    first, rows, xi, model, config, work
-        See :func:`twin.identification.prediction_error.linearise`.
-
-    Returns
-    -------
-    float
-        Mean over the samples of the squared weighted errors; infinite where the motion leaves all
-        bounds.
+    It is the mean over the samples of the squared weighted errors; infinite where the motion
+    leaves all bounds. Arguments: see :func:`twin.identification.prediction_error.linearise`.
     """
     size, s = rows.shape[0], work.s
     start = rows[first % size]
@@ -213,21 +205,9 @@ SELECTOR_FIELDS = {
 class TrustSelector:
     """Refits of the same segments with unequal trust, and the record of each.
 
-    Parameters
-    ----------
-    segments : Segments
-        Theirs; its ``params`` and ``cov`` are those of the refit in use.
-
-    Attributes
-    ----------
-    memory : ndarray
-        What it remembers, flat.
-    state : SelectorState
-        The same by name, as views.
-    params : ndarray, shape (k, p)
-        Parameters of each refit, a view.
-    errors : ndarray, shape (k,)
-        Mean logarithm of each one's squared errors, a view.
+    The segments' ``params`` and ``cov`` are those of the refit in use. ``memory`` is what it
+    remembers, flat, and ``state`` the same by name; of these, ``params`` (k, p) are the parameters
+    of each refit, ``errors`` (k,) the mean logarithm of each one's squared errors.
     """
 
     def __init__(self, segments: Segments) -> None:
@@ -265,15 +245,7 @@ class TrustSelector:
             note(start, self.segments.config.spacing, self.state)
 
     def score(self, first: int, rows: Array) -> None:
-        """Compare what the refits predicted at a row with what came.
-
-        Parameters
-        ----------
-        first : int
-            Row where a segment began.
-        rows : ndarray, shape (M, 20)
-            The window.
-        """
+        """Compare what the refits predicted at a segment's first row with what came."""
         own = self.segments
         score(first, rows, self.state, own.config, own.model, own.work)
 

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.checkpoint import Field, State, check_fields
 from twin.identification.lyapunov import rosenstein, rosenstein_length
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "NOISE_FORMS",
@@ -69,22 +70,11 @@ EXPONENT_MAX = 50.0
 
 
 def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
-    """Return how much waves and wind fluctuate within the window.
+    """Return how much waves and wind fluctuate within the window: index V.
 
-    Parameters
-    ----------
-    hs : array_like, shape (n,)
-        Significant wave height, m, or anything proportional to it; NaN = missing.
-    vw : array_like, shape (n,)
-        Wind speed, m/s; NaN = missing.
+    ``hs`` (n,) is the wave height, or anything proportional to it; NaN = missing. A quantity that
+    is missing or zero throughout adds nothing.
 
-    Returns
-    -------
-    float
-        Index V. A quantity that is missing or zero throughout adds nothing.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 37 as printed, with 1/3 over two terms.
     """
     total = 0.0
@@ -97,28 +87,15 @@ def environment_index(hs: ArrayLike, vw: ArrayLike) -> float:
 
 
 def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
-    """Return the mean growth of a small difference over the window.
+    """Return the mean growth of a small difference over the window: index S, 1 if differences stay.
 
-    Parameters
-    ----------
-    lambda_max : float
-        Largest Lyapunov exponent, 1/s; NaN (unknown) counts as 0.
-    W : int
-        Window length, samples; above 0.
-    dt : float
-        Sampling interval, s.
+    ``lambda_max`` is the largest Lyapunov exponent, 1/s, NaN counts as 0; W the window length,
+    samples, above 0; dt the sampling interval, s.
 
-    Returns
-    -------
-    float
-        Index S: above 1 if differences grow, 1 if they stay.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 39.
     """
     if W < 1 or not (math.isfinite(dt) and dt >= 0.0):
-        raise ValueError(f"W = {W} must be 1 or more, dt = {dt} finite and 0 or more")
+        raise UsvTwinError(f"W = {W} must be 1 or more, dt = {dt} finite and 0 or more")
     if math.isnan(lambda_max):
         return 1.0
     rate = min(max(lambda_max, -1e12), 1e12)
@@ -126,27 +103,16 @@ def nonlinearity_index(lambda_max: float, W: int, dt: float) -> float:
 
 
 def adjustment_period(trace_P: float, *, form: str = "continuous") -> float:
-    """Return the time between two adjustments of the window.
+    """Return the time (s) between two adjustments of the window.
 
-    Parameters
-    ----------
-    trace_P : float
-        Trace of the innovation covariance, 0 or more; NaN (unknown) counts as 0.
-    form : str
-        One of :data:`PERIOD_FORMS`.
+    ``trace_P`` is the trace of the innovation covariance, 0 or more; NaN counts as 0. ``form`` is
+    one of :data:`PERIOD_FORMS`.
 
-    Returns
-    -------
-    float
-        Period T, s.
-
-    Notes
-    -----
     Source: Qu et al. 2025, Eq 36, and Algorithm 1, lines 5-8. The two agree only at
     ``trace_P == TRACE_LIMIT``.
     """
     if form not in PERIOD_FORMS:
-        raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(PERIOD_FORMS)}")
+        raise UsvTwinError(f"form = {form!r} is unknown; use one of {', '.join(PERIOD_FORMS)}")
     trace = 0.0 if math.isnan(trace_P) else max(trace_P, 0.0)
     if form == "binary":
         return 0.5 * BASE_PERIOD if trace > TRACE_LIMIT else BASE_PERIOD
@@ -177,7 +143,7 @@ class WaveProxy:
     def __init__(self, *, cutoff_period: float = 8.0, memory: float = 10.0) -> None:
         for name, value in (("cutoff_period", cutoff_period), ("memory", memory)):
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value} must be a finite number above 0")
+                raise UsvTwinError(f"{name} = {value} must be a finite number above 0")
         self._slow = cutoff_period / (2.0 * math.pi)
         self._memory = memory
         self.reset()
@@ -202,27 +168,13 @@ class WaveProxy:
         self._square, self._weight = state["square"], state["weight"]
 
     def update(self, dt: float, accel: float) -> float:
-        """Take one sample.
+        """Take a specific force (m/s2), dt (s) after the one before; return the RMS.
 
-        Parameters
-        ----------
-        dt : float
-            Time since the sample before, s.
-        accel : float
-            Vertical or lateral specific force, m/s2; NaN = missing, the value is held.
-
-        Returns
-        -------
-        float
-            RMS of the fast part, m/s2; NaN before the first sample.
-
-        Raises
-        ------
-        ValueError
-            If dt is negative or not finite.
+        A missing sample (NaN) holds the value, which is NaN before the first. UsvTwinError: dt
+        is negative or not finite.
         """
         if not (math.isfinite(dt) and dt >= 0.0):
-            raise ValueError(f"dt = {dt} must be a finite number, 0 or more")
+            raise UsvTwinError(f"dt = {dt} must be a finite number, 0 or more")
         if not abs(accel) < ACCEL_MAX:
             return self.value
         if math.isnan(self.value):
@@ -267,9 +219,9 @@ class DynamicWindow:
         self, *, base: int = 15, cap: int | None = None, period: str = "continuous"
     ) -> None:
         if base < 1 or (cap is not None and cap < 0):
-            raise ValueError(f"base = {base} must be 1 or more, cap = {cap} 0 or more")
+            raise UsvTwinError(f"base = {base} must be 1 or more, cap = {cap} 0 or more")
         if period not in PERIOD_FORMS:
-            raise ValueError(
+            raise UsvTwinError(
                 f"period = {period!r} is unknown; use one of {', '.join(PERIOD_FORMS)}"
             )
         self.base = base
@@ -328,40 +280,15 @@ class DynamicWindow:
         a_y: float = math.nan,
         motion: float = math.nan,
     ) -> int:
-        """Take one row and return the length of the window.
+        """Take one row at time t (s), never before the last; return the length W of the window.
 
-        Parameters
-        ----------
-        t : float
-            Time, s; never before the row before.
-        trace_P : float
-            Trace of the filter's innovation covariance.
-        hs : float
-            Wave height, m, or a proxy of it (:class:`WaveProxy`).
-        vw : float
-            Wind speed, m/s.
-        a_y : float
-            Lateral specific force, m/s2.
-        motion : float
-            Sample of the motion whose exponent is taken: one channel of the state, for
-            instance the speed or the yaw rate.
-
-        Returns
-        -------
-        int
-            W, from ``base`` to ``base + cap``.
-
-        Raises
-        ------
-        ValueError
-            If t is not finite or goes back.
-
-        Notes
-        -----
-        NaN = missing, in each of the values but t.
+        ``trace_P`` is that of the filter's innovation covariance, ``hs`` the wave height, m, or a
+        proxy of it (:class:`WaveProxy`), ``vw`` the wind speed, m/s, ``a_y`` the lateral specific
+        force, m/s2, ``motion`` one channel of the state, whose exponent is taken. NaN = missing,
+        but for t. W is from ``base`` to ``base + cap``. UsvTwinError: t is not finite or goes back.
         """
         if not math.isfinite(t) or t < self._latest:
-            raise ValueError(f"t = {t} must be finite and not before {self._latest}")
+            raise UsvTwinError(f"t = {t} must be finite and not before {self._latest}")
         if math.isnan(self._adjusted):
             self._adjusted = t
         self._latest = t

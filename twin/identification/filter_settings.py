@@ -52,42 +52,24 @@ class FilterError(UsvTwinError):
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """Noises and prior of the joint UKF, in SI units of the boat at hand.
+    """Noises and prior of the joint UKF, in SI units of the boat at hand."""
 
-    Parameters
-    ----------
-    structure : Structure
-        What the accelerations are made of; p parameters.
-    q : ndarray, shape (6,)
-        Variance that each state gains per second.
-    r : ndarray, shape (6,)
-        Variance of each measured state for rows 0.05 s apart (of the study boat's time);
-        rows further apart count for more, as their waves are less correlated.
-    p0 : ndarray, shape (6,)
-        Variance of each state at the start.
-    q_xi : ndarray, shape (p,)
-        Variance that each parameter gains per second.
-    xi0, xi0_cov : ndarray, shapes (p,), (p, p)
-        Prior of the parameters.
-    n_unit : float
-        Shaft speeds are multiplied by this before they enter the model.
-    waves : tuple of float
-        Time (s) over which is averaged by how much the squared innovations of the velocities
-        exceed what the filter expects, and what that mean adds to the densities of measurement
-        noise (s) and process noise (1/s). With zeros nothing is.
-    alpha, beta, kappa : float
-        Spread of the sigma points.
-    """
-
-    structure: Structure
-    q: Array
+    structure: Structure  # what the accelerations are made of; p parameters
+    q: Array  # (6,): variance that each state gains per second
+    # (6,): variance of each measured state for rows 0.05 s apart (of the study boat's time); rows
+    # further apart count for more, as their waves are less correlated
     r: Array
-    p0: Array
-    q_xi: Array
+    p0: Array  # (6,): variance of each state at the start
+    q_xi: Array  # (p,): variance that each parameter gains per second
+    # (p,), (p, p): prior of the parameters
     xi0: Array
     xi0_cov: Array
-    n_unit: float
+    n_unit: float  # shaft speeds are multiplied by this before they enter the model
+    # time (s) over which is averaged by how much the squared innovations of the velocities exceed
+    # what the filter expects, and what that mean adds to the densities of measurement noise (s) and
+    # process noise (1/s). With zeros nothing is
     waves: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # spread of the sigma points
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
@@ -137,16 +119,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
 
 
 def _of_a_tanker(particulars: Particulars) -> FilterSettings:
-    """Return the settings of the plain joint UKF for a slow ship of full form.
-
-    It sails a few lengths in the minutes that others are learned in: its filter needs the model
-    and the prior of ships. What disturbs it goes by its length alone, see :data:`DISTURBED`, and
-    its velocities carry waves in the open, none on a pond: both noises grow with how
-    far the innovations exceed what these small ones explain. Wind and current change while it
-    sails a length, so that the biases that stand for them wander.
-
-    Source: docs/explanation/twin.md, Tankers.
-    """
+    """Return the settings for a slow ship of full form: docs/explanation/twin.md, Tankers."""
     L, time = particulars.length, particulars.length / particulars.speed
     along, turning = DISTURBED
     disturbed = np.array([along / L, along / L, turning / L**2])

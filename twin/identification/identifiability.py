@@ -48,18 +48,10 @@ _SAME = 0.005
 
 @kernel
 def accumulate(gram, terms, which, seconds):
-    """Add regressors to the Gram matrix of what was seen.
+    """Add the products of regressors, times seconds, to the Gram matrix (k, k) of what was seen.
 
-    Parameters
-    ----------
-    gram : (k, k) array
-        Integral of phi phi' over time; its lower triangle is added to.
-    terms : (m,) array
-        Terms of the moment ...
-    which : (k,) array of int
-        ... and those of them that are the regressors phi.
-    seconds : float
-        Time that they stand for, s.
+    It is the integral of phi phi' over time; its lower triangle is added to. ``which`` (k,) says
+    which of the terms (m,) of the moment are the regressors phi.
     """
     for i in range(which.shape[0]):
         weight = seconds * terms[which[i]]
@@ -69,55 +61,34 @@ def accumulate(gram, terms, which, seconds):
 
 @dataclass(frozen=True)
 class SubModel:
-    """What the data say of one sub-model as a whole.
+    """What the data say of one sub-model as a whole."""
 
-    Parameters
-    ----------
-    name : str
-        Surge, sway or yaw.
-    parameters : tuple of str
-        Names of its parameters.
-    effective_rank : float
-        Number of directions that the data tell and not the prior: sum of l / (1 + l) over the
-        eigenvalues l of A (see the head of this file), from 0 to the number of parameters.
-    condition_number : float
-        Largest over smallest eigenvalue of A; NaN without data. It ends at 1/eps = 4.5e15,
-        where the smallest is rounding: not all parameters can be separated.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
+    name: str  # surge, sway or yaw
+    parameters: tuple[str, ...]  # names of its parameters
+    # number of directions that the data tell and not the prior: sum of l / (1 + l) over the
+    # eigenvalues l of A (see the head of this file), from 0 to the number of parameters
     effective_rank: float
+    # largest over smallest eigenvalue of A; NaN without data. It ends at 1/eps = 4.5e15, where the
+    # smallest is rounding: not all parameters can be separated
     condition_number: float
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What the data say of a parameter, or of a weighted sum of collinear ones.
+    """What the data say of a parameter, or of a weighted sum of collinear ones."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the parameter, or the sum, such as ``"T_uL + T_uR"``.
-    members, weights : tuple of str, tuple of float
-        Parameters of the sum, and by how much each counts; the weight of the first is 1.
-    prior_sd, sd : float
-        Standard deviation before and after the data, in the unit of the first.
-    informed : bool
-        Whether the data informed it: its standard deviation fell to :data:`INFORMED` of that
-        of the prior or below, and its own regressor was seen strongly enough for that (its
-        entry in the diagonal of A is 1 or more). Never true for one parameter of a sum.
-    merged_into : str
-        Name of the sum of which alone the data speak; empty for others.
-    """
-
-    name: str
+    name: str  # name of the parameter, or the sum, such as "T_uL + T_uR"
+    # parameters of the sum, and by how much each counts; the weight of the first is 1
     members: tuple[str, ...]
     weights: tuple[float, ...]
+    # standard deviation before and after the data, in the unit of the first
     prior_sd: float
     sd: float
+    # whether the data informed it: its standard deviation fell to INFORMED of that of the prior or
+    # below, and its own regressor was seen strongly enough for that (its entry in the diagonal of A
+    # is 1 or more). Never true for one parameter of a sum
     informed: bool
-    merged_into: str = ""
+    merged_into: str = ""  # name of the sum of which alone the data speak; empty for others
 
     @property
     def ratio(self) -> float:
@@ -127,24 +98,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the data seen say of the parameters of a model.
+    """What the data seen say of the parameters of a model."""
 
-    Parameters
-    ----------
-    seconds : float
-        Time seen, s.
-    submodels : tuple of SubModel
-        Surge, sway, yaw.
-    parameters : tuple of Finding
-        Each parameter by itself.
-    sums : tuple of Finding
-        What takes the place of parameters whose regressors were collinear on the data seen:
-        nothing but the sum is identified.
-    """
-
-    seconds: float
-    submodels: tuple[SubModel, ...]
-    parameters: tuple[Finding, ...]
+    seconds: float  # time seen, s
+    submodels: tuple[SubModel, ...]  # surge, sway, yaw
+    parameters: tuple[Finding, ...]  # each parameter by itself
+    # what takes the place of parameters whose regressors were collinear on the data seen: nothing
+    # but the sum is identified
     sums: tuple[Finding, ...]
 
     @property
@@ -189,31 +149,17 @@ def assess(
     posterior: ArrayLike,
     seconds: float,
 ) -> Identifiability:
-    """Return what the data seen say of the parameters.
+    """Return what the data seen, for so many seconds, say of the parameters.
 
     Parameters are merged where the cosine between their regressors over all the data exceeds
-    :data:`COLLINEAR` in size. The regressors of a parameter are those of all sub-models that
-    it stands in, each weighed by 1/q: what one sub-model cannot tell apart another one may.
-    The weight of a merged parameter is the ratio of its regressor to that of the first.
+    :data:`COLLINEAR` in size. The regressors of a parameter are those of all sub-models that it
+    stands in, each weighed by 1/q: what one sub-model cannot tell apart another one may. The weight
+    of a merged parameter is the ratio of its regressor to that of the first.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the p parameters.
-    submodels : sequence of (str, (k,) array of int)
-        Name and parameters of each; a parameter may stand in several.
-    gram_matrices : sequence of (k, k) arrays
-        Gram matrix of each, from :func:`accumulate`; the lower triangle counts.
-    q : array_like
-        Noise of the acceleration of each: the variance that the velocity gains per second.
-    prior, posterior : array_like, shape (p, p)
-        Covariance of the parameters before and after the data.
-    seconds : float
-        Time seen, s.
-
-    Returns
-    -------
-    Identifiability
+    ``submodels`` have a name and the numbers (k,) of their parameters; a parameter may stand in
+    several. ``gram_matrices`` are from :func:`accumulate`, one each; ``q`` is the noise of the
+    acceleration of each, the variance that the velocity gains per second. ``prior`` and
+    ``posterior`` (p, p) are the covariances before and after the data.
     """
     before, after = np.asarray(prior, dtype=np.float64), np.asarray(posterior, dtype=np.float64)
     prior_sd = np.sqrt(np.diag(before))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI
 from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.ukf import UKFWorkspace, scaled_weights
@@ -48,8 +49,6 @@ __all__ = [
 ]
 
 Array = NDArray[Any]
-
-PSI = 2
 
 STEP_MAX = 0.1
 """Longest step of the filter's prediction, s; longer gaps are cut up."""
@@ -240,20 +239,9 @@ def clip_velocities(x, envelope):
 
 @inlined
 def forecast_mean(plan, dt, state, config, out, work):
-    """Write the states and actuators that a plan leads to.
+    """Write the states and actuators that a plan leads to, with its rows dt (s) apart.
 
-    Parameters
-    ----------
-    plan : (K, 4) array
-        Commands; shaft speeds in the unit of the particulars.
-    dt : float
-        Time between rows, s.
-    state, config : FilterState, FilterConfig
-        Of the joint filter.
-    out : Forecast
-        Plan, states and actuators are written.
-    work : array
-        Scratch of a rollout.
+    ``plan`` (K, 4) has shaft speeds in the unit of the particulars.
     """
     scale_plan(plan, config.n_unit, out.plan)
     n = state.x.shape[0]
@@ -269,18 +257,9 @@ def forecast_mean(plan, dt, state, config, out, work):
 
 @inlined
 def forecast_covariance(plan, dt, state, config, covs, work):
-    """Write the covariances of the state at the ends of the rows of a plan.
+    """Write the covariances (K, 6, 6) of the state at the ends of the rows of a plan.
 
-    Parameters
-    ----------
-    plan : (K, 4) array
-        Commands in the unit of the structure.
-    dt : float
-        Time between rows, s.
-    state, config, work
-        Of the joint filter.
-    covs : (K, 6, 6) array
-        Written.
+    ``plan`` (K, 4) has commands in the unit of the structure, rows dt (s) apart.
     """
     x, P, act = work.ahead
     ahead = JointState(x, P, act, state.wind)
@@ -306,18 +285,10 @@ def forecast_covariance(plan, dt, state, config, covs, work):
 
 @kernel
 def limit_covariances(covs, start_cov, dt, envelope):
-    """Scale down deviations that no boat can have by then.
+    """Scale down, in place, deviations that no boat can have by then.
 
-    Parameters
-    ----------
-    covs : (K, 6, 6) array
-        Covariances at the ends of rows; scaled in place.
-    start_cov : (6, 6) array
-        Covariance at the start; its diagonal counts.
-    dt : float
-        Time between rows, s.
-    envelope : (3,) array
-        Largest size of u, v (m/s) and r (rad/s).
+    ``covs`` (K, 6, 6) are at the ends of rows dt (s) apart, after ``start_cov``, whose diagonal
+    counts. ``envelope`` (3,) is the largest size of u, v (m/s) and r (rad/s).
     """
     for row in range(covs.shape[0]):
         after, cov = dt * (row + 1), covs[row]
@@ -370,30 +341,12 @@ JOINT_FIELDS = {
 class JointUKF:
     """State and parameters of the twin's model in the structured UKF.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        The boat.
-    settings : FilterSettings
-        Noises and prior.
-
-    Attributes
-    ----------
-    memory : ndarray
-        All that the filter remembers, flat; its fields are those of :class:`FilterState`.
-    dtype : np.dtype
-        Structured dtype of the memory: ``memory.view(dtype)[0]["P"]``.
-    x, P : ndarray, shapes (6 + p,), (6 + p, 6 + p)
-        Mean and covariance: six states, then the parameters.
-    act : ndarray, shape (4,)
-        Actuators as followed from the commands, in the unit of the structure.
-    counted, gram_matrices : ndarray, tuple of three ndarrays
-        Time counted (last entry, s), and the Gram matrices of surge, sway and yaw: see
-        :func:`twin.identification.identifiability.accumulate`.
-    wind : ndarray, shape (2,)
-        True wind to north and east, m/s; zeros until it is measured.
-    wave_power : ndarray, shape (3,)
-        Mean squares of the waves in u, v and r.
+    ``memory`` is all that it remembers, flat; ``memory.view(dtype)[0]`` has its fields by name, see
+    :class:`FilterState`. Of these are ``x``, ``P``, six states and then the parameters; ``act``
+    (4,), the actuators as followed from the commands, in the unit of the structure; ``wind`` (2,),
+    the true wind to north and east, m/s, zeros until it is measured; ``wave_power`` (3,), the mean
+    squares of the waves in u, v and r. ``counted`` ends with the time counted, s; ``gram_matrices``
+    are those of surge, sway and yaw, see :func:`twin.identification.identifiability.accumulate`.
     """
 
     def __init__(self, particulars: Particulars, settings: FilterSettings) -> None:
@@ -454,15 +407,7 @@ class JointUKF:
         return self._buffers, self._out
 
     def mean(self, plan: Array, dt: float) -> Array:
-        """Return states (K, 6) under a plan; nothing is changed.
-
-        Parameters
-        ----------
-        plan : ndarray, shape (K, 4)
-            Commands; shaft speeds in the unit of the particulars.
-        dt : float
-            Time between rows, s.
-        """
+        """Return states (K, 6) under a plan (K, 4) with rows dt (s) apart; nothing is changed."""
         buffers, out = self._opened(len(plan))
         _forecast_mean(plan, dt, self.memory, self.constants, self.terms, buffers, self.scratch)
         return np.array(out.states[0])

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 
 __all__ = [
@@ -115,7 +116,7 @@ def rosenstein(
 
     Raises
     ------
-    ValueError
+    UsvTwinError
         If the series is too short or an option is out of range.
 
     Notes
@@ -125,19 +126,19 @@ def rosenstein(
     Source: Rosenstein, Collins and De Luca 1993; Qu et al. 2025, Eq 38.
     """
     if emb_dim < 1 or lag < 1 or min_tsep < 0 or trajectory_len < 2 or not dt > 0.0:
-        raise ValueError(
+        raise UsvTwinError(
             f"emb_dim = {emb_dim}, lag = {lag}, min_tsep = {min_tsep}, "
             f"trajectory_len = {trajectory_len}, dt = {dt}: "
             "expected at least 1, 1, 0, 2, and a dt above 0"
         )
     values = np.ascontiguousarray(series, dtype=np.float64)
     if values.ndim != 1:
-        raise ValueError(f"series has shape {values.shape}; expected (n,)")
+        raise UsvTwinError(f"series has shape {values.shape}; expected (n,)")
     need = rosenstein_length(
         emb_dim=emb_dim, lag=lag, min_tsep=min_tsep, trajectory_len=trajectory_len
     )
     if values.size < need:
-        raise ValueError(f"series has {values.size} samples; at least {need} are needed")
+        raise UsvTwinError(f"series has {values.size} samples; at least {need} are needed")
     if not np.isfinite(values).all():
         return math.nan
     work = np.empty((2, trajectory_len))

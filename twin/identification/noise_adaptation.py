@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.identification.dynamic_window import NOISE_FORMS, _floats
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "NoiseLimits",
@@ -19,34 +20,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseLimits:
-    """Bounds between which the diagonals of Q and R may move.
+    """Bounds between which the diagonals of Q and R may move."""
 
-    Parameters
-    ----------
-    Q_low, Q_high : ndarray, shape (n,)
-        Bounds of the variances of the process noise.
-    R_low, R_high : ndarray, shape (m,)
-        Bounds of the variances of the measurement noise.
-    """
-
+    # (n,): bounds of the variances of the process noise
     Q_low: Array
     Q_high: Array
+    # (m,): bounds of the variances of the measurement noise
     R_low: Array
     R_high: Array
 
     @classmethod
     def around(cls, Q: ArrayLike, R: ArrayLike, *, factor: float = 100.0) -> NoiseLimits:
-        """Return bounds that lie a factor below and above the start values.
+        """Return bounds that lie a factor (above 1) below and above start values.
 
-        Parameters
-        ----------
-        Q, R : array_like
-            Start values, as matrices or as diagonals.
-        factor : float
-            Ratio of bound and start value, above 1. A variance of 0 stays 0.
+        These are matrices or their diagonals; a variance of 0 stays 0.
         """
         if not factor > 1.0:
-            raise ValueError(f"factor = {factor} must be above 1")
+            raise UsvTwinError(f"factor = {factor} must be above 1")
         q, r = _diagonal(_floats(Q)), _diagonal(_floats(R))
         return cls(q / factor, q * factor, r / factor, r * factor)
 
@@ -94,9 +84,9 @@ def adapt_noise(
     matrix; read as added to each variance.
     """
     if form not in NOISE_FORMS:
-        raise ValueError(f"form = {form!r} is unknown; use one of {', '.join(NOISE_FORMS)}")
+        raise UsvTwinError(f"form = {form!r} is unknown; use one of {', '.join(NOISE_FORMS)}")
     if not (alpha >= 0.0 and beta >= 0.0):
-        raise ValueError(f"alpha = {alpha} and beta = {beta} must be 0 or more")
+        raise UsvTwinError(f"alpha = {alpha} and beta = {beta} must be 0 or more")
     return (
         _shift(_floats(Q), alpha, _floats(eps_s), limits.Q_low, limits.Q_high, form),
         _shift(_floats(R), beta, _floats(eps_c), limits.R_low, limits.R_high, form),
@@ -122,4 +112,4 @@ def _diagonal(noise: Array) -> Array:
         return noise.diagonal().copy()
     if noise.ndim == 1:
         return noise.copy()
-    raise ValueError(f"noise has shape {noise.shape}; expected (n, n) or (n,)")
+    raise UsvTwinError(f"noise has shape {noise.shape}; expected (n, n) or (n,)")

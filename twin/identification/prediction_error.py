@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.linalg import add_square, packed_size
 from twin.model.dynamics import rates_over_ground
 from twin.model.rollout import GRID
@@ -88,29 +89,22 @@ class RefitError(UsvTwinError):
 
 @dataclass(frozen=True)
 class RefitSettings:
-    """How the window is cut up and weighted; defaults for 6.3 m at 5.4 m/s, scaled by Froude.
+    """How the window is cut up and weighted.
 
-    Parameters
-    ----------
-    span, spacing, horizon : float
-        Length of the window, time between starts, length of a segment, s.
-    every : int
-        Grid steps between the samples that are compared.
-    sd : ndarray, shape (6,)
-        Standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
-        waves make of a perfect forecast.
-    offset_sd : ndarray, shape (3,)
-        Standard deviations of the initial u, v (m/s) and r (rad/s).
-    scale, knee : float
-        See the head of this file.
+    The defaults are those of :func:`twin.predictors.dsw_ukf_plus.refit_settings`. They were tuned
+    on a boat of 6.336 m at 5.4 m/s; L and U are length and nominal speed over these.
     """
 
+    # length of the window, time between starts, length of a segment, s
     span: float
     spacing: float
     horizon: float
-    every: int
+    every: int  # grid steps between the samples that are compared
+    # (6,): standard deviations of the errors of x, y (m), psi (rad), u, v (m/s), r (rad/s): what
+    # waves make of a perfect forecast
     sd: Array
-    offset_sd: Array
+    offset_sd: Array  # (3,): standard deviations of the initial u, v (m/s) and r (rad/s)
+    # see the head of this file
     scale: float
     knee: float
 
@@ -221,19 +215,19 @@ def drive(act, terms):
 def _stage(number, wind, xi, model, work, linear):
     """Write the rates of the state at a stage and, where asked, their derivatives by it."""
     s, k, terms = work.stage, work.rate, work.terms[number]
-    c, n = math.cos(s[2]), math.sin(s[2])
-    u, v, r = s[3], s[4], s[5]
+    c, n = math.cos(s[PSI]), math.sin(s[PSI])
+    u, v, r = s[U], s[V], s[R]
     current = current_of(xi, 0, model.hull)
-    k[0], k[1], k[2] = u * c - v * n, u * n + v * c, r
-    k[3], k[4], k[5] = rates_over_ground((u, v, r, c, n), wind, current, xi, 0, model, terms)
+    k[X], k[Y], k[PSI] = u * c - v * n, u * n + v * c, r
+    k[U], k[V], k[R] = rates_over_ground((u, v, r, c, n), wind, current, xi, 0, model, terms)
     if not linear:
         return
     A, slopes, by_term = work.A[number], work.slopes, work.by_term
     (u, v), over, (ahead, aside) = through_water((u, v), (c, n), wind, current)
     term_slopes((u, v, r), (c, n), over, model.hull, terms, slopes)
-    A[0, 2], A[0, 3], A[0, 4] = -k[1], c, -n
-    A[1, 2], A[1, 3], A[1, 4] = k[0], n, c
-    A[2, 5] = 1.0
+    A[X, PSI], A[X, U], A[X, V] = -k[Y], c, -n
+    A[Y, PSI], A[Y, U], A[Y, V] = k[X], n, c
+    A[PSI, R] = 1.0
     _add_slopes(BY_PSI, slopes[3], by_term, A, 2)
     _add_slopes(BY_U, slopes[0], by_term, A, 3)
     _add_slopes(BY_V, slopes[1], by_term, A, 4)
@@ -248,18 +242,18 @@ def _add_current_slopes(heading, r, current, slopes, by_term, A, terms):
     c, s = heading
     ahead, aside = current
     for i in range(3):
-        by_u, by_v = A[3 + i, 3], A[3 + i, 4]
-        A[3 + i, 2] += by_v * ahead - by_u * aside
+        by_u, by_v = A[3 + i, U], A[3 + i, V]
+        A[3 + i, PSI] += by_v * ahead - by_u * aside
         for k in range(WIND_X, WIND_N + 1):  # wind acts on the velocity over the ground
             by_u -= by_term[k, i] * slopes[0, k]
             by_v -= by_term[k, i] * slopes[1, k]
         terms[BY_CURRENT + 2 * i] = by_v * s - by_u * c
         terms[BY_CURRENT + 2 * i + 1] = -by_u * s - by_v * c
     # an even current turns with the boat
-    A[3, 2] -= r * ahead
-    A[4, 2] -= r * aside
-    A[3, 5] += aside
-    A[4, 5] -= ahead
+    A[U, PSI] -= r * ahead
+    A[V, PSI] -= r * aside
+    A[U, R] += aside
+    A[V, R] -= ahead
     terms[BY_CURRENT] -= r * s
     terms[BY_CURRENT + 1] += r * c
     terms[BY_CURRENT + 2] -= r * c
@@ -275,15 +269,15 @@ def _add_slopes(some, slopes, by_term, A, j):
         surge += by_term[t, 0] * slopes[t]
         sway += by_term[t, 1] * slopes[t]
         yaw += by_term[t, 2] * slopes[t]
-    A[3, j], A[4, j], A[5, j] = surge, sway, yaw
+    A[U, j], A[V, j], A[R, j] = surge, sway, yaw
 
 
 @inlined
 def rk4_step(row, after, wind, xi, model, work, linear):
-    """Advance the state over a row of the window under the actuators as they were.
+    """Advance the state over a row of the window; return whether it stays within bounds.
 
-    Returns whether it stays within bounds. ``work.terms[3]`` holds the actuators of the row;
-    with ``linear``, the derivatives of the four stages are written as well.
+    ``work.terms[3]`` holds the actuators of the row; with ``linear``, the derivatives of the four
+    stages are written as well.
     """
     s, stage, sums, terms = work.s, work.stage, work.sums, work.terms
     for j in range(LEFT_COS, N_TERMS):
@@ -303,16 +297,12 @@ def rk4_step(row, after, wind, xi, model, work, linear):
             stage[i] = s[i] + h * work.rate[i]
     for i in range(N_STATES):
         s[i] += GRID / 6.0 * sums[i]
-    return abs(s[3]) < 1e3 and abs(s[4]) < 1e3 and abs(s[5]) < 1e2
+    return abs(s[U]) < 1e3 and abs(s[V]) < 1e3 and abs(s[R]) < 1e2
 
 
 @kernel
 def step_jacobian(A, W, D, T):
-    """Write the derivatives of the state after a step by the state before it and by the terms.
-
-    Source: the Runge-Kutta scheme differentiated backwards; W is the derivative of the state
-    after the step by a stage's rates.
-    """
+    """Write the derivatives of the state after a step, by the step differentiated backwards."""
     T[:] = 0.0
     W[:] = 0.0
     for i in range(N_STATES):
@@ -361,28 +351,12 @@ def propagate_sensitivities(T, limits, S, J):
 
 @kernel
 def linearise(first, rows, xi, model, config, work, H, b):
-    """Roll the model out from one row of a window, and write the quadratic that its errors make.
+    """Roll the model out from row ``first`` of a window; write the quadratic that its errors make.
 
     After it, sum of squared weighted errors, minimised over the initial offset, is about
-    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi.
-
-    Parameters
-    ----------
-    first : int
-        Row to start from; rows wrap around at the end of the array.
-    rows : (M, 20) array
-        The window.
-    xi : (p,) array
-        Parameters.
-    model, config, work : ModelTerms, RefitConfig, LineariseWork
-        Structure; weights and lengths; scratch.
-    H, b : (p, p), (p,) arrays
-        Written.
-
-    Returns
-    -------
-    float
-        c; infinite where the motion leaves all bounds, and nothing is written then.
+    ``c - 2 b . (x - xi) + (x - xi)' H (x - xi)`` for parameters x near xi (p,). Returned is c;
+    infinite where the motion leaves all bounds, and nothing is written then. Rows (M, 20) wrap
+    around at the end of the array.
 
     Source: sensitivities by differentiating the Runge-Kutta scheme itself, so that they are
     those of the motion as computed.

@@ -332,28 +332,11 @@ SEGMENT_FIELDS = {
 class Segments:
     """The segments of a window as quadratics, and the parameters that suit them best.
 
-    Parameters
-    ----------
-    model : ModelTerms
-        Of the structure.
-    mean, cov : ndarray, shapes (p,), (p, p)
-        Prior of the parameters.
-    settings : RefitSettings
-        How errors are weighted.
-    capacity : int
-        Largest number of segments; a new one takes the place of the oldest.
-    schedule : sequence of float
-        Time between refits (s), segments that one relinearises, rows between starts, rows of the
-        window, and nominal velocities (3): for the compiled predictor.
-
-    Attributes
-    ----------
-    memory, values, line, scratch : ndarray
-        What it remembers and is given, and scratch of linearisation and solution, flat.
-    state, config, work : SegmentState, RefitConfig, RefitWork
-        The same by name, as views.
-    params, cov : ndarray, shapes (p,), (p, p)
-        Parameters and their covariance (Laplace), views; the prior's at first.
+    ``mean`` (p,) and ``cov`` (p, p) are the prior. Of more than ``capacity`` segments a new one
+    takes the place of the oldest. ``schedule`` is for the compiled predictor: time between refits
+    (s), segments that one relinearises, rows between starts, rows of the window, and nominal
+    velocities (3). ``memory, values, line, scratch`` are flat; ``state, config, work`` are the same
+    by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are views, the prior's at first.
     """
 
     def __init__(
@@ -456,36 +439,17 @@ class Segments:
         return float(self.trust * self.samples * rho.sum() + offset @ self.information @ offset)
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
-        """Move the parameters to the least of the sum of the quadratics and the prior.
-
-        Parameters
-        ----------
-        iterations : int
-            Of the robust weights.
-        damping : float
-            Of Levenberg and Marquardt, in units of the prior's information.
-        """
+        """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
         given = self.state, self.config, self.work
         # a damped step says nothing of how sure the least is
         if solve(self.params, self.trust, 0, iterations, damping, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.trust, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:
-        """Iterate to the least of the true objective: Levenberg-Marquardt over all segments.
+        """Iterate to the least of the true objective; return whether it converged.
 
-        Parameters
-        ----------
-        rows : ndarray, shape (M, 20)
-            The window.
-        iterations : int
-            At most.
-        tolerance : float
-            It has converged where the objective falls by less than this part of itself.
-
-        Returns
-        -------
-        bool
-            Whether it converged.
+        Levenberg-Marquardt over ``rows`` (M, 20), at most so many iterations, until the objective
+        falls by less than the share ``tolerance`` of itself.
         """
         many, damping = len(self.first), 0.0
         self.relinearise(rows, many)

@@ -62,16 +62,10 @@ WAVE_WORK_SIZE = ORDER * ORDER + 2 * ORDER
 
 @kernel
 def fit_waves(w, coefficients, work):
-    """Fit an autoregression to each column, by least squares with a ridge; it is stable.
+    """Fit a stable autoregression to each column, by least squares with a ridge.
 
-    Parameters
-    ----------
-    w : (N, c) array
-        Evenly sampled residuals, about zero; more than twice :data:`ORDER` rows.
-    coefficients : (6, c) array
-        Of the last value first; written.
-    work : (WAVE_WORK_SIZE,) array
-        Scratch.
+    ``w`` (N, c) is evenly sampled and about zero, with more than twice :data:`ORDER` rows.
+    ``coefficients`` (6, c), of the last value first, is written; ``work`` is scratch.
     """
     N = w.shape[0]
     G = shaped(work, 0, (ORDER, ORDER))
@@ -110,16 +104,7 @@ def fit_waves(w, coefficients, work):
 
 @kernel
 def is_stable(a, size, b):
-    """Return whether all roots of an autoregression are smaller than a size.
-
-    Parameters
-    ----------
-    a : (6,) array
-        Coefficients, of the last value first.
-    size : float
-        Size.
-    b : (6,) array
-        Scratch.
+    """Return whether all roots of an autoregression a (6,), last value first, are below a size.
 
     Source: Schur and Cohn's test, by the recursion of Levinson and Durbin downwards.
     """
@@ -155,16 +140,9 @@ def spectral_radius(a, b):
 
 @kernel
 def forecast_waves(past, coefficients, path):
-    """Write how an autoregression goes on without noise.
+    """Write how an autoregression goes on without noise from the last values (6, c), newest first.
 
-    Parameters
-    ----------
-    past : (6, c) array
-        Last values, newest first.
-    coefficients : (6, c) array
-        From :func:`fit_waves`.
-    path : (K + 1, c) array
-        The newest value and the next ones.
+    ``path`` (K + 1, c) begins with the newest value.
     """
     for j in range(path.shape[1]):
         path[0, j] = past[0, j]
@@ -190,10 +168,7 @@ def _sector(psi):
 
 @kernel
 def _levinson(R, a):
-    """Write the autoregression of autocovariances (7,); return the variance of its noise.
-
-    Source: the recursion of Levinson and Durbin.
-    """
+    """Write the autoregression of autocovariances (7,); return the variance of its noise."""
     left = R[0]
     for m in range(ORDER):
         k = R[m + 1]
@@ -219,11 +194,7 @@ def _add_covariances(w, R):
 
 @kernel
 def _join(cov, many, row):
-    """Let the noise of u, v and r come together as covariances (3, 3) say; sizes stay.
-
-    ``row`` is that of a sector, whose factor has but its diagonal yet; ``many`` is added to the
-    variances, so that what was seen of few rows counts for little.
-    """
+    """Correlate the noise of u, v, r as ``cov`` (3, 3) + diag(``many``) says; sizes stay."""
     a, b, c = cov[0] + many[0], cov[4] + many[1], cov[8] + many[2]
     ab, ac = cov[1] / math.sqrt(a * b), cov[2] / math.sqrt(a * c)
     rest = math.sqrt(1.0 - ab * ab)
@@ -247,19 +218,10 @@ def fit_sector_ar(w, psi, good, sectors, work):
     Autoregressions of autocovariances that are weighted by how near the heading was, both rows of
     a product by the root of that: so each is stable.
 
-    Parameters
-    ----------
-    w : (N, 3) array
-        Residuals of u, v and r, about zero; zeros where they are not good.
-    psi : (N,) array
-        Headings, rad.
-    good : (N,) array
-        Above 0 where the row counts.
-    sectors : (24, 27) array
-        Coefficients (6, 3), of the last value first, and the lower triangular factor (3, 3) of
-        the noise; written.
-    work : array
-        Scratch, as long as :func:`sector_work_size` says.
+    ``w`` (N, 3) are residuals of u, v, r about zero, zeros where not good; ``good`` (N,) is above 0
+    where the row counts. ``sectors`` (24, 27) is written: coefficients (6, 3), of the last value
+    first, and the lower triangular factor (3, 3) of the noise. ``work`` is
+    :func:`sector_work_size` long.
     """
     N = w.shape[0]
     near, at, rest = shaped(work, 0, (N, 3)), work[3 * N :][:N], work[4 * N :]
@@ -329,18 +291,9 @@ def fit_sector_ar(w, psi, good, sectors, work):
 
 @kernel
 def simulate_waves(sectors, psi, shocks, out):
-    """Write paths of waves from a calm on.
+    """Write paths (D, K, 3) of waves from a calm on, along headings ``psi`` (K,).
 
-    Parameters
-    ----------
-    sectors : (24, 27) array
-        From :func:`fit_sector_ar`.
-    psi : (K,) array
-        Headings ahead, rad.
-    shocks : (D, k, 3) array
-        Standard normal numbers, used again where they do not reach; zeros stay calm.
-    out : (D, K, 3) array
-        Paths.
+    ``shocks`` (D, k, 3) are standard normal, used again where they do not reach; zeros stay calm.
     """
     for k in range(psi.shape[0]):
         row = sectors[_sector(psi[k])]
@@ -356,18 +309,10 @@ def simulate_waves(sectors, psi, shocks, out):
 
 @kernel
 def between(path, grid, after, ends, means):
-    """Write values of paths at times, and their means from each time to the next.
+    """Write values of paths at rising times ``after`` (s), and their means from each to the next.
 
-    Parameters
-    ----------
-    path : (D, K + 1, c) array
-        Values from now on, ``grid`` s apart; straight lines between them.
-    grid : float
-        Step of the path, s.
-    after : (M,) array
-        Rising times after now, s, within the path.
-    ends, means : (D, M, c) arrays
-        Values at the times; means since the time before (now, for the first).
+    ``path`` (D, K + 1, c) has values from now on, ``grid`` s apart, with straight lines between
+    them. The first of the means (D, M, c) is since now.
     """
     last = path.shape[1] - 2
     for d in range(path.shape[0]):

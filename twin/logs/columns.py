@@ -56,31 +56,17 @@ class LogError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Entry:
-    """Columns of a log and what they are made of.
+    """Columns of a log and what they are made of."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Columns of the log.
-    sources : tuple of str
-        Columns of a file, or fields of a message (``pose.pose.position.x``; with ``?`` at the
-        end: NaN where the message has none).
-    convert : callable, optional
-        Takes one array per source, gives one per name; None hands the one source to each name.
-    topic : str
-        Of the messages; empty for a file of columns.
-    note : str
-        For the user.
-    clock : bool
-        Whether the source is a date and time, not a number.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # columns of the log
+    # columns of a file, or fields of a message (pose.pose.position.x; with ? at the end: NaN where
+    # the message has none)
     sources: tuple[str, ...]
+    # takes one array per source, gives one per name; None hands the one source to each name
     convert: Callable[[Sequence[Array]], Sequence[Array]] | None = None
-    topic: str = ""
-    note: str = ""
-    clock: bool = False
+    topic: str = ""  # of the messages; empty for a file of columns
+    note: str = ""  # for the user
+    clock: bool = False  # whether the source is a date and time, not a number
 
     def columns(self, values: Sequence[Array]) -> dict[str, Array]:
         """Return the log's columns from the sources' values, each of shape (N,)."""

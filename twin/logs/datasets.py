@@ -119,22 +119,10 @@ _PATTERNS = {
 
 
 def runs(folder: str | Path) -> list[str]:
-    """Return the names of the runs in a folder, sorted.
+    """Return the names of the runs in a folder of one of the archives, sorted.
 
-    Parameters
-    ----------
-    folder : str or Path
-        One of the three folders, as it was downloaded.
-
-    Raises
-    ------
-    ArchiveError
-        If the folder is absent, unknown or empty.
-
-    Notes
-    -----
     ``turn_cut_*`` of the Esso Osaka is a piece of another run: do not learn from the one and
-    score on the other.
+    score on the other. ArchiveError: the folder is absent, unknown or empty.
     """
     folder = Path(folder)
     if folder.name not in _PATTERNS:
@@ -151,24 +139,9 @@ def runs(folder: str | Path) -> list[str]:
 
 
 def load(folder: str | Path, name: str) -> tuple[Log, Particulars]:
-    """Return a recorded run and the particulars of its boat.
+    """Return a recorded run of a folder, as ``Log.read`` reads it, and its boat's particulars.
 
-    Parameters
-    ----------
-    folder : str or Path
-        As for :func:`runs`.
-    name : str
-        One of :func:`runs`.
-
-    Returns
-    -------
-    Log, Particulars
-        The log as ``Log.read`` reads it, and the boat.
-
-    Raises
-    ------
-    ArchiveError
-        If there is no such run.
+    ArchiveError: there is no such run.
     """
     folder = Path(folder)
     there = runs(folder)
@@ -179,28 +152,14 @@ def load(folder: str | Path, name: str) -> tuple[Log, Particulars]:
 
 
 def known(path: str | Path) -> bool:
-    """Return whether a file is a run of one of the archives, by its header.
-
-    Parameters
-    ----------
-    path : str or Path
-        Any file; one that cannot be read is none.
-    """
+    """Return whether a file is a run of one of the archives, by its header."""
     return _folder_of(Path(path)) is not None
 
 
 def ship(path: str | Path) -> Particulars:
     """Return the particulars of the boat of a run, by its file, which may lie anywhere.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file that :func:`known` knows.
-
-    Raises
-    ------
-    ArchiveError
-        If it is none.
+    ArchiveError: it is no file that :func:`known` knows.
     """
     folder = _folder_of(Path(path))
     if folder is None:
@@ -230,20 +189,10 @@ def _header(path: Path) -> set[str]:
 
 
 def export(folder: str | Path, out: str | Path) -> list[Path]:
-    """Write the runs of a folder as ``usv-twin benchmark --log`` takes them.
+    """Write the runs of a folder as ``usv-twin benchmark --log`` takes them; return the logs.
 
-    Parameters
-    ----------
-    folder : str or Path
-        As for :func:`runs`.
-    out : str or Path
-        Folder to write to, made if it is not there: for each run ``<name>.csv`` and the
-        particulars ``<name>.toml``.
-
-    Returns
-    -------
-    list of Path
-        The logs.
+    They are ``<name>.csv``, each with particulars ``<name>.toml``. The folder ``out`` is made if it
+    is not there.
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)

@@ -75,44 +75,21 @@ _FAR = 1e5
 
 @dataclass(frozen=True)
 class Layout:
-    """What a mapping file says.
+    """What a mapping file says."""
 
-    Parameters
-    ----------
-    entries : tuple of Entry
-        In the order of the file.
-    source : str
-        File, for messages.
-    start, stop : float
-        Rows with ``start <= t_s < stop`` are read, s.
-    step : float
-        Rows of each ``step`` seconds become one, which holds the last sample of each column; 0
-        for all rows.
-    stamp : str
-        ``header`` or ``receive``: which time of a message counts.
-    """
-
-    entries: tuple[Entry, ...] = ()
-    source: str = ""
+    entries: tuple[Entry, ...] = ()  # in the order of the file
+    source: str = ""  # file, for messages
+    # rows with start <= t_s < stop are read, s
     start: float = -math.inf
     stop: float = math.inf
+    # rows of each step seconds become one, which holds the last sample of each column; 0 for all
+    # rows
     step: float = 0.0
-    stamp: str = "header"
+    stamp: str = "header"  # header or receive: which time of a message counts
 
     @classmethod
     def load(cls, path: str | Path) -> Layout:
-        """Read a mapping file.
-
-        Parameters
-        ----------
-        path : str or Path
-            TOML file as in the head of this module.
-
-        Raises
-        ------
-        LogError
-            Names the file, the key and the remedy.
-        """
+        """Read a TOML file as in the head of this module; LogError names key and remedy."""
         path = Path(path)
         try:
             data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -137,13 +114,8 @@ LAYOUTS = (
 def layout_of(name: str, header: Sequence[str]) -> Layout | None:
     """Return the shipped mapping for a record of known columns, if it is one.
 
-    Parameters
-    ----------
-    name : str
-        Of the record.
-    header : sequence of str
-        Its columns. The first of :data:`LAYOUTS` fits of whose columns for what each log needs
-        at most one is not there, which is then said.
+    The first of :data:`LAYOUTS` fits of whose columns for what each log needs at most one is not
+    there, which is then said.
     """
     for pattern, kind in LAYOUTS:
         if fnmatch(name, pattern):
@@ -344,13 +316,6 @@ def _linear(
 def radii(latitude: float) -> tuple[float, float]:
     """Return metres north per radian of latitude, and metres east per radian of longitude.
 
-    Parameters
-    ----------
-    latitude : float
-        Degrees.
-
-    Notes
-    -----
     Source: radii of curvature of the ellipsoid, Torge and Mueller 2012, Geodesy, section 4.1.
     """
     a, e2 = _WGS84
@@ -391,10 +356,7 @@ def _projection(
 
 
 def _yaw(enu: bool, offset: float) -> Callable[[Sequence[Array]], Sequence[Array]]:
-    """Return the conversion of a quaternion to the heading clockwise from north, rad.
-
-    Source: Fossen 2021, Handbook of Marine Craft, Eq. 2.76 (yaw of a unit quaternion).
-    """
+    """Return the conversion of a quaternion to heading, rad; Fossen 2021, Eq. 2.76."""
 
     def convert(values: Sequence[Array]) -> list[Array]:
         x, y, z, w = values

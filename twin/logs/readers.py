@@ -60,30 +60,14 @@ _SUFFIXES = (".csv", ".parquet", ".mcap", ".db3")
 
 @dataclass
 class Table:
-    """Columns of a log as a file gave them, before any check of what they mean.
+    """Columns of a log as a file gave them, before any check of what they mean."""
 
-    Parameters
-    ----------
-    source : str
-        File, for messages.
-    name : str
-        Of the log.
-    data : dict of str to ndarray, shape (N,)
-        Columns of the log.
-    given : dict of str to str
-        What the file calls them.
-    line : callable
-        Returns the place of a row in the file, for messages.
-    notes : list of str
-        What was done so far.
-    """
-
-    source: str
-    name: str
-    data: dict[str, Array]
-    given: dict[str, str]
-    line: Callable[[int], str]
-    notes: list[str] = field(default_factory=list)
+    source: str  # file, for messages
+    name: str  # of the log
+    data: dict[str, Array]  # (N,): columns of the log
+    given: dict[str, str]  # what the file calls them
+    line: Callable[[int], str]  # returns the place of a row in the file, for messages
+    notes: list[str] = field(default_factory=list)  # what was done so far
 
 
 def name_of(path: Path) -> str:
@@ -101,15 +85,7 @@ def shorten(text: str, length: int = 40) -> str:
 
 
 def merged(group: npt.NDArray[np.intp], data: Mapping[str, Array]) -> dict[str, Array]:
-    """Return one row for each group: the last value in it that is not NaN.
-
-    Parameters
-    ----------
-    group : ndarray, shape (N,)
-        Number of each row's group, 0, 0, 1, ...
-    data : mapping of str to ndarray, shape (N,)
-        Columns.
-    """
+    """Return one row for each group (N,), 0, 0, 1, ...: the last value in it that is not NaN."""
     rows = int(group[-1]) + 1 if len(group) else 0
     result = {}
     for key, values in data.items():
@@ -156,21 +132,9 @@ def date_of(epoch: float) -> str:
 
 
 def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layout) -> Table:
-    """Return the log's columns that entries make of a file.
+    """Return the log's columns that entries, one of which gives the time, make of a file.
 
-    Parameters
-    ----------
-    file : CsvFile or ParquetFile
-        To be read.
-    entries : sequence of Entry
-        One of them gives the time.
-    layout : Layout
-        For its rows.
-
-    Raises
-    ------
-    LogError
-        Where a cell is no number or the log is too long.
+    LogError: a cell is no number or the log is too long.
     """
     sources = list(dict.fromkeys(source for entry in entries for source in entry.sources))
     timed = next(entry for entry in entries if TIME in entry.names)
@@ -272,18 +236,7 @@ def _dates(text: pl.Series) -> pl.Series:
 
 
 class CsvFile:
-    """A CSV file, plain or gzipped.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Raises
-    ------
-    LogError
-        Where it is no CSV file with a header.
-    """
+    """A CSV file, plain or gzipped; LogError where it is none with a header."""
 
     unit = "line"
 
@@ -320,15 +273,7 @@ class CsvFile:
             raise cannot_be_read(self.path, error) from None
 
     def blocks(self, sources: Sequence[str], clock: str) -> Iterator[_Block]:
-        """Yield the columns named, in pieces of whole lines.
-
-        Parameters
-        ----------
-        sources : sequence of str
-            Columns of the header.
-        clock : str
-            The one of them that holds dates, if any.
-        """
+        """Yield the columns named, in pieces of whole lines; ``clock`` holds dates, if any."""
         wanted = [j for j, name in enumerate(self.header) if name in sources]
         first = self.blank + 2
         with self._whole(), self._open() as file:
@@ -453,18 +398,7 @@ def _ragged(text: bytes, first: int, width: int) -> str | None:
 
 
 class ParquetFile:
-    """A Parquet file.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Raises
-    ------
-    LogError
-        Where it is no Parquet file.
-    """
+    """A Parquet file; LogError where it is none."""
 
     unit = "row"
 

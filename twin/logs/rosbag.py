@@ -59,19 +59,10 @@ class _Topic:
 
 
 def read_bag(path: Path, layout: Layout | None) -> Table:
-    """Return the log's columns that a mapping makes of a bag.
+    """Return the log's columns that a mapping makes of a bag; one row for each stamp of any topic.
 
-    Parameters
-    ----------
-    path : Path
-        Folder with ``metadata.yaml``, or a file ``.mcap`` or ``.db3``.
-    layout : Layout or None
-        The mapping; None is refused with a list of the topics.
-
-    Returns
-    -------
-    Table
-        One row for each stamp of any topic: NaN where a sensor gave nothing, commands held.
+    The bag is a folder with ``metadata.yaml``, or a file ``.mcap`` or ``.db3``. Without a mapping
+    it is refused with a list of the topics. NaN where a sensor gave nothing, commands held.
     """
     try:
         from rosbags.highlevel import AnyReader

@@ -17,26 +17,10 @@ ARRIVED = 1e-7
 
 @inlined
 def follow(value, target, lag, rate, h):
-    """Return where a lagged, rate-limited actuator is after a time h, exactly.
+    """Return where a lagged, rate-limited actuator is after a time h (s), exactly.
 
-    It solves ``usv_kernel.scalar.actuate`` for a constant target: straight at full rate, then an
-    exponential. So a lag far shorter than the step does no harm.
-
-    Parameters
-    ----------
-    value, target : float
-        Where the actuator is and where its command is, in its own unit.
-    lag : float
-        Time constant, s; above 0.
-    rate : float
-        Largest speed, units per s; infinity for none.
-    h : float
-        Time, s.
-
-    Returns
-    -------
-    float
-        Later value, in the same unit.
+    It solves :func:`usv_kernel.scalar.actuate` for a constant target: straight at full rate, then
+    an exponential. So a lag far shorter than the step does no harm.
     """
     return _follow(value, target, lag, rate, h, math.exp(-h / lag))
 
@@ -59,19 +43,11 @@ def _follow(value, target, lag, rate, h, stay):
 
 @kernel
 def follow_all(act, command, lags, n_unit, h):
-    """Move the four actuators towards their commands for a time h.
+    """Move the four actuators towards their commands for a time h (s), in place.
 
-    Parameters
-    ----------
-    act : (4,) array
-        In the unit of the structure, rad; moved in place.
-    command : (4,) array
-        With shaft speeds in a unit that ``n_unit`` turns into that of the structure, rad.
-    lags : (3,) array
-        Time constants of shaft speed and drive angle, s, above 0; largest turning speed of
-        the drives, rad/s.
-    n_unit, h : float
-        Unit of the command's shaft speeds; time, s.
+    ``n_unit`` turns the command's shaft speeds into the unit of the structure. ``lags`` (3,) are
+    the time constants of shaft speed and drive angle (s, above 0) and the largest turning speed of
+    the drives (rad/s).
     """
     _follow_pair(act, 0, n_unit * command[0], n_unit * command[1], lags[0], math.inf, h)
     _follow_pair(act, 2, command[2], command[3], lags[1], lags[2], h)

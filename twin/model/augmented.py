@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.ukf import sigma_points, time_update
 from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import BY_CURRENT, N_STATES, N_TERMS, current_of
@@ -46,10 +47,7 @@ class JointWorkspace(NamedTuple):
 
 @kernel
 def propagate_points(act, wind, model, h, terms, sigma):
-    """Send the sigma points through :func:`twin.model.dynamics.step`; write the model's slope.
-
-    Source: Eq (25).
-    """
+    """Send the sigma points through the model; write its slope. Source: Eq (25)."""
     points, slope = sigma.points, sigma.slope
     psi = points[0, 2]
     sin_0, cos_0 = sincos(psi)
@@ -70,41 +68,26 @@ def propagate_points(act, wind, model, h, terms, sigma):
     sin_psi, cos_psi = sin_0, cos_0
     for i in range(points.shape[0]):
         point = points[i]
-        u, v, r = point[3], point[4], point[5]
-        if point[2] == psi:  # Half of the points move no heading.
+        u, v, r = point[U], point[V], point[R]
+        if point[PSI] == psi:  # Half of the points move no heading.
             cos_psi, sin_psi = cos_0, sin_0
         else:
-            sin_psi, cos_psi = sincos(point[2])
+            sin_psi, cos_psi = sincos(point[PSI])
         motion, current = (u, v, r, cos_psi, sin_psi), current_of(point, N_STATES, model.hull)
         du, dv, dr = rates_over_ground(motion, wind, current, point, N_STATES, model, terms)
-        point[0] += h * (u * cos_psi - v * sin_psi)
-        point[1] += h * (u * sin_psi + v * cos_psi)
-        point[2] += h * r
-        point[3] += h * du
-        point[4] += h * dv
-        point[5] += h * dr
+        point[X] += h * (u * cos_psi - v * sin_psi)
+        point[Y] += h * (u * sin_psi + v * cos_psi)
+        point[PSI] += h * r
+        point[U] += h * du
+        point[V] += h * dv
+        point[R] += h * dr
 
 
 @inlined
 def joint_predict(state, h, config, work):
-    """Predict state and parameters over one step with the structured UKF.
+    """Predict state and parameters over a step h (s) with the structured UKF, in place.
 
-    Parameters
-    ----------
-    state : JointState
-        Its mean and covariance are predicted in place.
-    h : float
-        Step, s.
-    config : JointConfig
-        Model and weights.
-    work : JointWorkspace
-        Noise of the step, and scratch.
-
-    Returns
-    -------
-    int
-        Number of numerical repairs (see twin.filters.ukf); 0 as a rule.
-
+    Returned is the number of numerical repairs (see twin.filters.ukf); 0 as a rule.
     Source: Eq (28)-(30), (34), (43).
     """
     repairs = sigma_points(state.x, state.P, config.weights, work.sigma)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.model.structure import (
     BY_CURRENT,
     CURRENT,
@@ -40,7 +41,7 @@ def model_of(
     tanker: bool | None = None,
     current: bool = False,
 ) -> Structure:
-    """Return the model structure of a boat.
+    """Return the model structure of a boat; StructureError lists the names that there are.
 
     Parameters
     ----------
@@ -122,7 +123,7 @@ def current_terms(motion, wind, xi, first, model, terms):
 
 @kernel
 def derivative(s, xi, act, wind, model, terms, out):
-    """Write the time derivative of the state.
+    """Write the time derivative (6,) of the state, and leave the terms in ``terms`` (50,).
 
     Parameters
     ----------
@@ -144,29 +145,17 @@ def derivative(s, xi, act, wind, model, terms, out):
     Source: Eq (20), (26).
     """
     drive(act, terms)
-    cos_psi, sin_psi = math.cos(s[2]), math.sin(s[2])
-    out[0] = s[3] * cos_psi - s[4] * sin_psi
-    out[1] = s[3] * sin_psi + s[4] * cos_psi
-    out[2] = s[5]
-    motion, current = (s[3], s[4], s[5], cos_psi, sin_psi), current_of(xi, 0, model.hull)
-    out[3], out[4], out[5] = rates_over_ground(motion, wind, current, xi, 0, model, terms)
+    cos_psi, sin_psi = math.cos(s[PSI]), math.sin(s[PSI])
+    out[X] = s[U] * cos_psi - s[V] * sin_psi
+    out[Y] = s[U] * sin_psi + s[V] * cos_psi
+    out[PSI] = s[R]
+    motion, current = (s[U], s[V], s[R], cos_psi, sin_psi), current_of(xi, 0, model.hull)
+    out[U], out[V], out[R] = rates_over_ground(motion, wind, current, xi, 0, model, terms)
 
 
 @kernel
 def step(s, xi, act, wind, model, h, terms, out):
-    """Write the state one Euler step later.
-
-    Parameters
-    ----------
-    s, xi, act, wind, model, terms
-        See :func:`derivative`.
-    h : float
-        Step, s.
-    out : (6,) array
-        The later state; not ``s`` itself.
-
-    Source: Eq (25).
-    """
+    """Write the state one Euler step h (s) later to ``out``, not ``s`` itself. Source: Eq (25)."""
     derivative(s, xi, act, wind, model, terms, out)
     for k in range(N_STATES):
         out[k] = s[k] + h * out[k]

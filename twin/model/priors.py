@@ -54,45 +54,23 @@ class PriorError(UsvTwinError):
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Dimensionless parameters of a population of boats.
+    """Dimensionless parameters of a population of boats."""
 
-    Parameters
-    ----------
-    about : str
-        One line that says how it was made.
-    parameters : tuple of str
-        Names of the p parameters.
-    boats : ndarray, shape (b,)
-        Number of each boat in its population; those that the model did not fit are missing.
-    fits : ndarray, shape (b, p)
-        Their parameters in the natural units of the structure.
-    """
-
-    about: str
-    parameters: tuple[str, ...]
+    about: str  # one line that says how it was made
+    parameters: tuple[str, ...]  # names of the p parameters
+    # (b,): number of each boat in its population; those that the model did not fit are missing
     boats: NDArray[np.int64]
-    fits: Array
+    fits: Array  # (b, p): their parameters in the natural units of the structure
 
     @classmethod
     def load(cls, path: Path) -> Prior:
-        """Read a file that :meth:`to_csv` wrote.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Raises
-        ------
-        PriorError
-            Names the file and the remedy.
-        """
+        """Read a file that :meth:`to_csv` wrote; PriorError names the file and the remedy."""
         try:
             about, names, *rows = path.read_text(encoding="utf-8").splitlines()
             parameters = tuple(names.split(",")[1:])
             table = np.array([row.split(",") for row in rows], dtype=float)
             if table.shape != (len(rows), 1 + len(parameters)) or not np.isfinite(table).all():
-                raise ValueError(f"{len(parameters)} parameters, table of shape {table.shape}")
+                raise PriorError(f"{len(parameters)} parameters, table of shape {table.shape}")
         except (OSError, ValueError) as error:
             raise PriorError(
                 f"{path}: is no prior ({error}); make a new one with "
@@ -108,26 +86,11 @@ class Prior:
         return "\n".join(lines) + "\n"
 
     def of(self, structure: Structure) -> tuple[Array, Array]:
-        """Return median and covariance of a boat's parameters in SI units.
+        """Return median (p,) and covariance (p, p) of a boat's parameters in SI units.
 
-        Parameters
-        ----------
-        structure : Structure
-            The model of the boat. Its parameters that calm water does not show (wind, biases,
-            the side force of drives that do not turn) keep the mean and the standard deviation
-            that stand there.
-
-        Returns
-        -------
-        mean : ndarray, shape (p,)
-            Medians of the population.
-        covariance : ndarray, shape (p, p)
-            Positive definite.
-
-        Raises
-        ------
-        PriorError
-            If the population is one of another structure.
+        Parameters that calm water does not show (wind, biases, the side force of drives that do not
+        turn) keep the structure's mean and standard deviation. PriorError: the population is one of
+        another structure.
         """
         if not set(self.parameters) <= set(structure.parameters):
             raise PriorError(
@@ -147,13 +110,7 @@ class Prior:
 
 
 def kind_of(particulars: Particulars) -> str:
-    """Return which of :data:`KINDS` a boat belongs to, or :data:`TANKER`.
-
-    Parameters
-    ----------
-    particulars : Particulars
-        Main particulars and steering are used.
-    """
+    """Return which of :data:`KINDS` a boat belongs to, or :data:`TANKER`."""
     if particulars.steering == "differential":
         return "differential"
     if particulars.tanker:
@@ -163,35 +120,19 @@ def kind_of(particulars: Particulars) -> str:
 
 @cache
 def shipped_prior(model: str, kind: str) -> Prior:
-    """Return a prior that comes with the package.
+    """Return a prior that comes with the package, by structure and kind.
 
-    Parameters
-    ----------
-    model, kind : str
-        Model structure, and one of :data:`KINDS`, :data:`TANKER`, or a class of
-        :data:`twin.particulars.DESIGNS`.
+    A kind is one of :data:`KINDS`, :data:`TANKER`, or a class of :data:`twin.particulars.DESIGNS`.
     """
     return Prior.load(Path(str(resources.files("twin.model") / "priors" / f"{model}_{kind}.csv")))
 
 
 def population_prior(structure: Structure, particulars: Particulars) -> tuple[Array, Array]:
-    """Return mean and covariance of a boat's parameters before any data, in SI units.
+    """Return mean (p,) and covariance (p, p) of a boat's parameters before any data, in SI units.
 
     They are those of its class, if it is given, else those of its kind. Boats with a fixed pair of
-    thrusters get the structure's own prior: the population of drafted hulls has no catamarans,
-    and was the worse prior for Otter and for a recorded boat.
-
-    Parameters
-    ----------
-    structure : Structure
-        The model of the boat.
-    particulars : Particulars
-        The boat.
-
-    Returns
-    -------
-    mean : ndarray, shape (p,)
-    covariance : ndarray, shape (p, p)
+    thrusters get the structure's own prior: the population of drafted hulls has no catamarans, and
+    was the worse prior for Otter and for a recorded boat.
     """
     kind = particulars.design or kind_of(particulars)
     if kind == "differential":

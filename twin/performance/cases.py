@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usv_gym  # noqa: F401 - registers the environment
+from twin.channels import U
 from twin.digital_twin import Twin
 from twin.filters.ukf import UKFWorkspace, measurement_update, workspace
 from twin.identification.filter_settings import plain_settings
@@ -64,13 +65,7 @@ WINDOW = 30
 
 
 def select_cases(only: str = "") -> list[Case]:
-    """Return the cases with a text in their names, and those that they are compared with.
-
-    Parameters
-    ----------
-    only : str
-        Part of the names, in upper or lower case; all if empty.
-    """
+    """Return the cases with a text in their names (any case), and those they are compared with."""
     found = {c.name for c in CASES if only.lower() in c.name.lower()}
     for case in CASES:
         if case.name in found:
@@ -163,14 +158,8 @@ def _update_often(count, predict, correct):
 class Problem:
     """One filtering problem of 6 states and 25 parameters, as every filter gets it.
 
-    Attributes
-    ----------
-    x, P : ndarray, shapes (31,), (31, 31)
-        Mean and covariance at the start.
-    z : ndarray, shape (6,)
-        The measured states, again and again.
-    Q, R : ndarray, shape (6, 6)
-        Noise of a step, and of a measurement.
+    ``z`` (6,) are the measured states, again and again; ``Q``, ``R`` (6, 6) the noise of a step,
+    and of a measurement.
     """
 
     def __init__(self) -> None:
@@ -178,7 +167,7 @@ class Problem:
         self.settings = plain_settings(self.boat)
         self.ukf = JointUKF(self.boat, self.settings)
         n = self.boat.shaft_speed * self.settings.n_unit
-        self.ukf.x[3], self.ukf.act[:] = self.boat.speed, (n, n, 0.1, 0.1)
+        self.ukf.x[U], self.ukf.act[:] = self.boat.speed, (n, n, 0.1, 0.1)
         self.x, self.P, self.z = self.ukf.x.copy(), self.ukf.P.copy(), self.ukf.x[:N_STATES].copy()
         self.Q, self.R = 1e-4 * np.eye(N_STATES), 0.1 * np.eye(N_STATES)
         self._terms, self._rate = np.zeros(N_TERMS), np.zeros(N_STATES)
@@ -286,14 +275,14 @@ def _rows(name: str, **options: Any) -> Burst:
 
 def window(rows: int = WINDOW) -> Burst:
     """Return a burst of re-runs of the dynamic window over so many rows."""
-    twin, _ = _running_twin("dsw-ukf", window="fixed", w_min=rows, w_max=rows + 1)
+    twin = _running_twin("dsw-ukf", window="fixed", w_min=rows, w_max=rows + 1)[0]
     predictor: Any = twin.predictor
     return partial(predictor._restart, rows), 1
 
 
 def prediction(name: str, horizon: float = 10.0) -> Burst:
     """Return a burst of predictions with their intervals."""
-    twin, _ = _running_twin(name)
+    twin = _running_twin(name)[0]
     return lambda: twin.predict(horizon=horizon), 1
 
 
@@ -359,17 +348,9 @@ print(time.process_time())
 
 
 def cold_compile_seconds(options: Sequence[dict[str, Any]]) -> float:
-    """Return the CPU time of a process that has to compile all kernels, s.
+    """Return the CPU time (s) of a process that compiles all kernels and steps environments.
 
-    Parameters
-    ----------
-    options : sequence of dict
-        Of ``gym.make``, for the environments that it steps one after the other.
-
-    Raises
-    ------
-    RuntimeError
-        With the last line that the process wrote, if it failed.
+    ``options`` are those of ``gym.make``. RuntimeError has its last line if the process failed.
     """
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(

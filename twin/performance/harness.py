@@ -32,39 +32,20 @@ BURST_MIN = 0.02
 
 @dataclass(frozen=True)
 class Case:
-    """Something to be timed.
-
-    Parameters
-    ----------
-    name : str
-        Unique.
-    make : callable
-        Sets it up and returns a :data:`Burst`.
-    relative_to : str, optional
-        Name of the case that its rate is divided by.
-    target, target_ratio : float, optional
-        Least operations per second on the machine where the baseline makes
-        :data:`BASELINE_RATE`, and least ratio to ``relative_to``.
-    """
+    """Something to be timed."""
 
     name: str
-    make: Callable[[], Burst]
-    relative_to: str | None = None
+    make: Callable[[], Burst]  # sets it up and returns a Burst
+    relative_to: str | None = None  # name of the case that its rate is divided by
+    # least operations per second on the machine where the baseline makes BASELINE_RATE, and least
+    # ratio to relative_to
     target: float | None = None
     target_ratio: float | None = None
 
 
 @dataclass
 class Measured:
-    """What :func:`measure` found.
-
-    Attributes
-    ----------
-    seconds : dict
-        For each case its time per operation in each round, s.
-    interrupted : bool
-        Whether Ctrl-C ended it.
-    """
+    """What :func:`measure` found: times per operation (s) of each case in each round."""
 
     seconds: dict[str, list[float]] = field(default_factory=dict)
     interrupted: bool = False
@@ -75,13 +56,10 @@ class Measured:
         return statistics.median(slow / fast for slow, fast in pairs)
 
     def rows(self, cases: Sequence[Case]) -> list[dict[str, Any]]:
-        """Return a row for each case that was measured.
+        """Return a row for each case: ``name, rate_per_s, median_us, relative_to, ratio``.
 
-        Returns
-        -------
-        list of dict
-            ``name``, ``rate_per_s``, ``median_us``, ``relative_to``, ``ratio``; the last two are
-            None where there is nothing to compare with.
+        The last two are None where there is nothing to compare with; what was not measured is
+        left out.
         """
         rows = []
         for case in cases:
@@ -116,21 +94,9 @@ class Measured:
 def measure(
     cases: Sequence[Case], rounds: int, advance: Callable[[str], None] = lambda name: None
 ) -> Measured:
-    """Time all cases, burst by burst in turn.
+    """Time all cases, one burst of each in each round; Ctrl-C ends it early.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-        What to time.
-    rounds : int
-        Bursts of each.
-    advance : callable
-        Gets the name of each case when it is set up, and after each of its bursts.
-
-    Returns
-    -------
-    Measured
-        Ctrl-C ends it early: what is there by then.
+    ``advance`` gets the name of each case when it is set up, and after each of its bursts.
     """
     measured, bursts = Measured(), {}
     try:

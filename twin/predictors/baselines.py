@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import ANY, GAPS, Field, State, StateError, restore_attributes
+from twin.channels import PSI, R, U, V, X, Y
+from twin.checkpoint import ANY, COUNT, GAPS, Field, State, StateError, restore_attributes
 from twin.filters.navigation_ekf import Navigator
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
@@ -29,22 +30,19 @@ GAP_MAX = 300.0
 GRID = 0.25
 """Step of the history that learners and baselines look back on, s."""
 
+STATES, VELOCITIES = slice(0, 6), slice(3, 6)
+COMMANDED, ACTUATORS = slice(6, 10), slice(10, 14)
+"""Parts of a row of the history; the actuators only where a predictor follows them."""
+
+_SPARE = 8
+"""Rows kept beyond those needed: windows begin at whole seconds, and forecasts within a step."""
+
 
 def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
-    """Return the states of a boat that keeps body velocity and yaw rate.
+    """Return the states (..., K, 6) of a boat that keeps body velocity and yaw rate.
 
-    Parameters
-    ----------
-    start : ndarray, shape (..., 6)
-        State at time 0.
-    velocity : ndarray, shape (..., 3)
-        Held u, v, r in m/s and rad/s.
-    after : ndarray, shape (K,)
-        Times, s.
-
-    Returns
-    -------
-    ndarray, shape (..., K, 6)
+    ``start`` (..., 6) is the state at time 0, ``velocity`` (..., 3) the held u, v, r, and ``after``
+    (K,) the times, s.
     """
     u, v, r = (velocity[..., i, None] for i in range(3))
     psi_0 = start[..., 2, None]
@@ -53,10 +51,10 @@ def hold_velocity(start: Array, velocity: Array, after: Array) -> Array:
     chord = after * np.sinc(half / math.pi)
     c, s = np.cos(psi_0 + half), np.sin(psi_0 + half)
     out = np.empty((*start.shape[:-1], len(after), 6))
-    out[..., 0] = start[..., 0, None] + chord * (u * c - v * s)
-    out[..., 1] = start[..., 1, None] + chord * (u * s + v * c)
-    out[..., 2] = psi_0 + r * after
-    out[..., 3], out[..., 4], out[..., 5] = u, v, r
+    out[..., X] = start[..., 0, None] + chord * (u * c - v * s)
+    out[..., Y] = start[..., 1, None] + chord * (u * s + v * c)
+    out[..., PSI] = psi_0 + r * after
+    out[..., U], out[..., V], out[..., R] = u, v, r
     return out
 
 
@@ -66,7 +64,7 @@ class HistoryPredictor(Predictor):
     Its prediction intervals come from its own forecasts in the last :attr:`memory` seconds: the
     root mean square of their errors at each horizon, against later navigation states.
 
-    Subclasses provide :meth:`forecast`.
+    Subclasses provide :meth:`forecast`, and say with :attr:`look_back` how long a history it needs.
     """
 
     memory = 90.0
@@ -85,6 +83,7 @@ class HistoryPredictor(Predictor):
         self._extra = np.zeros(0)
         self._last = np.zeros(10)
         self._rows: list[Array] = []
+        self._dropped = 0
         self._next = math.inf
         self._errors_at = -math.inf
         self._errors = np.zeros((0, 6))
@@ -100,10 +99,13 @@ class HistoryPredictor(Predictor):
         return {
             **{"t": ANY, "cmd": ANY, "extra": GAPS, "last": GAPS, "next": Field(infinite=True)},
             "rows": Field(nan=True, shape=(None, len(self._last))),
+            "dropped": COUNT,
         }
 
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
+        # files of before rows were dropped lack the number
+        state = {"dropped": 0, **state}
         restore_attributes(self, state, self._left_out(), self.fields())
         if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
             raise StateError(
@@ -112,6 +114,14 @@ class HistoryPredictor(Predictor):
             )
         # errors of past forecasts follow from the history
         self._errors_at = -math.inf
+
+    @property
+    def look_back(self) -> float:
+        """Seconds of history before a row that its forecast needs; here all of them.
+
+        Rows that are older than this and than :attr:`memory` are dropped.
+        """
+        return math.inf
 
     @abstractmethod
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
@@ -146,10 +156,27 @@ class HistoryPredictor(Predictor):
         grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
         start = self.navigator.n[:6]
         rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._extra])])
-        path = self.forecast(rows, np.array([len(rows) - 1]), grid_plan[None])[0]
+        path = self.forecast_from_last(rows, grid_plan)
         path = np.concatenate([start[None], np.nan_to_num(path)])
         times = GRID * np.arange(K + 1)
         return np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
+
+    def forecast_from_last(self, rows: Array, plan: Array) -> Array:
+        """Return the forecast (K, 6) from the last row of all that is kept, under a plan (K, 4)."""
+        return self.forecast(rows, np.array([len(rows) - 1]), plan[None])[0]
+
+    def drop(self, rows: Array) -> None:
+        """See the oldest rows before they are dropped."""
+
+    def _drop_old(self) -> None:
+        """Drop rows that nothing needs any more: many at a time, as seldom as that."""
+        seconds = max(self.memory, self.look_back)
+        keep = math.inf if math.isinf(seconds) else math.ceil(seconds / GRID) + _SPARE
+        if len(self._rows) >= 2 * keep:
+            old = len(self._rows) - int(keep)
+            self.drop(np.array(self._rows[:old]))
+            del self._rows[:old]
+            self._dropped += old
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""
@@ -162,6 +189,7 @@ class HistoryPredictor(Predictor):
         now = np.concatenate([s, self._cmd, self._extra])
         if dt > GAP_MAX:  # the history before a long gap is of no use
             self._rows.clear()
+            self._dropped = 0
             self._errors_at = self._next = -math.inf
         if not math.isfinite(self._next):
             self._next = t
@@ -169,9 +197,10 @@ class HistoryPredictor(Predictor):
         while self._next <= t + 1e-9:
             share = 1.0 if dt <= 0.0 else min(max(1.0 - (t - self._next) / dt, 0.0), 1.0)
             row = self._last + share * (now - self._last)
-            row[6:10] = self._cmd
+            row[COMMANDED] = self._cmd
             self._rows.append(row)
             self._next += GRID
+            self._drop_old()
         self._last = now
 
     @property
@@ -204,18 +233,19 @@ class HistoryPredictor(Predictor):
         """Return the root mean square errors (K, 6) of this predictor's past forecasts."""
         K, second = round(horizon / GRID), round(1.0 / GRID)
         # of whole seconds of history: what was asked before must not matter
-        count = len(self._rows) // second * second
+        count = (self._dropped + len(self._rows)) // second * second
         if count == self._errors_at:
             return self._errors
-        begin = max(count - round(self.memory / GRID), 0)
-        rows = np.array(self._rows[begin:count]).reshape(-1, len(self._last))
+        begin = max(count - round(self.memory / GRID), self._dropped)
+        kept = slice(begin - self._dropped, max(count - self._dropped, 0))
+        rows = np.array(self._rows[kept]).reshape(-1, len(self._last))
         origins = np.arange(round(5.0 / GRID), len(rows) - K, second)
         if len(origins) < 5:
             U, L = self.particulars.speed, self.particulars.length
             rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
             return np.outer(np.sqrt(GRID * np.arange(1, K + 1)), rate)
         ahead = origins[:, None] + np.arange(1, K + 1)
-        error = self.forecast(rows, origins, rows[ahead, 6:10]) - rows[ahead, :6]
+        error = self.forecast(rows, origins, rows[ahead, COMMANDED]) - rows[ahead, STATES]
         self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
         self._errors_at = count
         return self._errors
@@ -230,13 +260,49 @@ class Persistence(HistoryPredictor):
     average = 0.0
     tuning = "none: it has no settings"
 
+    def reset(self) -> None:
+        """See :meth:`Predictor.reset`."""
+        super().reset()
+        self._sum = np.zeros(3)
+
+    def fields(self) -> dict[str, Field]:
+        """See :meth:`HistoryPredictor.fields`."""
+        return {**super().fields(), "sum": Field(nan=True, infinite=True)}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over a saved state; see :meth:`HistoryPredictor.load_state_dict`."""
+        super().load_state_dict({"sum": np.zeros(3), **state})
+
+    @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`."""
+        return self.average
+
+    def drop(self, rows: Array) -> None:
+        """Keep the sum of the rows: the means go on with the same bits."""
+        self._sum = self._sums(rows, self._dropped > 0)[-1]
+
+    def _sums(self, rows: Array, later: bool) -> Array:
+        """Return sums of u, v, r before each row and after the last, from the first row ever."""
+        if later:
+            return np.cumsum(np.concatenate([self._sum[None], rows[:, VELOCITIES]]), axis=0)
+        return np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, VELOCITIES], axis=0)])
+
+    def forecast_from_last(self, rows: Array, plan: Array) -> Array:
+        """See :meth:`HistoryPredictor.forecast_from_last`."""
+        sums = self._sums(rows, self._dropped > 0)
+        return self._held(rows, sums, np.array([len(rows) - 1]), len(plan))[0]
+
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
+        return self._held(rows, self._sums(rows, later=False), origins, plans.shape[1])
+
+    def _held(self, rows: Array, sums: Array, origins: Array, steps: int) -> Array:
+        """Return states (B, steps, 6) with the mean velocities before the origins."""
         width = max(round(self.average / GRID), 1)
-        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(rows[:, 3:6], axis=0)])
         first = np.maximum(origins + 1 - width, 0)
         velocity = (sums[origins + 1] - sums[first]) / (origins + 1 - first)[:, None]
-        return hold_velocity(rows[origins, :6], velocity, GRID * np.arange(1, plans.shape[1] + 1))
+        return hold_velocity(rows[origins, STATES], velocity, GRID * np.arange(1, steps + 1))
 
 
 class SmoothedPersistence(Persistence):

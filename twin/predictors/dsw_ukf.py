@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import MEASUREMENTS
+from twin.channels import MEASUREMENTS, PSI, U
 from twin.checkpoint import (
     COUNT,
     GAPS,
@@ -41,7 +41,6 @@ from twin.filters.ukf import measurement_update
 from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings
 from twin.identification.joint_ukf import (
-    PSI,
     accumulate_information,
     advance,
     clip_velocities,
@@ -55,6 +54,7 @@ from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.ukf import ModelPredictor
 from usv_kernel.arrays import alloca_f64
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 from usv_kernel.scalar import wrap
 
@@ -119,7 +119,7 @@ def paper_settings(
     """
     unit = RATED_SHAFT_SPEED / particulars.shaft_speed if n_unit is None else n_unit
     if not (math.isfinite(unit) and unit > 0.0):
-        raise ValueError(f"n_unit = {n_unit} must be a finite number above 0")
+        raise UsvTwinError(f"n_unit = {n_unit} must be a finite number above 0")
     structure = model_of(particulars, model)
     p = len(structure)
     variances = _vector_of("p0", p0, N_STATES + p, positive=True)
@@ -139,9 +139,11 @@ def _vector_of(name: str, values: ArrayLike, size: int, *, positive: bool) -> Ar
     """Return ``size`` values, one for all or each its own."""
     given = np.asarray(values, dtype=np.float64)
     if given.shape not in ((), (size,)):
-        raise ValueError(f"{name} has the shape {given.shape}; give one number, or {size} of them")
+        raise UsvTwinError(
+            f"{name} has the shape {given.shape}; give one number, or {size} of them"
+        )
     if not np.isfinite(given).all() or (positive and (given <= 0.0).any()):
-        raise ValueError(f"{name} = {given} must be finite{' and above 0' if positive else ''}")
+        raise UsvTwinError(f"{name} = {given} must be finite{' and above 0' if positive else ''}")
     return np.array(np.broadcast_to(given, size))
 
 
@@ -314,15 +316,15 @@ class DSWPredictor(ModelPredictor):
             ("adapts", adapts, ADAPTED),
         ):
             if value not in known:
-                raise ValueError(f"{name} = {value!r} is unknown; use one of {', '.join(known)}")
+                raise UsvTwinError(f"{name} = {value!r} is unknown; use one of {', '.join(known)}")
         if stride < 1:
-            raise ValueError(f'stride = {stride} must be 1 or more; window="off" for no re-run')
+            raise UsvTwinError(f'stride = {stride} must be 1 or more; window="off" for no re-run')
         if not 1 <= w_min <= w_max <= ROWS_MAX:
-            raise ValueError(
+            raise UsvTwinError(
                 f"w_min = {w_min} must be 1 or more, and w_max = {w_max} no less, to {ROWS_MAX}"
             )
         if not (math.isfinite(adapt_gain) and adapt_gain >= 0.0):
-            raise ValueError(f"adapt_gain = {adapt_gain} must be a finite number, 0 or more")
+            raise UsvTwinError(f"adapt_gain = {adapt_gain} must be a finite number, 0 or more")
         self.fusion = LateFusion(particulars.instruments, particulars.length, feedback=feedback)
         self.window = DynamicWindow(base=w_min, cap=w_max - w_min, period=period)
         self.waves = WaveProxy()
@@ -447,7 +449,7 @@ class DSWPredictor(ModelPredictor):
             hs=self.waves.update(dt, float(z[_ACCEL_Y])),
             vw=self._wind,
             a_y=float(z[_ACCEL_Y]),
-            motion=float(s[3]),
+            motion=float(s[U]),
         )
 
     def _restart(self, W: int) -> None:

@@ -64,6 +64,7 @@ from twin.predictors.plus_update import (
 )
 from twin.predictors.ukf import RolloutInputs, UKFPredictor, plain
 from usv_kernel.arrays import flat_size, python_views
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "PlusPredictor",
@@ -141,7 +142,7 @@ class PlusPredictor(UKFPredictor):
     ) -> None:
         enough = relinearised >= 0 and DRAWS_MIN <= draws <= DRAWS_MAX
         if not (math.isfinite(period) and period > 0.0 and enough):
-            raise ValueError(
+            raise UsvTwinError(
                 f"period = {period}, relinearised = {relinearised}, draws = {draws}: must be "
                 f"above 0 s, 0 or more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
@@ -149,7 +150,7 @@ class PlusPredictor(UKFPredictor):
         mean, cov = prior or population_prior(structure, particulars)
         p = len(structure)
         if np.shape(mean) != (p,) or np.shape(cov) != (p, p):
-            raise ValueError(
+            raise UsvTwinError(
                 f"prior has shapes {np.shape(mean)} and {np.shape(cov)}; the structure {model!r} "
                 f"has {p} parameters: ({p},) and ({p}, {p})"
             )

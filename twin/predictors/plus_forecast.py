@@ -177,20 +177,10 @@ def _begin(dt, memory, out):
 
 @kernel
 def plus_mean(plan, dt, memory, config, out):
-    """Write the mean forecast under a plan.
+    """Write the mean forecast under a plan (K, 4) with rows dt (s) apart.
 
-    The parameters are shrunk to the prior until the motion is plausible.
-
-    Parameters
-    ----------
-    plan : (K, 4) array
-        Commands; shaft speeds in the unit of the particulars.
-    dt : float
-        Time between rows, s.
-    memory, config : PlusMemory, PlusConfig
-        Of the predictor.
-    out : MeanForecast
-        Written.
+    The parameters are shrunk to the prior until the motion is plausible. Shaft speeds are in the
+    unit of the particulars.
     """
     model, window = config.model, as_record(memory.window, WINDOW)
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
@@ -235,20 +225,10 @@ def _headings_ahead(psi, states, dt, heading):
 def plus_draws(mean, mean_dt, memory, config, normal, out):
     """Write how draws of parameters, start and waves deviate from the mean forecast.
 
-    Parameters
-    ----------
-    mean : tuple of MeanForecast
-        The mean forecast, and the plan of the draws with its predicted waves: the same twice where
-        both are at the same rows.
-    mean_dt : float
-        Time between rows of the mean forecast, s.
-    memory, config : PlusMemory, PlusConfig
-        Of the predictor.
-    normal : tuple of array
-        Standard normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3); the
-        first of the waves are zeros. Those of waves are used again where they do not reach.
-    out : Draws
-        Written.
+    ``mean`` is the mean forecast with rows ``mean_dt`` (s) apart, and the plan of the draws with
+    its predicted waves: the same twice where both are at the same rows. ``normal`` has standard
+    normal numbers of parameters (D, p), starts (D, 6) and waves (D + 1, 40, 3), used again where
+    they do not reach; the first of the waves are zeros.
     """
     central, own = mean
     by_params, by_start, by_waves = normal
@@ -300,7 +280,7 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
 @kernel
 def mean_products(deviations, rows, covs):
     """Write the mean over draws of the products of deviations (D, K, n) at rows: (k, n, n)."""
-    D, _, n = deviations.shape
+    D, n = deviations.shape[0], deviations.shape[2]
     covs[:] = 0.0
     for d in range(D):
         for k in range(rows.shape[0]):

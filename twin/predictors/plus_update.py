@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twin.channels import PSI, R, U, V
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.data_weight import (
     CHOSEN,
@@ -145,7 +146,7 @@ def _slow_step(dt, nav, window, state, config, terms):
     n, act, slow, envelope = nav.n, state.act, window.slow, config.envelope
     steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
     h = min(dt, 10.0) / steps
-    c, s = math.cos(n[2]), math.sin(n[2])
+    c, s = math.cos(n[PSI]), math.sin(n[PSI])
     drive(act, terms)
     current = current_of(state.x, N_STATES, config.model.hull)
     for _ in range(steps):
@@ -153,7 +154,7 @@ def _slow_step(dt, nav, window, state, config, terms):
         rates = rates_over_ground(
             motion, state.wind, current, state.x, N_STATES, config.model, terms
         )
-        rotate_body_velocity(n[5] - slow[2], h, slow, 0)
+        rotate_body_velocity(n[R] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
             reach = 0.125 * envelope[i]
@@ -243,11 +244,7 @@ WAVE_WORK = 5 * _WAVE_ROWS + sector_work_size(_WAVE_ROWS)
 
 @kernel
 def _fit_waves(rows, window, config, work):
-    """Fit autoregressions to what the model left of the last velocities.
-
-    Those of the sectors of headings are for the draws. Another is that of headings as they will be
-    until the next refit, and predicts the waves of the moment.
-    """
+    """Fit autoregressions to the last residuals: by sector for the draws, and of the moment."""
     newest, count = last_row(window), 0
     first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
     N, late = newest + 1 - first, 0
@@ -343,15 +340,7 @@ def update_plus(t, dt, z, cmd, memory, config, work):
 
 @kernel
 def plus_step(t, dt, z, cmd, memory, config, work):
-    """Take one row, and refit when it is time.
-
-    Parameters
-    ----------
-    t, dt, z, cmd
-        See :meth:`twin.predictors.base.Predictor.update`.
-    memory, config, work : PlusMemory, PlusConfig, PlusWork
-        The memory is advanced in place.
-    """
+    """Take one row, as :meth:`twin.predictors.base.Predictor.update`, and refit when it is time."""
     nav, window, model = (
         as_record(memory.nav, NAVIGATION),
         as_record(memory.window, WINDOW),
@@ -382,7 +371,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         terms = filter_workspace(work.filter, model.which.shape[1]).terms
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
-    sure = P[3, 3] < fast and P[4, 4] < fast and P[2, 2] < HEADING_GOOD**2
+    sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
     good = 1.0 if sure and dt <= GAP_GOOD and nav.gps_age <= GAP_GOOD else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:

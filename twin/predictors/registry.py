@@ -11,6 +11,7 @@ or is named as ``module:Class``, without being registered at all.
 
 from __future__ import annotations
 
+import inspect
 import sys
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -19,7 +20,7 @@ from typing import Any
 
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
-from usv_kernel.errors import UsvTwinError
+from usv_kernel.errors import UsvTwinError, check_options, did_you_mean
 
 __all__ = [
     "DEFAULT",
@@ -65,11 +66,7 @@ class PredictorError(UsvTwinError):
 def predictor_class(name: str) -> type[Predictor]:
     """Return the class of a predictor; errors as for :func:`make_predictor`.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`PREDICTORS`, or ``module:Class``; the module may lie in the working
-        directory.
+    The module of ``module:Class`` may lie in the working directory.
     """
     entry: Any = name
     if not (isinstance(name, str) and ":" in name):
@@ -77,8 +74,8 @@ def predictor_class(name: str) -> type[Predictor]:
             entry = PREDICTORS[name]
         except (KeyError, TypeError):
             raise PredictorError(
-                f"no predictor is called {name!r}; known: {', '.join(PREDICTORS)}; others are "
-                "named module:Class"
+                f"no predictor is called {name!r}{did_you_mean(name, PREDICTORS)}; known: "
+                f"{', '.join(PREDICTORS)}; others are named module:Class"
             ) from None
     if isinstance(entry, str):
         entry = _imported(name, entry)
@@ -93,7 +90,7 @@ def predictor_class(name: str) -> type[Predictor]:
 
 def _imported(name: str, entry: str) -> Any:
     """Return what ``module:Class`` stands for."""
-    module, _, attribute = entry.partition(":")
+    module, attribute = entry.partition(":")[::2]
     here = str(Path.cwd())
     if name == entry and here not in sys.path:
         sys.path.append(here)  # as for python -m, and in the workers of any backend too
@@ -129,8 +126,15 @@ def make_predictor(
     ------
     PredictorError
         Lists the names that there are, or says that there is no structure to choose.
+    ArgumentError
+        An option that the predictor does not have; lists those that it has.
     """
     kind = predictor_class(name)
     if "model" in options and not kind.models:
         raise PredictorError(f"predictor {name!r} has no model structure; leave out 'model'")
+    # not of the class, whose __new__ takes anything; and without self and the particulars
+    arguments = list(inspect.signature(kind.__init__).parameters.values())[2:]
+    if not any(one.kind is one.VAR_KEYWORD for one in arguments):
+        known = [one.name for one in arguments if one.kind is not one.VAR_POSITIONAL]
+        check_options(f"predictor {name!r}", options, known)
     return kind(particulars, seed=seed, **options)

@@ -35,21 +35,10 @@ CLASSES = {
 
 
 def pack_option(value: Any, where: str, arrays: Arrays) -> Any:
-    """Return a value as plain data for JSON.
+    """Return a value as plain data for JSON; its arrays are added to ``arrays``.
 
-    Parameters
-    ----------
-    value : object
-        Numbers, texts, arrays, containers of those, and objects of :data:`CLASSES`.
-    where : str
-        Its name, for arrays and messages.
-    arrays : dict of ndarray
-        Arrays in the value are added to it, by name.
-
-    Raises
-    ------
-    StateError
-        Names what is of another kind.
+    Values are numbers, texts, arrays, containers of those, and objects of :data:`CLASSES`;
+    StateError names what is of another kind. ``where`` is the value's name, for messages.
     """
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
@@ -84,19 +73,7 @@ def pack_option(value: Any, where: str, arrays: Arrays) -> Any:
 def unpack_option(packed: Any, arrays: Arrays, particulars: Particulars) -> Any:
     """Return the value that :func:`pack_option` packed.
 
-    Parameters
-    ----------
-    packed : object
-        Plain data.
-    arrays : dict of ndarray
-        Arrays by name.
-    particulars : Particulars
-        Boat of the structures in the value.
-
-    Raises
-    ------
-    StateError, ValueError, TypeError, LookupError
-        The data are damaged.
+    Raises StateError, ValueError, TypeError or LookupError where the data are damaged.
     """
 
     def unpack(item: Any) -> Any:

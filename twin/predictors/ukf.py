@@ -14,9 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
 from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, navigate
 from twin.filters.navigation_state import (
+    IS_MODELLED,
     NAVIGATION,
     NAVIGATION_FIELDS,
     NAVIGATION_SETTINGS,
@@ -29,7 +31,6 @@ from twin.identification.filter_settings import STUDY_STEP, FilterSettings, plai
 from twin.identification.identifiability import Identifiability, assess
 from twin.identification.joint_ukf import (
     JOINT_FIELDS,
-    PSI,
     STEP_MAX,
     JointUKF,
     accumulate_information,
@@ -112,21 +113,13 @@ class UKFWork(NamedTuple):
 
 @kernel
 def tight_step(dt, z, cmd, memory, config, work):
-    """Take one row: navigate, predict, correct.
-
-    Parameters
-    ----------
-    dt, z, cmd
-        See :meth:`twin.predictors.base.Predictor.update`.
-    memory, config, work : UKFMemory, UKFConfig, UKFWork
-        The memory is advanced in place.
-    """
+    """Navigate, predict, correct by one row: :meth:`twin.predictors.base.Predictor.update`."""
     nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
     model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
     x, P, act, wave_power, n, P_nav = state.x, state.P, state.act, state.wave_power, nav.n, nav.P
-    envelope, R, terms, accel, mask = (
+    envelope, noise, terms, accel, mask = (
         given.envelope,
         scratch.R,
         scratch.terms,
@@ -139,7 +132,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         accel[k] = 0.0
     if nav.begun > 0.0:
         drive(act, terms)
-        motion = x[3], x[4], x[5], math.cos(x[2]), math.sin(x[2])
+        motion = x[U], x[V], x[R], math.cos(x[PSI]), math.sin(x[PSI])
         current = current_of(x, N_STATES, model.hull)
         du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
         current_terms(motion, state.wind, x, N_STATES, model, terms)
@@ -149,7 +142,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         accel[1] = min(max(dv, -speed * turn), speed * turn)
         accel[2] = min(max(dr, -turn * turn), turn * turn)
         # a model that has never been held to a measured motion may spin the navigation
-        accel[3] = nav.has_imu
+        accel[IS_MODELLED] = nav.has_imu
     age = nav.gps_age + dt
     navigate(nav, dt, z, accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
     if nav.begun == 0.0:
@@ -180,7 +173,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     advance(dt, cmd, state, given, scratch)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
-        R[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
+        noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
     if nav.imu_age == 0.0:
         nav.has_imu = 1.0
@@ -194,11 +187,11 @@ def tight_step(dt, z, cmd, memory, config, work):
             more = P[at + i, at + i] if at >= N_STATES else 0.0
             P_nav[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
         # what the navigation then says of them is in part the model's own
-        mask[0] = mask[1] = 0.0
-        R[3, 3] *= OUTAGE_NOISE_FACTOR
-        R[4, 4] *= OUTAGE_NOISE_FACTOR
+        mask[X] = mask[Y] = 0.0
+        noise[U, U] *= OUTAGE_NOISE_FACTOR
+        noise[V, V] *= OUTAGE_NOISE_FACTOR
     if no_imu:
-        mask[5] = 0.0
+        mask[R] = 0.0
     if given.wave_time > 0.0:
         for k in range(3):
             i = PSI + 1 + k
@@ -206,12 +199,12 @@ def tight_step(dt, z, cmd, memory, config, work):
             if not (no_imu if k == 2 else no_gps):
                 # a prediction gone wild is no wave: none moves the boat faster than it sails
                 error = min(abs(n[i] - x[i]), 0.25 * envelope[k])
-                more = error * error - P[i, i] - R[i, i]
+                more = error * error - P[i, i] - noise[i, i]
                 share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
                 wave_power[k] = max(wave_power[k] + share * (more - wave_power[k]), 0.0)
-            R[i, i] += given.wave_noise * wave_power[k] / row
+            noise[i, i] += given.wave_noise * wave_power[k] / row
     water = current_of(x, N_STATES, model.hull)
-    measurement_update(x, P, n[:N_STATES], mask, R, PSI, math.inf, scratch.sigma)
+    measurement_update(x, P, n[:N_STATES], mask, noise, PSI, math.inf, scratch.sigma)
     if no_gps and model.hull[CURRENT] >= 0.0:
         at = N_STATES + int(model.hull[CURRENT])
         x[at], x[at + 1] = water
@@ -220,10 +213,10 @@ def tight_step(dt, z, cmd, memory, config, work):
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
         nav.since_aid = 0.0
         speed, turn = 0.25 * envelope[0], 0.25 * envelope[2]
-        aid(nav, nav_work, 3, x[3], (AID_SD * speed) ** 2)
-        aid(nav, nav_work, 4, x[4], (AID_SD * speed) ** 2)
+        aid(nav, nav_work, 3, x[U], (AID_SD * speed) ** 2)
+        aid(nav, nav_work, 4, x[V], (AID_SD * speed) ** 2)
         if no_imu:
-            aid(nav, nav_work, 5, x[5], (AID_TURN * turn) ** 2)
+            aid(nav, nav_work, 5, x[R], (AID_TURN * turn) ** 2)
     if no_gps:
         for i in range(2):
             spread = P[i, i]
@@ -243,8 +236,11 @@ def _update(dt, z, cmd, memory, config, work):
 @inlined
 def update_wind(z, wind):
     """Take the velocity of the true wind (m/s) from a row (10,), if both parts are there."""
-    if 0.0 <= z[8] < WIND_LIMIT and math.isfinite(z[9]):
-        wind[0], wind[1] = -z[8] * math.cos(z[9]), -z[8] * math.sin(z[9])
+    if 0.0 <= z[WIND_SPEED] < WIND_LIMIT and math.isfinite(z[WIND_FROM]):
+        wind[0], wind[1] = (
+            -z[WIND_SPEED] * math.cos(z[WIND_FROM]),
+            -z[WIND_SPEED] * math.sin(z[WIND_FROM]),
+        )
 
 
 class ModelPredictor(Predictor):
@@ -354,32 +350,19 @@ def _copy_of(
 
 
 class RolloutInputs(NamedTuple):
-    """What the models of many boats are rolled from.
+    """What the models of many boats are rolled from."""
 
-    Attributes
-    ----------
-    places, velocities : ndarray, shape (n, 3)
-        Position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s).
-    parameters : ndarray, shape (n, p)
-        Of the structure.
-    actuators, winds : ndarray, shapes (n, 4), (n, 2)
-        See :class:`twin.model.rollout.RolloutStart`.
-    fastest : ndarray, shape (n, 3) or (1, 3)
-        Largest velocities met so far; infinite where no model is too wild.
-    nominal : ndarray, shape (3,)
-        Velocities that may be predicted for any such boat.
-    prior : ndarray, shape (p,)
-        Parameters to fall back to where a model exceeds both by far.
-    """
-
+    # (n, 3): position (m) and heading (rad); speed forward and to starboard (m/s), yaw rate (rad/s)
     places: Array
     velocities: Array
-    parameters: Array
+    parameters: Array  # (n, p): of the structure
+    # (n, 4), (n, 2): see twin.model.rollout.RolloutStart
     actuators: Array
     winds: Array
+    # (n, 3) or (1, 3): largest velocities met so far; infinite where no model is too wild
     fastest: Array
-    nominal: Array
-    prior: Array
+    nominal: Array  # (3,): velocities that may be predicted for any such boat
+    prior: Array  # (p,): parameters to fall back to where a model exceeds both by far
 
 
 def plain(value: Any) -> Any:
@@ -452,13 +435,7 @@ class UKFPredictor(ModelPredictor):
         return {"nav": NAVIGATION, "filter": self.ukf.dtype}
 
     def rollout_inputs(self, memory: Any) -> RolloutInputs:
-        """Return what rollouts of many boats begin with, as views.
-
-        Parameters
-        ----------
-        memory : UKFMemory
-            Like :attr:`memory`, but with a row for each boat.
-        """
+        """Return what rollouts of many boats begin with, as views of their memories, a row each."""
         boats = memory.filter.view(self.ukf.dtype)[:, 0]
         x = boats["x"]
         return RolloutInputs(

@@ -70,17 +70,10 @@ _ALL = slice(None)
 class TwinObserver(Observer):
     """Twins of n boats, and their parts of the observations.
 
-    Parameters
-    ----------
-    episodes : Episodes
-        The boats; only their measurements, commands and paths are used.
-    twin : Twin
-        That of the first boat, as new.
-    band_period : float
-        The standard deviations ahead are updated this often, s; 0 for every step.
-    parameters : bool
-        Add the parameters of the identified model and their standard deviations, both in units
-        of the standard deviations that they had at the start.
+    Of the episodes only measurements, commands and paths are used. ``twin`` is that of the first
+    boat, as new. The standard deviations ahead are updated every ``band_period``, s; 0 for every
+    step. ``parameters`` adds the parameters of the identified model and their standard deviations,
+    both in units of the standard deviations that they had at the start.
     """
 
     def __init__(
@@ -137,16 +130,9 @@ class TwinObserver(Observer):
         """Return a copy of the state (6,) of the twin of boat i."""
 
     def observe(self, obs: NDArray[np.float32], look: bool = True, rows: slice = _ALL) -> None:
-        """Let the twins of boats with a new row take it, and write their parts of ``obs``.
+        """Let the twins of boats with a new row take it, and write their parts of ``obs`` (n, D).
 
-        Parameters
-        ----------
-        obs : ndarray, shape (n, D)
-            Observations of all boats.
-        look : bool
-            Predict and write; without it, the row is taken in and no more.
-        rows : slice
-            The boats to look at.
+        Without ``look``, the row is taken in and no more. ``rows`` are the boats to look at.
         """
         self._observe(obs, look, rows)
         if look and self._parameters:
@@ -364,23 +350,11 @@ def observer_of(
 ) -> TwinObserver:
     """Return the twins of n boats.
 
-    Parameters
-    ----------
-    episodes : Episodes
-        The boats.
-    twin : str or Predictor
-        A name in ``twin.PREDICTORS``, or a predictor; many boats get copies of it.
-    particulars : Particulars, optional
-        What the twins are given of the boats; that of the vessel if left out.
-    band_period : float
-        The standard deviations ahead are updated this often, s; 0 for every step.
-    seed : int
-        For predictors that draw random numbers.
-    parameters : bool
-        Add the parameters of the identified model.
+    ``twin`` is a name in ``twin.PREDICTORS``, or a predictor, of which many boats get copies;
+    ``particulars`` are those of the vessel if left out. Others: see :class:`TwinObserver`.
     """
     if not (math.isfinite(band_period) and band_period >= 0.0):
-        raise ValueError(f"band_period = {band_period} must be finite and 0 or more")
+        raise PredictorError(f"band_period = {band_period} must be finite and 0 or more")
     sim, options = episodes.simulation, {}
     if not isinstance(twin, Predictor):
         if len(episodes.seas) > 1 and predictor_class(twin).needs_simulator:

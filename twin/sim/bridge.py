@@ -46,19 +46,9 @@ TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
     """Return the particulars of a simulated vessel, for its twin.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        The vessel; only main particulars, actuators, typical speed and, if a prior of it comes
-        with the package, the class are used.
-    suite : SensorSuite, optional
-        Its sensors, as their data sheets describe them; the default suite if left out.
-    dof : int
-        Degrees of freedom of the ship; with 6 the accelerometers also measure its tilt.
-
-    Returns
-    -------
-    Particulars
+    Of the vessel only main particulars, actuators, typical speed and, if a prior of it comes with
+    the package, the class are used. ``suite`` describes its sensors, the default one if left out.
+    With ``dof`` 6 the accelerometers also measure its tilt.
     """
     suite = suite or SensorSuite()
     v = vessel.values
@@ -117,26 +107,8 @@ def simulate(
 ) -> Log:
     """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
-    Parameters
-    ----------
-    manoeuvre : str or ndarray, shape (N, 4)
-        One of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands of N control steps.
-    vessel, sea
-        Boat and sea state.
-    duration : float
-        Length of the run, s.
-    seed : int
-        Seed of sea, sensors and (random) manoeuvre.
-    faults : sequence of Disturbance
-        Faults of sensors.
-    suite : SensorSuite, optional
-        Sensors; the default suite if left out.
-    dof : int
-        Degrees of freedom of the ship, 3 or 6.
-
-    Returns
-    -------
-    Log
+    ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands (N, 4) of
+    the control steps; ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
     """
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)

@@ -91,17 +91,9 @@ def _roll(starts, plans, dt, true, out):
 
 
 def known_vessel(particulars: Particulars) -> Vessel:
-    """Return the vessel that particulars were made of.
+    """Return the vessel of this package that particulars were made of.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        They carry the name of a vessel that comes with the package, and its numbers.
-
-    Raises
-    ------
-    PredictorError
-        For any other boat: the true one is not known.
+    PredictorError for any other boat: the true one is not known.
     """
     name = particulars.name
     if name in vessel_names():
@@ -119,17 +111,7 @@ def known_vessel(particulars: Particulars) -> Vessel:
 def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
     """Refuse a predictor that needs the true boat where it is not known.
 
-    Parameters
-    ----------
-    predictor : str
-        A name in ``twin.PREDICTORS``; those that need no simulator always pass.
-    log, particulars : Log, Particulars
-        The run as it was read, and its boat.
-
-    Raises
-    ------
-    PredictorError
-        For a recorded run (no truth), or a boat that is none of the package's vessels.
+    PredictorError for a recorded run (no truth), or a boat that is none of the package's vessels.
     """
     if not predictor_class(predictor).needs_simulator:
         return
@@ -142,15 +124,7 @@ def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
 
 
 def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
-    """Return what a predictor is given of the simulator; nothing, unless it asks for it.
-
-    Parameters
-    ----------
-    predictor : str
-        A name in ``twin.PREDICTORS``.
-    vessel, sea, dof : Vessel, SeaState, int
-        The simulation's.
-    """
+    """Return what a predictor is given of the simulator; nothing, unless it asks for it."""
     if not predictor_class(predictor).needs_simulator:
         return {}
     return {"vessel": vessel, "sea": sea, "dof": dof}
@@ -159,25 +133,16 @@ def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -
 class Oracle(HistoryPredictor):
     """The true ship in the mean wind and current, from a filtered start.
 
-    Place and heading come from the tight navigation filter; speeds and yaw rate from an
-    observer, the ship itself sailing along and pulled to the navigation's velocities by
-    :data:`GAIN`, so that it does not take the waves of the moment for the boat's motion. The
-    actuators follow the commands as the true ones do. Waves, their mean drift, gusts and the
-    slow changes of the wind are not known to it. Intervals are those of
+    Place and heading come from the tight navigation filter; speeds and yaw rate from an observer,
+    the ship itself sailing along and pulled to the navigation's velocities by :data:`GAIN`, so that
+    it does not take the waves of the moment for the boat's motion. The actuators follow the
+    commands as the true ones do. Waves, their mean drift, gusts and the slow changes of the wind
+    are not known to it. Intervals are those of
     :class:`~twin.predictors.baselines.HistoryPredictor`.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        What the navigation is given.
-    vessel : Vessel, optional
-        The true boat; left out, the package's vessel of which the particulars speak.
-    sea : SeaState, optional
-        Its mean wind and current; calm if left out.
-    dof : int
-        Degrees of freedom of the ship, 3 or 6.
-    seed : int
-        Nothing is drawn at random here.
+    ``vessel`` is the true boat; left out, the package's vessel of which the particulars speak.
+    ``sea`` gives mean wind and current; calm if left out. ``dof`` is 3 or 6. Nothing is drawn at
+    random here.
     """
 
     tuning = "none: it knows the boat"
@@ -232,6 +197,11 @@ class Oracle(HistoryPredictor):
         self._begun = self.navigator.ready
         out[_TIME] = self.t
         return out
+
+    @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`: a forecast needs its own row alone."""
+        return 0.0
 
     def path(self, plan: Array, dt: float) -> Array:
         """Return the predicted states (K, 6) under a plan."""

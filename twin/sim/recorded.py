@@ -26,16 +26,9 @@ def log_name(path: str) -> str:
 def read_run(
     path: str, ship: str | None = None, mapping: str | None = None
 ) -> tuple[Log, Particulars]:
-    """Return a recorded run and the particulars of its boat.
+    """Return a recorded run and its boat's particulars.
 
-    Parameters
-    ----------
-    path : str
-        A log of any kind that ``Log.read`` takes.
-    ship : str, optional
-        As for :func:`particulars_for_log`.
-    mapping : str, optional
-        As for ``Log.read``.
+    See :func:`particulars_for_log` and ``Log.read``.
     """
     return Log.read(path, mapping), particulars_for_log(path, ship)[0]
 
@@ -53,21 +46,9 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> tuple[Part
     """Return the particulars for a log, and whether any were given for it.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
-    archive's boat, else the usv75's without its class.
-
-    Parameters
-    ----------
-    path : str or Path
-        The log.
-    ship : str, optional
-        A TOML file of particulars, of one boat or of several (``[[ship]]``, see
-        :meth:`twin.particulars.Particulars.load`), or the name or file of a vessel of
-        ``usv_gym``.
-
-    Raises
-    ------
-    ParticularsError, VesselError
-        Names the file and the remedy.
+    archive's boat, else the usv75's without its class. ``ship`` is a TOML file of particulars, of
+    one boat or of several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`), or the
+    name or file of a vessel of ``usv_gym``. ParticularsError, VesselError: file and remedy.
     """
     if ship is None:
         file = sibling_path(path, ".toml")

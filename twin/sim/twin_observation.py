@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.channels import MEASUREMENTS
+from twin.channels import MEASUREMENTS, PSI, STATE, R, U, V, X, Y
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     filter_config,
@@ -36,7 +36,21 @@ from twin.predictors.ukf import (
     tight_step,
 )
 from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION
-from usv_gym.envs.tasks import ERRORS, follow
+from usv_gym.envs.observation import (
+    COS_COURSE_ERROR,
+    COS_HEADING,
+    COS_NEXT_TURN,
+    OFF_PATH,
+    SHAFTS,
+    SIN_COURSE_ERROR,
+    SIN_HEADING,
+    SIN_NEXT_TURN,
+    SURGE,
+    SWAY,
+    TO_END,
+    YAW_RATE,
+)
+from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, ERRORS, NEXT_TURN, TO_GO, follow
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
 from usv_kernel.channels import SENSOR_CHANNELS
@@ -135,17 +149,26 @@ class PlusForecast(NamedTuple):
     normal: Any  # standard normal numbers of the draws
 
 
+_NOW_SD = SHAFTS
+"""Where the standard deviations of the state now begin, after the entries of a true state ..."""
+_AHEAD_AT = _NOW_SD + len(STATE)
+"""... and those of the horizons, each with these:"""
+_FORWARD, _STARBOARD, _COS_TURN, _SIN_TURN, _VELOCITIES = range(5)
+_AHEAD_SD = _VELOCITIES + 3
+_A_HORIZON = _AHEAD_SD + len(STATE)
+
+
 @inlined
 def _spread(cov, heading, length, speed, out, at):
     """Write the six standard deviations of a state, position turned into the body frame."""
     c, s = heading
-    a, b, d = cov[0, 0], cov[0, 1], cov[1, 1]
+    a, b, d = cov[X, X], cov[X, Y], cov[Y, Y]
     out[at] = math.sqrt(max(c * c * a + 2.0 * c * s * b + s * s * d, 0.0)) / length
     out[at + 1] = math.sqrt(max(s * s * a - 2.0 * c * s * b + c * c * d, 0.0)) / length
-    out[at + 2] = math.sqrt(max(cov[2, 2], 0.0))
-    out[at + 3] = math.sqrt(max(cov[3, 3], 0.0)) / speed
-    out[at + 4] = math.sqrt(max(cov[4, 4], 0.0)) / speed
-    out[at + 5] = math.sqrt(max(cov[5, 5], 0.0))
+    out[at + PSI] = math.sqrt(max(cov[PSI, PSI], 0.0))
+    out[at + U] = math.sqrt(max(cov[U, U], 0.0)) / speed
+    out[at + V] = math.sqrt(max(cov[V, V], 0.0)) / speed
+    out[at + R] = math.sqrt(max(cov[R, R], 0.0))
 
 
 @inlined
@@ -191,29 +214,31 @@ def _hold(command, plan):
 @inlined
 def describe(s, boat, note, points, rules, obs):
     """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
-    errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules.speed, s[2]
+    errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules.speed, s[PSI]
     d, c = sincos(psi)
-    note.leg = follow(s[0], s[1], psi, points, int(note.leg), rules.reach, errors)
+    note.leg = follow(s[X], s[Y], psi, points, int(note.leg), rules.reach, errors)
     o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
-    o[0], o[1], o[2], o[3], o[4] = s[3] / speed, s[4] / speed, s[5], c, d
-    o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
-    o[8], o[7] = sincos(errors[2])
-    o[10], o[9] = sincos(errors[3])
-    _spread(note.now, (c, d), rules.unit, speed, o, 11)
-    at = 17
+    o[SURGE], o[SWAY], o[YAW_RATE] = s[U] / speed, s[V] / speed, s[R]
+    o[COS_HEADING], o[SIN_HEADING] = c, d
+    o[OFF_PATH], o[TO_END] = errors[CROSS_TRACK] / rules.unit, 0.1 * errors[TO_GO] / rules.unit
+    o[SIN_COURSE_ERROR], o[COS_COURSE_ERROR] = sincos(errors[COURSE_ERROR])
+    o[SIN_NEXT_TURN], o[COS_NEXT_TURN] = sincos(errors[NEXT_TURN])
+    _spread(note.now, (c, d), rules.unit, speed, o, _NOW_SD)
+    at = _AHEAD_AT
     for j in range(ahead.shape[0]):
         m = ahead[j]
         length = speed * HORIZONS[j]
-        dx, dy, turn = m[0] - s[0], m[1] - s[1], m[2] - psi
-        o[at] = (dx * c + dy * d) / length
-        o[at + 1] = (dy * c - dx * d) / length
-        o[at + 3], o[at + 2] = sincos(turn)
-        o[at + 4], o[at + 5], o[at + 6] = m[3] / speed, m[4] / speed, m[5]
-        _spread(note.covs[j], (c, d), length, speed, o, at + 7)
-        at += 13
+        dx, dy, turn = m[X] - s[X], m[Y] - s[Y], m[PSI] - psi
+        o[at + _FORWARD] = (dx * c + dy * d) / length
+        o[at + _STARBOARD] = (dy * c - dx * d) / length
+        o[at + _SIN_TURN], o[at + _COS_TURN] = sincos(turn)
+        o[at + _VELOCITIES], o[at + _VELOCITIES + 1] = m[U] / speed, m[V] / speed
+        o[at + _VELOCITIES + 2] = m[R]
+        _spread(note.covs[j], (c, d), length, speed, o, at + _AHEAD_SD)
+        at += _A_HORIZON
     for j in range(o.shape[0]):
         o[j] = min(max(o[j], -BOUND), BOUND)
-    note.position_error = math.hypot(s[0] - boat.state[fr.X], s[1] - boat.state[fr.Y])
+    note.position_error = math.hypot(s[X] - boat.state[fr.X], s[Y] - boat.state[fr.Y])
 
 
 @kernel

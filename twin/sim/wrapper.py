@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import operator
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +18,12 @@ from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TwinObserver, observer_of
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
+from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import OBSERVATION, Episodes
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.vector import USVVectorEnv
+from usv_kernel.errors import ArgumentError, UsvTwinError, check_options
 
 __all__ = [
     "OBSERVATIONS",
@@ -105,22 +108,22 @@ class TwinObservation(
         gym.Wrapper.__init__(self, env)
         base = env.unwrapped
         if not isinstance(base, USVEnv):
-            raise TypeError(
+            raise ArgumentError(
                 f"TwinObservation wraps environments over USVEnv, not {type(base).__name__}"
             )
         if env.observation_space.shape != (len(OBSERVATION),):
-            raise TypeError(
+            raise ArgumentError(
                 "TwinObservation comes before other observations are made of it, and only once; "
                 "gym.make('USVTwin-v0', twin=None) gives an environment without a twin"
             )
         if base.episodes.frame_skip > 1:
-            raise TypeError(
+            raise ArgumentError(
                 "TwinObservation wraps environments with frame_skip=1; with more, "
                 "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
             )
         self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
         self.twin = self._observer.first
-        _, self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))
+        self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))[1]
         self._renderer = base.renderer
         if self._renderer:
             self._renderer.overlay, self._renderer.waits = self._observer.overlay, True
@@ -234,6 +237,15 @@ OBSERVATIONS = (*OBSERVERS, "twin", "twin_params")
 """Names of the observation sets."""
 
 
+def _keywords(kind: Callable[..., Any], *without: str) -> list[str]:
+    """Return the names of the arguments that a class itself takes."""
+    return [
+        one.name
+        for one in inspect.signature(kind).parameters.values()
+        if one.kind is not one.VAR_KEYWORD and one.name not in ("observer", *without)
+    ]
+
+
 def _made(
     plain: Callable[..., _Env],
     with_twin: Callable[..., _Env],
@@ -241,13 +253,20 @@ def _made(
     twin: str | Predictor | None,
     options: dict[str, Any],
 ) -> _Env:
+    """Return an environment of the one class or the other; the options are checked here."""
+    of_twin, own = _keywords(with_twin, "parameters"), _keywords(plain)
+    known = ["observation", *of_twin, "max_episode_steps", *own, *EnvConfig.names()]
+    check_options("USVTwin-v0", options, list(dict.fromkeys(known)))
     observation = observation or ("raw" if twin is None else "twin")
     if observation not in OBSERVATIONS:
-        raise ValueError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
+        raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
     if observation in OBSERVERS:
+        idle = [name for name in options if name in of_twin and name not in own]
+        if idle:
+            raise ArgumentError(f"{', '.join(idle)}: observation = {observation!r} runs no twin")
         return plain(observer=OBSERVERS[observation], **options)
     if twin is None:
-        raise ValueError(f"observation = {observation!r} needs a twin; twin=None gives none")
+        raise UsvTwinError(f"observation = {observation!r} needs a twin; twin=None gives none")
     return with_twin(twin=twin, parameters=observation == "twin_params", **options)
 
 
@@ -320,18 +339,18 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
 
     Raises
     ------
-    ValueError
+    UsvTwinError
         Without ``record=True``, or before the first reset.
     """
     base = env.unwrapped
     if not isinstance(base, USVEnv) or not (base.recorder and base.recorder.rows):
-        raise ValueError("make the environment with record=True, and reset it, to get its log")
-    rows = np.array(base.recorder.rows)
+        raise UsvTwinError("make the environment with record=True, and reset it, to get its log")
+    rows = base.recorder.rows
     log = Log(
-        t=rows[:, 0],
-        cmd=rows[:, 1:5],
-        z=np.array([measurement_row(row[5:13]) for row in rows]),
-        truth=rows[:, 13:][:, list(TRUE_STATE)],
+        t=np.array([row.t for row in rows]),
+        cmd=np.array([row.cmd for row in rows]),
+        z=np.array([measurement_row(row.z) for row in rows]),
+        truth=np.array([row.state[list(TRUE_STATE)] for row in rows]),
         name=f"{base.vessel.name}_episode",
     )
     if path is not None:

@@ -29,7 +29,7 @@ from rich.progress import track
 
 from twin.model.priors import KINDS
 from twin.particulars import Particulars
-from twin.predictors.baselines import GRID
+from twin.predictors.baselines import ACTUATORS, GRID, VELOCITIES
 from twin.predictors.learned.lstm import import_torch, undisturbed
 from twin.predictors.learned.pretrained import (
     AHEAD,
@@ -275,6 +275,8 @@ def sail_boat(seed: int, i: int, runs: int) -> list[Run]:
 class _Watch(FleetPredictor):
     """Keeps the history that a net would see, and knows no net."""
 
+    look_back = math.inf  # type: ignore[assignment]
+
     def __init__(self, particulars: Particulars) -> None:
         super(FleetPredictor, self).__init__(particulars)
 
@@ -448,7 +450,7 @@ def batch(fleet: list[Run], size: int, rng: np.random.Generator) -> tuple[Array,
             rows, true = rows[:, SWAPPED] * MIRROR, true * MIRROR[:6]
         window, known = FleetPredictor.windows(rows, origins)
         later = origins[:, None] + np.arange(1, ahead + 1)
-        x = tokens(window, known, rows[later, 10:14], run.particulars)
+        x = tokens(window, known, rows[later, ACTUATORS], run.particulars)
         moved, at = true[later], true[origins]
         moved[..., :3] -= at[:, None, :3]
         c, s = np.cos(at[:, 2:3]), np.sin(at[:, 2:3])
@@ -456,7 +458,7 @@ def batch(fleet: list[Run], size: int, rng: np.random.Generator) -> tuple[Array,
         moved[..., 1] = c * east - s * moved[..., 0]
         moved[..., 0] = c * moved[..., 0] + s * east
         moved /= [L, L, 1.0, U, U, U / L]
-        start = window[:, -1, 3:6] / [U, U, U / L]
+        start = window[:, -1, VELOCITIES] / [U, U, U / L]
         wild = np.abs(np.concatenate([start, moved[..., 3:].reshape(EACH, -1)], axis=1)) > WILD
         keep = ~wild.any(axis=1)
         sailed = np.full((EACH, 1), GRID * U / L)

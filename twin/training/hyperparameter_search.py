@@ -62,15 +62,7 @@ BEGIN = {
 
 
 def draw(kind: str, i: int, seed: int) -> FleetSettings:
-    """Return the i-th configuration of a search; the first is where it begins.
-
-    Parameters
-    ----------
-    kind : str
-        ``lstm`` or ``transformer``.
-    i, seed : int
-        Its number, and the seed of the search.
-    """
+    """Return the i-th configuration of a search for a kind of net; the first is where it begins."""
     begin = BEGIN[kind]
     if i == 0:
         return begin
@@ -96,19 +88,9 @@ def windows(fleet: list[Run], count: int, seed: int) -> list[tuple[Array, ...]]:
 
 
 def losses(weights: Weights, judges: list[tuple[Array, ...]]) -> Array:
-    """Return the errors of a net, a row for each window.
+    """Return the errors (n, 6) of a net on windows of other boats, from :func:`windows`.
 
-    Parameters
-    ----------
-    weights : Weights
-        The net, as it will be asked: in numpy.
-    judges : list of tuple of ndarray
-        From :func:`windows`.
-
-    Returns
-    -------
-    ndarray, shape (n, 6)
-        Mean over 10 s of the absolute errors of x, y, psi, u, v, r, over their typical size.
+    They are means over 10 s of the absolute errors of x, y, psi, u, v, r, over their typical size.
     """
     torch = import_torch("the search for settings of nets")
     out = []
@@ -130,25 +112,9 @@ def search(
 ) -> list[dict[str, Any]]:
     """Return what is known of the configurations that came furthest, the best first.
 
-    Parameters
-    ----------
-    configurations : list of FleetSettings
-        What to try, all of one net; their steps follow from the windows they learn from.
-    fleet : list of Run
-        What to learn from.
-    judges : list of tuple of ndarray
-        Windows of other boats, from :func:`windows`.
-    folder : Path
-        Where ``search.jsonl`` and the states of trainings are kept.
-    first : int
-        Windows in a training of the first rung; twice as many in each that follows.
-    rungs : int
-        How often the better half goes on.
-
-    Returns
-    -------
-    list of dict
-        ``settings``, ``windows`` and ``loss`` of the last rung's.
+    Their steps follow from the windows they learn from: ``first`` in the first of the ``rungs``,
+    twice as many in each that follows with the better half. ``folder`` keeps ``search.jsonl`` and
+    the states of trainings. Returned are ``settings``, ``windows`` and ``loss`` of the last rung's.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "search.jsonl"

@@ -127,40 +127,19 @@ LARGEST_HELM = math.radians(25.0)
 
 @dataclass(frozen=True, eq=False)
 class CalmRun:
-    """A run in calm water with a scaled clock; rows are :data:`ROW` apart.
+    """A run in calm water with a scaled clock; rows are :data:`ROW` apart."""
 
-    Parameters
-    ----------
-    particulars : Particulars
-        Of the boat, by the clock of the run.
-    states : ndarray, shape (N + 1, 6)
-        x, y (m), psi (rad), u, v (m/s), r (rad/s).
-    actuators : ndarray, shape (N + 1, 4)
-        Shaft speeds (rev/s) and angles (rad).
-    between : ndarray, shape (N, 4)
-        Actuators half a row after row k.
-    commands : ndarray, shape (N, 4)
-        Row k is in force from row k to row k + 1 of the states.
-    """
-
-    particulars: Particulars
-    states: Array
-    actuators: Array
-    between: Array
-    commands: Array
+    particulars: Particulars  # of the boat, by the clock of the run
+    states: Array  # (N + 1, 6): x, y (m), psi (rad), u, v (m/s), r (rad/s)
+    actuators: Array  # (N + 1, 4): shaft speeds (rev/s) and angles (rad)
+    between: Array  # (N, 4): actuators half a row after row k
+    commands: Array  # (N, 4): row k is in force from row k to row k + 1 of the states
 
 
 def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) -> CalmRun:
     """Sail random steps of throttle (0.7 to 1) and helm in calm water.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        The boat.
-    rng : numpy.random.Generator
-        Draws the steps.
-    n : float, optional
-        Nominal shaft speed, rev/s; the vessel's for manoeuvring if left out.
+    ``n`` is the nominal shaft speed, rev/s; the vessel's for manoeuvring if left out.
     """
     n = vessel.values["shaft_speed_manoeuvring"] if n is None else n
     speed = vessel.straight_speed(n)
@@ -206,23 +185,10 @@ def sail_calm(vessel: Vessel, rng: np.random.Generator, n: float | None = None) 
 def rolled(
     structure: Structure, xi: Array, run: CalmRun, horizon: int = HORIZON, stride: int = STRIDE
 ) -> Array:
-    """Return the errors of the model's predictions from many rows of a run.
+    """Return the errors (starts, horizon, 6) of the model's predictions from many rows of a run.
 
-    Parameters
-    ----------
-    structure : Structure
-        The model.
-    xi : ndarray, shape (p,)
-        Parameters, SI units.
-    run : CalmRun
-        What happened.
-    horizon, stride : int
-        Rows to look ahead, and between starts.
-
-    Returns
-    -------
-    ndarray, shape (starts, horizon, 6)
-        Of x, y (lengths), psi (rad), u, v (typical speeds), r (typical speeds over length).
+    They are of x, y (lengths), psi (rad), u, v (typical speeds), r (typical speeds over length).
+    ``horizon`` and ``stride`` are rows to look ahead, and between starts.
     """
     about = run.particulars
     lags = np.array([about.shaft_lag, about.steer_lag, about.steer_rate])
@@ -260,24 +226,11 @@ def _window(structure: Structure, run: CalmRun) -> Array:
 
 
 def project(structure: Structure, runs: Sequence[CalmRun]) -> tuple[Array, Array]:
-    """Return the parameters with which the model predicts the runs of a boat best.
+    """Return the SI parameters (p,) that predict a boat's runs best, and the RMS errors (3,).
 
     The refit of :mod:`twin.identification.prediction_error` without waves. The structure's own
-    mean and standard deviation decide where the runs show little.
-
-    Parameters
-    ----------
-    structure : Structure
-        The model of the boat.
-    runs : sequence of CalmRun
-        Of one boat.
-
-    Returns
-    -------
-    xi : ndarray, shape (p,)
-        Parameters, SI units.
-    error : ndarray, shape (3,)
-        Root mean square errors of u, v (typical speeds) and r (typical speeds over length).
+    mean and standard deviation decide where the runs show little. Errors are of u, v (typical
+    speeds) and r (typical speeds over length).
     """
     # what calm water does not show stays where it is
     sd = np.where(_shown(structure), structure.sd, 1e-6 * structure.sd)
@@ -342,13 +295,8 @@ _RANGES = {
 def random_boat(kind: str, rng: np.random.Generator) -> tuple[Vessel, float]:
     """Return a random boat of a kind, and its nominal shaft speed in rev/s.
 
-    Parameters
-    ----------
-    kind : str
-        One of ``twin.model.priors.KINDS``, ``twin.model.priors.TANKER``, or a class of
-        ``twin.particulars.DESIGNS``.
-    rng : numpy.random.Generator
-        Draws main particulars and coefficients.
+    A kind is one of ``twin.model.priors.KINDS``, ``twin.model.priors.TANKER``, or a class of
+    ``twin.particulars.DESIGNS``.
     """
     if kind == TANKER:
         return sample_from_class(Vessel.load(MEASURED), rng, SPREAD)
@@ -377,14 +325,7 @@ def sample_like(
 ) -> tuple[Vessel, float]:
     """Return a random boat of given main particulars, and its nominal shaft speed in rev/s.
 
-    Parameters
-    ----------
-    particulars : Particulars
-        Length, beam, draft, mass and typical speed are used.
-    kind : str
-        One of ``twin.model.priors.KINDS``.
-    rng : numpy.random.Generator
-        Draws the coefficients.
+    Length, beam, draft, mass and typical speed are used; the coefficients are drawn.
     """
     keys = ("length", "beam", "draft", "mass", "speed")
     return _drafted(kind, rng, **{key: getattr(particulars, key) for key in keys})
@@ -392,15 +333,10 @@ def sample_like(
 
 @functools.cache
 def nominal(name: str) -> Vessel:
-    """Return the model of a class as known before any data: with errors of its coefficients.
+    """Return the package's model of a class as known before any data: with coefficient errors.
 
     Simulated boats vary around the vessel of the package; of a real class that is not known. So
     each coefficient gets a random error, by :data:`BIAS`.
-
-    Parameters
-    ----------
-    name : str
-        Of a vessel that comes with the package.
 
     Source: docs/explanation/twin.md, The refit.
     """
@@ -437,25 +373,9 @@ Draw = Callable[[np.random.Generator], tuple[Vessel, float]]
 def fit_member(
     model: str, kind: str, draw: Draw, seed: int, i: int
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return one boat of a population.
+    """Return the i-th boat of a population: its parameters (p,), their errors (3,) and names.
 
-    Parameters
-    ----------
-    model, kind : str
-        Model structure, and kind of boats as for :func:`random_boat`.
-    draw : callable
-        From a generator to a boat and its nominal shaft speed.
-    seed, i : int
-        Seed of the population, and number of the boat.
-
-    Returns
-    -------
-    xi : ndarray, shape (p,)
-        Parameters that calm water shows, dimensionless.
-    error : ndarray, shape (3,)
-        See :func:`project`.
-    names : tuple of str
-        Of the parameters.
+    The parameters are those that calm water shows, dimensionless; errors as in :func:`project`.
     """
     rng = np.random.default_rng((seed, i))
     vessel, n = draw(rng)
@@ -479,30 +399,15 @@ def make_prior(
 ) -> Prior:
     """Draw a population, fit the model to each boat, and return what they have in common.
 
-    Parameters
-    ----------
-    model, kind : str
-        Model structure, and kind of boats as for :func:`random_boat`.
-    draw : callable, optional
-        From a generator to a boat and its nominal shaft speed; :func:`random_boat` of the
-        kind if left out.
-    drawn : int
-        Boats to draw; those that the model does not fit are left out.
-    seed : int
-        Seed of the population.
-    workers : int
-        Processes; the result does not depend on it.
-
-    Raises
-    ------
-    PriorError
-        If the model does not fit half of them.
+    ``draw`` goes from a generator to a boat and its nominal shaft speed; :func:`random_boat` of the
+    kind if left out. Of the ``drawn`` boats, those that the model does not fit are left out.
+    PriorError: it does not fit half of them. The result does not depend on ``workers``.
     """
     draw = draw or functools.partial(random_boat, kind)
     found = Parallel(n_jobs=workers)(
         delayed(fit_member)(model, kind, draw, seed, i) for i in range(drawn)
     )
-    fitted = [i for i, (_, error, _) in enumerate(found) if np.all(error <= LARGEST_ERROR)]
+    fitted = [i for i, fit in enumerate(found) if np.all(fit[1] <= LARGEST_ERROR)]
     if len(fitted) < max(2, drawn // 2):
         raise PriorError(
             f"the model {model!r} fits {len(fitted)} of {drawn} boats; take another model, or draw "

@@ -42,15 +42,7 @@ TWO_HULLS = 0.5
 
 @dataclass(frozen=True)
 class Finding:
-    """A broken rule.
-
-    Parameters
-    ----------
-    error : bool
-        The vessel is wrong or cannot be simulated; else it is unusual.
-    text : str
-        One sentence with the number and the typical range.
-    """
+    """A broken rule, in one sentence; an ``error`` makes the vessel wrong, else it is unusual."""
 
     error: bool
     text: str
@@ -58,34 +50,21 @@ class Finding:
 
 @dataclass
 class Inspection:
-    """Derived particulars of a vessel.
+    """Derived particulars of a vessel."""
 
-    Parameters
-    ----------
-    name, title : str
-        Of the vessel.
-    particulars : dict
-        Name with unit to number.
-    periods : dict
-        Natural periods of heave, roll and pitch in s; nan for an overdamped motion.
-    speeds : list of dict
-        Shaft speed, speed, Froude number and thrust, up to the largest shaft speed.
-    course : dict
-        Eigenvalues of drift and turning on a straight course at service speed, 1/s.
-    turn : dict
-        Turning circle at the manoeuvring shaft speed and full helm.
-    findings : list of Finding
-        Errors first.
-    """
-
+    # of the vessel
     name: str
     title: str
-    particulars: dict[str, float] = field(default_factory=dict)
+    particulars: dict[str, float] = field(default_factory=dict)  # name with unit to number
+    # natural periods of heave, roll and pitch in s; nan for an overdamped motion
     periods: dict[str, float] = field(default_factory=dict)
+    # shaft speed, speed, Froude number and thrust, up to the largest shaft speed
     speeds: list[dict[str, float]] = field(default_factory=list)
+    # eigenvalues of drift and turning on a straight course at service speed, 1/s
     course: dict[str, float] = field(default_factory=dict)
+    # turning circle at the manoeuvring shaft speed and full helm
     turn: dict[str, float] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)  # errors first
 
     @property
     def errors(self) -> list[Finding]:
@@ -209,13 +188,7 @@ def _speeds(vessel: Vessel) -> list[dict[str, float]]:
 
 
 def inspect(vessel: Vessel) -> Inspection:
-    """Return derived particulars of a vessel, and what is wrong or unusual.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    """
+    """Return derived particulars of a vessel, and what is wrong or unusual."""
     v, form = vessel.values, form_of(vessel)
     L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
     plane = v["A_wp"] / (L * B)

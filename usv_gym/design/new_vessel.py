@@ -47,17 +47,7 @@ class DesignError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Draft:
-    """The content of a first vessel file.
-
-    Parameters
-    ----------
-    text : str
-        The TOML.
-    vessel : Vessel
-        The vessel in the file.
-    notes : tuple of str
-        Regressions out of range, and limited values.
-    """
+    """A first vessel file: its TOML, its vessel, and notes on values out of range or limited."""
 
     text: str
     vessel: Vessel
@@ -80,40 +70,22 @@ Curve = dict[str, list[float]]
 
 @dataclass(frozen=True, kw_only=True)
 class MainParticulars:
-    """What is known of a ship of one hull before its vessel file is written.
+    """What is known of a ship of one hull before its vessel file is written."""
 
-    Parameters
-    ----------
-    name : str
-        Letters, digits, ``_`` and ``-``.
-    length, beam, draft : float
-        At the water line, m.
-    mass : float
-        kg.
-    kind : str
-        Kind of propulsion.
-    units : int or None
-        1 or 2; default 1 for a propeller with rudder, else 2.
-    speed, power : float or None
-        Service speed (m/s) and shaft power of all units (W); default one from the other, or
-        both from a typical Froude number.
-    length_overall : float or None
-        m; default 1.05 ``length``.
-    water_density : float or None
-        kg/m3; default 1025, sea water.
-    """
-
-    name: str
+    name: str  # letters, digits, _ and -
+    # at the water line, m
     length: float
     beam: float
     draft: float
-    mass: float
-    kind: str = "steerable_drive"
-    units: int | None = None
+    mass: float  # kg
+    kind: str = "steerable_drive"  # kind of propulsion
+    units: int | None = None  # 1 or 2; default 1 for a propeller with rudder, else 2
+    # service speed (m/s) and shaft power of all units (W); default one from the other, or both from
+    # a typical Froude number
     speed: float | None = None
     power: float | None = None
-    length_overall: float | None = None
-    water_density: float | None = None
+    length_overall: float | None = None  # m; default 1.05 length
+    water_density: float | None = None  # kg/m3; default 1025, sea water
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,13 +99,7 @@ class _Given(MainParticulars):
 
 
 def design(known: MainParticulars) -> Draft:
-    """Return a first vessel file for a ship of one hull.
-
-    Raises
-    ------
-    DesignError
-        Names the value and the remedy.
-    """
+    """Return a first vessel file for a ship of one hull; DesignError names value and remedy."""
     defaults = {
         "units": 1 if known.kind == "propeller_rudder" else 2,
         "length_overall": 1.05 * known.length,
@@ -543,10 +509,10 @@ def _toml(given: _Given, head: list[str], tables: Tables, curve: Curve) -> str:
         lines += ["", f"[{name}]"]
         if name == "propulsion":
             lines.append(f'kind = "{given.kind}"')
-        for key, (unit, _) in keys_of(name, given.kind).items():
+        for key, about in keys_of(name, given.kind).items():
             if key in entries:
                 entry = entries[key]
-                lines.append(_line(key, _round(entry.value), unit, entry.source, entry.guess))
+                lines.append(_line(key, _round(entry.value), about[0], entry.source, entry.guess))
         if name == "hull":
             lines += ["", "[hull.resistance]"]
             for key, unit in (("speed", "m/s"), ("force", "N")):

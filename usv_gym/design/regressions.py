@@ -19,7 +19,6 @@ from usv_gym.physics import GRAVITY
 __all__ = [
     "Estimate",
     "Form",
-    "clarke",
     "cross_flow",
     "hydrostatics",
     "kijima",
@@ -49,26 +48,15 @@ FISHING = {"L/B": (4.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Main particulars of a hull.
+    """Main particulars of a hull."""
 
-    Parameters
-    ----------
-    length, beam, draft : float
-        At the water line, m.
-    block_coefficient : float
-        Displaced volume over length, beam and draft.
-    water_density : float
-        kg/m3.
-    x_G : float
-        Centre of gravity forward of midship, m.
-    """
-
+    # at the water line, m
     length: float
     beam: float
     draft: float
-    block_coefficient: float
-    water_density: float = 1025.0
-    x_G: float = 0.0
+    block_coefficient: float  # displaced volume over length, beam and draft
+    water_density: float = 1025.0  # kg/m3
+    x_G: float = 0.0  # centre of gravity forward of midship, m
 
     @property
     def volume(self) -> float:
@@ -92,16 +80,9 @@ class Form:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Numbers from a regression.
+    """Numbers from a regression (author and year), by names as in vessel files.
 
-    Parameters
-    ----------
-    source : str
-        Author and year.
-    values : Mapping[str, float]
-        Names as in vessel files.
-    notes : tuple of str
-        One for each particular out of range, and for each impossible result.
+    There is a note for each particular out of range, and for each impossible result.
     """
 
     source: str
@@ -132,15 +113,7 @@ def _estimate(
 def kijima(form: Form, m_x_prime: float) -> Estimate:
     """Return hull coefficients after Kijima and Inoue, with their cross terms.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    m_x_prime : float
-        Added mass in surge over ``rho L^2 d / 2``.
-
-    Notes
-    -----
+    ``m_x_prime`` is the added mass in surge over ``rho L^2 d / 2``.
     Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
     drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
     :func:`cross_flow` replaces them.
@@ -161,18 +134,9 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
 
 
 def yoshimura(form: Form, m_x_prime: float, m_y_prime: float) -> Estimate:
-    """Return all hull coefficients but R_0 after Yoshimura and Masumoto.
+    """Return all hull coefficients but R_0 after Yoshimura and Masumoto 2012.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    m_x_prime, m_y_prime : float
-        Added masses in surge and sway over ``rho L^2 d / 2``.
-
-    Notes
-    -----
-    Source: Yoshimura and Masumoto 2012.
+    Added masses in surge and sway are over ``rho L^2 d / 2``.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
     k, c, slender = 2.0 * d / L, C_b * B / L, L / B
@@ -207,41 +171,9 @@ def _damped(source: str, values: Mapping[str, float]) -> list[str]:
     ]
 
 
-def clarke(form: Form) -> Estimate:
-    """Return linear derivatives and added masses, made dimensionless with the length alone.
-
-    Forces over ``rho L^2 U^2 / 2``, moments over ``rho L^3 U^2 / 2``; ``Y_vdot`` over
-    ``rho L^3 / 2``, ``N_rdot`` over ``rho L^5 / 2``.
-
-    Notes
-    -----
-    Source: Clarke, Gedling and Hine 1983. The linear derivatives contain no centripetal terms.
-    """
-    L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
-    S, beam, flat = math.pi * (d / L) ** 2, B / L, B / d
-    values = {
-        "Y_vdot": -S * (1.0 + 0.16 * C_b * flat - 5.1 * beam**2),
-        "Y_rdot": -S * (0.67 * beam - 0.0033 * flat**2),
-        "N_vdot": -S * (1.1 * beam - 0.041 * flat),
-        "N_rdot": -S * (1.0 / 12.0 + 0.017 * C_b * flat - 0.33 * beam),
-        "Y_v": -S * (1.0 + 0.4 * C_b * flat),
-        "Y_r": -S * (-0.5 + 2.2 * beam - 0.08 * flat),
-        "N_v": -S * (0.5 + 2.4 * d / L),
-        "N_r": -S * (0.25 + 0.039 * flat - 0.56 * beam),
-    }
-    negative = [
-        f"Clarke 1983: {key} is {values[key]:+.3g}: an added inertia below 0 is impossible"
-        for key in ("Y_vdot", "N_rdot")
-        if values[key] > 0.0
-    ]
-    return _estimate("Clarke 1983", form, values, MERCHANT, *negative)
-
-
 def soding(form: Form) -> Estimate:
     """Return the added mass in surge, kg.
 
-    Notes
-    -----
     Source: Soding 1982, as in MSS; of a prolate body, for any slender hull.
     """
     values = {"m_x": 2.7 * form.water_density * form.volume ** (5.0 / 3.0) / form.length**2}
@@ -251,8 +183,6 @@ def soding(form: Form) -> Estimate:
 def zhou(form: Form) -> Estimate:
     """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
 
-    Notes
-    -----
     Source: regressions of Zhou et al. 1983 on the charts of Motora 1959.
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
@@ -289,17 +219,8 @@ def zhou(form: Form) -> Estimate:
 
 
 def hydrostatics(form: Form, water_plane: float) -> Estimate:
-    """Return KB, BM_T and BM_L in m.
+    """Return KB, BM_T and BM_L in m, for a coefficient of the water plane.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    water_plane : float
-        Coefficient of the water plane: its area over length and beam.
-
-    Notes
-    -----
     Source: KB by Morrish; inertia of the water plane by D'Arcangelo 1969. For one hull only; a
     catamaran is much stiffer.
     """
@@ -317,17 +238,8 @@ def hydrostatics(form: Form, water_plane: float) -> Estimate:
 
 
 def periods(form: Form, GM_T: float) -> Estimate:
-    """Return the natural periods of heave, pitch and roll in s.
+    """Return the natural periods of heave, pitch and roll in s; GM_T in m.
 
-    Parameters
-    ----------
-    form : Form
-        Main particulars.
-    GM_T : float
-        Transverse metacentric height, m.
-
-    Notes
-    -----
     Source: heave and pitch after Jensen et al. 2004, ``2 pi sqrt(2 d / g)``; roll after the
     weather criterion of IMO, ``2 f B / sqrt(GM)`` with f = 0.4 below 45 m, else
     ``0.373 + 0.023 B / d - 0.043 L / 100``.
@@ -342,8 +254,6 @@ def periods(form: Form, GM_T: float) -> Estimate:
 def kijima_rudder(form: Form) -> Estimate:
     """Return a_H, t_R and epsilon of a rudder behind one screw.
 
-    Notes
-    -----
     Source: Kijima et al. 1990. For outboard drives use 0, 0 and 1.
     """
     C_b = form.block_coefficient
@@ -364,8 +274,6 @@ def kijima_rudder(form: Form) -> Estimate:
 def cross_flow(form: Form) -> Estimate:
     """Return the drag coefficient of sections in cross-flow.
 
-    Notes
-    -----
     Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points.
     """
     drag = float(np.interp(form.beam / (2.0 * form.draft), *_HOERNER.T))

@@ -15,6 +15,7 @@ from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
+from usv_kernel.errors import UsvTwinError, check_options
 
 __all__ = ["EnvConfig"]
 
@@ -71,11 +72,11 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         if self.actions not in ("common", "units"):
-            raise ValueError(f"actions = {self.actions!r}; use 'common' or 'units'")
+            raise UsvTwinError(f"actions = {self.actions!r}; use 'common' or 'units'")
         check_count("frame_skip", self.frame_skip)
         angle = self.wind_from_deg
         if angle is not None and not isinstance(angle, (int, float, np.number)):
-            raise ValueError(f"wind_from_deg = {angle!r}: must be a number of degrees")
+            raise UsvTwinError(f"wind_from_deg = {angle!r}: must be a number of degrees")
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -88,13 +89,11 @@ class EnvConfig:
 
         Raises
         ------
-        TypeError
+        ArgumentError
             Names the options that exist; ``others`` are those of the environment itself.
         """
-        unknown = ", ".join(name for name in options if name not in cls.names())
-        if unknown:
-            known = ", ".join((*others, *cls.names()))
-            raise TypeError(f"the environment has no option {unknown}; it has {known}")
+        given = (name for name in options if name not in others)
+        check_options("the environment", given, (*others, *cls.names()))
         return cls(**options)
 
     def seas(self) -> tuple[SeaState, ...]:
@@ -110,4 +109,4 @@ class EnvConfig:
 def check_count(name: str, value: Any) -> None:
     """Refuse what is no whole number of 1 or more."""
     if isinstance(value, bool) or not (isinstance(value, (int, np.integer)) and value >= 1):
-        raise ValueError(f"{name} = {value!r}: must be a whole number, 1 or more")
+        raise UsvTwinError(f"{name} = {value!r}: must be a whole number, 1 or more")

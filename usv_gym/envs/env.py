@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +14,7 @@ from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.envs.tasks import TASK
 from usv_gym.world.simulation import Simulation
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.records import field_at, record_size
 
 __all__ = [
@@ -28,17 +29,27 @@ _LEG, _ERRORS, _TERMS, _REWARD, _TERMINATED, _SUCCESS, _CAPSIZED = (
 """Where these stand in a task's flat record: one list a step is quicker than seven views."""
 
 
+class Recorded(NamedTuple):
+    """What a step leaves in a log."""
+
+    t: float  # s
+    cmd: np.ndarray  # (4,) command in force: rev/s, rad
+    z: np.ndarray  # (8,) measurement, see SENSOR_CHANNELS
+    state: np.ndarray  # true state of the ship, see usv_gym.physics.frames
+
+
 class Recorder:
-    """Rows of an episode for its log: time, command, measurement and true state per step."""
+    """Rows of an episode for its log."""
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.rows: list[np.ndarray] = []
+        self.rows: list[Recorded] = []
 
     def observe(self, obs: np.ndarray, look: bool = True) -> None:
         """Add the row of this step."""
         sim = self.simulation
-        self.rows.append(np.concatenate([sim.t, sim.cmd[0], sim.z[0], sim.state[0]]))
+        now = sim.t.item(0), sim.cmd[0].copy(), sim.z[0].copy(), sim.state[0].copy()
+        self.rows.append(Recorded(*now))
 
 
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -180,7 +191,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         """
         super().reset(seed=seed)
         if options:
-            raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
+            raise UsvTwinError(f"unknown reset options: {', '.join(map(str, options))}")
         obs = np.empty(self._obs_shape, np.float32)
         self.episodes.reset(0, self.np_random, obs[0])
         self._started = True
@@ -211,16 +222,16 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         try:
             values = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ValueError(f"action {action!r} is not an array of numbers") from None
+            raise UsvTwinError(f"action {action!r} is not an array of numbers") from None
         if values.shape != self._shape:
-            raise ValueError(
+            raise UsvTwinError(
                 f"action has shape {values.shape}; it must be {self._shape}: "
                 "see the action table of usv_gym.envs.env.USVEnv"
             )
         self._action[:] = values
         obs = np.empty(self._obs_shape, np.float32)
         if not self.episodes.step(obs, self._callbacks):
-            raise ValueError(
+            raise UsvTwinError(
                 f"action {values} holds NaN or infinity; every entry must lie in [-1, 1]"
             )
         self._show()

@@ -12,7 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.envs.config import EnvConfig, check_count
-from usv_gym.envs.tasks import ERRORS, RULES, TASK, follow, make_task, score_step
+from usv_gym.envs.tasks import (
+    COURSE_ERROR,
+    CROSS_TRACK,
+    ERRORS,
+    NEXT_TURN,
+    RULES,
+    TASK,
+    TO_GO,
+    follow,
+    make_task,
+    score_step,
+)
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
@@ -20,7 +31,17 @@ from usv_gym.world.faults import Disturbance, FaultError, fault_records, parse_f
 from usv_gym.world.sea import choice
 from usv_gym.world.simulation import Simulation, advance, out_of_numbers
 from usv_gym.world.state import BOAT, SIMULATION
-from usv_kernel.channels import SENSOR_CHANNELS
+from usv_kernel.channels import (
+    ACCEL_X,
+    ACCEL_Y,
+    COMPASS,
+    GPS_VX,
+    GPS_VY,
+    GPS_X,
+    GPS_Y,
+    GYRO,
+    SENSOR_CHANNELS,
+)
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
@@ -43,6 +64,14 @@ OBSERVATION = (
     *("cos_next_turn", "sin_next_turn"),
 )
 """Names of the entries of the observation; scales in :class:`usv_gym.envs.env.USVEnv`."""
+
+(
+    _COS_HEADING, _SIN_HEADING, _YAW_RATE, _ACCEL_FORWARD, _ACCEL_STARBOARD,
+    _SPEED_FORWARD, _SPEED_STARBOARD,
+    _GPS_VALID, _COMPASS_VALID, _IMU_VALID, _GPS_AGE, _COMPASS_AGE, _IMU_AGE,
+    _SHAFT_LEFT, _SHAFT_RIGHT, _DRIVE_LEFT, _DRIVE_RIGHT,
+    _CROSS_TRACK, _TO_GO, _COS_COURSE_ERROR, _SIN_COURSE_ERROR, _COS_NEXT_TURN, _SIN_NEXT_TURN,
+) = range(len(OBSERVATION))  # fmt: skip
 
 BOUND = 10.0
 """Largest size of an entry of an observation; what is larger is cut off."""
@@ -89,36 +118,36 @@ def observe(
     rules, dt = config.rules, config.simulation.dt
     for j in range(3):
         age[j] += dt
-    if math.isfinite(z[0]):
+    if math.isfinite(z[GPS_X]):
         age[0] = 0.0
-        for j in range(4):
+        for j in range(COMPASS):
             held[j] = z[j]
-    if math.isfinite(z[4]):
+    if math.isfinite(z[COMPASS]):
         age[1] = 0.0
-        held[4] = z[4]
-    if math.isfinite(z[5]):
+        held[COMPASS] = z[COMPASS]
+    if math.isfinite(z[GYRO]):
         age[2] = 0.0
-        for j in range(5, 8):
+        for j in range(GYRO, len(SENSOR_CHANNELS)):
             held[j] = z[j]
     leg = int(episode.task.known_leg)
-    leg = follow(held[0], held[1], held[4], points, leg, rules.reach, errors)
+    leg = follow(held[GPS_X], held[GPS_Y], held[COMPASS], points, leg, rules.reach, errors)
     episode.task.known_leg = leg
     # new since the last decision, and there was one at all
     fresh = (min(config.frames - 1.0, boat.step) + 0.5) * dt
-    s, c = sincos(held[4])
-    o[0], o[1], o[2] = c, s, held[5]
-    o[3], o[4] = held[6] / GRAVITY, held[7] / GRAVITY
-    o[5] = (held[2] * c + held[3] * s) / rules.speed
-    o[6] = (held[3] * c - held[2] * s) / rules.speed
+    s, c = sincos(held[COMPASS])
+    o[_COS_HEADING], o[_SIN_HEADING], o[_YAW_RATE] = c, s, held[GYRO]
+    o[_ACCEL_FORWARD], o[_ACCEL_STARBOARD] = held[ACCEL_X] / GRAVITY, held[ACCEL_Y] / GRAVITY
+    o[_SPEED_FORWARD] = (held[GPS_VX] * c + held[GPS_VY] * s) / rules.speed
+    o[_SPEED_STARBOARD] = (held[GPS_VY] * c - held[GPS_VX] * s) / rules.speed
     for j in range(3):
-        o[7 + j] = 1.0 if age[j] < fresh else 0.0
-        o[10 + j] = age[j] / AGE_SCALE
+        o[_GPS_VALID + j] = 1.0 if age[j] < fresh else 0.0
+        o[_GPS_AGE + j] = age[j] / AGE_SCALE
     for j in range(4):
-        o[13 + j] = boat.command[j] / config.scale[j]
-    o[17] = errors[0] / rules.unit
-    o[18] = 0.1 * errors[1] / rules.unit
-    o[20], o[19] = sincos(errors[2])
-    o[22], o[21] = sincos(errors[3])
+        o[_SHAFT_LEFT + j] = boat.command[j] / config.scale[j]
+    o[_CROSS_TRACK] = errors[CROSS_TRACK] / rules.unit
+    o[_TO_GO] = 0.1 * errors[TO_GO] / rules.unit
+    o[_SIN_COURSE_ERROR], o[_COS_COURSE_ERROR] = sincos(errors[COURSE_ERROR])
+    o[_SIN_NEXT_TURN], o[_COS_NEXT_TURN] = sincos(errors[NEXT_TURN])
     for j in range(len(OBSERVATION)):  # more may follow
         o[j] = min(max(o[j], -BOUND), BOUND)
 

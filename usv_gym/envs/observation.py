@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_gym.envs.episodes import BOUND, EPISODE, EPISODES, OBSERVATION, Episodes, Observer
+from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, NEXT_TURN, TO_GO
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
 from usv_kernel.jit import kernel
@@ -30,6 +31,12 @@ _TRUE = (
     *("cos_course_error", "sin_course_error", "cos_next_turn", "sin_next_turn"),
     *("shaft_left", "shaft_right", "drive_left", "drive_right"),
 )
+
+(
+    SURGE, SWAY, YAW_RATE, COS_HEADING, SIN_HEADING, OFF_PATH, TO_END,
+    COS_COURSE_ERROR, SIN_COURSE_ERROR, COS_NEXT_TURN, SIN_NEXT_TURN, SHAFTS,
+) = range(12)  # fmt: skip
+"""Places of the entries above; those of a twin's estimate begin alike."""
 
 
 class Stacked(Observer):
@@ -70,13 +77,20 @@ def _true_state(rows, episodes, shared, obs):
         state, errors = as_record(rows[i], BOAT).state, as_record(episodes[i], EPISODE).task.errors
         o = obs[i, len(OBSERVATION) :]
         psi = state[fr.PSI]
-        o[0], o[1], o[2] = state[fr.U] / rules.speed, state[fr.V] / rules.speed, state[fr.R]
-        o[3], o[4] = math.cos(psi), math.sin(psi)
-        o[5], o[6] = errors[0] / rules.unit, 0.1 * errors[1] / rules.unit
-        o[7], o[8] = math.cos(errors[2]), math.sin(errors[2])
-        o[9], o[10] = math.cos(errors[3]), math.sin(errors[3])
+        o[SURGE], o[SWAY] = state[fr.U] / rules.speed, state[fr.V] / rules.speed
+        o[YAW_RATE] = state[fr.R]
+        o[COS_HEADING], o[SIN_HEADING] = math.cos(psi), math.sin(psi)
+        o[OFF_PATH], o[TO_END] = errors[CROSS_TRACK] / rules.unit, 0.1 * errors[TO_GO] / rules.unit
+        o[COS_COURSE_ERROR], o[SIN_COURSE_ERROR] = (
+            math.cos(errors[COURSE_ERROR]),
+            math.sin(errors[COURSE_ERROR]),
+        )
+        o[COS_NEXT_TURN], o[SIN_NEXT_TURN] = (
+            math.cos(errors[NEXT_TURN]),
+            math.sin(errors[NEXT_TURN]),
+        )
         for j in range(4):
-            o[11 + j] = state[fr.N_LEFT + j] / config.scale[j]
+            o[SHAFTS + j] = state[fr.N_LEFT + j] / config.scale[j]
         for j in range(o.shape[0]):
             o[j] = min(max(o[j], -BOUND), BOUND)
 

@@ -21,6 +21,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "RENDER_MODES",
@@ -63,23 +64,11 @@ _FINE = 2  # the map is painted so many times larger, and smoothed
 
 
 class Renderer:
-    """Pictures of the boats of an environment.
+    """Pictures of the boats of an environment, ``size`` pixels wide and high.
 
-    Parameters
-    ----------
-    episodes : Episodes
-        The boats.
-    observer : Observer, optional
-        Its method ``overlay``, if it has one, returns the estimate of the twin of boat i.
-    mode : str
-        ``"rgb_array"`` or ``"human"``.
-    size : tuple of int
-        Width and height, pixels.
-
-    Attributes
-    ----------
-    waits : bool
-        Whether :meth:`look` is left to one who brings a twin from outside.
+    ``observer.overlay``, if there is one, returns the estimate of the twin of boat i. ``mode`` is
+    ``"rgb_array"`` or ``"human"``. ``waits``: :meth:`look` is left to one who brings a twin from
+    outside.
     """
 
     def __init__(
@@ -90,7 +79,7 @@ class Renderer:
         size: tuple[int, int] = RENDER_SIZE,
     ) -> None:
         if mode not in RENDER_MODES:
-            raise ValueError(
+            raise UsvTwinError(
                 f"render_mode = {mode!r}: unknown; use {' or '.join(map(repr, RENDER_MODES))}, or "
                 "leave it out"
             )
@@ -221,15 +210,7 @@ def _nice(length: float) -> float:
 class Painter:
     """Paints scenes: a map with the north up, a rose, what the instruments say, and a key.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, pixels.
-
-    Attributes
-    ----------
-    placed : list
-        Rectangles of the words and the rose of the last picture.
+    ``placed`` are the rectangles of the words and the rose of the last picture, pixels.
     """
 
     def __init__(self, size: tuple[int, int] = RENDER_SIZE) -> None:
@@ -239,7 +220,7 @@ class Painter:
         except (TypeError, ValueError):
             whole = False
         if not (whole and SMALLEST[0] <= w <= LARGEST and SMALLEST[1] <= h <= LARGEST):
-            raise ValueError(
+            raise UsvTwinError(
                 f"render_size = {size!r}: must be width and height in whole pixels, at least "
                 f"{SMALLEST[0]} x {SMALLEST[1]} and at most {LARGEST} x {LARGEST}"
             )
@@ -329,7 +310,7 @@ class Painter:
         overlay = scene.overlay
         if overlay:
             near = 3.0 * max(rect.size)
-            _, places, covs = overlay.band()
+            places, covs = overlay.band()[1:]
             for shape in at(ellipses(places, covs), near):
                 draw.polygon(canvas, _BAND, shape)
             for shape in at(ellipses(overlay.ahead[:, :2], overlay.covs, 64), near):
@@ -436,7 +417,7 @@ class Painter:
             rows += [("bold", _GREEN, "present leg"), ("ring", _GREY, "path, way points")]
         rows += [("wind", _SKY, "wind")] * (scene.wind > 0.05)
         rows += [("waves", _BLUE, "waves")] * (scene.hs > 0.005)
-        for k, (kind, colour, _) in enumerate(rows):
+        for k, (kind, colour) in enumerate(row[:2] for row in rows):
             y = top + k * self._line + self._line // 2
             end, middle = (left + 2 * em, y), (left + em, y)
             if kind in ("hull", "ghost"):
@@ -461,7 +442,7 @@ class Painter:
                     head = end[0] - 0.8 * em
                     tip = [(end[0], y), (head, y - 0.4 * em), (head, y + 0.4 * em)]
                     draw.polygon(frame, colour, tip)
-        self._write((left + round(2.6 * em), top), [(text, _INK) for _, _, text in rows])
+        self._write((left + round(2.6 * em), top), [(row[2], _INK) for row in rows])
 
     def _word(self, text: str, colour: Any) -> Any:
         key = text, colour
@@ -521,14 +502,9 @@ def _said(scene: Scene) -> list[tuple[str, Any]]:
 
 
 class Window:
-    """A window on the screen; its user may close it, and nothing else ends by that.
+    """A window on the screen, size in pixels; its user may close it, and nothing else ends by that.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height, pixels.
-    fps : float
-        Frames per second; showing waits for it.
+    Showing waits for ``fps`` frames per second.
     """
 
     def __init__(self, size: tuple[int, int], fps: float) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from usv_gym.envs.vector import USVVectorEnv
+from usv_kernel.errors import ArgumentError, UsvTwinError
 
 __all__ = [
     "SB3VecEnv",
@@ -59,16 +60,18 @@ class SB3VecEnv(VecEnv):
             same = {"autoreset_mode": AutoresetMode.SAME_STEP}
             made = gym.make_vec("USVTwin-v0", num_envs=int(envs), **(same | kwargs))
         elif kwargs:
-            raise TypeError(f"{', '.join(kwargs)}: options belong to where the environment is made")
+            raise ArgumentError(
+                f"{', '.join(kwargs)}: options belong to where the environment is made"
+            )
         else:
             made = envs
         native = getattr(made, "unwrapped", None)
         if native is not made or not isinstance(native, USVVectorEnv):
-            raise TypeError(
+            raise ArgumentError(
                 f"SB3VecEnv takes the native vector environment as it was made, not {made}"
             )
         if native.autoreset_mode != AutoresetMode.SAME_STEP:
-            raise ValueError(
+            raise UsvTwinError(
                 "Stable-Baselines3 resets within the step: make the environment with "
                 "autoreset_mode='SameStep'"
             )
@@ -135,7 +138,7 @@ class SB3VecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of the environment, which all boats share."""
         if indices is not None and set(self._boats(indices)) != set(range(self.num_envs)):
-            raise ValueError(f"{attr_name} is shared by all boats: leave out the indices")
+            raise UsvTwinError(f"{attr_name} is shared by all boats: leave out the indices")
         setattr(self.envs, attr_name, value)
 
     def env_method(
@@ -146,7 +149,7 @@ class SB3VecEnv(VecEnv):
         ``env_method("twin")`` gives the twins.
         """
         if method_name in ("reset", "step", "render", "close"):
-            raise TypeError(f"{method_name} is for all boats at once: call it on the vector")
+            raise ArgumentError(f"{method_name} is for all boats at once: call it on the vector")
         method = getattr(self.envs, method_name)
         return [method(i, *method_args, **method_kwargs) for i in self._boats(indices)]
 

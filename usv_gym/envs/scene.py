@@ -21,27 +21,15 @@ SDS = 2.0
 
 @dataclass(frozen=True, eq=False)
 class TwinOverlay:
-    """Estimate and forecast of a boat's twin.
+    """Estimate and forecast of a boat's twin."""
 
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        North and east (m), heading (rad), speeds forward and to starboard (m/s), yaw rate (rad/s).
-    cov : ndarray, shape (2, 2)
-        Covariance of the position, m2.
-    horizons : ndarray, shape (H,)
-        Rising times ahead, s.
-    ahead : ndarray, shape (H, 6)
-        States then.
-    covs : ndarray, shape (H, 2, 2)
-        Covariances of the positions then, m2.
-    """
-
+    # (6,): north and east (m), heading (rad), speeds forward and to starboard (m/s), yaw rate
+    # (rad/s)
     state: Array
-    cov: Array
-    horizons: Array
-    ahead: Array
-    covs: Array
+    cov: Array  # (2, 2): covariance of the position, m2
+    horizons: Array  # (H,): rising times ahead, s
+    ahead: Array  # (H, 6): states then
+    covs: Array  # (H, 2, 2): covariances of the positions then, m2
 
     def band(self, steps: int = 60) -> tuple[Array, Array, Array]:
         """Return times ahead (T,), positions (T, 2) and their covariances (T, 2, 2) in between.
@@ -72,76 +60,35 @@ def ellipses(places: Array, covs: Array, corners: int = 24) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """All that one picture shows.
+    """All that one picture shows."""
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Its size and its drives.
-    speed : float
-        Its nominal speed, m/s.
-    t : float
-        Time, s.
-    state : ndarray, shape (16,)
-        True state.
-    view : ndarray, shape (2,)
-        Middle of the picture, m north and east.
-    track : ndarray, shape (T, 2)
-        Where the boat was, m north and east.
-    path : ndarray, shape (K, 2)
-        Way points, m north and east; none without a goal.
-    leg : int
-        Present leg, from point ``leg`` on.
-    off_path : float
-        Distance to starboard of the leg, m.
-    fixes : ndarray, shape (F, 2)
-        Fixes of the GPS, m north and east.
-    gps_age : float
-        Time since the last fix, s.
-    gps_lost : bool
-        Whether fixes are missing.
-    wind, wind_from : float
-        True wind with gusts (m/s), and where it comes from (rad).
-    hs, wave_to : float
-        Significant wave height (m), and where the waves go to (rad).
-    rewards : dict
-        Terms of the last step's reward; none without a goal.
-    heeling : bool
-        Whether the boat rolls and pitches at all.
-    overlay : TwinOverlay, optional
-        Estimate and forecast of its twin.
-    """
-
-    vessel: Vessel
-    speed: float
-    t: float
-    state: Array
-    view: Array
-    track: Array
-    path: Array
-    leg: int
-    off_path: float
-    fixes: Array
-    gps_age: float
-    gps_lost: bool
+    vessel: Vessel  # its size and its drives
+    speed: float  # its nominal speed, m/s
+    t: float  # time, s
+    state: Array  # (16,): true state
+    view: Array  # (2,): middle of the picture, m north and east
+    track: Array  # (T, 2): where the boat was, m north and east
+    path: Array  # (K, 2): way points, m north and east; none without a goal
+    leg: int  # present leg, from point leg on
+    off_path: float  # distance to starboard of the leg, m
+    fixes: Array  # (F, 2): fixes of the GPS, m north and east
+    gps_age: float  # time since the last fix, s
+    gps_lost: bool  # whether fixes are missing
+    # true wind with gusts (m/s), and where it comes from (rad)
     wind: float
     wind_from: float
+    # significant wave height (m), and where the waves go to (rad)
     hs: float
     wave_to: float
-    rewards: dict[str, float]
-    heeling: bool
-    overlay: TwinOverlay | None = None
+    rewards: dict[str, float]  # terms of the last step's reward; none without a goal
+    heeling: bool  # whether the boat rolls and pitches at all
+    overlay: TwinOverlay | None = None  # estimate and forecast of its twin
 
 
 class Trail:
     """What one boat's pictures remember of its episode: track, fixes and where to look.
 
-    Parameters
-    ----------
-    spacing : float
-        Points of the track are so far apart, m.
-    ahead : float
-        The picture's middle lies so far ahead of the boat, m.
+    Points of the track are ``spacing`` apart; the picture's middle lies ``ahead`` of the boat, m.
     """
 
     fix_period = 0.5
@@ -160,18 +107,9 @@ class Trail:
         self._offset = np.zeros(2)
 
     def add(self, t: float, state: Array, fix: Array, age: float) -> None:
-        """Remember a step; a time that does not go on begins a new episode.
+        """Remember a step; a time (s) that does not go on begins a new episode.
 
-        Parameters
-        ----------
-        t : float
-            Time, s.
-        state : ndarray, shape (16,)
-            True state.
-        fix : ndarray, shape (2,)
-            Last fix, m north and east.
-        age : float
-            How old it is, s.
+        ``fix`` (2,) is the last one, m north and east, and ``age`` how old it is, s.
         """
         if t == self.t and t > 0.0:
             return

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from usv_gym.physics import frames as fr
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
@@ -29,6 +30,9 @@ __all__ = [
 
 ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
 
+CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
+"""Places of the errors."""
+
 N_TERMS = 4
 
 FAILURE = 500.0
@@ -44,32 +48,23 @@ class TaskError(UsvTwinError):
 def path_errors(
     x: float, y: float, psi: float, points: np.ndarray, leg: int, errors: np.ndarray
 ) -> None:
-    """Write how a boat stands to one leg of a path.
+    """Write how a boat stands to the leg from point ``leg`` of a path (K, 2) to the next.
 
-    Parameters
-    ----------
-    x, y, psi : float
-        Position in m and heading in rad.
-    points : ndarray, shape (K, 2)
-        Way points, m north and east.
-    leg : int
-        Leg from point ``leg`` to point ``leg + 1``.
-    errors : ndarray, shape (4,)
-        Written: distance to starboard of the leg (m), distance left along it (m), course of
-        the leg less the heading (rad), turn to the next leg (rad; 0 on the last).
+    Errors (4,): distance to starboard of the leg (m), distance left along it (m), course of the leg
+    less the heading (rad), turn to the next leg (rad; 0 on the last).
     """
     dx, dy = points[leg + 1, 0] - points[leg, 0], points[leg + 1, 1] - points[leg, 1]
     course = math.atan2(dy, dx)
     c, s = math.cos(course), math.sin(course)
     ex, ey = x - points[leg, 0], y - points[leg, 1]
-    errors[0] = ey * c - ex * s
-    errors[1] = math.hypot(dx, dy) - (ex * c + ey * s)
-    errors[2] = wrap(course - psi)
-    errors[3] = 0.0
+    errors[CROSS_TRACK] = ey * c - ex * s
+    errors[TO_GO] = math.hypot(dx, dy) - (ex * c + ey * s)
+    errors[COURSE_ERROR] = wrap(course - psi)
+    errors[NEXT_TURN] = 0.0
     if leg + 2 < points.shape[0]:
         next_x = points[leg + 2, 0] - points[leg + 1, 0]
         next_y = points[leg + 2, 1] - points[leg + 1, 1]
-        errors[3] = wrap(math.atan2(next_y, next_x) - course)
+        errors[NEXT_TURN] = wrap(math.atan2(next_y, next_x) - course)
 
 
 @kernel
@@ -84,7 +79,7 @@ def follow(
 ) -> int:
     """Write the path errors and return the leg, moved on where its end is reached."""
     path_errors(x, y, psi, points, leg, errors)
-    if errors[1] < reach and leg + 2 < points.shape[0]:
+    if errors[TO_GO] < reach and leg + 2 < points.shape[0]:
         leg += 1
         path_errors(x, y, psi, points, leg, errors)
     return leg
@@ -130,24 +125,16 @@ def score_step(
 ) -> None:
     """Write errors and end of one step of one boat, and add its reward terms, from the truth.
 
-    Parameters
-    ----------
-    state : ndarray, shape (16,)
-        True state.
-    action, before : ndarray, shape (A,)
-        Action of this step and of the step before.
-    points : ndarray, shape (K, 2)
-        Path.
-    rules : record of :data:`RULES`
-        What is common to all boats.
-    task : record of :data:`TASK`
-        Written, but for ``known_leg``.
+    ``action`` and ``before`` (A,) are those of this step and the step before. All of the task's
+    record is written but ``known_leg``.
     """
     errors = task.errors
-    leg = follow(state[0], state[1], state[5], points, int(task.leg), rules.reach, errors)
+    leg = follow(
+        state[fr.X], state[fr.Y], state[fr.PSI], points, int(task.leg), rules.reach, errors
+    )
     task.leg = leg
     # the mast points below the horizon
-    capsized = math.cos(state[3]) * math.cos(state[4]) < 0.0
+    capsized = math.cos(state[fr.PHI]) * math.cos(state[fr.THETA]) < 0.0
     task.capsized = task.terminated = 1.0 if capsized else 0.0
     if rules.kind == NOTHING:
         return
@@ -155,16 +142,17 @@ def score_step(
     for j in range(action.shape[0]):
         change += abs(action[j] - before[j])
     if rules.kind == PATH:
-        along = state[6] * math.cos(errors[2]) + state[7] * math.sin(errors[2])
+        off = errors[COURSE_ERROR]
+        along = state[fr.U] * math.cos(off) + state[fr.V] * math.sin(off)
         # as much too fast costs what as much too slow does
         first = 1.0 - abs(along / rules.speed - 1.0)
-        second = -min(abs(errors[0]) / rules.unit, 2.0)
-        reached = leg + 2 == points.shape[0] and errors[1] < rules.reach
-        far = abs(errors[0]) > rules.area
+        second = -min(abs(errors[CROSS_TRACK]) / rules.unit, 2.0)
+        reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
+        far = abs(errors[CROSS_TRACK]) > rules.area
         over = reached or far
     else:
-        distance = math.hypot(errors[0], errors[1])
-        speed = math.hypot(state[6], state[7])
+        distance = math.hypot(errors[CROSS_TRACK], errors[TO_GO])
+        speed = math.hypot(state[fr.U], state[fr.V])
         first = -0.5 * distance / rules.unit
         second = -0.1 * speed / rules.speed
         reached = distance < rules.reach
@@ -236,7 +224,7 @@ class Task:
         path_errors(0.0, 0.0, 0.0, self.points[i], 0, self.records["errors"][i])
 
     def _path(self, rng: np.random.Generator) -> np.ndarray:
-        raise TypeError("a task must draw its path")
+        raise TaskError("a task must draw its path")
 
 
 class FreeManoeuvre(Task):
@@ -347,13 +335,7 @@ TASKS: dict[str, type[Task]] = {
 
 
 def make_task(name: str, n: int, speed: float, length: float) -> Task:
-    """Return the task of that name for n boats.
-
-    Raises
-    ------
-    TaskError
-        Lists the names that there are.
-    """
+    """Return the task of that name for n boats; TaskError lists the names that there are."""
     try:
         return TASKS[name](n, speed, length)
     except (KeyError, TypeError):

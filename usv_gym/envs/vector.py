@@ -17,6 +17,7 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import names_of, spaces_of
 from usv_gym.envs.episodes import OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
+from usv_kernel.errors import ArgumentError, UsvTwinError
 
 __all__ = [
     "USVVectorEnv",
@@ -78,9 +79,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         **options: Any,
     ) -> None:
         if not _count(num_envs):
-            raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
+            raise UsvTwinError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
         if max_episode_steps is not None and not _count(max_episode_steps):
-            raise ValueError(
+            raise UsvTwinError(
                 f"max_episode_steps = {max_episode_steps!r}: must be a whole number, 1 or more, "
                 "or None"
             )
@@ -90,7 +91,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
             modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            raise ValueError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
+            raise UsvTwinError(f"autoreset_mode = {autoreset_mode!r}; known: {modes}") from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = int(num_envs), max_episode_steps
         self.episodes = Episodes(self.num_envs, config, threads=num_threads)
@@ -168,32 +169,32 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             try:
                 seeds = [None if one is None else operator.index(one) for one in seed]
             except TypeError:
-                raise TypeError(
+                raise ArgumentError(
                     f"seed = {seed!r}: must be a whole number, one for each environment, or None"
                 ) from None
         if len(seeds) != n:
-            raise ValueError(f"{len(seeds)} seeds for {n} environments; give one for each")
+            raise UsvTwinError(f"{len(seeds)} seeds for {n} environments; give one for each")
         if not isinstance(options, dict | None):
-            raise TypeError(f"options = {options!r}: must be a dict or None")
+            raise ArgumentError(f"options = {options!r}: must be a dict or None")
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         limits = options.pop("first_episode_steps", None)
         if options:
-            raise ValueError(f"unknown reset options: {', '.join(map(str, options))}")
+            raise UsvTwinError(f"unknown reset options: {', '.join(map(str, options))}")
         if mask is None:
             mask = np.ones(n, dtype=np.bool_)
         if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_):
             kind = mask.dtype if isinstance(mask, np.ndarray) else type(mask).__name__
-            raise TypeError(f"options['reset_mask'] must be an array of bool, not {kind}")
+            raise ArgumentError(f"options['reset_mask'] must be an array of bool, not {kind}")
         if mask.shape != (n,) or not mask.any():
-            raise ValueError(
+            raise UsvTwinError(
                 f"options['reset_mask'] of shape {mask.shape} with {mask.sum()} set: must have "
                 f"shape ({n},), and one or more set"
             )
         if limits is not None:
             limits = np.asarray(limits)
             if limits.shape != (n,) or limits.dtype.kind not in "iu" or (limits < 1).any():
-                raise ValueError(
+                raise UsvTwinError(
                     "options['first_episode_steps'] must be an array of whole numbers, 1 or "
                     f"more, of shape ({n},)"
                 )
@@ -239,10 +240,10 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         try:
             values = np.asarray(actions, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ValueError("actions are not an array of numbers") from None
+            raise UsvTwinError("actions are not an array of numbers") from None
         shape = self.action_space.shape
         if values.shape != shape:
-            raise ValueError(
+            raise UsvTwinError(
                 f"actions have shape {values.shape}; it must be {shape}: see the action table of "
                 "usv_gym.envs.env.USVEnv"
             )
@@ -255,7 +256,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         late = over.copy()
         bad = ~np.isfinite(values).all(axis=1) & ~late
         if bad.any():
-            raise ValueError(
+            raise UsvTwinError(
                 f"action of {np.flatnonzero(bad).tolist()} holds NaN or infinity; every entry "
                 "must lie in [-1, 1]"
             )

@@ -162,20 +162,12 @@ def turning(
     heading: float | None = None,
     speed: float | None = None,
 ) -> Turning:
-    """Return the indices of a turning circle.
+    """Return the indices of a turning circle of a ship of a length (m).
 
-    Parameters
-    ----------
-    track : Track
-        From the approach or the order to a change of heading of 180 degrees or more. The steady
-        turn needs 270 degrees; it is the mean over the last full circle after 180. A pull-out
-        at the end is ignored if the helm is known.
-    length : float
-        Ship length, m.
-    origin, heading : float, optional
-        Time of the order (s) and heading of the approach (rad), see :meth:`Track.begun`.
-    speed : float, optional
-        Speed of the approach, m/s; default the mean up to the origin.
+    The track goes from the approach or the order to a change of heading of 180 degrees or more. The
+    steady turn needs 270 degrees; it is the mean over the last full circle after 180. A pull-out at
+    the end is ignored if the helm is known. ``origin`` (s) and ``heading`` (rad): see
+    :meth:`Track.begun`; ``speed`` of the approach, m/s, is by default the mean up to the origin.
 
     Source: IMO MSC/Circ.1053, 2.1; ITTC 7.5-04-02-01.
     """
@@ -197,7 +189,7 @@ def turning(
     if run.psi[last] >= 1.5 * math.pi:
         begin = max(run.psi[last] - 2.0 * math.pi, math.pi)
         part = slice(int(np.argmax(run.psi >= begin)), last + 1)
-        u, v, _ = np.mean(run.motion[:, part], axis=1)
+        u, v = np.mean(run.motion[:2, part], axis=1)
         r = (run.psi[last] - run.psi[part][0]) / (run.t[last] - run.t[part][0])
         U = math.hypot(u, v)
         rate, radius, ratio = float(r * length / U), float(U / r / length), U / approach
@@ -224,18 +216,10 @@ def zigzag(
     origin: float | None = None,
     heading: float | None = None,
 ) -> Zigzag:
-    """Return the indices of a zigzag.
+    """Return the indices of a zigzag of a ship of a length (m), from its approach or first order.
 
-    Parameters
-    ----------
-    track : Track
-        From the approach or the first order.
-    length : float
-        Ship length, m.
-    switch : float
-        Change of heading at which the helm is reversed, rad; the second number of "20/10".
-    origin, heading : float, optional
-        Time of the first order (s) and heading of the approach (rad), see :meth:`Track.begun`.
+    ``switch`` is the change of heading at which the helm is reversed, rad; the second number of
+    "20/10". ``origin`` (s) and ``heading`` (rad): see :meth:`Track.begun`.
 
     Source: IMO MSC/Circ.1053, 2.2; ITTC 7.5-04-02-01.
     """
@@ -271,17 +255,11 @@ def zigzag(
 def pull_out(
     starboard: Track, port: Track, *, length: float, releases: Sequence[float] = ()
 ) -> PullOut:
-    """Return the residual rates after turns to both sides.
+    """Return the residual rates of a ship of a length (m) after turns to both sides.
 
-    Parameters
-    ----------
-    starboard, port : Track
-        Runs from the turn to the end of the pull-out.
-    length : float
-        Ship length, m.
-    releases : sequence of float, optional
-        Times when the helm was put back, s; default from the helm. The rate is the mean over
-        the last fifth of the time after.
+    Runs go from the turn to the end of the pull-out. ``releases`` are the times when the helm was
+    put back, s, by default from the helm. The rate is the mean over the last fifth of the time
+    after.
 
     Source: IMO MSC/Circ.1053, 2.3.
     """
@@ -301,16 +279,11 @@ def pull_out(
 
 
 def spiral(track: Track, *, length: float) -> Spiral:
-    """Return the indices of Dieudonne's direct spiral.
+    """Return the indices of Dieudonne's direct spiral of a ship of a length (m).
 
-    Parameters
-    ----------
-    track : Track
-        Helm held at successive angles from one side to the other and back, each until the rate
-        is steady. The rate is the mean over the last fifth of each hold, during which the helm
-        may change by :data:`STILL`.
-    length : float
-        Ship length, m.
+    The helm is held at successive angles from one side to the other and back, each until the rate
+    is steady. The rate is the mean over the last fifth of each hold, during which the helm may
+    change by :data:`STILL`.
 
     Source: IMO MSC/Circ.1053, 2.4.
     """
@@ -352,18 +325,10 @@ def spiral(track: Track, *, length: float) -> Spiral:
 def stopping(
     track: Track, *, length: float, origin: float | None = None, heading: float | None = None
 ) -> Stopping:
-    """Return the indices of a stopping trial.
+    """Return the indices of a stopping trial of a ship of a length (m), up to the stop.
 
-    Parameters
-    ----------
-    track : Track
-        Up to the stop.
-    length : float
-        Ship length, m.
-    origin : float, optional
-        Time of the order, s; default the first sample.
-    heading : float, optional
-        Heading of the approach, rad, see :meth:`Track.begun`.
+    ``origin`` is the time of the order, s, by default the first sample; ``heading`` that of the
+    approach, rad, see :meth:`Track.begun`.
 
     Source: IMO MSC/Circ.1053, 2.5.
     """
@@ -386,21 +351,10 @@ def imo(
 ) -> list[Criterion]:
     """Return the manoeuvring criteria of IMO for the given trials.
 
-    They hold for loaded ships of 100 m and more in deep calm water, at 90 % or more of the speed
-    at 85 % of full power.
-
-    Parameters
-    ----------
-    length : float
-        Length between perpendiculars, m.
-    speed : float
-        Speed of the approach, m/s.
-    turning : Turning or sequence of Turning
-        Circles at 35 degrees or the largest helm angle; the worst counts.
-    zigzag_10, zigzag_20 : Zigzag or sequence of Zigzag
-        10/10 and 20/20 zigzags.
-    stopping : Stopping or sequence of Stopping
-        Full astern.
+    They hold for loaded ships of 100 m and more in deep calm water, at 90 % or more of the speed at
+    85 % of full power. ``length`` is between perpendiculars, m; ``speed`` that of the approach,
+    m/s. Circles are at 35 degrees or the largest helm angle, zigzags 10/10 and 20/20, stopping is
+    full astern; the worst of several counts.
 
     Source: IMO MSC.137(76), 5.3.
     """

@@ -77,30 +77,11 @@ MANOEUVRES: dict[
 def commands(
     name: str, t: np.ndarray, vessel: Vessel, rng: np.random.Generator, n: float | None = None
 ) -> np.ndarray:
-    """Return the commands of a manoeuvre.
+    """Return the commands (N, 4) of one of :data:`MANOEUVRES` at times (N,) that rise from 0.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`MANOEUVRES`.
-    t : ndarray, shape (N,)
-        Times, s; rising from 0.
-    vessel : Vessel
-        Any.
-    rng : numpy.random.Generator
-        Used by ``random`` only.
-    n : float, optional
-        Shaft speed at relative speed 1, rev/s; default the manoeuvring speed of the vessel.
-
-    Returns
-    -------
-    ndarray, shape (N, 4)
-        Left and right shaft speed (rev/s), left and right angle (rad).
-
-    Raises
-    ------
-    ManoeuvreError
-        For an unknown name.
+    Shaft speeds are in rev/s, angles in rad. ``n`` is the shaft speed at relative speed 1, by
+    default the manoeuvring speed of the vessel. ``rng`` is used by ``random`` only.
+    ManoeuvreError: the name is not known.
     """
     if name not in MANOEUVRES:
         raise ManoeuvreError(f"no manoeuvre is called {name!r}; known: {', '.join(MANOEUVRES)}")

@@ -59,15 +59,7 @@ class Response(NamedTuple):
 
 
 def shaft_speed_for(vessel: Vessel, speed: float) -> float:
-    """Return the shaft speed in rev/s for a speed straight ahead in calm water.
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    speed : float
-        Speed, m/s; 0 or more.
-    """
+    """Return the shaft speed (rev/s) for a speed (m/s) straight ahead in calm water."""
     if speed <= 0.0:
         return 0.0
     top = 1.0
@@ -81,23 +73,9 @@ def respond(
 ) -> Response:
     """Simulate straight motion in a regular wave, and return the amplitudes.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    omega : float
-        Circular frequency of the wave, rad/s.
-    heading : float
-        Direction of the wave less that of the boat, rad: 0 following, pi head sea.
-    speed : float
-        Speed of the boat, m/s, with constant shaft speed.
-    amplitude : float
-        Amplitude of the wave, m.
-
-    Returns
-    -------
-    Response
-        Numbers; NaN if the encounter frequency is below :data:`SLOWEST`.
+    ``omega`` is its circular frequency, rad/s, ``heading`` its direction less that of the boat,
+    rad: 0 following, pi head sea; ``amplitude`` in m. The boat has a constant shaft speed, for
+    ``speed``, m/s. Amplitudes are NaN if the encounter frequency is below :data:`SLOWEST`.
     """
     return _respond(vessel, omega, heading, speed, amplitude, shaft_speed_for(vessel, speed))
 
@@ -137,20 +115,7 @@ def responses(
     speed: float = 0.0,
     amplitude: float = 1e-3,
 ) -> Response:
-    """Return :func:`respond` for several wave frequencies.
-
-    Parameters
-    ----------
-    omega : array_like, shape (M,)
-        Circular frequencies of the wave, rad/s.
-    vessel, heading, speed, amplitude
-        See :func:`respond`.
-
-    Returns
-    -------
-    Response
-        Arrays of shape (M,).
-    """
+    """Return :func:`respond` for several wave frequencies (M,), as arrays."""
     n = shaft_speed_for(vessel, speed)
     each = [
         _respond(vessel, float(w), heading, speed, amplitude, n)
@@ -171,21 +136,10 @@ def jensen(
 ) -> tuple[Array, Array]:
     """Return heave (m/m) and pitch (rad/m) of a box-shaped ship by Jensen's closed forms.
 
-    Parameters
-    ----------
-    omega : array_like
-        Circular frequency of the wave, rad/s.
-    heading : float
-        Direction of the wave less that of the boat, rad: 0 following, pi head sea.
-    speed : float
-        Speed of the boat, m/s; for Froude numbers below 0.4.
-    length, beam, draft : float
-        Of the water line, m.
-    block : float
-        Block coefficient, which reduces the beam.
+    ``omega`` is the circular frequency of the wave, rad/s, ``heading`` its direction less that of
+    the boat, rad: 0 following, pi head sea; ``speed`` in m/s, for Froude numbers below 0.4; lengths
+    are of the water line, m; ``block`` reduces the beam.
 
-    Notes
-    -----
     Source: Jensen, Mansour and Olsen 2004; the pressure falls with exp(-k T) on every heading.
     """
     w = np.asarray(omega, dtype=float)
@@ -211,26 +165,11 @@ class Box(NamedTuple):
 
 
 def box_loads(row: Array, x: float, y: float, psi: float, t: float, box: Box) -> Array:
-    """Return the loads of one wave on a box by numerical integration of its pressure.
+    """Return X, Y (N), N (N m), Z (N, down), K, M (N m) of one wave on a box, by quadrature.
 
-    Parameters
-    ----------
-    row : ndarray, shape (7,)
-        One wave component; rows in :mod:`usv_gym.physics.waves`.
-    x, y, psi, t : float
-        Position (m) and heading (rad) of the box, and time (s).
-    box : Box
-        Its size.
-
-    Returns
-    -------
-    ndarray, shape (6,)
-        X, Y (N) and N (N m), then Z (N, down), K and M (N m).
-
-    Notes
-    -----
-    Gauss-Legendre quadrature of the pressure on the bottom, and of its horizontal gradient over
-    the volume. By Gauss' theorem this equals the pressure on the sides, without cancellation.
+    ``row`` (7,) is one wave component. Gauss-Legendre quadrature of the pressure on the bottom,
+    and of its horizontal gradient over the volume. By Gauss' theorem this equals the pressure on
+    the sides, without cancellation.
     """
     length, beam, draft, density = box
     nodes, weights = np.polynomial.legendre.leggauss(48)

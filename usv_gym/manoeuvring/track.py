@@ -27,33 +27,20 @@ class TrackError(UsvTwinError):
 class Track:
     """Motion of one ship over time.
 
-    Parameters
-    ----------
-    t : array_like, shape (N,)
-        Times, s; rising, in any steps.
-    x, y : array_like, shape (N,)
-        Position to north and east (or along and to starboard of any fixed line), m.
-    psi : array_like, shape (N,)
-        Heading, rad; jumps by whole turns are removed.
-    u, v, r : array_like, shape (N,), optional
-        Velocity ahead and to starboard (m/s) and rate of turn (rad/s); default from the slopes
-        of position and heading.
-    delta : array_like, shape (N,), optional
-        Actual or ordered helm angle, rad; positive turns to starboard.
-
-    Raises
-    ------
-    TrackError
-        For columns of unequal length, numbers that are not finite, and times that do not rise.
+    TrackError: columns of unequal length, numbers that are not finite, or times that do not rise.
     """
 
-    t: np.ndarray
+    t: np.ndarray  # (N,): times, s; rising, in any steps
+    # (N,): position to north and east (or along and to starboard of any fixed line), m
     x: np.ndarray
     y: np.ndarray
-    psi: np.ndarray
+    psi: np.ndarray  # (N,): heading, rad; jumps by whole turns are removed
+    # (N,): velocity ahead and to starboard (m/s) and rate of turn (rad/s); default from the slopes
+    # of position and heading
     u: np.ndarray | None = None
     v: np.ndarray | None = None
     r: np.ndarray | None = None
+    # (N,): actual or ordered helm angle, rad; positive turns to starboard
     delta: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -152,19 +139,10 @@ class Track:
         return float(max(self.t[0], 2.0 * low - high))
 
     def begun(self, origin: float | None = None, heading: float | None = None) -> Track:
-        """Return the manoeuvre from its origin on, relative to the approach.
+        """Return the manoeuvre from its origin on, relative to the approach: t, x, y are 0 there.
 
-        Parameters
-        ----------
-        origin : float, optional
-            Time of the order, s; default :meth:`helm_moves`.
-        heading : float, optional
-            Heading of the approach, rad; default the mean up to the origin.
-
-        Returns
-        -------
-        Track
-            t, x, y are 0 at the origin; x and psi are relative to the approach.
+        ``origin`` is the time of the order, s, by default :meth:`helm_moves`; ``heading`` that of
+        the approach, rad, by default the mean up to the origin.
         """
         start = self.helm_moves() if origin is None else origin
         run = self.between(start)

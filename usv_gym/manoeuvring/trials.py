@@ -61,30 +61,10 @@ def turning_circle(
 ) -> Track:
     """Simulate a turning circle up to a change of heading of 720 degrees.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    angle : float
-        Helm angle, rad; positive turns to starboard.
-    n : float
-        Constant shaft speed, rev/s.
-    speed : float, optional
-        Speed of the approach, m/s; default :meth:`Vessel.straight_speed`.
-    dof : int
-        Degrees of freedom, 3 or 6.
-    dt : float, optional
-        Time step, s; default the time to sail 1/200 of a length, at most 0.05 s for a length of
-        7 m, scaled with its square root.
-
-    Returns
-    -------
-    Track
-
-    Raises
-    ------
-    TrialError
-        For impossible arguments, and for a trial that does not end.
+    ``angle`` is that of the helm, rad, positive to starboard; ``n`` the constant shaft speed,
+    rev/s; ``speed`` that of the approach, m/s, by default :meth:`Vessel.straight_speed`; ``dof`` 3
+    or 6; ``dt`` by default the time to sail 1/200 of a length, at most 0.05 s for a length of 7 m,
+    scaled with its square root. TrialError: impossible arguments, and a trial that does not end.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     return trial.sail({"turning circle": _turn(trial.checked_angle(angle))})[0]
@@ -101,22 +81,10 @@ def zigzag(
     dof: int = 3,
     dt: float | None = None,
 ) -> Track:
-    """Simulate a zigzag.
+    """Simulate a zigzag; options as for :func:`turning_circle`.
 
-    Parameters
-    ----------
-    vessel, n, speed, dof, dt
-        See :func:`turning_circle`.
-    switch : float
-        Change of heading at which the helm is reversed, rad.
-    helm : float
-        Helm angle, rad, with the sign of the first order.
-    overshoots : int
-        Number of overshoots.
-
-    Returns
-    -------
-    Track
+    The helm (rad, with the sign of the first order) is reversed at each change of heading of
+    ``switch`` (rad).
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     if not (switch > 0.0 and overshoots >= 1):
@@ -136,17 +104,9 @@ def pull_out(
     dof: int = 3,
     dt: float | None = None,
 ) -> tuple[Track, Track]:
-    """Simulate turns to both sides with the helm put back after 360 degrees.
+    """Simulate turns to starboard and to port with the helm put back after 360 degrees.
 
-    Parameters
-    ----------
-    vessel, angle, n, speed, dof, dt
-        See :func:`turning_circle`.
-
-    Returns
-    -------
-    tuple of Track
-        From the turn to starboard, and to port, up to a steady rate.
+    Options as for :func:`turning_circle`; the tracks end at a steady rate.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     angle = abs(trial.checked_angle(angle))
@@ -169,16 +129,8 @@ def spiral(
 ) -> Track:
     """Simulate Dieudonne's direct spiral: helm from starboard to port and back, in steady steps.
 
-    Parameters
-    ----------
-    vessel, n, speed, dof, dt
-        See :func:`turning_circle`.
-    angles : sequence of float
-        Falling helm angles of one side, rad; mirrored for the other.
-
-    Returns
-    -------
-    Track
+    ``angles`` are the falling helm angles of one side, rad; mirrored for the other. Options as for
+    :func:`turning_circle`.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     down = [*(trial.checked_angle(angle) for angle in angles), 0.0, *(-a for a in angles[::-1])]
@@ -197,16 +149,8 @@ def stopping(
 ) -> Track:
     """Simulate a stopping trial: shafts astern, helm amidships, until the ship stops.
 
-    Parameters
-    ----------
-    vessel, n, speed, dof, dt
-        See :func:`turning_circle`; n is the shaft speed of the approach.
-    astern : float, optional
-        Shaft speed astern, rev/s, above 0; default ``n``.
-
-    Returns
-    -------
-    Track
+    ``astern`` is the shaft speed astern, rev/s, above 0, by default that of the approach. Options
+    as for :func:`turning_circle`.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     astern = n if astern is None else astern
@@ -256,14 +200,7 @@ def standard_trials(
 ) -> StandardTrials:
     """Simulate turning circles, 10/10 and 20/20 zigzags to both sides at once.
 
-    Parameters
-    ----------
-    vessel, n, speed, dof, dt
-        See :func:`turning_circle`. Circles use 35 degrees of helm or the largest possible.
-
-    Returns
-    -------
-    StandardTrials
+    Options as for :func:`turning_circle`. Circles use 35 degrees of helm or the largest possible.
     """
     trial = _Trial(vessel, n, speed, dof, dt)
     angle = min(math.radians(35.0), trial.largest)

@@ -42,8 +42,7 @@ def rotate(
 ) -> tuple[float, float, float]:
     """Turn a body vector (forward, starboard, down) into north, east and down parts.
 
-    Source: Eq (1)-(2): roll, then pitch, then heading. Upright, it gives the bits of
-    :func:`to_earth`.
+    Source: Eq (1)-(2): roll, then pitch, then heading. Upright: the bits of :func:`to_earth`.
     """
     s_phi, c_phi = sincos(phi)
     s_theta, c_theta = sincos(theta)

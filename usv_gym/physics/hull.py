@@ -22,17 +22,10 @@ R_0_BAND = 0.2
 
 @kernel
 def resistance(u: float, p: Record) -> float:
-    """Return the resistance of the upright hull sailing straight, in N, odd in u.
+    """Return the resistance (N, odd in u) of the upright hull at a speed u (m/s) through water.
 
     Monotone cubic interpolation (Fritsch-Butland slopes) through the points of the vessel
     file: smooth, without overshoot at the hump. Beyond the last point it grows with u^2.
-
-    Parameters
-    ----------
-    u : float
-        Speed through water in m/s.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
     """
     speed = abs(u)
     a, f, last = p.resistance_speed, p.resistance_force, RESISTANCE_POINTS - 1
@@ -64,17 +57,8 @@ def resistance(u: float, p: Record) -> float:
 
 @kernel
 def hull_forces(u: float, v: float, r: float, p: Record) -> tuple[float, float, float]:
-    """Return the hull's surge force, sway force (N) and yaw moment (N m).
+    """Return surge and sway force (N) and yaw moment (N m) at a velocity through water.
 
-    Parameters
-    ----------
-    u, v, r : float
-        Velocity through water at midship, m/s and rad/s.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
     Source: Yasukawa and Yoshimura 2015, cross-flow drag after Fossen 2021, and linear and
     square damping in SI units as small craft are often published with. A term that the vessel
     does not have is 0. The added mass part stands in the ship's left-hand side.
@@ -129,17 +113,7 @@ def restoring(
 ) -> tuple[float, float, float]:
     """Return the moments K, M, N (N m) of weight and buoyancy, and of roll and pitch damping.
 
-    Parameters
-    ----------
-    k_x, k_y, k_z : float
-        The downward unit vector in the body frame.
-    p_rate, q_rate : float
-        Roll and pitch rate, rad/s.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
+    ``k_x, k_y, k_z`` is the downward unit vector in the body frame; rates are in rad/s.
     Derived from the potential ``m g (GM_T k_y^2 + GM_L k_x^2) / 2``, so that no attitude
     gains energy on the way round; equal to Fossen 2021, Eq 4.16, for small angles. Damping
     is linear: shares of the critical one.
@@ -157,13 +131,7 @@ def restoring(
 def heave_force(sinkage: float, rate: float, p: Record) -> float:
     """Return the downward force (N) of the water plane, and of heave damping.
 
-    Parameters
-    ----------
-    sinkage, rate : float
-        How deep the centre of the water plane lies below rest (m), and how fast it goes
-        down (m/s).
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
+    ``sinkage`` is how deep the centre of the water plane lies below rest, m; ``rate`` its rate.
     """
     G_33 = p.water_density * GRAVITY * p.A_wp
     B_33 = 2.0 * p.zeta_heave * math.sqrt(G_33 * (p.mass + p.m_z))

@@ -16,22 +16,11 @@ from usv_kernel.scalar import actuate, sincos
 
 @kernel
 def thrust(n: float, u_P: float, p: Record) -> float:
-    """Return the open-water thrust of one propeller in N.
+    """Return the open-water thrust (N) of one propeller with an inflow u_P (m/s) along its shaft.
 
-    Parameters
-    ----------
-    n : float
-        Shaft speed, rev/s; negative is astern.
-    u_P : float
-        Inflow along the shaft, m/s.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
-    ``rho D^4 n^2 K_T(J)`` with ``J = u_P / (n D)``, written without the quotient so that it
-    holds through n = 0; astern the propeller is taken as turned round, with a pull at rest
-    of its own.
+    ``n`` is negative astern. ``rho D^4 n^2 K_T(J)`` with ``J = u_P / (n D)``, written without the
+    quotient so that it holds through n = 0; astern the propeller is taken as turned round, with a
+    pull at rest of its own.
     """
     D = p.propeller_diameter
     J_n = u_P / D
@@ -110,14 +99,8 @@ def propulsion_forces(
 ) -> tuple[float, float, float]:
     """Return surge force, sway force (N) and yaw moment (N m) of all propulsion units.
 
-    Parameters
-    ----------
-    u, v, r : float
-        Velocity through water at the origin, m/s and rad/s.
-    state : ndarray, shape (16,)
-        Only the actuators are read. A single unit is the left one.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
+    ``u, v, r`` is the velocity through water; of the state only the actuators are read. A single
+    unit is the left one.
     """
     X_P, Y_P, N_P = 0.0, 0.0, 0.0
     units = int(p.units)
@@ -137,20 +120,10 @@ def propulsion_forces(
 
 @kernel
 def actuator_rates(state: np.ndarray, cmd: np.ndarray, p: Record, out: np.ndarray) -> None:
-    """Write the speeds of shafts and drives that follow their commands.
+    """Write the rates (rev/s2, rad/s) of shafts and drives that follow their commands.
 
-    Parameters
-    ----------
-    state, out : ndarray, shape (16,)
-        Only the actuators are read and written, rev/s2 and rad/s.
-    cmd : ndarray, shape (4,)
-        Commands, held inside what the vessel can do.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
-    Source: replaces Eq (11), which can only move away from zero.
+    Commands are held inside what the vessel can do. Source: replaces Eq (11), which can only
+    move away from zero.
     """
     n_max, delta_max = p.shaft_speed_max, p.steer_max
     for i in range(fr.UNITS):

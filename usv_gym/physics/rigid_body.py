@@ -12,17 +12,7 @@ def accelerate_3(
 ) -> tuple[float, float, float]:
     """Return the accelerations of surge, sway and yaw; heave, roll and pitch are held.
 
-    Parameters
-    ----------
-    X, Y, N : float
-        Forces and moment about the origin, N and N m.
-    u, v, r : float
-        Velocity through water, m/s and rad/s.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
+    Forces and moment are about the origin; u, v, r through water.
     Source: Yasukawa and Yoshimura 2015, midship origin. The moment that the added masses make
     in drift (Munk) stands in N_v.
     """
@@ -57,17 +47,7 @@ def accelerate_6(
 ) -> tuple[float, ...]:
     """Return the accelerations in all six degrees of freedom.
 
-    Parameters
-    ----------
-    forces : tuple of six floats
-        X, Y, Z, K, M, N about the origin in the water line, N and N m.
-    velocity : tuple of six floats
-        u, v, w, p, q, r through water, m/s and rad/s.
-    vessel : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
+    Forces X, Y, Z, K, M, N are about the origin in the water line; velocity is through water.
     Source: Eq (6) as restored in ship_and_sea.md (SNAME) with ``y_G = 0`` and the axes of
     inertia along the body. The added masses of surge and sway act ``z_H`` below the water
     line, and as in the MMG standard method in the horizontal plane; that of heave moves with

@@ -61,13 +61,7 @@ class Sea(NamedTuple):
 
 
 def calm_sea(weather: Record | None = None) -> Sea:
-    """Return a sea without waves and gusts.
-
-    Parameters
-    ----------
-    weather : record, optional
-        Wind and current; none of either if left out.
-    """
+    """Return a sea without waves and gusts; without weather, also without wind and current."""
     if weather is None:
         weather = constant()
     return Sea(np.zeros((WAVE_ROWS, 0)), np.zeros((3, 0)), weather, factor_workspace(0))
@@ -87,21 +81,8 @@ class Air(NamedTuple):
 def derivative(
     state: np.ndarray, cmd: np.ndarray, ship: Ship, sea: Sea, air: Air, t: float, out: np.ndarray
 ) -> None:
-    """Write the time derivative of the state.
+    """Write the time derivative of the state (16,) at time t; the sea's factors are written before.
 
-    Parameters
-    ----------
-    state, out : ndarray, shape (16,)
-        State and its derivative; layout in :mod:`~usv_gym.physics.frames`.
-    cmd : ndarray, shape (4,)
-        Command.
-    ship, sea, air
-        Ship, sea (``factors`` written before), and wind and waves of the moment.
-    t : float
-        Time, s.
-
-    Notes
-    -----
     Source: Eq (1)-(8), ship_and_sea.md. The sum of rigid body and added mass is driven by
     the velocity through a current, which is exact where that is the same everywhere (Fossen
     2021, section 10.3). In waves, hull and propulsion feel the orbital motion of the water, and
@@ -213,12 +194,7 @@ def _lean(x: float, y: float, psi: float, t: float, p: Record, sea: Sea) -> tupl
 def float_on(state: np.ndarray, p: Record, sea: Sea) -> None:
     """Put a boat that sails straight on the surface of the sea at time 0, moving with it.
 
-    Parameters
-    ----------
-    state : ndarray, shape (16,)
-        Place, heading and speed are read; heave, roll, pitch and their rates are written.
-    p, sea
-        Vessel and sea.
+    Place, heading and speed are read; heave, roll, pitch and their rates are written.
     """
     if sea.waves.shape[1] == 0:
         return
@@ -246,20 +222,10 @@ def step(
     dt: float,
     work: np.ndarray,
 ) -> None:
-    """Advance one boat by one classical Runge-Kutta step, in place.
+    """Advance one boat from t to t + dt by one classical Runge-Kutta step, in place.
 
-    Parameters
-    ----------
-    state : ndarray, shape (16,)
-        State at t; on return at t + dt.
-    cmd : ndarray, shape (4,)
-        Command, held over the step.
-    ship, sea
-        Ship and sea; the factors of the sea are written.
-    t, dt : float
-        Time and step, s.
-    work : ndarray, shape (3, 16)
-        Scratch; on return row 0 holds the mean derivative over the step.
+    The command is held; the factors of the sea are written. ``work`` (3, 16) is scratch; its row
+    0 holds the mean derivative over the step on return.
     """
     north, east = air_velocity(t, sea.gusts, sea.weather)
     air = Air(north, east, wave_gain(t, sea.weather))
@@ -287,16 +253,9 @@ def step(
 def sail(
     states: np.ndarray, cmds: np.ndarray, ship: Ship, sea: Sea, dt: float, work: np.ndarray
 ) -> None:
-    """Sail one boat through a list of commands, from time 0.
+    """Sail one boat through commands (K, 4), each held over one step, from time 0.
 
-    Parameters
-    ----------
-    states : ndarray, shape (K + 1, 16)
-        The first row is the start; the others are written.
-    cmds : ndarray, shape (K, 4)
-        Commands, each held over one step.
-    ship, sea, dt, work
-        As for :func:`step`.
+    The first of the states (K + 1, 16) is the start; the others are written.
     """
     for k in range(cmds.shape[0]):
         for i in range(fr.STATE_SIZE):

@@ -35,35 +35,18 @@ _DRAG = 0.0026
 
 # ---------------------------------------------------------------- waves
 def pm_spectrum(omega: Array, hs: float) -> Array:
-    """Return the Pierson-Moskowitz spectrum in m2 s/rad for a significant wave height.
+    """Return the Pierson-Moskowitz spectrum in m2 s/rad for a significant wave height (m).
 
-    Parameters
-    ----------
-    omega : ndarray
-        Circular frequency, rad/s; above 0.
-    hs : float
-        Significant wave height, m.
-
-    Notes
-    -----
-    Source: Eq (17), with ``4 alpha`` for the printed .031 (which gives 2.2 % too much).
+    ``omega`` in rad/s is above 0. Source: Eq (17), with ``4 alpha`` for the printed .031 (which
+    gives 2.2 % too much).
     """
     return _pm(omega, 4.0 * PM_ALPHA * (GRAVITY / hs) ** 2)
 
 
 def pm_spectrum_wind(omega: Array, wind: float) -> Array:
-    """Return the Pierson-Moskowitz spectrum in m2 s/rad for a wind speed at 19.5 m.
+    """Return the Pierson-Moskowitz spectrum in m2 s/rad for a wind speed (m/s) at 19.5 m.
 
-    Parameters
-    ----------
-    omega : ndarray
-        Circular frequency, rad/s; above 0.
-    wind : float
-        Wind speed 19.5 m above the sea, m/s (:data:`WIND_19` times that at 10 m).
-
-    Notes
-    -----
-    Source: Eq (15).
+    ``omega`` in rad/s is above 0. Source: Eq (15).
     """
     return _pm(omega, PM_BETA * (GRAVITY / wind) ** 4)
 
@@ -89,12 +72,7 @@ def pm_peak_period(hs: float) -> float:
 def pm_equal_energy(hs: float, quantiles: Array) -> Array:
     """Return the frequencies in rad/s below which given shares of a PM sea's energy lie.
 
-    Parameters
-    ----------
-    hs : float
-        Significant wave height, m.
-    quantiles : ndarray, shape (M,)
-        Shares of the energy, in (0, 1).
+    ``hs`` is the significant wave height, m; shares lie in (0, 1).
     """
     return (4.0 * PM_ALPHA * (GRAVITY / hs) ** 2 / -np.log(quantiles)) ** 0.25
 
@@ -102,19 +80,9 @@ def pm_equal_energy(hs: float, quantiles: Array) -> Array:
 def ittc_spectrum(omega: Array, hs: float, tp: float) -> Array:
     """Return the ITTC (modified Pierson-Moskowitz, Bretschneider) spectrum in m2 s/rad.
 
-    Parameters
-    ----------
-    omega : ndarray
-        Circular frequency, rad/s; above 0.
-    hs : float
-        Significant wave height, m.
-    tp : float
-        Peak period, s; ``T1 / T1_OVER_TP`` or ``Tz / TZ_OVER_TP`` where those are given.
-
-    Notes
-    -----
-    Source: ``A w^-5 exp(-B/w^4)`` with A = 487 Hs^2/Tp^4, B = 1949/Tp^4 (ITTC 1978),
-    unrounded.
+    ``omega`` in rad/s is above 0; ``hs`` in m; ``tp`` is the peak period in s:
+    ``T1 / T1_OVER_TP`` or ``Tz / TZ_OVER_TP`` where those are given.
+    Source: ``A w^-5 exp(-B/w^4)`` with A = 487 Hs^2/Tp^4, B = 1949/Tp^4 (ITTC 1978), unrounded.
     """
     w = np.asarray(omega, dtype=float) * (tp / (2.0 * math.pi))
     return tp / (2.0 * math.pi) * 0.3125 * hs**2 * w**-5.0 * np.exp(-1.25 * w**-4.0)
@@ -123,21 +91,9 @@ def ittc_spectrum(omega: Array, hs: float, tp: float) -> Array:
 def jonswap_spectrum(omega: Array, hs: float, tp: float, gamma: float = 3.3) -> Array:
     """Return the JONSWAP spectrum in m2 s/rad; its height is hs for every gamma.
 
-    Parameters
-    ----------
-    omega : ndarray
-        Circular frequency, rad/s; above 0.
-    hs : float
-        Significant wave height, m.
-    tp : float
-        Peak period, s.
-    gamma : float
-        Peak enhancement; 1 is the ITTC spectrum.
-
-    Notes
-    -----
-    Source: Hasselmann et al. 1973. Scaled by its own integral: the standard factor
-    ``1 - .287 ln gamma`` is a fit to it.
+    ``omega`` in rad/s is above 0; ``hs`` in m; ``tp`` is the peak period in s; ``gamma`` the peak
+    enhancement, 1 for the ITTC spectrum. Source: Hasselmann et al. 1973. Scaled by its own
+    integral: the standard factor ``1 - .287 ln gamma`` is a fit to it.
     """
     x = np.geomspace(0.2, 50.0, 4001)  # over the peak frequency; holds all but 3e-8
     area = np.sum(_cells(x, _enhanced(x, gamma)))
@@ -162,13 +118,7 @@ class Moments(NamedTuple):
 
 
 def moments(omega: Array, density: Array) -> Moments:
-    """Return the moments of a spectrum by the trapezoidal rule.
-
-    Parameters
-    ----------
-    omega, density : ndarray, shape (n,)
-        Rising circular frequency (rad/s) and density (m2 s/rad).
-    """
+    """Return the moments of a density (m2 s/rad) over rising omega (rad/s), by trapezoids."""
     m0, m1, m2 = (float(np.sum(_cells(omega, omega**n * density))) for n in range(3))
     return Moments(
         m0=m0,
@@ -180,14 +130,9 @@ def moments(omega: Array, density: Array) -> Moments:
 
 
 def quantile_frequencies(quantiles: Array, omega: Array, density: Array) -> Array:
-    """Return the frequencies in rad/s below which given shares of the energy lie.
+    """Return the frequencies in rad/s below which given shares (0 to 1) of the energy lie.
 
-    Parameters
-    ----------
-    quantiles : ndarray, shape (M,)
-        Shares, in [0, 1].
-    omega, density : ndarray, shape (n,)
-        Rising circular frequency (rad/s) and density, on a grid fine enough for trapezoids.
+    ``omega`` (rad/s) rises, on a grid fine enough for trapezoids.
     """
     below = np.concatenate([[0.0], np.cumsum(_cells(omega, density))])
     return np.interp(quantiles, below / below[-1], omega)
@@ -200,16 +145,9 @@ def _cells(x: Array, y: Array) -> Array:
 
 # ---------------------------------------------------------------- wind
 def npd_spectrum(f: Array, wind: float, height: float = 10.0) -> Array:
-    """Return the NPD (NORSOK) gust spectrum in (m/s)^2/Hz.
+    """Return the NPD (NORSOK) gust spectrum in (m/s)^2/Hz at a height (m).
 
-    Parameters
-    ----------
-    f : ndarray
-        Frequency, Hz; meant for 1/600 to 0.5 Hz.
-    wind : float
-        Mean wind speed 10 m above the sea, m/s; above 0.
-    height : float
-        Height above the sea, m.
+    ``f`` (Hz) is meant for 1/600 to 0.5 Hz; ``wind`` is the mean speed at 10 m, m/s, above 0.
     """
     n = 0.468
     x = 172.0 * f * (height / 10.0) ** (2 / 3) * (wind / 10.0) ** (-0.75)
@@ -217,17 +155,8 @@ def npd_spectrum(f: Array, wind: float, height: float = 10.0) -> Array:
 
 
 def harris_spectrum(f: Array, wind: float) -> Array:
-    """Return the Harris gust spectrum in (m/s)^2/Hz.
+    """Return the Harris gust spectrum in (m/s)^2/Hz at f (Hz), of the mean wind at 10 m (m/s).
 
-    Parameters
-    ----------
-    f : ndarray
-        Frequency, Hz.
-    wind : float
-        Mean wind speed 10 m above the sea, m/s; above 0.
-
-    Notes
-    -----
     Source: Harris 1971, with a length of 1800 m and a drag coefficient of .0026.
     """
     length = 1800.0
@@ -235,17 +164,8 @@ def harris_spectrum(f: Array, wind: float) -> Array:
 
 
 def davenport_spectrum(f: Array, wind: float) -> Array:
-    """Return the Davenport gust spectrum in (m/s)^2/Hz.
+    """Return the Davenport gust spectrum in (m/s)^2/Hz at f (Hz), of the mean wind at 10 m (m/s).
 
-    Parameters
-    ----------
-    f : ndarray
-        Frequency, Hz; above 0.
-    wind : float
-        Mean wind speed 10 m above the sea, m/s; above 0.
-
-    Notes
-    -----
     Source: Davenport 1961, with a length of 1200 m and a drag coefficient of .0026.
     """
     x = 1200.0 * f / wind
@@ -258,17 +178,3 @@ GUST_SPECTRA: dict[str, Callable[[Array, float], Array]] = {
     "davenport": davenport_spectrum,
 }
 """Gust spectra by name; each takes frequency (Hz) and mean wind speed (m/s)."""
-
-
-def wind_profile(height: float, wind: float) -> float:
-    """Return the mean wind speed in m/s at a height, by the logarithmic profile.
-
-    Parameters
-    ----------
-    height : float
-        Height above the sea, m; above the roughness length of .004 m.
-    wind : float
-        Mean wind speed 10 m above the sea, m/s.
-    """
-    slope = 2.5 * math.sqrt(_DRAG)
-    return wind * (1.0 + slope * math.log(height / 10.0))

@@ -33,13 +33,7 @@ _TINY = 1e-30
 def drift_coefficients(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the mean-drift coefficients C_X, C_Y, C_N as printed.
 
-    Parameters
-    ----------
-    ratio : ndarray
-        Wave length over ship length; the regression holds from 0.2 to 1.
-
-    Notes
-    -----
+    ``ratio`` is wave length over ship length; the regression holds from 0.2 to 1.
     Source: Eq (19), after Daidola et al. 1986.
     """
     x = np.asarray(ratio, dtype=float)
@@ -64,22 +58,11 @@ def drift_coefficients_limited(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @kernel
 def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
-    """Return the height of the sea surface above rest in m.
-
-    Parameters
-    ----------
-    x, y : float
-        Place, m north and east.
-    t : float
-        Time, s.
-    waves : ndarray, shape (7, M)
-        Wave components; rows as named at the top of this file.
-    """
+    """Return the height of the sea surface above rest in m, at a place (m) and time (s)."""
     total = 0.0
     for i in range(waves.shape[1]):
         phase = waves[K_NORTH, i] * x + waves[K_EAST, i] * y - waves[OMEGA, i] * t
-        _, c = sincos(phase + waves[PHASE, i])
-        total += waves[AMPLITUDE, i] * c
+        total += waves[AMPLITUDE, i] * sincos(phase + waves[PHASE, i])[1]
     return total
 
 
@@ -121,20 +104,8 @@ def _scale(row: np.ndarray, by: np.ndarray, out: np.ndarray) -> None:
 def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.ndarray) -> None:
     """Write what the length and the beam of the hull make of each component.
 
-    They hang on the heading only, so that one evaluation, at its middle, serves a step.
-
-    Parameters
-    ----------
-    psi : float
-        Heading, rad.
-    waves : ndarray, shape (7, M)
-        Wave components.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-    dof : int
-        3 or 6: with 3, lift, trim and heel are left out.
-    factors : ndarray, shape (13, padded(M))
-        From :func:`factor_workspace`; written, rows as named at the top of this file.
+    They hang on the heading only, so that one evaluation, at its middle, serves a step. ``dof``
+    3 leaves lift, trim and heel out. ``factors`` (13, padded(M)) is from :func:`factor_workspace`.
     """
     M = waves.shape[1]
     half_length, half_beam = 0.5 * p.length_waterline, 0.5 * p.beam
@@ -191,30 +162,10 @@ def first_order_loads(
     tilts it by its slope. The phase is taken at the moving position, so that encounter
     frequency and turning need no further thought.
 
-    Parameters
-    ----------
-    x, y, psi : float
-        Position in m and heading in rad.
-    t : float
-        Time, s.
-    waves : ndarray, shape (7, M)
-        Wave components.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-    dof : int
-        3 or 6.
-    factors : ndarray, shape (13, padded(M))
-        What :func:`box_factors` makes of the components; the last rows are scratch.
+    ``factors`` is what :func:`box_factors` makes of the waves (7, M); its last rows are scratch.
+    Returned are X, Y (N), N (N m); Z (N, down), K, M (N m), zeros with ``dof`` 3; and u, v of the
+    water's orbital motion forward and to starboard, mean over the hull (m/s).
 
-    Returns
-    -------
-    X, Y, N, Z, K, M, u, v : float
-        Forces forward and to starboard (N), yaw moment (N m); with ``dof`` 6 also the
-        downward force and the roll and pitch moments, else zeros; and the orbital velocity
-        of the water forward and to starboard, mean over the hull (m/s).
-
-    Notes
-    -----
     Source: ship_and_sea.md.
     """
     M = waves.shape[1]
@@ -231,7 +182,7 @@ def first_order_loads(
     u, v = north * cp + east * sp, east * cp - north * sp
     if dof != 6:
         return X, Y, N, 0.0, 0.0, 0.0, u, v
-    lift, _ = dots(factors[LIFT], factors[LIFT], cosines)
+    lift = dots(factors[LIFT], factors[LIFT], cosines)[0]
     trim, heel = dots(factors[TRIM], factors[HEEL], sines)
     L, B = p.length_waterline, p.beam
     area = p.block_coefficient * L * B
@@ -246,16 +197,8 @@ def first_order_loads(
 def mean_drift_loads(psi: float, sums: np.ndarray) -> tuple[float, float, float]:
     """Return the mean second-order surge force, sway force (N) and yaw moment (N m).
 
-    Parameters
-    ----------
-    psi : float
-        Heading, rad.
-    sums : ndarray, shape (6,)
-        For X, Y, N in turn: the sums over the components of ``1/2 rho g L C a^2`` (``L^2``
-        for N) times the cosine and times the sine of each component's direction.
-
-    Notes
-    -----
+    ``sums`` (6,) holds for X, Y, N in turn the sums over the components of ``1/2 rho g L C a^2``
+    (``L^2`` for N) times the cosine and times the sine of each component's direction.
     Source: Eq (18) with g, and L^2 in N, as the dimensions ask for.
     """
     s, c = sincos(psi)

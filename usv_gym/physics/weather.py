@@ -50,19 +50,7 @@ NOISE_SIZE = 2
 def constant(
     wind: float = 0.0, wind_from: float = 0.0, north: float = 0.0, east: float = 0.0
 ) -> Record:
-    """Return weather that stays as it is, with waves as given.
-
-    Parameters
-    ----------
-    wind, wind_from : float
-        Mean wind speed (m/s) and where it comes from (rad).
-    north, east : float
-        Current, m/s.
-
-    Returns
-    -------
-    record of :data:`WEATHER`
-    """
+    """Return weather that stays as it is: wind and current in m/s, waves as given."""
     weather = np.zeros(1, WEATHER)[0]
     weather["wave_gain"][0] = 1.0
     weather["wind_speed"][0] = weather["gust_wind"] = wind
@@ -85,15 +73,7 @@ def _between(t: float, weather: Record) -> tuple[int, int, float]:
 
 @kernel
 def wave_gain(t: float, weather: Record) -> float:
-    """Return what the amplitude of every wave is multiplied by at time t.
-
-    Parameters
-    ----------
-    t : float
-        Time, s.
-    weather : record of :data:`WEATHER`
-        Weather.
-    """
+    """Return what the amplitude of every wave is multiplied by at time t (s)."""
     i, j, share = _between(t, weather)
     gain = weather.wave_gain[i]
     return gain + share * (weather.wave_gain[j] - gain)
@@ -101,20 +81,11 @@ def wave_gain(t: float, weather: Record) -> float:
 
 @kernel
 def air_velocity(t: float, gusts: np.ndarray, weather: Record) -> tuple[float, float]:
-    """Return the velocity of the air in m/s, north and east, at time t.
+    """Return the velocity of the air in m/s, north and east, at time t (s).
 
-    The direction turns the short way round. Gusts grow and fall with the mean speed (their
+    The direction turns the short way round. Gusts (3, G) grow and fall with the mean speed (their
     intensity stays); the slow drift of the speed is kept within the mean speed either way,
     so that no wind stays no wind.
-
-    Parameters
-    ----------
-    t : float
-        Time, s.
-    gusts : ndarray, shape (3, G)
-        Gusts; see :func:`usv_gym.physics.wind.gust`.
-    weather : record of :data:`WEATHER`
-        Weather.
     """
     i, j, share = _between(t, weather)
     speed, come_from = weather.wind_speed[i], weather.wind_from[i]
@@ -136,16 +107,10 @@ def _gauss_markov(value: float, sd: float, tau: float, dt: float, normal: float)
 def advance_slow_wind(
     weather: Record, dt: float, normal_speed: float, normal_direction: float
 ) -> None:
-    """Advance the slow changes of wind speed and direction, in place.
+    """Advance the slow changes of wind speed and direction by a step dt (s), in place.
 
-    Parameters
-    ----------
-    weather : record of :data:`WEATHER`
-        Weather.
-    dt : float
-        Step, s; infinity draws the states that an episode starts with.
-    normal_speed, normal_direction : float
-        Standard normal numbers.
+    An infinite step draws the states that an episode starts with, from the two standard normal
+    numbers.
     """
     if weather.speed_sd > 0.0:
         weather.speed_drift = _gauss_markov(
@@ -166,16 +131,6 @@ def surface(
     weather: Record,
     out: np.ndarray,
 ) -> None:
-    """Write the height of the sea surface above rest in m at many places and times.
-
-    Parameters
-    ----------
-    x, y, t, out : ndarray, shape (n,)
-        Places (m north and east) and times (s), and where to write.
-    waves : ndarray, shape (7, M)
-        Wave components.
-    weather : record of :data:`WEATHER`
-        Weather.
-    """
+    """Write the height of the sea surface above rest in m at n places (m) and times (s)."""
     for i in range(out.size):
         out[i] = wave_gain(t[i], weather) * elevation(x[i], y[i], t[i], waves)

@@ -16,14 +16,9 @@ from usv_kernel.simd import LANES
 
 @kernel
 def gust(t: float, gusts: np.ndarray) -> float:
-    """Return the gust speed in m/s at time t.
+    """Return the gust speed in m/s at time t (s).
 
-    Parameters
-    ----------
-    t : float
-        Time, s.
-    gusts : ndarray, shape (3, G)
-        Rows: circular frequency (rad/s), phase (rad), amplitude (m/s).
+    Rows of ``gusts`` (3, G): circular frequency (rad/s), phase (rad), amplitude (m/s).
     """
     G = gusts.shape[1]
     whole = G - G % LANES
@@ -32,11 +27,9 @@ def gust(t: float, gusts: np.ndarray) -> float:
     for begin in range(0, whole, LANES):
         for k in range(LANES):
             i = begin + k
-            _, c = sincos(gusts[0, i] * t + gusts[1, i])
-            sums[k] += gusts[2, i] * c
+            sums[k] += gusts[2, i] * sincos(gusts[0, i] * t + gusts[1, i])[1]
     for i in range(whole, G):
-        _, c = sincos(gusts[0, i] * t + gusts[1, i])
-        sums[i - whole] += gusts[2, i] * c
+        sums[i - whole] += gusts[2, i] * sincos(gusts[0, i] * t + gusts[1, i])[1]
     half = LANES // 2
     while half > 0:
         for k in range(half):
@@ -49,15 +42,7 @@ def gust(t: float, gusts: np.ndarray) -> float:
 def coefficients(gamma: float, p: Record) -> tuple[float, float, float]:
     """Return the Blendermann wind coefficients C_X, C_Y, C_N.
 
-    Parameters
-    ----------
-    gamma : float
-        Direction of the apparent wind off the bow, rad; above 0 comes over the port bow.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
+    ``gamma`` is the direction of the apparent wind off the bow, rad; above 0 over the port bow.
     Source: Blendermann 1994; Eq (13), whose print lacks the minus of C_X.
     The formula for C_N holds for wind over port; the other side is its mirror image.
     """
@@ -87,20 +72,7 @@ def wind_loads(
 ) -> tuple[float, float, float]:
     """Return surge force, sway force (N) and yaw moment (N m) of the apparent wind.
 
-    Parameters
-    ----------
-    u, v : float
-        Velocity over the ground, m/s.
-    psi : float
-        Heading, rad.
-    north, east : float
-        Velocity of the air over the ground, m/s.
-    p : record
-        Vessel; fields in :data:`~usv_gym.physics.parameters.PARAMETERS`.
-
-    Notes
-    -----
-    Source: Eq (12).
+    ``u, v`` and the air's ``north, east`` are over the ground, m/s. Source: Eq (12).
     """
     air_u, air_v = frames.to_body(north, east, psi)
     return apparent_loads(u - air_u, v - air_v, p)

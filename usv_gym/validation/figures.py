@@ -39,15 +39,7 @@ LENGTH = 7.0
 
 
 def draw(study: Study, folder: Path) -> list[Path]:
-    """Write every picture with available data, and return the paths.
-
-    Parameters
-    ----------
-    study : Study
-        Results.
-    folder : Path
-        Output folder; created if missing.
-    """
+    """Write every picture with available data to a folder, and return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, picture in PICTURES.items():
@@ -172,7 +164,7 @@ def seas(study: Study) -> Figure | None:
     figure, axes = _axes(1, 2, 9.0, 3.8)
     one, other = axes[0]
     for (name, state), colour in zip(SEAS.items(), COLOURS, strict=False):
-        _, f, density = an_hour(realise(state, study.boat))
+        f, density = an_hour(realise(state, study.boat))[1:]
         table = state.wave_spectrum()
         one.plot(table.omega / (2 * math.pi), table.density * 2 * math.pi, color=colour, label=name)
         one.plot(f, density, ".", color=colour, ms=4)
@@ -194,7 +186,7 @@ def raos(study: Study) -> Figure:
     k = OMEGA**2 / GRAVITY
     low = OMEGA <= 4.6
     for column, speed in enumerate(SPEEDS):
-        for (heading, _), colour in zip(HEADINGS.items(), COLOURS, strict=False):
+        for heading, colour in zip(HEADINGS, COLOURS, strict=False):
             got, closed = study.responses[heading, speed], study.jensen(heading, speed)
             for row, (simulated, theory) in enumerate(
                 ((got.heave, closed[0]), (got.pitch / k, closed[1] / k), (got.roll / k, None))

@@ -35,15 +35,7 @@ def _random_state(rng: np.random.Generator, dof: int) -> Array:
 
 
 def energy(states: Array, v: Mapping[str, float]) -> Array:
-    """Return kinetic and hydrostatic energy, J, for rows of states.
-
-    Parameters
-    ----------
-    states : ndarray, shape (n, 16)
-        States.
-    v : Mapping of str to float
-        Values of the vessel.
-    """
+    """Return kinetic and hydrostatic energy, J, for rows of states (n, 16)."""
     u, sway, w, p, q, r = states[:, fr.U : fr.R + 1].T
     m, x_G, z_G, z_H = v["mass"], v["x_G"], v["draft"] - v["KG"], v["z_H"]
     moving = m * ((u + z_G * q) ** 2 + (sway - z_G * p + x_G * r) ** 2 + (w - x_G * q) ** 2)

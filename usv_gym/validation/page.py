@@ -118,16 +118,9 @@ def cells(row: Row, digits: int | None = None) -> tuple[str, ...]:
 
 
 def render(sections: Sequence[Section], before: str = "", digits: int | None = None) -> str:
-    """Return the page.
+    """Return the page; an earlier one, ``before``, gives the values of skipped rows.
 
-    Parameters
-    ----------
-    sections : sequence of Section
-        Computed rows.
-    before : str
-        An earlier page; it gives the values of skipped rows.
-    digits : int, optional
-        Significant figures of every value; default those of its row.
+    ``digits`` are the significant figures of every value; by default those of its row.
     """
     kept = _rows_of(before)
     lines = [INTRODUCTION]
@@ -151,12 +144,7 @@ def render(sections: Sequence[Section], before: str = "", digits: int | None = N
 def compare(page: str, sections: Sequence[Section]) -> list[str]:
     """Return the differences of a page from computed rows beyond rounding.
 
-    Parameters
-    ----------
-    page : str
-        Content of the page.
-    sections : sequence of Section
-        Computed rows; skipped ones are taken from the page.
+    Skipped rows are taken from the page.
     """
     found, title = [], ""
     exact = render(sections, page, digits=15)

@@ -58,15 +58,7 @@ LONG = OMEGA <= 2.2
 
 
 def quadrature_error(boat: Vessel, count: int = 200) -> float:
-    """Return the largest error of box loads against quadrature, over the largest load.
-
-    Parameters
-    ----------
-    boat : Vessel
-        Gives length, beam, draft and water density of the box.
-    count : int
-        Number of random waves.
-    """
+    """Return the largest error of box loads against quadrature, over the largest load."""
     rng, worst, v = np.random.default_rng(0), 0.0, boat.values
     L, B, d, rho = (v[key] for key in ("length_waterline", "beam", "draft", "water_density"))
     box = {**v, "block_coefficient": 1.0, "mass": rho * L * B * d, "A_wp": L * B}

@@ -54,36 +54,16 @@ ORIGIN = {"origin": 0.0, "heading": 0.0}
 
 @dataclass(frozen=True)
 class Row:
-    """A computed number and its reference.
+    """A computed number and its reference."""
 
-    Parameters
-    ----------
-    item : str
-        Name, with the unit.
-    value : float or None
-        Computed value; None if it is skipped or does not exist.
-    reference : float or None
-        Published, measured or exact value; None if it is skipped.
-    tolerance : float or None
-        Largest difference, see ``kind``; None if the row is only reported.
-    source : str
-        Source of the reference.
-    kind : str
-        One of :data:`KINDS`.
-    digits : int
-        Significant figures on the page.
-    skipped : str
-        Reason why there is no value; empty if there is one.
-    """
-
-    item: str
-    value: float | None
-    reference: float | None
-    tolerance: float | None
+    item: str  # name, with the unit
+    value: float | None  # computed value; None if it is skipped or does not exist
+    reference: float | None  # published, measured or exact value; None if it is skipped
+    tolerance: float | None  # largest difference, see kind; None if the row is only reported
     source: str
-    kind: str = "relative"
-    digits: int = 4
-    skipped: str = ""
+    kind: str = "relative"  # one of KINDS
+    digits: int = 4  # significant figures on the page
+    skipped: str = ""  # reason why there is no value; empty if there is one
 
     @property
     def ok(self) -> bool | None:
@@ -108,15 +88,7 @@ def rows(
     kind: str = "relative",
     digits: int = 4,
 ) -> list[Row]:
-    """Return rows from (item, value, reference) with one source and tolerance.
-
-    Parameters
-    ----------
-    entries : iterable of tuple
-        Item, value and reference of each row.
-    source, tolerance, kind, digits
-        See :class:`Row`; without a tolerance the rows are reported.
-    """
+    """Return rows from (item, value, reference) with one source and tolerance; see :class:`Row`."""
     kind = kind if tolerance is not None else "reported"
     return [
         Row(item, value, reference, tolerance, source, kind, digits)
@@ -182,25 +154,13 @@ OMEGA = np.concatenate([[0.25, 0.4, 0.6], np.arange(0.8, 3.55, 0.1), np.arange(3
 
 
 def shared_folder(root: Path) -> Path | None:
-    """Return the folder of recorded data, None if it is missing.
-
-    Parameters
-    ----------
-    root : Path
-        Root of the repository; the folder is ``../shared`` or ``USV_TWIN_SHARED``.
-    """
+    """Return the folder of recorded data, ``../shared`` or ``USV_TWIN_SHARED``; None if missing."""
     folder = Path(os.environ.get("USV_TWIN_SHARED") or root.resolve().parent / "shared")
     return folder if (folder / "data").is_dir() else None
 
 
 class Study:
-    """Results that several sections and pictures share, computed once.
-
-    Parameters
-    ----------
-    shared : Path or None
-        Folder of recorded data; None if it is missing.
-    """
+    """Results that several sections and pictures share, computed once; ``shared`` may be None."""
 
     def __init__(self, shared: Path | None) -> None:
         self.shared = shared
@@ -365,12 +325,7 @@ def realise(state: SeaState, vessel: Vessel, seed: int = 0) -> Sea:
 def an_hour(sea: Sea, segment: float = 200.0) -> tuple[Array, Array, Array]:
     """Return the elevation at one place at 4 Hz, and its spectrum (m2/Hz) over Hz.
 
-    Parameters
-    ----------
-    sea : Sea
-        Any.
-    segment : float
-        Length of Welch's segments, s.
+    ``segment`` is the length of Welch's segments, s.
     """
     z = sea.elevation(3.0, -5.0, np.arange(0.0, 3600.0, 0.25))
     f, density = welch(z, 4.0, nperseg=int(4 * segment))

@@ -12,49 +12,30 @@ __all__ = ["Form"]
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Main particulars from which a boat is drawn.
+    """Main particulars from which a boat is drawn."""
 
-    Parameters
-    ----------
-    length, beam, draft : float
-        On the water line, m.
-    volume : float
-        Displaced, m3.
-    length_overall : float, optional
-        m; default 1.1 ``length``.
-    waterplane : float, optional
-        Area of the water plane, m2; default from the block coefficient.
-    height : float, optional
-        Mean height of hull and superstructure above the water, m; default from the length.
-    kind : str
-        ``steerable_drive``, ``propeller_rudder`` or ``thruster_pair``, as in a vessel file.
-    units : int
-        Propellers, 1 or 2.
-    diameter : float, optional
-        Of a propeller, m; default 0.7 ``draft``.
-    arm, aside, depth : float, optional
-        Position of drives or rudders, m: forward of the origin, off the centre line, and depth of
-        the shaft; default from the particulars.
-    propeller : float, optional
-        Position of a propeller ahead of a rudder, m forward of the origin.
-    blade : tuple of float, optional
-        Height and area of a rudder, m and m2; default from the draft.
-    """
-
+    # on the water line, m
     length: float
     beam: float
     draft: float
-    volume: float
-    length_overall: float | None = None
+    volume: float  # displaced, m3
+    length_overall: float | None = None  # m; default 1.1 length
+    # area of the water plane, m2; default from the block coefficient
     waterplane: float | None = None
+    # mean height of hull and superstructure above the water, m; default from the length
     height: float | None = None
+    # steerable_drive, propeller_rudder or thruster_pair, as in a vessel file
     kind: str = "steerable_drive"
-    units: int = 2
-    diameter: float | None = None
+    units: int = 2  # propellers, 1 or 2
+    diameter: float | None = None  # of a propeller, m; default 0.7 draft
+    # position of drives or rudders, m: forward of the origin, off the centre line, and depth of the
+    # shaft; default from the particulars
     arm: float | None = None
     aside: float | None = None
     depth: float | None = None
+    # position of a propeller ahead of a rudder, m forward of the origin
     propeller: float | None = None
+    # height and area of a rudder, m and m2; default from the draft
     blade: tuple[float, float] | None = None
 
     @classmethod

@@ -28,23 +28,9 @@ __all__ = [
 def boat_of(source: Vessel | Form) -> Boat:
     """Return the geometric model of a vessel, or of a boat with a few known particulars.
 
-    The hull has the displacement of the particulars, and the water-plane area of a vessel.
-    Drives, rudders and propellers are separate parts that turn.
-
-    Parameters
-    ----------
-    source : Vessel or Form
-        A vessel's mesh file replaces hull and superstructure.
-
-    Returns
-    -------
-    Boat
-        In m; axes x forward, y to starboard, z down; origin on the still water line.
-
-    Raises
-    ------
-    VesselError
-        For a mesh file that cannot be used.
+    The hull has the displacement of the particulars, and the water-plane area of a vessel. A
+    vessel's mesh file replaces hull and superstructure; VesselError if it cannot be used. Drives,
+    rudders and propellers are separate parts that turn.
     """
     form = Form.of(source) if isinstance(source, Vessel) else source
     moving = propulsion_parts(form)

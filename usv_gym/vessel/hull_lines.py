@@ -22,12 +22,8 @@ class HullLines:
 
     Sections below water are superellipses: one exponent takes them from a V to a box. The water
     line has straight sides between run and entrance. The fullness of the water line is solved for
-    its area, and the exponent for the volume. ``mesh`` is the closed surface of hull and deck.
-
-    Parameters
-    ----------
-    form : Form
-        Main particulars; an impossible volume is approached as closely as possible.
+    its area, and the exponent for the volume; an impossible one is approached as closely as
+    possible. ``mesh`` is the closed surface of hull and deck.
     """
 
     def __init__(self, form: Form) -> None:

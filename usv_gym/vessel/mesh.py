@@ -17,15 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh.
-
-    Parameters
-    ----------
-    vertices : ndarray, shape (V, 3)
-        Points, m.
-    faces : ndarray, shape (F, 3)
-        Rows of ``vertices`` (int32), counter-clockwise as seen from outside.
-    """
+    """A triangle mesh: vertices (V, 3) in m, faces (F, 3) counter-clockwise seen from outside."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -63,7 +55,7 @@ def loft(rings: Array, caps: tuple[bool, bool] = (True, True)) -> Mesh:
     An end without a cap must run into a point or an edge; coinciding points become one.
     Diagonals of the second half of the points mirror those of the first.
     """
-    m, k, _ = rings.shape
+    m, k = rings.shape[:2]
     index = np.arange(m * k).reshape(m, k)
     a, b = index[:-1], index[1:]
     a_next, b_next = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
@@ -84,9 +76,9 @@ def loft(rings: Array, caps: tuple[bool, bool] = (True, True)) -> Mesh:
 def _merged(points: Array, faces: NDArray[np.integer[Any]]) -> Mesh:
     """Join coinciding points, drop faces without area, and orient faces outwards."""
     grain = 1e-9 * float(np.ptp(points, axis=0).max())
-    _, kept, where = np.unique(
+    kept, where = np.unique(
         np.round(points / grain), axis=0, return_index=True, return_inverse=True
-    )
+    )[1:]
     faces = where.reshape(-1)[faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     mesh = Mesh(points[kept], faces.astype(np.int32))

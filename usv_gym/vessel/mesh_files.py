@@ -29,21 +29,11 @@ _PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
 
 
 def encode_mesh(boat: Boat, suffix: str) -> bytes:
-    """Return the content of a mesh file.
+    """Return the content of a mesh file of a boat, in m, origin amidships on the water line.
 
-    Parameters
-    ----------
-    boat : Boat
-        Any.
-    suffix : str
-        ``.glb``: all parts as named nodes with colours; y up, z forward, x to port (glTF).
-        ``.ply``, ``.obj``, ``.stl``: one surface of all parts but the propulsion; z up, x
-        forward, y to port. In m, origin amidships on the water line.
-
-    Raises
-    ------
-    VesselError
-        For any other suffix, and if trimesh is missing.
+    ``.glb``: all parts as named nodes with colours; y up, z forward, x to port (glTF).
+    ``.ply``, ``.obj``, ``.stl``: one surface of all parts but the propulsion; z up, x forward, y to
+    port. VesselError for any other suffix, and if trimesh is missing.
     """
     if suffix not in MESH_FORMATS:
         raise VesselError(f"no mesh format is called {suffix!r}; use {', '.join(MESH_FORMATS)}")
@@ -93,21 +83,10 @@ def _trimesh() -> Any:
 
 
 def read_mesh(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
-    """Return a boat with the meshes of a file.
+    """Return a boat with the meshes of a file, whose size the main particulars check.
 
-    Parameters
-    ----------
-    path : Path
-        File of one of :data:`~usv_gym.vessel.schema.MESH_FORMATS`.
-    form : Form
-        Main particulars; they check the size of the mesh.
-    moving : sequence of Part
-        Propulsion. The file's meshes of equal names replace theirs.
-
-    Raises
-    ------
-    VesselError
-        If the file cannot be read, has no hull, or has a wrong size or place.
+    The file's meshes of equal names replace those of the ``moving`` propulsion. VesselError: it
+    cannot be read, has no hull, or has a wrong size or place.
     """
     trimesh = _trimesh()
     place = f"[vessel] mesh: {path}:"
@@ -129,11 +108,12 @@ def read_mesh(path: Path, form: Form, moving: Sequence[Part]) -> Boat:
             f"{place} is no {path.suffix} file that can be read: damaged, cut off, empty or of "
             "another format; export it again"
         ) from None
-    if not any(len(solid.faces) for _, solid in found):
+    solids = [item[1] for item in found]
+    if not any(len(solid.faces) for solid in solids):
         raise VesselError(f"{place} holds no triangles; export the boat's surface as a mesh")
-    if not all(np.isfinite(solid.vertices).all() for _, solid in found):
+    if not all(np.isfinite(solid.vertices).all() for solid in solids):
         raise VesselError(f"{place} has vertices that are not finite; export it again")
-    for _, solid in found:
+    for solid in solids:
         solid.merge_vertices()
     turn = _GLTF if path.suffix.lower() == ".glb" else _UPRIGHT
     own = {part.name: part for part in moving}

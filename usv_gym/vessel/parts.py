@@ -27,34 +27,18 @@ COLOURS: dict[str, Colour] = {
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A piece of a boat with one colour.
+    """A piece of a boat with one colour."""
 
-    Parameters
-    ----------
-    name : str
-        Such as ``hull``, ``deck``, ``drive_left``, ``propeller_left``.
-    mesh : Mesh
-        Surface in m, relative to ``position``; axes of the ship.
-    colour : tuple of int
-        Red, green and blue, 0 to 255.
-    position : tuple of float
-        Point about which it turns, m, in the frame of the parent or the ship.
-    parent : str
-        Name of the part that it moves with; empty: the ship.
-    moves : str
-        ``steer``: turns about z by minus the drive or rudder angle (above 0 to starboard);
-        ``spin``: turns about x with the shaft; empty: fixed.
-    unit : int
-        Propulsion unit that moves it: 0 left or single, 1 right.
-    """
-
-    name: str
-    mesh: Mesh
-    colour: Colour
+    name: str  # such as hull, deck, drive_left, propeller_left
+    mesh: Mesh  # surface in m, relative to position; axes of the ship
+    colour: Colour  # red, green and blue, 0 to 255
+    # point about which it turns, m, in the frame of the parent or the ship
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    parent: str = ""
+    parent: str = ""  # name of the part that it moves with; empty: the ship
+    # steer: turns about z by minus the drive or rudder angle (above 0 to starboard); spin: turns
+    # about x with the shaft; empty: fixed
     moves: str = ""
-    unit: int = 0
+    unit: int = 0  # propulsion unit that moves it: 0 left or single, 1 right
 
     @classmethod
     def fixed(cls, name: str, mesh: Mesh) -> Part:
@@ -67,14 +51,9 @@ class Boat:
     """The geometric model of a boat: its parts in the ship's frame.
 
     Axes x forward, y to starboard, z down; origin on the still water line, as in the state.
-
-    Parameters
-    ----------
-    parts : tuple of Part
-        Parents before their children.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # parents before their children
 
     def __getitem__(self, name: str) -> Part:
         for part in self.parts:

@@ -116,32 +116,17 @@ def check_kind(kind: Any) -> str:
 
 
 def keys_of(table: str, kind: str) -> dict[str, tuple[str, str]]:
-    """Return the keys of a table of a vessel file, with SI units and bounds.
+    """Return the keys of a table of a vessel file, with SI units and bounds, for a kind.
 
-    Parameters
-    ----------
-    table : str
-        Such as ``hull``; a key of :data:`SCHEMA`.
-    kind : str
-        Kind of propulsion, a key of :data:`KIND_SCHEMA`.
+    ``table`` is a key of :data:`SCHEMA`, ``kind`` one of :data:`KIND_SCHEMA`.
     """
     return {**SCHEMA[table], **(KIND_SCHEMA[kind] if table == "propulsion" else {})}
 
 
 def check_values(kind: str, values: Mapping[str, float]) -> None:
-    """Check the numbers of a vessel against the schema and each other.
+    """Check the SI numbers of a vessel against the schema and each other; hull terms may miss.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of propulsion.
-    values : Mapping[str, float]
-        SI units; terms of the hull may be missing.
-
-    Raises
-    ------
-    VesselError
-        Names the table, the key and the rule.
+    VesselError names the table, the key and the rule.
     """
     schema = {table: keys_of(table, kind) for table in SCHEMA}
     for table, keys in schema.items():

@@ -196,25 +196,11 @@ class Vessel:
         return np.eye(4) if self.values["units"] == 2.0 else self.mixing
 
     def command(self, n: np.ndarray | float, angle: np.ndarray | float) -> np.ndarray:
-        """Return the command for a shaft speed and a helm angle.
+        """Return the command (..., 4), rev/s and rad, for a shaft speed and a helm angle.
 
-        Parameters
-        ----------
-        n : float or ndarray, shape (...)
-            Shaft speed, rev/s.
-        angle : float or ndarray, shape (...)
-            Angle of drives or rudders, rad, above 0 to starboard. A thruster pair shifts thrust
-            from one thruster to the other instead; at 30 degrees one stops.
-
-        Returns
-        -------
-        ndarray, shape (..., 4)
-            Left and right shaft speed (rev/s), left and right angle (rad).
-
-        Raises
-        ------
-        VesselError
-            For numbers that are not finite, or an angle beyond 90 degrees.
+        The angle is above 0 to starboard. A thruster pair shifts thrust from one thruster to the
+        other instead; at 30 degrees one stops. VesselError: numbers that are not finite, or an
+        angle beyond 90 degrees.
         """
         n, angle = np.broadcast_arrays(np.asarray(n, float), np.asarray(angle, float))
         if not (np.all(np.isfinite(n)) and np.all(np.abs(angle) <= 0.5 * math.pi)):
@@ -230,17 +216,10 @@ class Vessel:
         return np.stack([n, n, angle, angle], axis=-1)
 
     def straight_speed(self, n: float) -> float:
-        """Return the steady speed straight ahead in calm water, m/s.
+        """Return the steady speed (m/s) straight ahead in calm water.
 
-        Parameters
-        ----------
-        n : float
-            Speed of all shafts, rev/s; 0 or more.
-
-        Raises
-        ------
-        VesselError
-            If thrust and resistance balance at no speed.
+        ``n`` is the speed of all shafts, rev/s, 0 or more. VesselError: thrust and resistance
+        balance at no speed.
         """
         if n <= 0.0:
             return 0.0
@@ -264,35 +243,18 @@ class Vessel:
     def varied(
         self, rng: np.random.Generator, spread: float = 0.15, built: float | None = None
     ) -> Vessel:
-        """Return a random boat of the same kind.
+        """Return a random boat of the same kind; equal states of ``rng`` give equal boats.
 
         Coefficients of forces and added masses are multiplied by 1 + ``spread`` times a normal
-        number, geometry and inertia by 1 + ``built`` times one. Factors are limited to 0.1 to
-        1.9. The resistance curve gets one factor for its forces and one (as geometry) for its
-        speeds. The length overall follows the length, the water plane length and beam. Actuators,
-        shaft speeds and name stay.
+        number, geometry and inertia by 1 + ``built`` (default ``spread / 3``) times one. Factors
+        are limited to 0.1 to 1.9. The resistance curve gets one factor for its forces and one (as
+        geometry) for its speeds. The length overall follows the length, the water plane length and
+        beam. Actuators, shaft speeds and name stay.
 
         A boat is drawn again if it breaks the schema, is course-unstable (or more so than this
-        vessel, if that is unstable), or if its speed at the manoeuvring shaft speed differs by
-        more than a factor of 4/3.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Equal states give equal boats.
-        spread : float
-            Relative standard deviation of the coefficients; 0 or more.
-        built : float, optional
-            Relative standard deviation of geometry and inertia; default ``spread / 3``.
-
-        Returns
-        -------
-        Vessel
-
-        Raises
-        ------
-        VesselError
-            For negative or infinite spreads, and if no boat could be drawn.
+        vessel, if that is unstable), or if its speed at the manoeuvring shaft speed differs by more
+        than a factor of 4/3. VesselError: a spread is negative or infinite, or no boat could be
+        drawn.
 
         Source: docs/explanation/ship_and_sea.md, Vessels.
         """
@@ -331,17 +293,7 @@ class Vessel:
 
 
 def state_at(vessel: Vessel, n: float, speed: float) -> np.ndarray:
-    """Return the state of a vessel that goes straight ahead, shape (16,).
-
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    n : float
-        Shaft speed, rev/s.
-    speed : float
-        m/s.
-    """
+    """Return the state (16,) of a vessel that goes straight ahead at a speed (m/s)."""
     state = np.zeros(fr.STATE_SIZE)
     state[fr.U] = speed
     state[fr.N_LEFT :] = vessel.command(n, 0.0)
@@ -351,21 +303,7 @@ def state_at(vessel: Vessel, n: float, speed: float) -> np.ndarray:
 def jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) -> np.ndarray:
     """Return the Jacobian of the state derivative in calm water, with constant commands.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    state : ndarray, shape (16,)
-        Operating point; layout in :mod:`usv_gym.physics.frames`.
-    rows : list of int
-        States to derive by, and whose derivatives are returned.
-    dof : int
-        Degrees of freedom, 3 or 6.
-
-    Returns
-    -------
-    ndarray, shape (rows, rows)
-        By central differences.
+    It is that of the ``rows`` of the state by themselves, by central differences.
     """
     still, calm, air = ship.Ship(vessel.packed, dof), ship.calm_sea(), ship.Air(0.0, 0.0, 1.0)
     cmd, out, h = state[fr.N_LEFT :].copy(), np.zeros(fr.STATE_SIZE), 1e-6
@@ -382,17 +320,7 @@ def jacobian(vessel: Vessel, state: np.ndarray, rows: list[int], dof: int = 6) -
 def course_eigenvalues(vessel: Vessel, n: float) -> tuple[complex, complex]:
     """Return the two eigenvalues of drift and turning on a straight course, 1/s.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Any.
-    n : float
-        Shaft speed, rev/s.
-
-    Returns
-    -------
-    tuple of complex
-        The less stable one first; the vessel is course-stable if its real part is below 0.
+    The less stable one is first; the vessel is course-stable if its real part is below 0.
     """
     state = state_at(vessel, n, vessel.straight_speed(n))
     values = np.linalg.eigvals(jacobian(vessel, state, [fr.V, fr.R], dof=3))

@@ -27,22 +27,9 @@ def vessel_names() -> tuple[str, ...]:
 
 
 def read_vessel(source: str | Path) -> dict[str, Any]:
-    """Return the fields of a :class:`~usv_gym.vessel.vessel.Vessel` from a file.
+    """Return the keyword arguments of a vessel, in SI units, from a TOML file or a known name.
 
-    Parameters
-    ----------
-    source : str or Path
-        Name (see :func:`vessel_names`) or path of a TOML file.
-
-    Returns
-    -------
-    dict
-        Keyword arguments of the vessel, in SI units.
-
-    Raises
-    ------
-    VesselError
-        Names the key and the remedy.
+    VesselError names the key and the remedy.
     """
     path, design = Path(source), ""
     if str(source) in vessel_names():
@@ -95,7 +82,8 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
             if key not in keys:
                 of = f" of a {kind}" if name == "propulsion" else ""
                 raise VesselError(f"[{name}] {key}: unknown key{of}; known: {', '.join(keys)}")
-        for key, (unit, _) in keys.items():
+        for key in keys:
+            unit = keys[key][0]
             if key not in given:
                 if name == "hull":
                     continue

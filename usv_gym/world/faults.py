@@ -368,20 +368,8 @@ def apply_faults(
 ) -> np.ndarray:
     """Return recorded measurements as they would be with faults of the sensors.
 
-    Parameters
-    ----------
-    t : ndarray, shape (N,)
-        Time, s; starts of faults count from the first.
-    z : ndarray, shape (N, 8 or more)
-        Rows that begin with :data:`SENSOR_CHANNELS`; what follows is kept.
-    faults : sequence of Disturbance
-        What goes wrong.
-    rng : numpy.random.Generator
-        Its randomness.
-
-    Returns
-    -------
-    ndarray, shape of z
+    ``t`` (N,) in s; starts of faults count from the first. Rows of ``z`` begin with
+    :data:`SENSOR_CHANNELS`; what follows is kept.
     """
     if not faults:
         return z.copy()
@@ -400,20 +388,10 @@ def apply_faults(
 def strike(
     t: float, numbers: np.ndarray, faults: np.ndarray, last: np.ndarray, z: np.ndarray
 ) -> None:
-    """Apply the faults to the samples of time t.
+    """Apply the faults to the samples z (8,) of time t (s), in place; NaN: none.
 
-    Parameters
-    ----------
-    t : float
-        Time, s.
-    numbers : ndarray, shape (3 F,)
-        Uniform random numbers of this step, three for each fault.
-    faults : ndarray of :data:`FAULT`, shape (F,)
-        Advanced in place.
-    last : ndarray, shape (8,)
-        The samples handed out last; advanced in place.
-    z : ndarray, shape (8,)
-        Samples of :data:`~usv_kernel.channels.SENSOR_CHANNELS`, changed in place; NaN: none.
+    ``numbers`` (3 F,) are uniform random numbers of this step, three for each fault. Faults (F,)
+    and ``last`` (8,), the samples handed out last, are advanced in place.
     """
     lost, frozen = 0, 0
     for i in range(faults.shape[0]):

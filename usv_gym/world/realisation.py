@@ -27,22 +27,11 @@ def wave_rows(
     east: ArrayLike,
     phase: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Return wave components as the kernels read them, and the sums of their mean drift.
+    """Return wave components (7, M) as the kernels read them, and the sums (6,) of mean drift.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        Its draft and length decide how deep the pressure reaches and which waves it reflects.
-    omega, amplitude : array_like, shape (M,)
-        Circular frequency (rad/s) and amplitude (m).
-    north, east : array_like, shape (M,)
-        Parts of the unit vector that each component goes along.
-    phase : array_like, shape (M,)
-        Phase at the origin at time 0, rad.
-
-    Returns
-    -------
-    ndarray, shape (7, M), and ndarray, shape (6,)
+    The vessel's draft and length decide how deep the pressure reaches and which waves it reflects.
+    ``omega`` is in rad/s, ``amplitude`` in m; ``north, east`` are the unit vector that each
+    component goes along; ``phase`` is that at the origin at time 0, rad.
     """
     omega, amplitude, north, east, phase = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))
@@ -63,21 +52,11 @@ def wave_rows(
 
 @dataclass(frozen=True)
 class Sea:
-    """One realisation, as the kernels read it.
+    """One realisation, as the kernels read it."""
 
-    Parameters
-    ----------
-    waves : ndarray, shape (7, M)
-        Wave components; rows in :mod:`usv_gym.physics.waves`.
-    gusts : ndarray, shape (3, G)
-        Circular frequency, phase and amplitude of the gusts.
-    weather : record of :data:`usv_gym.physics.weather.WEATHER`
-        Schedule, current, mean drift and slow wind.
-    """
-
-    waves: Array
-    gusts: Array
-    weather: Record
+    waves: Array  # (7, M): wave components; rows in usv_gym.physics.waves
+    gusts: Array  # (3, G): circular frequency, phase and amplitude of the gusts
+    weather: Record  # schedule, current, mean drift and slow wind
 
     @classmethod
     def calm(cls) -> Sea:
@@ -89,20 +68,12 @@ class Sea:
     def regular(
         cls, vessel: Vessel, omega: float, amplitude: float, to: float = 0.0, phase: float = 0.0
     ) -> Sea:
-        """Return a sea of one regular wave, without wind or mean drift.
+        """Return a sea of one regular wave for a vessel, without wind or mean drift.
 
-        Parameters
-        ----------
-        vessel : Vessel
-            The vessel that is to feel it.
-        omega, amplitude : float
-            Circular frequency (rad/s) and amplitude (m).
-        to : float
-            Direction that the wave goes to, rad.
-        phase : float
-            Phase at the origin at time 0, rad.
+        ``omega`` in rad/s, ``amplitude`` in m; ``to`` is where the wave goes, ``phase`` that at the
+        origin at time 0, rad.
         """
-        rows, _ = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
+        rows = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)[0]
         return dataclasses.replace(cls.calm(), waves=rows)
 
     def arrays(self) -> ship.Sea:
@@ -111,19 +82,9 @@ class Sea:
         return ship.Sea(self.waves, self.gusts, self.weather, scratch)
 
     def elevation(self, x: ArrayLike, y: ArrayLike, t: ArrayLike) -> Array:
-        """Return the height of the sea surface above rest in m, as the boat feels it.
+        """Return the height of the sea surface above rest (m) at places (m) and times (s).
 
-        Parameters
-        ----------
-        x, y : array_like
-            Places, m north and east.
-        t : array_like
-            Times, s; all three are broadcast against each other.
-
-        Returns
-        -------
-        ndarray
-            Of the shape that they have in common.
+        The three are broadcast against each other.
         """
         x, y, t = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (x, y, t)))
         out = np.zeros(x.size)

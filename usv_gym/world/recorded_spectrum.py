@@ -28,12 +28,7 @@ class SeaError(UsvTwinError):
 class Spectrum:
     """A wave spectrum as a table, straight between its points and nought beyond them.
 
-    Parameters
-    ----------
-    omega : array_like, shape (n,)
-        Rising circular frequency, rad/s; above 0.
-    density : array_like, shape (n,)
-        Density, m2 s/rad; not below 0.
+    ``omega`` (n,) rises, rad/s, above 0; ``density`` (n,) is in m2 s/rad, not below 0.
     """
 
     omega: Array
@@ -69,15 +64,8 @@ class Spectrum:
     def read(cls, path: str | os.PathLike[str]) -> Spectrum:
         """Read a spectrum from a CSV file, gzipped or not.
 
-        Parameters
-        ----------
-        path : path
-            Two columns under the header ``frequency_hz,density_m2_per_hz`` or
-            ``omega_radps,density_m2s_per_rad``.
-
-        Returns
-        -------
-        Spectrum
+        Its two columns have the header ``frequency_hz,density_m2_per_hz`` or
+        ``omega_radps,density_m2s_per_rad``.
         """
         path = Path(path)
         try:

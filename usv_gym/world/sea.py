@@ -238,13 +238,7 @@ class SeaState:
 
     @classmethod
     def any_of(cls, seas: str | int | SeaState | Sequence[str | SeaState]) -> tuple[SeaState, ...]:
-        """Return the sea states of which one is to be drawn.
-
-        Parameters
-        ----------
-        seas : str or SeaState or sequence of them
-            A text may hold several names: ``"0|2|4"``.
-        """
+        """Return the sea states of which one is to be drawn; a text may hold several: ``0|2|4``."""
         if isinstance(seas, str):
             return tuple(cls.named(name.strip()) for name in seas.split("|"))
         if not isinstance(seas, Sequence):
@@ -255,17 +249,8 @@ class SeaState:
 
     @classmethod
     def from_wind(cls, wind: float, **others: Any) -> SeaState:
-        """Return the sea that a wind fully develops.
+        """Return the sea that a mean wind (m/s, at 10 m) fully develops, with further fields.
 
-        Parameters
-        ----------
-        wind : float
-            Mean wind speed 10 m above the sea, m/s.
-        **others
-            Further fields of the sea state.
-
-        Notes
-        -----
         Source: Eq (15)-(16); PM by wind is PM by the Hs that follows from it.
         """
         _check("wind", wind)
@@ -303,21 +288,11 @@ class SeaState:
     def realise(
         self, vessel: Vessel, rng_waves: np.random.Generator, rng_gusts: np.random.Generator
     ) -> Sea:
-        """Draw one sea.
+        """Draw one sea; its slow changes of the wind start at the mean.
 
-        Parameters
-        ----------
-        vessel : Vessel
-            Its draft and length decide how deep the pressure reaches and which waves it
-            reflects.
-        rng_waves, rng_gusts : numpy.random.Generator
-            Sources of the phases.
-
-        Returns
-        -------
-        Sea
-            Its slow changes of the wind start at the mean;
-            :func:`usv_gym.physics.weather.advance_slow_wind` draws and moves them.
+        The vessel's draft and length decide how deep the pressure reaches and which waves it
+        reflects. :func:`usv_gym.physics.weather.advance_slow_wind` draws and moves the wind's
+        changes.
         """
         to = self.current_to
         weather = wx.constant(

@@ -11,7 +11,17 @@ import numpy as np
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 from usv_gym.world.faults import FaultError, is_finite, strike
-from usv_kernel.channels import SENSOR_CHANNELS
+from usv_kernel.channels import (
+    ACCEL_X,
+    ACCEL_Y,
+    COMPASS,
+    GPS_VX,
+    GPS_VY,
+    GPS_X,
+    GPS_Y,
+    GYRO,
+    SENSOR_CHANNELS,
+)
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size
 
@@ -192,7 +202,7 @@ class SensorSuite:
         """Return the record that :func:`measure` reads, for control steps of dt s."""
         record = np.zeros(1, SUITE)[0]
         for name in SUITE.names or ():
-            source, _, kind = name.rpartition("_")
+            source, kind = name.rpartition("_")[::2]
             if kind == "decay":
                 record[name] = math.exp(-dt / getattr(self, f"{source}_bias_time"))
             elif kind == "share":
@@ -324,33 +334,33 @@ def measure(
     phi, theta, psi = state[fr.PHI], state[fr.THETA], state[fr.PSI]
     p, q, r = state[fr.P], state[fr.Q], state[fr.R]
     ahead, side, low = suite.gps_arm[0], suite.gps_arm[1], suite.gps_arm[2]
-    north, east, _ = fr.rotate(phi, theta, psi, ahead, side, low)
-    v_north, v_east, _ = fr.rotate(
+    north, east = fr.rotate(phi, theta, psi, ahead, side, low)[:2]
+    v_north, v_east = fr.rotate(
         phi,
         theta,
         psi,
         state[fr.U] + (q * low - r * side),
         state[fr.V] + (r * ahead - p * low),
         state[fr.W] + (p * side - q * ahead),
-    )
+    )[:2]
     delay = delay_line.shape[0] - 1
     newest = delay_line[count % delay_line.shape[0]]
-    newest[0], newest[1] = state[fr.X] + north, state[fr.Y] + east
-    newest[2], newest[3] = v_north, v_east
+    newest[GPS_X], newest[GPS_Y] = state[fr.X] + north, state[fr.Y] + east
+    newest[GPS_VX], newest[GPS_VY] = v_north, v_east
     for i in range(z.shape[0]):
         z[i] = math.nan
     # a late receiver has nothing to say until its first fix is old enough
     if count >= delay and _due(count - delay, suite.gps_share):
         old = delay_line[(count - delay) % delay_line.shape[0]]
-        z[0] = old[0] + sensors.gps_bias[0] + suite.gps_white * noise.gps[0]
-        z[1] = old[1] + sensors.gps_bias[1] + suite.gps_white * noise.gps[1]
-        z[2] = old[2] + suite.doppler_white * noise.gps[2]
-        z[3] = old[3] + suite.doppler_white * noise.gps[3]
+        z[GPS_X] = old[GPS_X] + sensors.gps_bias[0] + suite.gps_white * noise.gps[0]
+        z[GPS_Y] = old[GPS_Y] + sensors.gps_bias[1] + suite.gps_white * noise.gps[1]
+        z[GPS_VX] = old[GPS_VX] + suite.doppler_white * noise.gps[2]
+        z[GPS_VY] = old[GPS_VY] + suite.doppler_white * noise.gps[3]
     if _due(count, suite.compass_share):
-        z[4] = psi + sensors.compass_bias + suite.compass_white * noise.compass
+        z[COMPASS] = psi + sensors.compass_bias + suite.compass_white * noise.compass
     if _due(count, suite.imu_share):
         half = 0.5 * dt
-        z[5] = r + sensors.gyro_bias + suite.gyro_white * noise.gyro
+        z[GYRO] = r + sensors.gyro_bias + suite.gyro_white * noise.gyro
         u = state[fr.U] - half * mean_rate[fr.U]
         v = state[fr.V] - half * mean_rate[fr.V]
         w = state[fr.W] - half * mean_rate[fr.W]
@@ -367,7 +377,7 @@ def measure(
         f_x = mean_rate[fr.U] - v * r + w * q + x_arm + GRAVITY * math.sin(theta)
         f_y = mean_rate[fr.V] + u * r - w * p + y_arm
         f_y -= GRAVITY * math.cos(theta) * math.sin(phi)
-        z[6] = f_x + sensors.accel_bias[0] + suite.accel_white * noise.accel[0]
-        z[7] = f_y + sensors.accel_bias[1] + suite.accel_white * noise.accel[1]
+        z[ACCEL_X] = f_x + sensors.accel_bias[0] + suite.accel_white * noise.accel[0]
+        z[ACCEL_Y] = f_y + sensors.accel_bias[1] + suite.accel_white * noise.accel[1]
     if faults.shape[0] > 0:
         strike(boat.t, numbers[NOISE_SIZE:], faults, sensors.last, z)

@@ -41,16 +41,10 @@ class SimulationError(UsvTwinError):
 
 @kernel
 def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
-    """Advance one boat by one control step and let its sensors measure.
+    """Advance one boat, a row of :mod:`usv_gym.world.state`, by one control step, with sensors.
 
-    Parameters
-    ----------
-    row : ndarray
-        The boat; see :mod:`usv_gym.world.state`. Its command is read.
-    config : record of :data:`usv_gym.world.state.SIMULATION`
-        What all boats share.
-    factors : ndarray, shape (13, width)
-        Scratch, from :func:`usv_gym.physics.waves.factor_workspace`.
+    Its command is read. ``factors`` (13, width) is scratch, from
+    :func:`usv_gym.physics.waves.factor_workspace`.
     """
     boat = as_record(row, BOAT)
     waves, gusts = sea_arrays(row, config)
@@ -255,15 +249,9 @@ class Simulation:
     def reset(self, boats: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         """Put some boats back to the start: straight ahead, at the manoeuvring speed.
 
-        With six degrees of freedom they begin on the surface of the sea, moving with it.
-
-        Parameters
-        ----------
-        boats : sequence of int
-            Which boats.
-        rngs : sequence of numpy.random.Generator
-            One for each of them. Waves, gusts, GPS, compass, IMU and faults each get a
-            child, so that switching one off leaves the others as they were.
+        With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
+        gusts, GPS, compass, IMU and faults each get a child of the boat's generator, so that
+        switching one off leaves the others as they were.
         """
         n_start = self.vessel.values["shaft_speed_manoeuvring"]
         boats, rngs = list(boats), list(rngs)
@@ -310,19 +298,8 @@ class Simulation:
     ) -> None:
         """Put boat i into another sea, from now on until its reset.
 
-        With six degrees of freedom it is set on the new surface, moving with it. The slow
-        changes of the wind begin at its mean.
-
-        Parameters
-        ----------
-        i : int
-            Which boat.
-        sea : str or SeaState
-            The new sea state.
-        rng : numpy.random.Generator
-            For its waves and gusts.
-        waves : bool
-            Whether the waves change, too; else the wind alone does.
+        Without ``waves`` the wind alone changes. With six degrees of freedom it is set on the new
+        surface, moving with it. The slow changes of the wind begin at its mean.
         """
         new = SeaState.named(sea).realise(self.vessel, *rng.spawn(2))
         for kind, array, components in (
@@ -351,13 +328,7 @@ class Simulation:
             self.weather[i]["drift_sums"] = drift
 
     def step(self, cmd: np.ndarray) -> None:
-        """Advance every boat by one control step.
-
-        Parameters
-        ----------
-        cmd : ndarray, shape (n, 4)
-            Left and right shaft speed (rev/s), left and right drive angle (rad); finite.
-        """
+        """Advance every boat by one control step with finite commands (n, 4), rev/s and rad."""
         if self._not_reset:
             raise SimulationError("call reset() for every boat before step()")
         cmd = np.asarray(cmd, dtype=float)

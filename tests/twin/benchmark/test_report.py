@@ -15,6 +15,7 @@ from twin import PREDICTORS
 from twin.benchmark import figures
 from twin.benchmark.figures import PredictorFigure, RunFigure, picture_of_log, predictor_styles
 from twin.benchmark.figures.data import reference_of
+from twin.benchmark.figures.errors import headline
 from twin.benchmark.figures.history import interval_widths, panel_limits
 from twin.benchmark.figures.style import STYLES
 from twin.benchmark.report import write_report
@@ -229,6 +230,32 @@ def test_line_styles_differ_without_colours():
     styles = predictor_styles((*PREDICTORS, *STYLES))
     assert len({str(style) for _, style in styles.values()}) == len(styles)
     assert len({colour for colour, _ in (styles[name] for name in STYLES)}) == 7
+
+
+def test_error_picture_shows_a_few_strong_lines_and_names_the_others():
+    names = ("persistence", "ukf", "dsw-ukf", "dsw-ukf-plus", "lstm", "oracle", "mine:Own")
+    rows = results(names)["rows"]
+    strong = ["ukf", "dsw-ukf", "dsw-ukf-plus", "mine:Own"]
+    assert headline(names) == strong
+    rows += [{**row, "plan": "hold"} for row in rows]
+    rows[0]["mae"] = math.inf
+    picture = figures.error_figure("turn", rows, predictor_styles(names))
+    picture.draw_without_rendering()
+    assert [text.get_text() for text in picture.legends[0].get_texts()][:4] == strong
+    for ax in picture.axes:
+        texts = {text.get_text(): text.get_window_extent() for text in ax.texts}
+        assert set(texts) == set(names) - set(strong)
+        heights = sorted(box.y0 for box in texts.values())
+        assert np.diff(heights).min() > 0.8 * max(box.height for box in texts.values())
+        assert np.isfinite([*ax.get_xlim(), *ax.get_ylim()]).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-300, 1.0, 1.7e308, math.inf])
+def test_error_picture_of_absurd_errors_has_limits(value):
+    rows = [{**row, "mae": value} for row in results()["rows"]]
+    picture = figures.error_figure("turn", rows, predictor_styles(("persistence", "ukf")))
+    picture.draw_without_rendering()
+    assert all(np.isfinite(ax.get_ylim()).all() for ax in picture.axes)
 
 
 OVERLAPS = """

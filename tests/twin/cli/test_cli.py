@@ -6,6 +6,7 @@ import csv
 import gzip
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,7 +25,9 @@ from twin.benchmark.metrics import METRICS
 from twin.channels import STATE
 from twin.cli.benchmark import match_files, print_results
 from twin.cli.common import console, parse_seeds
+from twin.cli.identify import LEGEND
 from twin.cli.main import COMMANDS, app, expand_files
+from twin.model.structure import MODELS, structure_of
 from twin.sim.bridge import particulars_of
 from twin.sim.wrapper import log_of
 from usv_gym import Vessel
@@ -90,7 +93,16 @@ def test_identify_prints_what_determines_the_parameters(folder):
     out = run("identify", folder / "run.csv", "-p", "ukf").stdout
     assert "sums of collinear parameters" in out and "T_uL + T_uR" in out
     assert "condition number" in out and "effective rank" in out
+    assert "what the names mean" in out and "thrust n|n| of the left, right shaft" in out
     assert "\u2026" not in out
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("boat", [{}, {"differential": True}, {"tanker": True}, {"biased": True}])
+def test_the_legend_explains_every_parameter(model, boat):
+    for name in structure_of(model, 7.0, 5.0, 20.0, **boat).parameters:
+        ends = [pattern for pattern in LEGEND if pattern != "[XYN]_" and re.match(pattern, name)]
+        assert len(ends) == 1, name
 
 
 def test_identify_on_an_episode_equals_the_wrapper(tmp_path):
@@ -134,6 +146,11 @@ def test_save_and_resume_equal_one_run(folder, tmp_path):
 def test_predict_prints_intervals_and_writes_them(folder):
     file = folder / "prediction.csv"
     out = run("predict", folder / "run.csv", "--plan", "known", "--at", "25", "--out", file)
+    assert "\u2026" not in out.stdout
+    table = out.stdout.partition("north m")[2].splitlines()
+    rows = [line.split()[0] for line in table if re.match(r" +[0-9]+ ", line)]
+    assert rows == ["1", "2", "5", "10"]
+    assert all(len(line) <= 80 for line in table if "every 0.1 s" not in line)
     assert "90 % interval" in out.stdout.replace("\n", " ")
     with file.open() as lines:
         last = {name: float(value) for name, value in list(csv.DictReader(lines))[-1].items()}
@@ -227,6 +244,9 @@ def test_broken_vessels_are_refused_with_the_key(empty, change, words):
         ("simulate --vessel boat.toml", ["boat.toml", "cannot be read"]),
         ("identify none.csv", ["none.csv"]),
         ("benchmark --predictors magic", ["magic", "dsw-ukf"]),
+        ("predict no.csv --predictor uckf", ["'uckf'", "did you mean 'ukf'?", "persistence-8s"]),
+        ("predict no.csv --model mgm", ["--model mgm (did you mean 'mmg'?): use one of paper"]),
+        ("predict no.csv --plan hodl", ["--plan hodl", "use hold, known"]),
         ("benchmark --seeds 5:5", ["--seeds"]),
         ("benchmark --predictors ukf --against lstm", ["--against lstm", "ukf"]),
         ("benchmark --spread 2", ["spread = 2"]),
@@ -251,7 +271,8 @@ def test_wrong_options_are_named_and_nothing_is_written(empty, arguments, words)
 def test_benchmark_end_to_end(empty):
     two = ("--predictors", "persistence,ukf")
     cases = ("--scenarios", "zigzag", "--faults", "gps5", "--seeds", "0:2")
-    assert "ukf" in run("benchmark", *cases, *two, "--out", "out", "--jobs", "1").stdout
+    said = run("benchmark", *cases, *two, "--out", "out", "--jobs", "1").stdout
+    assert "ukf" in said and "drawing out/pictures" in said
     results = json.loads(Path("out/results.json").read_text())
     assert {"version", "command", "rows", "summary"} <= set(results)
     assert {row["scenario"] for row in results["rows"]} == {"zigzag", "boat1_usv_circle"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any
@@ -61,6 +62,12 @@ class Wire:
         ways = ("used", "late", "doubled", "broken", "void", "unknown", "own")
         assert counts["received"] == sum(counts[way] for way in ways)
         return {name: count for name, count in counts.items() if count}
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
 
 
 def estimate_of(t: float) -> tuple[Estimate, Prediction]:

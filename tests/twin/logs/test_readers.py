@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,6 @@ from twin.logs.mapping import Layout
 from twin.sim.bridge import particulars_of
 from usv_gym import Vessel
 
-SHARED = Path(
-    os.environ.get("USV_TWIN_SHARED") or Path(__file__).resolve().parents[3].parent / "shared"
-)
 MAPPINGS = Path(table.__file__).with_name("mappings")
 COLUMN = {name: j for j, name in enumerate(MEASUREMENTS)}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -62,24 +63,35 @@ def derivative(
     return out
 
 
+class Start(NamedTuple):
+    """State and actuators at the start, lags of the actuators, and limits of the velocities."""
+
+    s: tuple[float, ...] = (0.0, 0.0, 0.5, 5.0, 0.0, 0.0)
+    act: tuple[float, ...] = (6.0, 6.0, 0.0, 0.0)
+    lags: tuple[float, float, float] = (0.6, 0.1, 0.35)
+    envelope: tuple[float, float, float] = (50.0, 50.0, 10.0)
+
+
+UNDER_WAY, AT_REST = Start(), Start(s=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
 def forecast(
     xi: np.ndarray,
     plan: np.ndarray,
     dt: float = 0.1,
-    s_0: tuple[float, ...] = (0.0, 0.0, 0.5, 5.0, 0.0, 0.0),
-    act_0: tuple[float, ...] = (6.0, 6.0, 0.0, 0.0),
-    lags: tuple[float, float, float] = (0.6, 0.1, 0.35),
-    envelope: tuple[float, float, float] = (50.0, 50.0, 10.0),
+    start: Start = UNDER_WAY,
     structure: Structure = PAPER,
     wind: np.ndarray = CALM,
     waves: np.ndarray | None = None,
     gain: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Roll out; shaft speeds of ``plan`` and ``act_0`` are rev/s, those returned too."""
+    """Roll out; shaft speeds of ``plan`` and ``start.act`` are rev/s, those returned too."""
     unit = np.array([structure.n_unit, structure.n_unit, 1.0, 1.0])
     out, out_act = np.full((len(plan), 6), np.nan), np.full((len(plan), 4), np.nan)
-    begin = rollout.RolloutStart(np.array([s_0]), xi[None].copy(), np.array(act_0) * unit, wind)
-    config = rollout.RolloutConfig(np.array(lags), np.array(envelope), structure.terms)
+    begin = rollout.RolloutStart(
+        np.array([start.s]), xi[None].copy(), np.array(start.act) * unit, wind
+    )
+    config = rollout.RolloutConfig(np.array(start.lags), np.array(start.envelope), structure.terms)
     velocity = np.empty((1, 0, 3)) if waves is None else waves[None]
     rollout.rollout(
         begin,
@@ -139,7 +151,7 @@ def test_a_mirrored_boat_makes_the_mirrored_motion(name: str, steering: str) -> 
     two, _ = forecast(
         (sign * xi)[swap],
         image,
-        s_0=(0.0, 0.0, -0.5, 5.0, 0.0, 0.0),
+        start=Start(s=(0.0, 0.0, -0.5, 5.0, 0.0, 0.0)),
         structure=structure,
         wind=WINDY * [1.0, -1.0],
     )
@@ -193,8 +205,9 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
     np.testing.assert_allclose(slope[:, 6:] @ moved, 0.05 * change, rtol=1e-9, atol=1e-12)
 
 
-# The paper's identified models; source of the numbers: docs/explanation/ship_and_sea.md. A
-# positive angle is the same turn in the tables as here: no sign had to be changed.
+# The paper's identified models; source of the numbers:
+# docs/explanation/validation.md, The twin. A positive angle is the same turn in the tables as
+# here: no sign had to be changed.
 
 
 @pytest.mark.parametrize(
@@ -274,10 +287,12 @@ def test_prior_moves_boats_of_any_size_in_the_same_way(
             lively(structure),
             plan * np.array([n, n, 1.0, 1.0]),
             0.1 * time,
-            s_0=(0.0, 0.0, 0.5, 0.9 * fast, 0.0, 0.0),
-            act_0=(n, n, 0.0, 0.0),
-            lags=(0.4 * time, 0.1 * time, 0.5 / time),
-            envelope=(10.0 * fast, 10.0 * fast, 10.0 / time),
+            start=Start(
+                s=(0.0, 0.0, 0.5, 0.9 * fast, 0.0, 0.0),
+                act=(n, n, 0.0, 0.0),
+                lags=(0.4 * time, 0.1 * time, 0.5 / time),
+                envelope=(10.0 * fast, 10.0 * fast, 10.0 / time),
+            ),
             structure=structure,
             wind=WINDY / 5.4 * fast,
         )
@@ -336,8 +351,7 @@ def test_rollout_continues_where_it_ended(name: str, steering: str) -> None:
     second, second_act = forecast(
         xi,
         plan[25:],
-        s_0=tuple(first[-1]),
-        act_0=tuple(first_act[-1]),
+        start=Start(s=tuple(first[-1]), act=tuple(first_act[-1])),
         **how,  # type: ignore[arg-type]
     )
     # the shaft speeds come back to the structure's unit with rounding
@@ -350,7 +364,7 @@ def test_waves_without_gain_carry_the_boat_along_and_do_nothing_else() -> None:
     waves = np.tile([0.3, -0.2, 0.0], (40, 1))
     waves[20:] = 0.0, 0.0, 0.1
     at = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0)
-    out, _ = forecast(still, np.zeros((40, 4)), s_0=at, waves=waves)
+    out, _ = forecast(still, np.zeros((40, 4)), start=Start(s=at), waves=waves)
     assert (out[:, 3:] == 0.0).all()
     c, n = math.cos(0.5), math.sin(0.5)
     moved = [1.0 + 2.0 * (0.3 * c + 0.2 * n), 2.0 + 2.0 * (0.3 * n - 0.2 * c), 0.5]
@@ -365,10 +379,10 @@ def test_waves_without_gain_carry_the_boat_along_and_do_nothing_else() -> None:
 
 def test_velocities_take_on_waves_by_the_gain_within_the_envelope() -> None:
     for waves in np.tile([[0.3, -0.2, 0.0]], (40, 1)), np.tile([[0.0, 0.0, 0.02]], (40, 1)):
-        out, _ = forecast(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, waves=waves, gain=0.5)
+        out, _ = forecast(np.zeros(25), np.zeros((40, 4)), start=AT_REST, waves=waves, gain=0.5)
         np.testing.assert_allclose(out[-1, 3:], 0.5 * 4.0 * waves[0], rtol=1e-12)
     waves = np.tile([0.3e6, -0.2e6, 0.02e6], (40, 1))
-    out, _ = forecast(np.zeros(25), np.zeros((40, 4)), s_0=(0.0,) * 6, waves=waves, gain=0.5)
+    out, _ = forecast(np.zeros(25), np.zeros((40, 4)), start=AT_REST, waves=waves, gain=0.5)
     np.testing.assert_array_equal(np.abs(out[-1, 3:]), [50.0, 50.0, 10.0])
 
 
@@ -376,8 +390,8 @@ def test_velocity_over_ground_stays_while_a_wave_turns_the_boat() -> None:
     # no forces; the least of gains: u' = w v, v' = -w u / 2, for sway has twice the inertia
     rate, k = math.pi / 10.0, math.sqrt(rollout.SWAY_INERTIA_RATIO)
     waves = np.tile([0.0, 0.0, rate], (3000, 1))
-    s_0 = (0.0, 0.0, 0.4, 3.0, -1.0, 0.0)
-    out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, waves=waves, gain=1e-12)
+    start = Start(s=(0.0, 0.0, 0.4, 3.0, -1.0, 0.0))
+    out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), start=start, waves=waves, gain=1e-12)
     angle = k * rate * 0.1 * np.arange(1, 3001)
     expected = np.column_stack(
         [
@@ -389,7 +403,7 @@ def test_velocity_over_ground_stays_while_a_wave_turns_the_boat() -> None:
     # and never faster, however long it goes on
     assert np.hypot(out[:, 3], out[:, 4] / k).max() < 1.02 * np.hypot(3.0, 1.0 / k)
     # where waves only carry, u and v turn with the boat
-    out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), s_0=s_0, waves=waves)
+    out, _ = forecast(np.zeros(25), np.zeros((3000, 4)), start=start, waves=waves)
     np.testing.assert_array_equal(out[-1, 3:], [3.0, -1.0, 0.0])
 
 
@@ -412,7 +426,8 @@ def test_rollout_of_an_explosive_set_stays_in_the_envelope(
     if scale == 1.0 and (name, steering) == ("paper", "drives"):
         xi = paper_checks.PAPER_TABLE_2
     plan = np.tile([RATED, RATED, 0.35, 0.35], (300, 1))
-    out, out_act = forecast(xi, plan, envelope=(12.0, 11.0, 1.5), structure=structure, wind=WINDY)
+    start = Start(envelope=(12.0, 11.0, 1.5))
+    out, out_act = forecast(xi, plan, start=start, structure=structure, wind=WINDY)
     assert np.isfinite(out).all() and np.isfinite(out_act).all()
     largest = np.abs(out[:, 3:]).max(axis=0)
     assert (largest <= [12.0, 11.0, 1.5]).all() and (largest == [12.0, 11.0, 1.5]).any()

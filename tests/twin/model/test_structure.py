@@ -65,8 +65,9 @@ def printed(
 ) -> dict[str, tuple[float, float, float]]:
     """Return what one unit of each parameter adds to u', v', r'.
 
-    Source: Eq (20) as restored in ship_and_sea.md; docs/explanation/twin.md. Shaft
-    speeds are those of the structure: in `mmg` each is a speed of flow.
+    Source: Eq (20), with docs/explanation/ship_and_sea.md, What the paper gets wrong;
+    docs/explanation/twin.md, Model structure. Shaft speeds are those of the
+    structure: in `mmg` each is a speed of flow.
     """
     u, v, r = nu
     n_l, n_r, d_l, d_r = act

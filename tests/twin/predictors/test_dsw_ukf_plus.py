@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from twin.channels import MEASUREMENTS
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
@@ -44,7 +43,6 @@ from usv_gym import SeaState, Vessel
 from usv_kernel.jit import kernel
 from usv_kernel.records import as_record
 
-NOTHING = np.full(len(MEASUREMENTS), math.nan)
 PLAN = np.tile([20.0, 20.0, 0.2, 0.2], (40, 1))
 
 

@@ -15,6 +15,7 @@ from twin.digital_twin import known_plan
 from twin.predictors.base import Prediction, Predictor
 from twin.predictors.baselines import hold_velocity
 from twin.predictors.registry import EXTRAS, PredictorError
+from usv_kernel.errors import ArgumentError
 
 NAMES = [
     pytest.param(
@@ -167,12 +168,25 @@ def test_known_plan_gives_the_commands_that_came(zigzag):
 def test_unknown_predictor_is_named(boat):
     with pytest.raises(PredictorError, match=r"no predictor is called 'nope'; known: persistence"):
         make_predictor("nope", boat)
+    with pytest.raises(PredictorError, match=r"'dsw-ukf-pls' \(did you mean 'dsw-ukf-plus'\?\)"):
+        make_predictor("dsw-ukf-pls", boat)
     PREDICTORS["not-one"] = "builtins:dict"
     try:
         with pytest.raises(PredictorError, match="not a subclass of Predictor"):
             make_predictor("not-one", boat)
     finally:
         del PREDICTORS["not-one"]
+
+
+def test_misspelled_options_of_a_predictor_get_the_nearest_and_all_names(boat):
+    with pytest.raises(ArgumentError) as caught:
+        Twin(boat, perod=2.0)
+    said = str(caught.value)
+    assert "'dsw-ukf-plus' has no option 'perod' (did you mean 'period'?)" in said
+    options = "its options: model, prior, settings, period, relinearised, draws, seed"
+    assert said.endswith(options)
+    with pytest.raises(TwinError, match=r"^period: give options where the UKFPredictor is made"):
+        Twin(boat, make_predictor("ukf", boat), period=2.0)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ def test_shipped_vessels_have_no_error(name: str) -> None:
 
 
 def test_telemetron_reaches_its_published_speed() -> None:
-    # 13.1 kN make 9.667 m/s (docs/explanation/ship_and_sea.md, Vessels)
+    # 13.1 kN make 9.667 m/s (docs/explanation/validation.md, Small boats)
     boat = Vessel.load("telemetron")
     top = inspect(boat).speeds[-1]
     assert top["thrust_N"] == pytest.approx(13100.0, rel=1e-5)
@@ -92,7 +92,7 @@ def test_a_turn_to_the_wrong_side_is_an_error() -> None:
 
 
 def test_natural_periods_of_usv75_match_estimates() -> None:
-    # docs/explanation/ship_and_sea.md, Six degrees of freedom
+    # docs/explanation/validation.md, Loads and free motions in waves
     periods = inspect(Vessel.load("usv75")).periods
     assert periods["heave"] == pytest.approx(2.1, abs=0.03)
     assert periods["pitch"] == pytest.approx(2.1, abs=0.03)

@@ -38,16 +38,6 @@ def test_kijima_is_near_published_coefficients_of_kvlcc2() -> None:
         assert values[key] == pytest.approx(boat.values[key], rel=0.31)
 
 
-def test_clarke_notes_a_negative_inertia() -> None:
-    values = reg.clarke(BOAT)
-    assert values["Y_vdot"] == pytest.approx(-0.00798, abs=1e-5)
-    assert values["N_rdot"] == pytest.approx(0.00056, abs=5e-6)
-    # 1041 kg, 0.30 of the mass
-    assert -values["Y_vdot"] * 0.5 * 1025 * 6.336**3 == pytest.approx(1041.0, rel=2e-3)
-    assert any("N_rdot" in note and "below 0" in note for note in values.notes)
-    assert not any("N_rdot" in note for note in reg.clarke(TANKER).notes)
-
-
 def test_added_masses_equal_references_for_the_boat() -> None:
     assert reg.soding(BOAT)["m_x"] == pytest.approx(514.0, rel=2e-3)
     values = reg.zhou(BOAT)
@@ -112,7 +102,6 @@ def test_rudder_and_cross_flow_match_references() -> None:
 EVERY: tuple[Callable[[Form], Estimate], ...] = (
     lambda form: reg.kijima(form, 0.02),
     lambda form: reg.yoshimura(form, 0.02, 0.2),
-    reg.clarke,
     reg.soding,
     reg.zhou,
     lambda form: reg.hydrostatics(form, 0.8),

@@ -16,8 +16,10 @@ from gymnasium.wrappers import (
 )
 
 from twin.sim.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vector_env
+from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
+from usv_kernel.errors import ArgumentError
 
 RATED = ("path", "curves", "lawnmower", "waypoints")
 SPEED, LENGTH = 5.0, 7.5
@@ -78,8 +80,8 @@ def test_rewards_of_paths_from_the_true_track(name):
     """Computed a second time from the true states, leg by leg."""
     env = make_env(task=name, twin=None, sea="3", record=True)
     env.reset(seed=5)
-    rng, previous = np.random.default_rng(0), np.array([0.0, 0.0])
-    previous = env.episodes.actions[0, 0].copy()
+    rng, vessel = np.random.default_rng(0), env.vessel.values
+    previous = np.array([vessel["shaft_speed_manoeuvring"] / vessel["shaft_speed_service"], 0.0])
     points, reach, rates = env.task.points[0], env.task.rules[1], []
     leg = 0
     for _ in range(300):
@@ -106,7 +108,8 @@ def test_rewards_of_paths_from_the_true_track(name):
         terms = info["reward_terms"]
         assert terms["progress"] == pytest.approx(1.0 - abs(along / env.speed - 1.0))
         assert terms["cross_track"] == pytest.approx(-min(abs(across) / 10.0, 2.0))
-        assert terms["effort"] == pytest.approx(-0.05 * np.abs(action - previous).sum())
+        effort = -0.05 * np.abs(action - previous).sum()
+        assert terms["effort"] == pytest.approx(effort, abs=1e-12)
         assert reward == pytest.approx(sum(terms.values()))
         previous = action
         rates.append(reward)
@@ -294,6 +297,21 @@ def test_parameters_are_those_of_the_twin():
         assert np.abs(xi).max() > 0.01
 
 
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_misspelled_options_get_the_nearest_and_all_names(make):
+    with pytest.raises(ArgumentError) as caught:
+        make("USVTwin-v0", fault="gps10", max_epsiode_steps=9)
+    said = str(caught.value)
+    assert "no option 'fault' (did you mean 'faults'?), 'max_epsiode_steps' (did you mean" in said
+    listed = said.partition("its options: ")[2].partition(" was raised")[0]  # of Gymnasium
+    known = listed.split(", ")
+    assert {*EnvConfig.names(), "observation", "twin", "max_episode_steps", "twin_seed"} <= {*known}
+    assert len({*known}) == len(known)
+    assert not {"parameters", "observer", "self"} & {*known}
+    assert ("record" in known) == (make is gym.make)
+    assert ("num_envs" in known) == (make is gym.make_vec)
+
+
 def test_observation_sets_that_cannot_be_say_so():
     with pytest.raises(ValueError, match=r"known: raw, raw_stacked, oracle, twin, twin_params"):
         make_env(observation="all")
@@ -303,6 +321,8 @@ def test_observation_sets_that_cannot_be_say_so():
         make_env(observation="twin_params", twin="persistence")
     with pytest.raises(ValueError, match="is given the sea"):
         make_env(twin="oracle", sea="0|2")
+    with pytest.raises(ArgumentError, match=r"^particulars: observation = 'raw' runs no twin$"):
+        make_env(observation="raw", particulars=None)
     with pytest.raises(TypeError, match="frame_skip=1"):
         TwinObservation(make_env(twin=None, frame_skip=2), "ukf")
     with pytest.raises(ValueError, match="frame_skip = 0"):

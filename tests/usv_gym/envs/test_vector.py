@@ -235,7 +235,7 @@ def test_a_closed_environment_says_so(threads):
 
 
 def test_options_and_seeds_that_are_none():
-    with pytest.raises(TypeError, match=r"no option foo; it has observation, twin, .*vessel, sea"):
+    with pytest.raises(TypeError, match=r"no option 'foo'; .*: observation, .*vessel, sea"):
         natives(twin=None, foo=1)
     with pytest.raises(ValueError, match="num_envs = True"):
         USVVectorEnv(True)

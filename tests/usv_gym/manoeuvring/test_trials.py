@@ -59,7 +59,7 @@ def assert_mirrored(port: Track, starboard: Track) -> None:
 
 @pytest.mark.parametrize(("knots", "advance", "diameter"), [(20.0, 5.3, 6.2), (38.0, 7.1, 8.9)])
 def test_turning_circle_matches_reference(knots: float, advance: float, diameter: float) -> None:
-    # docs/explanation/ship_and_sea.md, Vessels; two figures: 3 %
+    # docs/explanation/validation.md, Small boats; two figures: 3 %
     n = shaft_for(knots)
     starboard = trials.turning_circle(BOAT, angle=20.0 * DEGREE, n=n)
     got = indices.turning(starboard, length=LOA)
@@ -74,7 +74,7 @@ def test_turning_circle_matches_reference(knots: float, advance: float, diameter
 
 
 def test_zigzag_has_reference_overshoots_and_reversals() -> None:
-    # 12 to 20 degrees and a degree; docs/explanation/ship_and_sea.md, Vessels
+    # 12 to 20 degrees and a degree: docs/explanation/validation.md, Small boats
     switch, n = 20.0 * DEGREE, shaft_for(11.0)
     track = trials.zigzag(BOAT, switch=switch, helm=switch, n=n)
     got = indices.zigzag(track, length=LWL, switch=switch)

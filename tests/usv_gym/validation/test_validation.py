@@ -223,6 +223,18 @@ def test_page_has_all_results(page: str) -> None:
         assert 1_000 < (DOCS / picture).stat().st_size < 150_000
 
 
+@pytest.fixture(scope="module")
+def study() -> Study:
+    """Return a study without recorded data."""
+    return Study(None)
+
+
+@pytest.mark.parametrize("name", sections.SECTIONS)
+def test_a_section_is_within_tolerance(name: str, study: Study) -> None:
+    """The numbers of ship and sea that docs/explanation/ship_and_sea.md quotes."""
+    assert failures([sections.SECTIONS[name](study)]) == []
+
+
 @pytest.mark.slow
 def test_sections_are_within_tolerance_and_equal_the_page(page: str) -> None:
     """Rows of recorded data are checked by ``usv-twin validate --check``, where the data are."""

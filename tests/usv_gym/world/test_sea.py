@@ -163,10 +163,10 @@ def test_tables_have_the_height(name: str) -> None:
 
 
 def test_pm_by_wind() -> None:
-    # Hs g / U19.5^2 = .2092, U19.5 = 1.026 U10: ship_and_sea.md and Eq (16)
+    # Hs g / U19.5^2 = .2092: docs/explanation/validation.md, Sea and gusts; U19.5 = 1.026 U10
     state = SeaState.from_wind(4.5, gusts="none")
     assert state.hs == pytest.approx(0.2092 * (1.026 * 4.5) ** 2 / GRAVITY, rel=1e-3)
-    assert state.hs == pytest.approx(0.455, abs=1e-3)  # ship_and_sea.md
+    assert state.hs == pytest.approx(0.455, abs=1e-3)
     assert (state.wind, state.gusts) == (4.5, "none")
     with pytest.raises(SeaError, match="wind = -1: must lie between"):
         SeaState.from_wind(-1)
@@ -210,8 +210,8 @@ def test_no_gust_repeats_within_an_hour(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "sigma"), [("npd", 0.871), ("harris", 1.22), ("davenport", 1.20)])
 def test_realised_gusts_have_the_standard_deviation(name: str, sigma: float) -> None:
-    # sigma at 10 m/s: ship_and_sea.md. A random frequency in each of 32 bins: 2 % in the mean
-    # of 20, and three figures of the numbers
+    # sigma at 10 m/s: docs/explanation/validation.md, Sea and gusts. A random frequency in each
+    # of 32 bins: 2 % in the mean of 20, and three figures of the numbers
     seas = [realise(SeaState(wind=10.0, gusts=name), seed) for seed in range(20)]
     variance = np.mean([0.5 * np.sum(sea.gusts[2] ** 2) for sea in seas])
     assert math.sqrt(variance) == pytest.approx(sigma, rel=0.02)

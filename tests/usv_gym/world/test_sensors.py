@@ -40,7 +40,7 @@ from usv_kernel.channels import SENSOR_CHANNELS
 DT = 0.05
 BOAT = Vessel.load("usv75")
 N = BOAT.values["shaft_speed_manoeuvring"]
-GPS_X, GPS_VX, COMPASS, GYRO, ACCEL_X, ACCEL_Y = 0, 2, 4, 5, 6, 7
+GPS_X, COMPASS, GYRO, ACCEL_X, ACCEL_Y = 0, 4, 5, 6, 7
 BIT = np.array([GPS_BIT] * 4 + [COMPASS_BIT] + [IMU_BIT] * 3)
 
 
@@ -155,7 +155,8 @@ def test_accelerometer_in_a_steady_turn_on_a_circle() -> None:
     state = np.zeros(fr.STATE_SIZE)
     state[[fr.U, fr.V, fr.R]] = u, v, r
     z = sample(SensorSuite.perfect(), state, np.zeros(fr.STATE_SIZE))
-    # centripetal: towards the centre, which is to starboard for r > 0 (ship_and_sea.md)
+    # centripetal: towards the centre, which is to starboard for r > 0
+    # (docs/explanation/ship_and_sea.md, Frames and notation)
     assert z[ACCEL_X] == pytest.approx(-v * r, rel=1e-15)
     assert z[ACCEL_Y] == pytest.approx(u * r, rel=1e-15)
 
@@ -228,27 +229,6 @@ def test_the_rate_does_not_depend_on_the_control_step() -> None:
     share = suite.pack(0.01)["imu_share"]
     late = [sensors._due(1_000_000 + k, share) for k in range(50)]
     np.testing.assert_array_equal(late, np.arange(50) % 5 == 0)
-
-
-@pytest.mark.parametrize(
-    ("kind", "gone"),
-    [("gps", range(4)), ("compass", [4]), ("imu", range(5, 8)), ("all", range(8))],
-)
-def test_a_loss_takes_away_what_it_names_and_no_more(kind: str, gone: range | list[int]) -> None:
-    sim = Simulation(
-        1, BOAT, SeaState(), suite=SensorSuite.perfect(), faults=[Fault(kind, 1.0, 0.5)]
-    )
-    sim.reset([0], [np.random.default_rng(0)])
-    for _ in range(60):
-        sim.step(np.array([[N, N, 0.0, 0.0]]))
-        # from its start on, up to but not including its end
-        lost = 1.0 - 1e-9 <= sim.t[0] < 1.5 - 1e-9
-        expected = [lost and j in gone for j in range(8)]
-        np.testing.assert_array_equal(np.isnan(sim.z[0]), expected)
-
-
-def test_every_kind_of_loss_is_tested() -> None:
-    assert set(FAULT_KINDS) == {"gps", "compass", "imu", "all"}
 
 
 # ------------------------------------------------- grades
@@ -619,15 +599,18 @@ def test_two_equal_faults_do_not_strike_together() -> None:
     assert two.sum() > one.sum()
 
 
-@pytest.mark.parametrize("twin", [None, "ukf"])
-def test_observations_stay_finite_through_everything(twin: str | None) -> None:
-    env = make_env(twin=twin, sea="6", task="free", faults=QUICK)
+@pytest.mark.parametrize(("twin", "dof"), [(None, 3), ("ukf", 3), ("ukf", 6)])
+def test_observations_stay_finite_through_everything(twin: str | None, dof: int) -> None:
+    env = make_env(twin=twin, dof=dof, sea="6", task="free", faults=QUICK)
     for seed in range(2):
         obs, _ = env.reset(seed=seed)
         for k in range(1200):
             assert env.observation_space.contains(obs), f"step {k}"
-            obs, reward, *_ = env.step(np.array([0.5, math.sin(0.05 * k)], np.float32))
+            action = np.array([0.5, math.sin(0.05 * k)], np.float32)
+            obs, reward, terminated, *_ = env.step(action)
             assert math.isfinite(reward)
+            if terminated:  # capsized
+                break
 
 
 @pytest.mark.parametrize(

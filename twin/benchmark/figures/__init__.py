@@ -5,10 +5,11 @@ through pyplot: neither an import nor a picture changes anything for the caller.
 """
 
 from twin.benchmark.figures.data import PredictorFigure, RunFigure
+from twin.benchmark.figures.errors import error_figure
 from twin.benchmark.figures.history import parameter_figure, prediction_figure
 from twin.benchmark.figures.style import predictor_styles
 from twin.benchmark.figures.track import picture_of_log, track_figure
-from twin.benchmark.figures.trends import TRENDS, error_figure, trend_figure
+from twin.benchmark.figures.trends import TRENDS, trend_figure
 
 __all__ = [
     "TRENDS",

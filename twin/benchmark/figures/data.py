@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
+from twin.channels import PSI, R, U, V, X, Y
 from twin.logs.log import Log
 from twin.predictors.base import Prediction
+from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 
 __all__ = [
     "PredictorFigure",
@@ -29,72 +30,41 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-GYRO = MEASUREMENTS.index("gyro_radps")
-
 
 @dataclass(frozen=True)
 class PredictorFigure:
-    """What the pictures show of one predictor on one run.
+    """What the pictures show of one predictor on one run."""
 
-    Parameters
-    ----------
-    examples : list of Prediction
-        At most three, made at the same times by all predictors.
-    t : ndarray, shape (M,)
-        Times of the parameter history, s.
-    params, params_sd : ndarray, shape (M, p)
-        Model parameters and their standard deviations; no columns where there is no model.
-    names, units : tuple of str
-        Of the p parameters.
-    blocks : dict of str to tuple of int
-        First and last + 1 parameter of the equation of each motion.
-    """
-
-    examples: list[Prediction]
-    t: Array
+    examples: list[Prediction]  # at most three, made at the same times by all predictors
+    t: Array  # (M,): times of the parameter history, s
+    # (M, p): model parameters and their standard deviations; no columns where there is no model
     params: Array
     params_sd: Array
+    # of the p parameters
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+    # first and last + 1 parameter of the equation of each motion
     blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RunFigure:
-    """What the pictures show of one run.
+    """What the pictures show of one run."""
 
-    Parameters
-    ----------
-    scenario, fault : str
-        As in the rows of the results.
-    seed : int
-        Seed of the run.
-    log : Log
-        The run; without truth, the measurements stand in for it.
-    lost : list of tuple of float
-        Start and end of the times without GPS, s.
-    predictors : dict of str to PredictorFigure
-        By name, in the order of the legends.
-    """
-
+    # as in the rows of the results
     scenario: str
     fault: str
     seed: int
-    log: Log
-    lost: list[tuple[float, float]]
-    predictors: dict[str, PredictorFigure]
+    log: Log  # the run; without truth, the measurements stand in for it
+    lost: list[tuple[float, float]]  # start and end of the times without GPS, s
+    predictors: dict[str, PredictorFigure]  # by name, in the order of the legends
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What the predictions are compared with.
+    """What the predictions are compared with: the truth, or measurements.
 
-    Parameters
-    ----------
-    is_truth : bool
-        Whether it is the truth, and not measurements.
-    t, v : list of ndarray
-        Times (s) and values of each of the six states.
+    ``t`` and ``v`` are the times (s) and values of each of the six states.
     """
 
     is_truth: bool
@@ -109,19 +79,19 @@ class Reference:
     @property
     def path(self) -> Array:
         """Positions (n, 2) north and east, at the times ``t[0]``."""
-        return np.stack([self.v[0], self.v[1]], axis=1)
+        return np.stack([self.v[X], self.v[Y]], axis=1)
 
     @property
     def speed(self) -> Array:
         """Speed over ground, m/s, at the times of the surge speed."""
-        sway = np.interp(self.t[3], self.t[4], self.v[4]) if len(self.t[4]) else 0.0
-        return np.hypot(self.v[3], sway)
+        sway = np.interp(self.t[U], self.t[V], self.v[V]) if len(self.t[V]) else 0.0
+        return np.hypot(self.v[U], sway)
 
     def position(self, t: float) -> Array:
         """Return the position north and east at a time; NaN where there is none."""
-        if not len(self.t[0]):
+        if not len(self.t[X]):
             return np.full(2, math.nan)
-        return np.array([np.interp(t, self.t[0], self.v[j]) for j in (0, 1)])
+        return np.array([np.interp(t, self.t[X], self.v[j]) for j in (0, 1)])
 
     def within(self, column: int, t0: float, t1: float) -> tuple[Array, Array]:
         """Return times and values of one state between two times."""
@@ -131,8 +101,8 @@ class Reference:
 
     def slice(self, t0: float, t1: float) -> Reference:
         """Return the part between two times."""
-        parts = [self.within(j, t0, t1) for j in range(6)]
-        return Reference(self.is_truth, [t for t, _ in parts], [v for _, v in parts])
+        times, values = zip(*(self.within(j, t0, t1) for j in range(6)), strict=True)
+        return Reference(self.is_truth, list(times), list(values))
 
 
 def reference_of(log: Log) -> Reference:
@@ -153,21 +123,21 @@ def _measured_states(log: Log) -> Array:
     """Return states (N, 6) as far as the sensors give them; NaN elsewhere."""
     out = np.full((len(log), 6), math.nan)
     out[:, :2] = log.z[:, :2]
-    out[:, 2] = log.z[:, 4]
-    out[:, 5] = log.z[:, GYRO]
-    there = np.isfinite(out[:, 2])
+    out[:, PSI] = log.z[:, COMPASS]
+    out[:, R] = log.z[:, GYRO]
+    there = np.isfinite(out[:, PSI])
     if there.sum() < 2:
         return out
-    t, psi = log.t[there], np.unwrap(out[there, 2])
+    t, psi = log.t[there], np.unwrap(out[there, PSI])
     heading = np.interp(log.t, t, psi)
     c, s = np.cos(heading), np.sin(heading)
-    out[:, 3] = log.z[:, 2] * c + log.z[:, 3] * s
-    out[:, 4] = log.z[:, 3] * c - log.z[:, 2] * s
-    if not np.isfinite(out[:, 5]).any():
+    out[:, U] = log.z[:, GPS_VX] * c + log.z[:, GPS_VY] * s
+    out[:, V] = log.z[:, GPS_VY] * c - log.z[:, GPS_VX] * s
+    if not np.isfinite(out[:, R]).any():
         # no gyro: the slope of the heading over one second, short enough for a boat's turn
         late, early = np.minimum(log.t + 0.5, t[-1]), np.maximum(log.t - 0.5, t[0])
         turned = np.interp(late, t, psi) - np.interp(early, t, psi)
-        out[:, 5] = turned / np.maximum(late - early, 1e-9)
+        out[:, R] = turned / np.maximum(late - early, 1e-9)
     return out
 
 

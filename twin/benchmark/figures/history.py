@@ -36,6 +36,7 @@ from twin.benchmark.figures.style import (
     set_title,
     shade_lost,
 )
+from twin.channels import U
 from twin.predictors.base import Z90, Prediction
 
 if TYPE_CHECKING:
@@ -62,19 +63,7 @@ PANELS = {
 
 
 def prediction_figure(run: RunFigure, start: float, styles: Styles, reference: Reference) -> Figure:
-    """Draw the predictions made at a time against the truth, in six panels.
-
-    Parameters
-    ----------
-    run : RunFigure
-        The run.
-    start : float
-        When the predictions were made, s.
-    styles : dict
-        From :func:`predictor_styles`.
-    reference : Reference
-        What they are compared with.
-    """
+    """Draw the predictions made at a time (s) against the truth, in six panels."""
     examples = examples_at(run, start)
     end = max([start + 10.0, *(float(p.t[-1]) for p in examples.values() if len(p.t))])
     lost = [(a, b) for a, b in run.lost if b > start and a < end]
@@ -91,7 +80,7 @@ def prediction_figure(run: RunFigure, start: float, styles: Styles, reference: R
     title = f"Predicted at t = {round(start, 1):g} s"
     fig, axes = new_figure(title, run_label(run), entries, mosaic, (WIDTH, 4.8))
 
-    speed = float(np.median(reference.speed)) if len(reference.v[3]) else 1.0
+    speed = float(np.median(reference.speed)) if len(reference.v[U]) else 1.0
     least = (2 * speed, 2 * speed, 10.0, 0.25 * speed, 0.15 * speed, 3.0)
     for column, title in PANELS.items():
         ax, unit = axes[column], 180.0 / math.pi if column in (2, 5) else 1.0
@@ -133,14 +122,7 @@ def _curve(prediction: Prediction, column: int, unit: float, near: float) -> Arr
 def panel_limits(truth: Array, curves: Iterable[Array], least: float) -> tuple[float, float]:
     """Return limits that show the truth well, and as much of the curves as fits beside it.
 
-    Parameters
-    ----------
-    truth : ndarray
-        Values of the truth; may be empty.
-    curves : iterable of ndarray
-        Predicted values.
-    least : float
-        Smallest range.
+    ``truth`` may be empty; ``least`` is the smallest range.
     """
     finite = [curve[np.isfinite(curve)] for curve in curves]
     if not len(truth):
@@ -198,16 +180,8 @@ def parameter_figure(
 ) -> Figure:
     """Draw the history of the parameters of one equation, a small panel each.
 
-    Parameters
-    ----------
-    run : RunFigure
-        The run.
-    name, motion : str
-        Predictor, and the equation in its ``blocks``.
-    styles : dict
-        From :func:`predictor_styles`.
-    identified : float or None
-        Time of the first prediction, s.
+    ``motion`` names the equation in the predictor's ``blocks``; ``identified`` is the time of the
+    first prediction, s.
     """
     figure = run.predictors[name]
     columns = range(*figure.blocks[motion])

@@ -103,22 +103,15 @@ def new_figure(
 ) -> tuple[Figure, dict[Any, Axes]]:
     """Return a picture with a legend above its panels.
 
-    Parameters
-    ----------
-    title, about : str
-        Two lines above the legend.
-    entries : sequence of (handle, str)
-        The legend.
-    mosaic : list of list
-        Panels by name, as for ``Figure.subplot_mosaic``.
-    size : tuple of float
-        Width, and height without the legend, inch.
+    ``about`` stands below the title. ``entries`` are the (handle, text) of the legend, ``mosaic``
+    as for ``Figure.subplot_mosaic``, ``size`` the width and the height without the legend, inch.
     """
     from matplotlib.figure import Figure
 
     width, height = size
     # a letter of 9.5 pt is 0.08 inch wide on average; line and gaps 0.58
-    longest = max(len(text) for _, text in entries)
+    handles, labels = zip(*entries, strict=True)
+    longest = max(map(len, labels))
     columns = max(1, min(len(entries), int(width / (0.08 * longest + 0.58))))
     height += 0.55 + 0.19 * -(-len(entries) // columns)
     fig = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
@@ -129,8 +122,8 @@ def new_figure(
     if len(about) > most:
         about = f"{about[: most // 2 - 2]} ... {about[-most // 2 + 3 :]}"
     legend = fig.legend(
-        [handle for handle, _ in entries],
-        [label for _, label in entries],
+        handles,
+        labels,
         # the first line is the place of the title
         title=f"\n{about}",
         title_fontsize=9.5,

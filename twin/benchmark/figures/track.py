@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.benchmark.figures.data import (
-    GYRO,
     Array,
     Reference,
     RunFigure,
@@ -42,9 +41,11 @@ from twin.benchmark.figures.style import (
     set_title,
     shade_lost,
 )
+from twin.channels import PSI, R, U, X
 from twin.files import write_whole
 from twin.logs.log import Log
 from twin.predictors.base import Prediction
+from usv_kernel.channels import GPS_VX, GPS_VY, GYRO
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,16 +63,9 @@ Box = tuple[tuple[float, float], tuple[float, float]]
 
 
 def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
-    """Draw track, speed, yaw rate, heading and commands of a log.
+    """Draw track, speed, yaw rate, heading and commands of a log to a PNG file.
 
-    Parameters
-    ----------
-    log : Log
-        The run.
-    path : Path
-        PNG file to create or replace.
-    lost : sequence of tuple of float
-        Start and end of the times without GPS, s.
+    ``lost`` has the start and end of the times without GPS, s.
     """
     reference, fixes = reference_of(log), gps_fixes(log)
     entries: list[Entry] = [(line(BLACK), reference.label)]
@@ -91,11 +85,11 @@ def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
     solid: dict[str, Any] = {"color": BLACK, "lw": 1.2, "zorder": 3}
     dot: dict[str, Any] = {"color": GREY, "ls": "", "marker": ".", "ms": 2.5, "zorder": 2}
     left, right = {"color": LEFT, "lw": 1.4}, {"color": RIGHT, "lw": 1.4, "ls": DASHED}
-    speed = np.hypot(log.z[:, 2], log.z[:, 3])
+    speed = np.hypot(log.z[:, GPS_VX], log.z[:, GPS_VY])
     curves = {
-        "speed": [(reference.t[3], reference.speed, solid), (log.t, speed, dot)],
-        "yaw": [(reference.t[5], np.degrees(reference.v[5]), solid)],
-        "heading": [(reference.t[2], np.degrees(reference.v[2]), solid)],
+        "speed": [(reference.t[U], reference.speed, solid), (log.t, speed, dot)],
+        "yaw": [(reference.t[R], np.degrees(reference.v[R]), solid)],
+        "heading": [(reference.t[PSI], np.degrees(reference.v[PSI]), solid)],
         "shaft": [(log.t, log.cmd[:, 0], left), (log.t, log.cmd[:, 1], right)],
         "angle": [
             (log.t, np.degrees(log.cmd[:, 2]), left),
@@ -123,7 +117,7 @@ def picture_of_log(log: Log, path: Path, lost: Windows = ()) -> None:
         shade_lost(ax, lost)
         if len(log):
             ax.set_xlim(float(log.t[0]), float(log.t[-1]) + (len(log) < 2))
-        ax.set_ylim(*limits_of([values for _, values, _ in curves[name]], least, 0.1))
+        ax.set_ylim(*limits_of([curve[1] for curve in curves[name]], least, 0.1))
         label = "time (s)" if name in ("heading", "angle") else None
         set_ticks(ax, 6, 3 if name in ("shaft", "angle") else 5, label)
     buffer = io.BytesIO()
@@ -165,7 +159,7 @@ def track_figure(run: RunFigure, styles: Styles) -> Figure:
         _draw_predictions(whole, run, start, styles, box, 1.4)
         _number_start(whole, number, reference.position(start), reference)
         ax = axes[number]
-        near = (reference.t[0] >= start - 2.0) & (reference.t[0] <= start + 10.0)
+        near = (reference.t[X] >= start - 2.0) & (reference.t[X] <= start + 10.0)
         close = _box_around(north[near], east[near], examples_at(run, start).values())
         part = reference.slice(start - 5.0, start + 10.0)
         _draw_track(ax, part, gps_fixes(log.slice(start - 5.0, start + 10.0)), log, run.lost)
@@ -181,7 +175,7 @@ def _draw_track(ax: Axes, reference: Reference, fixes: Array, log: Log, lost: Wi
     """Draw the way of the boat, its fixes, and the parts without them."""
     path = reference.path
     for a, b in lost_within(lost, log):
-        rows = (reference.t[0] >= a) & (reference.t[0] <= b)
+        rows = (reference.t[X] >= a) & (reference.t[X] <= b)
         ax.plot(path[rows, 1], path[rows, 0], color=YELLOW, lw=8, solid_capstyle="butt", zorder=1)
     points, colour = (fixes, GREY) if reference.is_truth else (path, BLACK)
     _draw_dots(ax, points[:, ::-1], colour)

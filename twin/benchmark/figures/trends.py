@@ -1,4 +1,4 @@
-"""Errors against the horizon, the length of a GPS loss, and the sea state."""
+"""Errors against the length of a GPS loss, and against the sea state."""
 
 from __future__ import annotations
 
@@ -10,34 +10,20 @@ import numpy as np
 
 from twin.benchmark.figures.data import number_of, text_of
 from twin.benchmark.figures.style import (
-    BLACK,
     WIDTH,
-    Entry,
     Styles,
-    dots,
-    mark_exit,
     new_figure,
     predictor_entries,
-    set_ticks,
     set_title,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = [
     "TRENDS",
-    "error_figure",
     "trend_figure",
 ]
-
-CHANNELS = {
-    "along": ("position along (m)", 1.0),
-    "across": ("position across (m)", 1.0),
-    "psi": ("heading (deg)", 180.0 / math.pi),
-}
-"""Title and factor of each panel of :func:`error_figure`."""
 
 TRENDS: dict[str, tuple[str, str, dict[str, tuple[str, float]]]] = {
     "gps_loss_s": (
@@ -60,88 +46,10 @@ TRENDS: dict[str, tuple[str, str, dict[str, tuple[str, float]]]] = {
 """Title, horizontal axis, and panels (title and factor by metric) of each trend."""
 
 
-def error_figure(about: str, rows: Sequence[Mapping[str, Any]], styles: Styles) -> Figure | None:
-    """Draw the mean absolute error against the horizon; None where there is none.
-
-    Parameters
-    ----------
-    about : str
-        Scenario and case.
-    rows : sequence of dict
-        Rows of the results: ``channel``, ``predictor``, ``plan``, ``horizon_s``, ``mae``, ``n``.
-    styles : dict
-        From :func:`predictor_styles`.
-    """
-    errors: dict[tuple[str, str, str], dict[float, list[tuple[float, float]]]] = {}
-    for row in rows:
-        value, n, horizon = (number_of(row, key) for key in ("mae", "n", "horizon_s"))
-        if not (math.isnan(value) or math.isnan(horizon)):
-            key = (text_of(row, "channel"), text_of(row, "predictor"), text_of(row, "plan"))
-            weight = n if n > 0 else 1.0
-            errors.setdefault(key, {}).setdefault(horizon, []).append((value, weight))
-    panels = [channel for channel in CHANNELS if any(key[0] == channel for key in errors)]
-    if not panels:
-        return None
-    entries: list[Entry] = predictor_entries(dict.fromkeys(key[1] for key in errors), styles)
-    plans = list(dict.fromkeys(key[2] for key in errors))
-    fill = {plan: "full" if k % 2 == 0 else "none" for k, plan in enumerate(plans)}
-    if len(plans) > 1:
-        entries += [(dots(BLACK, "o", fill[plan]), f"plan {plan}") for plan in plans]
-    mosaic = [[channel] for channel in panels]
-    size = (WIDTH, 1.75 * len(panels) + 0.2)
-    fig, axes = new_figure("Error against horizon", about, entries, mosaic, size)
-    for channel in panels:
-        title, unit = CHANNELS[channel]
-        curves = {
-            key[1:]: {
-                h: unit * sum(v * w for v, w in table[h]) / sum(w for _, w in table[h])
-                for h in sorted(table)
-            }
-            for key, table in errors.items()
-            if key[0] == channel
-        }
-        set_title(axes[channel], title)
-        _draw_errors(axes[channel], curves, styles, fill)
-        if channel != panels[-1]:
-            axes[channel].set_xlabel("")
-    return fig
-
-
-def _draw_errors(
-    ax: Axes,
-    curves: Mapping[tuple[str, str], Mapping[float, float]],
-    styles: Styles,
-    fill: Mapping[str, Any],
-) -> None:
-    """Draw errors by horizon for each predictor and plan, and cut off absurd ones."""
-    ends = np.array([max(curve.values()) for curve in curves.values()])
-    ends = ends[np.isfinite(ends)]
-    top = max(1.08 * min(ends.max(), 3.0 * np.median(ends)), 1e-6) if len(ends) else 1.0
-    for (predictor, plan), curve in curves.items():
-        x = np.array(list(curve))
-        y = np.minimum(np.nan_to_num(list(curve.values()), nan=math.nan, posinf=10 * top), 10 * top)
-        colour, style = styles[predictor]
-        look: dict[str, Any] = {"marker": "o", "ms": 4, "fillstyle": fill[plan]}
-        ax.plot(x, y, color=colour, ls=style, lw=1.6, **look)
-        mark_exit(ax, x, y, (0.0, top), colour)
-    horizons = sorted({h for curve in curves.values() for h in curve})
-    set_ticks(ax, 5, 5, "horizon (s)")
-    ax.set_xticks(horizons, [f"{h:g}" for h in horizons])
-    ax.set_xlim(0.0, 1.05 * horizons[-1])
-    ax.set_ylim(0.0, top)
-
-
 def trend_figure(axis: str, rows: Sequence[Mapping[str, Any]], styles: Styles) -> Figure:
-    """Draw the panels of one trend, a line with intervals for each predictor.
+    """Draw the panels of one of :data:`TRENDS`, a line with intervals for each predictor.
 
-    Parameters
-    ----------
-    axis : str
-        In :data:`TRENDS`.
-    rows : sequence of dict
-        Rows of ``results["trends"]`` of this axis.
-    styles : dict
-        From :func:`predictor_styles`.
+    ``rows`` are those of ``results["trends"]`` of this axis.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 

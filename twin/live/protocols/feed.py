@@ -97,13 +97,7 @@ _TIMESTAMP, _DROPPED = 35, 40
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane that touches the Earth at an origin.
-
-    Parameters
-    ----------
-    latitude, longitude : float
-        Of the origin, degrees.
-    """
+    """The plane that touches the Earth at an origin (degrees)."""
 
     latitude: float
     longitude: float
@@ -126,27 +120,14 @@ class Plane:
 
 @dataclass(frozen=True)
 class Message:
-    """One sound message.
+    """One sound message."""
 
-    Parameters
-    ----------
-    kind : str
-        What it is; a second one of the same kind and time is a repeat.
-    stamp : float, optional
-        Time by its sender's clock, s; None where it has none.
-    values : dict of str to float
-        Measurements and commands, by the names of a log's columns.
-    fix : tuple of float, optional
-        Latitude and longitude, degrees.
-    void : bool
-        It holds nothing valid but its time.
-    """
-
-    kind: str
-    stamp: float | None = None
+    kind: str  # what it is; a second one of the same kind and time is a repeat
+    stamp: float | None = None  # time by its sender's clock, s; None where it has none
+    # measurements and commands, by the names of a log's columns
     values: dict[str, float] = field(default_factory=dict)
-    fix: tuple[float, float] | None = None
-    void: bool = False
+    fix: tuple[float, float] | None = None  # latitude and longitude, degrees
+    void: bool = False  # it holds nothing valid but its time
 
     def sound(self) -> bool:
         """Return whether all that it says can be true."""
@@ -161,11 +142,7 @@ class Message:
 
 
 class _Clock:
-    """The sender's time as a function of ours, fitted to the messages that tell theirs.
-
-    Source: Theil 1950, A rank-invariant method of linear regression (the incomplete method): late
-    messages do not turn the line.
-    """
+    """The sender's time as a function of ours, by a median slope (Theil 1950): robust to delays."""
 
     def __init__(self) -> None:
         self.pairs: deque[tuple[float, float]] = deque(maxlen=100)
@@ -271,7 +248,7 @@ class Feed(ABC):
         self._socket: socket.socket | None = None
         self._output: socket.socket | None = None
         if address is not None:
-            self._socket, _ = open_socket(address, bind=True)
+            self._socket = open_socket(address, bind=True)[0]
             if sys.platform == "linux":
                 for option in (_TIMESTAMP, _DROPPED):
                     self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
@@ -313,14 +290,10 @@ class Feed(ABC):
         )
 
     def take(self) -> list[tuple[float, Array, Array]]:
-        """Return the rows that are complete.
+        """Return the rows that are complete, oldest first: time, measurements (10,), commands (4,).
 
-        Returns
-        -------
-        list of tuple
-            Time, s, strictly increasing over the life of the feed; measurements, shape (10,),
-            in the order of ``twin.logs.log.MEASUREMENTS``, NaN where there is none; commands, shape
-            (4,). Oldest first.
+        Times in s strictly increase over the life of the feed; measurements are in the order of
+        ``twin.logs.log.MEASUREMENTS``, NaN where there is none.
         """
         drained = self._drain()
         now = self.clock()
@@ -332,17 +305,7 @@ class Feed(ABC):
         return rows
 
     def receive(self, data: bytes, arrival: float, source: Address | None = None) -> None:
-        """Take one datagram.
-
-        Parameters
-        ----------
-        data : bytes
-            What came.
-        arrival : float
-            When, by the feed's clock, s.
-        source : tuple, optional
-            From whom.
-        """
+        """Take one datagram that arrived at a time of the feed's clock (s)."""
         if not self._map.pairs:  # until a message tells a time, ours is as good as any
             self._map.tell(arrival, 0.0)
         for item in self.decode(data):
@@ -354,15 +317,7 @@ class Feed(ABC):
         self._release(self._head - self.wait)
 
     def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
-        """Send the twin's estimate; nothing before a position and a receiver are known.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Its estimate.
-        prediction : Prediction, optional
-            Its prediction.
-        """
+        """Send the twin's estimate; nothing before a position and a receiver are known."""
         known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
         if known and (self._reply or self._peer):
             for data in self.encode(estimate, prediction):
@@ -411,7 +366,8 @@ class Feed(ABC):
         while self._socket is not None and budget > 0:
             try:
                 if sys.platform == "linux":
-                    data, ancillary, _, source = self._socket.recvmsg(1 << 16, 128)
+                    message = self._socket.recvmsg(1 << 16, 128)
+                    data, ancillary, source = message[0], message[1], message[3]
                 else:
                     (data, source), ancillary = self._socket.recvfrom(1 << 16), []
             except BlockingIOError:
@@ -426,7 +382,7 @@ class Feed(ABC):
     def _arrived(self, ancillary: list[tuple[int, int, bytes]]) -> float:
         """Return when a datagram came by our clock, from what the system says beside it."""
         age = 0.0
-        for _, kind, content in ancillary:
+        for kind, content in (item[1:] for item in ancillary):
             if kind == _TIMESTAMP and len(content) == 16:
                 seconds, nanoseconds = struct.unpack("@qq", content)
                 age = max(time.time() - seconds - 1e-9 * nanoseconds, 0.0)
@@ -504,7 +460,7 @@ class Feed(ABC):
             first, fix, last = self._buffer[0][0], None, self._buffer[0][0]
             row: dict[str, float] = {}
             count = 0
-            for t, _, values in self._buffer:
+            for t, values in (item[::2] for item in self._buffer):
                 apart = t - first >= self.period - SAME / 2
                 again = t - last >= SAME and not row.keys().isdisjoint(values)
                 if apart or again:

@@ -64,17 +64,6 @@ FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
 class Servos:
     """Which servo outputs are the commands, and what they stand for.
 
-    Parameters
-    ----------
-    shaft_speed, angle : float
-        At full throttle ahead, rev/s, and at full helm to starboard, rad.
-    left, right : int
-        Outputs of the throttles, from 1; the same one for a single throttle.
-    steering : int
-        Output of rudder or drives; 0 for a boat that steers by its throttles.
-    low, middle, high : float
-        Pulse widths full astern or to port, at rest, and full ahead or to starboard, us.
-
     Notes
     -----
     The outputs are those of ArduPilot's Rover by default: steering 1 and throttle 3, or for
@@ -82,11 +71,14 @@ class Servos:
     Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
     """
 
+    # at full throttle ahead, rev/s, and at full helm to starboard, rad
     shaft_speed: float
     angle: float
+    # outputs of the throttles, from 1; the same one for a single throttle
     left: int = 3
     right: int = 3
-    steering: int = 1
+    steering: int = 1  # output of rudder or drives; 0 for a boat that steers by its throttles
+    # pulse widths full astern or to port, at rest, and full ahead or to starboard, us
     low: float = 1100.0
     middle: float = 1500.0
     high: float = 1900.0
@@ -116,14 +108,8 @@ class Servos:
     ) -> Servos:
         """Return the default outputs of a boat.
 
-        Parameters
-        ----------
-        particulars : Particulars
-            Its steering tells which outputs are used.
-        shaft_speed : float, optional
-            At full throttle, rev/s; left out, twice the nominal one.
-        angle : float, optional
-            Full helm, rad; left out, 30 degrees.
+        ``shaft_speed`` at full throttle (rev/s) is twice the nominal one if left out, ``angle``,
+        the full helm (rad), 30 degrees.
         """
         if shaft_speed is None:
             shaft_speed = FULL_SHAFT * particulars.shaft_speed
@@ -172,12 +158,9 @@ class Servos:
 
 
 class MavlinkFeed(Feed):
-    """Messages of an autopilot as rows; see :class:`~twin.live.protocols.feed.Feed`.
+    """Messages of an autopilot as rows; without ``servos``, the outputs are those of the boat.
 
-    Parameters
-    ----------
-    servos : Servos, optional
-        What the servo outputs stand for; left out, :meth:`Servos.of` the boat.
+    See :class:`~twin.live.protocols.feed.Feed` and :meth:`Servos.of`.
     """
 
     modulus = WRAP / 1000.0
@@ -289,15 +272,7 @@ class MavlinkFeed(Feed):
 
 
 class MavlinkWriter:
-    """Messages of a component, each as a datagram.
-
-    Parameters
-    ----------
-    system, component : int
-        Who speaks.
-    servos : Servos, optional
-        For :meth:`row`.
-    """
+    """Messages of a component, each as a datagram; ``servos`` are for :meth:`row`."""
 
     def __init__(self, system: int = 1, component: int = 1, servos: Servos | None = None) -> None:
         self._dialect = needed("pymavlink.dialects.v20.common")
@@ -419,16 +394,10 @@ class MavlinkWriter:
     def row(
         self, stamp: float, z: Array, cmd: Array, place: tuple[float, float] | None
     ) -> list[bytes]:
-        """Return the messages of one row of a log.
+        """Return the messages of one row of a log, a time (s) after the autopilot started.
 
-        Parameters
-        ----------
-        stamp : float
-            Time since the autopilot started, s.
-        z, cmd : ndarray, shapes (10,), (4,)
-            Measurements, NaN where there is none, and commands.
-        place : tuple of float or None
-            Latitude and longitude of the fix, degrees.
+        ``z`` (10,) has NaN where there is no measurement; ``place`` is latitude and longitude of
+        the fix, degrees.
         """
         known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
         velocity = known["gps_vx_mps"], known["gps_vy_mps"]

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.sockets import needed
+from twin.live.protocols.sockets import FeedError, needed
 from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
@@ -191,7 +191,7 @@ class NmeaFeed(Feed):
             return None, line
         found = _TAG.match(line)
         if found is None or self._parser.NMEASentence.checksum(found[1]) != int(found[2], 16):
-            raise ValueError("no TAG block")
+            raise FeedError("no TAG block")
         stamp = None
         for code in found[1].split(","):
             if code.startswith("c:"):
@@ -218,7 +218,7 @@ def _number(text: Any) -> float | None:
         return None
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{text}: no number")
+        raise FeedError(f"{text}: no number")
     return value
 
 
@@ -227,7 +227,7 @@ def _angle(text: str, side: str, sides: str, digits: int) -> float | None:
     if not text and not side:
         return None
     if not re.fullmatch(rf"[0-9]{{{digits}}}[0-5][0-9](\.[0-9]*)?", text) or side not in sides:
-        raise ValueError(f"{text},{side}: no position")
+        raise FeedError(f"{text},{side}: no position")
     degrees = int(text[:digits]) + float(text[digits:]) / 60.0
     return degrees if side == sides[0] else -degrees
 
@@ -238,7 +238,7 @@ def _time(sentence: Any) -> float | None:
     if not text:
         return None
     if not re.fullmatch(r"([01][0-9]|2[0-3])[0-5][0-9]([0-5][0-9]|60)(\.[0-9]*)?", text):
-        raise ValueError(f"{text}: no time of day")
+        raise FeedError(f"{text}: no time of day")
     return 3600.0 * int(text[:2]) + 60.0 * int(text[2:4]) + float(text[4:])
 
 
@@ -247,7 +247,7 @@ def _place(sentence: Any) -> tuple[float, float] | None:
     latitude = _angle(sentence.lat, sentence.lat_dir, "NS", 2)
     longitude = _angle(sentence.lon, sentence.lon_dir, "EW", 3)
     if (latitude is None) != (longitude is None):
-        raise ValueError("half a position")
+        raise FeedError("half a position")
     if latitude is None or longitude is None or latitude == longitude == 0.0:
         return None
     return latitude, longitude
@@ -266,7 +266,7 @@ def _rmc(sentence: Any) -> Message:
     if not void:
         speed, course = _number(sentence.spd_over_grnd), _number(sentence.true_course)
         if speed is not None and speed < 0.0:
-            raise ValueError("a speed below 0")
+            raise FeedError("a speed below 0")
         # a receiver at rest leaves the course empty
         if speed is not None and (course is not None or speed == 0.0):
             course = math.radians(course or 0.0)
@@ -280,7 +280,7 @@ def _hdt(sentence: Any) -> Message:
     if heading is None:
         return Message("HDT", void=True)
     if not 0.0 <= heading <= 360.0:
-        raise ValueError("no heading")
+        raise FeedError("no heading")
     return Message("HDT", values={"compass_rad": math.radians(heading % 360.0)})
 
 
@@ -296,7 +296,7 @@ def _rpm(sentence: Any) -> Message:
     if number is None or speed is None or sentence.status != "A":
         return Message("RPM", void=True)
     if number not in range(100):
-        raise ValueError("no shaft")
+        raise FeedError("no shaft")
     names = COMMANDS[:2] if number == 0 else (COMMANDS[int(number) % 2],)
     return Message(f"RPM{number:.0f}", values=dict.fromkeys(names, speed / 60.0))
 

@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,46 +48,30 @@ HELLO = 1.0
 
 @dataclass(frozen=True)
 class Datagram:
-    """What is sent at once.
+    """What is sent at once."""
 
-    Parameters
-    ----------
-    due : float
-        When, s of the log.
-    data : bytes
-        What.
-    messages : int
-        How many messages it holds.
-    steady : bool
-        Whether it is never disturbed.
-    """
+    due: float  # when, s of the log
+    data: bytes
+    messages: int = 1  # how many messages it holds
+    steady: bool = False  # whether it is never disturbed
+
+
+class _Late(NamedTuple):
+    """A datagram that waits; the number keeps the order of those of one time."""
 
     due: float
-    data: bytes
-    messages: int = 1
-    steady: bool = False
+    number: int
+    datagram: Datagram
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkImpairment:
-    """Shares of the datagrams that are disturbed, each in one way at most.
+    """Shares of the datagrams that are disturbed, each in one way at most."""
 
-    Parameters
-    ----------
-    late : float
-        Come :data:`LATE` seconds late.
-    doubled : float
-        Come twice.
-    broken : float
-        Have a message with a wrong byte.
-    swapped : float
-        Come after the next one of a later time.
-    """
-
-    late: float = 0.0
-    doubled: float = 0.0
-    broken: float = 0.0
-    swapped: float = 0.0
+    late: float = 0.0  # come LATE seconds late
+    doubled: float = 0.0  # come twice
+    broken: float = 0.0  # have a message with a wrong byte
+    swapped: float = 0.0  # come after the next one of a later time
 
     def __post_init__(self) -> None:
         """Refuse what are no shares."""
@@ -100,7 +85,7 @@ class LinkImpairment:
         names = [item.name for item in dataclasses.fields(cls)]
         given: dict[str, float] = {}
         for item in filter(None, (part.strip() for part in text.split(","))):
-            name, _, share = item.partition("=")
+            name, share = item.partition("=")[::2]
             if name not in names or name in given:
                 raise FeedError(
                     f"disturb: {item}: write each of {', '.join(names)} once, as late=.05"
@@ -115,12 +100,8 @@ class LinkImpairment:
 class Stream(ABC):
     """Rows of a log as datagrams.
 
-    Parameters
-    ----------
-    origin : tuple of float
-        Latitude and longitude, degrees, of north = east = 0 in the log.
-    start : float
-        Time of the sender's clock at time 0 of the log, s.
+    ``origin`` is latitude and longitude, degrees, of north = east = 0 in the log; ``start`` the
+    sender's clock at time 0 of the log, s.
     """
 
     def __init__(self, origin: tuple[float, float], start: float) -> None:
@@ -152,12 +133,8 @@ class Stream(ABC):
 class NmeaStream(Stream):
     """Rows as NMEA 0183, a datagram for each; see ``twin/live/protocols/nmea.py``.
 
-    Parameters
-    ----------
-    origin, start
-        See :class:`Stream`; ``start`` is UNIX time, left out: now.
-    tag : bool
-        Whether each sentence has a TAG block with its time.
+    ``start`` is UNIX time, by default now; with ``tag`` each sentence has a TAG block with its
+    time.
     """
 
     def __init__(
@@ -193,12 +170,7 @@ class NmeaStream(Stream):
 class MavlinkStream(Stream):
     """Rows as MAVLink 2, up to three messages for each; see ``twin/live/protocols/mavlink.py``.
 
-    Parameters
-    ----------
-    servos : Servos
-        How commands become servo outputs.
-    origin, start
-        See :class:`Stream`; ``start`` is the time since the autopilot started, left out: 10 s.
+    ``start`` is the time since the autopilot started, by default 10 s.
     """
 
     def __init__(
@@ -238,31 +210,15 @@ def schedule(
 ) -> Iterator[Datagram]:
     """Yield the datagrams of a log in the order in which they are sent.
 
-    Parameters
-    ----------
-    log : Log
-        The run; samples that it has not (NaN) are not sent.
-    stream : Stream
-        How rows become datagrams.
-    disturb : LinkImpairment, optional
-        What goes wrong on the way.
-    seed : int
-        Of what goes wrong where.
-    loop : bool
-        Whether to begin again at the end, for ever; the time goes on.
-    counts : Counter, optional
-        Receives the rows, datagrams and messages, and the messages of each kind of
-        disturbance.
-
-    Yields
-    ------
-    Datagram
+    Samples that are NaN are not sent. ``seed`` decides what goes wrong where. With ``loop`` it
+    begins again at the end, for ever; the time goes on. ``counts`` receives the rows, datagrams and
+    messages, and the messages of each kind of disturbance.
     """
     counts = Counter() if counts is None else counts
     rng = np.random.default_rng(seed)
     chances = dataclasses.asdict(disturb or LinkImpairment())
     kinds, edges = [*chances, ""], np.cumsum([*chances.values()])
-    late: list[tuple[float, int, Datagram]] = []
+    late: list[_Late] = []
     held: Datagram | None = None
     order = itertools.count()
     end = math.inf if loop else float(log.t[-1]) - LATE - WAIT
@@ -273,9 +229,9 @@ def schedule(
         return datagram
 
     for datagram in _datagrams(log, stream, loop, counts):
-        while late and late[0][0] <= datagram.due:
-            due, _, delayed = heapq.heappop(late)
-            yield sent(dataclasses.replace(delayed, due=due))
+        while late and late[0].due <= datagram.due:
+            one = heapq.heappop(late)
+            yield sent(dataclasses.replace(one.datagram, due=one.due))
         kind = kinds[int(np.searchsorted(edges, rng.random(), side="right"))]
         swaps = kind == "swapped"
         last = datagram.due > end and (swaps or kind == "late")
@@ -286,7 +242,7 @@ def schedule(
         if kind:
             counts[kind] += 1 if kind == "broken" else datagram.messages
         if kind == "late":
-            heapq.heappush(late, (datagram.due + LATE, next(order), datagram))
+            heapq.heappush(late, _Late(datagram.due + LATE, next(order), datagram))
         elif kind == "swapped":
             held = datagram
         else:
@@ -296,7 +252,7 @@ def schedule(
             if held is not None and overtakes and held.due < datagram.due:
                 yield sent(dataclasses.replace(held, due=datagram.due))
                 held = None
-    for datagram in (*([held] if held else []), *(delayed for _, _, delayed in sorted(late))):
+    for datagram in (*([held] if held else []), *(one.datagram for one in sorted(late))):
         yield sent(datagram)
 
 
@@ -311,17 +267,10 @@ def _datagrams(log: Log, stream: Stream, loop: bool, counts: Counter[str]) -> It
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast a log is sent.
+    """How fast a log is sent."""
 
-    Parameters
-    ----------
-    speed : float
-        How many times as fast as it happened.
-    clock, sleep : callable
-        The time now, s, and how to wait.
-    """
-
-    speed: float = 1.0
+    speed: float = 1.0  # how many times as fast as it happened
+    # the time now, s, and how to wait
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
 
@@ -340,29 +289,10 @@ def replay(
     progress: Callable[[float], None] = lambda t: None,
     counts: Counter[str] | None = None,
 ) -> Counter[str]:
-    """Send a log as the stream of a boat.
+    """Send a log's datagrams, from :func:`schedule`, to ``udp://HOST:PORT`` as a boat's stream.
 
-    Parameters
-    ----------
-    log : Log
-        The log.
-    datagrams : iterable of Datagram
-        What :func:`schedule` makes of it.
-    stream : Stream
-        Counts the replies.
-    address : str
-        ``udp://HOST:PORT``; without a host, on this machine.
-    pace : Pace, optional
-        How fast; as it happened if left out.
-    progress : callable
-        Receives the time of the log that is sent, s.
-    counts : Counter, optional
-        That of :func:`schedule`, to go on counting.
-
-    Returns
-    -------
-    Counter
-        Datagrams ``unsent``, and messages that came ``back``.
+    ``stream`` counts the replies. ``progress`` receives the time of the log that is sent, s.
+    Returned are the counts: those handed in, datagrams ``unsent``, and messages that came ``back``.
     """
     if len(log) < 2:
         raise FeedError(f"{log.name}: has {len(log)} row(s); a stream needs two")

@@ -33,15 +33,7 @@ def needed(module: str) -> Any:
 def parse_address(address: str) -> tuple[str, int]:
     """Return host and port of ``udp://HOST:PORT``; without a host, that of loopback.
 
-    Parameters
-    ----------
-    address : str
-        ``udp://:10110``, ``udp://192.168.1.5:10110`` or ``udp://[::1]:10110``.
-
-    Raises
-    ------
-    FeedError
-        Says what is wrong with it.
+    IPv6 hosts are written ``udp://[::1]:10110``. FeedError says what is wrong with it.
     """
     hint = "write udp://HOST:PORT, as udp://:10110 for this machine alone"
     try:
@@ -59,15 +51,7 @@ def parse_address(address: str) -> tuple[str, int]:
 
 
 def open_socket(address: str, *, bind: bool) -> tuple[socket.socket, Address]:
-    """Return a UDP socket that never blocks, and the address as the system knows it.
-
-    Parameters
-    ----------
-    address : str
-        See :func:`parse_address`.
-    bind : bool
-        Whether to listen there, or to send there.
-    """
+    """Return a UDP socket that never blocks, to listen (``bind``) or to send, and its address."""
     host, port = parse_address(address)
     try:
         known = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]

@@ -28,27 +28,10 @@ DECISION, STEADY = 0.5, 4.0
 
 
 class Autopilot:
-    """Commands of a boat from those of a hand or an autopilot.
+    """Commands of a boat from those of a hand or one of :data:`AUTOPILOTS`, ``autopilot``.
 
-    Parameters
-    ----------
-    vessel : Vessel
-        The boat.
-    speed : float
-        Its nominal speed, m/s.
-    rng : numpy.random.Generator
-        For paths and the random manoeuvre.
-
-    Attributes
-    ----------
-    throttle : float
-        Part of the nominal shaft speed.
-    angle : float
-        Autopilot angle of a hand, rad, above 0 to starboard.
-    autopilot : str
-        One of :data:`AUTOPILOTS`.
-    path : ndarray, shape (K, 2)
-        Way points, m north and east; none where no path is followed.
+    A hand sets ``throttle``, part of the nominal shaft speed, and ``angle``, rad, above 0 to
+    starboard. ``path`` (K, 2) are the way points, m north and east; none where no path is followed.
     """
 
     def __init__(self, vessel: Vessel, speed: float, rng: np.random.Generator) -> None:
@@ -68,19 +51,7 @@ class Autopilot:
             self._draw_path(state)
 
     def command(self, t: float, state: Array) -> Array:
-        """Return the commands of propellers and drives.
-
-        Parameters
-        ----------
-        t : float
-            Time, s.
-        state : ndarray, shape (6,)
-            Estimated state, in the order of ``twin.channels.STATE``.
-
-        Returns
-        -------
-        ndarray, shape (4,)
-        """
+        """Return the commands (4,) at a time (s) and estimated state (6,)."""
         if self.autopilot in MANOEUVRES:
             return self._manoeuvre(t, np.zeros(1))[0]
         if self.autopilot == "path":
@@ -122,7 +93,8 @@ class Autopilot:
         if self._leg + 2 >= len(self.path):
             self._draw_path(state)
         self._decided = t
-        x, y, psi, u, _, r = state
+        x, y, psi, u = state[:4]
+        r = state[5]
         errors = np.empty(4)
         self._leg = follow(x, y, psi, self.path, self._leg, self._reach, errors)
         e, to_go, off, turn = errors

@@ -33,16 +33,8 @@ SILENT = 2.0
 class FeedSession(Session):
     """A real boat, or an autopilot's simulator, as it comes over the wire.
 
-    Parameters
-    ----------
-    feed : Feed
-        Where rows come from, and the twin's estimates go back to; closed at the end.
-    twin : Twin
-        Fresh.
-    vessel : Vessel or None
-        Whose hull is shown.
-    folder : Path
-        Where recorded logs go.
+    The feed, which the twin's estimates go back to, is closed at the end. Logs are recorded to
+    ``folder``.
     """
 
     def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:

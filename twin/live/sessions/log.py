@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
 from twin.digital_twin import PLANS, Twin, TwinError, known_plan
 from twin.live.sessions.session import PUBLISHED, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import (
@@ -27,6 +26,7 @@ from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
 from usv_gym.envs.scene import TwinOverlay
 from usv_gym.vessel.vessel import Vessel
+from usv_kernel.channels import COMPASS, GPS_X, GYRO
 
 __all__ = [
     "LogSession",
@@ -40,33 +40,13 @@ MOMENTS, MOST_APART = 4000, 2.0
 BEHIND, TRACK, FIXES = 4000, 400, 400
 """The track of so many rows is drawn with about so many points, and so many fixes."""
 
-_X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
-
 
 class LogSession(Session):
     """A recorded run: its twin goes through it as fast as it can, and any moment can be seen.
 
-    Parameters
-    ----------
-    log : Log
-        The run; with the truth, if it is known, to judge by.
-    twin : Twin
-        Fresh.
-    vessel : Vessel or None
-        Whose hull is shown.
-    folder : Path
-        As for any session; nothing is recorded twice.
-    plan : str
-        One of ``twin.digital_twin.PLANS``: whether the twin is given the commands that follow.
-
-    Attributes
-    ----------
-    at : float
-        Moment that is shown, s.
-    done : float
-        Moment up to which the twin has come, s.
-    plan : str
-        As above.
+    ``plan``, one of ``twin.digital_twin.PLANS``, says whether the twin is given the commands that
+    follow. ``at`` is the moment that is shown, s, ``done`` the moment up to which the twin has
+    come. Nothing is recorded twice.
     """
 
     def __init__(
@@ -79,7 +59,7 @@ class LogSession(Session):
         self._spacing = min(max(PUBLISHED, span / MOMENTS), MOST_APART)
         self._anchor = time.monotonic(), self.at
         self._fixes, self._headings, self._turns = (
-            np.flatnonzero(np.isfinite(log.z[:, column])) for column in (_X, _COMPASS, _GYRO)
+            np.flatnonzero(np.isfinite(log.z[:, column])) for column in (GPS_X, COMPASS, GYRO)
         )
         intervals = np.diff(log.t[self._fixes])
         self._timeout = sensor_timeout(float(np.median(intervals)) if len(intervals) else 1.0)
@@ -179,9 +159,9 @@ class LogSession(Session):
         ages = [t - float(log.t[known[-1]]) if len(known) else math.inf for known in (fixes, turns)]
         measured = np.full(3, math.nan)
         if len(fixes):
-            measured[:2] = log.z[fixes[-1], _X : _X + 2]
+            measured[:2] = log.z[fixes[-1], GPS_X : GPS_X + 2]
         if len(headings):
-            measured[2] = log.z[headings[-1], _COMPASS]
+            measured[2] = log.z[headings[-1], COMPASS]
         boat = measured_boat(measured, log.cmd[row])
         if log.truth is not None and np.isfinite(log.truth[row, :3]).all():
             boat[list(TRUE_STATE)] = np.nan_to_num(log.truth[row])
@@ -194,7 +174,7 @@ class LogSession(Session):
             boat=boat,
             overlay=self._overlay(row, t),
             prediction=None,
-            fixes=log.z[fixes[-FIXES:], _X : _X + 2],
+            fixes=log.z[fixes[-FIXES:], GPS_X : GPS_X + 2],
             track=behind[np.isfinite(behind[:, 0])],
             ahead=ahead[np.isfinite(ahead[:, 0])],
             gps_age=ages[0],

@@ -56,82 +56,40 @@ UNKNOWN = np.full(len(TRUTH), math.nan)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Snapshot:
-    """All that a view shows of one moment.
+    """All that a view shows of one moment."""
 
-    Parameters
-    ----------
-    t : float
-        Time, s.
-    boat : ndarray, shape (16,)
-        State of the real boat, layout in :mod:`usv_gym.physics.frames`: the true one, or what
-        was measured of it last; NaN in place and heading before.
-    overlay : TwinOverlay or None
-        Estimate and prediction of the twin; None before a first fix.
-    prediction : Prediction or None
-        The same in full.
-    fixes, track : ndarray, shape (F, 2), (T, 2)
-        Last fixes, and where the boat was, m north and east.
-    gps_age : float
-        Time since the last fix, s.
-    gps_lost, imu_lost : bool
-        Whether fixes, or turn rates, that should have come did not.
-    has_imu : bool
-        Whether a turn rate has ever come.
-    silence : float
-        Time of the clock for which nothing has come at all, s; 0 where that cannot be.
-    ahead : ndarray, shape (A, 2)
-        Where the boat went in the 10 s that follow, where that is known; m north and east.
-    path : ndarray, shape (K, 2)
-        Way points, m north and east; none where no path is followed.
-    sea : Sea or None
-        Waves and wind; None where nobody knows.
-    rate : float
-        Seconds of the run per second of the clock.
-    notes : tuple of str
-        What whoever looks should know.
-    """
-
-    t: float
+    t: float  # time, s
+    # (16,): state of the real boat, layout in usv_gym.physics.frames: the true one, or what was
+    # measured of it last; NaN in place and heading before
     boat: Array
-    overlay: TwinOverlay | None
-    prediction: Prediction | None
+    overlay: TwinOverlay | None  # estimate and prediction of the twin; None before a first fix
+    prediction: Prediction | None  # the same in full
+    # (F, 2), (T, 2): last fixes, and where the boat was, m north and east
     fixes: Array
     track: Array
-    gps_age: float
+    gps_age: float  # time since the last fix, s
+    # whether fixes, or turn rates, that should have come did not
     gps_lost: bool
     imu_lost: bool
-    has_imu: bool
+    has_imu: bool  # whether a turn rate has ever come
+    # (A, 2): where the boat went in the 10 s that follow, where that is known; m north and east
     ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
+    # (K, 2): way points, m north and east; none where no path is followed
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
-    sea: Sea | None = None
-    rate: float = math.nan
+    sea: Sea | None = None  # waves and wind; None where nobody knows
+    rate: float = math.nan  # seconds of the run per second of the clock
+    # time of the clock for which nothing has come at all, s; 0 where that cannot be
     silence: float = 0.0
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what whoever looks should know
 
 
 class Session(ABC):
     """A thread that lives a run; subclasses say what comes next.
 
-    Attributes
-    ----------
-    monitor : TwinMonitor
-        The twin and what is seen of it.
-    snapshot : Snapshot or None
-        The latest; None before the first.
-    scale : float
-        Seconds of the run per second of the clock.
-    paused : bool
-        Whether time stands still.
-    fresh : threading.Event
-        Set with every new snapshot.
-    changed : int
-        How often another boat or twin took over.
-    message : str
-        What the last order could not do; empty where it could.
-    recorded : Path or None
-        File of the last log that was recorded.
-    error : BaseException or None
-        What ended the thread.
+    ``snapshot`` is the latest, ``fresh`` is set with every new one. ``scale`` is seconds of the run
+    per second of the clock; ``paused``: time stands still. ``changed`` counts how often another
+    boat or twin took over. ``message`` says what the last order could not do. ``recorded`` is the
+    file of the last log that was recorded, ``error`` what ended the thread.
     """
 
     monitor: TwinMonitor

@@ -41,8 +41,6 @@ NEVER = 1e12
 class SimulationSetup:
     """What a simulated session begins with.
 
-    Parameters
-    ----------
     vessel, sea, predictor, sensors
         As ``usv-twin simulate`` and ``identify`` take them.
     seed : int
@@ -65,21 +63,8 @@ class SimulationSetup:
 class SimulatedSession(Session):
     """A boat in a simulated sea that is steered, disturbed and deprived of its sensors by hand.
 
-    Parameters
-    ----------
-    setup : SimulationSetup
-        What it begins with.
-    folder : Path
-        Where recorded logs go.
-    autopilot : str
-        Who steers at first, one of :data:`twin.live.sessions.autopilot.AUTOPILOTS`.
-
-    Attributes
-    ----------
-    setup : SimulationSetup
-        What the run that is on began with.
-    helm : Autopilot
-        Who steers.
+    ``setup`` is what the run that is on began with, ``autopilot`` who steers at first, one of
+    :data:`twin.live.sessions.autopilot.AUTOPILOTS`. Logs are recorded to ``folder``.
     """
 
     def __init__(self, setup: SimulationSetup, folder: Path, autopilot: str = "off") -> None:

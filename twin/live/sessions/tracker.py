@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
 from twin.digital_twin import Twin
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.baselines import hold_velocity
 from usv_gym.envs.scene import TwinOverlay
+from usv_kernel.channels import COMPASS, GPS_X, GYRO
 
 __all__ = [
     "HORIZON",
@@ -53,8 +53,6 @@ GAP, NEW_AFTER = 1.0, 30.0
 """Nothing is judged across so many seconds without a row, and after so many the curves begin
 again."""
 
-_X, _COMPASS, _GYRO = map(MEASUREMENTS.index, ("gps_x_m", "compass_rad", "gyro_radps"))
-
 
 def overlay_of(prediction: Prediction) -> TwinOverlay:
     """Return a prediction as what pictures draw."""
@@ -75,30 +73,19 @@ def sensor_timeout(interval: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Curves over time.
+    """Curves over time."""
 
-    Parameters
-    ----------
-    t : ndarray, shape (T,)
-        Time, s.
-    error, error_hold : ndarray, shape (T,)
-        How far off the place that was predicted 10 s before is, m: by the twin, and by holding
-        velocity and turn rate; NaN where nothing tells.
-    window : ndarray, shape (T,)
-        Data that the identifier looks back on, s; NaN where there is no window.
-    nis_place, nis_velocity : ndarray, shape (T,)
-        Normalised innovations squared per degree of freedom of the fixes, mean of the last 30 s:
-        1 where the twin is as sure as it should be, more where it is too sure.
-    params, params_sd : ndarray, shape (T, p)
-        Parameters and their standard deviations.
-    """
-
-    t: Array
+    t: Array  # (T,): time, s
+    # (T,): how far off the place that was predicted 10 s before is, m: by the twin, and by holding
+    # velocity and turn rate; NaN where nothing tells
     error: Array
     error_hold: Array
-    window: Array
+    window: Array  # (T,): data that the identifier looks back on, s; NaN where there is no window
+    # (T,): normalised innovations squared per degree of freedom of the fixes, mean of the last 30
+    # s: 1 where the twin is as sure as it should be, more where it is too sure
     nis_place: Array
     nis_velocity: Array
+    # (T, p): parameters and their standard deviations
     params: Array
     params_sd: Array
 
@@ -129,26 +116,12 @@ class _Mean:
 
 
 class TwinMonitor:
-    """A twin and what is to be seen of it.
+    """A twin, which gets its rows here only, and what is to be seen of it.
 
-    Parameters
-    ----------
-    twin : Twin
-        Fresh; it is fed here only.
-
-    Attributes
-    ----------
-    t : float
-        Time of the last row, s; NaN before the first.
-    measured : ndarray, shape (3,)
-        Last fix (m north and east) and last compass heading (rad); NaN before the first.
-    fixes, track : deque of tuple of float
-        Last fixes, and where the boat was (by the truth where it is known, else as estimated), m
-        north and east.
-    gps_age : float
-        Time since the last fix, s.
-    error, error_hold : float
-        See :class:`History`.
+    ``t`` is the time of the last row, s, and ``measured`` (3,) the last fix (m north and east) and
+    compass heading (rad), NaN before the first. ``fixes`` and ``track`` are the last fixes, and
+    where the boat was (by the truth where it is known, else as estimated), m; ``gps_age`` is the
+    time since the last fix, s. ``error, error_hold``: see :class:`History`.
     """
 
     def __init__(self, twin: Twin) -> None:
@@ -197,16 +170,11 @@ class TwinMonitor:
         return self.t - self._gyro_at if self.has_imu else 0.0
 
     def step(self, t: float, z: Array, cmd: Array, truth: Array | None = None) -> None:
-        """Take one row.
+        """Take one row, as :meth:`twin.digital_twin.Twin.step`.
 
-        Parameters
-        ----------
-        t, z, cmd
-            As :meth:`twin.digital_twin.Twin.step` takes them.
-        truth : ndarray, shape (6,), optional
-            True state, to judge by; NaN where it is not known. No twin receives it.
+        ``truth`` (6,) is for the errors alone, NaN where it is not known. No twin receives it.
         """
-        fix, heading = z[_X : _X + 4], float(z[_COMPASS])
+        fix, heading = z[GPS_X : GPS_X + 4], float(z[COMPASS])
         if t - self.t > NEW_AFTER:
             self._rows, self._step = [], HISTORY_STEP
             self.error = self.error_hold = math.nan
@@ -222,7 +190,7 @@ class TwinMonitor:
             self._fixed_at = t
         if math.isfinite(heading):
             self.measured[2] = heading
-        if math.isfinite(z[_GYRO]):
+        if math.isfinite(z[GYRO]):
             self._gyro_at = t
         self._note_errors(before, truth)
         if not self._rows or t >= self._rows[-1][0][0] + self._step:
@@ -231,12 +199,8 @@ class TwinMonitor:
     def predict(self, plan: str | Array = "hold") -> Prediction | None:
         """Return where the boat will be; None before a first fix.
 
-        The prediction is judged when its last moment has come.
-
-        Parameters
-        ----------
-        plan : "hold" or ndarray, shape (HORIZON / PLAN_STEP, 4)
-            Commands of the next :data:`HORIZON` seconds, every :data:`PLAN_STEP`.
+        ``plan`` is "hold", or commands (HORIZON / PLAN_STEP, 4), every :data:`PLAN_STEP`. The
+        prediction is scored when its last moment has come.
         """
         if not self.twin.predictor.estimate().ready:
             return None
@@ -250,9 +214,8 @@ class TwinMonitor:
     def history(self) -> History:
         """Return the curves up to now; may be called from any thread."""
         rows, size = list(self._rows), len(self.twin.predictor.parameter_names)
-        curves = np.array([row for row, _, _ in rows]).reshape(-1, 6)
-        parts = (np.array([row[k] for row in rows]).reshape(len(rows), size) for k in (1, 2))
-        return History(*curves.T, *parts)
+        curves, *parts = (np.array([row[k] for row in rows]) for k in range(3))
+        return History(*curves.reshape(-1, 6).T, *(part.reshape(-1, size) for part in parts))
 
     def _weigh(self, t: float, fix: Array) -> None:
         """Compare place and velocity of a fix (4,) with the estimate before it is used."""

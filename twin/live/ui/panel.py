@@ -57,15 +57,7 @@ LEFT, RIGHT = 290, 350
 
 
 class Controls(ABC):
-    """The panel on the left: what can be changed, and what the instruments say.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Whose panel.
-    session : Session
-        What is steered by it.
-    """
+    """The panel on the left: what can be changed, and what the instruments say."""
 
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self.gui, self.session = server.gui, session
@@ -421,15 +413,7 @@ def key(path: bool) -> str:
 
 
 class Curves:
-    """The panel on the right: how well the twin does, and what it makes of the boat.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Whose panel.
-    session : Session
-        Whose twin.
-    """
+    """The panel on the right: how well the twin does, and what it makes of the boat."""
 
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self.gui, self.session = server.gui, session

@@ -63,15 +63,7 @@ BEATS = 20.0
 
 
 class SceneView:
-    """A scene that is kept like the latest snapshot.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        Whose scene.
-    boat : Boat
-        Hull and drives.
-    """
+    """A scene of a server that is kept like the latest snapshot of a boat."""
 
     def __init__(self, server: viser.ViserServer, boat: Boat) -> None:
         self.scene, self.boat = server.scene, boat
@@ -254,7 +246,7 @@ class SceneView:
         lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
         self.ghost.position = (float(x), float(y), -lift)
         self.ghost.wxyz = attitude(0.0, 0.0, float(psi))
-        _, places, covs = overlay.band(STEPS)
+        places, covs = overlay.band(STEPS)[1:]
         left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
         net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)
         self.ribbon.vertices = self._lifted(net.reshape(-1, 2), height, 0.04)
@@ -339,18 +331,7 @@ def nearest(path: Array, place: Array) -> Array:
 
 
 def borders(places: Array, covs: Array) -> Array:
-    """Return the points that lie :data:`~usv_gym.envs.scene.SDS` sd to either side of a track.
-
-    Parameters
-    ----------
-    places, covs : ndarray, shape (T, 2), (T, 2, 2)
-        Track (m) and covariances.
-
-    Returns
-    -------
-    ndarray, shape (T, 2, 2)
-        Left and right.
-    """
+    """Return points (T, 2, 2) :data:`~usv_gym.envs.scene.SDS` sd left and right of a track (m)."""
     along = np.gradient(places, axis=0)
     along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)

@@ -27,21 +27,10 @@ UNWATCHED = 1.0
 
 
 class Viewer:
-    """Shows a session to every browser that asks.
+    """Shows a session, which its owner starts and stops, to every browser that asks.
 
-    Parameters
-    ----------
-    session : Session
-        What is shown; started and stopped by its owner.
-    host : str
-        Address to listen at; loopback unless others are to see it too.
-    port : int
-        Port; where it is taken, the next free one.
-
-    Attributes
-    ----------
-    frames : int
-        How many frames were made.
+    It listens at ``host``, loopback unless others are to see it too, and at ``port``, or the next
+    free one. ``frames`` counts the frames that were made.
     """
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -73,13 +62,7 @@ class Viewer:
         return int(self.server.get_port())
 
     def serve(self) -> None:
-        """Show frame after frame until the session ends or the user presses Ctrl-C.
-
-        Raises
-        ------
-        BaseException
-            What ended the session.
-        """
+        """Show frames until the user presses Ctrl-C or the session ends; raise what ended it."""
         due = 0.0
         while self.session.error is None:
             fresh = self.session.fresh.wait(UNWATCHED)
@@ -136,9 +119,9 @@ def boat(session: Session) -> Boat:
 def check_host(host: str) -> None:
     """Refuse an address that is none of this machine: the server would wait for ever."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as one:
-            one.bind(address)
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(*found[:3]) as one:
+            one.bind(found[4])
     except (OSError, UnicodeError) as error:
         raise OSError(
             f"--host {host}: cannot listen there ({error}); use 127.0.0.1, 0.0.0.0 or an address "

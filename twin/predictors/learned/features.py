@@ -23,17 +23,9 @@ Array = NDArray[np.float64]
 
 
 def thrust_features(cmd: Array) -> Array:
-    """Return the inputs of a net from commands: thrust, sideways and forward part, per side.
+    """Return n|n|, n|n| sin(delta) and n|n| cos(delta) of commands (..., 4), left and right.
 
-    Parameters
-    ----------
-    cmd : ndarray, shape (..., 4)
-        Commands in the order of ``twin.channels.COMMANDS``, rev/s and rad.
-
-    Returns
-    -------
-    ndarray, shape (..., 6)
-        n|n| and n|n| sin(delta) and n|n| cos(delta), left and right, (rev/s)^2.
+    The result is (..., 6), in (rev/s)^2.
     """
     # the bound only keeps squares of nonsense finite
     n, delta = np.clip(cmd[..., :2], -1e6, 1e6), cmd[..., 2:]
@@ -42,17 +34,9 @@ def thrust_features(cmd: Array) -> Array:
 
 
 def fill_forward(rows: Array) -> Array:
-    """Return rows in which what is not finite repeats the last finite value of its column.
+    """Return rows (M, d) in which what is not finite repeats the last finite value of its column.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (M, d)
-        Anything over time.
-
-    Returns
-    -------
-    ndarray, shape (M, d)
-        0 where nothing finite came before.
+    It is 0 where nothing finite came before.
     """
     good = np.isfinite(rows)
     if good.all():
@@ -63,21 +47,7 @@ def fill_forward(rows: Array) -> Array:
 
 
 def lagged(act: Array, cmd: Array, dt: float, particulars: Particulars) -> Array:
-    """Return the actuators after a command was in force for a while.
-
-    Parameters
-    ----------
-    act, cmd : ndarray, shape (..., 4)
-        Where they were, and what was ordered: rev/s and rad.
-    dt : float
-        How long, s.
-    particulars : Particulars
-        Their lags, and the largest rate of the angles.
-
-    Returns
-    -------
-    ndarray, shape (..., 4)
-    """
+    """Return the actuators (..., 4) after a command was in force for dt (s)."""
     share = [-math.expm1(-dt / lag) for lag in (particulars.shaft_lag, particulars.steer_lag)]
     step = (cmd - act) * np.repeat(share, 2)
     reach = particulars.steer_rate * dt
@@ -86,18 +56,9 @@ def lagged(act: Array, cmd: Array, dt: float, particulars: Particulars) -> Array
 
 
 def integrate(start: Array, velocity: Array) -> Array:
-    """Return the states of boats whose velocities are known on the grid.
+    """Return the states (B, K, 6) of boats whose velocities (B, K + 1, 3) are known on the grid.
 
-    Parameters
-    ----------
-    start : ndarray, shape (B, 6)
-        States at the start, in the order of ``twin.channels.STATE``; velocities unused.
-    velocity : ndarray, shape (B, K + 1, 3)
-        u, v, r at the start and at the ends of the K steps, m/s and rad/s.
-
-    Returns
-    -------
-    ndarray, shape (B, K, 6)
+    The velocities in ``start`` (B, 6) are not used.
     """
     u, v, r = np.moveaxis(0.5 * (velocity[:, 1:] + velocity[:, :-1]), 2, 0)
     psi = start[:, 2:3] + GRID * np.cumsum(r, axis=1)
@@ -147,19 +108,7 @@ class ActuatedPredictor(HistoryPredictor):
         return self._act
 
     def follow(self, act: Array, plans: Array) -> Array:
-        """Return the actuators over a plan, at the ends of its grid steps.
-
-        Parameters
-        ----------
-        act : ndarray, shape (B, 4)
-            Where they start from.
-        plans : ndarray, shape (B, K, 4)
-            Commands of the grid steps.
-
-        Returns
-        -------
-        ndarray, shape (B, K, 4)
-        """
+        """Return the actuators (B, K, 4) over a plan, at the ends of its grid steps."""
         out = np.empty(plans.shape)
         for k in range(plans.shape[1]):
             act = out[:, k] = lagged(act, plans[:, k], GRID, self.particulars)

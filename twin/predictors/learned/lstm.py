@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import State, check_fields, with_prefix, without_prefix
 from twin.particulars import Particulars
-from twin.predictors.baselines import GRID, HistoryPredictor, hold_velocity
+from twin.predictors.baselines import (
+    COMMANDED,
+    GRID,
+    STATES,
+    VELOCITIES,
+    HistoryPredictor,
+    hold_velocity,
+)
 from twin.predictors.learned.features import fill_forward, thrust_features
 
 __all__ = [
@@ -185,6 +192,11 @@ class LSTMPredictor(HistoryPredictor):
             self._net = _Net(**without_prefix("net", net))
 
     @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`: all that it is going to learn from."""
+        return GRID * self.warm if self._trained else math.inf
+
+    @property
     def trained(self) -> bool:
         """True from the training on, even if it taught nothing."""
         return self._trained
@@ -203,16 +215,16 @@ class LSTMPredictor(HistoryPredictor):
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
         rows = fill_forward(rows)
-        plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:])
+        plans = np.where(np.isfinite(plans), plans, rows[origins, None, COMMANDED])
         bound = self._bound
-        start = rows[origins, :6]
+        start = rows[origins, STATES]
         nu = np.clip(start[:, 3:], -bound, bound)
         K = plans.shape[1]
         net = self._net
         if net is None:
             return hold_velocity(start, nu, GRID * np.arange(1, K + 1))
         before = np.maximum(origins[:, None] + np.arange(-self.warm, 1), 0)
-        past = net.scaled(rows[before[:, :-1], 3:6], rows[before[:, 1:], 6:])
+        past = net.scaled(rows[before[:, :-1], VELOCITIES], rows[before[:, 1:], COMMANDED])
         h = c = np.zeros((len(origins), len(net.w_rec)))
         for j in range(self.warm):
             h, c = net.advance(past[:, j], h, c)
@@ -243,14 +255,14 @@ class LSTMPredictor(HistoryPredictor):
     def _train(self, rows: Array) -> _Net | None:
         """Return a net that learned from rows (M, 10), or None where nothing can be learned."""
         wild = ~np.isfinite(rows)
-        wild[:, 3:6] |= ~(np.abs(rows[:, 3:6]) <= self._bound)
+        wild[:, VELOCITIES] |= ~(np.abs(rows[:, VELOCITIES]) <= self._bound)
         length = self.warm + self.ahead + 1
         index = np.arange(0, len(rows) - length + 1, self.stride)[:, None] + np.arange(length)
         index = index[~wild[index].any(axis=(1, 2))]
         if len(index) < self.windows_min:
             return None
         used = rows[np.unique(index)]
-        inputs = np.concatenate([used[:, 3:6], thrust_features(used[:, 6:])], axis=1)
+        inputs = np.concatenate([used[:, VELOCITIES], thrust_features(used[:, COMMANDED])], axis=1)
         sd = inputs.std(axis=0)
         if (sd[:3] < 1e-3 * self._typical).all():
             return None
@@ -262,7 +274,7 @@ class LSTMPredictor(HistoryPredictor):
                 np.where(sd[3:] > 1e-2 * shaft**2, 1.0 / np.maximum(sd[3:], 1e-9), 0.0),
             ]
         )
-        nu, cmd = rows[index, 3:6], rows[index[:, 1:], 6:]
+        nu, cmd = rows[index, VELOCITIES], rows[index[:, 1:], COMMANDED]
         step = np.maximum(np.diff(nu, axis=1).std(axis=(0, 1)), 1e-3 * self._typical)
         H, rng = self.hidden, np.random.default_rng(self.seed)
         bound = 1.0 / math.sqrt(H)
@@ -330,7 +342,7 @@ class LSTMPredictor(HistoryPredictor):
                 blurred[..., :3] += self.noise * rng.standard_normal((W, B, 3))
                 keep = rng.random((B, H)) >= self.dropout
                 mask = tensor(keep / (1.0 - self.dropout))
-                _, (h, c) = lstm(tensor(blurred))
+                h, c = lstm(tensor(blurred))[1]
                 h, c, y = h[0], c[0], first
                 path = []
                 for k in range(self.ahead):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import Field
 from twin.particulars import GRAVITY, Particulars
-from twin.predictors.baselines import GRID
+from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
 from twin.predictors.learned.features import (
     ActuatedPredictor,
     fill_forward,
@@ -92,24 +92,12 @@ class WeightsError(UsvTwinError):
 
 @dataclass(frozen=True)
 class Weights:
-    """A trained net.
+    """A trained net."""
 
-    Parameters
-    ----------
-    kind : str
-        ``lstm`` or ``transformer``.
-    seed : int
-        Of boats, initial weights and batches.
-    settings : dict
-        How it was made, for the record.
-    arrays : dict of ndarray
-        Its weights, single precision.
-    """
-
-    kind: str
-    seed: int
-    settings: dict[str, Any]
-    arrays: dict[str, Array]
+    kind: str  # lstm or transformer
+    seed: int  # of boats, initial weights and batches
+    settings: dict[str, Any]  # how it was made, for the record
+    arrays: dict[str, Array]  # its weights, single precision
 
     def write(self, path: str | Path) -> None:
         """Write a file that :meth:`read` reads; weights are rounded to half precision."""
@@ -128,20 +116,7 @@ class Weights:
 
     @classmethod
     def read(cls, path: str | Path, kind: str) -> Weights:
-        """Read weights.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-        kind : str
-            What they must be of.
-
-        Raises
-        ------
-        WeightsError
-            Says what is wrong with the file, and how to make a new one.
-        """
+        """Read weights of a net; WeightsError says what is wrong, and how to make new ones."""
         remedy = f"make a new one: python -m twin.training.fleet {kind}"
         try:
             with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
@@ -166,35 +141,24 @@ def _shipped(path: Path, kind: str) -> Weights:
 
 
 def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) -> Array:
-    """Return the inputs of a net, one token a second.
+    """Return the inputs (B, PAST + AHEAD, TOKEN) of a net, single precision, one token a second.
 
-    Parameters
-    ----------
-    window : ndarray, shape (B, PAST * PATCH, 17)
-        Rows up to and with the origin: six states, four commands, four actuators, and the
-        masks of GPS, compass and IMU: 1 with a fresh sample, then fading.
-    known : ndarray of bool, shape (B, PAST * PATCH)
-        False for rows before the history began.
-    ahead : ndarray, shape (B, AHEAD * PATCH, 4)
-        Actuators under the plan.
-    particulars : Particulars
-        Of the boat.
-
-    Returns
-    -------
-    ndarray, shape (B, PAST + AHEAD, TOKEN), single precision
+    ``window`` (B, PAST * PATCH, 17) has rows up to and with the origin: six states, four commands,
+    four actuators, and the masks of GPS, compass and IMU: 1 with a fresh sample, then fading.
+    ``known`` (B, PAST * PATCH) is False for rows before the history began. ``ahead`` (B, AHEAD *
+    PATCH, 4) are the actuators under the plan.
     """
     U, L = particulars.speed, particulars.length
     B, past = window.shape[:2]
     out = np.zeros((B, past + ahead.shape[1], PER_ROW))
     seen = out[:, :past]
-    seen[..., :3] = (window[..., 3:6] / [U, U, U / L] - CENTRE) * SCALE
+    seen[..., :3] = (window[..., VELOCITIES] / [U, U, U / L] - CENTRE) * SCALE
     # the wind is the earth's: how the boat lay to it, from where it lies now
     turned = window[..., 2] - window[:, -1:, 2]
     seen[..., 3], seen[..., 4] = np.cos(turned), np.sin(turned)
     seen[..., 5:8] = window[..., 14:17]
     seen[..., 8] = 1.0
-    acts = np.concatenate([window[..., 10:14], ahead], axis=1)
+    acts = np.concatenate([window[..., ACTUATORS], ahead], axis=1)
     acts[..., :2] /= particulars.shaft_speed
     left, right = np.moveaxis(thrust_features(acts).reshape(*acts.shape[:2], 3, 2), 3, 0)
     out[..., 9], out[..., 10] = 0.5 * (left + right)[..., 0], 0.5 * (left - right)[..., 0]
@@ -219,14 +183,9 @@ def tokens(window: Array, known: Array, ahead: Array, particulars: Particulars) 
 
 
 def gated(x: Array, gate: float) -> Array:
-    """Return tokens whose past velocities fade with the masks of their sensors.
+    """Return tokens (B, PAST + AHEAD, TOKEN) whose past velocities fade with their sensors' masks.
 
-    Parameters
-    ----------
-    x : ndarray, shape (B, PAST + AHEAD, TOKEN)
-        Tokens; not changed.
-    gate : float
-        What fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
+    ``gate`` is what fades of u, v without GPS and of r without IMU: 0 nothing, 1 all.
     """
     out = x.copy()
     rows = out[:, :PAST, : PATCH * PER_ROW].reshape(len(x), PAST, PATCH, PER_ROW)
@@ -245,14 +204,9 @@ def _read(w: dict[str, Array], h: Array, x: Array) -> Array:
 
 
 def run_lstm(w: dict[str, Array], x: Array) -> Array:
-    """Return the outputs (B, AHEAD, 3 PATCH) of an LSTM.
+    """Return the outputs (B, AHEAD, 3 PATCH) of an LSTM for tokens (B, PAST + AHEAD, TOKEN).
 
-    Parameters
-    ----------
-    w : dict of ndarray
-        Weights, named as torch names them.
-    x : ndarray, shape (B, PAST + AHEAD, TOKEN)
-        Tokens.
+    ``w`` are its weights, named as torch names them.
     """
     h = x
     for layer in range(sum(key.startswith("body.weight_ih") for key in w)):
@@ -305,22 +259,11 @@ def run_transformer(w: dict[str, Array], x: Array) -> Array:
 
 
 class FleetPredictor(ActuatedPredictor):
-    """A network that was trained once on simulated boats.
+    """A network that was trained once on simulated boats; subclasses say which.
 
-    Subclasses say which net. Its weights ship with the package; ``python -m
-    twin.training.fleet`` makes new ones. The net learns nothing more during a run.
-
-    Parameters
-    ----------
-    particulars : Particulars
-        Main particulars, which all inputs and outputs scale with, and lags.
-    seed : int
-        Nothing is drawn at random here.
-
-    Raises
-    ------
-    WeightsError
-        The weights are missing, damaged or of another version.
+    Its weights ship with the package; ``python -m twin.training.fleet`` makes new ones.
+    WeightsError: they are missing, damaged or of another version. The net learns nothing more
+    during a run, and draws nothing at random.
     """
 
     kind: ClassVar[str]
@@ -349,6 +292,11 @@ class FleetPredictor(ActuatedPredictor):
         """Return actuators and masks at the row that just came, shape (7,)."""
         return np.concatenate([super().extra_columns(dt), np.exp(-self._age / FADE)])
 
+    @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`."""
+        return GRID * PAST * PATCH
+
     @staticmethod
     def windows(rows: Array, origins: Array) -> tuple[Array, Array]:
         """Return what :func:`tokens` takes: windows of a history (M, 17), and what is known."""
@@ -359,11 +307,11 @@ class FleetPredictor(ActuatedPredictor):
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
         rows = fill_forward(rows)
         K, block = plans.shape[1], AHEAD * PATCH
-        plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:10])
+        plans = np.where(np.isfinite(plans), plans, rows[origins, None, COMMANDED])
         plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % block, axis=1)], axis=1)
-        acts = self.follow(rows[origins, 10:14], plans)
+        acts = self.follow(rows[origins, ACTUATORS], plans)
         window, known = self.windows(rows, origins)
-        window[..., 3:6] = np.clip(window[..., 3:6], -self.bound, self.bound)
+        window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
         out = []
         # beyond its horizon the net goes on from its own answers
         for first in range(0, plans.shape[1], block):

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import ANY, Field, State, check_fields
 from twin.particulars import Particulars
-from twin.predictors.baselines import GRID
+from twin.predictors.baselines import (
+    ACTUATORS,
+    COMMANDED,
+    GRID,
+    STATES,
+    VELOCITIES,
+)
 from twin.predictors.learned.features import (
     ActuatedPredictor,
     fill_forward,
@@ -113,12 +119,12 @@ class VARPredictor(ActuatedPredictor):
         """Return scaled u, v, r at rows (B,) and the steps before, newest first (B, 3 p)."""
         back = np.maximum(at[:, None] - self.stride * np.arange(self.order), 0)
         size = self.bound / self.typical
-        return np.clip(rows[back, 3:6] / self.typical, -size, size).reshape(len(at), -1)
+        return np.clip(rows[back, VELOCITIES] / self.typical, -size, size).reshape(len(at), -1)
 
     def _inputs(self, rows: Array, at: Array, ahead: Array) -> Array:
         """Return what the actuators did, step by step, oldest first (B, p - 1 + n, q)."""
         back = np.maximum(at[:, None] + np.arange(-self.stride * (self.order - 1), 1), 0)
-        acts = np.concatenate([rows[back, 10:14], ahead], axis=1)
+        acts = np.concatenate([rows[back, ACTUATORS], ahead], axis=1)
         acts[..., :2] /= self.particulars.shaft_speed
         each = np.concatenate([thrust_features(acts), np.sin(acts[..., 2:])], axis=2)
         left, right = each[..., ::2], each[..., 1::2]
@@ -131,15 +137,15 @@ class VARPredictor(ActuatedPredictor):
         m, p = self.stride, self.order
         at = np.arange(m * (p - 1), len(rows) - m)
         wild = ~np.isfinite(rows)
-        wild[:, 3:6] |= ~(np.abs(rows[:, 3:6]) <= self.bound)
+        wild[:, VELOCITIES] |= ~(np.abs(rows[:, VELOCITIES]) <= self.bound)
         at = at[~wild[at[:, None] + np.arange(-m * (p - 1), m + 1)].any(axis=(1, 2))]
         if len(at) < ROWS_MIN:
             return None
-        ahead = rows[at[:, None] + np.arange(1, m + 1), 10:14]
+        ahead = rows[at[:, None] + np.arange(1, m + 1), ACTUATORS]
         X = np.concatenate(
             [self._past(rows, at), self._inputs(rows, at, ahead).reshape(len(at), -1)], axis=1
         )
-        Y = (rows[at + m, 3:6] - rows[at, 3:6]) / self.typical
+        Y = (rows[at + m, VELOCITIES] - rows[at, VELOCITIES]) / self.typical
         centre, sd = X.mean(axis=0), X.std(axis=0)
         # a column that never changed shows nothing: it must have no weight later
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
@@ -151,14 +157,14 @@ class VARPredictor(ActuatedPredictor):
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""
         rows = fill_forward(rows)
-        start, K = rows[origins, :6], plans.shape[1]
+        start, K = rows[origins, STATES], plans.shape[1]
         if self._fit is None:
             return self.held(start, K)
         W, b = self._fit
         m, p = self.stride, self.order
-        plans = np.where(np.isfinite(plans), plans, rows[origins, None, 6:10])
+        plans = np.where(np.isfinite(plans), plans, rows[origins, None, COMMANDED])
         plans = np.concatenate([plans, np.repeat(plans[:, -1:], -K % m, axis=1)], axis=1)
-        inputs = self._inputs(rows, origins, self.follow(rows[origins, 10:14], plans))
+        inputs = self._inputs(rows, origins, self.follow(rows[origins, ACTUATORS], plans))
         past = self._past(rows, origins)
         size, path = self.bound / self.typical, [past[:, :3]]
         for k in range(plans.shape[1] // m):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.twin.live.wire import Wire
+from tests.twin.live.wire import Wire, free_port
 from twin.live.protocols.feed import BYTES_MAX, Message, Plane
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
@@ -194,7 +194,7 @@ def test_a_message_without_a_time_that_comes_twice_at_once_is_doubled(usv: Parti
 
 
 def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:
-    with NmeaFeed(f"udp://:{_free()}", usv) as feed:
+    with NmeaFeed(f"udp://:{free_port()}", usv) as feed:
         host, port = feed._socket.getsockname()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             for _ in range(4000):
@@ -205,12 +205,6 @@ def test_a_flood_does_not_hang_the_caller(usv: Particulars) -> None:
             feed.take()
         datagrams = feed.counts["received"] / 80 + feed.counts["dropped"]
         assert feed.counts["dropped"] == 0 or datagrams <= 4000
-
-
-def _free() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        return int(taken.getsockname()[1])
 
 
 BOAT = Particulars(name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.twin.live.wire import RUN, Wire
+from tests.twin.live.wire import RUN, Wire, free_port
 from twin import Twin
 from twin.cli.main import app
 from twin.live.protocols.feed import Feed
@@ -151,23 +151,17 @@ def test_the_pace(circle: Log) -> None:
     counted: Counter[str] = Counter()
     stream, pace = NmeaStream(), Pace(4.0, lambda: now[0], sleep)
     datagrams = schedule(log, stream, counts=counted)
-    replay(log, datagrams, stream, f"udp://:{_free()}", pace=pace, counts=counted)
+    replay(log, datagrams, stream, f"udp://:{free_port()}", pace=pace, counts=counted)
     assert now[0] == pytest.approx((log.t[-1] - log.t[0]) / 4.0)
     assert counted["rows"] == counted["datagrams"] == len(log)
     with pytest.raises(FeedError, match="speed"):
         Pace(speed=0.0)
 
 
-def _free() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        return int(taken.getsockname()[1])
-
-
 @pytest.mark.parametrize("kind", ["nmea", "mavlink"])
 def test_over_the_wire_and_back(simulated: tuple[Log, Particulars], kind: str) -> None:
     log, boat = simulated
-    address = f"udp://:{_free()}"
+    address = f"udp://:{free_port()}"
     stream = KINDS[kind][1](boat)
     twin = Twin(boat, "persistence")
     with (NmeaFeed if kind == "nmea" else MavlinkFeed)(address, boat) as feed:
@@ -202,7 +196,7 @@ def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> N
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(5.0)
         reply = f"udp://:{receiver.getsockname()[1]}"
-        with MavlinkFeed(f"udp://:{_free()}", usv, reply) as feed:
+        with MavlinkFeed(f"udp://:{free_port()}", usv, reply) as feed:
             feed.take()
             assert receiver.recv(1000)[0] == 0xFD  # the heartbeat does not wait for a boat
 
@@ -210,7 +204,7 @@ def test_the_reply_goes_to_the_given_address(circle: Log, usv: Particulars) -> N
 def test_replay_command_sends_a_log(tmp_path, simulated: tuple[Log, Particulars]) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "run.csv"
     simulated[0].slice(0.0, 5.0).write(path)
-    address = f"udp://:{_free()}"
+    address = f"udp://:{free_port()}"
     with NmeaFeed(address, simulated[1]) as feed:
         asked = ["replay", str(path), "--nmea", address, "--speed", "10"]
         result = CliRunner().invoke(app, asked)
@@ -243,7 +237,7 @@ def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("twin.cli.replay.replay", interrupted)
-    result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{_free()}"])
+    result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{free_port()}"])
     assert result.exit_code == 130
 
 
@@ -256,4 +250,4 @@ def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch, usv: Par
         with pytest.raises(ImportError, match=r"pip install 'usv-twin\[view\]'"):
             needed(module)
     with pytest.raises(ImportError, match="pynmea2"):
-        NmeaFeed(f"udp://:{_free()}", usv)
+        NmeaFeed(f"udp://:{free_port()}", usv)

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.twin.live.wire import free_port
 from twin import Log, Twin, recorded_runs
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Session
@@ -59,7 +60,7 @@ def served() -> Iterator[Callable[[Session], Viewer]]:
     running = []
 
     def serve(session: Session) -> Viewer:
-        viewer = Viewer(session, port=free_port())
+        viewer = Viewer(session, port=free_port(socket.SOCK_STREAM))
 
         def show() -> None:
             with contextlib.suppress(Stopped):
@@ -83,12 +84,6 @@ def served() -> Iterator[Callable[[Session], Viewer]]:
 
 class Stopped(Exception):
     """The test is over."""
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def status(driver: Any) -> dict[str, str]:
@@ -444,7 +439,7 @@ def viewing(folder: Path, *arguments: str) -> Iterator[tuple[Any, str]]:
 
 @pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])
 def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with viewing(tmp_path, "--port", str(port), *arguments) as (process, line):
         assert f"http://127.0.0.1:{port}" in line
         (came,) = watch(f"http://127.0.0.1:{port}", 1, 3.0)
@@ -461,7 +456,7 @@ def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
 def test_a_boat_that_is_replayed_is_followed_and_answered(kind, tmp_path):
     log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=30.0, seed=1)
     log.write(tmp_path / "run.csv")
-    port, address = free_port(), f"udp://:{free_port()}"
+    port, address = free_port(socket.SOCK_STREAM), f"udp://:{free_port()}"
     own = "--vessel", "usv75", "-p", "ukf", "--port", str(port)
     with viewing(tmp_path, kind, address, *own) as (process, _):
         done = subprocess.run(
