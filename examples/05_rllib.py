@@ -1,6 +1,6 @@
 """Train PPO on USVTwin-v0 with Ray RLlib: two env runners, on this machine or on a cluster.
 
-    python -m pip install 'usv-twin[rllib]'
+    python -m pip install -e '.[rllib]'
     python examples/05_rllib.py --iterations 50
     python examples/05_rllib.py --iterations 500 --runners 16 --address auto
 
@@ -19,7 +19,7 @@ try:
     from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
     from ray.tune import register_env
 except ImportError as error:
-    raise SystemExit(f"{error}: python -m pip install 'usv-twin[rllib]'") from None
+    raise SystemExit(f"{error}: python -m pip install -e '.[rllib]'") from None
 
 
 SCALE = 0.1

@@ -1,4 +1,4 @@
-"""A headless browser, for the pages and views that people open in theirs."""
+"""No deadlines, and a headless browser for the pages and views that people open in theirs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import shutil
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import hypothesis
 import pytest
+
+# no test asserts a time: a busy machine must not fail one
+hypothesis.settings.register_profile("untimed", deadline=None)
+hypothesis.settings.load_profile("untimed")
 
 FLAGS = (
     "--headless=new",

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS
+from twin.channels import COMMANDS, MEASUREMENTS, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, write
+from twin.logs.datum import Datum
 from twin.logs.log import Log
+from twin.logs.tables import StateTable
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
@@ -63,13 +66,17 @@ class Twin:
         Time of the last row, s; NaN before the first.
     cmd : ndarray, shape (4,)
         Its command.
+    datum : Datum or None
+        Latitude, longitude and date of the origin, as the log of :meth:`run` had them.
 
     Examples
     --------
     >>> from twin import Log, Particulars, Twin, recorded_runs
     >>> path = recorded_runs()["boat1_usv_circle"]
     >>> twin = Twin(Particulars.load(path.with_name("boat1_usv_circle.toml")))
-    >>> twin.run(Log.read(path))
+    >>> track = twin.run(Log.read(path))
+    >>> track["u_mps"].shape == track.shape
+    True
     >>> prediction = twin.predict("hold", horizon=10.0)
     >>> prediction.mean.shape
     (40, 6)
@@ -93,6 +100,7 @@ class Twin:
             self.predictor = predictor
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
+        self.datum: Datum | None = None
         self.t = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
@@ -128,6 +136,7 @@ class Twin:
         header = {
             **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
             **{"options": options, "particulars": dataclasses.asdict(self.particulars)},
+            **({} if self.datum is None else {"datum": self.datum.to_json()}),
             **{"t": self.t, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
         }
         write(path, header, arrays | kept)
@@ -213,6 +222,7 @@ class Twin:
             {"t": twin.t, "command": twin.cmd},
             {"t": GAPS},
         )
+        twin.datum = Datum(**header["datum"]) if "datum" in header else None
         twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
         now = twin.predictor.estimate()
         if now.ready and not abs(now.t - twin.t) <= 1e-6:
@@ -259,10 +269,71 @@ class Twin:
         self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
         self.t, self.cmd = t, cmd
 
-    def run(self, log: Log) -> None:
-        """Take every row of a log, one after the other."""
-        for t, z, cmd in log:
+    def run(self, log: Log, on_row: Callable[[], object] | None = None) -> StateTable:
+        """Take every row of a log, one after the other.
+
+        Parameters
+        ----------
+        log : Log
+            The run, or its next piece.
+        on_row : callable, optional
+            Called without arguments after each row, for instance to show progress.
+
+        Returns
+        -------
+        StateTable, shape (N,)
+            A structured array of what was estimated at each row: time, state and parameters with
+            their standard deviations, latitude, longitude and date where the log has them. It has
+            ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table:
+            ``for row in log: twin.step(*row)``.
+
+        Raises
+        ------
+        TwinError
+            Names what is wrong, for instance an origin other than that of the log before.
+        """
+        self.locate(log.datum)
+        parameters = self.predictor.parameter_names
+        shape = len(log), len(STATE) + len(parameters)
+        mean, sd, ready = np.empty(shape), np.empty(shape), np.empty(len(log), dtype=np.bool_)
+        for k, (t, z, cmd) in enumerate(log):
             self.step(t, z, cmd)
+            ready[k] = self.predictor.write_moments(mean[k], sd[k])
+            if on_row is not None:
+                on_row()
+        np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
+        mean[~ready], sd[~ready] = np.nan, np.nan
+        names = (*STATE, *parameters)
+        means, sds = dict(zip(names, mean.T, strict=True)), dict(zip(names, sd.T, strict=True))
+        columns = {TIME: log.t}
+        for group in (STATE, parameters):
+            columns |= {name: means[name] for name in group}
+            columns |= {f"sd_{name}": sds[name] for name in group}
+        return StateTable.of(columns, self.datum)
+
+    def locate(self, datum: Datum | None) -> None:
+        """Take over the datum of a log that is about to come.
+
+        Raises
+        ------
+        TwinError
+            If its origin is not that of the rows before.
+        """
+        if datum is None:
+            return
+        if self.datum is None or math.isnan(self.t):
+            self.datum = datum
+        elif not self.datum.same_place(datum):
+            raise TwinError(
+                f"the log's origin is {datum.latitude}, {datum.longitude}, and that of the rows "
+                f"before {self.datum.latitude}, {self.datum.longitude}: state the latter as datum "
+                "= [latitude, longitude] in [position] of the log's mapping file"
+            )
+        elif not self.datum.same_clock(datum):
+            raise TwinError(
+                f"the log's t = 0 is {datum.date}, and that of the rows before {self.datum.date}: "
+                "give all its times since the latter, or as seconds since 1970 in both logs"
+            )
 
     def estimate(self) -> Estimate:
         """Return state and parameters with their standard deviations."""

@@ -160,7 +160,7 @@ class Particulars:
     name : str
         For tables and pictures.
     length, beam, draft : float
-        On the waterline, m.
+        On the waterline, m; the beam over all hulls.
     mass : float
         Displacement, kg.
     speed : float
@@ -178,6 +178,10 @@ class Particulars:
     design : str
         The boat's class, one of :data:`DESIGNS`, or empty. The prior of a class tells
         ``dsw-ukf-plus`` more than main particulars do: see :mod:`twin.model.priors`.
+    hulls : int
+        1, or 2 of a catamaran.
+    hull_beam, spacing : float
+        Of a catamaran, m: beam of each hull, and distance of their centre lines; 0 where unknown.
     instruments : Instruments
         Sensors on board.
     """
@@ -194,6 +198,9 @@ class Particulars:
     steer_lag: float = 0.1
     steer_rate: float = 0.35
     design: str = ""
+    hulls: int = 1
+    hull_beam: float = 0.0
+    spacing: float = 0.0
     instruments: Instruments = field(default_factory=Instruments)
 
     def __post_init__(self) -> None:
@@ -215,6 +222,7 @@ class Particulars:
             raise ParticularsError(
                 f"steering = {self.steering!r} is unknown; use one of {', '.join(STEERING)}"
             )
+        self._check_hulls()
         if self.design != "" and self.design not in DESIGNS:
             raise ParticularsError(
                 f"design = {self.design!r}: no prior of this class comes with usv-twin; use "
@@ -225,6 +233,26 @@ class Particulars:
             raise ParticularsError(
                 f"design = {self.design!r} is a class of boats with drives, and the other "
                 "particulars are not of such a boat: correct them, or leave the class out"
+            )
+
+    def _check_hulls(self) -> None:
+        """Refuse hulls that contradict each other or the mass."""
+        if self.hulls not in (1, 2):
+            raise ParticularsError(f"hulls = {self.hulls:g} must be 1, or 2 of a catamaran")
+        object.__setattr__(self, "hulls", int(self.hulls))
+        if self.hulls == 1 and (self.hull_beam or self.spacing):
+            raise ParticularsError("hull_beam and spacing are of a catamaran; add hulls = 2")
+        wide = self.hull_beam + (self.spacing or self.hull_beam)
+        if self.hulls == 2 and (wide > 1.01 * self.beam or 0.0 < self.spacing < self.hull_beam):
+            raise ParticularsError(
+                f"hull_beam = {self.hull_beam:g}, spacing = {self.spacing:g}: the hulls must not "
+                f"overlap, and must lie within the beam of {self.beam:g} m"
+            )
+        box = SEA_WATER * self.length * self.draft * 2.0 * self.hull_beam
+        if 0.0 < box < self.mass:
+            raise ParticularsError(
+                f"mass = {self.mass:g} kg is more than two hulls of hull_beam = {self.hull_beam:g} "
+                f"m can carry at this length and draft ({box:.4g} kg); correct one of them"
             )
 
     @classmethod
@@ -295,13 +323,14 @@ class Particulars:
         """Whether it is a slow ship of full form, which has one propeller and one rudder."""
         box = SEA_WATER * self.length * self.beam * self.draft
         full = FULL_FORM * box <= self.mass <= box  # no hull fills more than the box around it
-        return self.steering == "drives" and self.froude <= FAST and full
+        return self.hulls == 1 and self.steering == "drives" and self.froude <= FAST and full
 
     def to_toml(self) -> str:
         """Return the text of a file that :meth:`load` reads back to the same value."""
         lines = ["# Main particulars for the twin, SI units.", "[particulars]"]
         for item in dataclasses.fields(self):
-            if item.name != "instruments":
+            hull = item.name in ("hulls", "hull_beam", "spacing")
+            if item.name != "instruments" and not (hull and self.hulls == 1):
                 value = getattr(self, item.name)
                 # A JSON string is a TOML string, quotes and all.
                 is_text = isinstance(value, str)
@@ -360,4 +389,10 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
     ]
     if missing:
         raise ParticularsError(f"missing key(s): {', '.join(missing)}")
+    if kind is Particulars and "steering" not in table:
+        raise ParticularsError(
+            'steering is missing: how does the boat steer? "drives": the thrust is turned by a '
+            'drive or rudder angle; "differential": the units are fixed and steer by unequal '
+            "thrust; add the line steering = ..."
+        )
     return table

@@ -19,6 +19,7 @@ BOAT = Particulars(
 TEXT = """
 [particulars]
 name = "boat"
+steering = "drives"
 length = 7.5
 beam = 2.5
 draft = 0.4
@@ -143,7 +144,8 @@ def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
         ('name = "boat"', "name = 5", "name = 5 must be a text"),
         ("mass = 2300", "mas = 2300", "unknown key 'mas'; known keys: name, length, beam"),
         ("mass = 2300\n", "", "missing key(s): mass"),
-        ("speed = 5.0", "speed = 5.0\nsteering = 'oars'", "steering = 'oars' is unknown; use one"),
+        ('"drives"', '"oars"', "steering = 'oars' is unknown; use one"),
+        ('steering = "drives"\n', "", "steering is missing: how does the boat steer?"),
         ("speed = 5.0", "speed = 5.0\ndesign = 75", "design = 75 must be a text"),
         ("speed = 5.0", "speed = 5.0\ndesign = 'otter'", "'otter': no prior of this class comes"),
         ("[particulars]", "[boat]", "expected the tables [particulars]"),
@@ -198,3 +200,23 @@ def test_file_of_several_ships_is_matched_by_log(tmp_path):
         path.write_text(wrong)
         with pytest.raises(ParticularsError, match=r"expected only \[\[ship\]\]"):
             Particulars.load(path, log="first/run.csv")
+
+
+def test_catamarans_are_checked_and_survive_their_file(tmp_path):
+    cat = dataclasses.replace(
+        BOAT, steering="differential", hulls=2, hull_beam=0.5, spacing=1.9, mass=1500.0
+    )
+    path = tmp_path / "cat.toml"
+    path.write_text(cat.to_toml(), encoding="utf-8")
+    assert Particulars.load(path) == cat
+    assert "hulls" not in BOAT.to_toml()
+    for change, words in (
+        ({"hulls": 3}, "hulls = 3 must be 1, or 2"),
+        ({"hulls": 1}, "add hulls = 2"),
+        ({"spacing": 2.3}, "within the beam of 2.5"),
+        ({"spacing": 0.4}, "must not overlap"),
+        ({"hull_beam": -0.5}, "hull_beam = -0.5 must be 0 or more"),
+        ({"mass": 4000.0}, "mass = 4000 kg is more than two hulls"),
+    ):
+        with pytest.raises(ParticularsError, match=words):
+            dataclasses.replace(cat, **change)

@@ -38,7 +38,7 @@ NAMES = {
     "twin_": ("twin_yaw_rate", "twin_surge"),
     "true_": ("true_yaw_rate", "true_surge"),
 }
-"""Entries of an observation that tell the motion, by how those of the path begin."""
+"""Yaw rate and surge of an observation, by the prefix of its entries."""
 
 PATH = (
     *("cross_track", "to_go", "cos_course_error", "sin_course_error"),

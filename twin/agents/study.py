@@ -337,7 +337,7 @@ class _Scores:
         return found
 
     def helps(self) -> list[dict[str, Any]]:
-        """Return by how much less the agents with a twin are off the path than those without."""
+        """Return how much a twin reduces each algorithm's distance from the path."""
         found = []
         for algo in dict.fromkeys(arm[0] for arm in self.settings.arms):
             names = f"{algo}-raw", f"{algo}-twin"

@@ -414,7 +414,7 @@ def _run(run: RunFigure, results: Row, pictures: _Pictures, styles: Styles) -> d
     caption = (
         "Track, and predicted tracks over 10 s from each example (numbered). Axes follow the "
         f"{compared}; a prediction may leave them."
-    )
+    ) + ("" if run.log.datum is None else f" Origin: {run.log.datum}.")
     shown = [pictures.add(track_figure(run, styles), f"{stem}_track", caption)]
     for k, start in enumerate(starts, 1):
         caption = (

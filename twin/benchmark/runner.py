@@ -200,6 +200,7 @@ def run_unit(
         "start_error": float(np.mean(starts)),
         "skipped": skipped,
         "repairs": list(run.reference.notes),
+        "datum": None if run.reference.datum is None else run.reference.datum.to_json(),
     }
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
@@ -424,7 +425,11 @@ def collect(
             name: {"tuning": predictor_class(name).tuning} for name in settings.predictors
         },
         "logs": {
-            result["unit"]["scenario"]: {"repairs": result["repairs"], "skipped": result["skipped"]}
+            result["unit"]["scenario"]: {
+                "repairs": result["repairs"],
+                "skipped": result["skipped"],
+                "datum": result.get("datum"),
+            }
             for result in ordered
             if result["unit"]["log"]
         },
@@ -495,10 +500,13 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
             examples=[
                 Prediction(
                     t0=example["t0"],
-                    **{
-                        name: np.array(example[name])
-                        for name in ("start", "start_cov", "t", "mean", "cov", "low", "high")
-                    },
+                    start=np.array(example["start"]),
+                    start_cov=np.array(example["start_cov"]),
+                    t=np.array(example["t"]),
+                    mean=np.array(example["mean"]),
+                    cov=np.array(example["cov"]),
+                    low=np.array(example["low"]),
+                    high=np.array(example["high"]),
                 )
                 for example in result["examples"]
             ],

@@ -52,7 +52,6 @@ from twin.logs.columns import LogError
 from twin.logs.rosbag import is_bag
 from twin.parallel import check_backend
 from twin.predictors.registry import PREDICTORS, PredictorError
-from twin.sim.recorded import NO_PARTICULARS, lacks_particulars
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP
@@ -215,9 +214,6 @@ def benchmark_command(
         )
     Vessel.load(vessel)
     notes += left_out(settings)
-    notes += tuple(
-        NO_PARTICULARS.format(path) for path in recorded if ship is None and lacks_particulars(path)
-    )
     for line in notes:
         note(line)
     out.mkdir(parents=True, exist_ok=True)

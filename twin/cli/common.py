@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import functools
 import json
 import math
@@ -26,7 +25,7 @@ from twin.model.structure import MODELS
 from twin.parallel import BACKENDS
 from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
+from twin.sim.recorded import particulars_for_log
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError, did_you_mean
 
@@ -82,7 +81,7 @@ ShipOption = Annotated[
         "--ship",
         "--vessel",
         help="Main particulars of the boat: a TOML file, or the name of a vessel. "
-        "Default: the .toml of the log's name beside the log, else usv75.",
+        "Default: the .toml of the log's name beside the log.",
     ),
 ]
 
@@ -145,7 +144,7 @@ def open_log(
     mapping: Path | None = None,
 ) -> tuple[Log, Twin]:
     """Read a log, print what is missing in it, and make a twin for it or load one."""
-    name, found = predictor or DEFAULT, True
+    name = predictor or DEFAULT
     predictor_class(name)
     if model is not None and model not in MODELS:
         raise OptionError(
@@ -155,20 +154,19 @@ def open_log(
     if resume is not None:
         twin = _load_twin(resume, predictor, ship, model)
     else:
-        particulars, found = particulars_for_log(path, ship)
+        particulars = particulars_for_log(path, ship)
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     for line in log.notes:
         note(line)
     log = log.without_truth()
+    twin.locate(log.datum)
     if until is not None:
         if not math.isfinite(until):
             raise TwinError(f"--until {until}: must be a finite time in s")
         log = log.slice(-math.inf, math.nextafter(until, math.inf))
         if len(log) == 0:
             raise TwinError(f"--until {until:g}: the log has no row before it")
-    if not found:
-        note(NO_PARTICULARS.format(path))
     console.print(f"boat: {twin.particulars.name}, {twin.particulars.length:g} m", highlight=False)
     if resume is not None and not math.isnan(twin.t):
         log = log.slice(math.nextafter(twin.t, math.inf), math.inf)
@@ -269,15 +267,6 @@ def radians(degrees: float | None) -> float | None:
 
 
 # files
-def write_csv(path: Path, header: list[str], rows: list[list[float]]) -> None:
-    """Write rows of numbers in full precision."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([[repr(float(v)) for v in row] for row in rows])
-
-
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Write JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=1) + "\n")

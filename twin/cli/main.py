@@ -11,9 +11,11 @@ from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
-from twin.cli.identify import identify_command
-from twin.cli.predict import predict_command
-from twin.cli.replay import replay_command
+from twin.cli.logs.check import log_check_command
+from twin.cli.logs.identify import identify_command
+from twin.cli.logs.mapping import mapping_new_command
+from twin.cli.logs.predict import predict_command
+from twin.cli.logs.replay import replay_command
 from twin.cli.simulate import simulate_command
 from twin.cli.study import study_command
 from twin.cli.train import train_command
@@ -33,6 +35,14 @@ app = typer.Typer(
     help="A digital twin of an unmanned surface vessel. Simulate it, identify it from a log, "
     "and predict where it will be. Benchmark predictors under GPS loss, and validate ship and "
     "sea. Train and evaluate agents that steer, and view boat and twin in the browser.",
+)
+
+log_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Check a log before it is used."
+)
+
+mapping_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Propose a mapping file for a log."
 )
 
 vessel_app = typer.Typer(
@@ -60,9 +70,20 @@ VESSEL_COMMANDS: dict[str, Callable[..., None]] = {
     "mesh": vessel_mesh_command,
 }
 
-for group, commands in ((app, COMMANDS), (vessel_app, VESSEL_COMMANDS)):
+LOG_COMMANDS: dict[str, Callable[..., None]] = {"check": log_check_command}
+
+MAPPING_COMMANDS: dict[str, Callable[..., None]] = {"new": mapping_new_command}
+
+for group, commands in (
+    (app, COMMANDS),
+    (log_app, LOG_COMMANDS),
+    (mapping_app, MAPPING_COMMANDS),
+    (vessel_app, VESSEL_COMMANDS),
+):
     for name, command in commands.items():
         group.command(name)(report_user_errors(command))
+app.add_typer(log_app, name="log")
+app.add_typer(mapping_app, name="mapping")
 app.add_typer(vessel_app, name="vessel")
 
 

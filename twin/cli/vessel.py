@@ -43,7 +43,7 @@ def vessel_check_command(
 def vessel_new_command(
     name: Annotated[str, typer.Option(help="Letters, digits, _ and -.")],
     length: Annotated[float, typer.Option(help="At the waterline, m.")],
-    beam: Annotated[float, typer.Option(help="At the waterline, m.")],
+    beam: Annotated[float, typer.Option(help="At the waterline, over all hulls, m.")],
     draft: Annotated[float, typer.Option(help="Of the hull, m.")],
     mass: Annotated[float, typer.Option(help="kg.")],
     kind: Annotated[
@@ -59,6 +59,14 @@ def vessel_new_command(
     ] = None,
     water_density: Annotated[
         float | None, typer.Option(help="kg/m3. Default: 1025, sea water.")
+    ] = None,
+    hulls: Annotated[int, typer.Option(help="1, or 2 of a catamaran.")] = 1,
+    hull_beam: Annotated[
+        float | None, typer.Option(help="Of each hull of a catamaran at the waterline, m.")
+    ] = None,
+    spacing: Annotated[
+        float | None,
+        typer.Option(help="Between the centre lines of two hulls, m. Default: beam - hull beam."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="File to write. [<name>.toml]")
@@ -81,11 +89,16 @@ def vessel_new_command(
         power=None if power is None else power * 1e3,
         length_overall=length_overall,
         water_density=water_density,
+        hulls=hulls,
+        hull_beam=hull_beam,
+        spacing=spacing,
     )
     first = design(known)
     for line in first.notes:
         note(line)
     write_text(path, first.text)
+    for finding in inspect(first.vessel).errors:
+        note(finding.text)
     guesses, values = len(first.vessel.guesses), len(first.vessel.values) + 2
     console.print(
         f"{path}: {guesses} of {values} entries are estimates; check it with "

@@ -31,7 +31,7 @@ from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PredictorError, predictor_class
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
-from twin.sim.recorded import NO_PARTICULARS, particulars_for_log
+from twin.sim.recorded import particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
@@ -68,7 +68,7 @@ def view_command(
             "--vessel",
             "--ship",
             help=f"The boat: a name ({', '.join(vessel_names())}) or a TOML file; for a log or a "
-            "feed, main particulars will do. Default: the file beside the log, else usv75.",
+            "feed, main particulars will do. Default: the .toml beside the log; of a feed usv75.",
         ),
     ] = None,
     predictor: PredictorOption = DEFAULT,
@@ -189,9 +189,7 @@ def _log_session(
     log = Log.read(path, mapping)
     for line in log.notes:
         note(line)
-    particulars, found = particulars_for_log(path, ship)
-    if not found:
-        note(NO_PARTICULARS.format(path))
+    particulars = particulars_for_log(path, ship)
     check_simulator(predictor, log, particulars)
     return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
 
@@ -200,7 +198,7 @@ def _feed_twin(ship: str | None, predictor: str) -> tuple[Twin, Vessel | None]:
     """Return the twin of a boat that sends its measurements, and the vessel to show."""
     if predictor_class(predictor).needs_simulator:
         raise PredictorError(f"predictor {predictor!r}: the sea of a real boat is not known to it")
-    particulars = particulars_for_log(Path("feed"), ship or "usv75")[0]
+    particulars = particulars_for_log(Path("feed"), ship or "usv75")
     if ship is None:
         particulars = dataclasses.replace(particulars, design="")
         note("the boat is taken to be the usv75; --vessel names another")

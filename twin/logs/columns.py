@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
 from usv_kernel.errors import UsvTwinError
+
+if TYPE_CHECKING:
+    from twin.logs.datum import Plane
 
 __all__ = [
     "OTHER_UNITS",
@@ -67,6 +71,9 @@ class Entry:
     topic: str = ""  # of the messages; empty for a file of columns
     note: str = ""  # for the user
     clock: bool = False  # whether the source is a date and time, not a number
+    format: str = ""  # of that date, as %d/%m/%Y %H:%M:%S; empty for ISO 8601
+    # takes what convert takes, returns the plane on which it puts positions, if any
+    plane: Callable[[Sequence[Array]], Plane | None] | None = None
 
     def columns(self, values: Sequence[Array]) -> dict[str, Array]:
         """Return the log's columns from the sources' values, each of shape (N,)."""

@@ -13,11 +13,11 @@ Source: the README of each folder.
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from pathlib import Path
 
+from twin.logs.columns import LogError
 from twin.logs.log import Log, recorded_runs, sibling_path
+from twin.logs.readers import CsvFile, ParquetFile
 from twin.particulars import Instruments, Particulars
 from usv_kernel.errors import UsvTwinError
 
@@ -180,11 +180,10 @@ def _folder_of(path: Path) -> str | None:
 
 
 def _header(path: Path) -> set[str]:
-    """Return the columns of a compressed table; none if it cannot be read."""
+    """Return the columns of a table, compressed or not; none if it cannot be read."""
     try:
-        with gzip.open(path, "rt", encoding="utf-8") as file:
-            return set(file.readline(10_000).strip().split(","))
-    except (OSError, EOFError, UnicodeDecodeError, zlib.error):
+        return set((ParquetFile if path.suffix == ".parquet" else CsvFile)(path).header)
+    except LogError:
         return set()
 
 

@@ -28,8 +28,18 @@ from twin.logs.checks import (
     held_command,
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry, LogError
+from twin.logs.datum import DATUM, FIXES, Datum, Plane
 from twin.logs.mapping import Layout, layout_of
-from twin.logs.readers import CsvFile, ParquetFile, Table, gathered, merged, name_of, shorten
+from twin.logs.readers import (
+    CsvFile,
+    ParquetFile,
+    Table,
+    date_of,
+    gathered,
+    merged,
+    name_of,
+    shorten,
+)
 from twin.logs.rosbag import is_bag, read_bag
 
 __all__ = [
@@ -37,7 +47,7 @@ __all__ = [
     "recorded_runs",
 ]
 
-_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *SINGLE, *OTHER_UNITS)
+_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *SINGLE, *OTHER_UNITS, *DATUM)
 
 # Names that other projects use, and that no spelling distance would find.
 _ALIASES = {
@@ -66,6 +76,10 @@ _ALIASES = {
 }
 
 
+_UNIX = 1e9, 4e9
+"""Times between these are seconds since 1970: September 2001 to 2096."""
+
+
 @dataclass(frozen=True, eq=False)
 class Log:
     """A recorded or simulated run of N rows.
@@ -87,6 +101,8 @@ class Log:
         For tables and pictures.
     notes : tuple of str
         What was missing, converted or repaired when the log was read.
+    datum : Datum or None
+        Latitude, longitude and date of its origin, where they are known.
     """
 
     t: Array
@@ -95,6 +111,7 @@ class Log:
     truth: Array | None = None
     name: str = "log"
     notes: tuple[str, ...] = ()
+    datum: Datum | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays of a wrong shape, of infinite values, or of a time that stands still."""
@@ -169,8 +186,9 @@ class Log:
         Notes
         -----
         NaN becomes an empty cell; each number is written with the digits that give the
-        same float64 back. :meth:`read` returns the same arrays, save for what it would
-        repair or refuse in any file (repeated fixes, a column that never changes).
+        same float64 back. The datum stands in columns of one value each. :meth:`read` returns the
+        same arrays, save for what it would repair or refuse in any file (repeated fixes, a column
+        that never changes).
         """
         import polars as pl
 
@@ -179,6 +197,8 @@ class Log:
         columns.update(zip(MEASUREMENTS, self.z.T, strict=True))
         if self.truth is not None:
             columns.update(zip(TRUTH, self.truth.T, strict=True))
+        if self.datum is not None:
+            columns.update(self.datum.columns(len(self)))
         frame = pl.DataFrame(columns).fill_nan(None)
         path = Path(path)
         if path.suffix == ".parquet":
@@ -235,18 +255,41 @@ class Log:
         - An empty command holds the last one.
         - Blank lines are left out.
         """
-        path = Path(path)
-        mapping = mapping_of(path, mapping)
-        layout = None if mapping is None else Layout.load(mapping)
-        if is_bag(path):
-            table = read_bag(path, layout)
-            _require(table.source, table.data, "name them in the mapping")
-            return _assemble(table)
-        file = ParquetFile(path) if path.suffix == ".parquet" else CsvFile(path)
-        entries, left, layout = _chosen(file, layout)
-        table = gathered(file, entries, layout)
-        table.notes += left
-        return _assemble(table)
+        table = read_table(path, mapping)
+        if table.lacking:
+            raise LogError(table.lacking)
+        return assemble(table)
+
+
+def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
+    """Return the columns of a log as its file has them, before any check or repair.
+
+    Parameters
+    ----------
+    path, mapping
+        As for :meth:`Log.read`.
+
+    Raises
+    ------
+    LogError
+        Where the file cannot be read, or has no time. Other columns may be missing:
+        ``lacking`` says which.
+    """
+    path = Path(path)
+    mapping = mapping_of(path, mapping)
+    layout = None if mapping is None else Layout.load(mapping)
+    if is_bag(path):
+        table = read_bag(path, layout)
+        table.lacking = _lacking(table.source, table.data, "name them in the mapping")
+        return table
+    file = ParquetFile(path) if path.suffix == ".parquet" else CsvFile(path)
+    entries, left, layout, lacking = _chosen(file, layout)
+    if not any(TIME in entry.names for entry in entries):
+        raise LogError(lacking)
+    table = gathered(file, entries, layout)
+    table.notes += left
+    table.lacking = lacking
+    return table
 
 
 def sibling_path(path: str | Path, suffix: str) -> Path:
@@ -284,17 +327,16 @@ def recorded_runs() -> dict[str, Path]:
     return {path.name.removesuffix(".csv.gz"): path for path in sorted(folder.glob("*.csv.gz"))}
 
 
-def _require(source: str, names: Collection[str], remedy: str) -> None:
-    """Refuse a table without the columns that each log needs."""
+def _lacking(source: str, names: Collection[str], remedy: str) -> str:
+    """Return which columns that each log needs a table has not, and the remedy; empty if none."""
     missing = [name for name in REQUIRED if name not in names]
-    if missing:
-        raise LogError(f"{source}: column(s) {', '.join(missing)} missing; {remedy}")
+    return f"{source}: column(s) {', '.join(missing)} missing; {remedy}" if missing else ""
 
 
 def _chosen(
     file: CsvFile | ParquetFile, layout: Layout | None
-) -> tuple[list[Entry], list[str], Layout]:
-    """Return how to make a log of a file's columns, what is left out, and the mapping."""
+) -> tuple[list[Entry], list[str], Layout, str]:
+    """Return how to make a log of a file's columns, what is left out, the mapping, what lacks."""
     source, header = file.source, file.header
     first = "the header" if isinstance(file, ParquetFile) else f"line {file.blank + 1}"
     if layout is None and not {"gps_x_m", "gps_y_m"} <= set(header):
@@ -334,7 +376,11 @@ def _chosen(
         if header.count(given) > 1:
             raise LogError(f"{source}: column {given} stands twice in {first}; remove one")
     left = [given for given in header if given not in used]
-    absent = [name for name in _KNOWN if OTHER_UNITS.get(name, (name, 1.0))[0] not in made]
+    absent = [
+        name
+        for name in _KNOWN
+        if name not in DATUM and OTHER_UNITS.get(name, (name, 1.0))[0] not in made
+    ]
     hints = {given: hint for given in left if (hint := _meant(given, absent))}
     remedy = [
         f"rename {given} to {hint}"
@@ -342,16 +388,17 @@ def _chosen(
         if OTHER_UNITS.get(hint, (hint, 1.0))[0] in REQUIRED
     ]
     remedy = remedy or ["add them to the file"]
-    _require(source, made, f"{'; '.join(remedy)}, or name them in a mapping file {there}")
+    remedy_text = f"{'; '.join(remedy)}, or name them in a mapping file {there}"
+    lacking = _lacking(source, made, remedy_text)
     if layout.entries:
         notes = [f"{len(left)} column(s) not in {layout.source}: {', '.join(left)}"] if left else []
-        return entries, notes, layout
+        return entries, notes, layout, lacking
     notes = [
         f"{given or '(no name)'}: unknown column, left out"
         + (f"; if it is {hints[given]}, rename it" if given in hints else "")
         for given in left
     ]
-    return entries, notes, layout
+    return entries, notes, layout, lacking
 
 
 def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:
@@ -364,8 +411,19 @@ def _own(given: str, name: str, names: tuple[str, ...], factor: float) -> Entry:
     return Entry(names, (given,), lambda values: [values[0] * factor] * len(names), note=note)
 
 
-def _assemble(table: Table) -> Log:
-    """Check and repair the columns of a table and make a log of them."""
+def assemble(table: Table) -> Log:
+    """Check and repair the columns of a table and make a log of them.
+
+    Parameters
+    ----------
+    table : Table
+        From :func:`read_table`; its ``notes`` grow.
+
+    Raises
+    ------
+    LogError
+        Where they cannot be used.
+    """
     notes = table.notes
     _merge_equal_times(table)
     names = table.data
@@ -410,7 +468,19 @@ def _assemble(table: Table) -> Log:
         absent = [name for name in TRUTH if name not in names]
         if absent:
             notes.append(f"{', '.join(absent)}: not in the file, this part of the truth is unknown")
-    return Log(t, z, cmd, truth, table.name, tuple(notes))
+    datum = Datum.from_columns(names, table.source)
+    if table.epoch is None and _UNIX[0] <= t[0] < _UNIX[1]:
+        table.epoch = 0.0
+        notes.append(f"t_s: seconds since 1970, from {date_of(float(t[0]))}")
+    given = datum or Datum()
+    plane = given.plane or table.plane
+    if plane is None and all(name in names for name in FIXES):
+        fixes = names[FIXES[0]], names[FIXES[1]]
+        plane = Plane.through(fixes, (z[:, 0], z[:, 1]), table.source)
+    if plane is not None or table.epoch is not None or datum is not None:
+        epoch = table.epoch if given.epoch is None else given.epoch
+        datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
+    return Log(t, z, cmd, truth, table.name, tuple(notes), datum)
 
 
 def _merge_equal_times(table: Table) -> None:

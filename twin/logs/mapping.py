@@ -3,7 +3,8 @@
 A mapping is a TOML file. For a CSV or Parquet file with columns of other names::
 
     [columns]                                       # log column = column of the file
-    t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times
+    t_s = { from = "time", unit = "ms" }            # or unit = "datetime" for dates and times,
+                                                    # format = "%d/%m/%Y %I:%M:%S %p" unless ISO
     n_rps = { from = "shaft", unit = "rpm" }        # one propeller: put on both sides
     delta_rad = { from = "rudder", unit = "deg", scale = -1.0 }
     wind_mps = { from = "TWS", unit = "kn", offset = 0.0 }
@@ -13,6 +14,10 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     latitude = "lat"
     longitude = "lon"
     datum = [38.86580, 121.53438]                   # left out: the first fix
+
+    [datum]                                         # positions in metres: where that was
+    latitude = "lat"
+    longitude = "lon"
 
     [velocity]                                      # speed and course over ground
     speed = { from = "SOG", unit = "kn" }
@@ -42,12 +47,12 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
+from twin.logs.datum import FIXES, Datum, Plane
 
 __all__ = [
     "LAYOUTS",
     "Layout",
     "layout_of",
-    "radii",
 ]
 
 if sys.version_info >= (3, 11):
@@ -57,7 +62,7 @@ else:
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
 
-_TABLES = ("columns", "position", "velocity", "heading", "rows")
+_TABLES = ("columns", "position", "velocity", "heading", "datum", "rows")
 
 _ENU = {
     # angles turn the other way and begin at east; y of the body points to port
@@ -65,9 +70,6 @@ _ENU = {
     **dict.fromkeys(("gyro_radps", "true_r_radps", "accel_y_mps2", "true_v_mps"), (-1.0, 0.0)),
     **dict.fromkeys(("accel_x_mps2", "true_u_mps"), (1.0, 0.0)),
 }
-
-_WGS84 = 6378137.0, 0.0066943799901413165
-"""Equatorial radius, m, and squared eccentricity of the Earth. Source: WGS 84."""
 
 _FAR = 1e5
 """Farther from the middle fix than this, m, the first one is no datum."""
@@ -171,6 +173,7 @@ class _Parser:
             for name, given in self.known("[columns]", data.get("columns", {}), _COLUMNS).items()
         ]
         makers = {"position": self.position, "velocity": self.velocity, "heading": self.heading}
+        makers["datum"] = self.datum
         entries += [make(data[key]) for key, make in makers.items() if key in data]
         names = [name for entry in entries for name in entry.names]
         for name in names:
@@ -209,12 +212,17 @@ class _Parser:
             value = self.number(name, given)
             return Entry(names, (), lambda _: [np.array(value)] * len(names))
         unit = name.rpartition("_")[2]
-        topic, source, factor, offset, table = self.source_of(name, given, unit, ("frame",))
+        topic, source, factor, offset, table = self.source_of(
+            name, given, unit, ("frame", "format")
+        )
         if name == TIME and topic:
             raise self.fail(name, "a message has its own time; choose it with stamp = ...")
         clock = table.get("unit") == "datetime"
         if clock and name != TIME:
             raise self.fail(name, "only t_s may be a datetime")
+        form = self.text(name, table, "format", "")
+        if form and not clock:
+            raise self.fail(name, 'format is for unit = "datetime"')
         frame = table.get("frame", "ned")
         if frame != "ned":
             if frame != "enu" or name not in _ENU:
@@ -234,6 +242,7 @@ class _Parser:
             topic,
             f"{both}: from {what}" + _conversion(factor, offset),
             clock,
+            form,
         )
 
     def position(self, given: Any) -> Entry:
@@ -244,16 +253,24 @@ class _Parser:
             if not isinstance(datum, list) or len(datum) != 2:
                 raise self.fail("[position] datum", "must be [latitude, longitude] in degrees")
             datum = tuple(self.number("[position] datum", value) for value in datum)
+            Datum(latitude=datum[0], longitude=datum[1])  # refuses what is no place on Earth
+        position = _Position(None if datum is None else Plane(*datum), self.source)
         names = [self.text("[position]", table, key, key) for key in ("latitude", "longitude")]
         topic = self.text("[position]", table, "topic", "")
         return Entry(
             ("gps_x_m", "gps_y_m"),
             (*names, *(("status.status?",) if topic else ())),
-            _projection(datum, self.source),
+            position,
             topic,
             "gps_x_m, gps_y_m: metres north and east of "
             + (f"latitude {datum[0]}, longitude {datum[1]}" if datum else "the first fix"),
+            plane=position.plane,
         )
+
+    def datum(self, given: Any) -> Entry:
+        table = self.known("[datum]", given, ("latitude", "longitude"))
+        names = [self.text("[datum]", table, key, key) for key in ("latitude", "longitude")]
+        return Entry(FIXES, tuple(names), lambda fixes: [*_fixes(fixes)])
 
     def text(self, where: str, table: Mapping[str, Any], key: str, default: str) -> str:
         value = table.get(key, default)
@@ -313,46 +330,51 @@ def _linear(
     return lambda values: [values[0] * factor + offset] * count
 
 
-def radii(latitude: float) -> tuple[float, float]:
-    """Return metres north per radian of latitude, and metres east per radian of longitude.
+@dataclass(frozen=True)
+class _Position:
+    """The conversion of latitude and longitude, degrees, to metres north and east."""
 
-    Source: radii of curvature of the ellipsoid, Torge and Mueller 2012, Geodesy, section 4.1.
-    """
-    a, e2 = _WGS84
-    phi = math.radians(latitude)
-    w = math.sqrt(1.0 - e2 * math.sin(phi) ** 2)
-    return a * (1.0 - e2) / w**3, a / w * math.cos(phi)
+    datum: Plane | None
+    source: str
 
-
-def _projection(
-    datum: tuple[float, ...] | None, source: str
-) -> Callable[[Sequence[Array]], Sequence[Array]]:
-    """Return the conversion of latitude and longitude, degrees, to metres north and east."""
-
-    def convert(values: Sequence[Array]) -> list[Array]:
-        latitude, longitude = (value.copy() for value in values[:2])
-        # 0, 0 and a status below 0 are a receiver without a fix
-        none = (latitude == 0.0) & (longitude == 0.0)
-        none |= ~(np.abs(latitude) <= 90.0) | ~(np.abs(longitude) <= 360.0)
-        if len(values) > 2:
-            none |= values[2] < 0.0
-        latitude[none], longitude[none] = np.nan, np.nan
-        if none.all():
-            return [latitude, longitude]
-        first = int(np.argmin(none))
-        lat0, lon0 = (latitude[first], longitude[first]) if datum is None else datum
-        to_north, to_east = radii(lat0)
-        north = np.radians(latitude - lat0) * to_north
-        east = np.remainder(longitude - lon0 + 180.0, 360.0) - 180.0
-        east = np.radians(east) * to_east
-        if datum is None and math.hypot(np.nanmedian(north), np.nanmedian(east)) > _FAR:
+    def __call__(self, values: Sequence[Array]) -> list[Array]:
+        beyond = np.abs(values[0]) > 90.0
+        if beyond.mean() > 0.5 and not (np.abs(values[1]) > 90.0).any():
             raise LogError(
-                f"{source}: [position]: the first fix, {lat0:.6g}, {lon0:.6g}, is more than "
-                f"{_FAR / 1e3:g} km off the others; state a datum = [latitude, longitude]"
+                f"{self.source}: [position]: latitudes of up to {np.nanmax(np.abs(values[0])):.4g} "
+                "degrees: latitude and longitude are swapped; exchange the two columns"
             )
-        return [north, east]
+        latitude, longitude = _fixes(values)
+        plane = self.plane(values)
+        return [latitude, longitude] if plane is None else [*plane.metres(latitude, longitude)]
 
-    return convert
+    def plane(self, values: Sequence[Array]) -> Plane | None:
+        """Return the plane of the datum, else that of the first fix, if there is one."""
+        latitude, longitude = _fixes(values)
+        if self.datum is not None or np.isnan(latitude).all():
+            return self.datum
+        first = int(np.argmin(np.isnan(latitude)))
+        plane = Plane(float(latitude[first]), float(longitude[first]))
+        north, east = plane.metres(latitude, longitude)
+        if math.hypot(np.nanmedian(north), np.nanmedian(east)) > _FAR:
+            raise LogError(
+                f"{self.source}: [position]: the first fix, {plane.latitude:.6g}, "
+                f"{plane.longitude:.6g}, is more than {_FAR / 1e3:g} km off the others; state a "
+                "datum = [latitude, longitude]"
+            )
+        return plane
+
+
+def _fixes(values: Sequence[Array]) -> tuple[Array, Array]:
+    """Return latitude and longitude, NaN where the receiver has no fix."""
+    latitude, longitude = (value.copy() for value in values[:2])
+    # 0, 0 and a status below 0 are a receiver without a fix
+    none = (latitude == 0.0) & (longitude == 0.0)
+    none |= ~(np.abs(latitude) <= 90.0) | ~(np.abs(longitude) <= 360.0)
+    if len(values) > 2:
+        none |= values[2] < 0.0
+    latitude[none], longitude[none] = np.nan, np.nan
+    return latitude, longitude
 
 
 def _yaw(enu: bool, offset: float) -> Callable[[Sequence[Array]], Sequence[Array]]:

@@ -16,13 +16,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME
 from twin.logs.columns import Array, Entry, LogError
+from twin.logs.datum import Plane
 from twin.logs.mapping import Layout
 
 if TYPE_CHECKING:
@@ -30,11 +31,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAX_ROWS",
+    "Clock",
     "CsvFile",
     "ParquetFile",
     "Table",
     "cannot_be_read",
     "date_of",
+    "dates",
     "gathered",
     "merged",
     "name_of",
@@ -68,6 +71,10 @@ class Table:
     given: dict[str, str]  # what the file calls them
     line: Callable[[int], str]  # returns the place of a row in the file, for messages
     notes: list[str] = field(default_factory=list)  # what was done so far
+    # on which positions are measured, where the file has latitude and longitude
+    plane: Plane | None = None
+    epoch: float | None = None  # time of t = 0, s since 1970, where the file has dates or stamps
+    lacking: str = ""  # which columns that each log needs are not there, and the remedy
 
 
 def name_of(path: Path) -> str:
@@ -138,7 +145,7 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     """
     sources = list(dict.fromkeys(source for entry in entries for source in entry.sources))
     timed = next(entry for entry in entries if TIME in entry.names)
-    clock = timed.sources[0] if timed.clock else ""
+    clock = Clock(timed.sources[0] if timed.clock else "", timed.format)
     parts: list[dict[str, Array]] = []
     rows = read = void = 0
     epoch = math.nan
@@ -167,8 +174,11 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     if epoch == epoch:
         notes.append(f"t_s: counted from {date_of(epoch)}")
     data = {}
+    plane = None
     for entry in entries:
-        made = entry.columns([raw[source] for source in entry.sources])
+        values = [raw[source] for source in entry.sources]
+        plane = entry.plane(values) if entry.plane is not None else plane
+        made = entry.columns(values)
         data.update({key: np.broadcast_to(value, place.shape) for key, value in made.items()})
     given = {name: " and ".join(entry.sources) for entry in entries for name in entry.names}
     notes += [entry.note for entry in entries if entry.note]
@@ -176,11 +186,19 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
     def line(row: int) -> str:
         return f"{file.unit} {int(place[row])}"
 
-    return Table(file.source, name_of(Path(file.source)), data, given, line, notes)
+    known = None if math.isnan(epoch) else epoch
+    return Table(file.source, name_of(Path(file.source)), data, given, line, notes, plane, known)
 
 
 def _only(timed: Entry, data: Mapping[str, Array]) -> Array:
     return timed.columns([data[timed.sources[0]]])[TIME]
+
+
+class Clock(NamedTuple):
+    """The column that holds dates, if any, and their format; empty for ISO 8601."""
+
+    column: str
+    format: str = ""
 
 
 _Block = tuple[Array, dict[str, Array], set[str]]
@@ -188,7 +206,7 @@ _Block = tuple[Array, dict[str, Array], set[str]]
 
 
 def _numbers(
-    frame: pl.DataFrame, clock: str, lines: Array, source: str, unit: str
+    frame: pl.DataFrame, clock: Clock, lines: Array, source: str, unit: str
 ) -> tuple[dict[str, Array], set[str]]:
     """Return the columns as float64, dates as seconds since 1970; refuse any other text."""
     import polars as pl
@@ -200,12 +218,16 @@ def _numbers(
         values = frame[name]
         if kind == pl.String:
             text = values.str.strip_chars()
-            values = _dates(text) if name == clock else text.cast(pl.Float64, strict=False)
+            values = (
+                dates(text, clock.format)
+                if name == clock.column
+                else text.cast(pl.Float64, strict=False)
+            )
             bad = values.is_null() & text.is_not_null() & (text != "") & ~text.is_in(_EMPTY)
             row = bad.arg_max() if bad.any() else None
             if row is not None and (wrong is None or row < wrong[0]):
                 wrong = row, name
-            dated |= {name} & {clock}
+            dated |= {name} & {clock.column}
         elif kind in (pl.Datetime, pl.Date):
             values = values.cast(pl.Datetime("us")).dt.epoch("us").cast(pl.Float64) * 1e-6
             dated.add(name)
@@ -217,7 +239,7 @@ def _numbers(
         columns[name] = numbers.to_numpy().astype(np.float64, copy=False)
     if wrong is not None:
         row, name = wrong
-        what = "date and time" if name == clock else "number"
+        what = "date and time" if name == clock.column else "number"
         raise LogError(
             f"{source}: column {name}, {unit} {int(lines[row])}: {shorten(frame[name][row])!r} is "
             f"not a {what}; correct it, or leave the cell empty where there is no value"
@@ -225,11 +247,26 @@ def _numbers(
     return columns, dated
 
 
-def _dates(text: pl.Series) -> pl.Series:
+def dates(text: pl.Series, form: str = "") -> pl.Series:
+    """Return dates as seconds since 1970, those without a zone as UTC; null for any other text.
+
+    Parameters
+    ----------
+    text : Series of str
+        Dates and times.
+    form : str
+        Their format in chrono's letters; empty for ISO 8601. One without a day counts from
+        midnight.
+    """
     import polars as pl
 
+    if form and "%d" not in form and "%j" not in form:
+        text, form = "1970-01-01 " + text, f"%Y-%m-%d {form}"
     try:
-        date = text.str.to_datetime(time_unit="us", time_zone="UTC", strict=False)
+        if form and not any(zone in form for zone in ("%z", "%:z", "%#z")):
+            date = text.str.to_datetime(form, time_unit="us", strict=False)
+        else:
+            date = text.str.to_datetime(form or None, time_unit="us", time_zone="UTC", strict=False)
     except pl.exceptions.PolarsError:
         return pl.Series([None] * len(text), dtype=pl.Float64)
     return date.dt.epoch("us").cast(pl.Float64) * 1e-6
@@ -272,7 +309,7 @@ class CsvFile:
         except OSError as error:
             raise cannot_be_read(self.path, error) from None
 
-    def blocks(self, sources: Sequence[str], clock: str) -> Iterator[_Block]:
+    def blocks(self, sources: Sequence[str], clock: Clock) -> Iterator[_Block]:
         """Yield the columns named, in pieces of whole lines; ``clock`` holds dates, if any."""
         wanted = [j for j, name in enumerate(self.header) if name in sources]
         first = self.blank + 2
@@ -285,7 +322,7 @@ class CsvFile:
                 yield lines, *_numbers(frame, clock, lines, self.source, self.unit)
                 first += text.count(b"\n")
 
-    def _parsed(self, text: bytes, first: int, wanted: list[int], clock: str) -> pl.DataFrame:
+    def _parsed(self, text: bytes, first: int, wanted: list[int], clock: Clock) -> pl.DataFrame:
         """Return the wanted columns of some lines: as numbers if all are, else as text."""
         import polars as pl
 
@@ -294,7 +331,7 @@ class CsvFile:
 
         def read(numbers: bool) -> pl.DataFrame:
             kinds = [
-                pl.Float64 if numbers and j in wanted and name != clock else pl.String
+                pl.Float64 if numbers and j in wanted and name != clock.column else pl.String
                 for j, name in enumerate(self.header)
             ]
             frame = pl.read_csv(
@@ -431,7 +468,7 @@ class ParquetFile:
                 f"{self.path}: the Parquet file is damaged or cut off ({reason}); copy it again"
             ) from None
 
-    def blocks(self, sources: Sequence[str], clock: str) -> Iterator[_Block]:
+    def blocks(self, sources: Sequence[str], clock: Clock) -> Iterator[_Block]:
         """Yield the columns named, in pieces; see :meth:`CsvFile.blocks`."""
         for first in range(0, max(self.rows, 1), _BLOCK_ROWS):
             with self._whole():

@@ -209,6 +209,7 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
     stamps = np.unique(np.concatenate([*times.values(), np.zeros(0, np.int64)]))
     rows = len(stamps)
     data: dict[str, Array] = {TIME: (stamps - stamps[:1]) * 1e-9}
+    plane = None
     for name, topic in topics.items():
         at = np.searchsorted(stamps, times[name])
         double = len(at) - len(np.unique(at))
@@ -217,9 +218,9 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
         values = np.array(topic.values).reshape(len(at), len(topic.fields))
         for entry in layout.entries:
             if entry.topic == name:
-                made = entry.columns(
-                    [values[:, topic.fields.index(source)] for source in entry.sources]
-                )
+                given = [values[:, topic.fields.index(source)] for source in entry.sources]
+                plane = entry.plane(given) if entry.plane is not None else plane
+                made = entry.columns(given)
                 for key, column in made.items():
                     data[key] = np.full(rows, np.nan)
                     data[key][at] = column
@@ -236,9 +237,17 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
     data = thinned(data[TIME], data, layout)
     notes += said(layout, before, len(data[TIME]))
     notes += [entry.note for entry in layout.entries if entry.note]
-    given = {name: name for name in data}
     t = data[TIME]
-    return Table(str(path), name_of(path), data, given, lambda row: f"t = {t[row]:.6g} s", notes)
+    return Table(
+        str(path),
+        name_of(path),
+        data,
+        {name: name for name in data},
+        lambda row: f"t = {t[row]:.6g} s",
+        notes,
+        plane,
+        float(stamps[0]) * 1e-9 if rows else None,
+    )
 
 
 def _commanded(data: dict[str, Array], notes: list[str]) -> dict[str, Array]:

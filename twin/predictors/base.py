@@ -16,8 +16,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import STATE, TIME
 from twin.checkpoint import State, restore_attributes, saved_attributes
 from twin.identification.identifiability import Identifiability
+from twin.logs.datum import Datum
+from twin.logs.tables import StateTable
 from twin.particulars import Particulars
 
 __all__ = [
@@ -94,6 +97,25 @@ class Prediction:
     def sd(self) -> Array:
         """Standard deviations, shape (K, 6)."""
         return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=1, axis2=2), 0.0))
+
+    def table(self, datum: Datum | None = None) -> StateTable:
+        """Return the forecast as a structured array, with ``to_pandas()`` and ``write(path)``.
+
+        Its columns are ``t_s``; date, latitude and longitude where the datum has them; the means
+        by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and ``high_``.
+
+        Parameters
+        ----------
+        datum : Datum, optional
+            Where and when t = x = y = 0 is: ``twin.datum`` or ``log.datum``.
+        """
+        parts = {"": self.mean, "sd_": self.sd, "low_": self.low, "high_": self.high}
+        columns = {
+            f"{kind}{name}": part[:, k]
+            for kind, part in parts.items()
+            for k, name in enumerate(STATE)
+        }
+        return StateTable.of({TIME: self.t, **columns}, datum)
 
     def at(self, horizons: Array) -> tuple[Array, Array]:
         """Return mean (h, 6) and covariance (h, 6, 6) at times after t0, interpolated.
@@ -189,6 +211,12 @@ class Predictor(ABC):
             cov[..., i, i] += self.particulars.instruments.gps_bias_sd**2
         return cov
 
+    def add_common_error(self, variance: Array) -> None:
+        """Add what :meth:`with_common_error` does, to variances (6 + p,), state first."""
+        common = self.particulars.instruments.gps_bias_sd**2
+        variance[0] += common
+        variance[1] += common
+
     @abstractmethod
     def reset(self) -> None:
         """Return to the state before the first row."""
@@ -216,6 +244,19 @@ class Predictor(ABC):
     @abstractmethod
     def estimate(self) -> Estimate:
         """Return the estimate after the last row."""
+
+    def write_moments(self, mean: Array, variance: Array) -> bool:
+        """Write :meth:`estimate` into arrays, state before parameters; return whether it is ready.
+
+        Parameters
+        ----------
+        mean, variance : ndarray, shape (6 + p,)
+            Written to.
+        """
+        now = self.estimate()
+        mean[:] = np.concatenate([now.state, now.params])
+        variance[:] = np.concatenate([now.sd, now.params_sd]) ** 2
+        return now.ready
 
     @property
     def window_s(self) -> float:

@@ -226,7 +226,7 @@ def _take_segments(rows, window, selector, segments, config, model, work):
 
 @kernel
 def take_segments(memory, config, work):
-    """Take the segments that are over into the window; return how many starts were tried."""
+    """Do :func:`_take_segments` on flat memory, for Python."""
     p = config.model.which.shape[1]
     given = refit_config(config.refit, p)
     selector = selector_state(memory.selector, p, given.steps, given.spacing)

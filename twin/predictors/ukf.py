@@ -308,12 +308,17 @@ class ModelPredictor(Predictor):
 
     def estimate(self) -> Estimate:
         """Return state and parameters as estimated now."""
-        x, P = self.ukf.x.copy(), self.ukf.P
-        state = self.with_common_error(P[:N_STATES, :N_STATES])
-        sd, params_sd = (
-            np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (state, P[N_STATES:, N_STATES:])
-        )
-        return Estimate(self.t, x[:N_STATES], sd, x[N_STATES:], params_sd, self.ready)
+        x, sd = np.empty((2, len(self.ukf.x)))
+        ready = self.write_moments(x, sd)
+        np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
+        return Estimate(self.t, x[:N_STATES], sd[:N_STATES], x[N_STATES:], sd[N_STATES:], ready)
+
+    def write_moments(self, mean: Array, variance: Array) -> bool:
+        """See :meth:`twin.predictors.base.Predictor.write_moments`."""
+        mean[:] = self.ukf.x
+        variance[:] = self.ukf.P.diagonal()
+        self.add_common_error(variance)
+        return self.ready
 
     def identifiability(self) -> Identifiability:
         """Return what the data so far say of the parameters."""
@@ -461,6 +466,11 @@ class UKFPredictor(ModelPredictor):
         it lasts and grows.
         """
         return super().with_common_error(cov) + self.P_nav[:N_STATES, :N_STATES]
+
+    def add_common_error(self, variance: Array) -> None:
+        """See :meth:`twin.predictors.base.Predictor.add_common_error`."""
+        super().add_common_error(variance)
+        variance[:N_STATES] += self.P_nav.diagonal()[:N_STATES]
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""

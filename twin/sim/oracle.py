@@ -210,7 +210,7 @@ class Oracle(HistoryPredictor):
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`.
 
-        Those from the moments of the last call are taken from there: the ship does not change.
+        Paths of moments that the last call had are reused: the ship does not change.
         """
         asked = np.concatenate([rows[origins, 10:], plans.reshape(len(plans), -1)], axis=1)
         known, paths = self._known

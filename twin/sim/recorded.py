@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 from twin.logs import datasets as archive
 from twin.logs.log import Log, sibling_path
-from twin.particulars import Particulars
+from twin.particulars import Particulars, ParticularsError
 from twin.sim.bridge import particulars_of
-from usv_gym.vessel.vessel import Vessel
+from usv_gym.vessel.vessel import Vessel, vessel_names
 
 __all__ = [
-    "lacks_particulars",
+    "has_particulars",
     "particulars_for_log",
     "read_run",
 ]
@@ -30,37 +29,43 @@ def read_run(
 
     See :func:`particulars_for_log` and ``Log.read``.
     """
-    return Log.read(path, mapping), particulars_for_log(path, ship)[0]
+    return Log.read(path, mapping), particulars_for_log(path, ship)
 
 
-NO_PARTICULARS = "{}: no particulars beside it, taken to be the usv75; --ship FILE names a boat"
-"""Said where :func:`particulars_for_log` found none."""
+def has_particulars(path: str | Path) -> bool:
+    """Return whether a log states its boat: in a file next to it, or as a run of an archive."""
+    return sibling_path(path, ".toml").exists() or archive.known(path)
 
 
-def lacks_particulars(path: str) -> bool:
-    """Return whether a log has no particulars of its boat."""
-    return not (sibling_path(path, ".toml").exists() or archive.known(path))
-
-
-def particulars_for_log(path: str | Path, ship: str | None = None) -> tuple[Particulars, bool]:
-    """Return the particulars for a log, and whether any were given for it.
+def particulars_for_log(path: str | Path, ship: str | None = None) -> Particulars:
+    """Return the particulars for a log.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
-    archive's boat, else the usv75's without its class. ``ship`` is a TOML file of particulars, of
-    one boat or of several (``[[ship]]``, see :meth:`twin.particulars.Particulars.load`), or the
-    name or file of a vessel of ``usv_gym``. ParticularsError, VesselError: file and remedy.
+    archive's boat. ``ship`` is a TOML file of particulars, of one boat or of several (``[[ship]]``,
+    see :meth:`twin.particulars.Particulars.load`), or the name or file of a vessel of ``usv_gym``;
+    ``<log>.toml`` may be a vessel file as well. ParticularsError, VesselError: file and remedy; a
+    log without particulars is such an error.
     """
-    if ship is None:
-        file = sibling_path(path, ".toml")
-        if file.exists():
-            return Particulars.load(file), True
-        if archive.known(path):
-            return archive.ship(path), True
-        return dataclasses.replace(particulars_of(Vessel.load("usv75")), design=""), False
+    file = sibling_path(path, ".toml")
+    if ship is None and not has_particulars(path):
+        names = ", ".join(vessel_names())
+        raise ParticularsError(_NO_PARTICULARS.format(path=path, file=file, names=names))
+    if ship is None and not file.exists():
+        return archive.ship(path)
+    ship = str(file) if ship is None else ship
     text = _text(ship) if Path(ship).suffix == ".toml" else ""
     if "[[ship]]" in text or ("[particulars]" in text and "[hull]" not in text):
-        return Particulars.load(ship, log=path), True
-    return particulars_of(Vessel.load(ship)), True
+        return Particulars.load(ship, log=path)
+    if ship == str(file) and "[hull]" not in text:
+        return Particulars.load(ship)  # says which tables are missing
+    return particulars_of(Vessel.load(ship))
+
+
+_NO_PARTICULARS = (
+    "{path}: no particulars of the boat; write [particulars] into {file} (usv-twin vessel new "
+    "--name BOAT --length M --beam M --draft M --mass KG --kind KIND --out {file} estimates them), "
+    "or name the boat with --ship FILE or --ship NAME ({names})"
+)
 
 
 def _text(path: str) -> str:

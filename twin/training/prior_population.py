@@ -277,7 +277,7 @@ def _drafted(kind: str, rng: np.random.Generator, **particulars: Any) -> tuple[V
         "differential": "thruster_pair",
     }
     draft = design(MainParticulars(name=kind, kind=propulsion[kind], **particulars)).vessel
-    # the regression of N_v holds for slender hulls; the broader, and the finer below, the less
+    # the regression of N_v holds for slender hulls, and overstates it for broad and fine ones
     part = rng.uniform(0.2, 1.0) if kind == "drives" else 1.0
     values = {**draft.values, "N_v": part * draft.values["N_v"]}
     vessel = dataclasses.replace(draft, values=values)

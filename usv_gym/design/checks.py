@@ -88,14 +88,24 @@ def _plain(item: Any) -> Any:
 def form_of(vessel: Vessel) -> reg.Form:
     """Return the main particulars for the regressions."""
     v = vessel.values
+    hulls, beam = (2, v["hull_beam"]) if "hull_beam" in v else (1, v["beam"])
     return reg.Form(
         length=v["length_waterline"],
-        beam=v["beam"],
+        beam=beam,
         draft=v["draft"],
-        block_coefficient=v["block_coefficient"],
+        block_coefficient=v["block_coefficient"]
+        * (v["beam"] / (2.0 * beam) if hulls == 2 else 1.0),
         water_density=v["water_density"],
         x_G=v["x_G"],
+        hulls=hulls,
+        spacing=v.get("spacing", 0.0),
     )
+
+
+def _two_hulls(vessel: Vessel) -> bool:
+    """Return whether a vessel is a catamaran: its file says so, or its water plane."""
+    v = vessel.values
+    return "hull_beam" in v or v["A_wp"] < TWO_HULLS * v["length_waterline"] * v["beam"]
 
 
 def _periods(vessel: Vessel) -> dict[str, float]:
@@ -190,12 +200,12 @@ def _speeds(vessel: Vessel) -> list[dict[str, float]]:
 def inspect(vessel: Vessel) -> Inspection:
     """Return derived particulars of a vessel, and what is wrong or unusual."""
     v, form = vessel.values, form_of(vessel)
-    L, B, d, mass = form.length, form.beam, form.draft, v["mass"]
+    L, B, d, mass = form.length, v["beam"], form.draft, v["mass"]
     plane = v["A_wp"] / (L * B)
-    water = reg.hydrostatics(form, plane)
+    water = reg.hydrostatics(form, v["A_wp"] / (form.hulls * L * form.beam))
     keel = water["KB"] - v["KG"]
     estimates = {f"GM_{axis} by KB + BM - KG m": keel + water[f"BM_{axis}"] for axis in "TL"}
-    if plane < TWO_HULLS:
+    if _two_hulls(vessel) and form.hulls == 1:  # how far they are apart is not known
         estimates = {}
     found = Inspection(vessel.name, vessel.title)
     found.particulars = {
@@ -203,7 +213,8 @@ def inspect(vessel: Vessel) -> Inspection:
         "displacement of the hull kg": form.mass,
         "length / beam": L / B,
         "beam / draft": B / d,
-        "block coefficient": form.block_coefficient,
+        **({"length / beam of each hull": L / form.beam} if form.hulls == 2 else {}),
+        "block coefficient": v["block_coefficient"],
         "water-plane coefficient": plane,
         "KG m": v["KG"],
         "GM_T m": v["GM_T"],
@@ -260,11 +271,17 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
             f"The mass is {v['mass']:.4g} kg, but block coefficient, length, beam and draft "
             f"displace {facts['displacement of the hull kg']:.4g} kg; both should agree to 3 %.",
         )
-    two = "GM_T by KB + BM - KG m" not in facts
+    two = _two_hulls(vessel)
     yield from _outside(
-        ("Length over beam", L / B, 1.5, 12.0),
+        ("Length over beam", L / B, 1.0 if two else 1.5, 12.0),
         ("Beam over draft", B / d, 1.2, 60.0 if two else 20.0),
     )
+    if "hull_beam" in v:  # HULLS of new_vessel
+        each = v["hull_beam"]
+        yield from _outside(
+            ("Length over the beam of each hull", L / each, 3.0, 30.0),
+            ("The beam of each hull over draft", each / d, 0.5, 10.0),
+        )
     if v["length_waterline"] > v["length_overall"]:
         yield Finding(
             True,
@@ -289,7 +306,7 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
         ("KG over draft", v["KG"] / d, 0.4, 10.0 if two else 3.0),
         ("GM_T over beam", v["GM_T"] / B, 0.02, 12.0 if two else 1.0),
     )
-    if not two:
+    if "GM_T by KB + BM - KG m" in facts:
         for key in ("GM_T", "GM_L"):
             guess = facts[f"{key} by KB + BM - KG m"]
             text = f"{key} ({v[key]:.3g} m) over KB + BM - KG of the water plane ({guess:.3g} m)"
@@ -299,12 +316,17 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
 def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
     v, facts = vessel.values, found.particulars
     stale = "does it belong to another mass?"
-    roll = facts["gyradius in roll / beam"]
+    roll, two = facts["gyradius in roll / beam"], _two_hulls(vessel)
     yield from _outside(("The gyradius in roll over the beam", roll, 0.3, 0.5, stale))
     for axis, key in (("pitch", "I_yy"), ("yaw", "I_zz")):
         gyradius = math.sqrt(v[key] / v["mass"]) / v["length_overall"]
         text = f"The gyradius in {axis} over the length overall"
-        yield from _outside((text, gyradius, 0.2, 0.3, stale), error=not 0.1 < gyradius < 0.6)
+        # a catamaran may be as wide as it is long
+        wide = 0.4 * v["beam"] / v["length_overall"] if two and axis == "yaw" else 0.0
+        yield from _outside(
+            (text, gyradius, 0.2, math.hypot(0.3, wide), stale),
+            error=not 0.1 < gyradius < math.hypot(0.6, wide),
+        )
     if v["I_zz"] < 0.8 * max(v["I_xx"], v["I_yy"]):
         yield Finding(
             False,
@@ -312,11 +334,11 @@ def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
         )
     for name, key, of, low, high in (
         ("surge", "m_x", "mass", 0.01, 0.3),
-        ("sway", "m_y", "mass", 0.15, 2.0),
+        ("sway", "m_y", "mass", 0.15, 4.0 if two else 2.0),
         ("heave", "m_z", "mass", 0.2, 8.0),
         ("roll", "J_xx", "I_xx", 0.02, 8.0),
         ("pitch", "J_yy", "I_yy", 0.2, 5.0),
-        ("yaw", "J_zz", "I_zz", 0.1, 2.5),
+        ("yaw", "J_zz", "I_zz", 0.1, 4.0 if two else 2.5),
     ):
         text = f"The added mass or inertia in {name} ({key}) over {of}"
         yield from _outside((text, v[key] / v[of], low, high))
@@ -330,13 +352,14 @@ def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
 
 def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
     v = vessel.values
-    estimate = reg.periods(form_of(vessel), v["GM_T"])
+    form, two = form_of(vessel), _two_hulls(vessel)
+    estimate = reg.periods(form, v["GM_T"])
     for name, period in found.periods.items():
         if math.isnan(period):
             yield Finding(
                 False, f"The ship at rest does not oscillate in {name}: it is overdamped."
             )
-        elif name == "heave" or found.particulars["water-plane coefficient"] > TWO_HULLS:
+        elif not two or (name == "heave" and form.hulls == 1):
             text = (
                 f"The period of {name} ({period:.3g} s) over that of {estimate.source} "
                 f"({estimate[name]:.3g} s)"
@@ -416,8 +439,10 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
     else:
         L = vessel.values["length_waterline"]
         radius, drift = turn["steady_radius_m"] / L, turn["drift_angle_deg"]
+        # slender hulls need little thrust ahead, and so have little of it to turn them
+        widest = 30.0 if _two_hulls(vessel) else 10.0
         yield from _outside(
-            ("The steady turning radius in lengths", radius, 0.2, 10.0),
+            ("The steady turning radius in lengths", radius, 0.2, widest),
             ("The drift angle in the steady turn, degrees,", drift, -10.0, 45.0),
             ("The heel with full helm, degrees,", turn["largest_heel_deg"], 0.0, 25.0),
             ("The speed in the steady turn over that of the approach", speed, 0.1, 2.5),

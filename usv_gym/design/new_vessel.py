@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from usv_gym.design import regressions as reg
+from usv_gym.design.main_particulars import (
+    DesignError,
+    Given,
+    MainParticulars,
+    completed,
+    form_of,
+)
 from usv_gym.physics import GRAVITY, KNOT
-from usv_gym.vessel.schema import KIND_SCHEMA, keys_of
+from usv_gym.vessel.schema import keys_of
 from usv_gym.vessel.vessel import Vessel, course_eigenvalues
-from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "DesignError",
@@ -41,10 +46,6 @@ STABLE = 0.02
 """Required decay of drift per ship length on a straight course."""
 
 
-class DesignError(UsvTwinError):
-    """Impossible main particulars; the message names the value and the remedy."""
-
-
 @dataclass(frozen=True)
 class Draft:
     """A first vessel file: its TOML, its vessel, and notes on values out of range or limited."""
@@ -68,46 +69,10 @@ Tables = dict[str, dict[str, _Entry]]
 Curve = dict[str, list[float]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class MainParticulars:
-    """What is known of a ship of one hull before its vessel file is written."""
-
-    name: str  # letters, digits, _ and -
-    # at the water line, m
-    length: float
-    beam: float
-    draft: float
-    mass: float  # kg
-    kind: str = "steerable_drive"  # kind of propulsion
-    units: int | None = None  # 1 or 2; default 1 for a propeller with rudder, else 2
-    # service speed (m/s) and shaft power of all units (W); default one from the other, or both from
-    # a typical Froude number
-    speed: float | None = None
-    power: float | None = None
-    length_overall: float | None = None  # m; default 1.05 length
-    water_density: float | None = None  # kg/m3; default 1025, sea water
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Given(MainParticulars):
-    """The same without gaps; ``assumed`` names the default values."""
-
-    units: int
-    length_overall: float
-    water_density: float
-    assumed: frozenset[str]
-
-
 def design(known: MainParticulars) -> Draft:
-    """Return a first vessel file for a ship of one hull; DesignError names value and remedy."""
-    defaults = {
-        "units": 1 if known.kind == "propeller_rudder" else 2,
-        "length_overall": 1.05 * known.length,
-        "water_density": 1025.0,
-    }
-    assumed = {key: value for key, value in defaults.items() if getattr(known, key) is None}
-    given = _Given(**{**vars(known), **assumed}, assumed=frozenset(assumed))
-    form = _check(given)
+    """Return a first vessel file for one hull or two; DesignError names value and remedy."""
+    given = completed(known)
+    form = form_of(given)
     notes: list[str] = []
     service, power = _speed(given, form, notes)
     particulars = _particulars(given, form, notes)
@@ -124,49 +89,6 @@ def design(known: MainParticulars) -> Draft:
     return Draft(_toml(given, head, tables, curve), vessel, tuple(dict.fromkeys(notes)))
 
 
-def _check(given: _Given) -> reg.Form:
-    """Check the particulars, and return the form of the hull."""
-    units = {"length": "m", "beam": "m", "draft": "m", "mass": "kg", "length_overall": "m"}
-    units |= {"water_density": "kg/m3", "speed": "m/s", "power": "W"}
-    for key, unit in units.items():
-        value = getattr(given, key)
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise DesignError(f"{key} = {value:g} {unit}: must be a finite number above 0")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", given.name):
-        raise DesignError(f"name = {given.name!r}: use letters, digits, _ and -")
-    if given.kind not in KIND_SCHEMA:
-        raise DesignError(f"kind = {given.kind!r}: must be one of {', '.join(KIND_SCHEMA)}")
-    if given.units not in (1, 2) or (given.kind == "thruster_pair" and given.units != 2):
-        raise DesignError(f"units = {given.units}: must be 1 or 2, and 2 of a thruster_pair")
-    box = given.water_density * given.length * given.beam * given.draft
-    form = reg.Form(
-        length=given.length,
-        beam=given.beam,
-        draft=given.draft,
-        block_coefficient=float(f"{given.mass / box:.5g}"),
-        water_density=given.water_density,
-    )
-    if not 0.2 <= form.block_coefficient <= 0.95:
-        raise DesignError(
-            f"mass = {given.mass:g} kg: a box of length, beam and draft displaces {box:.4g} kg, "
-            f"which makes a block coefficient of {form.block_coefficient:.3g}; one hull has 0.2 to "
-            "0.95"
-        )
-    ratios = form.ratios
-    for text, low, high in (("L/B", 1.5, 15.0), ("B/d", 1.2, 20.0)):
-        if not low <= ratios[text] <= high:
-            raise DesignError(
-                f"{text} = {ratios[text]:.3g}: length, beam and draft of one hull make {low:g} to "
-                f"{high:g}"
-            )
-    if given.length_overall < given.length:
-        raise DesignError(
-            f"length_overall = {given.length_overall:g} m: must not be below the length of "
-            f"{given.length:g} m"
-        )
-    return form
-
-
 def _source(estimate: reg.Estimate) -> str:
     """Return author and year, with a remark if the hull is out of range."""
     return estimate.source + ("; out of its range" if estimate.notes else "")
@@ -180,87 +102,120 @@ def _limited(value: float, low: float, high: float, what: str, notes: list[str])
     return inside
 
 
-def _givened(given: _Given, key: str, otherwise: str) -> _Entry:
+def _givened(given: Given, key: str, otherwise: str) -> _Entry:
     """Return the entry of a value, marked as an estimate if it is a default."""
     guess = key in given.assumed
     return _Entry(getattr(given, key), otherwise if guess else "given", guess)
 
 
-def _particulars(given: _Given, form: reg.Form, notes: list[str]) -> dict[str, _Entry]:
-    mass, stated = given.mass, "given"
-    I_xx, I_zz = mass * (0.38 * given.beam) ** 2, mass * (0.25 * given.length) ** 2
+def _particulars(given: Given, form: reg.Form, notes: list[str]) -> dict[str, _Entry]:
+    mass, stated, two = given.mass, "given", given.hulls == 2
+    I_xx, I_yy = mass * (0.38 * given.beam) ** 2, mass * (0.25 * given.length) ** 2
+    # two hulls and a deck are flat and wide: perpendicular axis theorem
+    I_zz = I_xx + I_yy if two else I_yy
     surge, added = reg.soding(form), reg.zhou(form)
     notes += [*surge.notes, *added.notes]
     small = form.length / form.beam < 4.5
     m_x = _limited(surge["m_x"] / mass, 0.02, 0.25, "m_x over the mass", notes) * mass
-    m_y = _limited(added["m_y"] / mass, 0.3, 1.5, "m_y over the mass", notes) * mass
-    J_zz = _limited(added["J_zz"] / I_zz, 0.2, 1.5, "J_zz over I_zz", notes) * I_zz
+    most = 4.0 if two else 1.5
+    m_y = _limited(added["m_y"] / mass, 0.3, most, "m_y over the mass", notes) * mass
+    # in a turn one hull moves ahead and the other astern
+    turning = added["J_zz"] + m_x * (0.5 * form.spacing) ** 2
+    J_zz = _limited(turning / I_zz, 0.2, most, "J_zz over I_zz", notes) * I_zz
+    KG = _Entry((1.5 if small else 0.9) * given.draft, "1.5 of the draft; ships 0.9")
+    if two:
+        KG = _Entry(given.draft + 0.1 * given.length, "0.1 of the length above water, as the Otter")
     return {
         "length_overall": _givened(given, "length_overall", "1.05 of the length"),
         "length_waterline": _Entry(given.length, stated, False),
         "beam": _Entry(given.beam, stated, False),
         "draft": _Entry(given.draft, stated, False),
-        "block_coefficient": _Entry(form.block_coefficient, "from mass and dimensions", False),
+        **(_hulls_of(given) if two else {}),
+        "block_coefficient": _Entry(
+            form.block_coefficient * (given.hulls * given.hull_beam / given.beam if two else 1.0),
+            "from mass and dimensions" + (" of the box over both hulls" if two else ""),
+            False,
+        ),
         "water_density": _givened(given, "water_density", "sea water"),
         "mass": _Entry(mass, stated, False),
         "x_G": _Entry(0.0, "origin at the centre of gravity", False),
-        "KG": _Entry((1.5 if small else 0.9) * given.draft, "1.5 of the draft; ships 0.9"),
+        "KG": KG,
         "I_xx": _Entry(I_xx, "gyradius 0.38 of the beam"),
-        "I_yy": _Entry(I_zz, "gyradius 0.25 of the length"),
-        "I_zz": _Entry(I_zz, "gyradius 0.25 of the length"),
+        "I_yy": _Entry(I_yy, "gyradius 0.25 of the length"),
+        "I_zz": _Entry(
+            I_zz, "I_xx + I_yy, flat and wide" if two else "gyradius 0.25 of the length"
+        ),
         "m_x": _Entry(m_x, _source(surge)),
         "m_y": _Entry(m_y, _source(added)),
         "J_zz": _Entry(J_zz, _source(added)),
     }
 
 
+def _hulls_of(given: Given) -> dict[str, _Entry]:
+    """Return the entries that make a vessel a catamaran."""
+    spacing = _givened(given, "spacing", "beam less that of a hull")
+    return {"hull_beam": _Entry(given.hull_beam, "given", False), "spacing": spacing}
+
+
 def _seakeeping(
     form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
 ) -> dict[str, _Entry]:
-    C_b, d = form.block_coefficient, form.draft
+    C_b, d, two = form.block_coefficient, form.draft, form.hulls == 2
     boat = form.length / form.beam < 4.5
-    plane = max((1.0 + 2.0 * C_b) / 3.0, 0.78 if boat else 0.65)
-    area = plane * form.length * form.beam
+    plane = max((1.0 + 2.0 * C_b) / 3.0, 0.75 if two else 0.78 if boat else 0.65)
+    area = form.hulls * plane * form.length * form.beam
     water = reg.hydrostatics(form, plane)
     notes += water.notes
     KG = particulars["KG"].value
     metacentre = water["KB"] + water["BM_T"]
     # a narrow ship model with less than a tenth capsizes in waves of its size
-    least = (0.1 if boat or form.length < 5.0 else 0.05) * form.beam
+    least = (0.1 if boat or two or form.length < 5.0 else 0.05) * (form.beam + form.spacing)
     if metacentre - KG < least:
         KG = max(metacentre - least, 0.4 * d)
         notes.append(f"KG is lowered to {KG:.3g} m for a GM_T of {least:.3g} m")
         particulars["KG"] = _Entry(KG, "as low as stability requires")
-    GM_T = max(metacentre - KG, 0.03 * form.beam)
+    GM_T = max(metacentre - KG, 0.03 * form.beam)  # two hulls have far more
     GM_L = water["KB"] + water["BM_L"] - KG
     mass = form.mass
     I_xx, I_yy = particulars["I_xx"].value, particulars["I_yy"].value
     jensen = "period of Jensen 2004, 2 pi sqrt(2 d / g)"
-    return {
-        "A_wp": _Entry(area, f"water-plane coefficient {plane:.2f} (Schneekluth; boats 0.78)"),
-        "x_F": _Entry(0.0, "centre of the water plane at that of gravity"),
-        "GM_T": _Entry(GM_T, f"KB + BM - KG, {_source(water)}"),
-        "GM_L": _Entry(GM_L, f"KB + BM - KG, {_source(water)}"),
+    added = {
         "m_z": _Entry(2.0 * form.water_density * d * area - mass, jensen),
         "J_xx": _Entry(0.2 * I_xx, "0.2 of I_xx, Fossen's Otter"),
         "J_yy": _Entry(max(mass * GM_L * 2.0 * d - I_yy, 0.4 * I_yy), jensen),
+    }
+    if two:  # Jensen's periods are those of ships
+        strips = reg.heave_of_two_hulls(form, plane)
+        added = {key: _Entry(strips[key], _source(strips)) for key in added}
+    shape = "Schneekluth; Otter 0.75" if two else "Schneekluth; boats 0.78"
+    roll = _Entry(0.18 if boat else 0.08, "hard chines 0.18, ships 0.08")
+    return {
+        "A_wp": _Entry(area, f"water-plane coefficient {plane:.2f} ({shape})"),
+        "x_F": _Entry(0.0, "centre of the water plane at that of gravity"),
+        "GM_T": _Entry(GM_T, f"KB + BM - KG, {_source(water)}"),
+        "GM_L": _Entry(GM_L, f"KB + BM - KG, {_source(water)}"),
+        **added,
         "zeta_heave": _Entry(0.3, "Fossen's Otter"),
-        "zeta_roll": _Entry(0.18 if boat else 0.08, "hard chines 0.18, ships 0.08"),
+        "zeta_roll": _Entry(0.2, "Fossen's Otter") if two else roll,
         "zeta_pitch": _Entry(0.35, "Fossen's Otter 0.4, MSS 0.3"),
         "z_H": _Entry(0.5 * d, "half the draft"),
     }
 
 
 def _resistance(form: reg.Form, speed: float) -> float:
-    """Return the resistance in N: friction, and a hump from Froude number 0.2 to 0.7."""
+    """Return the resistance in N: friction, and a hump from Froude number 0.2 to 0.7.
+
+    Two hulls have twice that of one: Insel and Molland 1992 without their interference factors.
+    """
     # ITTC 1957 line with 25 % for form and 0.0004 for roughness on the wetted surface of Denny and
     # Mumford, smaller above Froude number 0.9 by planing; hump of the 7.5 m boat (0.14 of the
     # weight), less for slender hulls
     if speed == 0.0:
         return 0.0
-    L, volume = form.length, form.volume
+    L, volume = form.length, form.volume / form.hulls
     froude = speed / math.sqrt(GRAVITY * L)
-    surface = (1.7 * L * form.draft + volume / form.draft) * min(1.0, 0.9 / froude)
+    wetted = form.hulls * (1.7 * L * form.draft + volume / form.draft)
+    surface = wetted * min(1.0, 0.9 / froude)
     reynolds = max(speed * L / VISCOSITY, 1e4)
     friction = 1.25 * 0.075 / (math.log10(reynolds) - 2.0) ** 2 + 4e-4
     s = min(max((froude - 0.2) / 0.5, 0.0), 1.0)
@@ -271,7 +226,7 @@ def _resistance(form: reg.Form, speed: float) -> float:
     )
 
 
-def _speed(given: _Given, form: reg.Form, notes: list[str]) -> tuple[float, float]:
+def _speed(given: Given, form: reg.Form, notes: list[str]) -> tuple[float, float]:
     """Return service speed (m/s) and shaft power (W)."""
     unit = math.sqrt(GRAVITY * form.length)
     speed = given.speed
@@ -306,14 +261,15 @@ def _curve(form: reg.Form, service: float) -> Curve:
 
 
 def _hull(
-    given: _Given, form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
+    given: Given, form: reg.Form, particulars: dict[str, _Entry], notes: list[str]
 ) -> dict[str, _Entry]:
     scale = 0.5 * form.water_density * form.length**2 * form.draft
     m_x, m_y = particulars["m_x"].value / scale, particulars["m_y"].value / scale
     estimate = reg.yoshimura(form, m_x, m_y)
-    if not estimate.notes and given.kind == "propeller_rudder":
+    whole = given.kind == "propeller_rudder" and given.hulls == 1  # that polynomial is of one hull
+    if not estimate.notes and whole:
         return {key: _Entry(value, estimate.source) for key, value in estimate.values.items()}
-    if given.kind == "propeller_rudder":
+    if whole:
         notes += estimate.notes
     linear, drag = reg.kijima(form, m_x), reg.cross_flow(form)
     notes += linear.notes
@@ -325,7 +281,7 @@ def _hull(
 
 
 def _propulsion(
-    given: _Given, form: reg.Form, service: float, power: float, notes: list[str]
+    given: Given, form: reg.Form, service: float, power: float, notes: list[str]
 ) -> dict[str, _Entry]:
     C_b, d, L = form.block_coefficient, form.draft, form.length
     rudder = given.kind == "propeller_rudder"
@@ -346,6 +302,9 @@ def _propulsion(
     top = reserve * n
     slow = 0.5 * top if given.kind == "thruster_pair" else 0.8 * n
     aside = {"thruster_pair": 0.35}.get(given.kind, 0.25) if given.units == 2 else 0.0
+    across = _Entry(aside * given.beam, "thruster pairs 0.35 of the beam, else 0.25; one: 0")
+    if given.hulls == 2 and given.units == 2:
+        across = _Entry(0.5 * given.spacing, "behind each hull")
     fixed = "fixed propeller, pitch over diameter near 1"
     entries = {
         "units": _givened(given, "units", "typical for the kind"),
@@ -356,7 +315,7 @@ def _propulsion(
         "astern": _Entry(0.7, "in reverse: 0.6 to 0.8"),
         "wake_fraction": _Entry(wake, "Taylor, one screw" if rudder else "open drives"),
         "thrust_deduction": _Entry(deduction, "0.6 of the wake" if rudder else "open drives"),
-        "y_P": _Entry(aside * form.beam, "thruster pairs 0.35 of the beam, else 0.25; one: 0"),
+        "y_P": across,
         "z_P": _Entry(0.7 * d if rudder else d, "behind the hull, or at the keel"),
         "shaft_lag": _Entry(min(max(0.25 * math.sqrt(L), 0.1), 5.0), "engines of that size"),
         "shaft_rate": _Entry(top / min(max(0.25 * math.sqrt(L), 0.1), 5.0), "from the lag"),
@@ -410,7 +369,7 @@ def _propulsion(
     }
 
 
-def _wind(given: _Given) -> dict[str, _Entry]:
+def _wind(given: Given) -> dict[str, _Entry]:
     L = given.length_overall
     height = 0.16 * L if L < 10.0 else 1.6 * (L / 10.0) ** 0.6
     boat = L < 30.0
@@ -432,7 +391,7 @@ def _wind(given: _Given) -> dict[str, _Entry]:
     }
 
 
-def _vessel(given: _Given, tables: Tables, curve: Curve) -> Vessel:
+def _vessel(given: Given, tables: Tables, curve: Curve) -> Vessel:
     """Return the vessel in the file."""
     entries = {key: entry for table in tables.values() for key, entry in table.items()}
     return Vessel(
@@ -450,7 +409,7 @@ def _vessel(given: _Given, tables: Tables, curve: Curve) -> Vessel:
 
 
 def _make_stable(
-    given: _Given, tables: Tables, curve: Curve, service: float, notes: list[str]
+    given: Given, tables: Tables, curve: Curve, service: float, notes: list[str]
 ) -> Vessel:
     """Reduce N_v, then raise N_r, until the ship is course-stable, and return the vessel."""
     hull = tables["hull"]
@@ -484,14 +443,16 @@ def _steps() -> Iterator[tuple[float, float]]:
     yield (-0.5, 5.0)
 
 
-def _title(given: _Given) -> str:
+def _title(given: Given) -> str:
     return f"first draft of a {given.length_overall:.3g} m vessel"
 
 
-def _head(given: _Given, service: float, power: float) -> list[str]:
+def _head(given: Given, service: float, power: float) -> list[str]:
+    hulls = "one hull" if given.hulls == 1 else "two hulls that do not disturb each other"
     return [
         "First draft by usv-twin vessel new: the particulars were given, all else is estimated for",
-        "one hull. Replace estimates by better values, and run usv-twin vessel check.",
+        f"{hulls}. Replace estimates by better values,",
+        "and run usv-twin vessel check.",
         f"{service / KNOT:.3g} kn in service, about {power / 1e3:.3g} kW; origin at the centre of "
         "gravity.",
         "Each number: value, unit, source; guess = true marks estimates.",
@@ -502,7 +463,7 @@ def _round(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _toml(given: _Given, head: list[str], tables: Tables, curve: Curve) -> str:
+def _toml(given: Given, head: list[str], tables: Tables, curve: Curve) -> str:
     lines = [f"# {line}" for line in head]
     lines += ["", "[vessel]", f'name = "{given.name}"', f'title = "{_title(given)}"']
     for name, entries in tables.items():

@@ -2,7 +2,9 @@
 
 Each function takes a :class:`Form` and returns an :class:`Estimate`: numbers, source, and a note
 for each particular outside the data of the regression. Primed coefficients are dimensionless as in
-:mod:`usv_gym.physics`. Bounds are those of the ship types of each regression, as few sources print
+:mod:`usv_gym.physics`. Of a catamaran, each hull is estimated by itself, and the sum is returned:
+interference of the hulls, in waves or wake, is neglected.
+Bounds are those of the ship types of each regression, as few sources print
 their own.
 """
 
@@ -20,6 +22,7 @@ __all__ = [
     "Estimate",
     "Form",
     "cross_flow",
+    "heave_of_two_hulls",
     "hydrostatics",
     "kijima",
     "kijima_rudder",
@@ -48,7 +51,7 @@ FISHING = {"L/B": (4.0, 8.0), "B/d": (2.0, 4.5), "C_b": (0.45, 0.87)}
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Main particulars of a hull."""
+    """Main particulars of a hull, or of each of two equal ones."""
 
     # at the water line, m
     length: float
@@ -57,15 +60,17 @@ class Form:
     block_coefficient: float  # displaced volume over length, beam and draft
     water_density: float = 1025.0  # kg/m3
     x_G: float = 0.0  # centre of gravity forward of midship, m
+    hulls: int = 1  # 2 of a catamaran
+    spacing: float = 0.0  # between the centre lines of two hulls, m
 
     @property
     def volume(self) -> float:
-        """Displaced volume, m3."""
-        return self.block_coefficient * self.length * self.beam * self.draft
+        """Displaced volume of all hulls, m3."""
+        return self.hulls * self.block_coefficient * self.length * self.beam * self.draft
 
     @property
     def mass(self) -> float:
-        """Displaced mass, kg."""
+        """Displaced mass of all hulls, kg."""
         return self.water_density * self.volume
 
     @property
@@ -113,7 +118,7 @@ def _estimate(
 def kijima(form: Form, m_x_prime: float) -> Estimate:
     """Return hull coefficients after Kijima and Inoue, with their cross terms.
 
-    ``m_x_prime`` is the added mass in surge over ``rho L^2 d / 2``.
+    ``m_x_prime`` is the added mass in surge of all hulls over ``rho L^2 d / 2``.
     Source: Inoue et al. 1981, Kijima et al. 1990. N_v includes the moment of the added masses in
     drift. The terms in ``v |v|`` and ``r |r|`` do not fit the cubic polynomial of the hull;
     :func:`cross_flow` replaces them.
@@ -122,7 +127,7 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
     k, c = 2.0 * d / L, C_b * B / L
     values = {
         "Y_v": -(math.pi / 2.0 * k + 1.4 * c),
-        "Y_r": math.pi / 4.0 * k + m_x_prime,
+        "Y_r": math.pi / 4.0 * k + m_x_prime / form.hulls,
         "N_v": -k,
         "N_r": -0.54 * k + k * k,
         "Y_vrr": -5.95 * d * (1.0 - C_b) / B,
@@ -130,6 +135,7 @@ def kijima(form: Form, m_x_prime: float) -> Estimate:
         "N_vrr": 0.5 * d * C_b / B - 0.05,
         "N_vvr": -(57.5 * c * c - 18.4 * c + 1.6),
     }
+    values = {key: form.hulls * value for key, value in values.items()}
     return _estimate("Kijima 1990", form, values, MERCHANT, *_damped("Kijima 1990", values))
 
 
@@ -176,16 +182,22 @@ def soding(form: Form) -> Estimate:
 
     Source: Soding 1982, as in MSS; of a prolate body, for any slender hull.
     """
-    values = {"m_x": 2.7 * form.water_density * form.volume ** (5.0 / 3.0) / form.length**2}
+    volume = form.volume / form.hulls
+    m_x = form.hulls * 2.7 * form.water_density * volume ** (5.0 / 3.0) / form.length**2
+    values = {"m_x": m_x}
     return _estimate("Soding 1982", form, values, {"L/B": (2.0, 12.0)})
 
 
 def zhou(form: Form) -> Estimate:
     """Return the added masses in surge and sway (kg) and the added inertia in yaw (kg m2).
 
-    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959.
+    Source: regressions of Zhou et al. 1983 on the charts of Motora 1959. A hull of a catamaran
+    that is deeper than half its beam lies outside them; it is taken at B/d = 2, and from there on
+    sway and yaw grow with the square of the draft (strip theory, Newman 1977, section 7.4).
     """
     L, B, d, C_b = form.length, form.beam, form.draft, form.block_coefficient
+    deep = max(2.0 * d / B, 1.0) if form.hulls > 1 else 1.0
+    d = d / deep
     a, b, e = L / B, d / B, d * L / (B * B)
     surge = 0.01 * (
         0.398
@@ -206,8 +218,8 @@ def zhou(form: Form) -> Estimate:
     )
     values = {
         "m_x": surge * form.mass,
-        "m_y": sway * form.mass,
-        "J_zz": form.mass * gyradius * gyradius,
+        "m_y": deep * sway * form.mass,
+        "J_zz": deep * form.mass * gyradius * gyradius,
     }
     negative = [
         f"Zhou 1983: {key} is {values[key]:.3g} kg, and must be above 0"
@@ -221,20 +233,39 @@ def zhou(form: Form) -> Estimate:
 def hydrostatics(form: Form, water_plane: float) -> Estimate:
     """Return KB, BM_T and BM_L in m, for a coefficient of the water plane.
 
-    Source: KB by Morrish; inertia of the water plane by D'Arcangelo 1969. For one hull only; a
-    catamaran is much stiffer.
+    Source: KB by Morrish; inertia of the water plane by D'Arcangelo 1969, and of two hulls by the
+    parallel axis theorem. The coefficient is of one hull: its area over length and beam.
     """
     L, B, d = form.length, form.beam, form.draft
+    volume = form.volume / form.hulls
+    apart = water_plane * L * B * (0.5 * form.spacing) ** 2 / volume
     values = {
         "KB": d / 3.0 * (2.5 - form.block_coefficient / water_plane),
-        "BM_T": max(0.1216 * water_plane - 0.0410, 0.0) * L * B**3 / form.volume,
-        "BM_L": (0.350 * water_plane**2 - 0.405 * water_plane + 0.146) * L**3 * B / form.volume,
+        "BM_T": max(0.1216 * water_plane - 0.0410, 0.0) * L * B**3 / volume + apart,
+        "BM_L": (0.350 * water_plane**2 - 0.405 * water_plane + 0.146) * L**3 * B / volume,
     }
     source = "D'Arcangelo 1969"
     notes = []
     if not 0.6 <= water_plane <= 0.98:
         notes.append(f"{source}: water-plane coefficient is {water_plane:.3g}, typical 0.6 to 0.98")
     return _estimate(source, form, values, {}, *notes)
+
+
+def heave_of_two_hulls(form: Form, water_plane: float) -> Estimate:
+    """Return the added mass in heave (kg) and inertias in roll and pitch (kg m2) of a catamaran.
+
+    Source: added mass of half a circular cylinder as wide as the hull, pi rho B^2 / 8 a metre
+    (Newman 1977, section 4.13), over the share of the length that the water plane fills. In roll it
+    acts half the spacing off the centre line; in pitch at a quarter of the length.
+    """
+    strip = math.pi / 8.0 * form.water_density * form.beam**2
+    m_z = form.hulls * strip * water_plane * form.length
+    values = {
+        "m_z": m_z,
+        "J_xx": m_z * (0.5 * form.spacing) ** 2,
+        "J_yy": m_z * (0.25 * form.length) ** 2,
+    }
+    return _estimate("strip theory", form, values, {})
 
 
 def periods(form: Form, GM_T: float) -> Estimate:
@@ -274,7 +305,8 @@ def kijima_rudder(form: Form) -> Estimate:
 def cross_flow(form: Form) -> Estimate:
     """Return the drag coefficient of sections in cross-flow.
 
-    Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points.
+    Source: Hoerner 1965 as a function of ``B / (2 d)``, linear between the points. Of two hulls,
+    one lies in the shelter of the other and adds nothing (as in MSS otter.m).
     """
     drag = float(np.interp(form.beam / (2.0 * form.draft), *_HOERNER.T))
     return _estimate("Hoerner 1965", form, {"C_d_crossflow": drag}, {"B/d": (0.1, 8.0)})

@@ -142,8 +142,8 @@ def score_step(
     for j in range(action.shape[0]):
         change += abs(action[j] - before[j])
     if rules.kind == PATH:
-        off = errors[COURSE_ERROR]
-        along = state[fr.U] * math.cos(off) + state[fr.V] * math.sin(off)
+        angle = errors[COURSE_ERROR]
+        along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
         # as much too fast costs what as much too slow does
         first = 1.0 - abs(along / rules.speed - 1.0)
         second = -min(abs(errors[CROSS_TRACK]) / rules.unit, 2.0)

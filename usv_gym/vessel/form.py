@@ -19,6 +19,7 @@ class Form:
     beam: float
     draft: float
     volume: float  # displaced, m3
+    hull_beam: float | None = None  # of each hull of a catamaran, m
     length_overall: float | None = None  # m; default 1.1 length
     # area of the water plane, m2; default from the block coefficient
     waterplane: float | None = None
@@ -49,6 +50,7 @@ class Form:
             beam=v["beam"],
             draft=v["draft"],
             volume=v["block_coefficient"] * length * v["beam"] * v["draft"],
+            hull_beam=v.get("hull_beam"),
             length_overall=v["length_overall"],
             waterplane=v["A_wp"],
             height=v["A_L"] / v["length_overall"],
@@ -115,6 +117,8 @@ class Form:
     @cached_property
     def pontoon(self) -> float:
         """Beam of each hull of a catamaran, m; 0 for a single hull."""
+        if self.hull_beam is not None:
+            return self.hull_beam
         # a catamaran: thrusters wide apart and a small block coefficient
         if (
             self.kind != "thruster_pair"

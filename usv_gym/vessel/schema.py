@@ -15,6 +15,7 @@ from usv_kernel.errors import UsvTwinError
 __all__ = [
     "KIND_SCHEMA",
     "MESH_FORMATS",
+    "OPTIONAL",
     "SCHEMA",
     "UNITS",
     "VesselError",
@@ -57,6 +58,7 @@ SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
     "particulars": {
         "length_overall": ("m", "+"), "length_waterline": ("m", "+"), "beam": ("m", "+"),
         "draft": ("m", "+"), "block_coefficient": ("1", "+"), "water_density": ("kg/m3", "+"),
+        "hull_beam": ("m", "+"), "spacing": ("m", "+"),
         "mass": ("kg", "+"), "x_G": ("m", ""), "KG": ("m", "+"), "I_xx": ("kg m2", "+"),
         "I_yy": ("kg m2", "+"), "I_zz": ("kg m2", "+"), "m_x": ("kg", "0"), "m_y": ("kg", "0"),
         "J_zz": ("kg m2", "0"),
@@ -102,6 +104,9 @@ KIND_SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
 }
 # fmt: on
 
+OPTIONAL = frozenset(("hull_beam", "spacing", *SCHEMA["hull"]))
+"""Keys that a vessel may lack: of a catamaran, or terms of the hull."""
+
 MESH_FORMATS = (".glb", ".stl", ".obj", ".ply")
 """Mesh files that a vessel may name."""
 
@@ -124,14 +129,14 @@ def keys_of(table: str, kind: str) -> dict[str, tuple[str, str]]:
 
 
 def check_values(kind: str, values: Mapping[str, float]) -> None:
-    """Check the SI numbers of a vessel against the schema and each other; hull terms may miss.
+    """Check the SI numbers of a vessel against the schema and each other; hull terms may be absent.
 
     VesselError names the table, the key and the rule.
     """
     schema = {table: keys_of(table, kind) for table in SCHEMA}
     for table, keys in schema.items():
         for key, (unit, bound) in keys.items():
-            if table == "hull" and key not in values:
+            if key in OPTIONAL and key not in values:
                 continue
             value = values.get(key, math.nan)
             if not math.isfinite(value):
@@ -143,6 +148,13 @@ def check_values(kind: str, values: Mapping[str, float]) -> None:
     if unknown:
         raise VesselError(f"unknown value(s): {', '.join(sorted(unknown))}")
     v = values
+    if ("hull_beam" in v) != ("spacing" in v):
+        raise VesselError("[particulars] hull_beam and spacing: a catamaran needs both")
+    if "hull_beam" in v and not v["hull_beam"] < v["spacing"] <= 1.01 * v["beam"] - v["hull_beam"]:
+        raise VesselError(
+            "[particulars] hull_beam and spacing: the hulls must not touch, and must lie within "
+            f"the beam of {v['beam']:g} m; got {v['hull_beam']:g} and {v['spacing']:g} m"
+        )
     volume = v["block_coefficient"] * v["length_waterline"] * v["beam"] * v["draft"]
     displaced = volume * v["water_density"]
     if not 0.8 < displaced / v["mass"] < 1.25:

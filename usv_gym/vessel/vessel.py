@@ -273,6 +273,7 @@ class Vessel:
             *factors, force, speed = drawn
             factor = dict(zip(par.SCALARS, factors, strict=True)) | dict.fromkeys(_FIXED, 1.0)
             factor["length_overall"] = factor["length_waterline"]
+            factor["hull_beam"] = factor["spacing"] = factor["beam"]
             factor["A_wp"] = factor["length_waterline"] * factor["beam"]
             try:
                 boat = dataclasses.replace(

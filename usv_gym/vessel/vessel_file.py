@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from usv_gym.vessel.schema import SCHEMA, UNITS, VesselError, check_kind, keys_of
+from usv_gym.vessel.schema import OPTIONAL, SCHEMA, UNITS, VesselError, check_kind, keys_of
 
 __all__ = [
     "read_vessel",
@@ -85,7 +85,7 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
         for key in keys:
             unit = keys[key][0]
             if key not in given:
-                if name == "hull":
+                if key in OPTIONAL:
                     continue
                 raise VesselError(f"[{name}] {key}: is missing (a number in {unit})")
             (values[key],), guess = _numbers(given[key], unit, f"[{name}] {key}", scalar=True)

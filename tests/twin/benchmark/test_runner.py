@@ -26,6 +26,7 @@ from twin.benchmark.protocol import (
 )
 from twin.logs.log import Log, recorded_runs
 from twin.parallel import BACKENDS
+from twin.particulars import ParticularsError
 from twin.predictors.baselines import Persistence
 from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.bridge import particulars_of
@@ -173,7 +174,11 @@ def test_nothing_is_scored_across_a_gap(tmp_path):
     path = tmp_path / "gap.csv"
     dataclasses.replace(log, z=z).write(path)
     settings = Settings(
-        scenarios=(), logs=(str(path),), faults=("none",), predictors=("persistence",)
+        scenarios=(),
+        logs=(str(path),),
+        faults=("none",),
+        predictors=("persistence",),
+        ship=str(recorded_runs()["boat1_usv_circle"].with_name("boat1_usv_circle.toml")),
     )
     (unit,) = units(settings)
     result = bench.run_unit(settings, unit, tmp_path, pictures=False)
@@ -216,15 +221,11 @@ def test_a_log_is_replaced_with_its_result_and_has_its_particulars(tmp_path):
     before = path.read_bytes()
     run_all(dataclasses.replace(small, hs=1.0), tmp_path)
     assert path.read_bytes() != before
-    boat, found = particulars_for_log(path)
-    assert found
-    assert boat == particulars_of(small.boat(0))
+    assert particulars_for_log(path) == particulars_of(small.boat(0))
     other = tmp_path / "alone.csv"
     other.write_bytes(before)
-    assumed, found = particulars_for_log(other)
-    assert not found
-    # without particulars the class is unknown
-    assert (boat.design, assumed.design) == ("usv75", "")
+    with pytest.raises(ParticularsError, match=r"no particulars .* --out .*alone.toml"):
+        particulars_for_log(other)
 
 
 def test_two_runs_of_one_name_are_refused():

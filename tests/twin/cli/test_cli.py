@@ -25,7 +25,7 @@ from twin.benchmark.metrics import METRICS
 from twin.channels import STATE
 from twin.cli.benchmark import match_files, print_results
 from twin.cli.common import console, parse_seeds
-from twin.cli.identify import LEGEND
+from twin.cli.logs.identify import LEGEND
 from twin.cli.main import COMMANDS, app, expand_files
 from twin.model.structure import MODELS, structure_of
 from twin.sim.bridge import particulars_of
@@ -213,7 +213,7 @@ def test_gaps_and_empty_cells_are_reported(tmp_path):
     del rows[20:40]
     path = tmp_path / "gappy.csv"
     path.write_text(HEADER + "\n".join(rows) + "\n")
-    out = run("identify", path).stdout
+    out = run("identify", path, "--ship", "usv75").stdout
     assert "gps_x_m: 1 of 30 cells empty" in out
     assert "gap" in out
 
@@ -432,3 +432,43 @@ def test_vessel_new_refuses_what_does_not_float(empty):
     assert refused.startswith("error: mass = 30000 kg")
     assert refused.count("\n") == 1
     assert not list(empty.iterdir())
+
+
+def test_log_check_of_a_sound_log(folder):
+    out = run("log", "check", folder / "run.csv", "--out", folder / "check.png").stdout
+    assert "fix-lost" not in out and "no fix sample for up to 5.0 s" in out  # --faults gps5
+    assert "gyro against compass: scale 1.0" in out
+    assert "steering angle above 0 turns to starboard" in out
+    assert "0 error(s), 2 warning(s)" in out
+    assert (folder / "check.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_log_check_names_faults_that_the_reader_accepts_or_refuses(folder, tmp_path):
+    log = Log.read(folder / "run.csv").without_truth()
+    log.z[:, 2:4] /= 1852.0 / 3600.0
+    log.z[:, 5] *= -1.0
+    log.cmd[:, 2:] *= 180.0 / np.pi
+    log.write(tmp_path / "bad.csv")
+    files = ("--no-picture", "--json", tmp_path / "found.json", "--write", tmp_path / "boat.toml")
+    out = run("log", "check", tmp_path / "bad.csv", *files, check=1).stdout
+    assert "knots read as m/s" in out
+    found = json.loads((tmp_path / "found.json").read_text())
+    codes = {finding["code"] for finding in found["findings"] if finding["severity"] == "error"}
+    assert codes == {"speed-unit", "gyro-sign", "angle-degrees"}
+    assert "# length = ?" in (tmp_path / "boat.toml").read_text()
+    again = run("log", "check", tmp_path / "bad.csv", *files, check=2)
+    assert "--force" in again.stderr
+
+
+def test_log_check_names_missing_columns_and_what_the_reader_refuses(tmp_path, folder):
+    rows = (folder / "run.csv").read_text().splitlines()
+    heads = rows[0].split(",")
+    place = heads.index("compass_rad")
+    short = [",".join(c for j, c in enumerate(row.split(",")) if j != place) for row in rows]
+    (tmp_path / "short.csv").write_text("\n".join(short) + "\n")
+    out = run("log", "check", tmp_path / "short.csv", "--no-picture", check=1).stdout
+    assert "column(s) compass_rad missing" in out
+    twice = [*rows, rows[-1].replace(",", ",9", 1)]
+    (tmp_path / "twice.csv").write_text("\n".join(twice) + "\n")
+    out = run("log", "check", tmp_path / "twice.csv", "--no-picture", check=1).stdout
+    assert "error: " in out and "time does not increase" in out

@@ -7,14 +7,19 @@ import os
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
+from typer.testing import CliRunner
 
+import usv_gym.vessel
 from twin import Twin
 from twin.channels import COMMANDS, MEASUREMENTS
+from twin.cli.main import app
 from twin.logs import datasets as archive
 from twin.logs.datasets import ArchiveError
 from twin.logs.log import Log, recorded_runs
-from twin.particulars import Particulars
+from twin.particulars import Particulars, ParticularsError
+from twin.sim.recorded import particulars_for_log
 
 SHARED = Path(
     os.environ.get("USV_TWIN_SHARED") or Path(__file__).resolve().parents[3].parent / "shared"
@@ -183,3 +188,48 @@ def test_a_run_is_known_by_its_header_wherever_it_lies(tmp_path: Path) -> None:
         assert not archive.known(there)
     with pytest.raises(ArchiveError, match="its header is that of no archive"):
         archive.ship(there)
+
+
+def test_a_run_is_known_by_its_header_in_any_kind_of_table(tmp_path):
+    folder = made(tmp_path / "esso_osaka_frt", "turn_1", esso_rows())
+    packed = folder / "turn_1.csv.gz"
+    plain, table = tmp_path / "mine.csv", tmp_path / "mine.parquet"
+    plain.write_bytes(b"\xef\xbb\xbf" + gzip.decompress(packed.read_bytes()))
+    pl.read_csv(plain).write_parquet(table)
+    for path in (packed, plain, table):
+        assert archive.known(path)
+        assert particulars_for_log(path) == archive.ESSO
+    for path in (tmp_path, tmp_path / "absent.csv", tmp_path / "absent.parquet"):
+        assert not archive.known(path)
+    boats = {"kvlcc2_simman2008": archive.KVLCC2["hsva"].name, "boat1_usv": "boat1 USV"}
+    for archived, boat in boats.items():
+        plain.write_text(",".join(archive._HEADERS[archived]) + "\n", encoding="utf-8")
+        assert particulars_for_log(plain).name == boat
+
+
+@pytest.mark.parametrize("kind", ["identify", "predict", "replay", "view", "benchmark"])
+def test_each_command_refuses_a_log_without_particulars(tmp_path, kind):
+    path = tmp_path / "mine.csv"
+    log = Log.read(recorded_runs()["boat1_usv_circle"])
+    log.write(path)
+    options = {
+        "replay": ["--mavlink", "udp://:14550"],
+        "benchmark": ["--predictors", "persistence", "--out", str(tmp_path / "out"), "--jobs=1"],
+    }
+    first = [str(path)] if kind != "benchmark" else ["--log", str(path)]
+    result = CliRunner().invoke(app, [kind, *first, *options.get(kind, [])])
+    said = " ".join(result.output.split())
+    assert result.exit_code == 2
+    assert f"{path}: no particulars of the boat" in said
+    assert "usv-twin vessel new --name BOAT" in said and str(tmp_path / "mine.toml") in said
+
+
+def test_particulars_next_to_a_log_may_be_a_vessel_file(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text("t_s\n", encoding="utf-8")
+    vessels = Path(usv_gym.vessel.__file__).with_name("vessels")
+    (tmp_path / "mine.toml").write_bytes((vessels / "otter.toml").read_bytes())
+    assert particulars_for_log(path).mass == 55.0
+    (tmp_path / "mine.toml").write_text("[instruments]\n", encoding="utf-8")
+    with pytest.raises(ParticularsError, match=r"mine.toml: expected the tables \[particulars\]"):
+        particulars_for_log(path)

@@ -641,7 +641,12 @@ def test_commands_take_mapped_files_and_bags(
     mapping = str(written(tmp_path / "m.toml", FOREIGN))
     plain = ("--predictor", "persistence")
     code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
-    assert code == 0 and "no particulars beside it, taken to be the usv75" in said
+    assert code == 2 and "usv-twin vessel new" in said and "--out sail.toml" in said
+    for name in ("sail", "bag"):
+        boat = particulars_of(Vessel.load("usv75"))
+        (tmp_path / f"{name}.toml").write_text(boat.to_toml(), encoding="utf-8")
+    code, said = command("predict", "sail.parquet", *plain, "--mapping", mapping)
+    assert code == 0, said
     code, said = command("identify", "sail.parquet", *plain)
     assert code == 2 and "column(s) t_s, n_left_rps" in said and "a mapping file" in said
     record(tmp_path / "bag", log, "MCAP")

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.live.protocols.sockets import Address, FeedError, open_socket
-from twin.logs.mapping import radii
+from twin.logs.datum import Plane
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
 
@@ -33,7 +33,6 @@ __all__ = [
     "COUNTS",
     "Feed",
     "Message",
-    "Plane",
 ]
 
 Array = NDArray[np.float64]
@@ -93,29 +92,6 @@ LIMITS = {
 
 # Linux: the kernel's time of a datagram, and how many it has dropped before it
 _TIMESTAMP, _DROPPED = 35, 40
-
-
-@dataclass(frozen=True)
-class Plane:
-    """The plane that touches the Earth at an origin (degrees)."""
-
-    latitude: float
-    longitude: float
-
-    def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """Return metres north and east of the origin."""
-        north, east = radii(self.latitude)
-        return (
-            math.radians(latitude - self.latitude) * north,
-            math.radians(math.remainder(longitude - self.longitude, 360.0)) * east,
-        )
-
-    def degrees(self, north: float, east: float) -> tuple[float, float]:
-        """Return latitude and longitude, degrees, of a place north and east of the origin, m."""
-        to_north, to_east = radii(self.latitude)
-        latitude = self.latitude + math.degrees(north / to_north)
-        longitude = self.longitude + math.degrees(east / to_east)
-        return min(max(latitude, -90.0), 90.0), math.remainder(longitude, 360.0)
 
 
 @dataclass(frozen=True)

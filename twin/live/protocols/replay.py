@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.live.protocols.feed import WAIT, Plane
+from twin.live.protocols.feed import WAIT
 from twin.live.protocols.mavlink import MavlinkWriter, Servos
 from twin.live.protocols.nmea import NmeaWriter
 from twin.live.protocols.sockets import FeedError, open_socket
+from twin.logs.datum import Plane
 from twin.logs.log import Log
 
 __all__ = [

@@ -15,6 +15,7 @@ from twin.digital_twin import Twin
 from twin.live.protocols.feed import Feed
 from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
+from twin.logs.datum import Datum
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
@@ -80,6 +81,13 @@ class FeedSession(Session):
             self._answered = now
             self.feed.send(monitor.twin.estimate(), seen.prediction)
         return seen
+
+    @property
+    def datum(self) -> Datum | None:
+        """The first fix."""
+        if self.feed.origin is None:
+            return None
+        return Datum(latitude=self.feed.origin[0], longitude=self.feed.origin[1])
 
     @property
     def notes(self) -> tuple[str, ...]:

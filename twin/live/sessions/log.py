@@ -22,6 +22,7 @@ from twin.live.sessions.tracker import (
     overlay_of,
     sensor_timeout,
 )
+from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.sim.bridge import TRUE_STATE
 from usv_gym.envs.scene import TwinOverlay
@@ -96,6 +97,11 @@ class LogSession(Session):
         """Show another moment."""
         self.at = min(max(t, float(self.log.t[0])), self.done)
         self._anchor = time.monotonic(), self.at
+
+    @property
+    def datum(self) -> Datum | None:
+        """That of the log."""
+        return self.log.datum
 
     def _mark_restart(self) -> None:
         super()._mark_restart()

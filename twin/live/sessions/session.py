@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from twin.channels import TRUTH
 from twin.files import write_whole
 from twin.live.sessions.tracker import LOST_AFTER, History, TwinMonitor, overlay_of
+from twin.logs.datum import Datum
 from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
@@ -164,9 +165,15 @@ class Session(ABC):
         elif self._rows:
             t, z, cmd, truth = (np.array(column) for column in zip(*self._rows, strict=True))
             known = truth if np.isfinite(truth).any() else None
-            self.recorded = save(Log(t, z, cmd, known, "view"), self.particulars, self.folder)
+            log = Log(t, z, cmd, known, "view", datum=self.datum)
+            self.recorded = save(log, self.particulars, self.folder)
             self._rows = []
         self.recording = on
+
+    @property
+    def datum(self) -> Datum | None:
+        """Where and when the origin is; None where that is not known."""
+        return None
 
     def toggle_record(self) -> None:
         """Begin to record a log, or end and write it, whichever comes next."""
@@ -208,7 +215,7 @@ class Session(ABC):
         self.fresh.set()
 
     def _obey(self) -> None:
-        """Carry out what was ordered; what cannot be done is reported, and changes nothing."""
+        """Carry out the commands of the page; report those that fail, which change nothing."""
         with contextlib.suppress(Empty):
             while True:
                 call = self._orders.get_nowait()

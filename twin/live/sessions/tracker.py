@@ -214,8 +214,12 @@ class TwinMonitor:
     def history(self) -> History:
         """Return the curves up to now; may be called from any thread."""
         rows, size = list(self._rows), len(self.twin.predictor.parameter_names)
-        curves, *parts = (np.array([row[k] for row in rows]) for k in range(3))
-        return History(*curves.reshape(-1, 6).T, *(part.reshape(-1, size) for part in parts))
+        widths = 6, size, size
+        curves, *parts = (
+            np.array([row[k] for row in rows]).reshape(len(rows), width)
+            for k, width in enumerate(widths)
+        )
+        return History(*curves.T, *parts)
 
     def _weigh(self, t: float, fix: Array) -> None:
         """Compare place and velocity of a fix (4,) with the estimate before it is used."""

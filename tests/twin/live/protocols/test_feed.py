@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.twin.live.wire import Wire, free_port
-from twin.live.protocols.feed import BYTES_MAX, Message, Plane
+from twin.live.protocols.feed import BYTES_MAX, Message
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
 from twin.live.protocols.sockets import FeedError, open_socket, parse_address
+from twin.logs.datum import Plane
 from twin.particulars import Particulars
 
 pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")

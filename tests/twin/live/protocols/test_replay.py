@@ -236,7 +236,7 @@ def test_ctrl_c_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("twin.cli.replay.replay", interrupted)
+    monkeypatch.setattr("twin.cli.logs.replay.replay", interrupted)
     result = CliRunner().invoke(app, ["replay", str(RUN), "--nmea", f"udp://:{free_port()}"])
     assert result.exit_code == 130
 

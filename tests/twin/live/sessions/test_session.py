@@ -21,6 +21,7 @@ from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Session
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.live.sessions.tracker import HORIZON, PLAN_STEP
+from twin.logs.datum import Datum
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import frames as fr
@@ -397,6 +398,7 @@ class LogFeed(Feed):
         self.closed = False
 
     notes = ("said so",)
+    origin = (59.43, 10.47)
 
     def decode(self, data):
         return iter(())
@@ -435,6 +437,7 @@ def test_a_feed_is_followed_answered_recorded_and_closed(log, tmp_path):
     kept = Log.read(session.recorded)
     np.testing.assert_array_equal(kept.t, log.t)
     assert kept.truth is None
+    assert kept.datum == Datum(latitude=59.43, longitude=10.47)
 
 
 def test_a_feed_that_falls_silent_is_reported_and_gets_no_more_answers(log, tmp_path, monkeypatch):

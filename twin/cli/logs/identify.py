@@ -22,13 +22,13 @@ from twin.cli.common import (
     new_table,
     open_log,
     row_progress,
-    write_csv,
     write_json,
 )
 from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
 from twin.logs.columns import LogError
 from twin.logs.log import Log
+from twin.logs.tables import check_export
 from twin.predictors.base import Estimate
 from twin.predictors.registry import DEFAULT, PREDICTORS
 
@@ -58,7 +58,11 @@ def identify_command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="CSV of state and parameters with sd at every row."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="State and parameters with sd at every row: .csv, .parquet or .geojson.",
+        ),
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="The last estimate, in full precision.")
@@ -77,26 +81,19 @@ def identify_command(
     run, twin = open_log(
         log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
     )
+    if out is not None:
+        check_export(out, twin.datum)
     predictor = str(twin.name)
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
     prior = fresh.estimate()
-    header = ["t_s", *STATE, *(f"sd_{c}" for c in STATE)]
-    names = twin.predictor.parameter_names
-    header += [*names, *(f"sd_{n}" for n in names)]
-    rows = []
     with row_progress("identifying", len(run)) as advance:
-        for t, z, cmd in run:
-            twin.step(t, z, cmd)
-            if out is not None:
-                now = twin.estimate()
-                rows.append([t, *now.state, *now.sd, *now.params, *now.params_sd])
-            advance()
+        table = twin.run(run, advance)
     last = twin.estimate()
     if save is not None:
         twin.save(save)
     if out is not None:
-        write_csv(out, header, rows)
+        table.write(out, boat=twin.particulars.name, log=run.name, predictor=predictor)
     if json_file is not None:
         write_json(json_file, _estimate_json(last, twin, predictor))
     if not last.ready:
@@ -119,6 +116,7 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "predictor": predictor,
         "t_s": estimate.t,
         "ready": estimate.ready,
+        "datum": None if twin.datum is None else twin.datum.to_json(),
         "state": dict(zip(STATE, estimate.state.tolist(), strict=True)),
         "state_sd": dict(zip(STATE, estimate.sd.tolist(), strict=True)),
         "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),

@@ -47,8 +47,12 @@ def replay_command(
     ] = None,
     speed: Annotated[float, typer.Option(help="Factor on the speed of time.")] = 1.0,
     origin: Annotated[
-        str, typer.Option(help="Latitude,longitude of the log's origin, degrees.")
-    ] = f"{ORIGIN[0]},{ORIGIN[1]}",
+        str | None,
+        typer.Option(
+            help="Latitude,longitude of the log's origin, degrees. Default: where the log has it, "
+            f"else {ORIGIN[0]},{ORIGIN[1]}."
+        ),
+    ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Start over at the end, for ever.")] = False,
     disturb: Annotated[
         str,
@@ -66,7 +70,7 @@ def replay_command(
             "--ship",
             "--vessel",
             help="Boat, TOML file or name, whose full throttle scales MAVLink's servo outputs. "
-            "Default: the .toml beside the log, else usv75.",
+            "Default: the .toml beside the log.",
         ),
     ] = None,
     shaft_max: ShaftMaxOption = None,
@@ -82,11 +86,14 @@ def replay_command(
     if target is None or (nmea is not None and mavlink is not None):
         raise FeedError("name one of --nmea udp://:10110 and --mavlink udp://:14550")
     run = Log.read(log, mapping)
-    place = _origin(origin)
+    known = None if run.datum is None else run.datum.plane
+    place = (known.latitude, known.longitude) if known is not None else ORIGIN
+    if origin is not None:
+        place = _origin(origin)
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
     else:
-        particulars = particulars_for_log(log, ship)[0]
+        particulars = particulars_for_log(log, ship)
         stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)
     counts: Counter[str] = Counter()
     length = float(run.t[-1] - run.t[0])

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin.channels import COMMANDS, STATE, TIME
+from twin.channels import COMMANDS, TIME
 from twin.cli.common import (
     STATE_HEADS,
     STATE_SCALE,
@@ -23,11 +23,11 @@ from twin.cli.common import (
     new_table,
     open_log,
     row_progress,
-    write_csv,
 )
 from twin.digital_twin import TwinError, known_plan
 from twin.logs.columns import LogError
 from twin.logs.log import Log
+from twin.logs.tables import check_export
 from twin.predictors.base import Prediction
 from twin.predictors.registry import DEFAULT
 
@@ -57,13 +57,19 @@ def predict_command(
     ] = "hold",
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="CSV of the prediction, its sd and its 90 % interval."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="The prediction, its sd and its 90 % interval: .csv, .parquet or .geojson.",
+        ),
     ] = None,
 ) -> None:
     """Run the twin over a log up to a time, and predict the motion after it."""
     dt = horizon / max(round(horizon / 0.1), 1)
     commands = None if plan in ("hold", "known") else _read_plan(Path(plan), horizon, dt)
     run, twin = open_log(log, predictor, ship=ship, model=model, mapping=mapping)
+    if out is not None:
+        check_export(out, twin.datum)
     last = float(run.t[-1])
     if at is None:
         at = last - horizon if plan == "known" else last
@@ -88,10 +94,8 @@ def predict_command(
     prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
     _print_prediction(prediction, predictor, plan, run)
     if out is not None:
-        parts = (prediction.mean, prediction.sd, prediction.low, prediction.high)
-        table = np.column_stack([prediction.t, *parts])
-        header = [f"{kind}{c}" for kind in ("", "sd_", "low_", "high_") for c in STATE]
-        write_csv(out, ["t_s", *header], table.tolist())
+        about = {"boat": twin.particulars.name, "log": run.name, "predictor": predictor}
+        prediction.table(twin.datum).write(out, **about, plan=plan, from_t_s=prediction.t0)
         console.print(f"every 0.1 s: {out}")
 
 

@@ -1,0 +1,229 @@
+"""Proposed mappings read logs of other programs as what they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from twin.cli.main import app
+from twin.logs.columns import LogError
+from twin.logs.dates import date_formats
+from twin.logs.log import Log, recorded_runs
+from twin.logs.proposal import propose
+from twin.sim.bridge import simulate
+from usv_gym import SeaState, Vessel
+from usv_gym.world.sensors import SensorSuite
+
+START = datetime(2024, 5, 13, 9, 30, tzinfo=timezone(timedelta(hours=2)))
+LATITUDE, LONGITUDE = 59.43, 10.47
+KNOT = 1852.0 / 3600.0
+
+
+@pytest.fixture(scope="module")
+def run() -> Log:
+    """Return a zigzag of a boat with drives, and sensors of a good grade."""
+    return simulate(
+        "zigzag",
+        vessel=Vessel.load("usv75"),
+        sea=SeaState(hs=0.2, wind=3.0),
+        duration=120.0,
+        seed=1,
+        suite=SensorSuite(gps_white=0.05, gps_bias=0.0, gps_latency=0.0),
+    )
+
+
+Column = Callable[[Log], list[str]]
+
+
+def numbers(values: Callable[[Log], np.ndarray], digits: int = 9) -> Column:
+    return lambda log: [f"{x:.{digits}f}" for x in values(log)]
+
+
+def stamps(form: str) -> Column:
+    def column(log: Log) -> list[str]:
+        texts = ((START + timedelta(seconds=float(t))).strftime(form) for t in log.t)
+        return [text.replace("+0200", "+02:00") for text in texts]
+
+    return column
+
+
+TO_NORTH, TO_EAST = 111_415.0, 56_895.0  # metres in a degree there
+lat = numbers(lambda log: LATITUDE + log.z[:, 0] / TO_NORTH)
+lon = numbers(lambda log: LONGITUDE + log.z[:, 1] / TO_EAST)
+speed = numbers(lambda log: np.hypot(log.z[:, 2], log.z[:, 3]))
+knots = numbers(lambda log: np.hypot(log.z[:, 2], log.z[:, 3]) / KNOT)
+course = numbers(lambda log: np.degrees(np.arctan2(log.z[:, 3], log.z[:, 2])) % 360.0)
+heading = numbers(lambda log: np.degrees(log.z[:, 4]) % 360.0)
+rate = numbers(lambda log: np.degrees(log.z[:, 5]))
+
+LOGGERS: dict[str, dict[str, Column]] = {
+    "survey boat": {
+        "Date": stamps("%Y-%m-%dT%H:%M:%S.%f%z"),
+        "Lat": lat,
+        "Lon": lon,
+        "SOG": knots,
+        "COG": course,
+        "Heading": heading,
+        "ROT": numbers(lambda log: 60.0 * np.degrees(log.z[:, 5])),
+        "RPM left": numbers(lambda log: 60.0 * log.cmd[:, 0]),
+        "RPM right": numbers(lambda log: 60.0 * log.cmd[:, 1]),
+        "Rudder angle": numbers(lambda log: np.degrees(log.cmd[:, 2])),
+        "Battery": numbers(lambda log: 24.0 + 0.0 * log.t),
+    },
+    "autopilot": {
+        "timestamp_ms": numbers(lambda log: 1.7e12 + 1000.0 * log.t, 3),
+        "latitude": lat,
+        "longitude": lon,
+        "ground_speed_mps": speed,
+        "course_deg": course,
+        "yaw_rad": numbers(lambda log: np.remainder(0.5 * math.pi - log.z[:, 4], 2.0 * math.pi)),
+        "yaw_rate_degps": numbers(lambda log: -np.degrees(log.z[:, 5])),
+        "n_rps": numbers(lambda log: log.cmd[:, 0]),
+        "rudder_rad": numbers(lambda log: log.cmd[:, 2]),
+    },
+    "American": {
+        "Time": stamps("%m/%d/%Y %I:%M:%S.%f %p"),
+        "North (m)": numbers(lambda log: log.z[:, 0]),
+        "East (m)": numbers(lambda log: log.z[:, 1]),
+        "Speed (kts)": knots,
+        "Course (deg)": course,
+        "Compass (deg)": heading,
+        "Yaw Rate (deg/s)": rate,
+        "Throttle port": numbers(lambda log: 100.0 * log.cmd[:, 0] / log.cmd[:, 0].max()),
+        "Throttle starboard": numbers(lambda log: 100.0 * log.cmd[:, 1] / log.cmd[:, 1].max()),
+        "Steering (deg)": numbers(lambda log: np.degrees(log.cmd[:, 2])),
+    },
+    "swapped": {
+        "t": numbers(lambda log: log.t),
+        "Latitude": numbers(lambda log: 110.47 + log.z[:, 1] / TO_EAST),
+        "Longitude": lat,
+        "speed_kmh": numbers(lambda log: 3.6 * np.hypot(log.z[:, 2], log.z[:, 3])),
+        "cog": course,
+        "hdg": heading,
+        "n1": numbers(lambda log: log.cmd[:, 0]),
+        "n2": numbers(lambda log: log.cmd[:, 1]),
+        "delta1": numbers(lambda log: log.cmd[:, 2]),
+        "delta2": numbers(lambda log: log.cmd[:, 3]),
+    },
+}
+
+
+def write(path: Path, log: Log, columns: dict[str, Column]) -> Path:
+    cells = [make(log) for make in columns.values()]
+    rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
+    path.write_text("\n".join(rows).replace("nan", "") + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", LOGGERS)
+def test_a_proposed_mapping_reads_the_log(tmp_path: Path, run: Log, name: str) -> None:
+    path = write(tmp_path / "run.csv", run, LOGGERS[name])
+    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    assert result.exit_code == 0, result.output
+    back = Log.read(path)
+    assert np.abs(back.t - run.t - (back.t[0] - run.t[0])).max() < 2e-3
+    for column in (0, 1):
+        error = back.z[:, column] - run.z[:, column]
+        assert np.nanmax(np.abs(error - np.nanmean(error))) < 0.5
+    assert np.nanmax(np.abs(back.z[:, 2:4] - run.z[:, 2:4])) < 1e-3
+    turned = np.remainder(back.z[:, 4] - run.z[:, 4] + math.pi, 2.0 * math.pi) - math.pi
+    assert np.nanmax(np.abs(turned)) < 1e-6
+    if name != "swapped":
+        assert np.nanmax(np.abs(back.z[:, 5] - run.z[:, 5])) < 1e-6
+    scale = 100.0 / run.cmd[:, 0].max() if name == "American" else 1.0
+    assert np.abs(back.cmd[:, :2] - scale * run.cmd[:, :2]).max() < 1e-6
+    assert np.abs(back.cmd[:, 2:] - run.cmd[:, 2:]).max() < 1e-6
+    checked = CliRunner().invoke(app, ["log", "check", str(path), "--no-picture"])
+    assert checked.exit_code == 0 or "shaft" in checked.output, checked.output
+
+
+def test_missing_columns_are_named(tmp_path: Path) -> None:
+    log = Log.read(recorded_runs()["boat1_usv_circle"])
+    found = propose(write(tmp_path / "run.csv", log, {"t": numbers(lambda log: log.t)}))
+    assert "gps_x_m" in found.missing and "compass_rad" in found.missing
+    assert "t_s" not in found.missing
+
+
+def test_an_ambiguous_date_asks(tmp_path: Path, run: Log) -> None:
+    columns = {**LOGGERS["American"], "Time": lambda log: ["03/05/2024 09:30:00"] * len(log)}
+    path = write(tmp_path / "run.csv", run, columns)
+    result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+    assert result.exit_code == 2
+    assert "day first or month first?" in result.output
+    assert not (tmp_path / "run.mapping.toml").exists()
+    result = CliRunner().invoke(app, ["mapping", "new", str(path), "--dates", "day-first"])
+    assert result.exit_code == 0
+    assert 'format = "%d/%m/%Y %H:%M:%S%.f"' in (tmp_path / "run.mapping.toml").read_text()
+    again = CliRunner().invoke(app, ["mapping", "new", str(path), "--dates", "day-first"])
+    assert again.exit_code == 2 and "--force" in again.output
+
+
+def test_the_answer_of_a_user_is_taken(
+    tmp_path: Path, run: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = {**LOGGERS["American"], "Time": lambda log: ["03/05/2024 09:30:00"] * len(log)}
+    path = write(tmp_path / "run.csv", run, columns)
+    monkeypatch.setattr("twin.cli.logs.mapping._is_interactive", lambda: True)
+    result = CliRunner().invoke(app, ["mapping", "new", str(path)], input="what\nmonth-first\n")
+    assert result.exit_code == 0, result.output
+    assert 'format = "%m/%d/%Y %H:%M:%S%.f"' in (tmp_path / "run.mapping.toml").read_text()
+
+
+def test_swapped_latitude_and_longitude_are_refused(tmp_path: Path, run: Log) -> None:
+    path = write(tmp_path / "run.csv", run, LOGGERS["swapped"])
+    assert CliRunner().invoke(app, ["mapping", "new", str(path)]).exit_code == 0
+    mapping = tmp_path / "run.mapping.toml"
+    text = mapping.read_text()
+    assert 'latitude = "Longitude"' in text and "swapped" in text
+    text = text.replace('latitude = "Longitude"', 'latitude = "Latitude"')
+    mapping.write_text(text.replace('longitude = "Latitude"', 'longitude = "Longitude"'))
+    with pytest.raises(LogError, match="latitude and longitude are swapped"):
+        Log.read(path)
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%d.%m.%Y %H:%M:%S.%f", "%m/%d/%y %I:%M:%S.%f %p", "%H:%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f"],
+)
+def test_dates_of_a_stated_format_are_read(tmp_path: Path, run: Log, form: str) -> None:
+    path = write(tmp_path / "run.csv", run, {**LOGGERS["American"], "Time": stamps(form)})
+    assert CliRunner().invoke(app, ["mapping", "new", str(path)]).exit_code == 0
+    assert np.abs(Log.read(path).t - run.t).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("texts", "formats"),
+    [
+        (["2024-05-03T09:30:00+02:00"], [""]),
+        (["2024-05-03 09:30:00.25"], [""]),
+        (["2024/05/03 09:30:00"], ["%Y/%m/%d %H:%M:%S%.f"]),
+        (["13/05/2024 9:30:00"], ["%d/%m/%Y %H:%M:%S%.f"]),
+        (["05/13/2024 9:30:00 am"], ["%m/%d/%Y %I:%M:%S%.f %p"]),
+        (["3/5/2024 9:30"], ["%d/%m/%Y %H:%M", "%m/%d/%Y %H:%M"]),
+        (["3/5/2024 23:59:59", "4/5/2024 00:00:00"], ["%d/%m/%Y %H:%M:%S%.f"]),
+        (["5/3/2024 23:59:59", "5/4/2024 00:00:00"], ["%m/%d/%Y %H:%M:%S%.f"]),
+        (["3.5.24, 09:30:00 +0200", "20.5.24, 09:30:00 +0200"], ["%d.%m.%y, %H:%M:%S%.f %#z"]),
+        (["03-May-2024 09:30:00"], ["%d-%b-%Y %H:%M:%S%.f"]),
+        (["09:30:00.5"], ["%H:%M:%S%.f"]),
+        (["soon"], []),
+        ([], []),
+    ],
+)
+def test_formats_of_dates(texts: list[str], formats: list[str]) -> None:
+    assert [each.format for each in date_formats(texts)] == formats
+
+
+def test_sides_of_shaft_speeds_are_no_yaw_rate(tmp_path: Path) -> None:
+    file = tmp_path / "rpm.csv"
+    rows = [f"{k},{k},0,0.1,{800 + k % 7},{810 + k % 5}" for k in range(60)]
+    file.write_text("t_s,x,y,heading_rad,rpm_l,rpm_r\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    lines = propose(file).lines["columns"]
+    assert 'n_left_rps = { from = "rpm_l", unit = "rpm" }' in lines
+    assert 'n_right_rps = { from = "rpm_r", unit = "rpm" }' in lines
+    assert not any(line.startswith("gyro") for line in lines)

@@ -1,0 +1,174 @@
+"""The picture of ``usv-twin log check``: track, samples, turning, speed, heading, lags."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.benchmark.figures.style import (
+    BLACK,
+    DASHED,
+    Array,
+    Entry,
+    line,
+    new_figure,
+    set_ticks,
+    set_title,
+)
+from twin.logs.diagnosis.commands import speed_of
+from twin.logs.diagnosis.diagnose import Diagnosis
+from twin.logs.diagnosis.findings import Recording
+from twin.logs.diagnosis.signals import ENOUGH, integrated, sampled
+from twin.logs.diagnosis.timing import SENSORS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+
+_MOST = 1e7
+"""Larger values are not drawn."""
+
+_POINTS = 4000
+"""Most points of a curve."""
+
+
+def draw_check(found: Diagnosis) -> bytes:
+    """Return the picture of a diagnosis as PNG."""
+    recording = _drawable(found.recording)
+    entries: list[Entry] = [
+        (line(BLUE), "fixes; left unit"),
+        (line(ORANGE), "compass, velocity; right unit"),
+        (line(GREEN), "gyro; steering angle"),
+    ]
+    about = ", ".join(
+        f"{len(found.of(kind))} {kind}(s)" for kind in ("error", "warning") if found.of(kind)
+    )
+    mosaic = [["track", "samples"], ["track", "speed"], ["lags", "turn"], ["commands", "heading"]]
+    fig, axes = new_figure(
+        f"{recording.name}: check", about or "nothing found", entries, mosaic, (11.0, 9.0)
+    )
+    _track(axes["track"], recording)
+    _samples(axes["samples"], recording)
+    _speed(axes["speed"], recording)
+    _turn(axes["turn"], recording)
+    _heading(axes["heading"], recording)
+    _lags(axes["lags"], found)
+    _commands(axes["commands"], recording)
+    low, high = float(recording.t[0]), float(recording.t[-1])
+    for name in ("samples", "speed", "turn", "heading", "commands"):
+        axes[name].set_xlim(low, high)
+    buffer = io.BytesIO()
+    fig.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def _drawable(recording: Recording) -> Recording:
+    """Return a recording without the numbers that no picture can hold."""
+    z, cmd = (np.where(np.abs(v) < _MOST, v, np.nan) for v in (recording.z, recording.cmd))
+    return dataclasses.replace(recording, z=z, cmd=cmd)
+
+
+def _thin(*columns: Array) -> list[Array]:
+    """Return every so-many-th value of columns, so that there are few."""
+    step = max(len(columns[0]) // _POINTS, 1)
+    return [column[::step] for column in columns]
+
+
+def _track(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "track, m, coloured by speed, m/s")
+    t, fix = recording.samples("gps_x_m", "gps_y_m")
+    motion = speed_of(recording)
+    if motion is None or len(t) < ENOUGH:
+        return
+    x, y, at = _thin(fix[:, 0], fix[:, 1], t)
+    speed = np.interp(at, motion[0], np.nan_to_num(np.hypot(*motion[1].T)))
+    drawn = ax.scatter(y, x, c=speed, s=4, cmap="viridis", lw=0)
+    ax.plot(y[:1], x[:1], marker="o", ms=8, mfc="none", mec=BLACK, ls="")
+    bar = ax.figure.colorbar(drawn, ax=ax, shrink=0.6, pad=0.02)
+    bar.ax.tick_params(labelsize=9, length=0)
+    ax.set_aspect("equal", adjustable="datalim")
+    set_ticks(ax, 5, 6, "east")
+    ax.set_ylabel("north", fontsize=10)
+
+
+def _samples(ax: Axes, recording: Recording) -> None:
+    """Draw when each sensor has new samples; a gap is a white place."""
+    set_title(ax, "new samples of each sensor")
+    names = [name for name, columns in SENSORS.items() if len(recording.samples(*columns)[0])]
+    for row, name in enumerate(names):
+        at = recording.samples(*SENSORS[name])[0]
+        step = 4.0 * float(np.median(np.diff(at))) if len(at) > 1 else 1.0
+        breaks = np.flatnonzero(np.diff(at) > step)
+        start, end = at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]
+        spans = list(zip(start.tolist(), np.maximum(end - start, 0.05).tolist(), strict=True))
+        ax.broken_barh(spans, (row - 0.35, 0.7), color=BLUE, lw=0)
+    set_ticks(ax, 6, 6, None)
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+
+
+def _speed(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "speed over ground, m/s")
+    t, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    if len(t):
+        at, speed = _thin(t, np.hypot(*velocity.T))
+        ax.plot(at, speed, color=ORANGE, lw=1.0)
+    motion = speed_of(recording)
+    if motion is not None:
+        ax.plot(motion[0], np.hypot(*motion[1].T), color=BLUE, lw=1.6)
+    set_ticks(ax, 6, 4, None)
+
+
+def _turn(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "yaw rate of compass and gyro, deg/s")
+    t, compass = recording.samples("compass_rad")
+    t_gyro, gyro = recording.samples("gyro_radps")
+    grid = np.linspace(recording.t[0], recording.t[-1], min(_POINTS, len(recording.t)))
+    turned = integrated(t_gyro, gyro[:, 0]) if len(t_gyro) > 1 else gyro[:, 0]
+    for at, angle, style in (
+        (t, np.unwrap(compass[:, 0]), (ORANGE, "-")),
+        (t_gyro, turned, (GREEN, DASHED)),
+    ):
+        if len(at) >= ENOUGH:
+            rate = sampled(at, angle, grid + 0.5) - sampled(at, angle, grid - 0.5)
+            ax.plot(grid, np.degrees(rate), color=style[0], ls=style[1], lw=1.0)
+    set_ticks(ax, 6, 4, None)
+
+
+def _heading(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "course of the fixes and compass, deg")
+    t, compass = recording.samples("compass_rad")
+    at, psi = _thin(t, np.degrees(np.remainder(compass[:, 0], 2.0 * math.pi)))
+    ax.plot(at, psi, color=ORANGE, ls="", marker=".", ms=2)
+    motion = speed_of(recording)
+    if motion is not None:
+        course = np.degrees(np.arctan2(motion[1][:, 1], motion[1][:, 0])) % 360.0
+        ax.plot(motion[0], course, color=BLUE, ls="", marker=".", ms=3)
+    ax.set_ylim(0.0, 360.0)
+    set_ticks(ax, 6, 4, "time, s")
+
+
+def _lags(ax: Axes, found: Diagnosis) -> None:
+    lags = found.measured.lags
+    text = "; ".join(f"{name} {lag.seconds:+.2f} s" for name, lag in lags.items())
+    set_title(ax, f"correlation at each lag: {text}" if lags else "no gyro, no accelerometers")
+    for (name, lag), style in zip(lags.items(), ((GREEN, "-"), (BLUE, DASHED)), strict=False):
+        ax.plot(lag.lags, lag.curve, color=style[0], ls=style[1], lw=1.4, label=name)
+        ax.axvline(lag.seconds, color=style[0], lw=0.8, ls=(0, (4, 2)))
+    set_ticks(ax, 5, 4, "lag, s")
+
+
+def _commands(ax: Axes, recording: Recording) -> None:
+    set_title(ax, "commands: shaft speeds, rev/s; angle, deg")
+    for j, colour in ((0, BLUE), (1, ORANGE)):
+        at, value = _thin(recording.t, recording.cmd[:, j])
+        ax.plot(at, value, color=colour, lw=1.0)
+    if np.nan_to_num(recording.cmd[:, 2:]).any():
+        at, value = _thin(recording.t, np.degrees(recording.cmd[:, 2]))
+        ax.plot(at, value, color=GREEN, lw=1.0)
+    set_ticks(ax, 6, 4, "time, s")

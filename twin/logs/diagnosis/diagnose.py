@@ -1,0 +1,221 @@
+"""All detectors on one log: what was measured, and what is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.channels import COMMANDS, MEASUREMENTS
+from twin.logs.columns import Array
+from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
+from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
+from twin.logs.diagnosis.forces import check_forces
+from twin.logs.diagnosis.heading import GyroFit, check_heading, gyro_lag, gyro_on_compass
+from twin.logs.diagnosis.imu import ImuFit, check_imu, imu_on_fixes
+from twin.logs.diagnosis.position import (
+    StampFit,
+    VelocityFit,
+    check_position,
+    find_jumps,
+    fix_stamps,
+    velocity_on_fixes,
+)
+from twin.logs.diagnosis.signals import ENOUGH, Lag, white_noise
+from twin.logs.diagnosis.timing import check_timing, sensor_rates
+from twin.logs.diagnosis.track import TrackFit, compass_on_track, thrust
+from twin.particulars import Particulars
+
+__all__ = [
+    "Diagnosis",
+    "Measured",
+    "diagnose",
+    "measure",
+    "without_jumps",
+]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the sensors of a log are like, as far as it tells.
+
+    Parameters
+    ----------
+    rates : dict of str to float
+        New samples a second of each sensor, Hz; 0 for none.
+    noise : dict of str to float
+        White noise of each sensor, from sample to sample, in its unit.
+    stamps, velocity, track, gyro, imu
+        Comparisons of sensors with each other; None where there is nothing to compare.
+    effects : dict of str to Effect
+        What the commands do to the yaw rate.
+    lags : dict of str to Lag
+        Correlation of sensors at each lag.
+    """
+
+    rates: dict[str, float]
+    noise: dict[str, float]
+    stamps: StampFit | None
+    velocity: VelocityFit | None
+    track: TrackFit | None
+    gyro: GyroFit | None
+    imu: ImuFit | None
+    effects: dict[str, Effect]
+    lags: dict[str, Lag]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What :func:`diagnose` returns.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log, without fixes that no boat can reach.
+    measured : Measured
+        What its sensors are like.
+    findings : tuple of Finding
+        Errors first, then warnings and notes.
+    """
+
+    recording: Recording
+    measured: Measured
+    findings: tuple[Finding, ...]
+
+    def of(self, severity: str) -> list[Finding]:
+        """Return the findings of one severity."""
+        return [finding for finding in self.findings if finding.severity == severity]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as plain numbers and texts; NaN becomes None."""
+        fits = ("stamps", "velocity", "track", "gyro", "imu")
+        measured = self.measured
+        return {
+            "name": self.recording.name,
+            "rows": len(self.recording.stamps),
+            "rates_hz": measured.rates,
+            "noise": _plain(measured.noise),
+            **{
+                name: None if fit is None else _plain(fit._asdict())
+                for name in fits
+                for fit in [getattr(measured, name)]
+            },
+            "effects": {name: _plain(e._asdict()) for name, e in measured.effects.items()},
+            "findings": [
+                {**dataclasses.asdict(finding), "evidence": _plain(dict(finding.evidence))}
+                for finding in self.findings
+            ],
+        }
+
+
+def _plain(numbers: dict[str, Any]) -> dict[str, float | None]:
+    return {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
+
+
+def without_jumps(recording: Recording) -> Recording:
+    """Return a recording in which fixes that no boat can reach from the others are NaN."""
+    jumps = find_jumps(recording.t, recording.z[:, :2])
+    if jumps is None:
+        return recording
+    z = recording.z.copy()
+    z[jumps.lost, :2] = np.nan
+    return dataclasses.replace(recording, z=z)
+
+
+def measure(recording: Recording) -> Measured:
+    """Return what the sensors of a log are like.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without jumps.
+    """
+    fix = recording.samples("gps_x_m", "gps_y_m")
+    velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    t, compass = recording.samples("compass_rad")
+    t_gyro, gyro = recording.samples("gyro_radps")
+    accel = recording.samples("accel_x_mps2", "accel_y_mps2")
+    psi = np.unwrap(compass[:, 0])
+    noise = {
+        "gps_m": _noise(*fix),
+        "velocity_mps": _noise(*velocity),
+        "compass_rad": _noise(t, psi[:, None]),
+        "gyro_radps": _noise(t_gyro, gyro),
+        "accel_mps2": _noise(*accel),
+    }
+    moved = imu_on_fixes(recording)
+    turned = gyro_lag(t, psi, t_gyro, gyro[:, 0])
+    lags = {"gyro behind compass": turned, "GPS behind accelerometers": moved and moved[1]}
+    return Measured(
+        sensor_rates(recording),
+        noise,
+        fix_stamps(*fix),
+        velocity_on_fixes(fix, velocity),
+        compass_on_track(fix, (t, psi), thrust(recording)),
+        gyro_on_compass(t, psi, t_gyro, gyro[:, 0]),
+        moved[0] if moved else None,
+        yaw_effects(recording),
+        {name: lag for name, lag in lags.items() if lag is not None},
+    )
+
+
+def _noise(t: Array, values: Array) -> float:
+    """Return the white noise of a channel, or the mean of two."""
+    if len(t) < ENOUGH:
+        return math.nan
+    each = [white_noise(t, column) for column in values.T]
+    return math.sqrt(sum(sd * sd for sd in each) / len(each))
+
+
+def diagnose(recording: Recording, particulars: Particulars | None = None) -> Diagnosis:
+    """Run all detectors on a log.
+
+    Parameters
+    ----------
+    recording : Recording
+        Columns before any repair.
+    particulars : Particulars, optional
+        Of the boat; units of the shaft speed and the delay of the GPS are held against them.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    found = _cells(recording) + check_timing(recording)
+    clean = without_jumps(recording)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        measured = measure(clean)
+        found += check_position(recording) + check_heading(clean)
+        found += check_imu(measured.imu, clean, particulars)
+        found += check_commands(clean, particulars) + check_forces(clean)
+    first: dict[str, Finding] = {}
+    for finding in found:
+        first.setdefault(finding.code, finding)
+    order = sorted(first.values(), key=lambda finding: SEVERITIES.index(finding.severity))
+    return Diagnosis(clean, measured, tuple(order))
+
+
+def _cells(recording: Recording) -> list[Finding]:
+    """Return findings about too few rows, sensors without a sample and infinite cells."""
+    if len(recording.t) < ENOUGH:
+        what = f"{len(recording.t)} rows with a time of their own"
+        return [Finding(ERROR, "too-short", what, "record for longer: some minutes, with turns")]
+    found = []
+    for name in ("gps_x_m", "compass_rad"):
+        count = int(np.isfinite(recording.z[:, MEASUREMENTS.index(name)]).sum())
+        if count < ENOUGH:
+            what = f"{recording.called(name)}: {count} samples"
+            remedy = "position and heading are needed"
+            found.append(Finding(ERROR, "sensor-empty", what, remedy, {"samples": count}))
+    if recording.infinite:
+        what = f"{recording.infinite} cells are infinite"
+        found.append(Finding(ERROR, "infinite", what, "leave cells without a value empty"))
+    empty = int(np.isnan(recording.cmd[:, : len(COMMANDS)]).any(axis=1).sum())
+    if empty:
+        what = f"{empty} of {len(recording.t)} rows come before the first command"
+        remedy = "fill in the commands in force, or remove these rows"
+        found.append(Finding(WARNING, "command-empty", what, remedy, {"rows": empty}))
+    return found

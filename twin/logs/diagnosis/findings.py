@@ -1,0 +1,160 @@
+"""What a detector returns, and the raw columns that it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.channels import COMMANDS, MEASUREMENTS, TIME
+from twin.logs.columns import Array
+
+__all__ = [
+    "ERROR",
+    "NOTE",
+    "SEVERITIES",
+    "WARNING",
+    "Finding",
+    "Recording",
+    "held",
+    "repeated",
+]
+
+ERROR, WARNING, NOTE = "error", "warning", "note"
+
+SEVERITIES = (ERROR, WARNING, NOTE)
+"""``error``: the log cannot be used so. ``warning``: the twin will be worse. ``note``: sound,
+but good to know."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a detector found.
+
+    Parameters
+    ----------
+    severity : str
+        One of :data:`SEVERITIES`.
+    code : str
+        Name of the fault, such as ``gyro-sign``; stable, for programs.
+    what : str
+        The fault in plain words, with its number.
+    remedy : str
+        What to do about it.
+    evidence : mapping of str to float
+        The numbers behind it; SI units, as their names end.
+    """
+
+    severity: str
+    code: str
+    what: str
+    remedy: str
+    evidence: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """The finding and its remedy in one line."""
+        return f"{self.what}; {self.remedy}" if self.remedy else self.what
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Columns of a log before any repair.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Time, s, strictly increasing.
+    z : ndarray, shape (N, 10)
+        Measurements in the order of ``MEASUREMENTS``; NaN where there is none.
+    cmd : ndarray, shape (N, 4)
+        Commands in the order of ``COMMANDS``; NaN where there is none.
+    stamps : ndarray, shape (M,)
+        Time as the file has it, also where it is empty or goes back.
+    given : mapping of str to str
+        What the file calls each column of the log.
+    name : str
+        Of the log.
+    infinite : int
+        Cells that were infinite, and are NaN here.
+    """
+
+    t: Array
+    z: Array
+    cmd: Array
+    stamps: Array
+    given: Mapping[str, str] = field(default_factory=dict)
+    name: str = "log"
+    infinite: int = 0
+
+    @classmethod
+    def of(cls, data: Mapping[str, Array], given: Mapping[str, str], name: str) -> Recording:
+        """Return the recording in the columns of a table, with the rows whose time advances.
+
+        Parameters
+        ----------
+        data : mapping of str to ndarray, shape (M,)
+            Columns of the log; those that are absent become NaN.
+        given : mapping of str to str
+            What the file calls them.
+        name : str
+            Of the log.
+        """
+        stamps = np.asarray(data[TIME], dtype=np.float64)
+        valid = np.isfinite(stamps)
+        latest = np.maximum.accumulate(np.where(valid, stamps, -np.inf))
+        kept = valid & (stamps > np.append(-np.inf, latest[:-1]))
+
+        def stack(names: tuple[str, ...]) -> Array:
+            table = np.full((int(kept.sum()), len(names)), np.nan)
+            for j, name in enumerate(names):
+                if name in data:
+                    table[:, j] = np.asarray(data[name], dtype=np.float64)[kept]
+            return table
+
+        z, cmd = stack(MEASUREMENTS), stack(COMMANDS)
+        infinite = int(np.isinf(z).sum() + np.isinf(cmd).sum())
+        z[np.isinf(z)], cmd[np.isinf(cmd)] = np.nan, np.nan
+        cmd = held(cmd)  # an empty command is the last one
+        cmd[:, [column not in data for column in COMMANDS]] = 0.0
+        return cls(stamps[kept], z, cmd, stamps, dict(given), name, infinite)
+
+    def called(self, *names: str) -> str:
+        """Return what the file calls columns, each once."""
+        return ", ".join(dict.fromkeys(self.given.get(name, name) for name in names))
+
+    def samples(self, *names: str) -> tuple[Array, Array]:
+        """Return times (M,) and new samples (M, k) of measurements that come together.
+
+        A fix, a velocity or a compass value that only repeats the last one is no new sample.
+        """
+        columns = [MEASUREMENTS.index(name) for name in names]
+        values = self.z[:, columns]
+        new = np.isfinite(values).all(axis=1)
+        fix = self.z[:, :2]
+        if columns[0] < 2:
+            new &= ~repeated(fix)
+        elif columns[0] < 4:
+            new &= ~(repeated(values) & (repeated(fix) | np.isnan(fix).any(axis=1)))
+        elif columns[0] == 4:
+            new &= ~repeated(values)
+        return self.t[new], values[new]
+
+
+def held(values: Array) -> Array:
+    """Return values (N,) or (N, k) with NaN replaced by the last number before it, if any."""
+    rows = np.arange(len(values)).reshape((-1,) + (1,) * (values.ndim - 1))
+    last = np.maximum.accumulate(np.where(np.isnan(values), 0, rows), axis=0)
+    return np.take_along_axis(values, last, axis=0)
+
+
+def repeated(values: Array) -> npt.NDArray[np.bool_]:
+    """Return the rows of (N, k) values that equal the last complete row before them."""
+    complete = np.flatnonzero(~np.isnan(values).any(axis=1))
+    samples = values[complete]
+    same = np.zeros(len(values), dtype=np.bool_)
+    # Against the last valid sample, not the last row: reading twice changes nothing more.
+    same[complete[1:]] = (samples[1:] == samples[:-1]).all(axis=1)
+    return same
