@@ -74,6 +74,7 @@ NAVIGATION = np.dtype(
         ("since_aid", "f8"),  # time since the model aided the filter, s
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come
+        ("drift_var", "f8"),  # of the model's velocity, as it lasts, (m/s)2
     ]
 )
 """What the filter of a boat remembers."""

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from twin.checkpoint import COUNT_MAX, Field
 from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
 from twin.identification.segments import ITERATIONS, Segments, solve, store_factor, use
+from twin.model.rollout import GRID
 from usv_kernel.arrays import flat_size, named_dtype, python_views, take
 from usv_kernel.jit import inlined, kernel
 
@@ -38,10 +39,17 @@ __all__ = [
 
 Array = NDArray[Any]
 
-TRUSTS = (1.0, 10.0, 100.0)
+TRUSTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
 """How far the refits trust the data; the first is in use until another has proved better."""
 
+SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
+"""Over how many of the last seconds each refit looks, at most."""
+
 _TRUSTS = np.array(TRUSTS)
+_SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
+
+STABLE_FOR = 20.0
+"""A refit is of use if it stays within bounds under held commands for so long, s."""
 
 MARGIN = 0.15
 """By how much the mean logarithm of another's squared errors must be lower."""
@@ -131,22 +139,59 @@ def score(first, rows, state, config, model, work):
 
 
 @kernel
-def select_trust(state, segments, config, work):
+def is_stable(row, xi, bounds, model, work):
+    """Return whether the motion from a row stays within bounds, held commands or none given.
+
+    From both sides of the row's velocities: a mode that grows needs something to grow from.
+    """
+    s = work.s
+    stable = True
+    for side in (-1.0, 1.0):
+        for i in range(3):
+            s[i] = row[i]
+            s[3 + i] = row[LOW + i]
+        s[4] += side * 0.1 * bounds[1]
+        s[5] += side * 0.1 * bounds[2]
+        drive(row[ACT:MIDDLE], work.terms[3])
+        for _ in range(round(STABLE_FOR / GRID)):
+            if not rk4_step(row, row, row[WIND:GOOD], xi, model, work, False):
+                return False
+        for i in range(3):
+            stable = stable and abs(s[3 + i]) <= bounds[i]
+    return stable
+
+
+@kernel
+def select_trust(newest, row, bounds, state, segments, config, model, work):
     """Refit with the trust in use and another in turn, and put the best of all to use."""
     count, errors, params, factors = state.count, state.errors, state.params, state.factors
     count[TURN] += 1.0
     chosen = int(count[CHOSEN])
     other = int(count[TURN]) % (params.shape[0] - 1)
     for r in (chosen, other if other < chosen else other + 1):
-        if solve(params[r], _TRUSTS[r], ITERATIONS, 0.0, segments, config, work):
+        since = max(newest - int(_SPANS[r]), 0)
+        if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    if count[SCORED] >= ENOUGH:
-        chosen = 0
-        for r in range(1, params.shape[0]):
-            if errors[r] + MARGIN < errors[chosen] + (MARGIN if chosen > 0 else 0.0):
-                chosen = r
-        count[CHOSEN] = chosen
-    use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
+    refused = np.uint64(0)
+    for _ in range(params.shape[0]):
+        if count[SCORED] >= ENOUGH:
+            chosen = -1
+            for r in range(params.shape[0]):
+                if (refused >> np.uint64(r)) & np.uint64(1):
+                    continue
+                if chosen < 0 or errors[r] + MARGIN < errors[chosen] + (
+                    MARGIN if chosen > 0 else 0.0
+                ):
+                    chosen = r
+            if chosen < 0:
+                return
+        if is_stable(row, params[chosen], bounds, model, work.line):
+            count[CHOSEN] = chosen
+            use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
+            return
+        refused |= np.uint64(1) << np.uint64(chosen)
+        if count[SCORED] < ENOUGH:
+            return
 
 
 SELECTOR_FIELDS = {
@@ -206,7 +251,7 @@ class TrustSelector:
         own = self.segments
         score(first, rows, self.state, own.config, own.model, own.work)
 
-    def solve(self) -> None:
+    def solve(self, newest: int, row: Array, bounds: Array) -> None:
         """Refit with the trust in use and another in turn, and put the best of all to use."""
         own = self.segments
-        select_trust(self.state, own.state, own.config, own.work)
+        select_trust(newest, row, bounds, self.state, own.state, own.config, own.model, own.work)

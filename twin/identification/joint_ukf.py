@@ -94,7 +94,7 @@ class FilterWorkspace(NamedTuple):
     Q: Any  # (6, 6) process noise of the states for a step
     q_xi: Any  # (p,) that of the parameters
     R: Any  # (6, 6) measurement noise
-    terms: Any  # (50,) terms of the model
+    terms: Any  # (58,) terms of the model
     accel: Any  # (4,) accelerations for the navigation, and whether there are any
     mask: Any  # (6,) which states were measured
     limit: Any  # (6,) factors of standard deviations

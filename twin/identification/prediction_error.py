@@ -31,18 +31,23 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.linalg import add_square, packed_size
+from twin.model.dynamics import rates_over_ground
 from twin.model.rollout import GRID
 from twin.model.structure import (
+    BY_CURRENT,
     BY_PSI,
     BY_R,
     BY_U,
     BY_V,
+    CURRENT,
     LEFT_COS,
     N_STATES,
     N_TERMS,
-    accelerations,
-    state_terms,
+    WIND_N,
+    WIND_X,
+    current_of,
     term_slopes,
+    through_water,
     thrust_terms,
 )
 from usv_kernel.arrays import take
@@ -162,9 +167,9 @@ def refit_config(values, p):
 class LineariseWork(NamedTuple):
     """Scratch of :func:`linearise`; m = p + 4 columns: parameters, error of a sample, offset."""
 
-    terms: Any  # (4, 50) terms at the four stages of a step
-    slopes: Any  # (4, 50) their derivatives by u, v, r, psi
-    by_term: Any  # (50, 3) parameters, gathered by terms
+    terms: Any  # (4, 58) terms at the four stages of a step
+    slopes: Any  # (4, 58) their derivatives by u, v, r, psi
+    by_term: Any  # (58, 3) parameters, gathered by terms
     s: Any  # (6,) state
     stage: Any  # (6,) state at a stage
     rate: Any  # (6,) its derivative
@@ -212,13 +217,14 @@ def _stage(number, wind, xi, model, work, linear):
     s, k, terms = work.stage, work.rate, work.terms[number]
     c, n = math.cos(s[PSI]), math.sin(s[PSI])
     u, v, r = s[U], s[V], s[R]
-    state_terms(u, v, r, c, n, wind, model.hull, terms)
+    current = current_of(xi, 0, model.hull)
     k[X], k[Y], k[PSI] = u * c - v * n, u * n + v * c, r
-    k[U], k[V], k[R] = accelerations(terms, model, xi, 0)
+    k[U], k[V], k[R] = rates_over_ground((u, v, r, c, n), wind, current, xi, 0, model, terms)
     if not linear:
         return
     A, slopes, by_term = work.A[number], work.slopes, work.by_term
-    term_slopes((u, v, r), (c, n), wind, model.hull, terms, slopes)
+    (u, v), over, (ahead, aside) = through_water((u, v), (c, n), wind, current)
+    term_slopes((u, v, r), (c, n), over, model.hull, terms, slopes)
     A[X, PSI], A[X, U], A[X, V] = -k[Y], c, -n
     A[Y, PSI], A[Y, U], A[Y, V] = k[X], n, c
     A[PSI, R] = 1.0
@@ -226,6 +232,32 @@ def _stage(number, wind, xi, model, work, linear):
     _add_slopes(BY_U, slopes[0], by_term, A, 3)
     _add_slopes(BY_V, slopes[1], by_term, A, 4)
     _add_slopes(BY_R, slopes[2], by_term, A, 5)
+    if model.hull[CURRENT] >= 0.0:
+        _add_current_slopes((c, n), r, (ahead, aside), slopes, by_term, A, terms)
+
+
+@inlined
+def _add_current_slopes(heading, r, current, slopes, by_term, A, terms):
+    """Add what the current changes in the slopes, and write those by the current itself."""
+    c, s = heading
+    ahead, aside = current
+    for i in range(3):
+        by_u, by_v = A[3 + i, U], A[3 + i, V]
+        A[3 + i, PSI] += by_v * ahead - by_u * aside
+        for k in range(WIND_X, WIND_N + 1):  # wind acts on the velocity over the ground
+            by_u -= by_term[k, i] * slopes[0, k]
+            by_v -= by_term[k, i] * slopes[1, k]
+        terms[BY_CURRENT + 2 * i] = by_v * s - by_u * c
+        terms[BY_CURRENT + 2 * i + 1] = -by_u * s - by_v * c
+    # an even current turns with the boat
+    A[U, PSI] -= r * ahead
+    A[V, PSI] -= r * aside
+    A[U, R] += aside
+    A[V, R] -= ahead
+    terms[BY_CURRENT] -= r * s
+    terms[BY_CURRENT + 1] += r * c
+    terms[BY_CURRENT + 2] -= r * c
+    terms[BY_CURRENT + 3] -= r * s
 
 
 @kernel
@@ -249,7 +281,7 @@ def rk4_step(row, after, wind, xi, model, work, linear):
     """
     s, stage, sums, terms = work.s, work.stage, work.sums, work.terms
     for j in range(LEFT_COS, N_TERMS):
-        terms[0, j] = terms[3, j]
+        terms[0, j] = terms[3, j] if j < BY_CURRENT else 0.0
     drive(row[MIDDLE:], terms[1])
     for j in range(LEFT_COS, N_TERMS):
         terms[2, j] = terms[1, j]

@@ -241,13 +241,13 @@ def _unpack(packed, A):
 
 
 @kernel
-def solve(xi, trust, iterations, damping, state, config, work):
-    """Move parameters xi to the least that the weighted quadratics and the prior make.
+def solve(xi, trust, since, iterations, damping, state, config, work):
+    """Move parameters to the least that the weighted quadratics and the prior make.
 
-    ``trust`` is the factor of the segments' information, ``iterations`` the number of robust
-    reweightings. ``damping`` is that of Levenberg and Marquardt in units of the prior's
-    information. Returned is False where rounding has left no definite matrix; else its factor is
-    ``work.solve.U``.
+    ``trust`` is the factor of the segments' information; those that begin before row ``since`` do
+    not count. ``iterations`` is the number of robust reweightings. ``damping`` is that of Levenberg
+    and Marquardt in units of the prior's information. Returned is False where rounding has left no
+    definite matrix; else its factor is ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
     total, square, U, d, pull = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
@@ -270,7 +270,7 @@ def solve(xi, trust, iterations, damping, state, config, work):
                 for j in range(p):
                     pull[i] += damping * U[min(i, j), max(i, j)] * start[j]
         for i in range(first.shape[0]):
-            if first[i] < 0.0:
+            if first[i] < 0.0 or first[i] < since:
                 continue
             q = scale / samples * _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes)
             weight = trust * scale * (1.0 if q <= knee else knee / q)
@@ -427,7 +427,7 @@ class Segments:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
         given = self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
-        if solve(self.params, self.trust, iterations, damping, *given) and damping == 0.0:
+        if solve(self.params, self.trust, 0, iterations, damping, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.trust, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.filters.ukf import sigma_points, time_update
-from twin.model.dynamics import all_terms
-from twin.model.structure import N_STATES, accelerations, state_terms
+from twin.model.dynamics import current_terms, drive, rates_over_ground
+from twin.model.structure import BY_CURRENT, N_STATES, N_TERMS, current_of
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
 
@@ -41,7 +41,7 @@ class JointWorkspace(NamedTuple):
 
     Q: Any  # (6, 6) process noise of the states for this step
     q_xi: Any  # (p,) variance that each parameter's random walk adds in this step
-    terms: Any  # (50,) terms of the model
+    terms: Any  # (58,) terms of the model
     sigma: Any  # UKFWorkspace
 
 
@@ -49,14 +49,22 @@ class JointWorkspace(NamedTuple):
 def propagate_points(act, wind, model, h, terms, sigma):
     """Send the sigma points through the model; write its slope. Source: Eq (25)."""
     points, slope = sigma.points, sigma.slope
-    all_terms(points[0], act, wind, model, terms)
+    psi = points[0, 2]
+    sin_0, cos_0 = sincos(psi)
+    drive(act, terms)
+    motion, current = (
+        (points[0, 3], points[0, 4], points[0, 5], cos_0, sin_0),
+        current_of(points[0], N_STATES, model.hull),
+    )
+    rates_over_ground(motion, wind, current, points[0], N_STATES, model, terms)
+    current_terms(motion, wind, points[0], N_STATES, model, terms)
     for i in range(3):
         low, high = model.limits[3 + i, 0], model.limits[3 + i, 1]
         row, term = slope[3 + i, low:high], model.which[i, low - N_STATES :]
         for k in range(high - low):
             row[k] = h * terms[term[k]]
-    psi = points[0, 2]
-    sin_0, cos_0 = sincos(psi)
+    for k in range(BY_CURRENT, N_TERMS):
+        terms[k] = 0.0
     sin_psi, cos_psi = sin_0, cos_0
     for i in range(points.shape[0]):
         point = points[i]
@@ -65,8 +73,8 @@ def propagate_points(act, wind, model, h, terms, sigma):
             cos_psi, sin_psi = cos_0, sin_0
         else:
             sin_psi, cos_psi = sincos(point[PSI])
-        state_terms(u, v, r, cos_psi, sin_psi, wind, model.hull, terms)
-        du, dv, dr = accelerations(terms, model, point, N_STATES)
+        motion, current = (u, v, r, cos_psi, sin_psi), current_of(point, N_STATES, model.hull)
+        du, dv, dr = rates_over_ground(motion, wind, current, point, N_STATES, model, terms)
         point[X] += h * (u * cos_psi - v * sin_psi)
         point[Y] += h * (u * sin_psi + v * cos_psi)
         point[PSI] += h * r

@@ -6,11 +6,15 @@ import math
 
 from twin.channels import PSI, R, U, V, X, Y
 from twin.model.structure import (
+    BY_CURRENT,
+    CURRENT,
     N_STATES,
     Structure,
     accelerations,
+    current_of,
     state_terms,
     structure_of,
+    through_water,
     thrust_terms,
 )
 from twin.particulars import Particulars
@@ -18,9 +22,11 @@ from usv_kernel.jit import inlined, kernel
 
 __all__ = [
     "N_ACT",
-    "all_terms",
+    "current_terms",
     "derivative",
+    "drive",
     "model_of",
+    "rates_over_ground",
     "step",
 ]
 
@@ -28,12 +34,32 @@ N_ACT = 4
 
 
 def model_of(
-    particulars: Particulars, name: str, *, biased: bool = False, tanker: bool | None = None
+    particulars: Particulars,
+    name: str,
+    *,
+    biased: bool = False,
+    tanker: bool | None = None,
+    current: bool = False,
 ) -> Structure:
     """Return the model structure of a boat; StructureError lists the names that there are.
 
-    ``name`` is one of ``twin.model.structure.MODELS``. ``biased`` adds two earth-fixed
-    accelerations where the structure has none. ``tanker`` follows from the particulars if left out.
+    Parameters
+    ----------
+    particulars : Particulars
+        Main particulars and steering are used.
+    name : str
+        One of ``twin.model.structure.MODELS``.
+    biased : bool
+        Add two earth-fixed accelerations where the structure has none.
+    tanker : bool, optional
+        Whether it is one; what the particulars say if left out.
+    current : bool
+        Add the velocity of the water.
+
+    Raises
+    ------
+    StructureError
+        Lists the names that there are.
     """
     return structure_of(
         name,
@@ -43,12 +69,13 @@ def model_of(
         differential=particulars.steering == "differential",
         tanker=particulars.tanker if tanker is None else tanker,
         biased=biased,
+        current=current,
     )
 
 
 @inlined
-def all_terms(s, act, wind, model, terms):
-    """Write every term of a state and of its actuators; arguments as for :func:`derivative`."""
+def drive(act, terms):
+    """Write the terms of the actuators."""
     thrust_terms(
         act[0],
         act[1],
@@ -58,7 +85,40 @@ def all_terms(s, act, wind, model, terms):
         math.sin(act[3]),
         terms,
     )
-    state_terms(s[U], s[V], s[R], math.cos(s[PSI]), math.sin(s[PSI]), wind, model.hull, terms)
+
+
+@inlined
+def rates_over_ground(motion, wind, current, xi, first, model, terms):
+    """Return the three accelerations over the ground; the terms of the actuators must be there.
+
+    Parameters
+    ----------
+    motion : tuple of float
+        u, v over the ground (m/s), r (rad/s), cosine and sine of the heading.
+    wind, current
+        See :func:`twin.model.structure.through_water`.
+    xi, first, model, terms
+        See :func:`twin.model.structure.accelerations`.
+    """
+    u, v, r, c, s = motion
+    (u, v), over, (ahead, aside) = through_water((u, v), (c, s), wind, current)
+    state_terms(u, v, r, c, s, over, model.hull, terms)
+    du, dv, dr = accelerations(terms, model, xi, first)
+    return du + r * aside, dv - r * ahead, dr
+
+
+@inlined
+def current_terms(motion, wind, xi, first, model, terms):
+    """Write the accelerations' slopes by the current among the terms, by differences."""
+    if not model.hull[CURRENT] >= 0.0:
+        return
+    small, (north, east) = 1e-4, current_of(xi, first, model.hull)
+    by_north = rates_over_ground(motion, wind, (north + small, east), xi, first, model, terms)
+    by_east = rates_over_ground(motion, wind, (north, east + small), xi, first, model, terms)
+    rate = rates_over_ground(motion, wind, (north, east), xi, first, model, terms)
+    for i in range(3):
+        terms[BY_CURRENT + 2 * i] = (by_north[i] - rate[i]) / small
+        terms[BY_CURRENT + 2 * i + 1] = (by_east[i] - rate[i]) / small
 
 
 @kernel
@@ -68,12 +128,13 @@ def derivative(s, xi, act, wind, model, terms, out):
     ``act`` has shaft speeds in the unit of the structure. ``wind`` (2,) is the true wind to north
     and east, m/s, zeros where it is not known. Source: Eq (20), (26).
     """
-    all_terms(s, act, wind, model, terms)
+    drive(act, terms)
     cos_psi, sin_psi = math.cos(s[PSI]), math.sin(s[PSI])
     out[X] = s[U] * cos_psi - s[V] * sin_psi
     out[Y] = s[U] * sin_psi + s[V] * cos_psi
     out[PSI] = s[R]
-    out[U], out[V], out[R] = accelerations(terms, model, xi, 0)
+    motion, current = (s[U], s[V], s[R], cos_psi, sin_psi), current_of(xi, 0, model.hull)
+    out[U], out[V], out[R] = rates_over_ground(motion, wind, current, xi, 0, model, terms)
 
 
 @kernel

@@ -30,9 +30,11 @@ from twin.model.structure import (
     LENGTH,
     N_STATES,
     N_TERMS,
+    current_of,
     gather,
     rates,
     state_terms,
+    through_water,
     thrust_rates,
     thrust_terms,
 )
@@ -107,18 +109,22 @@ class Paths(NamedTuple):
     act: Any  # (K, 4)
 
 
+_MOTION = N_STATES + 4 + 9 + 4 * N_TERMS
+
+
 class _Motion(NamedTuple):
     """Workspace of one motion."""
 
     now: Any  # (8,) state, cosine and sine of the heading
+    current: Any  # (2,) velocity of the water to north and east, m/s
     thrust: Any  # (3, 3) accelerations by the actuators at start, middle and end of a step
-    shares: Any  # (50, 4) parameters, gathered by terms
+    shares: Any  # (58, 4) parameters, gathered by terms
 
 
 class _Workspace(NamedTuple):
     """Workspace of a rollout."""
 
-    terms: Any  # (3, 50) terms at start, middle and end of a step
+    terms: Any  # (3, 58) terms at start, middle and end of a step
     turned: Any  # (4,) cosine and sine of the drive angles, left and right
     motions: Any  # (D, 8 + 9 + 200) see :class:`_Motion`
 
@@ -126,22 +132,23 @@ class _Workspace(NamedTuple):
 @inlined
 def _motion(row):
     now, at = take(row, 0, (N_STATES + 2,))
+    current, at = take(row, at, (2,))
     thrust, at = take(row, at, (3, 3))
     shares, at = take(row, at, (N_TERMS, 4))
-    return _Motion(now, thrust, shares)
+    return _Motion(now, current, thrust, shares)
 
 
 @inlined
 def _workspace(work, D):
     terms, at = take(work, 0, (3, N_TERMS))
     turned, at = take(work, at, (N_ACT,))
-    motions, at = take(work, at, (D, N_STATES + 2 + 9 + 4 * N_TERMS))
+    motions, at = take(work, at, (D, _MOTION))
     return _Workspace(terms, turned, motions)
 
 
 def rollout_size(D: int = 1) -> int:
     """Return the length of the workspace of :func:`rollout` for D motions."""
-    return 3 * N_TERMS + N_ACT + D * (N_STATES + 2 + 9 + 4 * N_TERMS)
+    return 3 * N_TERMS + N_ACT + D * _MOTION
 
 
 @inlined
@@ -168,11 +175,13 @@ def _thrust(act, turned, terms):
 
 
 @inlined
-def _rates(motion, wind, hull, shares, thrust, terms):
+def _rates(motion, water, hull, shares, thrust, terms):
     """Return the derivatives of u, v, r; a motion is u, v, r, cosine and sine of the heading."""
     u, v, r, c, s = motion
-    state_terms(u, v, r, c, s, wind, hull, terms)
-    return rates(terms, shares, hull, thrust)
+    (u, v), over, (ahead, aside) = through_water((u, v), (c, s), water[0], water[1])
+    state_terms(u, v, r, c, s, over, hull, terms)
+    du, dv, dr = rates(terms, shares, hull, thrust)
+    return du + r * aside, dv - r * ahead, dr
 
 
 @inlined
@@ -183,10 +192,11 @@ def _rk4_step(motion, wave, h, envelope, wind, hull, terms):
     """
     now, shares, thrust = motion.now, motion.shares, motion.thrust
     a, b, w = wave
+    water = wind, (motion.current[0], motion.current[1])
     x, y, psi, u, v, r = now[0], now[1], now[2], now[3], now[4], now[5]
     c_1, s_1 = now[6], now[7]
     c_2, s_2, c_3, s_3 = c_1, s_1, c_1, s_1
-    du_1, dv_1, dr_1 = _rates((u, v, r, c_1, s_1), wind, hull, shares, thrust[0], terms[0])
+    du_1, dv_1, dr_1 = _rates((u, v, r, c_1, s_1), water, hull, shares, thrust[0], terms[0])
     if hull[BIASED] > 0.0:  # sign of the bias, by the state of this stage
         ahead = psi + 0.5 * h * (r + w + 0.25 * h * dr_1)
         s_2, c_2 = sincos(ahead)
@@ -195,15 +205,15 @@ def _rk4_step(motion, wave, h, envelope, wind, hull, terms):
     u_2 = _bounded(u + 0.5 * h * du_1, envelope[0])
     v_2 = _bounded(v + 0.5 * h * dv_1, envelope[1])
     r_2 = _bounded(r + 0.5 * h * dr_1, envelope[2])
-    du_2, dv_2, dr_2 = _rates((u_2, v_2, r_2, c_2, s_2), wind, hull, shares, thrust[1], terms[1])
+    du_2, dv_2, dr_2 = _rates((u_2, v_2, r_2, c_2, s_2), water, hull, shares, thrust[1], terms[1])
     u_3 = _bounded(u + 0.5 * h * du_2, envelope[0])
     v_3 = _bounded(v + 0.5 * h * dv_2, envelope[1])
     r_3 = _bounded(r + 0.5 * h * dr_2, envelope[2])
-    du_3, dv_3, dr_3 = _rates((u_3, v_3, r_3, c_2, s_2), wind, hull, shares, thrust[1], terms[1])
+    du_3, dv_3, dr_3 = _rates((u_3, v_3, r_3, c_2, s_2), water, hull, shares, thrust[1], terms[1])
     u_4 = _bounded(u + h * du_3, envelope[0])
     v_4 = _bounded(v + h * dv_3, envelope[1])
     r_4 = _bounded(r + h * dr_3, envelope[2])
-    du_4, dv_4, dr_4 = _rates((u_4, v_4, r_4, c_3, s_3), wind, hull, shares, thrust[2], terms[2])
+    du_4, dv_4, dr_4 = _rates((u_4, v_4, r_4, c_3, s_3), water, hull, shares, thrust[2], terms[2])
     u_1, v_1, r_1 = u, v, r
     u = _bounded(u + h / 6.0 * (du_1 + 2.0 * (du_2 + du_3) + du_4), envelope[0])
     v = _bounded(v + h / 6.0 * (dv_1 + 2.0 * (dv_2 + dv_3) + dv_4), envelope[1])
@@ -260,11 +270,12 @@ def _fastest_rate(motion, wind, hull, terms):
     """
     now, shares, thrust = motion.now, motion.shares, motion.thrust[2]
     u, v, r, c, s = now[3], now[4], now[5], now[6], now[7]
+    water = wind, (motion.current[0], motion.current[1])
     small, turn = 1e-3, 1e-3 / hull[LENGTH]
-    du, dv, dr = _rates((u, v, r, c, s), wind, hull, shares, thrust, terms)
-    du_u = _rates((u + small, v, r, c, s), wind, hull, shares, thrust, terms)[0]
-    by_v = _rates((u, v + small, r, c, s), wind, hull, shares, thrust, terms)
-    by_r = _rates((u, v, r + turn, c, s), wind, hull, shares, thrust, terms)
+    du, dv, dr = _rates((u, v, r, c, s), water, hull, shares, thrust, terms)
+    du_u = _rates((u + small, v, r, c, s), water, hull, shares, thrust, terms)[0]
+    by_v = _rates((u, v + small, r, c, s), water, hull, shares, thrust, terms)
+    by_r = _rates((u, v, r + turn, c, s), water, hull, shares, thrust, terms)
     vv, rv = (by_v[1] - dv) / small, (by_v[2] - dr) / small
     vr, rr = (by_r[1] - dv) / turn, (by_r[2] - dr) / turn
     half = 0.5 * (vv + rr)
@@ -347,6 +358,7 @@ def rollout(start, plan, dt, config, waves, out, work):
             now[k] = state[k]
             now[3 + k] = _bounded(state[3 + k], envelope[k])
         now[7], now[6] = sincos(state[PSI])
+        motion.current[0], motion.current[1] = current_of(start.params[d], 0, hull)
         gather(config.model, start.params[d], motion.shares)
         thrust_rates(terms[2], motion.shares, motion.thrust[2])
     steps = _steps_of(dt, wind, hull, scratch)

@@ -47,10 +47,12 @@ from usv_kernel.scalar import fma
 from usv_kernel.simd import dot3
 
 __all__ = [
+    "BY_CURRENT",
     "BY_PSI",
     "BY_R",
     "BY_U",
     "BY_V",
+    "CURRENT",
     "MODELS",
     "N_STATES",
     "N_TERMS",
@@ -75,7 +77,7 @@ class ModelTerms(NamedTuple):
 
     which: NDArray[np.uint64]  # (3, p) term of each parameter in surge, sway and yaw
     limits: NDArray[np.int64]  # (6, 2) columns of (s, xi) that the rate of each state depends on
-    hull: Array  # (4,) constants: FULL, BIASED, LENGTH, SOFT
+    hull: Array  # (5,) constants: FULL, BIASED, LENGTH, SOFT, CURRENT
 
 
 N_STATES = 6
@@ -89,11 +91,14 @@ N_STATES = 6
     MEAN_COS, MEAN_SIN, DIFFERENCE, ASTERN_RACE,
     _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
     _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
-) = range(50)  # fmt: skip
+    _ZERO, BY_CURRENT,
+) = range(52)  # fmt: skip
 
-N_TERMS = 50
-"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone. Those
-before UUU are in every structure, the others of the state where all terms are needed."""
+N_TERMS = BY_CURRENT + 6
+"""Terms by index; those before LEFT_COS follow the state, the rest the actuators alone; those
+before UUU are in every structure, the others of the state where all terms are needed. The six
+from BY_CURRENT on are slopes by the current: north and east, in surge, sway and yaw. They are 0 but
+where a model is linearised."""
 
 _SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT, FIN_SIDE)
 
@@ -106,8 +111,12 @@ BY_R = np.array([VR, RR, R, V_R, R_R, UR, VVR, VRR, AU_R, AV_R, *_SHIP[3:]])
 BY_PSI = np.array([COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N])
 """Terms that change with u, v, r and psi: those whose slopes :func:`term_slopes` writes."""
 
-FULL, BIASED, LENGTH, SOFT = range(4)
-"""Hull constants: are all terms needed, is the heading, length (m), softening (m2/s2)."""
+FULL, BIASED, LENGTH, SOFT, CURRENT = range(5)
+"""Hull constants: are all terms needed, is the heading, length (m), softening (m2/s2), index of the
+current's two components among the parameters (-1 if there are none)."""
+
+CURRENT_SD = float(__import__("os").environ.get("CSD", "0.3"))
+"""Standard deviation of each component of the current before any data, m/s."""
 
 WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
@@ -121,7 +130,17 @@ Source: docs/explanation/twin.md, Tankers.
 
 @inlined
 def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, terms):
-    """Write the terms from LEFT_COS on, which depend on the actuators alone."""
+    """Write the terms that depend on the actuators alone.
+
+    Parameters
+    ----------
+    n_left, n_right : float
+        Shaft speeds in the unit of the structure.
+    cos_left, sin_left, cos_right, sin_right : float
+        Of the drive angles.
+    terms : (58,) array
+        Those from LEFT_COS on are written.
+    """
     left, right = n_left * abs(n_left), n_right * abs(n_right)
     terms[LEFT_COS], terms[RIGHT_COS] = left * cos_left, right * cos_right
     terms[LEFT_SIN], terms[RIGHT_SIN] = left * sin_left, right * sin_right
@@ -136,6 +155,39 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
     terms[ASTERN_RACE] = 0.5 * (min(n_left, 0.0) ** 2 + min(n_right, 0.0) ** 2)
     terms[_COS_LEFT], terms[_SIN_LEFT] = cos_left, sin_left
     terms[_COS_RIGHT], terms[_SIN_RIGHT] = cos_right, sin_right
+    for k in range(_ZERO, N_TERMS):
+        terms[k] = 0.0
+
+
+@inlined
+def current_of(xi, first, hull):
+    """Return the velocity of the water to north and east, m/s, from (first + p,) parameters."""
+    at = int(hull[CURRENT])
+    if at < 0:
+        return 0.0, 0.0
+    return xi[first + at], xi[first + at + 1]
+
+
+@inlined
+def through_water(velocity, heading, wind, current):
+    """Return velocities through the water, wind over it, and the current ahead and to starboard.
+
+    Parameters
+    ----------
+    velocity, heading : tuple of float
+        u, v over the ground, m/s; cosine and sine of the heading.
+    wind, current : (2,) array, tuple of float
+        To north and east, m/s. Zeros are a wind that is not known.
+
+    Source: Fossen 2021, 10.3: an even current turns with the boat, and adds no force of its own.
+    """
+    c, s = heading
+    north, east = current
+    ahead, aside = north * c + east * s, east * c - north * s
+    over = (0.0, 0.0)
+    if wind[0] != 0.0 or wind[1] != 0.0:
+        over = wind[0] - north, wind[1] - east
+    return (velocity[0] - ahead, velocity[1] - aside), over, (ahead, aside)
 
 
 @inlined
@@ -159,10 +211,10 @@ def _fin(u, aside, k, hull, terms):
 
 @inlined
 def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
-    """Write the terms before LEFT_COS, which depend on the state; the others must be there.
+    """Write the terms that depend on the state; those of the actuators must be there.
 
-    ``wind`` (2,) is the velocity of the true wind to north and east, m/s, zeros where it is not
-    known. ``hull`` (4,) are the constants of the structure.
+    u, v, r are velocities through the water. ``wind`` (2,) is that over the water to north and
+    east, m/s, zeros where it is not known. ``hull`` (5,) are the constants of the structure.
     """
     terms[U_U], terms[VV], terms[VR], terms[RR] = u * abs(u), v * v, v * r, r * r
     terms[U], terms[V], terms[R] = u, v, r
@@ -197,10 +249,18 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
 
 @kernel
 def term_slopes(velocity, heading, wind, hull, terms, slopes):
-    """Write the derivatives (4, 50) of the state's terms by u, v, r and psi.
+    """Write the derivatives of the state's terms by u, v, r and psi.
 
-    ``heading`` is its cosine and sine; ``terms`` are as :func:`state_terms` left them. Slopes are
-    written where they are not always 0: hand in zeros.
+    Parameters
+    ----------
+    velocity, heading : tuple of float
+        u, v (m/s), r (rad/s); cosine and sine of the heading.
+    wind, hull
+        See :func:`state_terms`.
+    terms : (58,) array
+        As :func:`state_terms` left it.
+    slopes : (4, 58) array
+        Written where a derivative is not always 0; hand in zeros.
     """
     u, v, r = velocity
     cos_psi, sin_psi = heading
@@ -261,10 +321,25 @@ def term_slopes(velocity, heading, wind, hull, terms, slopes):
 
 @inlined
 def accelerations(terms, model, xi, first):
-    """Return du/dt, dv/dt (m/s2) and dr/dt (rad/s2) from terms (50,) and parameters.
+    """Return the three accelerations from terms and parameters.
 
-    Parameters begin at entry ``first`` of ``xi``: 0, or the number of states if these stand before
-    them. Source: Eq (20), (23).
+    Parameters
+    ----------
+    terms : (58,) array
+        All terms.
+    model : ModelTerms
+        Of the structure.
+    xi : (first + p,) array
+        Parameters, from entry ``first`` on.
+    first : int
+        0, or the number of states if these stand before the parameters.
+
+    Returns
+    -------
+    tuple of 3 floats
+        du/dt, dv/dt in m/s2 and dr/dt in rad/s2.
+
+    Source: Eq (20), (23).
     """
     return (
         _sum(0, terms, model, xi, first),
@@ -289,7 +364,14 @@ def _sum(i, terms, model, xi, first):
 def gather(model, xi, shares):
     """Write what each term adds to the accelerations, for many calls of :func:`rates`.
 
-    ``shares`` (50, 4) are the coefficients in du/dt, dv/dt, dr/dt; the fourth fills up.
+    Parameters
+    ----------
+    model : ModelTerms
+        Of the structure.
+    xi : (p,) array
+        Parameters.
+    shares : (58, 4) array
+        Coefficients of the terms in du/dt, dv/dt, dr/dt; the fourth fills up.
     """
     which, limits = model.which, model.limits
     shares[:] = 0.0
@@ -329,17 +411,33 @@ class StructureError(UsvTwinError):
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parameters of a model, and what kernels need of them."""
+    """Parameters of a model, and what kernels need of them.
 
-    name: str  # one of MODELS
-    # names of the p parameters: surge, then those common to surge and sway, sway, yaw
+    Parameters
+    ----------
+    name : str
+        One of :data:`MODELS`.
+    parameters : tuple of str
+        Names of the p parameters: surge, then those common to surge and sway, those of the current,
+        sway, yaw.
+    units : tuple of str
+        Their units.
+    scales : ndarray, shape (p,)
+        Natural unit of each in powers of L, U and n, by which it becomes dimensionless.
+    terms : ModelTerms
+        Terms, limits and hull constants, for kernels.
+    n_unit : float
+        Shaft speeds are multiplied by this before they enter the terms.
+    mean, sd : ndarray, shape (p,)
+        Prior of each parameter before any data, in SI units.
+    """
+
+    name: str
     parameters: tuple[str, ...]
     units: tuple[str, ...]
-    # (p,): natural unit of each in powers of L, U and n, by which it becomes dimensionless
     scales: Array
-    terms: ModelTerms  # terms, limits and hull constants, for kernels
-    n_unit: float  # shaft speeds are multiplied by this before they enter the terms
-    # (p,): prior of each parameter before any data, in SI units
+    terms: ModelTerms
+    n_unit: float
     mean: Array
     sd: Array
 
@@ -383,6 +481,11 @@ _PAPER = (
     ("N_vrr", "s/(m rad)", "N", VRR, (0, -1, 0), 0.0, 2.7),
     ("T_rL", "rad/rev2", "N", LEFT_SIN, (-2, 2, -2), 0.6068, 0.331),
     ("T_rR", "rad/rev2", "N", RIGHT_SIN, (-2, 2, -2), 0.6068, 0.331),
+)
+
+_CURRENT = (
+    ("C_north", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
+    ("C_east", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
 )
 
 _BIASES = (
@@ -469,12 +572,33 @@ def structure_of(
     differential: bool = False,
     tanker: bool = False,
     biased: bool = False,
+    current: bool = False,
 ) -> Structure:
-    """Return one of :data:`MODELS` for a boat; StructureError lists the names that there are.
+    """Return a model structure for a boat.
 
-    ``length`` is on the waterline, m; ``shaft_speed`` that at the nominal ``speed`` (m/s).
-    ``differential``: it steers by unequal thrust. ``tanker``: a laden ship of full form with one
-    propeller. ``biased``: two earth-fixed accelerations are added where there are none.
+    Parameters
+    ----------
+    name : str
+        One of :data:`MODELS`.
+    length, speed, shaft_speed : float
+        On the waterline, m; nominal speed, m/s, and shaft speed at it, rev/s.
+    differential : bool
+        The boat steers by unequal thrust.
+    tanker : bool
+        It is a laden ship of full form, with one propeller.
+    biased : bool
+        Add the two earth-fixed accelerations where the structure has none.
+    current : bool
+        Add the velocity of the water.
+
+    Returns
+    -------
+    Structure
+
+    Raises
+    ------
+    StructureError
+        Lists the names that there are.
     """
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
@@ -482,6 +606,9 @@ def structure_of(
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
         rows[sway:sway] = _BIASES
+    if current:
+        sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
+        rows[sway:sway] = _CURRENT
     special = _DIFFERENTIAL if differential else _TANKER if tanker else {}
     rows = [
         (*row[:3], known[0], row[4], *known[1:]) if (known := special.get(row[0])) else row
@@ -489,16 +616,20 @@ def structure_of(
     ]
     equations = [row[2] for row in rows]
     limits = np.full((N_STATES, 2), N_STATES, dtype=np.int64)
-    which = np.zeros((3, len(rows)), dtype=np.uint64)
-    for i, members in enumerate(("XE", "EY", "N")):
+    which = np.full((3, len(rows)), _ZERO, dtype=np.uint64)
+    for i, members in enumerate(("XEC", "ECY", "CN")):
         columns = [k for k, equation in enumerate(equations) if equation in members]
         limits[3 + i] += (columns[0], columns[-1] + 1)
         which[i, columns] = [rows[k][3] for k in columns]
+        if current:
+            at = equations.index("C")
+            which[i, at : at + 2] = BY_CURRENT + 2 * i, BY_CURRENT + 2 * i + 1
     for k, row in enumerate(rows):
         if row[2] == "E":  # east and north as seen to starboard
             which[1, k] = MINUS_SIN if row[3] == COS else COS
     mixed = name == "mmg"
-    heading = float("E" in equations or mixed)
+    heading = float("E" in equations or mixed or current)
+    water = float(equations.index("C")) if current else -1.0
     scales = np.prod(
         np.array([length, speed, shaft_speed]) ** np.array([row[4] for row in rows], float), axis=1
     )
@@ -508,7 +639,7 @@ def structure_of(
         units=tuple(row[1] for row in rows),
         scales=scales,
         terms=ModelTerms(
-            which, limits, np.array([float(mixed), heading, length, (0.05 * speed) ** 2])
+            which, limits, np.array([float(mixed), heading, length, (0.05 * speed) ** 2, water])
         ),
         # in `mmg` a shaft speed is the boat's speed that it gives in calm water
         n_unit=speed / shaft_speed if mixed else 1.0,

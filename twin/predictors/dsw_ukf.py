@@ -49,7 +49,7 @@ from twin.identification.joint_ukf import (
     filter_workspace,
 )
 from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
-from twin.model.dynamics import N_ACT, all_terms, model_of
+from twin.model.dynamics import N_ACT, drive, model_of, rates_over_ground
 from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.ukf import ModelPredictor
@@ -225,7 +225,10 @@ def _finish_row(dt, joint):
     state, config = filter_state(joint.memory, model), filter_config(joint.config, model)
     terms = filter_workspace(joint.work, model.which.shape[1]).terms
     clip_velocities(state.x, config.envelope)
-    all_terms(state.x, state.act, state.wind, model, terms)
+    x = state.x
+    drive(state.act, terms)
+    motion, current = (x[3], x[4], x[5], math.cos(x[2]), math.sin(x[2])), (0.0, 0.0)
+    rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
     accumulate_information(dt, terms, state, model)
 
 

@@ -76,6 +76,7 @@ Array = NDArray[Any]
 UNHURRIED = 1.5
 """Time scale, in units of the study boat's, from which on segments are too correlated."""
 
+CURRENT_ON = __import__("os").environ.get("CUR", "1") == "1"
 DRAWS_MIN, DRAWS_MAX = 20, 10_000
 """Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
@@ -146,7 +147,7 @@ class PlusPredictor(UKFPredictor):
                 f"period = {period}, relinearised = {relinearised}, draws = {draws}: must be "
                 f"above 0 s, 0 or more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
-        structure = model_of(particulars, model, biased=True)
+        structure = model_of(particulars, model, biased=True, current=CURRENT_ON)
         mean, cov = prior or boat_or(
             population_prior(structure, particulars), structure, particulars
         )

@@ -9,7 +9,14 @@ import numpy as np
 
 from twin.channels import PSI, R, U, V
 from twin.filters.navigation_state import NAVIGATION
-from twin.identification.data_weight import note, score, select_trust, selector_state
+from twin.identification.data_weight import (
+    CHOSEN,
+    SCORED,
+    note,
+    score,
+    select_trust,
+    selector_state,
+)
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
     ACT,
@@ -38,15 +45,9 @@ from twin.identification.wave_residual import (
     heading_kernel,
     sector_work_size,
 )
-from twin.model.dynamics import N_ACT
+from twin.model.dynamics import N_ACT, drive, rates_over_ground
 from twin.model.rollout import GRID, rotate_body_velocity
-from twin.model.structure import (
-    N_STATES,
-    ModelTerms,
-    accelerations,
-    state_terms,
-    thrust_terms,
-)
+from twin.model.structure import N_STATES, ModelTerms, current_of
 from twin.predictors.baselines import GAP_MAX
 from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
 from usv_kernel.arrays import take
@@ -79,6 +80,8 @@ greatest age (s) of the row before it."""
 WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
 valid ones. Earlier residuals also hold what was not yet learned."""
+
+DRIFT_PART = float(__import__("os").environ.get("DP", "0.2"))
 
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
@@ -144,15 +147,18 @@ def _slow_step(dt, nav, window, state, config, terms):
     steps = max(1, math.ceil(min(dt, 10.0) / GRID - 1e-9))
     h = min(dt, 10.0) / steps
     c, s = math.cos(n[PSI]), math.sin(n[PSI])
-    c_left, s_left = math.cos(act[2]), math.sin(act[2])
-    thrust_terms(act[0], act[1], c_left, s_left, math.cos(act[3]), math.sin(act[3]), terms)
+    drive(act, terms)
+    current = current_of(state.x, N_STATES, config.model.hull)
     for _ in range(steps):
-        state_terms(slow[0], slow[1], slow[2], c, s, state.wind, config.model.hull, terms)
-        rates = accelerations(terms, config.model, state.x, N_STATES)
+        motion = slow[0], slow[1], slow[2], c, s
+        rates = rates_over_ground(
+            motion, state.wind, current, state.x, N_STATES, config.model, terms
+        )
         rotate_body_velocity(n[R] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
-            slow[i] = min(max(slow[i], -envelope[i]), envelope[i])
+            reach = 0.125 * envelope[i]
+            slow[i] = min(max(slow[i], n[3 + i] - reach), n[3 + i] + reach)
 
 
 @inlined
@@ -273,7 +279,7 @@ def _fit_waves(rows, window, config, work):
             if count <= round(LATE_SPAN / GRID):
                 late = k
             for i in range(3):
-                fastest[i] = max(fastest[i], abs(row[LOW + i]))
+                fastest[i] = max(fastest[i], abs(row[STATE + 3 + i]))
     if count <= 5 * ORDER:
         return
     fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], scratch.fit)
@@ -311,7 +317,15 @@ def _refit(memory, config, work):
     if count < SEGMENTS_MIN:
         return
     relinearise(given.relinearised, rows, segments.params, segments, given, model, scratch)
-    select_trust(selector, segments, given, scratch)
+    row = rows[newest % rows.shape[0]]
+    bounds = work.waves[:3]
+    for i in range(3):
+        bounds[i] = max(1.5 * window.fastest[i], given.nominal[i])
+    if selector.count[SCORED] >= SEGMENTS_MIN:
+        place = math.exp(selector.errors[int(selector.count[CHOSEN])]) / given.weights[0]
+        nav = as_record(memory.nav, NAVIGATION)
+        nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
+    select_trust(newest, row, bounds, selector, segments, given, model, scratch)
     state = filter_state(memory.filter, model)
     x, P = state.x, state.P
     for i in range(p):
@@ -377,9 +391,9 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
-    good = 1.0 if sure and dt <= GAP_GOOD else 0.0
+    good = 1.0 if sure and dt <= GAP_GOOD and nav.gps_age <= GAP_GOOD else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
-    if t >= window.refit_at:
+    if t >= window.refit_at and nav.gps_age <= GAP_GOOD:
         period = refit_config(config.refit, model.which.shape[1]).period
         window.refit_at = t + period - 1e-9
         _refit(memory, config, work)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import aid, is_ready, navigate
+from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, navigate
 from twin.filters.navigation_state import (
     IS_MODELLED,
     NAVIGATION,
@@ -42,8 +42,8 @@ from twin.identification.joint_ukf import (
     limit_covariances,
 )
 from twin.model.actuators import follow_all
-from twin.model.dynamics import all_terms
-from twin.model.structure import N_STATES, ModelTerms, accelerations
+from twin.model.dynamics import current_terms, drive, rates_over_ground
+from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from usv_kernel.jit import inlined, kernel
@@ -68,6 +68,9 @@ WIND_LIMIT = 100.0
 
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
+
+MODEL_DRIFT = float(__import__("os").environ.get("MD", "0.02"))
+"""Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least."""
 
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
@@ -128,9 +131,12 @@ def tight_step(dt, z, cmd, memory, config, work):
     for k in range(4):
         accel[k] = 0.0
     if nav.begun > 0.0:
-        all_terms(x, act, state.wind, model, terms)
+        drive(act, terms)
+        motion = x[U], x[V], x[R], math.cos(x[PSI]), math.sin(x[PSI])
+        current = current_of(x, N_STATES, model.hull)
+        du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
+        current_terms(motion, state.wind, x, N_STATES, model, terms)
         accumulate_information(dt, terms, state, model)
-        du, dv, dr = accelerations(terms, model, x, N_STATES)
         turn, speed = envelope[2], envelope[0]
         accel[0] = min(max(du, -speed * turn), speed * turn)
         accel[1] = min(max(dv, -speed * turn), speed * turn)
@@ -175,7 +181,12 @@ def tight_step(dt, z, cmd, memory, config, work):
     no_gps = nav.gps_age > AID_AFTER
     no_imu = nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
     if no_gps:
-        # the navigation's velocities then come in part from the model itself
+        lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * envelope[0]) ** 2)
+        at = N_STATES + int(model.hull[CURRENT])
+        for i in range(2):
+            more = P[at + i, at + i] if at >= N_STATES else 0.0
+            P_nav[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
+        # what the navigation then says of them is in part the model's own
         mask[X] = mask[Y] = 0.0
         noise[U, U] *= OUTAGE_NOISE_FACTOR
         noise[V, V] *= OUTAGE_NOISE_FACTOR
@@ -192,7 +203,11 @@ def tight_step(dt, z, cmd, memory, config, work):
                 share = min(min(row, STEP_MAX) / given.wave_time, 1.0)
                 wave_power[k] = max(wave_power[k] + share * (more - wave_power[k]), 0.0)
             noise[i, i] += given.wave_noise * wave_power[k] / row
+    water = current_of(x, N_STATES, model.hull)
     measurement_update(x, P, n[:N_STATES], mask, noise, PSI, math.inf, scratch.sigma)
+    if no_gps and model.hull[CURRENT] >= 0.0:
+        at = N_STATES + int(model.hull[CURRENT])
+        x[at], x[at + 1] = water
     clip_velocities(x, envelope)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:

@@ -40,11 +40,14 @@ FIXED = dataclasses.replace(SETTINGS, offset_sd=np.full(3, 1e-8))
 """No offset to speak of, so that the problem is one of nonlinear least squares."""
 STRUCTURES = [
     pytest.param(
-        structure_of(name, LENGTH, SPEED, SHAFT, differential=differential, biased=True),
-        id=f"{name}-{'differential' if differential else 'drives'}",
+        structure_of(
+            name, LENGTH, SPEED, SHAFT, differential=differential, biased=True, current=current
+        ),
+        id=f"{name}-{'differential' if differential else 'drives'}{'-current' if current else ''}",
     )
     for name in MODELS
     for differential in (False, True)
+    for current in (False, True)
 ]
 each_structure = pytest.mark.parametrize("structure", STRUCTURES)
 
