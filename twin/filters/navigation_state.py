@@ -74,13 +74,14 @@ NAVIGATION = np.dtype(
         ("since_aid", "f8"),  # time since the model aided the filter, s
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come
+        ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
     ]
 )
 """What the filter of a boat remembers."""
 
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
-    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
+    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu", "commands_doubted"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid"), Field(low=0.0)),
     "last": Field(nan=True, infinite=True),
