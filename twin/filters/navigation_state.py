@@ -75,13 +75,14 @@ NAVIGATION = np.dtype(
         ("begun", "f8"),  # 1 once the twin has begun with fix and heading
         ("has_imu", "f8"),  # 1 once an IMU sample has come
         ("drift_var", "f8"),  # of the model's velocity, as it lasts, (m/s)2
+        ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
     ]
 )
 """What the filter of a boat remembers."""
 
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
-    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
+    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu", "commands_doubted"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid"), Field(low=0.0)),
     "last": Field(nan=True, infinite=True),

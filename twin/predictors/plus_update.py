@@ -391,7 +391,8 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
-    good = 1.0 if sure and dt <= GAP_GOOD and nav.gps_age <= GAP_GOOD else 0.0
+    trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted == 0.0
+    good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:
         period = refit_config(config.refit, model.which.shape[1]).period

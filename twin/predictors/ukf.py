@@ -82,6 +82,9 @@ RESTART_AFTER = 4.0
 """After so long without GPS (in lengths over nominal speed) the state restarts with the next
 fix; the parameters stay ..."""
 
+DOUBTED = 0.1
+"""Standard deviation of velocities under doubted commands, in envelopes."""
+
 DIVERGENCE_GATE = 10.0
 """... as they do where the state is this many standard deviations from the navigation."""
 
@@ -156,6 +159,7 @@ def tight_step(dt, z, cmd, memory, config, work):
         return
     # so long a rollout is far from linear in the parameters, which its errors would corrupt
     diverged = age > RESTART_AFTER * 4.0 / envelope[2] and nav.gps_age == 0.0
+    diverged = diverged or nav.commands_doubted > 0.0
     for i in range(N_STATES):
         error = n[i] - x[i]
         if i == PSI:
@@ -168,6 +172,10 @@ def tight_step(dt, z, cmd, memory, config, work):
             for k in range(x.shape[0]):
                 P[i, k] = P[k, i] = 0.0
             x[i], P[i, i] = n[i], given.p0[i] + P_nav[i, i]
+        if nav.commands_doubted > 0.0:
+            # nobody knows what the drives do
+            for k in range(3):
+                P[U + k, U + k] += (DOUBTED * envelope[k]) ** 2
         follow_all(act, cmd, given.lags, given.n_unit, dt)
         return
     advance(dt, cmd, state, given, scratch)
