@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, STATE, TIME
-from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, write
+from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
+from twin.health.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
@@ -100,6 +101,8 @@ class Twin:
             self.predictor = predictor
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
+        self.monitor = SensorMonitor(particulars)
+        self.begun = math.nan
         self.datum: Datum | None = None
         self.t = math.nan
         self.cmd = np.zeros(len(COMMANDS))
@@ -107,7 +110,8 @@ class Twin:
     def reset(self) -> None:
         """Return to the state before the first row."""
         self.predictor.reset()
-        self.t = math.nan
+        self.monitor.reset()
+        self.t = self.begun = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
     def save(self, path: str | Path) -> None:
@@ -140,9 +144,10 @@ class Twin:
             **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
             **{"options": options, "particulars": about},
             **({} if self.datum is None else {"datum": self.datum.to_json()}),
-            **{"t": self.t, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
+            **{"t": self.t, "begun": self.begun, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
         }
-        write(path, header, arrays | kept)
+        health = {f"health.{name}": view for name, view in self.monitor.state_dict().items()}
+        write(path, header, arrays | kept | health)
 
     @classmethod
     def load(cls, path: str | Path, predictor: Predictor | None = None) -> Twin:
@@ -226,6 +231,8 @@ class Twin:
             {"t": GAPS},
         )
         twin.datum = Datum(**header["datum"]) if "datum" in header else None
+        twin.monitor.load_state_dict(without_prefix("health", arrays))
+        twin.begun = float(header["begun"])
         twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
         now = twin.predictor.estimate()
         if now.ready and not abs(now.t - twin.t) <= 1e-6:
@@ -268,9 +275,20 @@ class Twin:
         self.feed(t, z, cmd)
 
     def feed(self, t: float, z: Array, cmd: Array) -> None:
-        """Take one row without checks; see :meth:`step`."""
-        self.predictor.update(t, 0.0 if math.isnan(self.t) else t - self.t, z, cmd)
+        """Take one row without checks of its form; see :meth:`step`."""
+        dt = 0.0 if math.isnan(self.t) else t - self.t
+        if math.isnan(self.t):
+            self.begun = t
+        predictor, monitor = self.predictor, self.monitor
+        z, trusted = monitor.check(dt, z, cmd, predictor.state, predictor.ready)
+        predictor.doubt_commands(monitor.commands_doubted)
+        predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
+
+    @property
+    def health(self) -> dict[str, SensorStatus]:
+        """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why."""
+        return self.monitor.statuses(self.begun)
 
     def run(self, log: Log, on_row: Callable[[], object] | None = None) -> StateTable:
         """Take every row of a log, one after the other.

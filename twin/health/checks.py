@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 
 from twin.channels import PSI, R, U, V
-from twin.health.commands import check_commands
+from twin.health.commands import DECIDED, check_commands
 from twin.health.state import (
     ABSENT,
     ACCELEROMETERS,
     AT_ODDS,
+    COMMAND,
     COMPASS_SENSOR,
     DOUBTFUL,
     DRIFTS,
@@ -452,6 +453,10 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     _check_speeds(dt, out, s, ready, new_gps, new_imu, health, given)
     _check_course(out, s, new_gps, health, given)
     check_commands(dt, cmd, s, ready, health, given)
+    command = health.sensors[COMMAND]
+    # what is doubtful for long is a boat that has changed: the twin must learn it
+    fresh = command.status == DOUBTFUL and health.clock - command.since < DECIDED
+    health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
     for sensor in range(4):
         check = health.sensors[sensor]
         if check.status != ABSENT and check.age > max(ABSENT_AFTER, 10.0 * check.interval):

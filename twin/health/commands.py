@@ -181,6 +181,10 @@ def check_commands(dt, cmd, s, ready, health, given):
             for _ in range(3):
                 _solve(fit, axis == 1)
     health.steps += 1.0
+    if check.status == OK and health.at_odds < AGREED:
+        for k in range(4):
+            health.trusted[k] = health.before[k]
+            health.before[k] = cmd[k]
     share = 1.0 / RECENT
     health.at_odds += share * (0.5 * mixed - health.at_odds)
     health.if_reversed += share * (0.5 * reversed_ - health.if_reversed)

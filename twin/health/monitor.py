@@ -1,42 +1,147 @@
-"""Prototype."""
+"""The sensor checks for one boat, as users see them."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from twin.checkpoint import Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
-from twin.health.state import *
-from twin.health import state as st
+from twin.health.state import (
+    COMMAND,
+    HEALTH,
+    HEALTH_SETTINGS,
+    REASONS,
+    SENSORS,
+    STATUSES,
+    health_settings,
+    initial_health,
+)
+from twin.particulars import Particulars
 from usv_kernel.jit import kernel
 from usv_kernel.records import as_record
+
+__all__ = ["SensorMonitor", "SensorStatus", "statuses_of"]
+
+Array = NDArray[Any]
+
+
+class SensorStatus(NamedTuple):
+    """What is known of a sensor."""
+
+    status: str
+    """``ok``; ``doubtful``: at odds with others, but used; ``excluded``: not used; ``absent``."""
+    since: float
+    """Time since which it is so, s."""
+    why: str
+    """In words; empty where all is well."""
 
 
 @kernel
 def _check(dt, z, cmd, s, ready, memory, settings, out):
-    check_sensors(dt, z, cmd, s, ready, as_record(memory, HEALTH), as_record(settings, HEALTH_SETTINGS), out)
+    """Do :func:`check_sensors` on flat memory."""
+    check_sensors(
+        dt, z, cmd, s, ready, as_record(memory, HEALTH), as_record(settings, HEALTH_SETTINGS), out
+    )
+
+
+def statuses_of(health: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
+    """Return the status of each sensor by its name.
+
+    Parameters
+    ----------
+    health : record
+        ``HEALTH``.
+    begin : float
+        Time of its first row, s.
+    """
+    found = {}
+    for name, check in zip(SENSORS, health["sensors"], strict=True):
+        reason = REASONS[int(check["reason"])]
+        since = begin + float(check["since"])
+        found[name] = SensorStatus(
+            STATUSES[int(check["status"])], since, f"{name} {reason}" if reason else ""
+        )
+    return found
 
 
 class SensorMonitor:
-    def __init__(self, particulars):
-        self.settings = health_settings(particulars)
-        self.memory = initial_health(self.settings)
-        self.out = np.full(10, math.nan)
+    """Holds the sensors of a boat against each other, row by row.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat and its instruments.
+    """
+
+    def __init__(self, particulars: Particulars) -> None:
+        self._settings = health_settings(particulars)
+        self.memory = initial_health(self._settings)
+        self._out = np.full(10, math.nan)
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.memory[:] = initial_health(self._settings)
 
     @property
-    def health(self):
+    def record(self) -> Any:
+        """What is remembered, by name."""
         return self.memory.view(HEALTH)[0]
 
-    def check(self, dt, z, cmd, s, ready):
-        _check(dt, z, cmd, s, ready, self.memory, self.settings, self.out)
-        return self.out
-
     @property
-    def commands_trusted(self):
-        c = self.health["sensors"][4]
-        return not (c["status"] == EXCLUDED or (c["status"] == DOUBTFUL and self.health["clock"] - c["since"] < 6.0))
+    def commands_doubted(self) -> bool:
+        """True while the commands do not explain how the boat moves."""
+        return bool(self.record["commands_doubted"] > 0.0)
 
-    def words(self):
-        h = self.health
-        return {name: (STATUSES[int(c["status"])], REASONS[int(c["reason"])], float(c["since"])) for name, c in zip(SENSORS, h["sensors"])}
+    def check(
+        self, dt: float, z: Array, cmd: Array, state: Array, ready: bool
+    ) -> tuple[Array, Array]:
+        """Take a row; return it without the samples of excluded sensors, and its command.
+
+        Parameters
+        ----------
+        dt : float
+            Time since the row before, s.
+        z, cmd : ndarray, shapes (10,), (4,)
+            Measurements and commands.
+        state : ndarray, shape (6,)
+            What the predictor said of the boat after the row before.
+        ready : bool
+            Whether that means anything.
+        """
+        _check(dt, z, cmd, np.ascontiguousarray(state), ready, self.memory, self._settings, self._out)
+        doubted = self.commands_doubted
+        return self._out.copy(), self.record["trusted"].copy() if doubted else cmd
+
+    def statuses(self, begin: float) -> dict[str, SensorStatus]:
+        """Return the status of each sensor; ``begin`` is the time of the first row, s."""
+        return statuses_of(self.record, begin)
+
+    def views(self) -> dict[str, Array]:
+        """Return what is remembered, by field."""
+        found = {}
+        for name, view in record_views(self.memory, HEALTH).items():
+            if view.dtype.names is None:
+                found[name] = view
+            else:
+                found |= {f"{name}.{part}": view[part] for part in view.dtype.names}
+        return found
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name."""
+        return {name: view.copy() for name, view in self.views().items()}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned."""
+        check_fields(state, self.views(), FIELDS)
+        fill(self.views(), state)
+
+
+FIELDS = {
+    **dict.fromkeys(("last", "fix", "velocity"), Field(nan=True, infinite=True)),
+    **dict.fromkeys(("course", "course_compass"), Field(nan=True)),
+}
+"""What the fields of a saved state may hold."""

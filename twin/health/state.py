@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import COMMANDS
 from twin.particulars import GRAVITY, Particulars
 
 __all__ = [
@@ -87,6 +88,8 @@ COMMAND_TERMS = 6
 
 DRIVE = 3
 
+N_COMMANDS = len(COMMANDS)
+
 AXIS = np.dtype(
     [
         ("information", "f8", (COMMAND_TERMS, COMMAND_TERMS)),
@@ -140,6 +143,9 @@ HEALTH = np.dtype(
         ("motion", "f8", 2),  # yaw rate and surge at its beginning, in nominal units
         ("steps", "f8"),  # steps learned from
         ("fit", AXIS, 2),  # of yaw rate and surge
+        ("before", "f8", N_COMMANDS),  # command when the step began
+        ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
+        ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("at_odds", "f8"),  # leaky mean of squared errors, in levels ...
         ("if_reversed", "f8"),  # ... with all commands reversed
         ("if_steered", "f8"),  # ... with steering reversed

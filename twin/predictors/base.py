@@ -218,6 +218,14 @@ class Predictor(ABC):
         variance[0] += common
         variance[1] += common
 
+    @property
+    def ready(self) -> bool:
+        """True once a first fix and a first heading have come."""
+        return self.estimate().ready
+
+    def doubt_commands(self, doubted: bool) -> None:
+        """Hear that the commands do not explain the motion; what can be held, is."""
+
     @abstractmethod
     def reset(self) -> None:
         """Return to the state before the first row."""

@@ -418,7 +418,7 @@ class UKFPredictor(ModelPredictor):
         self.config: Any = UKFConfig(settings_nav, self.ukf.constants, self.ukf.terms)
         self.work: Any = UKFWork(np.zeros(NAVIGATION_WORK.itemsize // 8), self.ukf.scratch)
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
-        nav = self.memory.nav.view(NAVIGATION)[0]
+        nav = self._nav = self.memory.nav.view(NAVIGATION)[0]
         self.n, self.P_nav = nav["n"], nav["P"]
         self.reset()
 
@@ -479,6 +479,10 @@ class UKFPredictor(ModelPredictor):
         """See :meth:`twin.predictors.base.Predictor.add_common_error`."""
         super().add_common_error(variance)
         variance[:N_STATES] += self.P_nav.diagonal()[:N_STATES]
+
+    def doubt_commands(self, doubted: bool) -> None:
+        """See :meth:`twin.predictors.base.Predictor.doubt_commands`: parameters are held."""
+        self._nav["commands_doubted"] = 1.0 if doubted else 0.0
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
