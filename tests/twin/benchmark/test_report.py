@@ -370,7 +370,7 @@ def test_missing_values_are_dashes(tmp_path):
 
 
 @pytest.mark.parametrize("found", [{}, {"rows": [], "summary": [], "settings": {}, "command": "x"}])
-def test_nothing_finished(tmp_path, found):
+def test_a_report_of_nothing_says_so(tmp_path, found):
     files = write_report(tmp_path / "new", found, [])
     assert len(files) == 1
     assert "nothing to show" in page(files)

@@ -124,7 +124,7 @@ def test_another_submodel_may_tell_apart():
 
 
 @pytest.mark.parametrize("model", ["paper", "mmg"])
-def test_of_a_run(zigzag, boat, model):
+def test_a_run_determines_what_it_excites(zigzag, boat, model):
     twin = Twin(boat, "ukf", model=model)
     before = twin.predictor.identifiability()
     assert before.seconds == 0.0 and before.informed == ()

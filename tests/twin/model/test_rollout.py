@@ -408,8 +408,8 @@ def test_velocity_over_ground_stays_while_a_wave_turns_the_boat() -> None:
 
 
 @pytest.mark.parametrize("u", [0.5, 2.0, 5.0])
-def test_the_forecasts_step_agrees_with_the_refits(u: float) -> None:
-    """Two steps solve one equation: the forecast's saves sines, the refit's is differentiated."""
+def test_the_forecasts_step_agrees_with_the_classical_one(u: float) -> None:
+    """The forecast's step saves sines; the classical one is that which the refit differentiates."""
     act, h, rates = np.array([5.0, 6.0, 0.2, 0.2]), rollout.GRID, np.empty((4, 6))
     start = Start(s=(0.0, 0.0, 0.3, u, 0.1, 0.05), act=tuple(act))
     path, _acts = forecast(XI, act[None], h, start)

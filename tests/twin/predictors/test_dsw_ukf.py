@@ -40,7 +40,9 @@ def default(boat: Particulars, run: Log) -> DSWPredictor:
     return run_of(boat, run)
 
 
-def test_as_published(boat: Particulars, default: DSWPredictor) -> None:
+def test_as_published_settings_are_those_of_the_paper(
+    boat: Particulars, default: DSWPredictor
+) -> None:
     settings = default.ukf.settings
     np.testing.assert_array_equal(settings.xi0, 0.1)  # Eq 47
     np.testing.assert_allclose(0.05 * settings.q, 1e-4, rtol=1e-15)  # Eq 50

@@ -280,7 +280,7 @@ def test_weights_come_back_and_others_are_refused(tmp_path: Path) -> None:
         Weights.read(path, "lstm")
 
 
-def test_shipped_weights(kind: type[FleetPredictor]) -> None:
+def test_shipped_weights_are_small_and_of_the_present_format(kind: type[FleetPredictor]) -> None:
     """They are small, of today's format, from a fleet of 300 boats or more."""
     weights = Weights.read(kind.file, kind.kind)
     assert kind.file.stat().st_size < {"lstm": 300_000, "transformer": 500_000}[kind.kind]

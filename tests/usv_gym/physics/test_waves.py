@@ -237,7 +237,7 @@ def test_drift_coefficients_as_printed(x: float, want: tuple[float, ...]) -> Non
         assert float(g) == pytest.approx(w, abs=UNIT[x])
 
 
-def test_drift_shape() -> None:
+def test_drift_has_the_shape_of_its_table() -> None:
     # the polynomials of Eq (19): C_X is zero at 1.21, C_Y has its minimum of .061 at .953
     assert abs(float(waves.drift_coefficients(np.array(1.21))[0])) < 5e-3
     x = np.linspace(0.7, 1.2, 5001)
@@ -299,7 +299,7 @@ def test_drift_sums_of_a_realised_sea() -> None:
     assert np.max(np.abs(drift)) < 100.0
 
 
-def test_mean_drift_signs() -> None:
+def test_mean_drift_pushes_along_the_waves() -> None:
     """A head sea pushes astern, a sea from port pushes to starboard ."""
     rng = np.random.default_rng(5)
     sea = SeaState(hs=0.5, wave_to=0.0).realise(BOAT, rng, rng)

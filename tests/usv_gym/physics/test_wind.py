@@ -72,7 +72,7 @@ def test_signs_are_those_of_the_apparent_wind() -> None:
     assert apparent(30.0)[2] == pytest.approx(-apparent(-30.0)[2])
 
 
-def test_quadratic_in_speed() -> None:
+def test_load_is_quadratic_in_speed() -> None:
     np.testing.assert_allclose(apparent(50.0, 12.0), 9.0 * apparent(50.0, 4.0), rtol=1e-12)
 
 

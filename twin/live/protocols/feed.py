@@ -117,6 +117,10 @@ class Message:
         )
 
 
+MOMENT = 1e-6
+"""Messages that came within so short a time say nothing of the sender's rate, s."""
+
+
 class _Clock:
     """The sender's time as a function of ours, by a median slope (Theil 1950): robust to delays."""
 
@@ -142,9 +146,10 @@ class _Clock:
             passed = ours[half:] - ours[: len(ours) - half]
             rate = 1.0
             # fewer do not give the rate: between two, jitter is as large as the time
-            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and (passed > 0.0).any():
+            apart = passed > MOMENT
+            if len(ours) >= 5 and np.ptp(theirs) >= 1.0 and apart.any():
                 steps = theirs[half:] - theirs[: len(ours) - half]
-                rate = max(float(np.median(steps[passed > 0.0] / passed[passed > 0.0])), 0.0)
+                rate = max(float(np.median(steps[apart] / passed[apart])), 0.0)
             offset = float(np.median((theirs - rate * ours)[-10:]))
             self.fit = float(ours[-1]), rate, offset
         last, rate, offset = self.fit

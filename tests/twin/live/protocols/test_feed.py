@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.twin.live.wire import Wire, free_port
-from twin.live.protocols.feed import BYTES_MAX, Message
+from twin.live.protocols.feed import BYTES_MAX, Message, _Clock
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
 from twin.live.protocols.sockets import FeedError, open_socket, parse_address
@@ -277,3 +277,11 @@ def test_whatever_comes_is_survived(kind, wires) -> None:  # type: ignore[no-unt
             assert not np.isinf(z).any()
 
     survive()
+
+
+def test_messages_of_one_moment_do_not_overflow_the_clock() -> None:
+    """Five stamps seconds apart that come within a moment: their rate is not known."""
+    clock = _Clock()
+    for k in range(6):
+        clock.tell(k * 1e-313, 2.0 * k)
+    assert math.isfinite(clock.at(1.0))
