@@ -45,6 +45,13 @@ TRUSTS = (1.0, 10.0, 100.0, 0.1, 1.0, 10.0, 100.0)
 SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 """Over how many of the last seconds each refit looks, at most."""
 
+REFITS = len(TRUSTS)
+
+CANDIDATES = REFITS + int(__import__('os').environ.get('NC','3'))
+
+JOINT, PRIOR, HELD = REFITS, REFITS + 1, REFITS + 2
+"""Parameters of the joint filter; the prior's; none, so that velocities stay as they are."""
+
 _TRUSTS = np.array(TRUSTS)
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
 
@@ -79,12 +86,11 @@ SCORED, CHOSEN, TURN, NOTED = 0, 1, 2, 3
 @inlined
 def selector_state(memory, p, steps, spacing):
     """Open the memory of the choice between refits of p parameters."""
-    many = len(TRUSTS)
     count, at = take(memory, 0, (4,))
-    errors, at = take(memory, at, (many,))
-    params, at = take(memory, at, (many, p))
-    factors, at = take(memory, at, (many, p, p))
-    past, at = take(memory, at, (1 + steps // spacing + 3, many, p))
+    errors, at = take(memory, at, (CANDIDATES,))
+    params, at = take(memory, at, (CANDIDATES, p))
+    factors, at = take(memory, at, (REFITS, p, p))
+    past, at = take(memory, at, (1 + steps // spacing + 3, CANDIDATES, p))
     return SelectorState(count, errors, params, factors, past)
 
 
@@ -162,13 +168,14 @@ def is_stable(row, xi, bounds, model, work):
 
 
 @kernel
-def select_trust(newest, row, bounds, state, segments, config, model, work):
+def select_trust(newest, row, bounds, joint_cov, state, segments, config, model, work):
     """Refit with the trust in use and another in turn, and put the best of all to use."""
     count, errors, params, factors = state.count, state.errors, state.params, state.factors
     count[TURN] += 1.0
     chosen = int(count[CHOSEN])
-    other = int(count[TURN]) % (params.shape[0] - 1)
-    for r in (chosen, other if other < chosen else other + 1):
+    first = chosen if chosen < REFITS else int(count[TURN] + 1) % REFITS
+    other = int(count[TURN]) % (REFITS - 1)
+    for r in (first, other if other < first else other + 1):
         since = max(newest - int(_SPANS[r]), 0)
         if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
@@ -187,7 +194,14 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
                 return
         if is_stable(row, params[chosen], bounds, model, work.line):
             count[CHOSEN] = chosen
-            use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
+            if chosen < REFITS:
+                use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
+            else:
+                use(params[chosen], factors[0], 1.0, segments, work)
+                if chosen == JOINT:
+                    for i in range(params.shape[1]):
+                        for k in range(params.shape[1]):
+                            segments.cov[i, k] = joint_cov[i, k]
             return
         refused |= np.uint64(1) << np.uint64(chosen)
         if count[SCORED] < ENOUGH:
@@ -197,7 +211,7 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
 SELECTOR_FIELDS = {
     "count": Field(
         low=(0.0, 0.0, 0.0, -1.0),
-        high=(COUNT_MAX, len(TRUSTS) - 1.0, COUNT_MAX, COUNT_MAX),
+        high=(COUNT_MAX, CANDIDATES - 1.0, COUNT_MAX, COUNT_MAX),
         integer=True,
     )
 }
@@ -230,6 +244,8 @@ class TrustSelector:
         self.memory[:] = 0.0
         self.state.count[NOTED] = -1.0
         self.params[:] = self.state.past[:] = self.segments.prior
+        if HELD < CANDIDATES:
+            self.params[HELD] = self.state.past[:, HELD] = 0.0
 
     @property
     def scored(self) -> int:

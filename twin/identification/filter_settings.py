@@ -104,8 +104,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
     r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
-    CUR = __import__("os").environ.get("CUR", "1") == "1"
-    structure = model_of(particulars, model or "paper", current=CUR)
+    structure = model_of(particulars, model or "paper", current=True)
     mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
     return FilterSettings(
         structure=structure,

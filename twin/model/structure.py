@@ -115,7 +115,7 @@ FULL, BIASED, LENGTH, SOFT, CURRENT = range(5)
 """Hull constants: are all terms needed, is the heading, length (m), softening (m2/s2), index of the
 current's two components among the parameters (-1 if there are none)."""
 
-CURRENT_SD = float(__import__("os").environ.get("CSD", "0.3"))
+CURRENT_SD = 0.3
 """Standard deviation of each component of the current before any data, m/s."""
 
 WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1

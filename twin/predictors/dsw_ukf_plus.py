@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from twin.checkpoint import COUNT, Field, State, StateError, with_prefix
 from twin.filters.linalg import cholesky
 from twin.identification.data_weight import SELECTOR_FIELDS, TrustSelector
-from twin.identification.filter_settings import plain_settings
-from twin.identification.joint_ukf import coarse_plan
+from twin.identification.filter_settings import FilterSettings, plain_settings
+from twin.identification.joint_ukf import JointUKF, coarse_plan
 from twin.identification.prediction_error import COLUMNS, RefitSettings
 from twin.identification.segments import SEGMENT_FIELDS, Segments
 from twin.identification.wave_residual import FACTOR
@@ -76,7 +76,6 @@ Array = NDArray[Any]
 UNHURRIED = 1.5
 """Time scale, in units of the study boat's, from which on segments are too correlated."""
 
-CURRENT_ON = __import__("os").environ.get("CUR", "1") == "1"
 DRAWS_MIN, DRAWS_MAX = 20, 10_000
 """Fewer draws give no 5 % point; more take minutes and gigabytes."""
 
@@ -101,6 +100,12 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         scale=0.15 * min(1.0, UNHURRIED / particulars.time_scale),
         knee=0.015,
     )
+
+
+def joint_settings(filters: FilterSettings, particulars: Particulars) -> FilterSettings:
+    """Return the settings of the joint filter: those of ``ukf``, with the parameters at hand."""
+    own = plain_settings(particulars)
+    return own if own.structure.parameters == filters.structure.parameters else filters
 
 
 class PlusPredictor(UKFPredictor):
@@ -147,7 +152,7 @@ class PlusPredictor(UKFPredictor):
                 f"period = {period}, relinearised = {relinearised}, draws = {draws}: must be "
                 f"above 0 s, 0 or more, and {DRAWS_MIN} to {DRAWS_MAX}"
             )
-        structure = model_of(particulars, model, biased=True, current=CURRENT_ON)
+        structure = model_of(particulars, model, biased=True, current=True)
         mean, cov = prior or boat_or(
             population_prior(structure, particulars), structure, particulars
         )
@@ -164,6 +169,7 @@ class PlusPredictor(UKFPredictor):
             xi0=mean,
             xi0_cov=cov,
         )
+        self.joint = JointUKF(particulars, joint_settings(filters, particulars))
         self.refit = settings or refit_settings(particulars)
         self.period, self.relinearised = period, relinearised
         self.spacing = round(self.refit.spacing / GRID)
@@ -194,12 +200,14 @@ class PlusPredictor(UKFPredictor):
             window=self._window,
             selector=self.selector.memory,
             segments=segments.memory,
+            joint=self.joint.memory,
         )
         self.config = PlusConfig(
             nav=ukf_config.nav,
             filter=ukf_config.filter,
             model=ukf_config.model,
             refit=segments.values,
+            joint=self.joint.constants,
         )
         self.work = PlusWork(
             nav=ukf_work.nav,
@@ -219,6 +227,7 @@ class PlusPredictor(UKFPredictor):
         window = self.window
         self.segments.reset()
         self.selector.reset()
+        self.joint.reset()
         window["refit_at"] = -math.inf
         # until waves have been measured: as high as the refit assumes, and white
         window["wave_sd"][:] = window["sectors"][:, FACTOR::4] = self.refit.sd[3:]
@@ -252,6 +261,7 @@ class PlusPredictor(UKFPredictor):
             "window": WINDOW,
             "selector": self.selector.dtype,
             "segments": self.segments.dtype,
+            "joint": self.joint.dtype,
         }
 
     def rollout_inputs(self, memory: Any) -> RolloutInputs:

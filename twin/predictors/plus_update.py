@@ -11,6 +11,7 @@ from twin.channels import PSI, R, U, V
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.data_weight import (
     CHOSEN,
+    JOINT,
     SCORED,
     note,
     score,
@@ -49,7 +50,18 @@ from twin.model.dynamics import N_ACT, drive, rates_over_ground
 from twin.model.rollout import GRID, rotate_body_velocity
 from twin.model.structure import N_STATES, ModelTerms, current_of
 from twin.predictors.baselines import GAP_MAX
-from twin.predictors.ukf import UKFConfig, UKFMemory, UKFWork, tight_step
+from twin.predictors.ukf import (
+    UKFConfig,
+    UKFMemory,
+    UKFWork,
+    correct,
+    has_diverged,
+    lacks_gps,
+    place_by_navigation,
+    restart_state,
+    start_filter,
+    tight_step,
+)
 from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -81,7 +93,7 @@ WAVE_SPAN, LATE_SPAN = 80.0, 60.0
 """Waves are predicted from the residuals of this many seconds, and drawn from so many of the last
 valid ones. Earlier residuals also hold what was not yet learned."""
 
-DRIFT_PART = float(__import__("os").environ.get("DP", "0.2"))
+DRIFT_PART = 0.2
 
 SEGMENTS_MIN = 3
 """Least number of segments for a refit."""
@@ -113,6 +125,7 @@ class PlusMemory(NamedTuple):
     window: Any  # see WINDOW
     selector: Any  # see SelectorState
     segments: Any  # see SegmentState
+    joint: Any  # see FilterState; of the joint filter, which identifies only
 
 
 class PlusConfig(NamedTuple):
@@ -122,6 +135,7 @@ class PlusConfig(NamedTuple):
     filter: Any  # see FilterConfig
     model: Any  # ModelTerms
     refit: Any  # see RefitConfig
+    joint: Any  # see FilterConfig; of the joint filter
 
 
 class PlusWork(NamedTuple):
@@ -312,6 +326,9 @@ def _refit(memory, config, work):
     newest = last_row(window)
     count = discard_before(newest - given.span, segments)
     _fit_waves(rows, window, given, work.waves)
+    joint = filter_state(memory.joint, model)
+    for k in range(p):
+        selector.params[JOINT, k] = joint.x[N_STATES + k]
     for start in range(int(window.next_start), newest + 1, given.spacing):
         note(start, given.spacing, selector)
     if count < SEGMENTS_MIN:
@@ -325,7 +342,7 @@ def _refit(memory, config, work):
         place = math.exp(selector.errors[int(selector.count[CHOSEN])]) / given.weights[0]
         nav = as_record(memory.nav, NAVIGATION)
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
-    select_trust(newest, row, bounds, selector, segments, given, model, scratch)
+    select_trust(newest, row, bounds, joint.P[N_STATES:, N_STATES:], selector, segments, given, model, scratch)
     state = filter_state(memory.filter, model)
     x, P = state.x, state.P
     for i in range(p):
@@ -340,7 +357,7 @@ def _refit(memory, config, work):
 def plus_config_of(config):
     """Return a configuration by name from a plain tuple."""
     which, limits, hull = config[2]
-    return PlusConfig(config[0], config[1], ModelTerms(which, limits, hull), config[3])
+    return PlusConfig(config[0], config[1], ModelTerms(which, limits, hull), config[3], config[4])
 
 
 @inlined
@@ -352,8 +369,8 @@ def plus_work_of(work):
 @kernel
 def update_plus(t, dt, z, cmd, memory, config, work):
     """Do :func:`plus_step` with plain tuples, which numba takes from Python much faster."""
-    nav, joint, rows, window, selector, segments = memory
-    own = PlusMemory(nav, joint, rows, window, selector, segments)
+    nav, tight, rows, window, selector, segments, joint = memory
+    own = PlusMemory(nav, tight, rows, window, selector, segments, joint)
     plus_step(t, dt, z, cmd, own, plus_config_of(config), plus_work_of(work))
 
 
@@ -365,7 +382,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         as_record(memory.window, WINDOW),
         config.model,
     )
-    begun = nav.begun > 0.0
+    begun, lost = nav.begun > 0.0, nav.gps_age + dt
     tight_step(
         dt,
         z,
@@ -378,7 +395,9 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         return
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     P = nav.P
+    joint, joint_given = filter_state(memory.joint, model), filter_config(config.joint, model)
     if not begun:
+        start_filter(cmd, nav, joint, joint_given)
         window.origin, window.halves = t, 0.0
         for k in range(N_STATES):
             window.last[k] = nav.n[k]
@@ -387,7 +406,16 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         for k in range(N_ACT):
             window.last_act[k] = state.act[k]
     else:
-        terms = filter_workspace(work.filter, model.which.shape[1]).terms
+        scratch = filter_workspace(work.filter, model.which.shape[1])
+        terms = scratch.terms
+        for k in range(2):
+            joint.wind[k] = state.wind[k]
+        if has_diverged(lost, nav, joint, joint_given):
+            restart_state(dt, cmd, nav, joint, joint_given)
+        else:
+            correct(dt, cmd, nav, joint, joint_given, model, scratch)
+            if lacks_gps(nav):
+                place_by_navigation(nav, joint)
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2

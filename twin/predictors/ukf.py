@@ -69,7 +69,7 @@ WIND_LIMIT = 100.0
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
 
-MODEL_DRIFT = float(__import__("os").environ.get("MD", "0.02"))
+MODEL_DRIFT = 0.02
 """Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least."""
 
 AID_TURN = 0.04
@@ -114,86 +114,83 @@ class UKFWork(NamedTuple):
     filter: Any  # see FilterWorkspace
 
 
-@kernel
-def tight_step(dt, z, cmd, memory, config, work):
-    """Navigate, predict, correct by one row: :meth:`twin.predictors.base.Predictor.update`."""
-    nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
-    model = config.model
-    state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
-    scratch = filter_workspace(work.filter, model.which.shape[1])
-    x, P, act, wave_power, n, P_nav = state.x, state.P, state.act, state.wave_power, nav.n, nav.P
-    envelope, noise, terms, accel, mask = (
-        given.envelope,
-        scratch.R,
-        scratch.terms,
-        scratch.accel,
-        scratch.mask,
-    )
-
-    update_wind(z, state.wind)
+@inlined
+def _accelerations(dt, state, given, model, nav, scratch):
+    """Write what the model says of the accelerations, for the navigation."""
+    x, act, envelope, terms, accel = state.x, state.act, given.envelope, scratch.terms, scratch.accel
     for k in range(4):
         accel[k] = 0.0
-    if nav.begun > 0.0:
-        drive(act, terms)
-        motion = x[U], x[V], x[R], math.cos(x[PSI]), math.sin(x[PSI])
-        current = current_of(x, N_STATES, model.hull)
-        du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
-        current_terms(motion, state.wind, x, N_STATES, model, terms)
-        accumulate_information(dt, terms, state, model)
-        turn, speed = envelope[2], envelope[0]
-        accel[0] = min(max(du, -speed * turn), speed * turn)
-        accel[1] = min(max(dv, -speed * turn), speed * turn)
-        accel[2] = min(max(dr, -turn * turn), turn * turn)
-        # a model never fitted to a measured motion may make the navigation diverge in yaw
-        accel[IS_MODELLED] = nav.has_imu
-    age = nav.gps_age + dt
-    navigate(nav, dt, z, accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
     if nav.begun == 0.0:
-        for k in range(2):
-            act[k], act[2 + k] = given.n_unit * cmd[k], cmd[2 + k]
-        if is_ready(nav):
-            for i in range(N_STATES):
-                x[i] = n[i]
-                P[i, i] = given.p0[i]
-            nav.begun = 1.0
         return
+    drive(act, terms)
+    motion = x[U], x[V], x[R], math.cos(x[PSI]), math.sin(x[PSI])
+    current = current_of(x, N_STATES, model.hull)
+    du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
+    current_terms(motion, state.wind, x, N_STATES, model, terms)
+    accumulate_information(dt, terms, state, model)
+    turn, speed = envelope[2], envelope[0]
+    accel[0] = min(max(du, -speed * turn), speed * turn)
+    accel[1] = min(max(dv, -speed * turn), speed * turn)
+    accel[2] = min(max(dr, -turn * turn), turn * turn)
+    # a model never fitted to a measured motion may make the navigation diverge in yaw
+    accel[IS_MODELLED] = nav.has_imu
+
+
+@inlined
+def start_filter(cmd, nav, state, given):
+    """Put the filter where the navigation begins, once it does."""
+    act = state.act
+    for k in range(2):
+        act[k], act[2 + k] = given.n_unit * cmd[k], cmd[2 + k]
+    if is_ready(nav):
+        for i in range(N_STATES):
+            state.x[i], state.P[i, i] = nav.n[i], given.p0[i]
+
+
+@inlined
+def has_diverged(lost, nav, state, given):
+    """Return whether the state must restart; ``lost`` is how long no fix had come, s."""
+    x, P, n, P_nav = state.x, state.P, nav.n, nav.P
     # so long a rollout is far from linear in the parameters, which its errors would corrupt
-    diverged = age > RESTART_AFTER * 4.0 / envelope[2] and nav.gps_age == 0.0
+    diverged = lost > RESTART_AFTER * 4.0 / given.envelope[2] and nav.gps_age == 0.0
     diverged = diverged or nav.commands_doubted > 0.0
     for i in range(N_STATES):
         error = n[i] - x[i]
         if i == PSI:
             error = wrap(error)
-        waves = wave_power[i - PSI - 1] if i > PSI else 0.0
+        waves = state.wave_power[i - PSI - 1] if i > PSI else 0.0
         variance = P[i, i] + P_nav[i, i] + given.r[i] + waves
         diverged = diverged or error * error > DIVERGENCE_GATE**2 * variance
-    if diverged:
-        for i in range(N_STATES):
-            for k in range(x.shape[0]):
-                P[i, k] = P[k, i] = 0.0
-            x[i], P[i, i] = n[i], given.p0[i] + P_nav[i, i]
-        if nav.commands_doubted > 0.0:
-            # nobody knows what the drives do
-            for k in range(3):
-                P[U + k, U + k] += (DOUBTED * envelope[k]) ** 2
-        follow_all(act, cmd, given.lags, given.n_unit, dt)
-        return
+    return diverged
+
+
+@inlined
+def restart_state(dt, cmd, nav, state, given):
+    """Take the navigation's state; the parameters stay."""
+    x, P = state.x, state.P
+    for i in range(N_STATES):
+        for k in range(x.shape[0]):
+            P[i, k] = P[k, i] = 0.0
+        x[i], P[i, i] = nav.n[i], given.p0[i] + nav.P[i, i]
+    if nav.commands_doubted > 0.0:
+        # nobody knows what the drives do
+        for k in range(3):
+            P[U + k, U + k] += (DOUBTED * given.envelope[k]) ** 2
+    follow_all(state.act, cmd, given.lags, given.n_unit, dt)
+
+
+@inlined
+def correct(dt, cmd, nav, state, given, model, scratch):
+    """Predict a row, and correct state and parameters by the navigation."""
+    x, P, n, P_nav, wave_power = state.x, state.P, nav.n, nav.P, state.wave_power
+    envelope, noise, mask = given.envelope, scratch.R, scratch.mask
     advance(dt, cmd, state, given, scratch)
     row = max(dt, 1e-3)
     for i in range(N_STATES):
         noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
-    if nav.imu_age == 0.0:
-        nav.has_imu = 1.0
-    # a boat without IMU has not lost it: its navigation goes by fixes and compass alone
-    no_gps = nav.gps_age > AID_AFTER
-    no_imu = nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
+    no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
-        lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * envelope[0]) ** 2)
-        at = N_STATES + int(model.hull[CURRENT])
-        for i in range(2):
-            more = P[at + i, at + i] if at >= N_STATES else 0.0
-            P_nav[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
         # what the navigation then says of them is in part the model's own
         mask[X] = mask[Y] = 0.0
         noise[U, U] *= OUTAGE_NOISE_FACTOR
@@ -217,20 +214,70 @@ def tight_step(dt, z, cmd, memory, config, work):
         at = N_STATES + int(model.hull[CURRENT])
         x[at], x[at + 1] = water
     clip_velocities(x, envelope)
+
+
+@inlined
+def lacks_gps(nav):
+    """Return whether the navigation goes without fixes."""
+    return nav.gps_age > AID_AFTER
+
+
+@inlined
+def lacks_imu(nav):
+    """Return whether the IMU is lost; a boat that never had one has lost none."""
+    return nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
+
+
+@inlined
+def place_by_navigation(nav, state):
+    """Take the place from the navigation, where no fix corrects the filter's own."""
+    x, P = state.x, state.P
+    for i in range(2):
+        spread = P[i, i]
+        for k in range(x.shape[0]):
+            P[i, k] = P[k, i] = 0.0
+        x[i], P[i, i] = nav.n[i], spread
+
+
+@kernel
+def tight_step(dt, z, cmd, memory, config, work):
+    """Navigate, predict, correct by one row: :meth:`twin.predictors.base.Predictor.update`."""
+    nav, nav_work = as_record(memory.nav, NAVIGATION), as_record(work.nav, NAVIGATION_WORK)
+    model = config.model
+    state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
+    scratch = filter_workspace(work.filter, model.which.shape[1])
+    x, P = state.x, state.P
+    update_wind(z, state.wind)
+    _accelerations(dt, state, given, model, nav, scratch)
+    lost = nav.gps_age + dt
+    navigate(nav, dt, z, scratch.accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
+    if nav.begun == 0.0:
+        start_filter(cmd, nav, state, given)
+        nav.begun = 1.0 if is_ready(nav) else 0.0
+        return
+    if nav.imu_age == 0.0:
+        nav.has_imu = 1.0
+    if has_diverged(lost, nav, state, given):
+        restart_state(dt, cmd, nav, state, given)
+        return
+    correct(dt, cmd, nav, state, given, model, scratch)
+    no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
+    if no_gps:
+        lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * given.envelope[0]) ** 2)
+        at = N_STATES + int(model.hull[CURRENT])
+        for i in range(2):
+            more = P[at + i, at + i] if at >= N_STATES else 0.0
+            nav.P[i, i] += 2.0 * (lasting + more) * nav.gps_age * min(dt, GAP_MAX)
     nav.since_aid += dt
     if (no_gps or no_imu) and nav.since_aid >= AID_EVERY:
         nav.since_aid = 0.0
-        speed, turn = 0.25 * envelope[0], 0.25 * envelope[2]
+        speed, turn = 0.25 * given.envelope[0], 0.25 * given.envelope[2]
         aid(nav, nav_work, 3, x[U], (AID_SD * speed) ** 2)
         aid(nav, nav_work, 4, x[V], (AID_SD * speed) ** 2)
         if no_imu:
             aid(nav, nav_work, 5, x[R], (AID_TURN * turn) ** 2)
     if no_gps:
-        for i in range(2):
-            spread = P[i, i]
-            for k in range(x.shape[0]):
-                P[i, k] = P[k, i] = 0.0
-            x[i], P[i, i] = n[i], spread
+        place_by_navigation(nav, state)
 
 
 @kernel

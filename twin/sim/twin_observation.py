@@ -263,6 +263,7 @@ def _plus_row_of(memory, i):
         memory.window[i],
         memory.selector[i],
         memory.segments[i],
+        memory.joint[i],
     )
 
 
@@ -330,8 +331,8 @@ _DRAWN_ROWS = HORIZON_ROWS + 1
 def observe_plus(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`observe_ukf` does for ``ukf``."""
     boats = Boats(boats[0], boats[1], boats[2], boats[3], boats[4])
-    nav, joint, rows, window, selector, segments = memories
-    memories = PlusMemory(nav, joint, rows, window, selector, segments)
+    nav, tight, rows, window, selector, segments, joint = memories
+    memories = PlusMemory(nav, tight, rows, window, selector, segments, joint)
     config, work = plus_config_of(config), plus_work_of(work)
     forecast = PlusForecast(forecast[0], forecast[1], forecast[2], forecast[3])
     settings, model = as_record(boats.settings, SETTINGS), config.model
