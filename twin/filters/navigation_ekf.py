@@ -53,6 +53,8 @@ from twin.filters.navigation_state import (
     GYRO_BIAS,
     IMU_LEAPS,
     IS_MODELLED,
+    MODEL_VARIANCES,
+    N_MODELLED,
     N_NAV,
     NAVIGATION,
     NAVIGATION_FIELDS,
@@ -107,10 +109,11 @@ _SHARP = 1e4
 
 
 @kernel
-def _correct(nav, work, innovation, variance, age, channel):
+def _correct(nav, work, innovation, variance, age, channel, speed_var):
     """Correct by one number with measurement row H; return False where it is refused.
 
     ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing.
+    ``speed_var`` is the variance of velocities of which nothing is known.
     """
     n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
@@ -126,6 +129,9 @@ def _correct(nav, work, innovation, variance, age, channel):
                 # a jump of the position says nothing of the heading
                 if size > 0.25 and (channel > 1 or i == channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
+            if channel < 2:
+                P[U, U] += speed_var
+                P[V, V] += speed_var
             S = _gain(P, H, variance, gain)
         nav.refused[channel] = 0.0
     step = innovation / S
@@ -188,7 +194,7 @@ def aid(nav, work, entry, value, variance):
     work.H[entry] = 1.0
     # the model's variance is bounded from below, so that the covariance needs no repair
     variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
-    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
+    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1, 0.0)
 
 
 @inlined
@@ -295,8 +301,20 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        if _correct(nav, work, innovation, variance, age, j):
+        if _correct(nav, work, innovation, variance, age, j, settings.velocity_var_0):
             nav.gps_age = 0.0
+
+
+@inlined
+def _aided(model, i, density, held, settings):
+    """Return an acceleration of a model, and the noise density that it leaves.
+
+    An error of the model lasts: it acts for about a length over nominal speed. Where that makes
+    more than a velocity that is held would wander, so much less of the acceleration is used.
+    """
+    density += model[MODEL_VARIANCES + i] / math.sqrt(settings.r_var_0)
+    share = min(held / density, 1.0)
+    return share * model[i], min(density, held)
 
 
 @kernel
@@ -311,9 +329,9 @@ def navigate(nav, dt, z, model, settings, work):
         Time since the row before, s; 0 or more.
     z : ndarray, shape (10,)
         Measurement row in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
-    model : ndarray, shape (4,)
+    model : ndarray, shape (7,)
         Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use. 1: a
-        model gave them; 0: there is none, and velocities are held.
+        model gave them; 0: there is none, and velocities are held. Then their variances.
     settings, work : record
         :data:`NAVIGATION_SETTINGS` and :data:`NAVIGATION_WORK`.
     """
@@ -360,12 +378,15 @@ def navigate(nav, dt, z, model, settings, work):
         if change * change < GATE * GATE * S:
             r_mean += 0.5 * change
     elif modelled:
-        r_rate, r_var = model[2], settings.r_aided_density
+        r_rate, r_var = _aided(model, 2, settings.r_aided_density, r_var, settings)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
-    ax, ay, held = 0.0, 0.0, settings.held_density * h
+    ax, ay, held = 0.0, 0.0, settings.held_density
     if modelled:
-        ax, ay, held = model[0], model[1], settings.aided_density * h
+        ax, ahead = _aided(model, 0, settings.aided_density, held, settings)
+        ay, aside = _aided(model, 1, settings.aided_density, held, settings)
+        held = max(ahead, aside)
+    held *= h
     for j in range(steps):
         # a sample is the mean over its interval; a gap is not filled with it
         if driven and j == steps - 1:
@@ -392,7 +413,7 @@ def navigate(nav, dt, z, model, settings, work):
         H[R] = H[GYRO_BIAS] = 1.0
         innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
         age = nav.imu_age
-        if _correct(nav, work, innovation, settings.gyro_var, age, 5):
+        if _correct(nav, work, innovation, settings.gyro_var, age, 5, 0.0):
             nav.imu_age = 0.0
         H[R] = H[GYRO_BIAS] = 0.0
     if abs(z[COMPASS]) < ROUNDS:
@@ -402,7 +423,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
             H[PSI] = H[COMPASS_BIAS] = 1.0
-            if _correct(nav, work, innovation, var, age, 4):
+            if _correct(nav, work, innovation, var, age, 4, 0.0):
                 nav.compass_age = 0.0
             H[PSI] = H[COMPASS_BIAS] = 0.0
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
@@ -445,7 +466,7 @@ class Navigator:
     def __init__(self, particulars: Particulars) -> None:
         self._settings = navigation_settings(particulars)
         self._work = np.zeros(NAVIGATION_WORK.itemsize // 8)
-        self._model = np.zeros(4)
+        self._model = np.zeros(N_MODELLED)
         self.memory = initial_navigation(self._settings)
         self._open()
 

@@ -41,6 +41,12 @@ IMU_LEAPS = 6
 IS_MODELLED = 3
 """Place of the flag, after a model's u', v', r', that they are given."""
 
+MODEL_VARIANCES = 4
+"""Place of the variances of u', v', r' after the flag."""
+
+N_MODELLED = 7
+"""Accelerations of a model, the flag, and variances."""
+
 RING_ROWS, RING_COLUMNS = 64, 9
 
 SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from twin.channels import PSI
 from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
+from twin.filters.navigation_state import N_MODELLED
 from twin.filters.ukf import UKFWorkspace, scaled_weights
 from twin.identification.filter_settings import FilterSettings
 from twin.identification.identifiability import accumulate
@@ -95,7 +96,7 @@ class FilterWorkspace(NamedTuple):
     q_xi: Any  # (p,) that of the parameters
     R: Any  # (6, 6) measurement noise
     terms: Any  # (58,) terms of the model
-    accel: Any  # (4,) accelerations for the navigation, and whether there are any
+    accel: Any  # (7,) accelerations for the navigation; see ``navigate``
     mask: Any  # (6,) which states were measured
     limit: Any  # (6,) factors of standard deviations
     rollout: Any  # of a rollout of one motion
@@ -157,7 +158,7 @@ def filter_workspace(work, p):
     q_xi, at = take(work, at, (p,))
     R, at = take(work, at, (N_STATES, N_STATES))
     terms, at = take(work, at, (N_TERMS,))
-    accel, at = take(work, at, (4,))
+    accel, at = take(work, at, (N_MODELLED,))
     mask, at = take(work, at, (N_STATES,))
     limit, at = take(work, at, (N_STATES,))
     scratch, at = take(work, at, (_ROLLOUT,))

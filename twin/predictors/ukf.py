@@ -19,6 +19,7 @@ from twin.checkpoint import Field, State, check_fields, fill, record_views, with
 from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, navigate
 from twin.filters.navigation_state import (
     IS_MODELLED,
+    MODEL_VARIANCES,
     NAVIGATION,
     NAVIGATION_FIELDS,
     NAVIGATION_SETTINGS,
@@ -118,7 +119,7 @@ class UKFWork(NamedTuple):
 def _accelerations(dt, state, given, model, nav, scratch):
     """Write what the model says of the accelerations, for the navigation."""
     x, act, envelope, terms, accel = state.x, state.act, given.envelope, scratch.terms, scratch.accel
-    for k in range(4):
+    for k in range(accel.shape[0]):
         accel[k] = 0.0
     if nav.begun == 0.0:
         return
@@ -128,12 +129,20 @@ def _accelerations(dt, state, given, model, nav, scratch):
     du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
     current_terms(motion, state.wind, x, N_STATES, model, terms)
     accumulate_information(dt, terms, state, model)
-    turn, speed = envelope[2], envelope[0]
+    turn, speed = envelope[2], 0.25 * envelope[0]
     accel[0] = min(max(du, -speed * turn), speed * turn)
     accel[1] = min(max(dv, -speed * turn), speed * turn)
     accel[2] = min(max(dr, -turn * turn), turn * turn)
     # a model never fitted to a measured motion may make the navigation diverge in yaw
     accel[IS_MODELLED] = nav.has_imu
+    for i in range(3):
+        low, high = model.limits[3 + i, 0], model.limits[3 + i, 1]
+        term = model.which[i, low - N_STATES : high - N_STATES]
+        for j in range(low, high):
+            row = 0.0
+            for k in range(low, high):
+                row += state.P[j, k] * terms[term[k - low]]
+            accel[MODEL_VARIANCES + i] += terms[term[j - low]] * row
 
 
 @inlined
