@@ -61,7 +61,8 @@ STABLE_FOR = 20.0
 MARGIN = 0.15
 """By how much the mean logarithm of another's squared errors must be lower."""
 
-ENOUGH, MEMORY = 8, 30
+ENOUGH, MEMORY = 8, float(__import__('os').environ.get('MEM','30'))
+SQ = int(__import__('os').environ.get('SQ','0'))
 """Segments before anything is chosen, and over which errors are averaged."""
 
 LEAST, MOST = 1e-9, 1e9
@@ -140,8 +141,13 @@ def score(first, rows, state, config, model, work):
     for r in range(errors.shape[0]):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
         error = forecast_error(first, rows, xi, model, config, work.line)
-        error = math.log(min(max(error, LEAST), MOST))
-        errors[r] += (error - errors[r]) / min(count[SCORED], MEMORY)
+        if SQ:
+            error = math.sqrt(min(max(error, LEAST), 1e4))
+            mean = math.exp(0.5 * errors[r]) if count[SCORED] > 1.0 else 0.0
+            errors[r] = 2.0 * math.log(mean + (error - mean) / min(count[SCORED], MEMORY))
+        else:
+            error = math.log(min(max(error, LEAST), MOST))
+            errors[r] += (error - errors[r]) / min(count[SCORED], MEMORY)
 
 
 @kernel

@@ -93,6 +93,7 @@ AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
 
+NAVL = float(__import__("os").environ.get("NAVL", "1"))
 class UKFMemory(NamedTuple):
     """What a predictor remembers, flat; in a batch each row is a boat's."""
 
@@ -135,6 +136,9 @@ def _accelerations(dt, state, given, model, nav, scratch):
     accel[2] = min(max(dr, -turn * turn), turn * turn)
     # a model never fitted to a measured motion may make the navigation diverge in yaw
     accel[IS_MODELLED] = nav.has_imu
+    if lacks_gps(nav):
+        # nothing says more than the model
+        return
     for i in range(3):
         low, high = model.limits[3 + i, 0], model.limits[3 + i, 1]
         term = model.which[i, low - N_STATES : high - N_STATES]
@@ -198,6 +202,10 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     for i in range(N_STATES):
         noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
+    # what is unknown of a velocity lasts from row to row until the fixes tell
+    for i in range(U, R):
+        lasts = min(P_nav[i, i] / ((envelope[0] / 16.0) ** 2 * envelope[2] / 4.0), NAVL * 4.0 / envelope[2])
+        noise[i, i] += max(lasts / row - 1.0, 0.0) * P_nav[i, i]
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
         # what the navigation then says of them is in part the model's own
