@@ -106,7 +106,23 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
     structure = model_of(particulars, model or "paper", current=True)
     mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
-    return FilterSettings(
+    D = __import__("os").environ.get("DIF", "0")
+    more = {}
+    if particulars.steering == "differential" and D != "0":
+        time_b = particulars.length / particulars.speed
+        more = dict(waves=(WAVE_TIME * time_b, WAVE_NOISE * time_b, WAVE_PUSH / time_b))
+        if D in "BC":
+            along, turning = DISTURBED
+            LL = particulars.length
+            q[3:] = np.array([along / LL, along / LL, turning / LL**2]) * np.sqrt(STUDY_STEP * time)
+        if D == "C":
+            r = r * np.array([*5 * (WAVELESS,), WAVELESS_TURN])
+        if D in "DEFG":
+            q[3:] *= {"D": 3, "E": 6, "F": 10, "G": 20}[D]
+    if D in "HI":
+        more = {}
+        q[3:] *= {"H": 6, "I": 15}[D]
+    return FilterSettings(**more,
         structure=structure,
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,

@@ -31,6 +31,7 @@ from usv_kernel.jit import inlined, kernel
 from usv_kernel.simd import LANES
 
 __all__ = [
+    "PRIOR_SHRINKAGE",
     "FilterConfig",
     "FilterState",
     "FilterWorkspace",
@@ -45,8 +46,10 @@ __all__ = [
     "forecast_buffers",
     "forecast_covariance",
     "forecast_mean",
+    "is_plausible",
     "limit_covariances",
     "scale_plan",
+    "shrink_to_prior",
 ]
 
 Array = NDArray[Any]
@@ -67,6 +70,7 @@ class FilterState(NamedTuple):
     P: Any  # (6 + p, 6 + p) its covariance
     act: Any  # (4,) actuators as followed from the commands: unit of the structure, rad
     wind: Any  # (2,) true wind to north and east, m/s; zeros until it is measured
+    fastest: Any  # (3,) largest abs(u), abs(v), m/s, and abs(r), rad/s, seen
     wave_power: Any  # (3,) mean squares of the waves in u, v (m/s)^2 and r (rad/s)^2
     counted: Any  # (2,) time since regressors were counted, and time that they stand for, s
     gram_matrices: Any  # Gram matrices of the regressors of surge, sway and yaw
@@ -81,6 +85,8 @@ class FilterConfig(NamedTuple):
     p0: Any  # (6,) variance of each state at the start
     lags: Any  # (3,) shaft speed and drive angle, s; speed of the drives, rad/s
     envelope: Any  # (3,) largest abs(u), abs(v), m/s, and abs(r), rad/s
+    nominal: Any  # (3,) velocities that may be predicted for any boat, m/s and rad/s
+    prior: Any  # (p,) prior mean of the parameters
     weights: Any  # (4,) of the sigma points
     n_unit: float  # unit of the structure's shaft speeds
     wave_time: float  # time over which waves are averaged, s; 0 for none
@@ -108,6 +114,7 @@ class Forecast(NamedTuple):
     """A plan of K rows in the unit of the structure, and what it leads to."""
 
     plan: Any  # (K, 4) commands
+    params: Any  # (1, p) parameters
     states: Any  # (1, K, 6) states at the ends of the rows
     act: Any  # (K, 4) actuators then
     covs: Any  # (K, 6, 6) covariances then
@@ -121,6 +128,7 @@ def filter_state(memory, model):
     P, at = take(memory, at, (n, n))
     act, at = take(memory, at, (N_ACT,))
     wind, at = take(memory, at, (2,))
+    fastest, at = take(memory, at, (3,))
     wave_power, at = take(memory, at, (3,))
     counted, at = take(memory, at, (2,))
     k = limits[3, 1] - limits[3, 0]
@@ -129,7 +137,7 @@ def filter_state(memory, model):
     sway, at = take(memory, at, (k, k))
     k = limits[5, 1] - limits[5, 0]
     yaw, at = take(memory, at, (k, k))
-    return FilterState(x, P, act, wind, wave_power, counted, (surge, sway, yaw))
+    return FilterState(x, P, act, wind, fastest, wave_power, counted, (surge, sway, yaw))
 
 
 @inlined
@@ -141,12 +149,15 @@ def filter_config(values, model):
     p0, at = take(values, at, (N_STATES,))
     lags, at = take(values, at, (3,))
     envelope, at = take(values, at, (3,))
+    nominal, at = take(values, at, (3,))
+    prior, at = take(values, at, (model.which.shape[1],))
     weights, at = take(values, at, (4,))
     n, at = take(values, at, (1,))
     waves, at = take(values, at, (3,))
     return FilterConfig(
-        q, q_xi, r, p0, lags, envelope, weights, n[0], waves[0], waves[1], waves[2], model
-    )
+        q, q_xi, r, p0, lags, envelope, nominal, prior,
+        weights, n[0], waves[0], waves[1], waves[2], model,
+    )  # fmt: skip
 
 
 @inlined
@@ -174,13 +185,14 @@ def filter_workspace(work, p):
 
 
 @inlined
-def forecast_buffers(work, K):
-    """Open the memory of a forecast of K rows."""
+def forecast_buffers(work, K, p):
+    """Open the memory of a forecast of K rows with p parameters."""
     plan, at = take(work, 0, (K, N_ACT))
+    params, at = take(work, at, (1, p))
     states, at = take(work, at, (1, K, N_STATES))
     act, at = take(work, at, (K, N_ACT))
     covs, at = take(work, at, (K, N_STATES, N_STATES))
-    return Forecast(plan, states, act, covs)
+    return Forecast(plan, params, states, act, covs)
 
 
 @inlined
@@ -238,34 +250,56 @@ def clip_velocities(x, envelope):
         x[3 + i] = min(max(x[3 + i], -envelope[i]), envelope[i])
 
 
+PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
+"""Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
+
+
+@inlined
+def shrink_to_prior(part, x, prior, params):
+    """Write parameters that lie a part of the way from the prior's to the fitted ones."""
+    for k in range(params.shape[0]):
+        params[k] = prior[k] + part * (x[N_STATES + k] - prior[k])
+
+
+@inlined
+def is_plausible(states, fastest, nominal):
+    """Return whether velocities stay near what was ever seen, or nominal."""
+    plausible = True
+    for row in range(states.shape[0]):
+        for k in range(3):
+            bound = max(1.5 * fastest[k], nominal[k])
+            plausible = plausible and abs(states[row, 3 + k]) <= bound
+    return plausible
+
+
 @inlined
 def forecast_mean(plan, dt, state, config, out, work):
     """Write the states and actuators that a plan leads to, with its rows dt (s) apart.
 
-    ``plan`` (K, 4) has shaft speeds in the unit of the particulars.
+    ``plan`` (K, 4) has shaft speeds in the unit of the particulars. The parameters are shrunk to
+    the prior's until the motion is plausible; ``out.params`` are those used.
     """
     scale_plan(plan, config.n_unit, out.plan)
-    n = state.x.shape[0]
-    start = RolloutStart(
-        shaped(state.x, 0, (1, N_STATES)),
-        shaped(state.x, N_STATES, (1, n - N_STATES)),
-        state.act,
-        state.wind,
-    )
+    start = RolloutStart(shaped(state.x, 0, (1, N_STATES)), out.params, state.act, state.wind)
     none = Waves(shaped(state.x, 0, (1, 0, 3)), 0.0)
-    rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
+    for part in PRIOR_SHRINKAGE:
+        shrink_to_prior(part, state.x, config.prior, out.params[0])
+        rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
+        if is_plausible(out.states[0], state.fastest, config.nominal):
+            break
 
 
 @inlined
-def forecast_covariance(plan, dt, state, config, covs, work):
+def forecast_covariance(plan, dt, state, config, params, covs, work):
     """Write the covariances (K, 6, 6) of the state at the ends of the rows of a plan.
 
-    ``plan`` (K, 4) has commands in the unit of the structure, rows dt (s) apart.
+    ``plan`` (K, 4) has commands in the unit of the structure, rows dt (s) apart; ``params`` (p,)
+    are the parameters of the mean forecast.
     """
     x, P, act = work.ahead
     ahead = JointState(x, P, act, state.wind)
     for i in range(x.shape[0]):
-        x[i] = state.x[i]
+        x[i] = state.x[i] if i < N_STATES else params[i - N_STATES]
         for k in range(x.shape[0]):
             P[i, k] = state.P[i, k]
     for k in range(N_ACT):
@@ -309,7 +343,7 @@ def limit_covariances(covs, start_cov, dt, envelope):
 @kernel
 def _forecast_mean(plan, dt, memory, values, model, buffers, work):
     """Do :func:`forecast_mean` on flat memory."""
-    out = forecast_buffers(buffers, plan.shape[0])
+    out = forecast_buffers(buffers, plan.shape[0], model.which.shape[1])
     state, config = filter_state(memory, model), filter_config(values, model)
     scratch = filter_workspace(work, model.which.shape[1]).rollout
     forecast_mean(plan, dt, state, config, out, scratch)
@@ -318,11 +352,11 @@ def _forecast_mean(plan, dt, memory, values, model, buffers, work):
 @kernel
 def _forecast_covariance(plan, dt, memory, values, model, buffers, work):
     """Do :func:`forecast_covariance` on flat memory; the plan is in the particulars' unit."""
-    out = forecast_buffers(buffers, plan.shape[0])
+    out = forecast_buffers(buffers, plan.shape[0], model.which.shape[1])
     state, config = filter_state(memory, model), filter_config(values, model)
-    scale_plan(plan, config.n_unit, out.plan)
     scratch = filter_workspace(work, model.which.shape[1])
-    forecast_covariance(out.plan, dt, state, config, out.covs, scratch)
+    forecast_mean(plan, dt, state, config, out, scratch.rollout)
+    forecast_covariance(out.plan, dt, state, config, out.params[0], out.covs, scratch)
 
 
 def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
@@ -334,7 +368,7 @@ def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
 
 JOINT_FIELDS = {
     "P": Field(covariance=True),
-    **dict.fromkeys(("wave_power", "counted"), Field(low=0.0)),
+    **dict.fromkeys(("fastest", "wave_power", "counted"), Field(low=0.0)),
 }
 """What the fields of a saved :class:`FilterState` may hold."""
 
@@ -345,7 +379,8 @@ class JointUKF:
     ``memory`` is all that it remembers, flat; ``memory.view(dtype)[0]`` has its fields by name, see
     :class:`FilterState`. ``x`` and ``P`` are of six states and then the parameters. ``act`` (4,)
     are the actuators as followed from the commands, in the unit of the structure. ``wind`` (2,) is
-    the true wind to north and east, m/s, zeros until it is measured. ``wave_power`` (3,) are the
+    the true wind to north and east, m/s, zeros until it is measured. ``fastest`` (3,) are the
+    largest velocities seen, by which the forecast is held plausible. ``wave_power`` (3,) are the
     mean squares of the waves in u, v and r. ``counted`` ends with the time counted, s;
     ``gram_matrices`` are those of surge, sway and yaw, see
     :func:`twin.identification.identifiability.accumulate`.
@@ -358,6 +393,7 @@ class JointUKF:
         self.lags = np.array([particulars.shaft_lag, particulars.steer_lag, particulars.steer_rate])
         U, L = particulars.speed, particulars.length
         self.envelope = np.array([4.0 * U, 4.0 * U, 4.0 * U / L])
+        self.nominal = np.array([1.5 * U, 0.8 * U, 1.2 * U / L])
         self.weights = scaled_weights(n, settings.alpha, settings.beta, settings.kappa)
         self.memory = np.zeros(flat_size(filter_state, self.terms))
         state: FilterState = python_views(filter_state)(self.memory, self.terms)
@@ -372,6 +408,8 @@ class JointUKF:
                 settings.p0,
                 self.lags,
                 self.envelope,
+                self.nominal,
+                settings.xi0,
                 self.weights,
                 [settings.n_unit],
                 settings.waves,
@@ -380,8 +418,8 @@ class JointUKF:
         config: FilterConfig = python_views(filter_config)(self.constants, self.terms)
         self.q, self.r = config.q, config.r
         self.scratch = np.zeros(flat_size(filter_workspace, n - N_STATES))
-        self._buffers = np.empty(0)
-        self._out: Forecast = python_views(forecast_buffers)(self._buffers, 0)
+        self._buffers = np.empty(n - N_STATES)
+        self._out: Forecast = python_views(forecast_buffers)(self._buffers, 0, n - N_STATES)
         self.reset()
 
     @property
@@ -404,8 +442,9 @@ class JointUKF:
     def _opened(self, K: int) -> tuple[Array, Forecast]:
         """Return buffers of a forecast of K rows, flat and by name."""
         if len(self._out.plan) != K:
-            self._buffers = np.empty(flat_size(forecast_buffers, K))
-            self._out = python_views(forecast_buffers)(self._buffers, K)
+            p = len(self.xi)
+            self._buffers = np.empty(flat_size(forecast_buffers, K, p))
+            self._out = python_views(forecast_buffers)(self._buffers, K, p)
         return self._buffers, self._out
 
     def mean(self, plan: Array, dt: float) -> Array:

@@ -140,7 +140,6 @@ class RefitConfig(NamedTuple):
     relinearised: int  # segments that a refit relinearises
     spacing: int  # rows between starts of segments
     span: int  # rows of the window
-    nominal: Any  # (3,) velocities that may be predicted for any boat, m/s and rad/s
     prior: Any  # (p,) prior mean of the parameters
     variance: Any  # (p,) their prior variances
     information: Any  # (h,) inverse of the prior covariance, packed
@@ -153,14 +152,13 @@ def refit_config(values, p):
     offsets, at = take(values, at, (N_OFFSETS,))
     one, at = take(values, at, (4,))
     two, at = take(values, at, (5,))
-    nominal, at = take(values, at, (3,))
     prior, at = take(values, at, (p,))
     variance, at = take(values, at, (p,))
     information, at = take(values, at, (packed_size(p),))
     return RefitConfig(
         weights, offsets, int(one[0]), int(one[1]), one[2], one[3],
         int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]),
-        nominal, prior, variance, information,
+        prior, variance, information,
     )  # fmt: skip
 
 

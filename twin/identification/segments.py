@@ -319,8 +319,7 @@ class Segments:
 
     ``mean`` (p,) and ``cov`` (p, p) are the prior. Of more than ``capacity`` segments a new one
     takes the place of the oldest. ``schedule`` is for the compiled predictor: time between refits
-    (s), segments that one relinearises, rows between starts, rows of the window, and nominal
-    velocities (3). ``memory, values, line, scratch`` are flat; ``state, config, work`` are the same
+    (s), segments that one relinearises, rows between starts, and rows of the window. ``memory, values, line, scratch`` are flat; ``state, config, work`` are the same
     by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are views, the prior's at first.
     """
 
@@ -331,7 +330,7 @@ class Segments:
         cov: Array,
         settings: RefitSettings,
         capacity: int,
-        schedule: tuple[float, ...] = (0.0,) * 7,
+        schedule: tuple[float, ...] = (0.0,) * 4,
     ) -> None:
         p = len(mean)
         self.model, self.settings = model, settings

@@ -14,7 +14,7 @@ Four things work together:
    which are those of the headings ahead, and move the low-frequency motion as the observer would.
 
 Where the predicted motion leaves what the boat was ever seen to do, the parameters are shrunk to
-the prior until it does not (:data:`twin.predictors.plus_forecast.PRIOR_SHRINKAGE`).
+the prior until it does not (:data:`twin.identification.joint_ukf.PRIOR_SHRINKAGE`).
 
 Source: docs/explanation/twin.md, The refit; Waves and prediction intervals.
 """
@@ -176,9 +176,7 @@ class PlusPredictor(UKFPredictor):
         capacity = math.ceil(self.refit.span / self.refit.spacing)
         steps, span = round(self.refit.horizon / GRID), round(self.refit.span / GRID)
         self.rows = np.zeros((span + steps + 2 * self.spacing, COLUMNS))
-        U = particulars.speed
-        nominal = 1.5 * U, 0.8 * U, 1.2 * U / particulars.length
-        schedule = (period, relinearised, self.spacing, span, *nominal)
+        schedule = period, relinearised, self.spacing, span
         self.segments = Segments(structure.terms, mean, cov, self.refit, capacity, schedule)
         self.selector = TrustSelector(self.segments)
         self._window = np.zeros(WINDOW.itemsize // 8)
@@ -273,9 +271,6 @@ class PlusPredictor(UKFPredictor):
             ._replace(
                 places=memory.nav[:, :3],
                 velocities=window["slow"],
-                fastest=window["fastest"],
-                nominal=self.segments.config.nominal,
-                prior=self.segments.prior,
             )
         )
 

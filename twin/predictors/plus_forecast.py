@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from twin.filters.linalg import cholesky
 from twin.filters.navigation_state import NAVIGATION
-from twin.identification.joint_ukf import filter_config, filter_state, scale_plan
-from twin.identification.prediction_error import LOW, refit_config
+from twin.identification.joint_ukf import (
+    PRIOR_SHRINKAGE,
+    filter_config,
+    filter_state,
+    is_plausible,
+    scale_plan,
+    shrink_to_prior,
+)
+from twin.identification.prediction_error import LOW
 from twin.identification.wave_residual import ORDER, between, forecast_waves, simulate_waves
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size
@@ -26,7 +33,6 @@ from usv_kernel.records import as_record
 
 __all__ = [
     "FORECAST_WAVE_GAIN",
-    "PRIOR_SHRINKAGE",
     "Draws",
     "MeanForecast",
     "draws_of",
@@ -42,9 +48,6 @@ Array = NDArray[Any]
 
 FORECAST_WAVE_GAIN = 0.25
 """The gain of the predicted waves, 1/s: half of them carry the boat to and fro, and pass."""
-
-PRIOR_SHRINKAGE = (1.0, 0.5, 0.25, 0.0)
-"""Parts of the way from the prior's parameters to the fitted ones that are tried in turn."""
 
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
@@ -144,24 +147,6 @@ def past_waves(nav, rows, window, w):
             w[k, i] = row[3 + i] - row[LOW + i]
 
 
-@inlined
-def shrink_to_prior(part, x, prior, params):
-    """Write parameters that lie a part of the way from the prior's to the fitted ones."""
-    for k in range(params.shape[0]):
-        params[k] = prior[k] + part * (x[N_STATES + k] - prior[k])
-
-
-@inlined
-def _is_plausible(states, fastest, nominal):
-    """Return whether velocities stay near what was ever seen, or nominal."""
-    plausible = True
-    for row in range(states.shape[0]):
-        for k in range(3):
-            bound = max(1.5 * fastest[k], nominal[k])
-            plausible = plausible and abs(states[row, 3 + k]) <= bound
-    return plausible
-
-
 @kernel
 def _begin(dt, memory, out):
     """Write start, times and predicted waves of a forecast."""
@@ -182,17 +167,16 @@ def plus_mean(plan, dt, memory, config, out):
     The parameters are shrunk to the prior until the motion is plausible. Shaft speeds are in the
     unit of the particulars.
     """
-    model, window = config.model, as_record(memory.window, WINDOW)
+    model = config.model
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
-    refit = refit_config(config.refit, model.which.shape[1])
     scale_plan(plan, given.n_unit, out.plan)
     _begin(dt, memory, out)
     start = RolloutStart(out.start, out.params, state.act, state.wind)
     waves, paths = Waves(out.means, FORECAST_WAVE_GAIN), Paths(out.states, out.act)
     for part in PRIOR_SHRINKAGE:
-        shrink_to_prior(part, state.x, refit.prior, out.params[0])
+        shrink_to_prior(part, state.x, given.prior, out.params[0])
         rollout(start, out.plan, dt, given, waves, paths, out.work)
-        if _is_plausible(out.states[0], window.fastest, refit.nominal):
+        if is_plausible(out.states[0], state.fastest, given.nominal):
             break
     for row in range(plan.shape[0]):
         for k in range(3):

@@ -107,7 +107,6 @@ WINDOW = np.dtype(
         ("slow", "f8", 3),  # low-frequency u, v (m/s), r (rad/s)
         ("next_start", "f8"),  # first row of the next segment
         ("refit_at", "f8"),  # time of the next refit, s
-        ("fastest", "f8", 3),  # largest abs(u), abs(v), abs(r) seen
         ("wave_sd", "f8", 3),  # standard deviations of the waves in u, v, r
         ("wave_ar", "f8", (ORDER, 3)),  # autoregression that predicts the present waves
         ("sectors", "f8", (SECTORS, SECTOR_SIZE)),  # autoregressions of waves, by headings
@@ -282,7 +281,7 @@ def _fit_waves(rows, window, config, work):
     first = max(newest - min(round(WAVE_SPAN / GRID), config.span), 0)
     N, late = newest + 1 - first, 0
     scratch = _waves_work(work, N)
-    w, psi, good, fastest = scratch.w, scratch.psi, scratch.good, window.fastest
+    w, psi, good = scratch.w, scratch.psi, scratch.good
     for k in range(N - 1, -1, -1):
         row = rows[(first + k) % rows.shape[0]]
         psi[k], good[k] = row[STATE + PSI], row[GOOD]
@@ -292,8 +291,6 @@ def _fit_waves(rows, window, config, work):
             count += 1
             if count <= round(LATE_SPAN / GRID):
                 late = k
-            for i in range(3):
-                fastest[i] = max(fastest[i], abs(row[STATE + 3 + i]))
     if count <= 5 * ORDER:
         return
     fit_sector_ar(w[late:], psi[late:], good[late:], window.sectors[:], scratch.fit)
@@ -335,16 +332,16 @@ def _refit(memory, config, work):
         return
     relinearise(given.relinearised, rows, segments.params, segments, given, model, scratch)
     row = rows[newest % rows.shape[0]]
-    bounds = work.waves[:3]
+    bounds, tight = work.waves[:3], filter_state(memory.filter, model)
+    nominal = filter_config(config.filter, model).nominal
     for i in range(3):
-        bounds[i] = max(1.5 * window.fastest[i], given.nominal[i])
+        bounds[i] = max(1.5 * tight.fastest[i], nominal[i])
     if selector.count[SCORED] >= SEGMENTS_MIN:
         place = math.exp(selector.errors[int(selector.count[CHOSEN])]) / given.weights[0]
         nav = as_record(memory.nav, NAVIGATION)
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
     select_trust(newest, row, bounds, joint.P[N_STATES:, N_STATES:], selector, segments, given, model, scratch)
-    state = filter_state(memory.filter, model)
-    x, P = state.x, state.P
+    x, P = tight.x, tight.P
     for i in range(p):
         x[N_STATES + i] = segments.params[i]
         for k in range(N_STATES):

@@ -89,6 +89,9 @@ DOUBTED = 0.1
 DIVERGENCE_GATE = 10.0
 """... as they do where the state is this many standard deviations from the navigation."""
 
+SURE = 0.25
+"""Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
+
 AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
@@ -231,6 +234,9 @@ def correct(dt, cmd, nav, state, given, model, scratch):
         at = N_STATES + int(model.hull[CURRENT])
         x[at], x[at + 1] = water
     clip_velocities(x, envelope)
+    if not no_gps and P_nav[U, U] + P_nav[V, V] < 2.0 * (SURE * 0.25 * envelope[0]) ** 2:
+        for k in range(3):
+            state.fastest[k] = max(state.fastest[k], abs(n[U + k]))
 
 
 @inlined
@@ -521,8 +527,8 @@ class UKFPredictor(ModelPredictor):
             x[:, N_STATES:],
             boats["act"],
             boats["wind"],
-            np.full((1, 3), math.inf),
-            np.full(3, math.inf),
+            boats["fastest"],
+            self.ukf.nominal,
             self.ukf.settings.xi0,
         )
 

@@ -289,7 +289,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
     rules = as_record(boats.shared, EPISODES).rules
     given = filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
-    out = forecast_buffers(forecast.buffers, ROWS)
+    out = forecast_buffers(forecast.buffers, ROWS, model.which.shape[1])
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
@@ -306,7 +306,9 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         due = note.last >= note.covs_due
         if due:
             note.covs_due = note.last + settings.period - 1e-9
-            forecast_covariance(out.plan, LONG_STEP, state, given, out.covs, scratch)
+            forecast_covariance(
+                out.plan, LONG_STEP, state, given, out.params[0], out.covs, scratch
+            )
             for row in range(ROWS):
                 for j in range(N_STATES):
                     for k in range(N_STATES):
