@@ -42,6 +42,10 @@ noise is in nominal speeds over length."""
 WANDERING, WANDER_TIME = ("E_north", "E_east", "N_0"), 28.0
 """Biases of a tanker that wander, and the time in which they do by their standard deviation, s."""
 
+ROUGH_PUSH, ROUGH_NOISE = 4.0, 0.5
+"""Process and measurement noise of a boat with a fixed pair of thrusters, in those of the study's
+boat. No population says what such boats are like: what their rough model leaves is not white."""
+
 PRIOR_INFLATION = 1.5
 """How much larger than in the population the variances of a tanker's parameters are taken."""
 
@@ -104,25 +108,13 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     q = np.array([1e-3, 1e-3, 1e-4, 0.05, 0.05, 0.0125]) * scale
     r = np.array([1.0, 1.0, 0.03, 0.3, 0.3, 0.048]) * scale
     p0 = np.array([2.0, 2.0, 0.05, 0.3, 0.3, 0.05]) * scale
-    structure = model_of(particulars, model or "paper", current=True)
+    rough = particulars.steering == "differential"
+    if rough:
+        q[3:] *= ROUGH_PUSH
+        r *= ROUGH_NOISE
+    structure = model_of(particulars, model or ("mmg" if rough else "paper"), current=True)
     mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
-    D = __import__("os").environ.get("DIF", "0")
-    more = {}
-    if particulars.steering == "differential" and D != "0":
-        time_b = particulars.length / particulars.speed
-        more = dict(waves=(WAVE_TIME * time_b, WAVE_NOISE * time_b, WAVE_PUSH / time_b))
-        if D in "BC":
-            along, turning = DISTURBED
-            LL = particulars.length
-            q[3:] = np.array([along / LL, along / LL, turning / LL**2]) * np.sqrt(STUDY_STEP * time)
-        if D == "C":
-            r = r * np.array([*5 * (WAVELESS,), WAVELESS_TURN])
-        if D in "DEFG":
-            q[3:] *= {"D": 3, "E": 6, "F": 10, "G": 20}[D]
-    if D in "HI":
-        more = {}
-        q[3:] *= {"H": 6, "I": 15}[D]
-    return FilterSettings(**more,
+    return FilterSettings(
         structure=structure,
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,
