@@ -47,10 +47,10 @@ SPANS = (math.inf, math.inf, math.inf, math.inf, 35.0, 35.0, 35.0)
 
 REFITS = len(TRUSTS)
 
-CANDIDATES = REFITS + int(__import__('os').environ.get('NC','3'))
+JOINT, PRIOR = REFITS, REFITS + 1
+"""Candidates that are no refits: the parameters of the joint filter, and the prior's."""
 
-JOINT, PRIOR, HELD = REFITS, REFITS + 1, REFITS + 2
-"""Parameters of the joint filter; the prior's; none, so that velocities stay as they are."""
+CANDIDATES = REFITS + 2
 
 _TRUSTS = np.array(TRUSTS)
 _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
@@ -61,8 +61,7 @@ STABLE_FOR = 20.0
 MARGIN = 0.15
 """By how much the mean logarithm of another's squared errors must be lower."""
 
-ENOUGH, MEMORY = 8, float(__import__('os').environ.get('MEM','30'))
-SQ = int(__import__('os').environ.get('SQ','0'))
+ENOUGH, MEMORY = 8, 10
 """Segments before anything is chosen, and over which errors are averaged."""
 
 LEAST, MOST = 1e-9, 1e9
@@ -141,13 +140,8 @@ def score(first, rows, state, config, model, work):
     for r in range(errors.shape[0]):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
         error = forecast_error(first, rows, xi, model, config, work.line)
-        if SQ:
-            error = math.sqrt(min(max(error, LEAST), 1e4))
-            mean = math.exp(0.5 * errors[r]) if count[SCORED] > 1.0 else 0.0
-            errors[r] = 2.0 * math.log(mean + (error - mean) / min(count[SCORED], MEMORY))
-        else:
-            error = math.log(min(max(error, LEAST), MOST))
-            errors[r] += (error - errors[r]) / min(count[SCORED], MEMORY)
+        error = math.log(min(max(error, LEAST), MOST))
+        errors[r] += (error - errors[r]) / min(count[SCORED], MEMORY)
 
 
 @kernel
@@ -250,8 +244,6 @@ class TrustSelector:
         self.memory[:] = 0.0
         self.state.count[NOTED] = -1.0
         self.params[:] = self.state.past[:] = self.segments.prior
-        if HELD < CANDIDATES:
-            self.params[HELD] = self.state.past[:, HELD] = 0.0
 
     @property
     def scored(self) -> int:

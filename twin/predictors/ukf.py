@@ -89,6 +89,10 @@ DOUBTED = 0.1
 DIVERGENCE_GATE = 10.0
 """... as they do where the state is this many standard deviations from the navigation."""
 
+VELOCITY_LASTS = 0.25
+"""Standard deviation, in nominal speeds, of a velocity whose error lasts a length over nominal
+speed; that of a smaller one lasts less."""
+
 SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
 
@@ -96,7 +100,6 @@ AID_AFTER, AID_EVERY = 1.0, 1.0
 """The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
 
 
-NAVL = float(__import__("os").environ.get("NAVL", "1"))
 class UKFMemory(NamedTuple):
     """What a predictor remembers, flat; in a batch each row is a boat's."""
 
@@ -205,10 +208,11 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     for i in range(N_STATES):
         noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
         mask[i] = 1.0
-    # what is unknown of a velocity lasts from row to row until the fixes tell
+    # an error of a velocity lasts from row to row until fixes tell: longer, the larger it is
+    time = 4.0 / envelope[2]
     for i in range(U, R):
-        lasts = min(P_nav[i, i] / ((envelope[0] / 16.0) ** 2 * envelope[2] / 4.0), NAVL * 4.0 / envelope[2])
-        noise[i, i] += max(lasts / row - 1.0, 0.0) * P_nav[i, i]
+        share = P_nav[i, i] / (VELOCITY_LASTS * 0.25 * envelope[0]) ** 2
+        noise[i, i] += max(min(share, 1.0) * time / row - 1.0, 0.0) * P_nav[i, i]
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
         # what the navigation then says of them is in part the model's own
