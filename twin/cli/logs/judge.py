@@ -15,6 +15,7 @@ from twin.cli.common import (
     ShipOption,
     console,
     open_log,
+    print_health,
     row_progress,
     write_json,
 )
@@ -57,6 +58,7 @@ def verdict_command(
             advance()
 
         twin.run(run, on_row)
+    print_health(twin)
     verdict = meter.verdict(findings_of(log, mapping, twin.particulars, until))
     print_verdict(verdict)
     if json_file is not None:
