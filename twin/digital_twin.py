@@ -147,7 +147,11 @@ class Twin:
             **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
             **{"options": options, "particulars": about},
             **({} if self.datum is None else {"datum": self.datum.to_json()}),
-            **{"t": self.t, "begun": self.begun, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
+            **{
+                "t": self.t,
+                "begun": self.begun,
+                "state": {k: v for k, v in state.items() if f"state.{k}" not in kept},
+            },
         }
         health = {f"health.{name}": view for name, view in self.monitor.state_dict().items()}
         write(path, header, arrays | kept | health)

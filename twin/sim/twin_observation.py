@@ -215,9 +215,7 @@ def take_row(boat, note):
 def _check_row(dt, boat, note, x, nav, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
-    check_sensors(
-        dt, note.z[:], boat.command[:], x[:N_STATES], ready, health, given, note.used[:]
-    )
+    check_sensors(dt, note.z[:], boat.command[:], x[:N_STATES], ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     for k in range(N_ACT):
         note.trusted[k] = health.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]

@@ -240,9 +240,7 @@ def _watching(
     observation: str,
 ) -> Callable[[Episodes], TwinObserver]:
     """Return what makes the twins of an environment's boats."""
-    return lambda episodes: observer_of(
-        episodes, twin, particulars, band_period, seed, observation
-    )
+    return lambda episodes: observer_of(episodes, twin, particulars, band_period, seed, observation)
 
 
 OBSERVATIONS = (*OBSERVERS, *TWIN_SETS)

@@ -89,7 +89,7 @@ def test_identify_equals_the_twin_from_python(folder):
     assert [float(rows[-1][name]) for name in STATE] == estimate.state.tolist()
 
 
-def test_commands_that_run_a_twin_print_which_sensor_was_in_doubt(folder, tmp_path):
+def test_commands_that_run_a_twin_print_which_sensor_was_not_ok(folder, tmp_path):
     log, path = Log.read(folder / "run.csv"), tmp_path / "frozen.csv"
     log.z[(log.t >= 8.0) & (log.t < 18.0), 5] = 0.05
     log.write(path)

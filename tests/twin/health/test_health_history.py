@@ -28,7 +28,7 @@ def history_of(changes) -> HealthHistory:
     return history
 
 
-def test_each_stretch_in_doubt_leaves_one_line_with_its_reason():
+def test_each_stretch_of_a_bad_status_leaves_one_line_with_its_reason():
     history = history_of(
         {
             0: [("compass", OK, 0.0), ("gps", OK, 0.0)],
@@ -79,9 +79,9 @@ def test_a_run_over_a_log_leaves_lines_that_name_the_culprit(log):
     assert [line for line in twin.notes if line.startswith("gyro excluded from 1")]
     assert [line for line in twin.notes if line.startswith("gps absent from 33")]
     assert all(" from " in line and len(line) < 100 for line in twin.notes)
-    fed = Twin(PARTICULARS, "ukf")
+    other = Twin(PARTICULARS, "ukf")
     for row in log:
-        fed.step(*row)
-    assert fed.notes == twin.notes
-    fed.reset()
-    assert fed.notes == ()
+        other.step(*row)
+    assert other.notes == twin.notes
+    other.reset()
+    assert other.notes == ()

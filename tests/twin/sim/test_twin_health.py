@@ -1,4 +1,4 @@
-"""Sensor checks in environments: those of a batch, of one boat and of ``Twin`` are the same bits."""
+"""Sensor checks in environments: a batch, one boat and ``Twin`` give the same bits."""
 
 from __future__ import annotations
 
