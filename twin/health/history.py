@@ -65,15 +65,15 @@ class HealthHistory:
         """
         lines: list[tuple[float, str]] = []
         for sensor in SENSORS:
-            spans: list[tuple[float, SensorStatus]] = []
-            for t, statuses in self._changes:
-                if not spans or spans[-1][1].status != statuses[sensor].status:
-                    spans.append((t, statuses[sensor]))
-            if spans and spans[0][1].status == "absent":
-                del spans[0]
-            ends = [f"to {t:.1f} s" for t, status in spans[1:]] + ["s on"]
-            for (t, found), end in zip(spans, ends, strict=False):
-                if found.status != "ok":
-                    why = found.why.replace(f"{sensor} ", ": ", 1)
-                    lines.append((t, f"{sensor} {found.status} from {t:.1f} {end}{why}"))
+            spans: list[SensorStatus] = []
+            for change in self._changes:
+                status = change.statuses[sensor]
+                if not spans or spans[-1].status != status.status:
+                    spans.append(status)
+            ends = [f"to {span.since:.1f} s" for span in spans[1:]] + ["s on"]
+            for k, (span, end) in enumerate(zip(spans, ends, strict=False)):
+                if span.status != "ok" and (k > 0 or span.status != "absent"):
+                    why = span.why.replace(f"{sensor} ", ": ", 1)
+                    text = f"{sensor} {span.status} from {span.since:.1f} {end}{why}"
+                    lines.append((span.since, text))
         return tuple(item[1] for item in sorted(lines, key=lambda item: item[0]))

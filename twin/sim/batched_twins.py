@@ -310,9 +310,11 @@ class CompiledTwins(TwinObserver):
             self.episodes.each(lambda j: self._call(*self._all[j], obs[self.episodes.blocks[j]]))
         if self._single:
             twin = self.first
+            # the first fields of a note: time of the last row, and of the first
             twin.t = self._predictor.t = self._notes.item(0)
             twin.begun = self._notes.item(1)
             twin.cmd = self._cmd
+            twin.health_history.take(twin.t, twin.begun)
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
         sim, task, predictor = self.episodes.simulation, self.episodes.task, self._predictor

@@ -75,6 +75,7 @@ def test_checks_of_a_batch_of_one_boat_and_of_a_twin_are_the_same_bits(name):
     broken.feed(twin, 1)
     status = twin.monitor.record["sensors"]["status"]
     assert status[SENSORS.index("commands")] in (DOUBTFUL, EXCLUDED)
+    assert one.twin.notes == twin.notes != ()
     for other in (envs.unwrapped.twin(1), one.twin):
         assert other.health == twin.health
         np.testing.assert_array_equal(other.monitor.memory, twin.monitor.memory)

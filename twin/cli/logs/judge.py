@@ -62,7 +62,7 @@ def verdict_command(
     verdict = meter.verdict(findings_of(log, mapping, twin.particulars, until))
     print_verdict(verdict)
     if json_file is not None:
-        write_json(json_file, verdict.to_json())
+        write_json(json_file, {**verdict.to_json(), "health_notes": list(twin.notes)})
     if not no_picture:
         path = picture or Path(f"{run.name}_judge.png")
         write_whole(path, draw_verdict(verdict, run))
