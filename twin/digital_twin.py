@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
+from twin.health.history import HealthHistory
 from twin.health.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
 from twin.logs.log import Log
@@ -102,6 +103,7 @@ class Twin:
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
         self.monitor = SensorMonitor(particulars)
+        self.health_history = HealthHistory(self.monitor)
         self.begun = math.nan
         self.datum: Datum | None = None
         self.t = math.nan
@@ -111,6 +113,7 @@ class Twin:
         """Return to the state before the first row."""
         self.predictor.reset()
         self.monitor.reset()
+        self.health_history.reset()
         self.t = self.begun = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
@@ -144,7 +147,11 @@ class Twin:
             **{"predictor": self.name, "class": type(self.predictor).__name__, "seed": self.seed},
             **{"options": options, "particulars": about},
             **({} if self.datum is None else {"datum": self.datum.to_json()}),
-            **{"t": self.t, "begun": self.begun, "state": {k: v for k, v in state.items() if f"state.{k}" not in kept}},
+            **{
+                "t": self.t,
+                "begun": self.begun,
+                "state": {k: v for k, v in state.items() if f"state.{k}" not in kept},
+            },
         }
         health = {f"health.{name}": view for name, view in self.monitor.state_dict().items()}
         write(path, header, arrays | kept | health)
@@ -284,11 +291,21 @@ class Twin:
         predictor.doubt_commands(monitor.commands_doubted)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
+        self.health_history.take(t, self.begun)
 
     @property
     def health(self) -> dict[str, SensorStatus]:
         """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why."""
         return self.monitor.statuses(self.begun)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line for each stretch of the rows taken in which a sensor was not ok.
+
+        For instance ``"compass excluded from 12.0 to 31.5 s: disagrees with the other sensors"``.
+        A saved twin does not keep them, nor does a copy from a vector environment.
+        """
+        return self.health_history.lines()
 
     def run(self, log: Log, on_row: Callable[[], object] | None = None) -> StateTable:
         """Take every row of a log, one after the other.
@@ -306,7 +323,7 @@ class Twin:
             A structured array of the estimates at each row: time, state and parameters with their
             standard deviations. Latitude, longitude and date are there where the log has them. It
             has ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table: ``for row in
-            log: twin.step(*row)``.
+            log: twin.step(*row)``. Sensors that were in doubt are in :attr:`notes`.
 
         Raises
         ------

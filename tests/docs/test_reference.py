@@ -9,8 +9,10 @@ import gymnasium as gym
 
 import usv_gym  # noqa: F401 - registers the environment
 from twin.channels import COMMANDS, MEASUREMENTS, TRUTH
+from twin.health.state import SENSORS, STATUSES
 from twin.logs.columns import UNITS
 from twin.predictors.registry import PREDICTORS
+from twin.sim.wrapper import make_env
 from usv_gym.envs.tasks import TASKS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -28,6 +30,19 @@ def test_observation_table_names_every_entry_in_order():
     assert [int(row[0]) for row in rows] == [*range(len(single)), *range(len(block))]
     assert not [row for row in rows if "above" in row[3] or not row[3].strip()]
     env.close()
+
+
+def test_health_table_names_every_entry_in_order():
+    env = make_env(twin="ukf", observation="twin_health")
+    added = env.observation_names[len(make_env(twin="ukf").observation_names) :]
+    assert tuple(re.findall(r"^\| `(health_\w+)` \|", PAGE, flags=re.MULTILINE)) == added
+
+
+def test_status_table_names_every_status():
+    page = (DOCS / "reference/twin.md").read_text(encoding="utf-8")
+    section = page[page.index("## Health") : page.index("## Predictors")]
+    assert set(re.findall(r"^\| `(\w+)` \|", section, flags=re.MULTILINE)) == set(STATUSES)
+    assert all(f"`{name}`" in section for name in SENSORS)
 
 
 def test_reward_table_names_every_task_and_term():

@@ -30,6 +30,9 @@ from twin.sim.recorded import particulars_for_log
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError, did_you_mean
 
+HEALTH_LINES = 12
+"""So many lines on sensors are printed at most."""
+
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
@@ -197,6 +200,15 @@ def _load_twin(path: Path, predictor: str | None, ship: str | None, model: str |
 def note(text: str) -> None:
     """Print what a user should know."""
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def print_health(twin: Twin) -> None:
+    """Print when which sensor was not ok, and why."""
+    lines = twin.notes
+    for line in lines[:HEALTH_LINES]:
+        note(line)
+    if len(lines) > HEALTH_LINES:
+        note(f"and {len(lines) - HEALTH_LINES} more times that a sensor was not ok")
 
 
 def explain(text: str) -> None:

@@ -461,6 +461,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         check = health.sensors[sensor]
         if check.status != ABSENT and check.age > max(ABSENT_AFTER, 10.0 * check.interval):
             _set(health, sensor, ABSENT, NO_REASON)
+            check.since = health.clock - check.age
             check.impossible = 0.0
         if check.status == EXCLUDED and check.reason == IMPOSSIBLE:
             check.calm += dt

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
+from twin.health.state import HEALTH, SENSORS, health_settings
 from twin.identification.joint_ukf import (
     JointUKF,
     forecast_buffers,
@@ -39,8 +40,10 @@ from twin.predictors.ukf import (
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
 from twin.sim.twin_observation import (
+    HEALTH_OBSERVATION,
     NOTE,
     ROWS,
+    TRUST,
     TWIN_OBSERVATION,
     WAVE_STEPS,
     Boats,
@@ -54,10 +57,13 @@ from twin.sim.twin_observation import (
 from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
 from usv_gym.envs.scene import TwinOverlay
 from usv_kernel.arrays import flat_size
+from usv_kernel.errors import UsvTwinError
+from usv_kernel.records import field_at, record_size
 
 __all__ = [
     "HORIZONS",
     "TWIN_OBSERVATION",
+    "TWIN_SETS",
     "TwinObserver",
     "observer_of",
 ]
@@ -66,26 +72,41 @@ Array = NDArray[np.float64]
 
 _ALL = slice(None)
 
+TWIN_SETS = ("twin", "twin_params", "twin_health")
+"""Names of the observation sets with a twin."""
+
+_HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(HEALTH))
+
 
 class TwinObserver(Observer):
     """Twins of n boats, and their parts of the observations.
 
     Of the episodes only measurements, commands and paths are used. ``twin`` is that of the first
     boat, as new. The standard deviations ahead are updated every ``band_period``, s; 0 for every
-    step. ``parameters`` adds the parameters of the identified model and their standard deviations,
-    both in units of the standard deviations that they had at the start.
+    step. ``observation`` is one of :data:`TWIN_SETS`. ``"twin_params"`` adds the parameters of the
+    identified model and their standard deviations, both in units of the standard deviations that
+    they had at the start; ``"twin_health"`` adds how far each sensor is trusted.
     """
 
     def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
+        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin"
     ) -> None:
         self.episodes, self.first, self.band_period = episodes, twin, band_period
         self._notes = np.zeros((episodes.n, NOTE.itemsize // 8))
         self.notes = self._notes.view(NOTE)[:, 0]
-        self.notes["last"] = self.notes["shown"] = math.nan
+        self._fresh = np.zeros(1, NOTE)
+        for name in ("last", "begun", "shown"):
+            self._fresh[name] = math.nan
+        self._fresh["health"] = twin.monitor.record
+        self.notes[:] = self._fresh
+        status = self.notes["health"]["sensors"]["status"]
+        self._infos = {"twin_position_error_m": self.position_error}
+        self._infos |= {f"twin_health_{name}": status[:, k] for k, name in enumerate(SENSORS)}
         self.names: tuple[str, ...] = TWIN_OBSERVATION
-        self._parameters = parameters
-        if parameters:
+        self._observation = observation
+        if observation == "twin_health":
+            self.names += HEALTH_OBSERVATION
+        elif observation == "twin_params":
             prior = twin.predictor.estimate()
             if not prior.params.size:
                 raise PredictorError(
@@ -104,12 +125,11 @@ class TwinObserver(Observer):
 
     def infos(self) -> dict[str, np.ndarray]:
         """See :class:`Observer`."""
-        return {"twin_position_error_m": self.position_error}
+        return self._infos
 
     def reset(self, i: int) -> None:
         """Let boat i begin an episode with a twin that has seen nothing yet."""
-        self._notes[i] = 0.0
-        self.notes["last"][i] = self.notes["shown"][i] = math.nan
+        self.notes[i] = self._fresh[0]
         self._forget(i)
 
     def overlay(self, i: int) -> TwinOverlay | None:
@@ -135,9 +155,14 @@ class TwinObserver(Observer):
         Without ``look``, the row is taken in and no more. ``rows`` are the boats to look at.
         """
         self._observe(obs, look, rows)
-        if look and self._parameters:
+        if not look:
+            return
+        at = len(OBSERVATION) + len(TWIN_OBSERVATION)
+        if self._observation == "twin_health":
+            status = self.notes["health"]["sensors"]["status"][rows]
+            obs[rows, at:] = TRUST[status.astype(np.intp)]
+        elif self._observation == "twin_params":
             xi, sd = self._identified(rows)
-            at = len(OBSERVATION) + len(TWIN_OBSERVATION)
             half = at + xi.shape[1]
             obs[rows, at:half] = ((xi - self._prior) / self._prior_sd).clip(-BOUND, BOUND)
             obs[rows, half:] = (sd / self._prior_sd).clip(-BOUND, BOUND)
@@ -161,10 +186,12 @@ class SeparateTwins(TwinObserver):
     """A predictor for each boat, asked one after the other; for any predictor."""
 
     def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
+        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin"
     ) -> None:
-        super().__init__(episodes, twin, band_period, parameters)
+        super().__init__(episodes, twin, band_period, observation)
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
+        for note, one in zip(self._notes, self.twins, strict=True):
+            one.monitor.memory = note[_HEALTH]
         self._plan = np.zeros((ROWS, N_ACT))
 
     def _state(self, i: int) -> Array:
@@ -214,18 +241,21 @@ class CompiledTwins(TwinObserver):
     """
 
     def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, parameters: bool = False
+        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin"
     ) -> None:
-        super().__init__(episodes, twin, band_period, parameters)
+        super().__init__(episodes, twin, band_period, observation)
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
+        if self._single:
+            twin.monitor.memory = self._notes[0, _HEALTH]
         own, many = predictor.memory, episodes.n
         self._blank = [array.copy() for array in own]
         self.memory = type(own)(
             *(array[None] if many == 1 else np.repeat(array[None], many, axis=0) for array in own)
         )
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
-        self._settings = np.array([band_period, gps_var, 1.0])
+        checks = health_settings(twin.particulars)
+        self._settings = np.concatenate([[band_period, gps_var, 1.0], checks])
         self._forecast = self._buffers()
         # a thread needs scratch of its own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
@@ -258,7 +288,9 @@ class CompiledTwins(TwinObserver):
         predictor = _compiled(twin)
         for array, memory in zip(predictor.memory, self.memory, strict=True):
             array[:] = memory[i]
+        twin.monitor.memory[:] = self._notes[i, _HEALTH]
         twin.t = predictor.t = self.notes["last"].item(i)
+        twin.begun = self.notes["begun"].item(i)
         twin.cmd = self.episodes.simulation.cmd[i].copy()
         return twin
 
@@ -278,8 +310,11 @@ class CompiledTwins(TwinObserver):
             self.episodes.each(lambda j: self._call(*self._all[j], obs[self.episodes.blocks[j]]))
         if self._single:
             twin = self.first
+            # the first fields of a note: time of the last row, and of the first
             twin.t = self._predictor.t = self._notes.item(0)
+            twin.begun = self._notes.item(1)
             twin.cmd = self._cmd
+            twin.health_history.take(twin.t, twin.begun)
 
     def _arguments(self, rows: slice, own: bool = False) -> tuple[Any, ...]:
         sim, task, predictor = self.episodes.simulation, self.episodes.task, self._predictor
@@ -346,13 +381,15 @@ def observer_of(
     particulars: Particulars | None,
     band_period: float,
     seed: int,
-    parameters: bool = False,
+    observation: str = "twin",
 ) -> TwinObserver:
     """Return the twins of n boats.
 
     ``twin`` is a name in ``twin.PREDICTORS``, or a predictor, of which many boats get copies;
     ``particulars`` are those of the vessel if left out. Others: see :class:`TwinObserver`.
     """
+    if observation not in TWIN_SETS:
+        raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(TWIN_SETS)}")
     if not (math.isfinite(band_period) and band_period >= 0.0):
         raise PredictorError(f"band_period = {band_period} must be finite and 0 or more")
     sim, options = episodes.simulation, {}
@@ -363,7 +400,7 @@ def observer_of(
     particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
     first = Twin(particulars, twin, seed=seed, **options)
     kind = _COMPILED.get(type(first.predictor), SeparateTwins)
-    return kind(episodes, first, band_period, parameters)
+    return kind(episodes, first, band_period, observation)
 
 
 _COMPILED: dict[type[Predictor], type[TwinObserver]] = {

@@ -9,6 +9,8 @@ import numpy as np
 
 from twin.channels import MEASUREMENTS, PSI, STATE, R, U, V, X, Y
 from twin.filters.navigation_state import NAVIGATION
+from twin.health.checks import check_sensors
+from twin.health.state import HEALTH, HEALTH_SETTINGS, SENSORS
 from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
@@ -59,9 +61,11 @@ from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
 __all__ = [
+    "HEALTH_OBSERVATION",
     "NOTE",
     "ROWS",
     "SETTINGS",
+    "TRUST",
     "TWIN_OBSERVATION",
     "WAVE_STEPS",
     "Boats",
@@ -91,6 +95,12 @@ TWIN_OBSERVATION = (
 )
 """Names of the entries that the twin adds; scales in :class:`twin.sim.wrapper.TwinObservation`."""
 
+HEALTH_OBSERVATION = tuple(f"health_{sensor}" for sensor in SENSORS)
+"""Names of the entries that the set ``twin_health`` adds behind those."""
+
+TRUST = np.array([0.0, 1.0, 0.5, 0.0])
+"""Their values for each of ``twin.health.state.STATUSES``."""
+
 ROWS = int(HORIZON_ROWS[-1]) + 1
 """Rows of the plan of a forecast."""
 
@@ -100,15 +110,19 @@ WAVE_STEPS = round(ROWS * LONG_STEP / GRID)
 NOTE = np.dtype(
     [
         ("last", "f8"),  # time of the last row, s; NaN before the first
+        ("begun", "f8"),  # time of the first row, s
         ("shown", "f8"),  # time of the last row that was written to the observation, s
         ("covs_due", "f8"),  # time of the next covariances ahead, s
         ("leg", "f8"),  # leg of the path, by the twin's state
         ("path_errors", "f8", len(ERRORS)),  # see usv_gym.envs.tasks.ERRORS
         ("position_error", "f8"),  # distance of the twin's position from the true one, m
         ("z", "f8", len(MEASUREMENTS)),  # measurement row
+        ("used", "f8", len(MEASUREMENTS)),  # the same without samples of excluded sensors
+        ("trusted", "f8", N_ACT),  # command that the twin takes
         ("now", "f8", (N_STATES, N_STATES)),  # variances of the state, on the diagonal
         ("ahead", "f8", (len(HORIZONS), N_STATES)),  # states at HORIZONS
         ("covs", "f8", (len(HORIZONS), N_STATES, N_STATES)),  # their covariances
+        ("health", HEALTH),  # what the sensor checks remember
     ]
 )
 """What is noted of each boat between observations."""
@@ -118,6 +132,7 @@ SETTINGS = np.dtype(
         ("period", "f8"),  # the covariances ahead are updated this often, s
         ("gps_var", "f8"),  # variance of the drifting part of a fix, m2
         ("look", "f8"),  # 1 where observations are to be written
+        ("health", HEALTH_SETTINGS),  # what the sensor checks are given
     ]
 )
 """What all boats of a batch have in common."""
@@ -180,6 +195,8 @@ def _next_row(boat, note):
     t, last = boat.t, note.last
     if t == last:
         return -1.0
+    if not math.isfinite(last):
+        note.begun = t
     note.last = t
     for k in range(len(SENSOR_CHANNELS)):
         note.z[k] = boat.measurement[k]
@@ -192,6 +209,16 @@ def _next_row(boat, note):
 def take_row(boat, note):
     """Do :func:`_next_row` on flat memory."""
     return _next_row(boat, as_record(note, NOTE))
+
+
+@inlined
+def _check_row(dt, boat, note, x, nav, given):
+    """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
+    health, ready = note.health, nav.begun > 0.0
+    check_sensors(dt, note.z[:], boat.command[:], x[:N_STATES], ready, health, given, note.used[:])
+    nav.commands_doubted = health.commands_doubted
+    for k in range(N_ACT):
+        note.trusted[k] = health.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
 
 
 @inlined
@@ -294,13 +321,14 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
         memory = _row_of(memories, i)
-        dt, cmd = _next_row(boat, note), boat.command
+        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
+        dt = _next_row(boat, note)
         if dt >= 0.0:
-            tight_step(dt, note.z[:], cmd, memory, config, work)
+            _check_row(dt, boat, note, state.x, nav, settings.health)
+            tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
         if not _is_due(note, settings.look):
             continue
-        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
-        _hold(cmd, forecast.plan)
+        _hold(boat.command, forecast.plan)
         forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         due = note.last >= note.covs_due
@@ -346,13 +374,14 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
         memory = _plus_row_of(memories, i)
-        dt, cmd = _next_row(boat, note), boat.command
+        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
+        dt = _next_row(boat, note)
         if dt >= 0.0:
-            plus_step(note.last, dt, note.z[:], cmd, memory, config, work)
+            _check_row(dt, boat, note, state.x, nav, settings.health)
+            plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
         if not _is_due(note, settings.look):
             continue
-        nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
-        _hold(cmd, forecast.plan)
+        _hold(boat.command, forecast.plan)
         plus_mean(forecast.plan, LONG_STEP, memory, config, mean)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         for h in range(HORIZON_ROWS.shape[0]):

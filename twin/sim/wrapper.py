@@ -16,7 +16,7 @@ from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
-from twin.sim.batched_twins import TwinObserver, observer_of
+from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
@@ -75,7 +75,8 @@ class TwinObservation(
 
     Validity and age of each signal stand in the environment's own part. ``info`` gains
     ``twin_position_error_m``, the distance of the twin's from the true position: for
-    grading, never for an agent.
+    grading, never for an agent. For each sensor it gains ``twin_health_gps`` and so on, the
+    place of its status in ``twin.health.state.STATUSES``; ``twin.health`` says it in words.
 
     Parameters
     ----------
@@ -91,6 +92,9 @@ class TwinObservation(
         the standard deviations ahead 0.3 ms; with ``dsw-ukf-plus`` 15 us and 2 ms.)
     seed : int
         For predictors that draw random numbers.
+    observation : str
+        ``"twin"``, or with more entries ``"twin_params"`` or ``"twin_health"``; see
+        :func:`make_env`.
     """
 
     def __init__(
@@ -101,9 +105,15 @@ class TwinObservation(
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         seed: int = 0,
+        observation: str = "twin",
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
-            self, twin=twin, particulars=particulars, band_period=band_period, seed=seed
+            self,
+            twin=twin,
+            particulars=particulars,
+            band_period=band_period,
+            seed=seed,
+            observation=observation,
         )
         gym.Wrapper.__init__(self, env)
         base = env.unwrapped
@@ -121,7 +131,9 @@ class TwinObservation(
                 "TwinObservation wraps environments with frame_skip=1; with more, "
                 "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
             )
-        self._observer = observer_of(base.episodes, twin, particulars, band_period, seed)
+        self._observer = observer_of(
+            base.episodes, twin, particulars, band_period, seed, observation
+        )
         self.twin = self._observer.first
         self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))[1]
         self._renderer = base.renderer
@@ -145,7 +157,8 @@ class TwinObservation(
         whole = np.empty(self.observation_space.shape or (), np.float32)
         whole[: len(obs)] = obs
         self._observer.observe(whole[None])
-        info["twin_position_error_m"] = self._observer.position_error.item(0)
+        for name, values in self._observer.infos().items():
+            info[name] = values.item(0)
         if self._renderer:
             self._renderer.look()
         return whole
@@ -161,9 +174,8 @@ class USVTwinEnv(USVEnv):
     ----------
     twin, particulars, band_period, twin_seed
         As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
-    parameters : bool
-        Add the parameters of the identified model and their standard deviations, both in units
-        of the standard deviations that they had at the start.
+    observation : str
+        ``"twin"``, ``"twin_params"`` or ``"twin_health"``; see :func:`make_env`.
     **kwargs
         As for :class:`usv_gym.envs.env.USVEnv`.
     """
@@ -175,10 +187,10 @@ class USVTwinEnv(USVEnv):
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         twin_seed: int = 0,
-        parameters: bool = False,
+        observation: str = "twin",
         **kwargs: Any,
     ) -> None:
-        watch = _watching(twin, particulars, band_period, twin_seed, parameters)
+        watch = _watching(twin, particulars, band_period, twin_seed, observation)
         super().__init__(observer=watch, **kwargs)
         assert isinstance(self.observer, TwinObserver)
         self.twin = self.observer.first
@@ -191,7 +203,7 @@ class USVTwinVectorEnv(USVVectorEnv):
     ----------
     num_envs : int
         Number of boats.
-    twin, particulars, band_period, twin_seed, parameters
+    twin, particulars, band_period, twin_seed, observation
         As for :class:`USVTwinEnv`; every boat gets a twin of its own. Those of ``"ukf"`` and
         ``"dsw-ukf-plus"`` run in one compiled call.
     **kwargs
@@ -206,10 +218,10 @@ class USVTwinVectorEnv(USVVectorEnv):
         particulars: Particulars | None = None,
         band_period: float = 5.0,
         twin_seed: int = 0,
-        parameters: bool = False,
+        observation: str = "twin",
         **kwargs: Any,
     ) -> None:
-        watch = _watching(twin, particulars, band_period, twin_seed, parameters)
+        watch = _watching(twin, particulars, band_period, twin_seed, observation)
         super().__init__(num_envs, observer=watch, **kwargs)
 
     def twin(self, i: int) -> Twin:
@@ -225,15 +237,13 @@ def _watching(
     particulars: Particulars | None,
     band_period: float,
     seed: int,
-    parameters: bool,
+    observation: str,
 ) -> Callable[[Episodes], TwinObserver]:
     """Return what makes the twins of an environment's boats."""
-    return lambda episodes: observer_of(
-        episodes, twin, particulars, band_period, seed, parameters=parameters
-    )
+    return lambda episodes: observer_of(episodes, twin, particulars, band_period, seed, observation)
 
 
-OBSERVATIONS = (*OBSERVERS, "twin", "twin_params")
+OBSERVATIONS = (*OBSERVERS, *TWIN_SETS)
 """Names of the observation sets."""
 
 
@@ -254,7 +264,7 @@ def _made(
     options: dict[str, Any],
 ) -> _Env:
     """Return an environment of the one class or the other; the options are checked here."""
-    of_twin, own = _keywords(with_twin, "parameters"), _keywords(plain)
+    of_twin, own = _keywords(with_twin, "observation"), _keywords(plain)
     known = ["observation", *of_twin, "max_episode_steps", *own, *EnvConfig.names()]
     check_options("USVTwin-v0", options, list(dict.fromkeys(known)))
     observation = observation or ("raw" if twin is None else "twin")
@@ -267,7 +277,7 @@ def _made(
         return plain(observer=OBSERVERS[observation], **options)
     if twin is None:
         raise UsvTwinError(f"observation = {observation!r} needs a twin; twin=None gives none")
-    return with_twin(twin=twin, parameters=observation == "twin_params", **options)
+    return with_twin(twin=twin, observation=observation, **options)
 
 
 def make_env(
@@ -286,6 +296,8 @@ def make_env(
           :class:`TwinObservation`;
         - ``"twin_params"``: and behind that the identified parameters and their standard
           deviations, both in units of the standard deviations that they had at the start;
+        - ``"twin_health"``: ``"twin"``, and behind it how far the twin trusts GPS, compass, gyro,
+          accelerometers and commands, one entry each: 1 ok, 0.5 doubtful, 0 excluded or absent;
         - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only. It is speeds, yaw
           rate, heading, errors of the path, shaft speeds and drive angles, in the units of those
           sets.

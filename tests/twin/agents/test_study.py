@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from twin.agents import study, study_report
 from twin.agents.policy import AgentError, Policy
 from twin.agents.study import Settings, iqm, replicates
+from twin.sim.wrapper import OBSERVATIONS
 
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
 pytest.importorskip("tensorboard", reason="tensorboard is not installed")
@@ -129,6 +130,11 @@ def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
 
 
 @pytest.mark.slow
+def test_every_observation_set_has_a_colour_of_its_own():
+    assert set(study_report.COLOURS) == set(OBSERVATIONS)
+    assert len(set(study_report.COLOURS.values())) == len(OBSERVATIONS)
+
+
 def test_a_tiny_study_goes_on_and_comes_to_the_same_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "REPLICATES", 100)
     first = study.work(TINY, tmp_path / "a")

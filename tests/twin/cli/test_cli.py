@@ -89,6 +89,22 @@ def test_identify_equals_the_twin_from_python(folder):
     assert [float(rows[-1][name]) for name in STATE] == estimate.state.tolist()
 
 
+def test_commands_that_run_a_twin_print_which_sensor_was_not_ok(folder, tmp_path):
+    log, path = Log.read(folder / "run.csv"), tmp_path / "frozen.csv"
+    log.z[(log.t >= 8.0) & (log.t < 18.0), 5] = 0.05
+    log.write(path)
+    path.with_suffix(".toml").write_text((folder / "run.toml").read_text())
+    kept = tmp_path / "last.json"
+    for command in (("predict", path), ("identify", path, "--json", kept)):
+        out = run(*command, "-p", "ukf").stdout
+        assert "note: gyro excluded from " in out, command
+        assert ": repeats itself while the boat moves" in out
+        assert re.search(r"note: gps absent from (19\.9|20\.0) to 25\.", out)
+    found = json.loads(kept.read_text())
+    assert set(found["health"]["gyro"]) == {"status", "since", "why"}
+    assert any(line.startswith("gyro excluded") for line in found["health_notes"])
+
+
 def test_identify_prints_what_determines_the_parameters(folder):
     out = run("identify", folder / "run.csv", "-p", "ukf").stdout
     assert "sums of collinear parameters" in out and "T_uL + T_uR" in out

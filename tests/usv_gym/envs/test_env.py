@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 import usv_gym
 from tests.usv_gym.envs.acting import actions_of, episode
 from twin import Twin
+from twin.health.state import SENSORS
 from twin.predictors.registry import PREDICTORS, PredictorError
 from twin.sim.batched_twins import HORIZONS, TWIN_OBSERVATION
 from twin.sim.bridge import particulars_of
@@ -31,6 +32,8 @@ from usv_gym.world.simulation import SimulationError
 INDEX = {name: i for i, name in enumerate((*OBSERVATION, *TWIN_OBSERVATION))}
 AHEAD = np.array([0.8, 0.0], dtype=np.float32)
 INFO = {"t_s", "cross_track_m", "leg", "is_success", "capsized", "reward_terms"}
+
+INFO_OF_TWIN = {"twin_position_error_m", *(f"twin_health_{sensor}" for sensor in SENSORS)}
 
 VARIANTS = [
     pytest.param({"twin": twin, "task": task, "actions": actions}, id=f"{twin}-{task}-{actions}")
@@ -434,7 +437,7 @@ def test_slow_sensors_show_their_last_sample_and_its_age() -> None:
 def test_info_keys_are_constant_and_the_terms_add_up(twin: str | None) -> None:
     env = make_env(twin=twin)
     _, others = episode(env, 3, 300)
-    expected = INFO | ({"twin_position_error_m"} if twin else set())
+    expected = INFO | (INFO_OF_TWIN if twin else set())
     assert set(others[0]) == expected
     for reward, terminated, truncated, info in others[1:]:
         assert set(info) == expected

@@ -267,7 +267,7 @@ def test_the_oracle_sees_the_truth():
 
 def test_raw_and_twin_never_see_the_truth():
     """A false true position changes rewards, and nothing that is seen before the next fix."""
-    for observation in ("raw", "raw_stacked", "twin", "twin_params"):
+    for observation in ("raw", "raw_stacked", "twin", "twin_params", "twin_health"):
         options = {"observation": observation, "twin": "ukf", "faults": "gps60@1", "sea": "calm"}
         one, other = make_env(**options), make_env(**options)
         one.reset(seed=1), other.reset(seed=1)
@@ -285,7 +285,7 @@ def test_parameters_are_those_of_the_twin():
         make_env(observation="twin_params", twin="dsw-ukf"),
     ):
         observed.reset(seed=1)
-        prior = type(observed)(twin=observed.twin.name, parameters=True).twin.predictor.estimate()
+        prior = type(observed)(twin=observed.twin.name).twin.predictor.estimate()
         for action in np.random.default_rng(2).uniform(-1.0, 1.0, (60, 2)):
             obs = observed.step(action)[0]
         now = observed.twin.predictor.estimate()

@@ -25,6 +25,7 @@ from twin.cli.common import (
     new_table,
     note,
     open_log,
+    print_health,
     row_progress,
     write_json,
     write_text,
@@ -147,6 +148,7 @@ def identify_command(
             advance()
 
         table = twin.run(run, on_row)
+    print_health(twin)
     last = twin.estimate()
     if save is not None:
         twin.save(save)
@@ -202,6 +204,7 @@ def _run_of(
     run, twin = _opened(log, predictor, ship, until, model, mapping)
     with row_progress(f"identifying {run.name}", len(run)) as advance:
         twin.run(run, advance)
+    print_health(twin)
     console.print(f"{run.name}: {run.t[-1] - run.t[0]:.0f} s", highlight=False)
     return twin
 
@@ -239,6 +242,8 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "state_sd": dict(zip(STATE, estimate.sd.tolist(), strict=True)),
         "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),
         "parameters_sd": dict(zip(names, estimate.params_sd.tolist(), strict=True)),
+        "health": {name: status._asdict() for name, status in twin.health.items()},
+        "health_notes": list(twin.notes),
         "identifiability": None if seen is None else seen.to_json(),
     }
 

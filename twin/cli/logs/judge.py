@@ -15,6 +15,7 @@ from twin.cli.common import (
     ShipOption,
     console,
     open_log,
+    print_health,
     row_progress,
     write_json,
 )
@@ -57,10 +58,11 @@ def verdict_command(
             advance()
 
         twin.run(run, on_row)
+    print_health(twin)
     verdict = meter.verdict(findings_of(log, mapping, twin.particulars, until))
     print_verdict(verdict)
     if json_file is not None:
-        write_json(json_file, verdict.to_json())
+        write_json(json_file, {**verdict.to_json(), "health_notes": list(twin.notes)})
     if not no_picture:
         path = picture or Path(f"{run.name}_judge.png")
         write_whole(path, draw_verdict(verdict, run))

@@ -22,6 +22,7 @@ from twin.cli.common import (
     console,
     new_table,
     open_log,
+    print_health,
     row_progress,
 )
 from twin.digital_twin import TwinError, known_plan
@@ -87,6 +88,7 @@ def predict_command(
                 break
             twin.step(t, z, cmd)
             advance()
+    print_health(twin)
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
     if plan == "known":

@@ -187,6 +187,8 @@ class LogSession(Session):
             gps_lost=ages[0] > self._timeout,
             imu_lost=len(turns) > 0 and ages[1] > LOST_AFTER[1],
             has_imu=len(turns) > 0,
+            health=self.monitor.twin.health_history.at(t),
+            current=self.monitor.current_at(t),
         )
 
     def _overlay(self, row: int, t: float) -> TwinOverlay | None:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from twin.channels import TRUTH
 from twin.files import write_whole
+from twin.health.monitor import SensorStatus
 from twin.live.sessions.tracker import LOST_AFTER, History, TwinMonitor, overlay_of
 from twin.logs.datum import Datum
 from twin.logs.log import Log, sibling_path
@@ -73,6 +74,11 @@ class Snapshot:
     gps_lost: bool
     imu_lost: bool
     has_imu: bool  # whether a turn rate has ever come
+    # status of each sensor by its name; empty before the first row
+    health: dict[str, SensorStatus] = field(default_factory=dict)
+    # (4,): velocity of the water north and east, and its standard deviations, m/s; None where
+    # the model has none
+    current: Array | None = None
     # (A, 2): where the boat went in the 10 s that follow, where that is known; m north and east
     ahead: Array = field(default_factory=lambda: np.empty((0, 2)))
     # (K, 2): way points, m north and east; none where no path is followed
@@ -259,6 +265,8 @@ class Session(ABC):
             gps_lost=monitor.gps_age + silence > monitor.sensor_timeout,
             imu_lost=monitor.imu_age + silence > LOST_AFTER[1],
             has_imu=monitor.has_imu,
+            health=monitor.twin.health,
+            current=monitor.current_at(monitor.t),
             silence=silence,
             **others,
         )

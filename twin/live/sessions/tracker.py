@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -37,6 +38,9 @@ PLAN_STEP = 0.25
 
 CONSISTENT_OVER = 30.0
 """Innovations of so many seconds are averaged."""
+
+CURRENT = "C_north", "C_east"
+"""Parameters of a model that are the velocity of the water."""
 
 FIXES, TRACK = 400, 1500
 """Fixes and points of the track that are kept to be drawn."""
@@ -211,6 +215,20 @@ class TwinMonitor:
         if not self._open or self.t > self._open[-1][0]:
             self._open.append((self.t, prediction.mean[-1, :2], held[:2]))
         return prediction
+
+    def current_at(self, t: float) -> Array | None:
+        """Return the velocity of the water as estimated at a time, s; from any thread.
+
+        That is (4,): north, east, and their standard deviations, m/s; None without an estimate.
+        """
+        names = self.twin.predictor.parameter_names
+        rows = list(self._rows)
+        row = bisect.bisect_right(rows, t, key=lambda each: each[0][0])
+        if not set(CURRENT) <= set(names) or not row:
+            return None
+        columns = [names.index(name) for name in CURRENT]
+        params, sd = rows[row - 1][1:]
+        return np.concatenate([params[columns], sd[columns]])
 
     def history(self) -> History:
         """Return the curves up to now; may be called from any thread."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import re
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin.channels import U
 from twin.digital_twin import PLANS
+from twin.health.monitor import SensorStatus
 from twin.live.sessions.autopilot import AUTOPILOTS
 from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
@@ -52,6 +54,9 @@ HEIGHT, LOW = 150, 126
 
 SHOWN = 300.0
 """Of a run that goes on for ever, the curves show the last s."""
+
+ALARM = re.compile("LOST|DOUBTFUL|EXCLUDED")
+"""What stands out among the words of the instruments."""
 
 LEFT, RIGHT = 290, 350
 """Widths of controls and curves, pixels."""
@@ -337,6 +342,14 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         f"fix {now.gps_age:.1f} s old" if known else "no fix yet"
     )
     lines["IMU"] = "none" if not now.has_imu else "LOST" if now.imu_lost else "on"
+    lines |= checks(now.health)
+    if now.current is not None:
+        north, east, *sds = now.current
+        sd = math.sqrt(0.5 * (sds[0] ** 2 + sds[1] ** 2))
+        course = math.degrees(math.atan2(east, north)) % 360.0
+        lines["current (twin)"] = (
+            f"{math.hypot(north, east):.2f} +/- {SDS * sd:.2f} m/s to {course:03.0f} deg"
+        )
     if now.sea is not None:
         north, east = wx.air_velocity(now.t, now.sea.gusts, now.sea.weather)
         lines["wind"] = f"{math.hypot(north, east):.1f} m/s"
@@ -354,13 +367,27 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
     return lines
 
 
+def checks(health: dict[str, SensorStatus]) -> dict[str, str]:
+    """Return which sensors agree with each other, and of the others since when not, and why."""
+    lines = {}
+    for status in ("ok", "absent"):
+        names = ", ".join(name for name, each in health.items() if each.status == status)
+        if names:
+            lines[f"sensors {status}"] = names
+    for name, each in health.items():
+        if each.status in ("doubtful", "excluded"):
+            why = each.why.removeprefix(f"{name} ")
+            lines[f"{name} (check)"] = f"{each.status.upper()} since {each.since:.1f} s: {why}"
+    return lines
+
+
 def table(lines: dict[str, str]) -> str:
     """Return names and values as a small table."""
     rows = "".join(
         f"<tr><td style='color:#555;padding-right:8px;white-space:nowrap;vertical-align:top'>"
         f"{html.escape(name)}</td>"
         f"<td style='font-variant-numeric:tabular-nums;overflow-wrap:anywhere"
-        f"{';font-weight:bold;color:#A03800' if 'LOST' in value else ''}'>"
+        f"{';font-weight:bold;color:#A03800' if ALARM.search(value) else ''}'>"
         f"{html.escape(value)}</td></tr>"
         for name, value in lines.items()
     )
@@ -384,6 +411,9 @@ HELP = (
     "Where that is unknown, the twin's estimate at a new fix stands for it. Beside "
     "it, that of a boat that keeps its velocity and turn rate. Of manoeuvres and known "
     "commands the twin is given the commands to come; else it takes the last command to stay.",
+    "<b>Sensors</b> are held against each other, and the commands against the motion. A DOUBTFUL "
+    "one is used; an EXCLUDED one is not, until it agrees with the others again.",
+    "<b>Current</b>: velocity of the water as the twin's model has it, and where it flows to.",
     "<b>Window of the identifier</b>: how far back the data reach from which the model is made.",
     "<b>Normalised innovations squared</b>: how far fixes are from what the twin expected, in "
     "units of what it thought possible, mean of 30 s. 1 is ideal; far above it the twin is "

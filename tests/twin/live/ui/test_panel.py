@@ -1,0 +1,83 @@
+"""What the panel says of sensors and of the current, without a browser."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twin import Log, Twin
+from twin.health.monitor import SensorStatus
+from twin.live.sessions.log import LogSession
+from twin.live.sessions.session import Snapshot
+from twin.live.ui.panel import checks, said, table
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+from usv_kernel.channels import GYRO
+
+VESSEL = Vessel.load("usv75")
+GOOD, NONE = SensorStatus("ok", 0.0, ""), SensorStatus("absent", 0.0, "")
+
+
+def test_sensors_that_agree_share_a_line_and_others_say_why():
+    bad = SensorStatus("excluded", 12.0, "compass disagrees with the other sensors")
+    doubted = SensorStatus("doubtful", 13.5, "commands do not explain how the boat moves")
+    health = {"gps": GOOD, "compass": bad, "gyro": GOOD, "accelerometers": NONE}
+    lines = checks(health | {"commands": doubted})
+    assert lines == {
+        "sensors ok": "gps, gyro",
+        "sensors absent": "accelerometers",
+        "compass (check)": "EXCLUDED since 12.0 s: disagrees with the other sensors",
+        "commands (check)": "DOUBTFUL since 13.5 s: do not explain how the boat moves",
+    }
+    assert table(lines).count("bold") == 2
+    assert "bold" not in table(checks({"gps": GOOD}))
+    assert checks({}) == {}
+
+
+def snapshot(**others: object) -> Snapshot:
+    given = {
+        **{"t": 1.0, "boat": np.zeros(16), "overlay": None, "prediction": None, "gps_age": 0.1},
+        **{"fixes": np.empty((0, 2)), "track": np.empty((0, 2)), "gps_lost": False},
+        **{"imu_lost": False, "has_imu": True},
+    }
+    return Snapshot(**(given | others))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("current", "words"),
+    [
+        ([0.3, 0.4, 0.1, 0.1], "0.50 +/- 0.20 m/s to 053 deg"),
+        ([0.0, -0.2, 0.0, 0.0], "0.20 +/- 0.00 m/s to 270 deg"),
+    ],
+)
+def test_the_current_is_shown_by_speed_and_where_it_flows(current, words):
+    session = SimpleNamespace(recording=False, recorded=None, message="")
+    assert said(snapshot(current=np.array(current)), session)["current (twin)"] == words
+    assert "current (twin)" not in said(snapshot(), session)
+
+
+def test_a_moment_of_a_log_shows_the_health_and_the_current_of_then(tmp_path):
+    log = simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=30.0, seed=3)
+    z, frozen = log.z.copy(), (log.t >= 10.0) & (log.t < 20.0)
+    z[frozen, GYRO] = z[np.flatnonzero(frozen)[0], GYRO]
+    session = LogSession(
+        Log(log.t, z, log.cmd, None, "frozen"),
+        Twin(particulars_of(VESSEL), "dsw-ukf-plus"),
+        VESSEL,
+        tmp_path,
+    )
+    session._go_through()
+    seen = {}
+    for t in (5.0, 19.0, 5.0):
+        session.at = t
+        seen[t] = session._look()
+        assert "current (twin)" in said(seen[t], session)
+    assert seen[5.0].health["gyro"].status == "ok"
+    assert seen[19.0].health["gyro"].status == "excluded"
+    assert "EXCLUDED since 1" in said(seen[19.0], session)["gyro (check)"]
+    assert not np.array_equal(seen[5.0].current, seen[19.0].current)
+    twin = Twin(particulars_of(VESSEL), "dsw-ukf-plus")
+    twin.run(session.log.slice(t1=19.0))
+    assert twin.health == seen[19.0].health

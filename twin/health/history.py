@@ -1,0 +1,79 @@
+"""When the status of a sensor changed, and that in words."""
+
+from __future__ import annotations
+
+import bisect
+from typing import NamedTuple
+
+from twin.health.monitor import SensorMonitor, SensorStatus
+from twin.health.state import CHECK, HEALTH, SENSORS
+from usv_kernel.records import field_at, record_size
+
+__all__ = ["HealthHistory"]
+
+KEPT = 1000
+"""So many changes are kept, the last ones."""
+
+_FIRST = field_at(HEALTH, "sensors") + field_at(CHECK, "status")
+_STATUS = slice(_FIRST, _FIRST + len(SENSORS) * record_size(CHECK), record_size(CHECK))
+
+
+class _Change(NamedTuple):
+    """The status of all sensors from a time on."""
+
+    t: float  # s
+    statuses: dict[str, SensorStatus]
+
+
+class HealthHistory:
+    """Notes when the status of a sensor changes.
+
+    Parameters
+    ----------
+    monitor : SensorMonitor
+        The checks, which others advance.
+    """
+
+    def __init__(self, monitor: SensorMonitor) -> None:
+        self._monitor = monitor
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._changes: list[_Change] = []
+        self._last = b""
+
+    def take(self, t: float, begin: float) -> None:
+        """Note what changed in the row of time t; the first row was at ``begin``, s."""
+        # bytes: this runs in every row
+        status = self._monitor.memory[_STATUS].tobytes()
+        if status != self._last:
+            self._last = status
+            self._changes.append(_Change(t, self._monitor.statuses(begin)))
+            del self._changes[:-KEPT]
+
+    def at(self, t: float) -> dict[str, SensorStatus]:
+        """Return the status of each sensor at a time, s; empty before the first row."""
+        changes = list(self._changes)
+        row = bisect.bisect_right(changes, t, key=lambda change: change.t)
+        return changes[row - 1].statuses if row else {}
+
+    def lines(self) -> tuple[str, ...]:
+        """Return a line for each stretch in which a sensor was not ok, the earliest first.
+
+        A sensor that has never given a sample is not there, and leaves none.
+        """
+        lines: list[tuple[float, str]] = []
+        for sensor in SENSORS:
+            spans: list[SensorStatus] = []
+            for change in self._changes:
+                status = change.statuses[sensor]
+                if not spans or spans[-1].status != status.status:
+                    spans.append(status)
+            ends = [f"to {span.since:.1f} s" for span in spans[1:]] + ["s on"]
+            for k, (span, end) in enumerate(zip(spans, ends, strict=False)):
+                if span.status != "ok" and (k > 0 or span.status != "absent"):
+                    why = span.why.replace(f"{sensor} ", ": ", 1)
+                    text = f"{sensor} {span.status} from {span.since:.1f} {end}{why}"
+                    lines.append((span.since, text))
+        return tuple(item[1] for item in sorted(lines, key=lambda item: item[0]))
