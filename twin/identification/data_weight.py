@@ -58,11 +58,13 @@ _SPANS = np.array([min(span / GRID, COUNT_MAX) for span in SPANS])
 STABLE_FOR = 20.0
 """A refit is of use if it stays within bounds under held commands for so long, s."""
 
-MARGIN = 0.15
-"""By how much the mean logarithm of another's squared errors must be lower."""
+ENOUGH, MEMORIES = 8, (10, 60)
+"""Segments before anything is chosen, and over which errors are averaged: few, to follow a boat
+that has changed, and many, to see a small difference."""
 
-ENOUGH, MEMORY = 8, 10
-"""Segments before anything is chosen, and over which errors are averaged."""
+MARGINS = (0.4, 0.15)
+"""By how much the mean logarithm of another's squared errors must be lower, on average over the
+memories. The shorter the memory, the more of a difference is chance."""
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of a squared error, so that its logarithm is a number."""
@@ -74,7 +76,7 @@ class SelectorState(NamedTuple):
     count: (
         Any  # (4,) segments compared, refit in use, refit whose turn it is, last row that was noted
     )
-    errors: Any  # (3,) mean logarithm of each refit's squared errors
+    errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
     params: Any  # (3, p) parameters of each refit
     factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
     past: Any  # (slots, 3, p) parameters when recent segments began
@@ -87,7 +89,7 @@ SCORED, CHOSEN, TURN, NOTED = 0, 1, 2, 3
 def selector_state(memory, p, steps, spacing):
     """Open the memory of the choice between refits of p parameters."""
     count, at = take(memory, 0, (4,))
-    errors, at = take(memory, at, (CANDIDATES,))
+    errors, at = take(memory, at, (len(MEMORIES), CANDIDATES))
     params, at = take(memory, at, (CANDIDATES, p))
     factors, at = take(memory, at, (REFITS, p, p))
     past, at = take(memory, at, (1 + steps // spacing + 3, CANDIDATES, p))
@@ -137,11 +139,12 @@ def score(first, rows, state, config, model, work):
     """Compare what the refits predicted at a row with what came."""
     count, errors = state.count, state.errors
     count[SCORED] += 1.0
-    for r in range(errors.shape[0]):
+    for r in range(CANDIDATES):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
         error = forecast_error(first, rows, xi, model, config, work.line)
         error = math.log(min(max(error, LEAST), MOST))
-        errors[r] += (error - errors[r]) / min(count[SCORED], MEMORY)
+        for m in range(len(MEMORIES)):
+            errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
 
 
 @kernel
@@ -182,14 +185,16 @@ def select_trust(newest, row, bounds, joint_cov, state, segments, config, model,
     refused = np.uint64(0)
     for _ in range(params.shape[0]):
         if count[SCORED] >= ENOUGH:
-            chosen = -1
-            for r in range(params.shape[0]):
+            chosen, most = -1, -math.inf
+            for r in range(CANDIDATES):
                 if (refused >> np.uint64(r)) & np.uint64(1):
                     continue
-                if chosen < 0 or errors[r] + MARGIN < errors[chosen] + (
-                    MARGIN if chosen > 0 else 0.0
-                ):
-                    chosen = r
+                # the first is in use until another has proved better
+                lead = 0.0 if r > 0 else 1.0
+                for m in range(len(MEMORIES)):
+                    lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
+                if lead > most:
+                    chosen, most = r, lead
             if chosen < 0:
                 return
         if is_stable(row, params[chosen], bounds, model, work.line):

@@ -337,7 +337,7 @@ def _refit(memory, config, work):
     for i in range(3):
         bounds[i] = max(1.5 * tight.fastest[i], nominal[i])
     if selector.count[SCORED] >= SEGMENTS_MIN:
-        place = math.exp(selector.errors[int(selector.count[CHOSEN])]) / given.weights[0]
+        place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
         nav = as_record(memory.nav, NAVIGATION)
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
     select_trust(newest, row, bounds, joint.P[N_STATES:, N_STATES:], selector, segments, given, model, scratch)
