@@ -25,6 +25,7 @@ __all__ = [
     "N_NAV",
     "initial_navigation",
     "navigation_settings",
+    "sample_limits",
 ]
 
 Array = NDArray[np.float64]
@@ -52,6 +53,9 @@ RING_ROWS, RING_COLUMNS = 64, 9
 SPEED_LIMIT, TURN_LIMIT, ACCEL_LIMIT, REACH, ROUNDS = 20.0, 10.0, 50.0, 1e7, 1e5
 """Limits of valid samples: speed in nominal speeds, yaw rate in rad/s, specific force in m/s2,
 position in m, and heading in rad (not wrapped). Samples beyond are refused."""
+
+WIND_LIMIT = 100.0
+"""Limit of a valid wind speed, m/s."""
 
 AIDED, AIDED_TURN = 0.05, 0.05
 """How far velocity and yaw rate of a model wander in one L/U, in U and U/L."""
@@ -88,7 +92,9 @@ NAVIGATION = np.dtype(
 
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
-    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu", "commands_doubted"), FLAG),
+    **dict.fromkeys(
+        ("has_fix", "has_heading", "lost", "begun", "has_imu", "commands_doubted"), FLAG
+    ),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid"), Field(low=0.0)),
     "last": Field(nan=True, infinite=True),
@@ -179,6 +185,13 @@ def navigation_settings(particulars: Particulars) -> Array:
             0.5 * accel + 8.0 * math.hypot(I.accel_sd, 0.5 * tilt),
         ]
     )
+
+
+def sample_limits(particulars: Particulars) -> Array:
+    """Return the sizes (10,), in the order of a measurement row, that no valid sample reaches."""
+    fastest = SPEED_LIMIT * particulars.speed
+    inertial = TURN_LIMIT, ACCEL_LIMIT, ACCEL_LIMIT
+    return np.array([REACH, REACH, fastest, fastest, ROUNDS, *inertial, WIND_LIMIT, ROUNDS])
 
 
 def initial_navigation(settings: Array) -> Array:

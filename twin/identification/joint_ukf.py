@@ -368,7 +368,8 @@ def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:
 
 JOINT_FIELDS = {
     "P": Field(covariance=True),
-    **dict.fromkeys(("fastest", "wave_power", "counted"), Field(low=0.0)),
+    "fastest": Field(low=0.0, infinite=True),
+    **dict.fromkeys(("wave_power", "counted"), Field(low=0.0)),
 }
 """What the fields of a saved :class:`FilterState` may hold."""
 
@@ -398,7 +399,11 @@ class JointUKF:
         self.memory = np.zeros(flat_size(filter_state, self.terms))
         state: FilterState = python_views(filter_state)(self.memory, self.terms)
         self.x, self.P, self.act, self.wind = state.x, state.P, state.act, state.wind
-        self.wave_power, self.counted = state.wave_power, state.counted
+        self.fastest, self.wave_power, self.counted = (
+            state.fastest,
+            state.wave_power,
+            state.counted,
+        )
         self.gram_matrices = state.gram_matrices
         self.constants = np.concatenate(
             [

@@ -37,6 +37,7 @@ from twin.checkpoint import (
 )
 from twin.filters.late_fusion import LateFusion
 from twin.filters.navigation_ekf import GAP_MAX
+from twin.filters.navigation_state import sample_limits
 from twin.filters.ukf import measurement_update
 from twin.identification.dynamic_window import NOISE_FORMS, DynamicWindow, WaveProxy
 from twin.identification.filter_settings import STUDY_STEP, FilterSettings
@@ -146,6 +147,9 @@ def _vector_of(name: str, values: ArrayLike, size: int, *, positive: bool) -> Ar
         raise UsvTwinError(f"{name} = {given} must be finite{' and above 0' if positive else ''}")
     return np.array(np.broadcast_to(given, size))
 
+
+SHAFT_LIMIT, ANGLE_LIMIT = 20.0, 7.0
+"""Limits of a valid command: shaft speed in nominal ones, and drive angle in rad."""
 
 RIDGE = 1e-9
 """Share that is added to the variances of a prediction, so that rounding leaves it definite."""
@@ -330,6 +334,9 @@ class DSWPredictor(ModelPredictor):
         self.use, self.stride = window, stride
         self.adapt, self.adapts, self.adapt_gain = adapt, adapts, adapt_gain
         self._size = w_max
+        self._sample_limits = sample_limits(particulars)
+        shaft = SHAFT_LIMIT * particulars.shaft_speed
+        self._command_limits = np.array([shaft, shaft, ANGLE_LIMIT, ANGLE_LIMIT])
         self._limits = NoiseLimits.around(settings.q * STUDY_STEP, settings.r)
         self.reset()
 
@@ -348,6 +355,7 @@ class DSWPredictor(ModelPredictor):
             np.zeros((2, N_STATES)),
         )
         ukf = self.ukf
+        ukf.fastest[:] = math.inf  # the paper's forecast has no guard
         self._joint = _Filter(ukf.memory, ukf.constants, ukf.terms, ukf.scratch)
         self._count = 0
         self._wind = math.nan
@@ -408,6 +416,10 @@ class DSWPredictor(ModelPredictor):
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
         self.t = t
+        # numbers that no boat gives would overflow the filter
+        z = np.where(np.abs(z) < self._sample_limits, z, np.nan)
+        before = self._ring.cmds[(self._count - 1) % self._size]
+        cmd = np.where(np.abs(cmd) < self._command_limits, cmd, before)
         s = self.fusion.update(min(dt, GAP_MAX), z)
         ukf = self.ukf
         if not self.fusion.ready or self._count == 0:

@@ -340,7 +340,17 @@ def _refit(memory, config, work):
         place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
         nav = as_record(memory.nav, NAVIGATION)
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
-    select_trust(newest, row, bounds, joint.P[N_STATES:, N_STATES:], selector, segments, given, model, scratch)
+    select_trust(
+        newest,
+        row,
+        bounds,
+        joint.P[N_STATES:, N_STATES:],
+        selector,
+        segments,
+        given,
+        model,
+        scratch,
+    )
     x, P = tight.x, tight.P
     for i in range(p):
         x[N_STATES + i] = segments.params[i]

@@ -24,6 +24,7 @@ from twin.filters.navigation_state import (
     NAVIGATION_FIELDS,
     NAVIGATION_SETTINGS,
     NAVIGATION_WORK,
+    WIND_LIMIT,
     initial_navigation,
     navigation_settings,
 )
@@ -63,9 +64,6 @@ __all__ = [
 ]
 
 Array = NDArray[Any]
-
-WIND_LIMIT = 100.0
-"""Largest wind speed that counts as measured, m/s."""
 
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
@@ -125,7 +123,13 @@ class UKFWork(NamedTuple):
 @inlined
 def _accelerations(dt, state, given, model, nav, scratch):
     """Write what the model says of the accelerations, for the navigation."""
-    x, act, envelope, terms, accel = state.x, state.act, given.envelope, scratch.terms, scratch.accel
+    x, act, envelope, terms, accel = (
+        state.x,
+        state.act,
+        given.envelope,
+        scratch.terms,
+        scratch.accel,
+    )
     for k in range(accel.shape[0]):
         accel[k] = 0.0
     if nav.begun == 0.0:

@@ -270,7 +270,10 @@ class CompiledTwins(TwinObserver):
 
     def _buffers(self) -> Any:
         """Return buffers of a forecast."""
-        return UKFForecast(np.zeros((ROWS, N_ACT)), np.zeros(flat_size(forecast_buffers, ROWS, len(self._predictor.ukf.xi))))
+        return UKFForecast(
+            np.zeros((ROWS, N_ACT)),
+            np.zeros(flat_size(forecast_buffers, ROWS, len(self._predictor.ukf.xi))),
+        )
 
     def _state(self, i: int) -> Array:
         return self.memory.filter[i, :N_STATES].copy()

@@ -334,9 +334,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         due = note.last >= note.covs_due
         if due:
             note.covs_due = note.last + settings.period - 1e-9
-            forecast_covariance(
-                out.plan, LONG_STEP, state, given, out.params[0], out.covs, scratch
-            )
+            forecast_covariance(out.plan, LONG_STEP, state, given, out.params[0], out.covs, scratch)
             for row in range(ROWS):
                 for j in range(N_STATES):
                     for k in range(N_STATES):
