@@ -171,8 +171,8 @@ def is_stable(row, xi, bounds, model, work):
 
 
 @kernel
-def select_trust(newest, row, bounds, joint_cov, state, segments, config, model, work):
-    """Refit with the trust in use and another in turn, and put the best of all to use."""
+def select_trust(newest, row, bounds, state, segments, config, model, work):
+    """Refit with the trust in use and another in turn, and put the best candidate to use."""
     count, errors, params, factors = state.count, state.errors, state.params, state.factors
     count[TURN] += 1.0
     chosen = int(count[CHOSEN])
@@ -182,7 +182,7 @@ def select_trust(newest, row, bounds, joint_cov, state, segments, config, model,
         since = max(newest - int(_SPANS[r]), 0)
         if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    refused = np.uint64(0)
+    refused = np.uint64(0) if config.joint else np.uint64(1) << np.uint64(JOINT)
     for _ in range(params.shape[0]):
         if count[SCORED] >= ENOUGH:
             chosen, most = -1, -math.inf
@@ -203,10 +203,6 @@ def select_trust(newest, row, bounds, joint_cov, state, segments, config, model,
                 use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
             else:
                 use(params[chosen], factors[0], 1.0, segments, work)
-                if chosen == JOINT:
-                    for i in range(params.shape[1]):
-                        for k in range(params.shape[1]):
-                            segments.cov[i, k] = joint_cov[i, k]
             return
         refused |= np.uint64(1) << np.uint64(chosen)
         if count[SCORED] < ENOUGH:

@@ -140,6 +140,7 @@ class RefitConfig(NamedTuple):
     relinearised: int  # segments that a refit relinearises
     spacing: int  # rows between starts of segments
     span: int  # rows of the window
+    joint: bool  # whether the parameters of the joint filter are a candidate
     prior: Any  # (p,) prior mean of the parameters
     variance: Any  # (p,) their prior variances
     information: Any  # (h,) inverse of the prior covariance, packed
@@ -151,13 +152,13 @@ def refit_config(values, p):
     weights, at = take(values, 0, (N_STATES,))
     offsets, at = take(values, at, (N_OFFSETS,))
     one, at = take(values, at, (4,))
-    two, at = take(values, at, (5,))
+    two, at = take(values, at, (6,))
     prior, at = take(values, at, (p,))
     variance, at = take(values, at, (p,))
     information, at = take(values, at, (packed_size(p),))
     return RefitConfig(
         weights, offsets, int(one[0]), int(one[1]), one[2], one[3],
-        int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]),
+        int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]), two[5] > 0.0,
         prior, variance, information,
     )  # fmt: skip
 

@@ -330,7 +330,7 @@ class Segments:
         cov: Array,
         settings: RefitSettings,
         capacity: int,
-        schedule: tuple[float, ...] = (0.0,) * 4,
+        schedule: tuple[float, ...] = (0.0,) * 5,
     ) -> None:
         p = len(mean)
         self.model, self.settings = model, settings

@@ -102,6 +102,16 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
     )
 
 
+def integrates(particulars: Particulars) -> bool:
+    """Return whether what disturbs a boat adds up in its motion, as gusts and model errors do.
+
+    So it is for ships in tanks, and for boats of which no population says how they move. There
+    the joint filter's process noise is the right likelihood, and its parameters may be better.
+    A fast boat at sea is moved to and fro by its waves, and the refit, which allows for them, is.
+    """
+    return particulars.tanker or particulars.steering == "differential"
+
+
 def joint_settings(filters: FilterSettings, particulars: Particulars) -> FilterSettings:
     """Return the settings of the joint filter: those of ``ukf``, with the parameters at hand."""
     own = plain_settings(particulars)
@@ -176,7 +186,7 @@ class PlusPredictor(UKFPredictor):
         capacity = math.ceil(self.refit.span / self.refit.spacing)
         steps, span = round(self.refit.horizon / GRID), round(self.refit.span / GRID)
         self.rows = np.zeros((span + steps + 2 * self.spacing, COLUMNS))
-        schedule = period, relinearised, self.spacing, span
+        schedule = period, relinearised, self.spacing, span, float(integrates(particulars))
         self.segments = Segments(structure.terms, mean, cov, self.refit, capacity, schedule)
         self.selector = TrustSelector(self.segments)
         self._window = np.zeros(WINDOW.itemsize // 8)

@@ -340,17 +340,11 @@ def _refit(memory, config, work):
         place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
         nav = as_record(memory.nav, NAVIGATION)
         nav.drift_var = DRIFT_PART * place / (given.steps * GRID) ** 2
-    select_trust(
-        newest,
-        row,
-        bounds,
-        joint.P[N_STATES:, N_STATES:],
-        selector,
-        segments,
-        given,
-        model,
-        scratch,
-    )
+    select_trust(newest, row, bounds, selector, segments, given, model, scratch)
+    if int(selector.count[CHOSEN]) == JOINT:
+        for i in range(p):
+            for k in range(p):
+                segments.cov[i, k] = joint.P[N_STATES + i, N_STATES + k]
     x, P = tight.x, tight.P
     for i in range(p):
         x[N_STATES + i] = segments.params[i]
@@ -381,6 +375,21 @@ def update_plus(t, dt, z, cmd, memory, config, work):
     plus_step(t, dt, z, cmd, own, plus_config_of(config), plus_work_of(work))
 
 
+@inlined
+def _identify(lost, dt, cmd, nav, wind, memory, config, scratch):
+    """Let the joint filter, whose parameters are a candidate, take the navigation's state."""
+    model = config.model
+    joint, given = filter_state(memory.joint, model), filter_config(config.joint, model)
+    for k in range(2):
+        joint.wind[k] = wind[k]
+    if has_diverged(lost, nav, joint, given):
+        restart_state(dt, cmd, nav, joint, given)
+        return
+    correct(dt, cmd, nav, joint, given, model, scratch)
+    if lacks_gps(nav):
+        place_by_navigation(nav, joint)
+
+
 @kernel
 def plus_step(t, dt, z, cmd, memory, config, work):
     """Take one row, as :meth:`twin.predictors.base.Predictor.update`, and refit when it is time."""
@@ -402,9 +411,9 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         return
     state, given = filter_state(memory.filter, model), filter_config(config.filter, model)
     P = nav.P
-    joint, joint_given = filter_state(memory.joint, model), filter_config(config.joint, model)
+    refit = refit_config(config.refit, model.which.shape[1])
     if not begun:
-        start_filter(cmd, nav, joint, joint_given)
+        start_filter(cmd, nav, filter_state(memory.joint, model), given)
         window.origin, window.halves = t, 0.0
         for k in range(N_STATES):
             window.last[k] = nav.n[k]
@@ -414,15 +423,9 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             window.last_act[k] = state.act[k]
     else:
         scratch = filter_workspace(work.filter, model.which.shape[1])
+        if refit.joint:
+            _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
-        for k in range(2):
-            joint.wind[k] = state.wind[k]
-        if has_diverged(lost, nav, joint, joint_given):
-            restart_state(dt, cmd, nav, joint, joint_given)
-        else:
-            correct(dt, cmd, nav, joint, joint_given, model, scratch)
-            if lacks_gps(nav):
-                place_by_navigation(nav, joint)
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
@@ -430,6 +433,5 @@ def plus_step(t, dt, z, cmd, memory, config, work):
     good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:
-        period = refit_config(config.refit, model.which.shape[1]).period
-        window.refit_at = t + period - 1e-9
+        window.refit_at = t + refit.period - 1e-9
         _refit(memory, config, work)
