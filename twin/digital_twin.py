@@ -288,7 +288,7 @@ class Twin:
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
         z, trusted = monitor.check(dt, z, cmd, predictor.state, predictor.ready)
-        predictor.doubt_commands(monitor.commands_doubted)
+        predictor.hold_parameters(monitor.commands_doubted)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
         self.health_history.take(t, self.begun)

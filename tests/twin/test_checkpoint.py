@@ -350,7 +350,7 @@ def change(path, header=None, arrays=None):
 
 def test_file_names_its_fields_and_no_program(saved, contents):
     header, arrays = opened(contents["dsw-ukf-plus"])
-    expected = {"predictor", "class", "seed", "options", "particulars", "t", "state"}
+    expected = {"predictor", "class", "seed", "options", "particulars", "t", "begun", "state"}
     assert set(header) == expected | {"format", "version", "software"}
     assert {"state.filter.P.npy", "state.segments.packed.npy"} <= set(arrays)
     again = Twin.load(saved)
@@ -446,7 +446,7 @@ def with_entry(name, entry, value):
         ("ukf", ("filter.wind", lambda a: {"state.filter.wind.npy": np.zeros(3)}), "has shape"),
         ("ukf", ("filter.wind", lambda a: {"state.filter.wind.npy": None}), "is missing"),
         ("ukf", ("filter.more", lambda a: {"state.filter.more.npy": np.zeros(3)}), "is unknown"),
-        ("dsw-ukf-plus", with_entry("selector.count", 1, 3.0), "outside"),
+        ("dsw-ukf-plus", with_entry("selector.count", 1, 9.0), "outside"),
         ("dsw-ukf-plus", with_entry("window.halves", 0, 1e5), "ends at"),
         ("dsw-ukf-plus", with_entry("segments.first", 0, -2.0), "outside -1.0 to"),
     ],

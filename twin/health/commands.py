@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from twin.channels import PSI, R, U, V
+from twin.channels import R, U
 from twin.health.state import (
     ABSENT,
     COMMAND,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from twin.checkpoint import Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
-    COMMAND,
     HEALTH,
     HEALTH_SETTINGS,
     REASONS,

@@ -319,8 +319,10 @@ class Segments:
 
     ``mean`` (p,) and ``cov`` (p, p) are the prior. Of more than ``capacity`` segments a new one
     takes the place of the oldest. ``schedule`` is for the compiled predictor: time between refits
-    (s), segments that one relinearises, rows between starts, and rows of the window. ``memory, values, line, scratch`` are flat; ``state, config, work`` are the same
-    by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are views, the prior's at first.
+    (s), segments that one relinearises, rows between starts, rows of the window, and whether the
+    joint filter's parameters are a candidate. ``memory, values, line, scratch`` are flat; ``state,
+    config, work`` are the same by name. ``params`` (p,) and ``cov`` (p, p, Laplace) are views, the
+    prior's at first.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ heading, actuators and wind, in the equation of surge, sway or yaw:
 
 so that the accelerations are linear in the parameters, and one filter serves every structure.
 A new structure is a new list; a new term is one line in :func:`state_terms` (and its slopes in
-:func:`term_slopes`).
+:mod:`twin.model.term_slopes`).
 
 ``paper``
     the 25 parameters of Eq (20)-(21). These differ from the print: sin, not cos, of the angle in
@@ -48,10 +48,6 @@ from usv_kernel.simd import dot3
 
 __all__ = [
     "BY_CURRENT",
-    "BY_PSI",
-    "BY_R",
-    "BY_U",
-    "BY_V",
     "CURRENT",
     "MODELS",
     "N_STATES",
@@ -61,10 +57,10 @@ __all__ = [
     "StructureError",
     "accelerations",
     "gather",
+    "inflow",
     "rates",
     "state_terms",
     "structure_of",
-    "term_slopes",
     "thrust_rates",
     "thrust_terms",
 ]
@@ -89,8 +85,8 @@ N_STATES = 6
     ADVANCE_COS, ADVANCE_SIN, FIN_DRAG, FIN_LIFT, FIN_SIDE,
     LEFT_COS, RIGHT_COS, LEFT_SIN, RIGHT_SIN, LEFT, MINUS_RIGHT,
     MEAN_COS, MEAN_SIN, DIFFERENCE, ASTERN_RACE,
-    _SHAFT_COS, _SHAFT_SIN, _RACE_LEFT, _RACE_RIGHT,
-    _COS_LEFT, _SIN_LEFT, _COS_RIGHT, _SIN_RIGHT,
+    SHAFT_COS, SHAFT_SIN, RACE_LEFT, RACE_RIGHT,
+    COS_LEFT, SIN_LEFT, COS_RIGHT, SIN_RIGHT,
     _ZERO, BY_CURRENT,
 ) = range(52)  # fmt: skip
 
@@ -100,23 +96,13 @@ before UUU are in every structure, the others of the state where all terms are n
 from BY_CURRENT on are slopes by the current: north and east, in surge, sway and yaw. They are 0 but
 where a model is linearised."""
 
-_SHIP = (WIND_X, WIND_Y, WIND_N, FIN_DRAG, FIN_LIFT, FIN_SIDE)
-
-BY_U = np.array([U_U, UUU, U, UR, UV, AU_V, AU_R, ADVANCE_COS, ADVANCE_SIN, *_SHIP])
-
-BY_V = np.array([VV, VR, V, V_V, V_R, VVR, VRR, UV, AU_V, AV_R, *_SHIP])
-
-BY_R = np.array([VR, RR, R, V_R, R_R, UR, VVR, VRR, AU_R, AV_R, *_SHIP[3:]])
-
-BY_PSI = np.array([COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, WIND_X, WIND_Y, WIND_N])
-"""Terms that change with u, v, r and psi: those whose slopes :func:`term_slopes` writes."""
-
 FULL, BIASED, LENGTH, SOFT, CURRENT = range(5)
 """Hull constants: are all terms needed, is the heading, length (m), softening (m2/s2), index of the
 current's two components among the parameters (-1 if there are none)."""
 
-CURRENT_SD = 0.3
-"""Standard deviation of each component of the current before any data, m/s."""
+CURRENT_SD, CURRENT_SHARE = 0.3, 0.1
+"""Standard deviation of each component of the current before any data, m/s, and at most in nominal
+speeds: no one sails a boat or a ship's model where the water runs as fast."""
 
 WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
@@ -148,13 +134,13 @@ def thrust_terms(n_left, n_right, cos_left, sin_left, cos_right, sin_right, term
     terms[MEAN_COS] = 0.5 * (left * cos_left + right * cos_right)
     terms[MEAN_SIN] = 0.5 * (left * sin_left + right * sin_right)
     terms[DIFFERENCE] = 0.5 * (left * cos_left - right * cos_right)
-    terms[_SHAFT_COS] = 0.5 * (abs(n_left) * cos_left + abs(n_right) * cos_right)
-    terms[_SHAFT_SIN] = 0.5 * (abs(n_left) * sin_left + abs(n_right) * sin_right)
-    terms[_RACE_LEFT] = (SLIPSTREAM if n_left > 0.0 else ASTERN * SLIPSTREAM) * left
-    terms[_RACE_RIGHT] = (SLIPSTREAM if n_right > 0.0 else ASTERN * SLIPSTREAM) * right
+    terms[SHAFT_COS] = 0.5 * (abs(n_left) * cos_left + abs(n_right) * cos_right)
+    terms[SHAFT_SIN] = 0.5 * (abs(n_left) * sin_left + abs(n_right) * sin_right)
+    terms[RACE_LEFT] = (SLIPSTREAM if n_left > 0.0 else ASTERN * SLIPSTREAM) * left
+    terms[RACE_RIGHT] = (SLIPSTREAM if n_right > 0.0 else ASTERN * SLIPSTREAM) * right
     terms[ASTERN_RACE] = 0.5 * (min(n_left, 0.0) ** 2 + min(n_right, 0.0) ** 2)
-    terms[_COS_LEFT], terms[_SIN_LEFT] = cos_left, sin_left
-    terms[_COS_RIGHT], terms[_SIN_RIGHT] = cos_right, sin_right
+    terms[COS_LEFT], terms[SIN_LEFT] = cos_left, sin_left
+    terms[COS_RIGHT], terms[SIN_RIGHT] = cos_right, sin_right
     for k in range(_ZERO, N_TERMS):
         terms[k] = 0.0
 
@@ -191,7 +177,7 @@ def through_water(velocity, heading, wind, current):
 
 
 @inlined
-def _inflow(u, race, soft):
+def inflow(u, race, soft):
     """Return the flow along the keel at a rudder or drive, m/s, and its slope in u."""
     square = WAKE_SQUARED * u * abs(u) + race
     size = abs(square) + soft
@@ -202,8 +188,8 @@ def _inflow(u, race, soft):
 @inlined
 def _fin(u, aside, k, hull, terms):
     """Return half of drag, lift and side force of the left (0) or right (1) rudder or drive."""
-    along = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])[0]
-    c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
+    along = inflow(u, terms[RACE_LEFT + k], hull[SOFT])[0]
+    c, s = terms[COS_LEFT + 2 * k], terms[SIN_LEFT + 2 * k]
     speed = math.sqrt(along * along + aside * aside)
     normal = speed * (s * along - c * aside)
     return 0.5 * s * normal, 0.5 * c * normal, 0.5 * c * speed * c * abs(aside)
@@ -234,89 +220,17 @@ def state_terms(u, v, r, cos_psi, sin_psi, wind, hull, terms):
         aside = wind[1] * cos_psi - wind[0] * sin_psi - v
         speed = math.sqrt(ahead * ahead + aside * aside)
         terms[WIND_X], terms[WIND_Y], terms[WIND_N] = speed * ahead, speed * aside, ahead * aside
-    terms[ADVANCE_COS], terms[ADVANCE_SIN] = u * terms[_SHAFT_COS], u * terms[_SHAFT_SIN]
+    terms[ADVANCE_COS], terms[ADVANCE_SIN] = u * terms[SHAFT_COS], u * terms[SHAFT_SIN]
     aside = STRAIGHTENING * (LEVER * hull[LENGTH] * r - v)
     drag, lift, side = _fin(u, aside, 0, hull, terms)
-    same = terms[_RACE_RIGHT] == terms[_RACE_LEFT]
-    same = same and terms[_COS_RIGHT] == terms[_COS_LEFT] and terms[_SIN_RIGHT] == terms[_SIN_LEFT]
+    same = terms[RACE_RIGHT] == terms[RACE_LEFT]
+    same = same and terms[COS_RIGHT] == terms[COS_LEFT] and terms[SIN_RIGHT] == terms[SIN_LEFT]
     if same:  # the common case
         drag, lift, side = drag + drag, lift + lift, side + side
     else:
         more = _fin(u, aside, 1, hull, terms)
         drag, lift, side = drag + more[0], lift + more[1], side + more[2]
     terms[FIN_DRAG], terms[FIN_LIFT], terms[FIN_SIDE] = drag, lift, side
-
-
-@kernel
-def term_slopes(velocity, heading, wind, hull, terms, slopes):
-    """Write the derivatives of the state's terms by u, v, r and psi.
-
-    Parameters
-    ----------
-    velocity, heading : tuple of float
-        u, v (m/s), r (rad/s); cosine and sine of the heading.
-    wind, hull
-        See :func:`state_terms`.
-    terms : (58,) array
-        As :func:`state_terms` left it.
-    slopes : (4, 58) array
-        Written where a derivative is not always 0; hand in zeros.
-    """
-    u, v, r = velocity
-    cos_psi, sin_psi = heading
-    slopes[0, U_U], slopes[1, VV] = 2.0 * abs(u), 2.0 * v
-    slopes[1, VR], slopes[2, VR], slopes[2, RR] = r, v, 2.0 * r
-    slopes[0, U], slopes[1, V], slopes[2, R] = 1.0, 1.0, 1.0
-    slopes[1, V_V], slopes[2, R_R] = 2.0 * abs(v), 2.0 * abs(r)
-    slopes[1, V_R], slopes[2, V_R] = abs(r), math.copysign(v, v * r)
-    slopes[0, UR], slopes[2, UR] = r, u
-    slopes[1, VVR], slopes[2, VVR] = 2.0 * v * r, v * v
-    slopes[1, VRR], slopes[2, VRR] = r * r, 2.0 * v * r
-    slopes[3, COS], slopes[3, SIN], slopes[3, MINUS_SIN] = -sin_psi, cos_psi, -cos_psi
-    if hull[FULL] == 0.0:
-        return
-    slopes[0, UUU] = 3.0 * u * u
-    slopes[0, UV], slopes[1, UV] = v, u
-    slopes[0, AU_V], slopes[1, AU_V] = math.copysign(v, u * v), abs(u)
-    slopes[0, AU_R], slopes[2, AU_R] = math.copysign(r, u * r), abs(u)
-    slopes[1, AV_R], slopes[2, AV_R] = math.copysign(r, v * r), abs(v)
-    slopes[3, COS_TWICE], slopes[3, SIN_TWICE] = -2.0 * terms[SIN_TWICE], 2.0 * terms[COS_TWICE]
-    for i in range(4):
-        slopes[i, WIND_X] = slopes[i, WIND_Y] = slopes[i, WIND_N] = 0.0
-    if wind[0] != 0.0 or wind[1] != 0.0:
-        forth = wind[0] * cos_psi + wind[1] * sin_psi
-        across = wind[1] * cos_psi - wind[0] * sin_psi
-        ahead, aside = forth - u, across - v
-        speed = max(math.sqrt(ahead * ahead + aside * aside), 1e-9)
-        xx, xy = speed + ahead * ahead / speed, ahead * aside / speed
-        yy = speed + aside * aside / speed
-        slopes[0, WIND_X], slopes[1, WIND_X] = -xx, -xy
-        slopes[0, WIND_Y], slopes[1, WIND_Y] = -xy, -yy
-        slopes[0, WIND_N], slopes[1, WIND_N] = -aside, -ahead
-        # turning the boat turns the wind the other way
-        slopes[3, WIND_X] = xx * across - xy * forth
-        slopes[3, WIND_Y] = xy * across - yy * forth
-        slopes[3, WIND_N] = aside * across - ahead * forth
-    slopes[0, ADVANCE_COS], slopes[0, ADVANCE_SIN] = terms[_SHAFT_COS], terms[_SHAFT_SIN]
-    turn = STRAIGHTENING * LEVER * hull[LENGTH]
-    aside = turn * r - STRAIGHTENING * v
-    for i in range(3):
-        slopes[i, FIN_DRAG] = slopes[i, FIN_LIFT] = slopes[i, FIN_SIDE] = 0.0
-    for k in range(2):
-        along, steep = _inflow(u, terms[_RACE_LEFT + k], hull[SOFT])
-        c, s = terms[_COS_LEFT + 2 * k], terms[_SIN_LEFT + 2 * k]
-        speed = max(math.sqrt(along * along + aside * aside), 1e-9)
-        attack = s * along - c * aside
-        by_along = along / speed * attack + speed * s
-        by_aside = aside / speed * attack - speed * c
-        side_along = along / speed * c * abs(aside)
-        side_aside = math.copysign(aside / speed * aside + speed, aside) * c
-        for i in range(3):
-            inner = steep if i == 0 else (-STRAIGHTENING if i == 1 else turn)
-            slope = (by_along if i == 0 else by_aside) * inner
-            slopes[i, FIN_DRAG] += 0.5 * s * slope
-            slopes[i, FIN_LIFT] += 0.5 * c * slope
-            slopes[i, FIN_SIDE] += 0.5 * c * (side_along if i == 0 else side_aside) * inner
 
 
 @inlined
@@ -388,7 +302,7 @@ def thrust_rates(terms, shares, out):
     """
     for i in range(3):
         out[i] = 0.0
-    for k in range(LEFT_COS, _SHAFT_COS):
+    for k in range(LEFT_COS, SHAFT_COS):
         for i in range(3):
             out[i] += shares[k, i] * terms[k]
 
@@ -630,6 +544,7 @@ def structure_of(
     mixed = name == "mmg"
     heading = float("E" in equations or mixed or current)
     water = float(equations.index("C")) if current else -1.0
+    sd = np.array([row[6] for row in rows])
     scales = np.prod(
         np.array([length, speed, shaft_speed]) ** np.array([row[4] for row in rows], float), axis=1
     )
@@ -644,5 +559,5 @@ def structure_of(
         # in `mmg` a shaft speed is the boat's speed that it gives in calm water
         n_unit=speed / shaft_speed if mixed else 1.0,
         mean=scales * np.array([row[5] for row in rows]),
-        sd=scales * np.array([row[6] for row in rows]),
+        sd=np.where(np.array(equations) == "C", min(CURRENT_SD, CURRENT_SHARE * speed), scales * sd),
     )

@@ -8,6 +8,7 @@ what is done only now and then: new noise, forecasts, refits.
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import math
 import os
@@ -30,7 +31,7 @@ from twin.filters.ukf import UKFWorkspace, measurement_update, workspace
 from twin.identification.filter_settings import plain_settings
 from twin.identification.joint_ukf import JointUKF
 from twin.model.augmented import JointConfig, JointState, JointWorkspace, joint_predict
-from twin.model.dynamics import derivative
+from twin.model.dynamics import derivative, model_of
 from twin.model.structure import N_STATES, N_TERMS, ModelTerms
 from twin.performance.harness import BASELINE, Burst, Case
 from twin.predictors.ukf import plain
@@ -171,7 +172,14 @@ class Problem:
 
     def __init__(self) -> None:
         self.boat = particulars_of(Vessel.load("usv75"))
-        self.settings = plain_settings(self.boat)
+        settings, structure = plain_settings(self.boat), model_of(self.boat, "paper")
+        self.settings = dataclasses.replace(
+            settings,
+            structure=structure,
+            q_xi=np.zeros(len(structure)),
+            xi0=structure.mean,
+            xi0_cov=np.diag(structure.sd**2),
+        )
         self.ukf = JointUKF(self.boat, self.settings)
         n = self.boat.shaft_speed * self.settings.n_unit
         self.ukf.x[U], self.ukf.act[:] = self.boat.speed, (n, n, 0.1, 0.1)

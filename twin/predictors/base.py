@@ -223,8 +223,12 @@ class Predictor(ABC):
         """True once a first fix and a first heading have come."""
         return self.estimate().ready
 
-    def doubt_commands(self, doubted: bool) -> None:
-        """Hear that the commands do not explain the motion; what can be held, is."""
+    def hold_parameters(self, held: bool) -> None:
+        """Learn nothing of the model while the commands do not explain the motion.
+
+        A predictor without a model has nothing to hold.
+        """
+        return
 
     @abstractmethod
     def reset(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -103,8 +104,8 @@ def unpack_option(packed: Any, arrays: Arrays, particulars: Particulars) -> Any:
 def _structure(name: str, parameters: list[str], particulars: Particulars) -> Structure:
     """Return the structure of a boat with these parameters."""
     for tanker in (particulars.tanker, not particulars.tanker):
-        for biased in (False, True):
-            found = model_of(particulars, name, biased=biased, tanker=tanker)
+        for biased, current in itertools.product((False, True), repeat=2):
+            found = model_of(particulars, name, biased=biased, tanker=tanker, current=current)
             if list(found.parameters) == parameters:
                 return found
     raise StateError(

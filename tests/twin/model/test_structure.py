@@ -19,7 +19,6 @@ from twin.model.structure import (
     accelerations,
     state_terms,
     structure_of,
-    term_slopes,
     thrust_terms,
 )
 

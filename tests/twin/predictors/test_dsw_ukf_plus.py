@@ -540,7 +540,7 @@ def test_guard_keeps_the_motion_inside_bounds(boat: Particulars, zigzag: Log, na
     np.testing.assert_allclose(theta, predictor.ukf.xi, rtol=1e-12, atol=1e-15)
     U, L = boat.speed, boat.length
     # what the boat was seen to do, half as much again, or what any boat can
-    bound = np.maximum(1.5 * predictor.window["fastest"], [1.5 * U, 0.8 * U, 1.2 * U / L])
+    bound = np.maximum(1.5 * predictor.ukf.fastest, [1.5 * U, 0.8 * U, 1.2 * U / L])
     names, rng = predictor.parameter_names, np.random.default_rng(0)
     for _ in range(20):
         k = rng.integers(len(names))

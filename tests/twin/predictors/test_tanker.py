@@ -8,15 +8,17 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from twin import Twin
+from twin.channels import R
 from twin.digital_twin import known_plan
 from twin.identification.filter_settings import plain_settings
 from twin.logs.datasets import ESSO as TANKER
-from twin.model.dynamics import all_terms, model_of
+from twin.model.dynamics import derivative, model_of
 from twin.model.priors import TANKER as KIND
 from twin.model.priors import population_prior
-from twin.model.structure import N_TERMS, accelerations
+from twin.model.structure import N_STATES, N_TERMS, Structure
 from twin.particulars import GRAVITY, Particulars
 from twin.sim.bridge import particulars_of, simulate
 from twin.training import prior_population as pop
@@ -24,15 +26,22 @@ from usv_gym import Vessel
 from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SeaState
 
+Array = NDArray[np.float64]
+
+
+def rates(structure: Structure, xi: Array, state: Array, act: Array) -> list[float]:
+    """Return the derivatives of a state without wind."""
+    out = np.zeros(N_STATES)
+    derivative(state, xi, act, np.zeros(2), structure.terms, np.zeros(N_TERMS), out)
+    return list(out)
+
 
 def turning(boat: Particulars, n: float) -> float:
     """Return the yaw acceleration at rest with the rudder amidships by the prior's mean."""
     structure = model_of(boat, "mmg", biased=True)
     mean, _ = population_prior(structure, boat)
-    terms, state = np.zeros(N_TERMS), np.zeros(6)
     shaft = structure.n_unit * n
-    all_terms(state, np.array([shaft, shaft, 0.0, 0.0]), np.zeros(2), structure.terms, terms)
-    return float(accelerations(terms, structure.terms, mean, 0)[2])
+    return rates(structure, mean, np.zeros(6), np.array([shaft, shaft, 0.0, 0.0]))[R]
 
 
 @pytest.mark.parametrize(
@@ -72,10 +81,9 @@ def test_turns_to_port_and_starboard_differ() -> None:
     mean, _ = population_prior(structure, TANKER)
     turned = []
     for side in (1.0, -1.0):
-        terms, act = np.zeros(N_TERMS), np.array([0.36, 0.36, 0.3 * side, 0.3 * side])
+        act = np.array([0.36, 0.36, 0.3 * side, 0.3 * side])
         state = np.array([0.0, 0.0, 0.0, 0.3, -0.05 * side, 0.05 * side])
-        all_terms(state, act, np.zeros(2), structure.terms, terms)
-        turned.append(side * accelerations(terms, structure.terms, mean, 0)[2])
+        turned.append(side * rates(structure, mean, state, act)[R])
     # behind a right-handed screw a turn to port is the tighter one
     assert turned[0] < turned[1]
 

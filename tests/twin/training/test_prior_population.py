@@ -133,7 +133,7 @@ def test_boat_of_a_known_class_gets_its_prior() -> None:
     for vessel in (usv75, usv75.varied(np.random.default_rng(0))):
         boat = particulars_of(vessel)
         assert boat.design == "usv75"
-        structure = model_of(boat, "mmg", biased=True)
+        structure = model_of(boat, "mmg", biased=True, current=True)
         mean, covariance = population_prior(structure, boat)
         expected = shipped_prior("mmg", "usv75").of(structure)
         np.testing.assert_array_equal(mean, expected[0])
