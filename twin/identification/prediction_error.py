@@ -4,8 +4,8 @@ A window of navigation states on an even grid is cut into *segments*. Every ``sp
 begins, and from there the model is rolled out over ``horizon`` seconds under the actuators as they
 were. The parameters are those that make the errors of all segments small,
 
-    sum over segments of  n_i rho(q_i)  +  (xi - xi_0)' P_0^-1 (xi - xi_0),
-    q_i = scale / n_i * min over d of [ sum of (errors / sd)^2 + (d / sd_d)^2 ]
+    sum over segments of  scale n_i rho(q_i)  +  (xi - xi_0)' P_0^-1 (xi - xi_0),
+    q_i = 1 / n_i * min over d of [ sum of (errors / sd)^2 + (d / sd_d)^2 ]
 
 with n_i errors in segment i and a free offset d of the initial u, v, r. rho(q) is q up to ``knee``,
 and knee (1 + log(q / knee)) beyond. The offset carries a wave, which no parameter should absorb. A

@@ -222,11 +222,11 @@ def _costs(xi, state, config, work, q):
         d[k] = xi[k] - config.prior[k]
     square[:] = 0.0
     _square(d, square)
-    factor = config.scale / _samples(config)
+    samples = _samples(config)
     for i in range(state.first.shape[0]):
         if state.first[i] >= 0.0:
             cost = _cost(state.packed[i], state.b[i], state.c[i], d, square, work.solve.lanes)
-            q[i] = factor * cost
+            q[i] = cost / samples
 
 
 @kernel
@@ -272,7 +272,7 @@ def solve(xi, trust, since, iterations, damping, state, config, work):
         for i in range(first.shape[0]):
             if first[i] < 0.0 or first[i] < since:
                 continue
-            q = scale / samples * _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes)
+            q = _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes) / samples
             weight = trust * scale * (1.0 if q <= knee else knee / q)
             own, tug = packed[i], slope[i]
             for k in range(total.shape[0]):
@@ -422,7 +422,8 @@ class Segments:
         q = self.costs(xi)
         knee, offset = self.settings.knee, xi - self.prior
         rho = np.where(q <= knee, q, knee * (1.0 + np.log(np.maximum(q, knee) / knee)))
-        return float(self.trust * self.samples * rho.sum() + offset @ self.information @ offset)
+        weight = self.trust * self.settings.scale * self.samples
+        return float(weight * rho.sum() + offset @ self.information @ offset)
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""

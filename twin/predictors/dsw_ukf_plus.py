@@ -98,7 +98,7 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
         sd=np.array([0.175 * L, 0.175 * L, 0.04, 0.2 * U, 0.2 * U, 0.025 * U / L]),
         offset_sd=np.array([0.075 * U, 0.075 * U, 0.01 * U / L]),
         scale=0.15 * min(1.0, UNHURRIED / particulars.time_scale),
-        knee=0.015,
+        knee=0.1,
     )
 
 
