@@ -46,6 +46,7 @@ __all__ = [
     "forecast_buffers",
     "forecast_covariance",
     "forecast_mean",
+    "information_is_due",
     "is_plausible",
     "limit_covariances",
     "scale_plan",
@@ -229,12 +230,16 @@ def advance(dt, cmd, state, config, work):
 
 
 @inlined
-def accumulate_information(dt, terms, state, model):
-    """Add the terms of the moment to the Gram matrices, each :data:`INFORMATION_STEP`."""
+def information_is_due(dt, state):
+    """Return whether the terms of the moment are to be added, each :data:`INFORMATION_STEP`."""
+    state.counted[0] += dt
+    return state.counted[0] >= INFORMATION_STEP - 1e-9
+
+
+@inlined
+def accumulate_information(terms, state, model):
+    """Add the terms of the moment to the Gram matrices."""
     counted = state.counted
-    counted[0] += dt
-    if counted[0] < INFORMATION_STEP - 1e-9:
-        return
     seconds = min(counted[0], INFORMATION_MAX)
     counted[0] = 0.0
     counted[1] += seconds

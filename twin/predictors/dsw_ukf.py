@@ -48,6 +48,7 @@ from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
     filter_workspace,
+    information_is_due,
 )
 from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
 from twin.model.dynamics import N_ACT, drive, model_of, rates_over_ground
@@ -233,7 +234,8 @@ def _finish_row(dt, joint):
     drive(state.act, terms)
     motion, current = (x[3], x[4], x[5], math.cos(x[2]), math.sin(x[2])), (0.0, 0.0)
     rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
-    accumulate_information(dt, terms, state, model)
+    if information_is_due(dt, state):
+        accumulate_information(terms, state, model)
 
 
 class DSWPredictor(ModelPredictor):

@@ -41,6 +41,7 @@ from twin.identification.joint_ukf import (
     filter_config,
     filter_state,
     filter_workspace,
+    information_is_due,
     limit_covariances,
 )
 from twin.model.actuators import follow_all
@@ -48,6 +49,7 @@ from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
 from twin.particulars import STUDY_SPEED, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
+from usv_kernel.channels import ACCEL_X
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 from usv_kernel.scalar import wrap
@@ -121,7 +123,7 @@ class UKFWork(NamedTuple):
 
 
 @inlined
-def _accelerations(dt, state, given, model, nav, scratch):
+def _accelerations(dt, z, nav, state, given, model, scratch):
     """Write what the model says of the accelerations, for the navigation."""
     x, act, envelope, terms, accel = (
         state.x,
@@ -138,16 +140,20 @@ def _accelerations(dt, state, given, model, nav, scratch):
     motion = x[U], x[V], x[R], math.cos(x[PSI]), math.sin(x[PSI])
     current = current_of(x, N_STATES, model.hull)
     du, dv, dr = rates_over_ground(motion, state.wind, current, x, N_STATES, model, terms)
-    current_terms(motion, state.wind, x, N_STATES, model, terms)
-    accumulate_information(dt, terms, state, model)
+    held = not math.isfinite(z[ACCEL_X]) and not lacks_gps(nav)
+    due = information_is_due(dt, state)
+    if held or due:
+        current_terms(motion, state.wind, x, N_STATES, model, terms)
+    if due:
+        accumulate_information(terms, state, model)
     turn, speed = envelope[2], 0.25 * envelope[0]
     accel[0] = min(max(du, -speed * turn), speed * turn)
     accel[1] = min(max(dv, -speed * turn), speed * turn)
     accel[2] = min(max(dr, -turn * turn), turn * turn)
     # a model never fitted to a measured motion may make the navigation diverge in yaw
     accel[IS_MODELLED] = nav.has_imu
-    if lacks_gps(nav):
-        # nothing says more than the model
+    if not held:
+        # accelerometers say more; and without GPS nothing says more than the model
         return
     for i in range(3):
         low, high = model.limits[3 + i, 0], model.limits[3 + i, 1]
@@ -279,7 +285,7 @@ def tight_step(dt, z, cmd, memory, config, work):
     scratch = filter_workspace(work.filter, model.which.shape[1])
     x, P = state.x, state.P
     update_wind(z, state.wind)
-    _accelerations(dt, state, given, model, nav, scratch)
+    _accelerations(dt, z, nav, state, given, model, scratch)
     lost = nav.gps_age + dt
     navigate(nav, dt, z, scratch.accel, as_record(config.nav, NAVIGATION_SETTINGS), nav_work)
     if nav.begun == 0.0:
