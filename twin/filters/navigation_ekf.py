@@ -109,11 +109,10 @@ _SHARP = 1e4
 
 
 @kernel
-def _correct(nav, work, innovation, variance, age, channel, speed_var):
+def _correct(nav, work, innovation, variance, age, channel):
     """Correct by one number with measurement row H; return False where it is refused.
 
     ``age`` is the time since the sensor's last sample, s; a channel below 0 refuses nothing.
-    ``speed_var`` is the variance of velocities of which nothing is known.
     """
     n, P, H, gain = nav.n, nav.P, work.H, work.gain
     S = _gain(P, H, variance, gain)
@@ -129,9 +128,6 @@ def _correct(nav, work, innovation, variance, age, channel, speed_var):
                 # a jump of the position says nothing of the heading
                 if size > 0.25 and (channel > 1 or i == channel):
                     P[i, i] += innovation * innovation / max(size, 1.0)
-            if channel < 2:
-                P[U, U] += speed_var
-                P[V, V] += speed_var
             S = _gain(P, H, variance, gain)
         nav.refused[channel] = 0.0
     step = innovation / S
@@ -194,7 +190,7 @@ def aid(nav, work, entry, value, variance):
     work.H[entry] = 1.0
     # the model's variance is bounded from below, so that the covariance needs no repair
     variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
-    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1, 0.0)
+    _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
 
 
 @inlined
@@ -301,7 +297,7 @@ def _take_fix(nav, z, dt, repeats, settings, work):
         variance = gps_var if j < 2 else doppler_var
         if repeats and innovation * innovation > variance:
             return
-        if _correct(nav, work, innovation, variance, age, j, settings.velocity_var_0):
+        if _correct(nav, work, innovation, variance, age, j):
             nav.gps_age = 0.0
 
 
@@ -413,7 +409,7 @@ def navigate(nav, dt, z, model, settings, work):
         H[R] = H[GYRO_BIAS] = 1.0
         innovation = z[GYRO] - n[R] - n[GYRO_BIAS]
         age = nav.imu_age
-        if _correct(nav, work, innovation, settings.gyro_var, age, 5, 0.0):
+        if _correct(nav, work, innovation, settings.gyro_var, age, 5):
             nav.imu_age = 0.0
         H[R] = H[GYRO_BIAS] = 0.0
     if abs(z[COMPASS]) < ROUNDS:
@@ -423,7 +419,7 @@ def navigate(nav, dt, z, model, settings, work):
             nav.unchanged[1] >= FROZEN_TIME and innovation * innovation < var
         ):
             H[PSI] = H[COMPASS_BIAS] = 1.0
-            if _correct(nav, work, innovation, var, age, 4, 0.0):
+            if _correct(nav, work, innovation, var, age, 4):
                 nav.compass_age = 0.0
             H[PSI] = H[COMPASS_BIAS] = 0.0
     if not gps_repeats or nav.unchanged[0] >= FROZEN_TIME:
