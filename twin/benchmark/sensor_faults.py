@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.logs.log import Log
-from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VY, GPS_X, GPS_Y, GYRO
 
 __all__ = ["SENSOR_FAULTS", "SensorFault", "inject"]
 
@@ -175,7 +175,9 @@ SENSOR_FAULTS = {
             ("compass",),
             _frozen(slice(COMPASS, COMPASS + 1)),
         ),
-        SensorFault("imu-frozen", "gyro and accelerometers frozen", 20.0, ANY[2:], _frozen(IMU_CHANNELS)),
+        SensorFault(
+            "imu-frozen", "gyro and accelerometers frozen", 20.0, ANY[2:], _frozen(IMU_CHANNELS)
+        ),
         SensorFault(
             "accel-bias",
             "accelerometer bias of 1 m/s2",
@@ -207,7 +209,9 @@ SENSOR_FAULTS = {
             ("gps",),
             _added(GPS_Y, 0.0, 0.5),
         ),
-        SensorFault("gps-spoofed", "fixes and velocity drawn away at .5 m/s", 60.0, (), _pulled(0.5)),
+        SensorFault(
+            "gps-spoofed", "fixes and velocity drawn away at .5 m/s", 60.0, (), _pulled(0.5)
+        ),
         SensorFault("all-lost", "all sensors lost", 60.0, ANY, _set(SENSORS, math.nan)),
         SensorFault("garbage", "garbage from all sensors", 10.0, ANY, _garbage),
         SensorFault("garbage-long", "1e5 rows of garbage", 5000.0, ANY, _garbage),

@@ -6,15 +6,41 @@ sensor, or the shape of the fault, says whose fault it is.
 
 from __future__ import annotations
 
+from twin.channels import PSI, R, U, V, X, Y
 from twin.health.commands import CHANGED, check_commands
 from twin.health.heading import check_course, check_heading
 from twin.health.position import check_position
-from twin.health.samples import leave_out, note_absence, take_samples
-from twin.health.state import COMMAND, DOUBTFUL, EXCLUDED
+from twin.health.samples import (
+    COMPASS_MAX,
+    GYRO_MAX,
+    POSITION_MAX,
+    SPEED_MAX,
+    find_frozen,
+    leave_out,
+    note_absence,
+    take_samples,
+)
+from twin.health.state import COMMAND, DOUBTFUL, EXCLUDED, N_STATES, NO_ANSWER
 from twin.health.velocity import check_velocity
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 
 __all__ = ["check_sensors"]
+
+
+@inlined
+def _take_state(s, health, given):
+    """Remember the predictor's state; return whether it is one that a boat can have."""
+    possible = (
+        abs(s[X]) < POSITION_MAX
+        and abs(s[Y]) < POSITION_MAX
+        and abs(s[PSI]) < COMPASS_MAX
+        and abs(s[U]) < SPEED_MAX * given.speed
+        and abs(s[V]) < SPEED_MAX * given.speed
+        and abs(s[R]) < GYRO_MAX
+    )
+    for k in range(N_STATES):
+        health.state[k] = s[k] if possible else 0.0
+    return possible
 
 
 @kernel
@@ -37,15 +63,19 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         The row without the samples of excluded sensors.
     """
     health.clock += dt
+    usable = ready and _take_state(s, health, given)
+    state = health.state
     new_gps, new_compass = take_samples(dt, z, health, given, out)
-    check_heading(dt, out, s, ready, new_compass, health, given)
-    check_position(dt, out, s, ready, new_gps, health, given)
-    check_velocity(dt, out, s, ready, new_gps, health, given)
-    check_course(out, s, new_gps, health, given)
-    check_commands(dt, cmd, s, ready, health, given)
+    check_heading(dt, out, state, usable, new_compass, health, given)
+    check_position(dt, out, state, usable, new_gps, health, given)
+    find_frozen(usable, health, given)
+    check_velocity(dt, out, state, usable, new_gps, health, given)
+    check_course(out, new_gps, health, given)
+    check_commands(dt, cmd, state, usable, health, given)
     command = health.sensors[COMMAND]
     # what is doubtful for long is a boat that has changed: the twin must learn it
-    fresh = command.status == DOUBTFUL and health.clock - command.since < CHANGED
+    unexplained = command.status == DOUBTFUL and command.reason == NO_ANSWER
+    fresh = unexplained and health.clock - command.since < CHANGED
     health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
     note_absence(dt, health)
     leave_out(health, out)

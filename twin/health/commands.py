@@ -11,8 +11,10 @@ import math
 import numpy as np
 
 from twin.channels import R, U
+from twin.health.evidence import CLEAR
 from twin.health.state import (
     ABSENT,
+    ACCELEROMETERS,
     COMMAND,
     COMMAND_TERMS,
     DOUBTFUL,
@@ -31,6 +33,9 @@ __all__ = ["CHANGED", "check_commands"]
 
 YAW, SURGE = range(2)
 
+THRUST, MOMENT, DIFFERENCE = 2, 2, 3
+"""Places of the commands' effects among the parameters: thrust of surge, the others of yaw."""
+
 SIGNS = np.array(
     [
         [1.0, 1.0, 1.0],  # as given
@@ -48,15 +53,19 @@ STEP = 0.35
 WARM_UP = 40.0
 """Steps before anything is concluded."""
 
-MEMORY = 150.0
-"""Steps over which the model is learned."""
-
 RECENT = 4.0
 """Steps over which errors are averaged."""
 
 FIRST_STEPS, LEVEL_STEPS = 15.0, 40.0
 """Steps until errors count for the level, as the model knows nothing yet; and over how many steps
 the level is averaged."""
+
+CORRELATED_STEPS = 8.0
+"""So many neighbouring steps have the same error, as a wave lasts longer than a step. The
+covariance of the parameters, which takes errors for white, is too small by this."""
+
+MODEL_ERROR = 0.25
+"""Share of the commands' effect that a linear model without rate limits does not explain."""
 
 LEVEL_MIN = 0.004
 """Least typical error of a step, in nominal units: rounding of a filter's rates."""
@@ -67,19 +76,31 @@ ERROR_MAX = 25.0
 LEVEL_CUT, MODEL_CUT, MODEL_SHARE = 3.0, 5.0, 0.2
 """Errors above so many levels do not raise the level; above so many a step counts less."""
 
-EXPECTED_SURGE, SURGE_WEIGHT, RIDGE = 0.04, 2.0, 1e-3
-"""Expected change of surge by nominal thrust in a step, in nominal speeds; its weight in steps;
-and the weight of zero for all other terms."""
+PRIOR, WALK = 1e3, 5e-5
+"""Variance of a parameter before any step, and what a step adds to it, in squared levels. With
+regressors of about 1 the latter makes a memory of 150 steps."""
 
-ROUNDS = 3
-"""Rounds of Gauss and Seidel a step: they go on from the last solution."""
+EXPECTED_SURGE, SURGE_PRIOR = 0.04, 0.5
+"""Expected change of surge by nominal thrust in a step, in nominal speeds; and the variance that
+it begins with: forward thrust pushes forward."""
 
-AT_ODDS, AGREED, SILENT = 9.0, 4.0, 6.0
-"""Mean squares of errors, in levels, above and below which commands are at odds or not; and the
-former for a boat that makes way with shafts at rest."""
+AGREED, SILENT, UNEXPLAINED = 4.0, 3.0, 15.0
+"""Mean squares of errors, in levels: below the first commands agree. Above the second, a boat that
+makes way with shafts at rest does not get the commands. Above the third they are doubtful whatever
+explains them: high waves come in groups."""
 
-EXPLAINED = 0.3
-"""A hypothesis explains the motion if it leaves so much of the errors."""
+DRIFT, EVIDENCE_MAX, SUSPECT, EXPLAINED = 1.0, 10.0, 10.0, 40.0
+"""Evidence for a hypothesis: the sum of what it takes off the squared errors (in levels) of the
+steps, less the first number a step. A step counts up to the second number, as one wave says little.
+Above the third nothing is learned, or the fault would become the model; above the fourth the
+hypothesis explains the motion."""
+
+SIGN_SURE, SIGN_KEPT = 2.5, 1.0
+"""Standard deviations by which an effect must be negative to be named, and to stay so."""
+
+AGAINST_THRUST, AGAINST_SPEED, AGAINST_TIME = 0.1, 0.3, 15.0
+"""Nominal thrust and speed of a boat that goes against its thrust, and how long (s) it must: one
+that brakes stops sooner, and a current is slower."""
 
 IDLE_SHAFTS, IDLE_SPEED = 1e-9, 0.2
 """Shafts are at rest, and a boat makes way, below and above these shares of the nominal ones."""
@@ -92,6 +113,9 @@ CALM, GIVE_IN = 2.0, 60.0
 
 CALM_STEPS = 2.0
 """Excluded commands come back after they explained the motion for so many steps."""
+
+KNOWN_TIME = 2.0
+"""After a sensor of the motion came back, the estimated motion needs so long to be right, s."""
 
 SHAFT_MAX, ANGLE_MAX = 20.0, 7.0
 """Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad (a unit slip
@@ -109,33 +133,18 @@ def _set(health, status, reason):
 
 
 @inlined
-def _solve(fit, axis):
-    """Improve the parameters of an axis by a round of Gauss and Seidel."""
-    A, b, x = fit.information, fit.right, fit.params
-    for i in range(COMMAND_TERMS):
-        # at the nominal speed, nominal thrust and drag are equal
-        weight, expected = RIDGE, 0.0
-        if axis == SURGE and (i == 1 or i == 2):
-            weight, expected = SURGE_WEIGHT, EXPECTED_SURGE if i == 2 else -EXPECTED_SURGE
-        total = b[i] + weight * expected
-        for j in range(COMMAND_TERMS):
-            if j != i:
-                total -= A[i, j] * x[j]
-        x[i] = total / (A[i, i] + weight)
-
-
-@inlined
-def _regressor(axis, k, r, u, drive, signs):
+def _regressor(axis, k, health, signs):
     """Return regressor k of an axis."""
+    r, u = health.motion[0], health.motion[1]
     if axis == YAW:
         if k == 0:
             return r
         if k == 1:
             return r * abs(r)
-        if k == 2:
-            return signs[1] * drive[1]
-        if k == 3:
-            return signs[2] * drive[2]
+        if k == MOMENT:
+            return signs[1] * health.mean_drive[1]
+        if k == DIFFERENCE:
+            return signs[2] * health.mean_drive[2]
         if k == 4:
             return r * u
         return 1.0
@@ -143,68 +152,156 @@ def _regressor(axis, k, r, u, drive, signs):
         return u
     if k == 1:
         return u * abs(u)
-    if k == 2:
-        return signs[0] * drive[0]
+    if k == THRUST:
+        return signs[0] * health.mean_drive[0]
     if k == 3:
         return r * r
     return 0.0  # no constant: thrust alone makes way
 
 
 @inlined
-def _predicted(axis, params, r, u, drive, signs):
-    """Return the change of an axis in a step."""
-    total = 0.0
-    for k in range(COMMAND_TERMS):
-        total += params[k] * _regressor(axis, k, r, u, drive, signs)
-    return total
-
-
-@inlined
-def _learn(fit, axis, change, error, warm, health):
-    """Take a step into the model of an axis."""
-    level = max(fit.level, LEVEL_MIN)
-    size = abs(error) if not warm else min(abs(error), LEVEL_CUT * level)
-    part = 1.0 / min(max(health.steps - FIRST_STEPS, 1.0), LEVEL_STEPS)
-    fit.level = math.sqrt(fit.level**2 + part * (size * size - fit.level**2))
-    weight = 1.0 if not warm or abs(error) < MODEL_CUT * level else MODEL_SHARE
-    fade = 1.0 - 1.0 / MEMORY
-    r, u = health.motion[0], health.motion[1]
+def _error(axis, fit, change, signs, health):
+    """Return the error of a step under a hypothesis."""
+    error = change
     for i in range(COMMAND_TERMS):
-        f = _regressor(axis, i, r, u, health.mean_drive, SIGNS[0])
-        fit.right[i] = fade * fit.right[i] + weight * f * change
-        for j in range(COMMAND_TERMS):
-            g = _regressor(axis, j, r, u, health.mean_drive, SIGNS[0])
-            fit.information[i, j] = fade * fit.information[i, j] + weight * f * g
-    for _ in range(ROUNDS):
-        _solve(fit, axis)
+        error -= fit.params[i] * _regressor(axis, i, health, signs)
+    return error
 
 
 @inlined
-def _conclude(left, right, s, step, T, health, given):
-    """Set the status of the commands by how well they, or others, explain the motion."""
-    check = health.sensors[COMMAND]
-    at_odds = health.mismatch[0]
-    if check.status != EXCLUDED:
-        idle = abs(left) + abs(right) < IDLE_SHAFTS and s[U] > IDLE_SPEED * given.speed
-        if at_odds > (SILENT if idle else AT_ODDS):
-            least = health.mismatch[1]
-            for k in range(2, HYPOTHESES):
-                least = min(least, health.mismatch[k])
-            if least < EXPLAINED * at_odds:
-                _set(health, EXCLUDED, WRONG_SIGN)
-                check.calm = 0.0
-            elif idle:
-                _set(health, EXCLUDED, NO_ANSWER)
-                check.calm = 0.0
-            elif check.status == OK:
-                _set(health, DOUBTFUL, NO_ANSWER)
-        elif check.status == DOUBTFUL and at_odds < AGREED:
-            _set(health, OK, NO_REASON)
+def _variance(axis, fit, health):
+    """Return the variance of the error of a step, in squared levels: more where all is new."""
+    spread, driven = 1.0, 0.0
+    for i in range(COMMAND_TERMS):
+        f = _regressor(axis, i, health, SIGNS[0])
+        if i in (MOMENT, DIFFERENCE):
+            driven += abs(fit.params[i] * f)
+        for j in range(COMMAND_TERMS):
+            g = _regressor(axis, j, health, SIGNS[0])
+            spread += CORRELATED_STEPS * f * fit.cov[i, j] * g
+    return spread + (MODEL_ERROR * driven / max(fit.level, LEVEL_MIN)) ** 2
+
+
+@inlined
+def _begin_fit(fit, axis):
+    """Set the model of an axis to what is expected of any boat."""
+    for i in range(COMMAND_TERMS):
+        for j in range(COMMAND_TERMS):
+            fit.cov[i, j] = 0.0
+        fit.cov[i, i] = PRIOR
+    if axis == SURGE:
+        # at the nominal speed, nominal thrust and drag are equal
+        fit.cov[1, 1] = fit.cov[2, 2] = SURGE_PRIOR
+        fit.params[1], fit.params[2] = -EXPECTED_SURGE, EXPECTED_SURGE
+
+
+@inlined
+def _learn(axis, fit, change, warm, health):
+    """Take a step into the model of an axis: a Kalman filter of slowly changing parameters."""
+    level = max(fit.level, LEVEL_MIN)
+    error, spread = _error(axis, fit, change, SIGNS[0], health), _variance(axis, fit, health)
+    size = abs(error) / math.sqrt(spread)
+    part = 1.0 / min(max(health.steps - FIRST_STEPS, 1.0), LEVEL_STEPS)
+    capped = min(size, LEVEL_CUT * level) if warm else size
+    fit.level = math.sqrt(fit.level**2 + part * (capped * capped - fit.level**2))
+    if warm and size > MODEL_CUT * level:
+        spread += 1.0 / MODEL_SHARE - 1.0
+    for i in range(COMMAND_TERMS):
+        fit.gain[i] = 0.0
+        for j in range(COMMAND_TERMS):
+            fit.gain[i] += fit.cov[i, j] * _regressor(axis, j, health, SIGNS[0])
+    for i in range(COMMAND_TERMS):
+        fit.params[i] += fit.gain[i] * error / spread
+        for j in range(COMMAND_TERMS):
+            fit.cov[i, j] -= fit.gain[i] * fit.gain[j] / spread
+        fit.cov[i, i] = min(fit.cov[i, i] + WALK, PRIOR)
+
+
+@inlined
+def _is_sign_wrong(T, health):
+    """Return whether the boat answers to its commands the wrong way round, and did all the time.
+
+    Steering turns it to the other side, or it goes ahead for long with its thrust astern.
+    """
+    check, yaw = health.sensors[COMMAND], health.fit[YAW]
+    named = check.status == DOUBTFUL and check.reason == WRONG_SIGN
+    certain = SIGN_KEPT if named else SIGN_SURE
+    level = max(yaw.level, LEVEL_MIN)
+    wrong = False
+    for k in (MOMENT, DIFFERENCE):
+        sd = level * math.sqrt(CORRELATED_STEPS * max(yaw.cov[k, k], 0.0))
+        wrong = wrong or yaw.params[k] < -certain * sd
+    thrust, u = health.mean_drive[0], health.motion[1]
+    if check.status == EXCLUDED:
+        health.against_time = 0.0
+    elif thrust * u < 0.0 and abs(thrust) > AGAINST_THRUST and abs(u) > AGAINST_SPEED:
+        health.against_time = min(health.against_time + T, 2.0 * AGAINST_TIME)
     else:
-        check.calm = check.calm + T if at_odds < AGREED else 0.0
-        if check.calm > CALM_STEPS * step or health.clock - check.since > GIVE_IN:
+        health.against_time = max(health.against_time - T, 0.0)
+    return wrong or health.against_time > AGAINST_TIME
+
+
+@inlined
+def _add_evidence(health):
+    """Add the last step to the evidence for each hypothesis, a cumulative sum (Page 1954)."""
+    share = 1.0 / RECENT
+    for k in range(HYPOTHESES):
+        health.mismatch[k] += share * (0.5 * health.step_mismatch[k] - health.mismatch[k])
+        better = min(health.step_mismatch[0] - health.step_mismatch[k], EVIDENCE_MAX)
+        health.evidence[k] = min(max(health.evidence[k] + better - DRIFT, 0.0), 2.0 * EXPLAINED)
+    # entry 0: for the commands as given, against the hypothesis that excluded them
+    other = health.step_mismatch[int(health.hypothesis)]
+    better = min(other - health.step_mismatch[0], EVIDENCE_MAX)
+    health.evidence[0] = min(max(health.evidence[0] + better, 0.0), 2.0 * EXPLAINED)
+
+
+@inlined
+def _best_hypothesis(health):
+    """Return the hypothesis with most evidence."""
+    best = 1
+    for k in range(2, HYPOTHESES):
+        if health.evidence[k] > health.evidence[best]:
+            best = k
+    return best
+
+
+@inlined
+def _find_fault(idle, wrong, health):
+    """Doubt or exclude commands that are in use."""
+    check, at_odds = health.sensors[COMMAND], health.mismatch[0]
+    best = _best_hypothesis(health)
+    if health.evidence[best] > EXPLAINED:
+        _set(health, EXCLUDED, WRONG_SIGN)
+        health.hypothesis = best
+        health.evidence[0] = 0.0
+    elif idle and at_odds > SILENT:
+        _set(health, EXCLUDED, NO_ANSWER)
+        check.calm = 0.0
+    elif check.status == OK and at_odds > UNEXPLAINED:
+        _set(health, DOUBTFUL, NO_ANSWER)
+    elif check.status == OK and wrong:
+        # learned with its sign, so the commands are used; but nobody meant it
+        _set(health, DOUBTFUL, WRONG_SIGN)
+    elif check.status == DOUBTFUL:
+        over = at_odds < AGREED if check.reason == NO_ANSWER else not wrong
+        if over:
             _set(health, OK, NO_REASON)
-            health.mismatch[0] = 0.0
+
+
+@inlined
+def _readmit(idle, T, health):
+    """Use excluded commands again once they explain the motion, or a hypothesis does not."""
+    check = health.sensors[COMMAND]
+    agreed = health.mismatch[0] < AGREED and not idle
+    check.calm = check.calm + T if agreed else 0.0
+    if check.reason == WRONG_SIGN:
+        right = health.evidence[0] > EXPLAINED
+    else:
+        right = check.calm > CALM_STEPS * T
+    if right or health.clock - check.since > GIVE_IN:
+        _set(health, OK, NO_REASON)
+        for k in range(HYPOTHESES):
+            health.mismatch[k] = health.evidence[k] = 0.0
 
 
 @inlined
@@ -218,32 +315,40 @@ def _end_step(left, right, cmd, s, step, health, given):
     r_new, u_new = s[R] / (1.0 / given.time_scale), s[U] / given.speed
     warm = health.steps > WARM_UP
     lasting = check.status == DOUBTFUL and health.clock - check.since > CHANGED
-    learn = check.status != EXCLUDED and (health.mismatch[0] < AGREED or not warm or lasting)
+    agreed = health.mismatch[0] < AGREED and health.evidence[_best_hypothesis(health)] < SUSPECT
+    learn = check.status != EXCLUDED and (agreed or not warm or lasting)
     for k in range(HYPOTHESES):
         health.step_mismatch[k] = 0.0
     for axis in range(2):
         fit = health.fit[axis]
+        if health.steps == 0.0:
+            _begin_fit(fit, axis)
         change = ((r_new - r) if axis == YAW else (u_new - u)) * step / T
-        error = change - _predicted(axis, fit.params, r, u, health.mean_drive, SIGNS[0])
         level = max(fit.level, LEVEL_MIN)
+        variance = _variance(axis, fit, health) * level * level
         for k in range(HYPOTHESES):
-            other = change - _predicted(axis, fit.params, r, u, health.mean_drive, SIGNS[k])
-            health.step_mismatch[k] += min((other / level) ** 2, ERROR_MAX)
+            error = _error(axis, fit, change, SIGNS[k], health)
+            health.step_mismatch[k] += min(error * error / variance, ERROR_MAX)
         if learn:
-            _learn(fit, axis, change, error, warm, health)
+            _learn(axis, fit, change, warm, health)
     health.steps += 1.0
-    if check.status == OK and health.mismatch[0] < AGREED:
+    if check.status == OK and agreed:
         for k in range(4):
             health.trusted[k] = health.before[k]
             health.before[k] = cmd[k]
-    for k in range(HYPOTHESES):
-        health.mismatch[k] += 1.0 / RECENT * (0.5 * health.step_mismatch[k] - health.mismatch[k])
+    _add_evidence(health)
+    wrong = _is_sign_wrong(T, health)
     for k in range(DRIVE):
         health.drive_sum[k] = 0.0
     health.step_time = 0.0
     health.motion[0], health.motion[1] = r_new, u_new
-    if warm and check.reason != IMPOSSIBLE:
-        _conclude(left, right, s, step, T, health, given)
+    if not warm or check.reason == IMPOSSIBLE:
+        return
+    idle = abs(left) + abs(right) < IDLE_SHAFTS and s[U] > IDLE_SPEED * given.speed
+    if check.status != EXCLUDED:
+        _find_fault(idle, wrong, health)
+    else:
+        _readmit(idle, T, health)
 
 
 @inlined
@@ -271,12 +376,33 @@ def _are_possible(dt, left, right, cmd, health):
     return possible
 
 
+@inlined
+def _is_motion_known(dt, health):
+    """Return whether all that says how the boat moves agrees, and has been in use for a while."""
+    known = (
+        abs(health.heading_sum) <= CLEAR * health.heading_level
+        and abs(health.velocity_sum[0]) <= CLEAR * health.velocity_level
+        and abs(health.velocity_sum[1]) <= CLEAR * health.velocity_level
+    )
+    if not known:
+        return False
+    for sensor in range(ACCELEROMETERS):
+        check = health.sensors[sensor]
+        never = check.status == ABSENT and check.interval == 0.0
+        known = known and (check.status == OK or never)
+    health.known_time = health.known_time + dt if known else 0.0
+    return health.known_time > KNOWN_TIME
+
+
 @kernel
 def check_commands(dt, cmd, s, ready, health, given):
     """Hold commands against yaw rate and surge; note their status."""
     n0 = max(given.shaft_speed, 1e-6)
     left, right = cmd[0] / n0, cmd[1] / n0
     if not _are_possible(dt, left, right, cmd, health) or not ready:
+        return
+    if not _is_motion_known(dt, health):
+        health.step_time = -1.0
         return
     a, b = left * abs(left), right * abs(right)
     share = 1.0 - math.exp(-dt / max(given.lag, LAG_MIN))

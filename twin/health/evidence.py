@@ -26,6 +26,7 @@ __all__ = [
     "is_fault",
     "is_frozen",
     "learning_share",
+    "limited",
     "over_ground",
     "set_status",
     "typical_size",
@@ -47,6 +48,9 @@ CALM = 2.0
 GIVE_IN = 60.0
 """A disagreement that has lasted so long is taken for true, s: the dead reckoning that a sensor
 is held against has then drifted itself."""
+
+SUM_MAX = 15.0
+"""Most levels that a sum holds on to: above what is a fault at once."""
 
 LEVEL_TIME, LEVEL_START = 120.0, 10.0
 """Time constant of the levels, s. It grows from the second on, so that they are learned soon."""
@@ -75,6 +79,7 @@ def set_status(health, sensor, status, reason):
         check.reason = reason
         check.evidence = 0.0
         check.calm = 0.0
+        check.followed = 0.0
 
 
 @inlined
@@ -113,6 +118,12 @@ def typical_size(level, size, floor, dt, clock, learn):
             level * level + min(share, LEVEL_SHARE) * (capped * capped - level * level)
         )
     return min(max(level, floor), LEVEL_RANGE * floor)
+
+
+@inlined
+def limited(size, level):
+    """Return the factor that keeps a sum within bounds, so that it fades soon after a fault."""
+    return min(1.0, SUM_MAX * level / max(size, 1e-300))
 
 
 @inlined

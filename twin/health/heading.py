@@ -14,6 +14,7 @@ from twin.health.evidence import (
     is_fault,
     is_frozen,
     learning_share,
+    limited,
     set_status,
     typical_size,
 )
@@ -58,6 +59,13 @@ what the boat can turn meanwhile."""
 GAP_SHARE, STEP_MAX = 0.2, 5.0
 """Steps in which the gyro is missing for a larger share, or that are longer (s), are not used."""
 
+AHEAD, DRIFT_TIME, CALM_COURSE = 0.35, 4.0, 8.0
+"""A compass also comes back if the mean angle between heading and course is smaller than this
+(rad; leeway and current make less), over such a time (s), and it followed the gyro so long (s)."""
+
+RATE_TIME = 0.3
+"""Time constant of the compass's yaw rate, s."""
+
 GATE = 0.02
 """Least distance from dead reckoning within which a compass comes back, rad."""
 
@@ -91,6 +99,7 @@ def _integrate_gyro(dt, z, s, health):
     health.gyro_time += dt
     health.course_time += dt
     if math.isfinite(z[GYRO]):
+        health.gyro_rate = z[GYRO] - health.gyro_bias
         health.gyro_turn += (z[GYRO] - health.gyro_bias) * dt
         health.course_gyro += (z[GYRO] - health.gyro_bias) * dt
     else:
@@ -166,7 +175,11 @@ def _readmit_compass(heading, size, T, frozen, health, given):
     near = abs(wrap(heading - health.reckoned_heading)) < gate and not frozen
     compass.calm = compass.calm + T if near else 0.0
     follows = size < CLEAR * level and not frozen
-    if compass.calm > CALM or (lasted > GIVE_IN and follows):
+    compass.followed = compass.followed + T if follows else 0.0
+    # the gyro says that it turns rightly, and the course that it points ahead
+    ahead = health.drift_time > DRIFT_TIME and abs(health.drift_angle) < AHEAD
+    agreed = ahead and compass.followed > CALM_COURSE
+    if compass.calm > CALM or agreed or (lasted > GIVE_IN and follows):
         set_status(health, COMPASS_SENSOR, OK, NO_REASON)
         health.heading_sum = 0.0
 
@@ -185,6 +198,7 @@ def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
     trusted = compass.status == OK and gyro.status == OK
     level = typical_size(health.heading_level, size, floor, T, health.clock, trusted)
     health.heading_level = level
+    health.heading_sum *= limited(size, level)
     if trusted:
         _learn_gyro_bias(step, level, T, health, given)
     if compass.status != EXCLUDED and gyro.status != EXCLUDED:
@@ -204,6 +218,9 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
     if not (math.isfinite(z[COMPASS]) and (new_compass or frozen)):
         return
     T = health.gyro_time
+    if new_compass and math.isfinite(health.last[COMPASS]):
+        rate = wrap(z[COMPASS] - health.last[COMPASS]) / max(T, 1e-3)
+        health.compass_rate += (1.0 - math.exp(-T / RATE_TIME)) * (rate - health.compass_rate)
     step = wrap(z[COMPASS] - health.last[COMPASS] - health.gyro_turn)
     jumped = abs(step) > JUMP_FREE + JUMP_TURN * given.max_turn * T
     if ready and compass.status != EXCLUDED and jumped:
@@ -242,29 +259,45 @@ def _learn_lag(T, r, drift_angle, health):
         sums.r_beta += T * r * drift_angle
 
 
+@inlined
+def _compare_turns(course, heading, T, lag, health):
+    """Add what the course turned more than gyro and compass, each with the lag of its own rate."""
+    fade = math.exp(-T / COURSE_TIME)
+    health.course_minus_gyro *= fade
+    health.course_minus_compass *= fade
+    if not (math.isfinite(health.course) and T < COURSE_GAP):
+        return
+    change = wrap(course - health.course)
+    lagged = lag * (health.gyro_rate - health.course_gyro_rate)
+    health.course_minus_gyro += wrap(change - health.course_gyro + lagged)
+    if math.isfinite(heading) and math.isfinite(health.course_compass):
+        turned = wrap(heading - health.course_compass)
+        lagged = lag * (health.compass_rate - health.course_compass_rate)
+        health.course_minus_compass += wrap(change - turned + lagged)
+
+
 @kernel
-def check_course(z, s, new_gps, health, given):
+def check_course(z, new_gps, health, given):
     """Hold the course over ground against gyro and compass, to tell whose heading is wrong."""
     if not new_gps or not (math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])):
         return
     if math.hypot(z[GPS_VX], z[GPS_VY]) < SLOW * given.speed:
         health.course = math.nan
+        health.drift_time = 0.0
         return
-    heading = z[COMPASS]
+    heading, T = z[COMPASS], health.course_time
     lag = min(max(velocity_lag(health)[0], 0.0), LAG_MAX * given.time_scale)
-    course = math.atan2(z[GPS_VY], z[GPS_VX]) + lag * s[R]
-    T = health.course_time
-    fade = math.exp(-T / COURSE_TIME)
-    health.course_minus_gyro *= fade
-    health.course_minus_compass *= fade
-    if math.isfinite(health.course) and T < COURSE_GAP:
-        change = wrap(course - health.course)
-        health.course_minus_gyro += wrap(change - health.course_gyro)
-        if math.isfinite(heading) and math.isfinite(health.course_compass):
-            turned = wrap(heading - health.course_compass)
-            health.course_minus_compass += wrap(change - turned)
+    course = math.atan2(z[GPS_VY], z[GPS_VX])
+    _compare_turns(course, heading, T, lag, health)
     health.course, health.course_time, health.course_gyro = course, 0.0, 0.0
     health.course_compass = heading
+    health.course_gyro_rate, health.course_compass_rate = health.gyro_rate, health.compass_rate
+    if not math.isfinite(heading):
+        return
+    drift = wrap(course + lag * health.compass_rate - heading)
+    share = min(T / DRIFT_TIME, 1.0)
+    health.drift_angle = wrap(health.drift_angle + share * wrap(drift - health.drift_angle))
+    health.drift_time += T
     compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
-    if math.isfinite(heading) and compass.status == OK and gyro.status == OK:
-        _learn_lag(T, s[R], wrap(course - lag * s[R] - heading), health)
+    if compass.status == OK and gyro.status == OK:
+        _learn_lag(T, health.gyro_rate, wrap(course - heading), health)

@@ -14,6 +14,7 @@ from twin.health.checks import check_sensors
 from twin.health.state import (
     HEALTH,
     HEALTH_SETTINGS,
+    HYPOTHESES,
     REASONS,
     SENSORS,
     STATUSES,
@@ -169,9 +170,10 @@ FIELDS = {
     # indices of names
     "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
     "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
+    "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
     # what is divided by
     **dict.fromkeys(("sensors.interval", "heading_level", "position_level"), _POSITIVE),
     **dict.fromkeys(("velocity_level", "fit.level", "clock"), _POSITIVE),
-    "fit.information": Field(covariance=True),
+    "fit.cov": Field(covariance=True),
 }
 """What the fields of a saved state may hold."""

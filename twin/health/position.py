@@ -54,8 +54,10 @@ GATE, GATE_LOST = 0.05, 0.2
 """Growth of the distance from dead reckoning within which a GPS comes back, in nominal speeds:
 with a trusted heading, and without."""
 
-CALM = 1.0
-"""An excluded GPS comes back after it was near dead reckoning for so long, s."""
+CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
+"""An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
+comes back after its fixes followed its velocity again for so long, wherever it is;
+one that was left out for very long after the third time."""
 
 
 @inlined
@@ -93,8 +95,14 @@ def _readmit(z, T, size, frozen, health, given):
     gate = CLEAR * level + (GATE_LOST if heading_lost else GATE) * given.speed * lasted
     error = math.hypot(z[GPS_X] - health.reckoned[0], z[GPS_Y] - health.reckoned[1])
     follows = size < CLEAR * level and not frozen
+    if not follows:
+        # the next fix begins a new track
+        _begin_sum(health)
+    gps.followed = gps.followed + T if follows else 0.0
     gps.calm = gps.calm + T if error < gate and follows else 0.0
-    if gps.calm > CALM or (lasted > GIVE_IN and follows):
+    alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
+    lasting = lasted > GIVE_IN and gps.followed > CALM_LONG
+    if gps.calm > CALM or alive or lasting:
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)
 

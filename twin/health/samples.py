@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 
+from twin.channels import U
 from twin.health.evidence import CALM, exclude, set_status
 from twin.health.state import (
     ABSENT,
     ACCELEROMETERS,
     COMPASS_SENSOR,
     EXCLUDED,
+    FROZEN,
     GPS,
     GYRO_SENSOR,
     IMPOSSIBLE,
@@ -20,7 +22,16 @@ from twin.health.state import (
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_X, GYRO
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["leave_out", "note_absence", "take_samples"]
+__all__ = [
+    "COMPASS_MAX",
+    "GYRO_MAX",
+    "POSITION_MAX",
+    "SPEED_MAX",
+    "find_frozen",
+    "leave_out",
+    "note_absence",
+    "take_samples",
+]
 
 POSITION_MAX = 1e7
 """No local frame is wider, m."""
@@ -44,6 +55,14 @@ LONGEST_TIME = 60.0
 INTERVAL_SHARE, INTERVAL_MAX = 0.05, 10.0
 """Share of a new interval in the typical one, and how many of those it counts at most: a gap is
 no interval."""
+
+REPEATED_TIME, REPEATED_INTERVALS, REPEATED_LONGEST = 2.0, 10.0, 5.0
+"""An IMU that repeats itself for longer than this (s), than so many of its intervals and so many
+times its longest repetition is frozen, without any other sensor that says so."""
+
+STILL, KNOWN_TIME = 0.2, 20.0
+"""Share of the nominal speed below which a boat may be at rest; and for how long (s) a sensor must
+be known."""
 
 ABSENT_TIME, ABSENT_INTERVALS = 3.0, 10.0
 """A sensor is absent after so long without a sample (s), and after so many intervals."""
@@ -106,6 +125,19 @@ def take_samples(dt, z, health, given, out):
     _take_channels(dt, z, GYRO, ACCEL_X, GYRO_SENSOR, GYRO_MAX, health, out)
     _take_channels(dt, z, ACCEL_X, ACCEL_Y + 1, ACCELEROMETERS, ACCEL_MAX, health, out)
     return new_gps, new_compass
+
+
+@inlined
+def find_frozen(ready, health, given):
+    """Leave out IMU sensors that repeat themselves in a way they never did in a moving boat."""
+    moves = ready and abs(health.state[U]) > STILL * given.speed and health.clock > KNOWN_TIME
+    for sensor in (GYRO_SENSOR, ACCELEROMETERS):
+        check = health.sensors[sensor]
+        never = max(
+            REPEATED_TIME, REPEATED_INTERVALS * check.interval, REPEATED_LONGEST * check.longest
+        )
+        if moves and check.status != EXCLUDED and check.repeated > never:
+            set_status(health, sensor, EXCLUDED, FROZEN)
 
 
 @inlined

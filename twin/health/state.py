@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS
+from twin.channels import COMMANDS, STATE
 from twin.particulars import GRAVITY, Particulars
 
 __all__ = [
@@ -77,6 +77,7 @@ CHECK = np.dtype(
         ("longest", "f8"),  # longest repetition while it was right, s
         ("evidence", "f8"),  # how long it has been at odds, s
         ("calm", "f8"),  # how long it has been consistent while excluded, s
+        ("followed", "f8"),  # how long it has been consistent in itself while excluded, s
         ("impossible", "f8"),  # recent share of impossible numbers
     ]
 )
@@ -91,7 +92,7 @@ DRIVE = 3
 HYPOTHESES = 5
 """What may be wrong with the commands, the first of them nothing."""
 
-N_COMMANDS = len(COMMANDS)
+N_COMMANDS, N_STATES = len(COMMANDS), len(STATE)
 
 LAG_SUMS = np.dtype(
     [("weight", "f8"), ("r", "f8"), ("beta", "f8"), ("r_r", "f8"), ("r_beta", "f8")]
@@ -100,9 +101,9 @@ LAG_SUMS = np.dtype(
 
 AXIS = np.dtype(
     [
-        ("information", "f8", (COMMAND_TERMS, COMMAND_TERMS)),
-        ("right", "f8", COMMAND_TERMS),
         ("params", "f8", COMMAND_TERMS),
+        ("cov", "f8", (COMMAND_TERMS, COMMAND_TERMS)),  # their covariance, in squared levels
+        ("gain", "f8", COMMAND_TERMS),  # covariance times regressors: scratch
         ("level", "f8"),  # typical error of a step, in nominal units
     ]
 )
@@ -111,6 +112,7 @@ AXIS = np.dtype(
 HEALTH = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
+        ("state", "f8", N_STATES),  # last state of the predictor that a boat can have
         ("sensors", CHECK, len(SENSORS)),
         ("last", "f8", 8),  # last sample of each channel; NaN before the first
         # heading: compass against gyro and course
@@ -125,6 +127,12 @@ HEALTH = np.dtype(
         ("course_time", "f8"),  # time since then, s
         ("course_gyro", "f8"),  # integral of the gyro since then, rad
         ("course_compass", "f8"),  # heading then, rad
+        ("course_gyro_rate", "f8"),  # yaw rate of the gyro then, rad/s
+        ("course_compass_rate", "f8"),  # and of the compass, rad/s
+        ("gyro_rate", "f8"),  # last yaw rate of the gyro, rad/s
+        ("compass_rate", "f8"),  # yaw rate of the compass, rad/s
+        ("drift_angle", "f8"),  # leaky mean of course minus heading, rad
+        ("drift_time", "f8"),  # how long there has been one, s
         ("course_minus_gyro", "f8"),  # leaky sum of their changes, rad
         ("course_minus_compass", "f8"),  # rad
         ("lag_sums", LAG_SUMS),
@@ -148,15 +156,19 @@ HEALTH = np.dtype(
         ("drive", "f8", DRIVE),  # thrust, steering moment, difference of thrust, after the lags
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
         ("mean_drive", "f8", DRIVE),  # their mean over the last step
-        ("step_time", "f8"),  # time since the step began, s
+        ("known_time", "f8"),  # how long the sensors of the motion have been in use, s
+        ("step_time", "f8"),  # time since the step began, s; negative before the first
         ("motion", "f8", 2),  # yaw rate and surge at its beginning, in nominal units
         ("steps", "f8"),  # steps learned from
         ("fit", AXIS, 2),  # of yaw rate and surge
+        ("against_time", "f8"),  # how long the boat has gone against its thrust, s
         ("before", "f8", N_COMMANDS),  # command when the step began
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("step_mismatch", "f8", HYPOTHESES),  # squared errors of the last step, in levels ...
         ("mismatch", "f8", HYPOTHESES),  # ... and their leaky mean; by commands.SIGNS
+        ("evidence", "f8", HYPOTHESES),  # for each of them, in squared levels
+        ("hypothesis", "f8"),  # that which excluded the commands last
     ]
 )
 """What the checks remember of a boat."""

@@ -10,12 +10,25 @@ from twin.health.evidence import (
     CLEAR,
     exclude,
     is_fault,
+    is_frozen,
     learning_share,
+    limited,
     set_status,
     typical_size,
 )
 from twin.health.heading import velocity_lag
-from twin.health.state import ACCELEROMETERS, AT_ODDS, EXCLUDED, GPS, LATE, NO_REASON, OK
+from twin.health.state import (
+    ACCELEROMETERS,
+    AT_ODDS,
+    COMPASS_SENSOR,
+    DOUBTFUL,
+    EXCLUDED,
+    GPS,
+    GYRO_SENSOR,
+    LATE,
+    NO_REASON,
+    OK,
+)
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY
 from usv_kernel.jit import inlined, kernel
 
@@ -105,12 +118,25 @@ def _hold_against_accelerometers(dt, z, s, health, given):
     health.velocity_level = level
     if trusted:
         _learn_accel_bias(step_x, step_y, T, s, health, given)
+    factor = limited(size, level)
+    health.velocity_sum[0] *= factor
+    health.velocity_sum[1] *= factor
     if gps.status != EXCLUDED and accel.status != EXCLUDED:
         _find_fault(size, T, health, given)
     elif accel.status == EXCLUDED:
-        accel.calm = accel.calm + T if size < CLEAR * level else 0.0
+        consistent = size < CLEAR * level and not is_frozen(accel)
+        accel.calm = accel.calm + T if consistent else 0.0
         if accel.calm > CALM + SUM_TIME:
             set_status(health, ACCELEROMETERS, OK, NO_REASON)
+
+
+@inlined
+def _is_reference_lost(health):
+    """Return whether heading or velocity are in doubt: the accelerometers cannot be checked."""
+    lost = health.sensors[GPS].status == EXCLUDED
+    for sensor in (COMPASS_SENSOR, GYRO_SENSOR):
+        lost = lost or health.sensors[sensor].status >= DOUBTFUL
+    return lost
 
 
 @kernel
@@ -121,7 +147,9 @@ def check_velocity(dt, z, s, ready, new_gps, health, given):
         return
     T = health.velocity_time
     known = math.isfinite(health.velocity[0]) and T < STEP_MAX
-    if ready and known and health.accel_gap < GAP_SHARE * T:
+    if _is_reference_lost(health):
+        health.velocity_sum[0] = health.velocity_sum[1] = 0.0
+    elif ready and known and health.accel_gap < GAP_SHARE * T:
         _hold_against_accelerometers(dt, z, s, health, given)
     health.velocity[0], health.velocity[1] = z[GPS_VX], z[GPS_VY]
     health.accel_gain[0] = health.accel_gain[1] = 0.0

@@ -18,7 +18,7 @@ from usv_gym import SeaState, Vessel
 START = 60.0
 """When faults begin, s: the levels are then learned."""
 
-END = 130.0
+END = 160.0
 
 MANOEUVRES = ("zigzag", "random", "turn-zigzag")
 
@@ -57,7 +57,7 @@ class Watch(NamedTuple):
 def base(manoeuvre: str, vessel: str = "usv75") -> tuple[Log, Twin, int]:
     """Return a run without fault, a twin that has seen its first minute, and its next row."""
     boat = Vessel.load(vessel)
-    sea = SeaState(hs=0.5 if vessel == "usv75" else 0.15, wind=4.5)
+    sea = SeaState(hs=0.5 if vessel == "usv75" else 0.05, wind=4.5)
     log = simulate(manoeuvre, vessel=boat, sea=sea, duration=END, seed=7)
     twin = Twin(particulars_of(boat), "ukf")
     first = int(np.searchsorted(log.t, START - 1.0))
