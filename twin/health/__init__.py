@@ -1,5 +1,6 @@
 """Which sensors can be trusted: each is held against the others, row by row.
 
-On board: imports nothing of the simulator. ``state`` has the memory and the settings, ``checks`` the
-kernels, ``monitor`` what users see.
+``monitor`` has what users see, ``checks`` the order of the checks, ``state`` memory and settings;
+each other module holds one pair of sensors against each other.
+On board: imports nothing of the simulator.
 """

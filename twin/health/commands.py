@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from twin.channels import R, U
+from twin.health.evidence import CLEAR
 from twin.health.state import (
     ABSENT,
+    ACCELEROMETERS,
     COMMAND,
     COMMAND_TERMS,
     DOUBTFUL,
     DRIVE,
     EXCLUDED,
+    HYPOTHESES,
     IMPOSSIBLE,
     NO_ANSWER,
     NO_REASON,
@@ -24,60 +29,122 @@ from twin.health.state import (
 )
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["check_commands"]
+__all__ = ["CHANGED", "check_commands"]
+
+YAW, SURGE = range(2)
+
+THRUST, MOMENT, DIFFERENCE = 2, 2, 3
+"""Places of the commands' effects among the parameters: thrust of surge, the others of yaw."""
+
+SIGNS = np.array(
+    [
+        [1.0, 1.0, 1.0],  # as given
+        [-1.0, -1.0, -1.0],  # all reversed
+        [1.0, -1.0, 1.0],  # steering reversed
+        [-1.0, 1.0, -1.0],  # thrust reversed
+        [1.0, 1.0, -1.0],  # sides swapped
+    ]
+)
+"""What may be wrong with commands: factors of thrust, steering moment and difference of thrust."""
+
+STEP = 0.35
+"""A step, in lengths over nominal speed: shorter ones are noise, in longer ones drag answers."""
 
 WARM_UP = 40.0
-"""Steps before anything is judged."""
-
-MEMORY = 150.0
-"""Steps over which the model is learned."""
+"""Steps before anything is concluded."""
 
 RECENT = 4.0
 """Steps over which errors are averaged."""
 
-SETTLE = 15.0
-"""Steps until errors count."""
+FIRST_STEPS, LEVEL_STEPS = 15.0, 40.0
+"""Steps until errors count for the level, as the model knows nothing yet; and over how many steps
+the level is averaged."""
 
-SURGE = 0.04
-"""Expected change of surge by the nominal thrust in a step, in nominal speeds."""
+CORRELATED_STEPS = 8.0
+"""So many neighbouring steps have the same error, as a wave lasts longer than a step. The
+covariance of the parameters, which takes errors for white, is too small by this."""
 
-AT_ODDS, AGREED, SILENT = 9.0, 4.0, 6.0
-"""Mean squares of errors, in levels, above and below which commands are at odds or not."""
+MODEL_ERROR = 0.25
+"""Share of the commands' effect that a linear model without rate limits does not explain."""
 
-DECIDED = 6.0
+LEVEL_MIN = 0.004
+"""Least typical error of a step, in nominal units: rounding of a filter's rates."""
+
+ERROR_MAX = 25.0
+"""Most that one step counts, in squared levels: a single wave says little."""
+
+LEVEL_CUT, MODEL_CUT, MODEL_SHARE = 3.0, 5.0, 0.2
+"""Errors above so many levels do not raise the level; above so many a step counts less."""
+
+PRIOR, WALK = 1e3, 5e-5
+"""Variance of a parameter before any step, and what a step adds to it, in squared levels. With
+regressors of about 1 the latter makes a memory of 150 steps."""
+
+EXPECTED_SURGE, SURGE_PRIOR = 0.04, 0.5
+"""Expected change of surge by nominal thrust in a step, in nominal speeds; and the variance that
+it begins with: forward thrust pushes forward."""
+
+AGREED, SILENT, UNEXPLAINED = 4.0, 3.0, 15.0
+"""Mean squares of errors, in levels: below the first commands agree. Above the second, a boat that
+makes way with shafts at rest does not get the commands. Above the third they are doubtful whatever
+explains them: high waves come in groups."""
+
+DRIFT, EVIDENCE_MAX, SUSPECT, EXPLAINED = 1.0, 10.0, 10.0, 40.0
+"""Evidence for a hypothesis: the sum of what it takes off the squared errors (in levels) of the
+steps, less the first number a step. A step counts up to the second number, as one wave says little.
+Above the third nothing is learned, or the fault would become the model; above the fourth the
+hypothesis explains the motion."""
+
+SIGN_SURE, SIGN_KEPT = 2.5, 1.0
+"""Standard deviations by which an effect must be negative to be named, and to stay so."""
+
+AGAINST_THRUST, AGAINST_SPEED, AGAINST_TIME = 0.1, 0.3, 15.0
+"""Nominal thrust and speed of a boat that goes against its thrust, and how long (s) it must: one
+that brakes stops sooner, and a current is slower."""
+
+IDLE_SHAFTS, IDLE_SPEED = 1e-9, 0.2
+"""Shafts are at rest, and a boat makes way, below and above these shares of the nominal ones."""
+
+CHANGED = 6.0
 """What is still doubtful after so long is a boat that has changed, s."""
 
-GIVE_IN = 60.0
+CALM, GIVE_IN = 2.0, 60.0
+"""Excluded commands come back after so long (s): impossible ones of good numbers, others of any."""
+
+CALM_STEPS = 2.0
+"""Excluded commands come back after they explained the motion for so many steps."""
+
+KNOWN_TIME = 2.0
+"""After a sensor of the motion came back, the estimated motion needs so long to be right, s."""
+
+SHAFT_MAX, ANGLE_MAX = 20.0, 7.0
+"""Commands beyond are impossible: shaft speed in nominal ones, drive angle in rad (a unit slip
+to degrees is found by ``usv-twin log check``)."""
+
+LAG_MIN = 0.05
+"""Least lag of the actuators, s."""
 
 
 @inlined
-def _solve(axis, surge):
-    """Improve the parameters of an axis by a round of Gauss and Seidel."""
-    A, b, x = axis.information, axis.right, axis.params
-    for i in range(COMMAND_TERMS):
-        # at the nominal speed, nominal thrust and drag are equal
-        weight, expected = 1e-3, 0.0
-        if surge and (i == 1 or i == 2):
-            weight, expected = 2.0, SURGE if i == 2 else -SURGE
-        total = b[i] + weight * expected
-        for j in range(COMMAND_TERMS):
-            if j != i:
-                total -= A[i, j] * x[j]
-        x[i] = total / (A[i, i] + weight)
+def _set(health, status, reason):
+    """Set status and reason of the commands."""
+    check = health.sensors[COMMAND]
+    check.status, check.reason, check.since = status, reason, health.clock
 
 
 @inlined
-def _features(axis, r, u, thrust, moment, difference, k):
+def _regressor(axis, k, health, signs):
     """Return regressor k of an axis."""
-    if axis == 0:
+    r, u = health.motion[0], health.motion[1]
+    if axis == YAW:
         if k == 0:
             return r
         if k == 1:
             return r * abs(r)
-        if k == 2:
-            return moment
-        if k == 3:
-            return difference
+        if k == MOMENT:
+            return signs[1] * health.mean_drive[1]
+        if k == DIFFERENCE:
+            return signs[2] * health.mean_drive[2]
         if k == 4:
             return r * u
         return 1.0
@@ -85,46 +152,260 @@ def _features(axis, r, u, thrust, moment, difference, k):
         return u
     if k == 1:
         return u * abs(u)
-    if k == 2:
-        return thrust
+    if k == THRUST:
+        return signs[0] * health.mean_drive[0]
     if k == 3:
         return r * r
     return 0.0  # no constant: thrust alone makes way
 
 
 @inlined
-def _predicted(axis, params, r, u, thrust, moment, difference):
-    total = 0.0
-    for k in range(COMMAND_TERMS):
-        total += params[k] * _features(axis, r, u, thrust, moment, difference, k)
-    return total
+def _error(axis, fit, change, signs, health):
+    """Return the error of a step under a hypothesis."""
+    error = change
+    for i in range(COMMAND_TERMS):
+        error -= fit.params[i] * _regressor(axis, i, health, signs)
+    return error
+
+
+@inlined
+def _variance(axis, fit, health):
+    """Return the variance of the error of a step, in squared levels: more where all is new."""
+    spread, driven = 1.0, 0.0
+    for i in range(COMMAND_TERMS):
+        f = _regressor(axis, i, health, SIGNS[0])
+        if i in (MOMENT, DIFFERENCE):
+            driven += abs(fit.params[i] * f)
+        for j in range(COMMAND_TERMS):
+            g = _regressor(axis, j, health, SIGNS[0])
+            spread += CORRELATED_STEPS * f * fit.cov[i, j] * g
+    return spread + (MODEL_ERROR * driven / max(fit.level, LEVEL_MIN)) ** 2
+
+
+@inlined
+def _begin_fit(fit, axis):
+    """Set the model of an axis to what is expected of any boat."""
+    for i in range(COMMAND_TERMS):
+        for j in range(COMMAND_TERMS):
+            fit.cov[i, j] = 0.0
+        fit.cov[i, i] = PRIOR
+    if axis == SURGE:
+        # at the nominal speed, nominal thrust and drag are equal
+        fit.cov[1, 1] = fit.cov[2, 2] = SURGE_PRIOR
+        fit.params[1], fit.params[2] = -EXPECTED_SURGE, EXPECTED_SURGE
+
+
+@inlined
+def _learn(axis, fit, change, warm, health):
+    """Take a step into the model of an axis: a Kalman filter of slowly changing parameters."""
+    level = max(fit.level, LEVEL_MIN)
+    error, spread = _error(axis, fit, change, SIGNS[0], health), _variance(axis, fit, health)
+    size = abs(error) / math.sqrt(spread)
+    part = 1.0 / min(max(health.steps - FIRST_STEPS, 1.0), LEVEL_STEPS)
+    capped = min(size, LEVEL_CUT * level) if warm else size
+    fit.level = math.sqrt(fit.level**2 + part * (capped * capped - fit.level**2))
+    if warm and size > MODEL_CUT * level:
+        spread += 1.0 / MODEL_SHARE - 1.0
+    for i in range(COMMAND_TERMS):
+        fit.gain[i] = 0.0
+        for j in range(COMMAND_TERMS):
+            fit.gain[i] += fit.cov[i, j] * _regressor(axis, j, health, SIGNS[0])
+    for i in range(COMMAND_TERMS):
+        fit.params[i] += fit.gain[i] * error / spread
+        for j in range(COMMAND_TERMS):
+            fit.cov[i, j] -= fit.gain[i] * fit.gain[j] / spread
+        fit.cov[i, i] = min(fit.cov[i, i] + WALK, PRIOR)
+
+
+@inlined
+def _is_sign_wrong(T, health):
+    """Return whether the boat answers to its commands the wrong way round, and did all the time.
+
+    Steering turns it to the other side, or it goes ahead for long with its thrust astern.
+    """
+    check, yaw = health.sensors[COMMAND], health.fit[YAW]
+    named = check.status == DOUBTFUL and check.reason == WRONG_SIGN
+    certain = SIGN_KEPT if named else SIGN_SURE
+    level = max(yaw.level, LEVEL_MIN)
+    wrong = False
+    for k in (MOMENT, DIFFERENCE):
+        sd = level * math.sqrt(CORRELATED_STEPS * max(yaw.cov[k, k], 0.0))
+        wrong = wrong or yaw.params[k] < -certain * sd
+    thrust, u = health.mean_drive[0], health.motion[1]
+    if check.status == EXCLUDED:
+        health.against_time = 0.0
+    elif thrust * u < 0.0 and abs(thrust) > AGAINST_THRUST and abs(u) > AGAINST_SPEED:
+        health.against_time = min(health.against_time + T, 2.0 * AGAINST_TIME)
+    else:
+        health.against_time = max(health.against_time - T, 0.0)
+    return wrong or health.against_time > AGAINST_TIME
+
+
+@inlined
+def _add_evidence(health):
+    """Add the last step to the evidence for each hypothesis, a cumulative sum (Page 1954)."""
+    share = 1.0 / RECENT
+    for k in range(HYPOTHESES):
+        health.mismatch[k] += share * (0.5 * health.step_mismatch[k] - health.mismatch[k])
+        better = min(health.step_mismatch[0] - health.step_mismatch[k], EVIDENCE_MAX)
+        health.evidence[k] = min(max(health.evidence[k] + better - DRIFT, 0.0), 2.0 * EXPLAINED)
+    # entry 0: for the commands as given, against the hypothesis that excluded them
+    other = health.step_mismatch[int(health.hypothesis)]
+    better = min(other - health.step_mismatch[0], EVIDENCE_MAX)
+    health.evidence[0] = min(max(health.evidence[0] + better, 0.0), 2.0 * EXPLAINED)
+
+
+@inlined
+def _best_hypothesis(health):
+    """Return the hypothesis with most evidence."""
+    best = 1
+    for k in range(2, HYPOTHESES):
+        if health.evidence[k] > health.evidence[best]:
+            best = k
+    return best
+
+
+@inlined
+def _find_fault(idle, wrong, health):
+    """Doubt or exclude commands that are in use."""
+    check, at_odds = health.sensors[COMMAND], health.mismatch[0]
+    best = _best_hypothesis(health)
+    if health.evidence[best] > EXPLAINED:
+        _set(health, EXCLUDED, WRONG_SIGN)
+        health.hypothesis = best
+        health.evidence[0] = 0.0
+    elif idle and at_odds > SILENT:
+        _set(health, EXCLUDED, NO_ANSWER)
+        check.calm = 0.0
+    elif check.status == OK and at_odds > UNEXPLAINED:
+        _set(health, DOUBTFUL, NO_ANSWER)
+    elif check.status == OK and wrong:
+        # learned with its sign, so the commands are used; but nobody meant it
+        _set(health, DOUBTFUL, WRONG_SIGN)
+    elif check.status == DOUBTFUL:
+        over = at_odds < AGREED if check.reason == NO_ANSWER else not wrong
+        if over:
+            _set(health, OK, NO_REASON)
+
+
+@inlined
+def _readmit(idle, T, health):
+    """Use excluded commands again once they explain the motion, or a hypothesis does not."""
+    check = health.sensors[COMMAND]
+    agreed = health.mismatch[0] < AGREED and not idle
+    check.calm = check.calm + T if agreed else 0.0
+    if check.reason == WRONG_SIGN:
+        right = health.evidence[0] > EXPLAINED
+    else:
+        right = check.calm > CALM_STEPS * T
+    if right or health.clock - check.since > GIVE_IN:
+        _set(health, OK, NO_REASON)
+        for k in range(HYPOTHESES):
+            health.mismatch[k] = health.evidence[k] = 0.0
+
+
+@inlined
+def _end_step(left, right, cmd, s, step, health, given):
+    """Hold the step that ends against what the model says of it, and learn from it."""
+    check = health.sensors[COMMAND]
+    T = health.step_time
+    for k in range(DRIVE):
+        health.mean_drive[k] = health.drive_sum[k] / T
+    r, u = health.motion[0], health.motion[1]
+    r_new, u_new = s[R] / (1.0 / given.time_scale), s[U] / given.speed
+    warm = health.steps > WARM_UP
+    lasting = check.status == DOUBTFUL and health.clock - check.since > CHANGED
+    agreed = health.mismatch[0] < AGREED and health.evidence[_best_hypothesis(health)] < SUSPECT
+    learn = check.status != EXCLUDED and (agreed or not warm or lasting)
+    for k in range(HYPOTHESES):
+        health.step_mismatch[k] = 0.0
+    for axis in range(2):
+        fit = health.fit[axis]
+        if health.steps == 0.0:
+            _begin_fit(fit, axis)
+        change = ((r_new - r) if axis == YAW else (u_new - u)) * step / T
+        level = max(fit.level, LEVEL_MIN)
+        variance = _variance(axis, fit, health) * level * level
+        for k in range(HYPOTHESES):
+            error = _error(axis, fit, change, SIGNS[k], health)
+            health.step_mismatch[k] += min(error * error / variance, ERROR_MAX)
+        if learn:
+            _learn(axis, fit, change, warm, health)
+    health.steps += 1.0
+    if check.status == OK and agreed:
+        for k in range(4):
+            health.trusted[k] = health.before[k]
+            health.before[k] = cmd[k]
+    _add_evidence(health)
+    wrong = _is_sign_wrong(T, health)
+    for k in range(DRIVE):
+        health.drive_sum[k] = 0.0
+    health.step_time = 0.0
+    health.motion[0], health.motion[1] = r_new, u_new
+    if not warm or check.reason == IMPOSSIBLE:
+        return
+    idle = abs(left) + abs(right) < IDLE_SHAFTS and s[U] > IDLE_SPEED * given.speed
+    if check.status != EXCLUDED:
+        _find_fault(idle, wrong, health)
+    else:
+        _readmit(idle, T, health)
+
+
+@inlined
+def _are_possible(dt, left, right, cmd, health):
+    """Return whether the commands are possible, and set their status accordingly."""
+    check = health.sensors[COMMAND]
+    check.age = 0.0
+    if check.status == ABSENT:
+        _set(health, OK, check.reason)
+    possible = (
+        abs(left) < SHAFT_MAX
+        and abs(right) < SHAFT_MAX
+        and abs(cmd[2]) < ANGLE_MAX
+        and abs(cmd[3]) < ANGLE_MAX
+    )
+    if not possible:
+        if check.status != EXCLUDED:
+            check.since = health.clock
+        check.status, check.reason, check.calm = EXCLUDED, IMPOSSIBLE, 0.0
+        health.step_time = -1.0
+    elif check.reason == IMPOSSIBLE:
+        check.calm += dt
+        if check.calm > CALM:
+            _set(health, OK, NO_REASON)
+    return possible
+
+
+@inlined
+def _is_motion_known(dt, health):
+    """Return whether all that says how the boat moves agrees, and has been in use for a while."""
+    known = (
+        abs(health.heading_sum) <= CLEAR * health.heading_level
+        and abs(health.velocity_sum[0]) <= CLEAR * health.velocity_level
+        and abs(health.velocity_sum[1]) <= CLEAR * health.velocity_level
+    )
+    if not known:
+        return False
+    for sensor in range(ACCELEROMETERS):
+        check = health.sensors[sensor]
+        never = check.status == ABSENT and check.interval == 0.0
+        known = known and (check.status == OK or never)
+    health.known_time = health.known_time + dt if known else 0.0
+    return health.known_time > KNOWN_TIME
 
 
 @kernel
 def check_commands(dt, cmd, s, ready, health, given):
     """Hold commands against yaw rate and surge; note their status."""
-    check = health.sensors[COMMAND]
     n0 = max(given.shaft_speed, 1e-6)
     left, right = cmd[0] / n0, cmd[1] / n0
-    sane = abs(left) < 20.0 and abs(right) < 20.0 and abs(cmd[2]) < 7.0 and abs(cmd[3]) < 7.0
-    check.age = 0.0
-    if check.status == ABSENT:
-        check.status = OK
-        check.since = health.clock
-    if not sane:
-        if check.status != EXCLUDED:
-            check.since = health.clock
-        check.status, check.reason, check.calm = EXCLUDED, IMPOSSIBLE, 0.0
+    if not _are_possible(dt, left, right, cmd, health) or not ready:
+        return
+    if not _is_motion_known(dt, health):
         health.step_time = -1.0
         return
-    if check.reason == IMPOSSIBLE:
-        check.calm += dt
-        if check.calm > 2.0:
-            check.status, check.reason, check.since = OK, NO_REASON, health.clock
-    if not ready:
-        return
     a, b = left * abs(left), right * abs(right)
-    share = 1.0 - math.exp(-dt / max(given.lag, 0.05))
+    share = 1.0 - math.exp(-dt / max(given.lag, LAG_MIN))
     targets = (
         0.5 * (a * math.cos(cmd[2]) + b * math.cos(cmd[3])),
         0.5 * (a * math.sin(cmd[2]) + b * math.sin(cmd[3])),
@@ -134,88 +415,12 @@ def check_commands(dt, cmd, s, ready, health, given):
     if health.step_time < 0.0:
         health.step_time = 0.0
         for k in range(DRIVE):
-            health.driven[k] = 0.0
+            health.drive_sum[k] = 0.0
         health.motion[0], health.motion[1] = s[R] / turn, s[U] / given.speed
     for k in range(DRIVE):
         health.drive[k] += share * (targets[k] - health.drive[k])
-        health.driven[k] += health.drive[k] * dt
+        health.drive_sum[k] += health.drive[k] * dt
     health.step_time += dt
-    step = 0.35 * given.time_scale
-    if health.step_time < step:
-        return
-    T = health.step_time
-    thrust, moment, difference = health.driven[0] / T, health.driven[1] / T, health.driven[2] / T
-    r, u = health.motion[0], health.motion[1]
-    r_new, u_new = s[R] / turn, s[U] / given.speed
-    mixed, reversed_, steered, doubly, swapped, excited = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    warm = health.steps > WARM_UP
-    for axis in range(2):
-        fit = health.fit[axis]
-        change = ((r_new - r) if axis == 0 else (u_new - u)) * step / T
-        error = change - _predicted(axis, fit.params, r, u, thrust, moment, difference)
-        other = change - _predicted(axis, fit.params, r, u, -thrust, -moment, -difference)
-        turned = change - _predicted(axis, fit.params, r, u, thrust, -moment, difference)
-        both = change - _predicted(axis, fit.params, r, u, -thrust, moment, -difference)
-        sides = change - _predicted(axis, fit.params, r, u, thrust, moment, -difference)
-        level = max(fit.level, 0.004)
-        mixed += min((error / level) ** 2, 25.0)
-        reversed_ += min((other / level) ** 2, 25.0)
-        steered += min((turned / level) ** 2, 25.0)
-        doubly += min((both / level) ** 2, 25.0)
-        swapped += min((sides / level) ** 2, 25.0)
-        excited += min(((error - other) / level) ** 2, 25.0)
-        lasting = check.status == DOUBTFUL and health.clock - check.since > DECIDED
-        learn = check.status != EXCLUDED and (health.at_odds < AGREED or not warm or lasting)
-        if learn:
-            size = abs(error) if not warm else min(abs(error), 3.0 * level)
-            part = 1.0 / min(max(health.steps - SETTLE, 1.0), 40.0)
-            fit.level = math.sqrt(fit.level**2 + part * (size * size - fit.level**2))
-            weight = 1.0 if not warm or abs(error) < 5.0 * level else 0.2
-            fade = 1.0 - 1.0 / MEMORY
-            for i in range(COMMAND_TERMS):
-                f = _features(axis, r, u, thrust, moment, difference, i)
-                fit.right[i] = fade * fit.right[i] + weight * f * change
-                for j in range(COMMAND_TERMS):
-                    g = _features(axis, r, u, thrust, moment, difference, j)
-                    fit.information[i, j] = fade * fit.information[i, j] + weight * f * g
-            for _ in range(3):
-                _solve(fit, axis == 1)
-    health.steps += 1.0
-    if check.status == OK and health.at_odds < AGREED:
-        for k in range(4):
-            health.trusted[k] = health.before[k]
-            health.before[k] = cmd[k]
-    share = 1.0 / RECENT
-    health.at_odds += share * (0.5 * mixed - health.at_odds)
-    health.if_reversed += share * (0.5 * reversed_ - health.if_reversed)
-    health.if_steered += share * (0.5 * steered - health.if_steered)
-    health.if_both += share * (0.5 * doubly - health.if_both)
-    health.if_swapped += share * (0.5 * swapped - health.if_swapped)
-    health.excited += share * (0.5 * excited - health.excited)
-    health.driven[0] = health.driven[1] = health.driven[2] = 0.0
-    health.step_time = 0.0
-    health.motion[0], health.motion[1] = r_new, u_new
-    if not warm or check.reason == IMPOSSIBLE:
-        return
-    if check.status != EXCLUDED:
-        idle = abs(left) + abs(right) < 1e-9 and s[U] > 0.2 * given.speed
-        if health.at_odds > (SILENT if idle else AT_ODDS):
-            least = min(
-                health.if_reversed, health.if_steered, health.if_both, health.if_swapped
-            )
-            sign = least < 0.3 * health.at_odds
-            silent = idle
-            if sign or silent:
-                check.status = EXCLUDED
-                check.reason = WRONG_SIGN if sign else NO_ANSWER
-                check.since = health.clock
-                check.calm = 0.0
-            elif check.status == OK:
-                check.status, check.reason, check.since = DOUBTFUL, NO_ANSWER, health.clock
-        elif check.status == DOUBTFUL and health.at_odds < AGREED:
-            check.status, check.reason, check.since = OK, NO_REASON, health.clock
-    else:
-        check.calm = check.calm + T if health.at_odds < AGREED else 0.0
-        if check.calm > 2.0 * step or health.clock - check.since > GIVE_IN:
-            check.status, check.reason, check.since = OK, NO_REASON, health.clock
-            health.at_odds = 0.0
+    step = STEP * given.time_scale
+    if health.step_time >= step:
+        _end_step(left, right, cmd, s, step, health, given)

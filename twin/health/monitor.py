@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.channels import MEASUREMENTS
 from twin.checkpoint import Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
     HEALTH,
     HEALTH_SETTINGS,
+    HYPOTHESES,
     REASONS,
     SENSORS,
     STATUSES,
@@ -56,6 +58,11 @@ def statuses_of(health: Any, begin: float = 0.0) -> dict[str, SensorStatus]:
         ``HEALTH``.
     begin : float
         Time of its first row, s.
+
+    Returns
+    -------
+    dict of str to SensorStatus
+        In the order of ``twin.health.state.SENSORS``.
     """
     found = {}
     for name, check in zip(SENSORS, health["sensors"], strict=True):
@@ -74,16 +81,21 @@ class SensorMonitor:
     ----------
     particulars : Particulars
         The boat and its instruments.
+
+    Attributes
+    ----------
+    memory : ndarray
+        All that is remembered, in the layout of ``twin.health.state.HEALTH``.
     """
 
     def __init__(self, particulars: Particulars) -> None:
         self._settings = health_settings(particulars)
-        self.memory = initial_health(self._settings)
-        self._out = np.full(10, math.nan)
+        self.memory = initial_health()
+        self._out = np.full(len(MEASUREMENTS), math.nan)
 
     def reset(self) -> None:
         """Forget everything."""
-        self.memory[:] = initial_health(self._settings)
+        self.memory[:] = initial_health()
 
     @property
     def record(self) -> Any:
@@ -98,7 +110,7 @@ class SensorMonitor:
     def check(
         self, dt: float, z: Array, cmd: Array, state: Array, ready: bool
     ) -> tuple[Array, Array]:
-        """Take a row; return it without the samples of excluded sensors, and its command.
+        """Take a row, and return what of it can be trusted.
 
         Parameters
         ----------
@@ -110,17 +122,23 @@ class SensorMonitor:
             What the predictor said of the boat after the row before.
         ready : bool
             Whether that means anything.
+
+        Returns
+        -------
+        z, cmd : ndarray, shapes (10,), (4,)
+            The row without impossible numbers and excluded sensors, which are NaN; and its
+            command, or the last one that was trusted.
         """
-        _check(dt, z, cmd, np.ascontiguousarray(state), ready, self.memory, self._settings, self._out)
-        doubted = self.commands_doubted
-        return self._out.copy(), self.record["trusted"].copy() if doubted else cmd
+        state = np.ascontiguousarray(state)
+        _check(dt, z, cmd, state, ready, self.memory, self._settings, self._out)
+        return self._out.copy(), self.record["trusted"].copy() if self.commands_doubted else cmd
 
     def statuses(self, begin: float) -> dict[str, SensorStatus]:
         """Return the status of each sensor; ``begin`` is the time of the first row, s."""
         return statuses_of(self.record, begin)
 
     def views(self) -> dict[str, Array]:
-        """Return what is remembered, by field."""
+        """Return what is remembered, by field; parts of a record are ``field.part``."""
         found = {}
         for name, view in record_views(self.memory, HEALTH).items():
             if view.dtype.names is None:
@@ -134,13 +152,28 @@ class SensorMonitor:
         return {name: view.copy() for name, view in self.views().items()}
 
     def load_state_dict(self, state: State) -> None:
-        """Take over what :meth:`state_dict` returned."""
+        """Take over what :meth:`state_dict` returned.
+
+        Raises
+        ------
+        StateError
+            Names the field that is missing or damaged.
+        """
         check_fields(state, self.views(), FIELDS)
         fill(self.views(), state)
 
 
+_POSITIVE = Field(low=0.0)
+
 FIELDS = {
-    **dict.fromkeys(("last", "fix", "velocity"), Field(nan=True, infinite=True)),
-    **dict.fromkeys(("course", "course_compass"), Field(nan=True)),
+    **dict.fromkeys(("last", "fix", "velocity", "course", "course_compass"), Field(nan=True)),
+    # indices of names
+    "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
+    "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
+    "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
+    # what is divided by
+    **dict.fromkeys(("sensors.interval", "heading_level", "position_level"), _POSITIVE),
+    **dict.fromkeys(("velocity_level", "fit.level", "clock"), _POSITIVE),
+    "fit.cov": Field(covariance=True),
 }
 """What the fields of a saved state may hold."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS
+from twin.channels import COMMANDS, STATE
 from twin.particulars import GRAVITY, Particulars
 
 __all__ = [
@@ -43,10 +43,10 @@ ABSENT, OK, DOUBTFUL, EXCLUDED = range(len(STATUSES))
 
 REASONS = (
     "",
-    "gives numbers that no boat gives",
+    "gave numbers that no boat gives",
     "repeats itself while the boat moves",
     "jumped",
-    "disagrees with the other sensors",
+    "contradicted the other sensors",
     "moves away from its own velocity",
     "is late",
     "have the wrong sign or swapped sides",
@@ -66,8 +66,6 @@ REASONS = (
     NO_ANSWER,
 ) = range(len(REASONS))
 
-LAGS = 4
-
 CHECK = np.dtype(
     [
         ("status", "f8"),  # one of STATUSES
@@ -79,23 +77,34 @@ CHECK = np.dtype(
         ("longest", "f8"),  # longest repetition while it was right, s
         ("evidence", "f8"),  # how long it has been at odds, s
         ("calm", "f8"),  # how long it has been consistent while excluded, s
+        ("followed", "f8"),  # how long it has been consistent in itself while excluded, s
         ("impossible", "f8"),  # recent share of impossible numbers
     ]
 )
 """What is remembered of a sensor."""
 
 COMMAND_TERMS = 6
+"""Most terms of the model of an axis."""
 
 DRIVE = 3
+"""What the commands make: thrust, steering moment, difference of thrust."""
 
-N_COMMANDS = len(COMMANDS)
+HYPOTHESES = 5
+"""What may be wrong with the commands, the first of them nothing."""
+
+N_COMMANDS, N_STATES = len(COMMANDS), len(STATE)
+
+LAG_SUMS = np.dtype(
+    [("weight", "f8"), ("r", "f8"), ("beta", "f8"), ("r_r", "f8"), ("r_beta", "f8")]
+)
+"""Leaky sums of yaw rate r and drift angle beta: they tell how late the velocity is."""
 
 AXIS = np.dtype(
     [
-        ("information", "f8", (COMMAND_TERMS, COMMAND_TERMS)),
-        ("right", "f8", COMMAND_TERMS),
         ("params", "f8", COMMAND_TERMS),
-        ("level", "f8"),  # typical error of a step
+        ("cov", "f8", (COMMAND_TERMS, COMMAND_TERMS)),  # their covariance, in squared levels
+        ("gain", "f8", COMMAND_TERMS),  # covariance times regressors: scratch
+        ("level", "f8"),  # typical error of a step, in nominal units
     ]
 )
 """A linear model of yaw rate or surge."""
@@ -103,57 +112,63 @@ AXIS = np.dtype(
 HEALTH = np.dtype(
     [
         ("clock", "f8"),  # time since the start, s
+        ("state", "f8", N_STATES),  # last state of the predictor that a boat can have
         ("sensors", CHECK, len(SENSORS)),
         ("last", "f8", 8),  # last sample of each channel; NaN before the first
         # heading: compass against gyro and course
-        ("turned", "f8"),  # integral of the gyro since the last compass sample, rad
-        ("turn_time", "f8"),  # time since then, s
-        ("turn_gap", "f8"),  # part of it without gyro, s
+        ("gyro_turn", "f8"),  # integral of the gyro since the last compass sample, rad
+        ("gyro_time", "f8"),  # time since then, s
+        ("gyro_gap", "f8"),  # part of it without gyro, s
         ("gyro_bias", "f8"),  # rad/s
-        ("yaw", "f8"),  # leaky sum of compass minus gyro, rad
-        ("yaw_level", "f8"),  # its typical size
-        ("heading", "f8"),  # heading by the gyro alone since the compass was excluded, rad
+        ("heading_sum", "f8"),  # leaky sum of compass minus gyro, rad
+        ("heading_level", "f8"),  # its typical size, rad
+        ("reckoned_heading", "f8"),  # heading by the yaw rate since the compass was right, rad
         ("course", "f8"),  # last course over ground, rad; NaN if there is none
         ("course_time", "f8"),  # time since then, s
         ("course_gyro", "f8"),  # integral of the gyro since then, rad
         ("course_compass", "f8"),  # heading then, rad
-        ("against_gyro", "f8"),  # leaky sum of course minus gyro, rad
-        ("against_compass", "f8"),  # leaky sum of course minus compass, rad
+        ("course_gyro_rate", "f8"),  # yaw rate of the gyro then, rad/s
+        ("course_compass_rate", "f8"),  # and of the compass, rad/s
+        ("gyro_rate", "f8"),  # last yaw rate of the gyro, rad/s
+        ("compass_rate", "f8"),  # yaw rate of the compass, rad/s
+        ("drift_angle", "f8"),  # leaky mean of course minus heading, rad
+        ("drift_time", "f8"),  # how long there has been one, s
+        ("course_minus_gyro", "f8"),  # leaky sum of their changes, rad
+        ("course_minus_compass", "f8"),  # rad
+        ("lag_sums", LAG_SUMS),
         # position against velocity
         ("fix", "f8", 2),  # last fix, m
         ("fix_time", "f8"),  # time since then, s
-        ("way", "f8", 2),  # integral of the velocity since then, m
-        ("place", "f8", 2),  # leaky sum of position minus velocity, m
-        ("place_level", "f8"),
+        ("travelled", "f8", 2),  # integral of the velocity since then, m
+        ("position_sum", "f8", 2),  # leaky sum of position minus velocity, m
+        ("position_level", "f8"),  # its typical size, m
         ("reckoned", "f8", 2),  # where dead reckoning puts an excluded GPS, m
-        ("reckoned_sd", "f8"),  # and how sure that is, m
-        ("reckoned_time", "f8"),  # s
+        ("reckoned_time", "f8"),  # time since it began, s
         # velocity against accelerometers
         ("velocity", "f8", 2),  # last velocity over ground, m/s
         ("velocity_time", "f8"),  # time since then, s
-        ("gained", "f8", 2),  # integral of the acceleration since then, m/s
-        ("gain_gap", "f8"),  # part of that time without accelerometers, s
+        ("accel_gain", "f8", 2),  # integral of the acceleration since then, m/s
+        ("accel_gap", "f8"),  # part of that time without accelerometers, s
         ("accel_bias", "f8", 2),  # of forward and starboard, m/s2
-        ("speeds", "f8", 2),  # leaky sum of velocity minus acceleration, m/s
-        ("speeds_level", "f8"),
+        ("velocity_sum", "f8", 2),  # leaky sum of velocity minus acceleration, m/s
+        ("velocity_level", "f8"),  # its typical size, m/s
         # commands against the motion: a linear model of the change in a step, for yaw and surge
         ("drive", "f8", DRIVE),  # thrust, steering moment, difference of thrust, after the lags
-        ("driven", "f8", DRIVE),  # their mean over the step so far
-        ("step_time", "f8"),  # time since the step began, s
+        ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
+        ("mean_drive", "f8", DRIVE),  # their mean over the last step
+        ("known_time", "f8"),  # how long the sensors of the motion have been in use, s
+        ("step_time", "f8"),  # time since the step began, s; negative before the first
         ("motion", "f8", 2),  # yaw rate and surge at its beginning, in nominal units
         ("steps", "f8"),  # steps learned from
         ("fit", AXIS, 2),  # of yaw rate and surge
+        ("against_time", "f8"),  # how long the boat has gone against its thrust, s
         ("before", "f8", N_COMMANDS),  # command when the step began
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
-        ("at_odds", "f8"),  # leaky mean of squared errors, in levels ...
-        ("if_reversed", "f8"),  # ... with all commands reversed
-        ("if_steered", "f8"),  # ... with steering reversed
-        ("if_both", "f8"),  # ... with both
-        ("if_swapped", "f8"),  # ... with sides swapped
-        ("excited", "f8"),  # how much of the motion the commands make
-        # how late the velocity is: leaky sums of yaw rate and drift angle
-        ("late", "f8", 5),  # weights, sums of r, beta, r r, r beta
+        ("step_mismatch", "f8", HYPOTHESES),  # squared errors of the last step, in levels ...
+        ("mismatch", "f8", HYPOTHESES),  # ... and their leaky mean; by commands.SIGNS
+        ("evidence", "f8", HYPOTHESES),  # for each of them, in squared levels
+        ("hypothesis", "f8"),  # that which excluded the commands last
     ]
 )
 """What the checks remember of a boat."""
@@ -162,18 +177,18 @@ HEALTH_SETTINGS = np.dtype(
     [
         ("time_scale", "f8"),  # length over nominal speed, s
         ("speed", "f8"),  # nominal speed, m/s
-        ("gps_sd", "f8"),
-        ("gps_bias_sd", "f8"),
-        ("doppler_sd", "f8"),
-        ("compass_sd", "f8"),
-        ("gyro_sd", "f8"),
-        ("gyro_bias_sd", "f8"),
-        ("accel_sd", "f8"),
-        ("accel_bias_sd", "f8"),
+        # standard deviations of the data sheets: see twin.particulars.Instruments
+        ("gps_sd", "f8"),  # m
+        ("doppler_sd", "f8"),  # m/s
+        ("compass_sd", "f8"),  # rad
+        ("gyro_sd", "f8"),  # rad/s
+        ("gyro_bias_sd", "f8"),  # rad/s
+        ("accel_sd", "f8"),  # m/s2
+        ("accel_bias_sd", "f8"),  # m/s2
         ("tilt", "f8"),  # gravity that tilt lets in, m/s2
         ("arm", "f8"),  # between antenna and IMU, m
         ("latency", "f8"),  # declared age of a fix, s
-        ("max_turn", "f8"),  # rad/s
+        ("max_turn", "f8"),  # yaw rate that no boat of its size exceeds, rad/s
         ("shaft_speed", "f8"),  # nominal, rev/s
         ("lag", "f8"),  # of shafts and drives, s
     ]
@@ -181,16 +196,18 @@ HEALTH_SETTINGS = np.dtype(
 """What the checks are given of a boat and its instruments."""
 
 
+TURN_FREE, TURN_FACTOR = 1.0, 2.0
+"""No boat turns faster than this (rad/s) and so many nominal speeds over its length."""
+
+
 def health_settings(particulars: Particulars) -> Array:
     """Return the settings of the checks, in the order of :data:`HEALTH_SETTINGS`."""
     I, U, L = particulars.instruments, particulars.speed, particulars.length
-    arm = math.dist(I.gps_arm, I.imu_arm)
     return np.array(
         [
             L / U,
             U,
             I.gps_sd,
-            I.gps_bias_sd,
             I.doppler_sd,
             I.compass_sd,
             I.gyro_sd,
@@ -198,21 +215,20 @@ def health_settings(particulars: Particulars) -> Array:
             I.accel_sd,
             I.accel_bias_sd,
             GRAVITY * I.tilt_sd,
-            arm,
+            math.dist(I.gps_arm, I.imu_arm),
             I.gps_latency,
-            1.0 + 2.0 * U / L,
+            TURN_FREE + TURN_FACTOR * U / L,
             particulars.shaft_speed,
             max(particulars.shaft_lag, particulars.steer_lag),
         ]
     )
 
 
-def initial_health(settings: Array) -> Array:
-    """Return the memory of checks that have seen nothing, in the order of :data:`HEALTH`."""
+def initial_health() -> Array:
+    """Return the memory of checks that have seen nothing, in the layout of :data:`HEALTH`."""
     memory = np.zeros(HEALTH.itemsize // 8)
     health = memory.view(HEALTH)[0]
-    health["last"] = math.nan
     health["sensors"]["status"] = ABSENT
-    health["course"] = math.nan
-    health["fix"] = health["velocity"] = math.nan
+    for name in ("last", "course", "fix", "velocity"):
+        health[name] = math.nan
     return memory

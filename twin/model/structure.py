@@ -544,7 +544,7 @@ def structure_of(
     mixed = name == "mmg"
     heading = float("E" in equations or mixed or current)
     water = float(equations.index("C")) if current else -1.0
-    sd = np.array([row[6] for row in rows])
+    sd, current_sd = np.array([row[6] for row in rows]), min(CURRENT_SD, CURRENT_SHARE * speed)
     scales = np.prod(
         np.array([length, speed, shaft_speed]) ** np.array([row[4] for row in rows], float), axis=1
     )
@@ -559,5 +559,5 @@ def structure_of(
         # in `mmg` a shaft speed is the boat's speed that it gives in calm water
         n_unit=speed / shaft_speed if mixed else 1.0,
         mean=scales * np.array([row[5] for row in rows]),
-        sd=np.where(np.array(equations) == "C", min(CURRENT_SD, CURRENT_SHARE * speed), scales * sd),
+        sd=np.where(np.array(equations) == "C", current_sd, scales * sd),
     )

@@ -21,6 +21,7 @@ from twin.model.structure import (
     structure_of,
     thrust_terms,
 )
+from twin.model.term_slopes import term_slopes
 
 LENGTH, SPEED, SHAFT = 6.336, 5.4, 6.33
 CALM = np.zeros(2)

@@ -1,0 +1,267 @@
+"""Each detector names the sensor at fault, and no other; and takes it back afterwards."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.twin.health.watching import MANOEUVRES, START, Watch, base, watch, watch_fault
+from twin import Twin
+from twin.benchmark.sensor_faults import SENSOR_FAULTS, Rows, SensorFault
+from usv_kernel.channels import (
+    ACCEL_X,
+    ACCEL_Y,
+    COMPASS,
+    GPS_VX,
+    GPS_VY,
+    GPS_X,
+    GPS_Y,
+    GYRO,
+    SENSOR_CHANNELS,
+)
+
+few = settings(max_examples=8, derandomize=True)
+
+manoeuvres = st.sampled_from(MANOEUVRES)
+
+starts = st.floats(START, START + 12.0)
+"""A leg of the zigzag."""
+
+signs = st.sampled_from((-1.0, 1.0))
+
+angles = st.floats(-math.pi, math.pi)
+
+
+def size(low: float, high: float) -> st.SearchStrategy[float]:
+    """Return magnitudes over decades."""
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+def fault(change, seconds: float = 20.0) -> SensorFault:
+    return SensorFault("test", "", seconds, (), change)
+
+
+def check(found: Watch, sensor: str, within: float, start: float = START, why: str = "") -> None:
+    """Only this sensor was excluded, soon, for this reason; and all are in use at the end."""
+    assert found.named == {sensor}, found.findings
+    assert found.first(sensor) <= start - START + within, found.findings
+    assert any(f.sensor == sensor and why in f.why for f in found.findings), found.findings
+    assert set(found.last.values()) == {"ok"}, found.last
+
+
+@few
+@given(manoeuvres, starts, signs, size(0.08, 2.0))
+def test_gyro_bias_names_the_gyro(manoeuvre, start, sign, bias):
+    def change(rows: Rows) -> None:
+        rows.z[:, GYRO] += sign * bias
+
+    check(watch_fault(fault(change), manoeuvre, start=start), "gyro", 11.0, start, "contradicted")
+
+
+@few
+@given(manoeuvres, starts)
+def test_frozen_gyro_names_the_gyro(manoeuvre, start):
+    found = watch_fault(SENSOR_FAULTS["gyro-frozen"], manoeuvre, start=start)
+    check(found, "gyro", 3.0, start, "repeats itself")
+
+
+@few
+@given(manoeuvres, starts)
+def test_frozen_imu_names_gyro_and_accelerometers(manoeuvre, start):
+    found = watch_fault(SENSOR_FAULTS["imu-frozen"], manoeuvre, start=start, after=25.0)
+    assert found.named == {"gyro", "accelerometers"}, found.findings
+    assert max(map(found.first, found.named)) <= start - START + 3.0
+    assert set(found.last.values()) == {"ok"}, found.last
+
+
+@few
+@given(manoeuvres, starts, st.floats(0.8, 2.0 * math.pi - 0.8))
+def test_turned_compass_names_the_compass(manoeuvre, start, angle):
+    def change(rows: Rows) -> None:
+        rows.z[:, COMPASS] += angle
+
+    check(watch_fault(fault(change), manoeuvre, start=start), "compass", 0.2, start, "jumped")
+
+
+@few
+@given(manoeuvres, starts)
+def test_frozen_compass_names_the_compass(manoeuvre, start):
+    found = watch_fault(SENSOR_FAULTS["compass-frozen"], manoeuvre, start=start, after=25.0)
+    check(found, "compass", 6.0, start, "repeats itself")
+
+
+@few
+@given(manoeuvres, starts, signs, st.floats(0.05, 0.3))
+def test_drifting_compass_names_the_compass(manoeuvre, start, sign, rate):
+    def change(rows: Rows) -> None:
+        rows.z[:, COMPASS] += sign * rate * rows.since
+
+    found = watch_fault(fault(change), manoeuvre, start=start, after=35.0)
+    check(found, "compass", 17.0, start, "contradicted")
+
+
+@few
+@given(manoeuvres, starts, angles, size(12.0, 1e5))
+def test_gps_jump_names_the_gps(manoeuvre, start, direction, distance):
+    def change(rows: Rows) -> None:
+        rows.z[:, GPS_X] += distance * math.cos(direction)
+        rows.z[:, GPS_Y] += distance * math.sin(direction)
+
+    check(watch_fault(fault(change), manoeuvre, start=start), "gps", 0.2, start, "jumped")
+
+
+@few
+@given(manoeuvres, angles, st.floats(0.4, 3.0))
+def test_slow_pull_names_the_gps(manoeuvre, direction, speed):
+    def change(rows: Rows) -> None:
+        rows.z[:, GPS_X] += speed * math.cos(direction) * rows.since
+        rows.z[:, GPS_Y] += speed * math.sin(direction) * rows.since
+
+    found = watch_fault(fault(change, 30.0), manoeuvre)
+    check(found, "gps", 10.0 / speed + 2.0, why="velocity")
+
+
+@few
+@given(manoeuvres, starts)
+def test_frozen_gps_names_the_gps(manoeuvre, start):
+    found = watch_fault(SENSOR_FAULTS["gps-frozen"], manoeuvre, start=start)
+    check(found, "gps", 3.0, start, "repeats itself")
+
+
+@few
+@given(manoeuvres, starts, st.floats(4.0, 8.0))
+def test_late_gps_names_the_gps(manoeuvre, start, seconds):
+    late = dataclasses.replace(SENSOR_FAULTS["gps-late"], seconds=20.0)
+    check(watch_fault(late, manoeuvre, start=start), "gps", 1.0, start)
+
+
+@few
+@given(st.sampled_from(("zigzag", "random")), st.floats(4.0, 8.0))
+def test_gps_that_falls_behind_is_late(manoeuvre, seconds):
+    """Fix and velocity agree with each other all the time."""
+
+    def change(rows: Rows) -> None:
+        n = len(rows.z)
+        late = np.minimum(seconds, 0.4 * rows.since) / rows.dt
+        row = np.arange(len(rows.before) - n, len(rows.before)) - late
+        whole = np.arange(len(rows.before))
+        for j in (GPS_X, GPS_Y, GPS_VX, GPS_VY):
+            rows.z[:, j] = np.interp(row, whole, rows.before[:, j])
+
+    # what was wrong for long is taken back after a minute
+    check(watch_fault(fault(change, 30.0), manoeuvre, after=65.0), "gps", 25.0)
+
+
+@few
+@given(manoeuvres, starts, signs, st.floats(0.8, 5.0), st.sampled_from((ACCEL_X, ACCEL_Y)))
+def test_accelerometer_bias_names_the_accelerometers(manoeuvre, start, sign, bias, channel):
+    def change(rows: Rows) -> None:
+        rows.z[:, channel] += sign * bias
+
+    found = watch_fault(fault(change), manoeuvre, start=start)
+    check(found, "accelerometers", 10.0, start, "contradicted")
+
+
+SENSOR_OF = {**dict.fromkeys(SENSOR_CHANNELS[:4], "gps"), "compass_rad": "compass"} | {
+    "gyro_radps": "gyro",
+    **dict.fromkeys(SENSOR_CHANNELS[6:], "accelerometers"),
+}
+
+
+@pytest.mark.parametrize("channel", SENSOR_CHANNELS)
+@settings(max_examples=3, derandomize=True)
+@given(manoeuvres, signs, size(1e8, 1e300))
+def test_impossible_numbers_name_the_sensor(channel, manoeuvre, sign, value):
+    def change(rows: Rows) -> None:
+        rows.z[:, SENSOR_CHANNELS.index(channel)] = sign * value
+
+    found = watch_fault(fault(change, 10.0), manoeuvre)
+    check(found, SENSOR_OF[channel], 0.2, why="numbers that no boat gives")
+
+
+@pytest.mark.parametrize(
+    ("factors", "why"),
+    [
+        ((-1.0, -1.0, -1.0, -1.0), "wrong sign"),
+        ((-1.0, -1.0, 1.0, 1.0), "wrong sign"),
+        ((1.0, 1.0, -1.0, -1.0), "wrong sign"),
+        ((0.0, 0.0, 0.0, 0.0), "do not explain"),
+        ((1e9, 1e9, 1e9, 1e9), "numbers that no boat gives"),
+    ],
+    ids=["reversed", "thrust reversed", "steering reversed", "zero", "absurd"],
+)
+@few
+@given(st.sampled_from(("zigzag", "random")), starts)
+def test_wrong_commands_name_the_commands(factors, why, manoeuvre, start):
+    def change(rows: Rows) -> None:
+        rows.cmd[:] *= factors
+
+    found = watch_fault(fault(change, 20.0), manoeuvre, start=start)
+    check(found, "commands", 9.0, start, why)
+
+
+@few
+@given(st.sampled_from(("zigzag", "random")), starts)
+def test_swapped_sides_name_the_commands(manoeuvre, start):
+    def change(rows: Rows) -> None:
+        rows.cmd[:, [0, 1]] = rows.cmd[:, [1, 0]]
+
+    found = watch_fault(fault(change), manoeuvre, "otter", start)
+    check(found, "commands", 9.0, start, "swapped sides")
+
+
+@few
+@given(manoeuvres, starts, st.floats(5.0, 30.0))
+def test_lost_sensors_are_absent_and_come_back(manoeuvre, start, seconds):
+    def change(rows: Rows) -> None:
+        rows.z[:] = math.nan
+
+    found = watch_fault(fault(change, seconds), manoeuvre, start=start)
+    assert not found.named
+    assert set(found.last.values()) == {"ok"}
+    silent = watch_fault(fault(change, seconds), manoeuvre, start=start, after=-0.5)
+    assert list(silent.last.values()) == ["absent"] * 4 + ["ok"]
+
+
+def watch_from_the_beginning(vessel: str, manoeuvre: str, change) -> dict:
+    """Return what is said of commands that were wrong all the time."""
+    log = base(manoeuvre, vessel)[0]
+    cmd = log.cmd.copy()
+    change(cmd)
+    twin = Twin(base(manoeuvre, vessel)[1].particulars, "ukf")
+    watch(twin, dataclasses.replace(log, cmd=cmd), 0)
+    return twin.health
+
+
+def steering_reversed(cmd):
+    cmd[:, 2:] *= -1.0
+
+
+def thrust_reversed(cmd):
+    cmd[:, :2] *= -1.0
+
+
+def sides_swapped(cmd):
+    cmd[:, [0, 1]] = cmd[:, [1, 0]]
+
+
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+@pytest.mark.parametrize(
+    ("vessel", "change"),
+    [
+        ("usv75", steering_reversed),
+        ("usv75", thrust_reversed),
+        ("otter", sides_swapped),
+        ("otter", thrust_reversed),
+    ],
+)
+def test_commands_wrong_from_the_beginning_are_named(vessel, change, manoeuvre):
+    health = watch_from_the_beginning(vessel, manoeuvre, change)
+    assert health["commands"].status == "doubtful"
+    assert health["commands"].why == "commands have the wrong sign or swapped sides"
+    assert {name for name, item in health.items() if item.status != "ok"} == {"commands"}

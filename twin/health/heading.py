@@ -1,0 +1,303 @@
+"""Kernels that hold the compass against the gyro, and both against the course over ground."""
+
+from __future__ import annotations
+
+import math
+
+from twin.channels import R
+from twin.health.evidence import (
+    ALARM,
+    CALM,
+    CLEAR,
+    GIVE_IN,
+    exclude,
+    is_fault,
+    is_frozen,
+    learning_share,
+    limited,
+    set_status,
+    typical_size,
+)
+from twin.health.state import (
+    AT_ODDS,
+    COMPASS_SENSOR,
+    DOUBTFUL,
+    EXCLUDED,
+    FROZEN,
+    GYRO_SENSOR,
+    IMPOSSIBLE,
+    JUMPED,
+    NO_REASON,
+    OK,
+)
+from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import wrap
+
+__all__ = ["check_course", "check_heading", "velocity_lag"]
+
+SUM_TIME = 3.0
+"""Time constant of the leaky sum of compass minus gyro, s: well below that of a gyro's drift,
+well above that of noise."""
+
+COMPASS_RESOLUTION = 0.005
+"""Rounding of a compass that gives tenths or thirds of a degree, rad."""
+
+SHORTEST_STEP = 0.01
+"""Step for which the noise of a gyro or accelerometer counts at least, s."""
+
+BIAS_SDS = 3.0
+"""Standard deviations of a bias that a floor or gate allows."""
+
+BIAS_REACH, BIAS_FLOOR = 20.0, 0.002
+"""A gyro bias is learned up to so many standard deviations of the data sheet and this, rad/s."""
+
+JUMP_FREE, JUMP_TURN = 0.3, 1.5
+"""A compass jumps if it turns against the gyro by more than this (rad) and by so many times
+what the boat can turn meanwhile."""
+
+GAP_SHARE, STEP_MAX = 0.2, 5.0
+"""Steps in which the gyro is missing for a larger share, or that are longer (s), are not used."""
+
+AHEAD, DRIFT_TIME, CALM_COURSE = 0.35, 4.0, 8.0
+"""A compass also comes back if the mean angle between heading and course is smaller than this
+(rad; leeway and current make less), over such a time (s), and it followed the gyro so long (s)."""
+
+RATE_TIME = 0.3
+"""Time constant of the compass's yaw rate, s."""
+
+GATE = 0.02
+"""Least distance from dead reckoning within which a compass comes back, rad."""
+
+COURSE_TIME = 10.0
+"""Time constant of the leaky sums of course minus gyro and compass, s."""
+
+VOTE_TIME = 8.0
+"""So long the course over ground may take to say which of compass and gyro is wrong, s."""
+
+VOTE_FREE, VOTE_FACTOR = 0.25, 2.0
+"""One of the two is named when the course is further from it by this (rad) and this factor."""
+
+SLOW = 0.2
+"""Below this share of the nominal speed a course over ground is noise."""
+
+COURSE_GAP = 3.0
+"""Two courses further apart in time (s) are not compared."""
+
+LAG_MAX = 2.5
+"""In a turn the course of a boat lags its heading by no more, in lengths over nominal speed."""
+
+LAG_TIME, DRIFT_ANGLE_MAX = 15.0, 1.2
+"""Time over which that lag is learned, s; larger drift angles (rad) say nothing of it."""
+
+TINY = 1e-9
+
+
+@inlined
+def _integrate_gyro(dt, z, s, health):
+    """Sum up what the gyro turned since the last compass sample and the last course."""
+    health.gyro_time += dt
+    health.course_time += dt
+    if math.isfinite(z[GYRO]):
+        health.gyro_rate = z[GYRO] - health.gyro_bias
+        health.gyro_turn += (z[GYRO] - health.gyro_bias) * dt
+        health.course_gyro += (z[GYRO] - health.gyro_bias) * dt
+    else:
+        health.gyro_gap += dt
+        health.gyro_turn += s[R] * dt
+    health.reckoned_heading += s[R] * dt
+
+
+@inlined
+def _learn_gyro_bias(step, level, T, health, given):
+    """Learn the gyro's bias from what the compass turned more than it."""
+    most = BIAS_SDS * level / SUM_TIME
+    health.gyro_bias += learning_share(T) * min(max(step / max(T, 1e-3), -most), most)
+    most = BIAS_REACH * given.gyro_bias_sd + BIAS_FLOOR
+    health.gyro_bias = min(max(health.gyro_bias, -most), most)
+
+
+@inlined
+def _vote(health):
+    """Leave out compass or gyro, by which of them the course over ground follows less."""
+    compass = health.sensors[COMPASS_SENSOR]
+    by_compass, by_gyro = abs(health.course_minus_compass), abs(health.course_minus_gyro)
+    if compass.status == OK:
+        set_status(health, COMPASS_SENSOR, DOUBTFUL, AT_ODDS)
+        set_status(health, GYRO_SENSOR, DOUBTFUL, AT_ODDS)
+    clear = max(by_compass, by_gyro) > VOTE_FREE + VOTE_FACTOR * min(by_compass, by_gyro)
+    if clear or health.clock - compass.since > VOTE_TIME:
+        if by_compass > by_gyro:
+            exclude(health, COMPASS_SENSOR, AT_ODDS)
+            set_status(health, GYRO_SENSOR, OK, NO_REASON)
+        else:
+            exclude(health, GYRO_SENSOR, AT_ODDS)
+            set_status(health, COMPASS_SENSOR, OK, NO_REASON)
+
+
+@inlined
+def _find_fault(step, T, frozen_compass, health, given):
+    """Name compass or gyro if the sum of what they disagree by says so."""
+    compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
+    size, level = abs(health.heading_sum), health.heading_level
+    if abs(step) > max(ALARM * level, JUMP_TURN * given.max_turn * T):
+        # no boat turns so fast
+        health.heading_sum -= step
+        exclude(health, COMPASS_SENSOR, JUMPED)
+    elif is_fault(size, level, T, compass):
+        if is_frozen(gyro):
+            set_status(health, GYRO_SENSOR, EXCLUDED, FROZEN)
+        elif frozen_compass:
+            exclude(health, COMPASS_SENSOR, FROZEN)
+        else:
+            _vote(health)
+    elif compass.status == DOUBTFUL and size < CLEAR * level:
+        set_status(health, COMPASS_SENSOR, OK, NO_REASON)
+        set_status(health, GYRO_SENSOR, OK, NO_REASON)
+
+
+@inlined
+def _readmit_gyro(size, level, T, health):
+    """Take the gyro back after it agreed with the compass for a while."""
+    gyro = health.sensors[GYRO_SENSOR]
+    consistent = size < CLEAR * level and not is_frozen(gyro)
+    gyro.calm = gyro.calm + T if consistent else 0.0
+    if gyro.calm > CALM + SUM_TIME:
+        set_status(health, GYRO_SENSOR, OK, NO_REASON)
+
+
+@inlined
+def _readmit_compass(heading, size, T, frozen, health, given):
+    """Take the compass back after it was near the heading of dead reckoning for a while."""
+    compass, level = health.sensors[COMPASS_SENSOR], health.heading_level
+    lasted = health.clock - compass.since
+    gate = CLEAR * level + GATE + BIAS_SDS * given.gyro_bias_sd * lasted
+    near = abs(wrap(heading - health.reckoned_heading)) < gate and not frozen
+    compass.calm = compass.calm + T if near else 0.0
+    follows = size < CLEAR * level and not frozen
+    compass.followed = compass.followed + T if follows else 0.0
+    # the gyro says that it turns rightly, and the course that it points ahead
+    ahead = health.drift_time > DRIFT_TIME and abs(health.drift_angle) < AHEAD
+    agreed = ahead and compass.followed > CALM_COURSE
+    if compass.calm > CALM or agreed or (lasted > GIVE_IN and follows):
+        set_status(health, COMPASS_SENSOR, OK, NO_REASON)
+        health.heading_sum = 0.0
+
+
+@inlined
+def _hold_against_gyro(dt, heading, step, frozen_compass, health, given):
+    """Add what the compass turned more than the gyro to the sum, and act on it."""
+    compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
+    T = health.gyro_time
+    floor = math.sqrt(2.0) * given.compass_sd + COMPASS_RESOLUTION
+    floor += (
+        given.gyro_sd * math.sqrt(max(dt, SHORTEST_STEP)) + BIAS_SDS * given.gyro_bias_sd
+    ) * SUM_TIME
+    health.heading_sum = health.heading_sum * math.exp(-T / SUM_TIME) + step
+    size = abs(health.heading_sum)
+    trusted = compass.status == OK and gyro.status == OK
+    level = typical_size(health.heading_level, size, floor, T, health.clock, trusted)
+    health.heading_level = level
+    health.heading_sum *= limited(size, level)
+    if trusted:
+        _learn_gyro_bias(step, level, T, health, given)
+    if compass.status != EXCLUDED and gyro.status != EXCLUDED:
+        _find_fault(step, T, frozen_compass, health, given)
+    elif gyro.status == EXCLUDED:
+        _readmit_gyro(size, level, T, health)
+    if compass.status == EXCLUDED and compass.reason != IMPOSSIBLE:
+        _readmit_compass(heading, size, T, frozen_compass, health, given)
+
+
+@kernel
+def check_heading(dt, z, s, ready, new_compass, health, given):
+    """Hold compass against gyro; see :func:`twin.health.checks.check_sensors`."""
+    _integrate_gyro(dt, z, s, health)
+    compass = health.sensors[COMPASS_SENSOR]
+    frozen = is_frozen(compass)
+    if not (math.isfinite(z[COMPASS]) and (new_compass or frozen)):
+        return
+    T = health.gyro_time
+    if new_compass and math.isfinite(health.last[COMPASS]):
+        rate = wrap(z[COMPASS] - health.last[COMPASS]) / max(T, 1e-3)
+        health.compass_rate += (1.0 - math.exp(-T / RATE_TIME)) * (rate - health.compass_rate)
+    step = wrap(z[COMPASS] - health.last[COMPASS] - health.gyro_turn)
+    jumped = abs(step) > JUMP_FREE + JUMP_TURN * given.max_turn * T
+    if ready and compass.status != EXCLUDED and jumped:
+        exclude(health, COMPASS_SENSOR, JUMPED)
+    if math.isfinite(step) and health.gyro_gap < GAP_SHARE * T and T < STEP_MAX:
+        _hold_against_gyro(dt, z[COMPASS], step, frozen, health, given)
+    health.gyro_turn = health.gyro_time = health.gyro_gap = 0.0
+
+
+@inlined
+def velocity_lag(health):
+    """Return by how much the course seems to lag the heading (s), and the yaw rate's variance."""
+    sums = health.lag_sums
+    weight = max(sums.weight, TINY)
+    mean_r, mean_beta = sums.r / weight, sums.beta / weight
+    variance = sums.r_r / weight - mean_r * mean_r
+    covariance = sums.r_beta / weight - mean_r * mean_beta
+    return -covariance / max(variance, TINY), variance
+
+
+@inlined
+def _learn_lag(T, r, drift_angle, health):
+    """Learn how late the velocity is: the drift angle grows with the yaw rate by the lag."""
+    sums = health.lag_sums
+    fade = math.exp(-T / LAG_TIME)
+    sums.weight *= fade
+    sums.r *= fade
+    sums.beta *= fade
+    sums.r_r *= fade
+    sums.r_beta *= fade
+    if abs(drift_angle) < DRIFT_ANGLE_MAX:
+        sums.weight += T
+        sums.r += T * r
+        sums.beta += T * drift_angle
+        sums.r_r += T * r * r
+        sums.r_beta += T * r * drift_angle
+
+
+@inlined
+def _compare_turns(course, heading, T, lag, health):
+    """Add what the course turned more than gyro and compass, each with the lag of its own rate."""
+    fade = math.exp(-T / COURSE_TIME)
+    health.course_minus_gyro *= fade
+    health.course_minus_compass *= fade
+    if not (math.isfinite(health.course) and T < COURSE_GAP):
+        return
+    change = wrap(course - health.course)
+    lagged = lag * (health.gyro_rate - health.course_gyro_rate)
+    health.course_minus_gyro += wrap(change - health.course_gyro + lagged)
+    if math.isfinite(heading) and math.isfinite(health.course_compass):
+        turned = wrap(heading - health.course_compass)
+        lagged = lag * (health.compass_rate - health.course_compass_rate)
+        health.course_minus_compass += wrap(change - turned + lagged)
+
+
+@kernel
+def check_course(z, new_gps, health, given):
+    """Hold the course over ground against gyro and compass, to tell whose heading is wrong."""
+    if not new_gps or not (math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])):
+        return
+    if math.hypot(z[GPS_VX], z[GPS_VY]) < SLOW * given.speed:
+        health.course = math.nan
+        health.drift_time = 0.0
+        return
+    heading, T = z[COMPASS], health.course_time
+    lag = min(max(velocity_lag(health)[0], 0.0), LAG_MAX * given.time_scale)
+    course = math.atan2(z[GPS_VY], z[GPS_VX])
+    _compare_turns(course, heading, T, lag, health)
+    health.course, health.course_time, health.course_gyro = course, 0.0, 0.0
+    health.course_compass = heading
+    health.course_gyro_rate, health.course_compass_rate = health.gyro_rate, health.compass_rate
+    if not math.isfinite(heading):
+        return
+    drift = wrap(course + lag * health.compass_rate - heading)
+    share = min(T / DRIFT_TIME, 1.0)
+    health.drift_angle = wrap(health.drift_angle + share * wrap(drift - health.drift_angle))
+    health.drift_time += T
+    compass, gyro = health.sensors[COMPASS_SENSOR], health.sensors[GYRO_SENSOR]
+    if compass.status == OK and gyro.status == OK:
+        _learn_lag(T, health.gyro_rate, wrap(course - heading), health)

@@ -1,0 +1,154 @@
+"""Kernel that holds the fixes against their own velocity, or against that of the navigation."""
+
+from __future__ import annotations
+
+import math
+
+from twin.health.evidence import (
+    ALARM,
+    CLEAR,
+    exclude,
+    is_fault,
+    is_frozen,
+    over_ground,
+    set_status,
+    typical_size,
+)
+from twin.health.state import (
+    COMPASS_SENSOR,
+    DRIFTS,
+    EXCLUDED,
+    FROZEN,
+    GPS,
+    GYRO_SENSOR,
+    IMPOSSIBLE,
+    JUMPED,
+    NO_REASON,
+    OK,
+)
+from usv_kernel.channels import GPS_VX, GPS_VY, GPS_X, GPS_Y
+from usv_kernel.jit import inlined, kernel
+
+__all__ = ["check_position"]
+
+SUM_TIME = 20.0
+"""Time constant of the leaky sum of position minus velocity, s: a slow pull needs a long one."""
+
+FLOOR, VELOCITY_TIME = 0.15, 2.0
+"""Least level, m; and the time for which a velocity error lasts, s."""
+
+RECKONED_SHARE = 0.03
+"""Error of the navigation's velocity where the GPS gives none, in nominal speeds."""
+
+STEP_SHARE = 0.02
+"""Error of a straight line between two fixes, in nominal speeds times the time between them."""
+
+GAP_MAX = 30.0
+"""After a longer gap (s) the sum begins again: dead reckoning says little by then."""
+
+JUMP_MIN, JUMP_SHARE = 5.0, 0.5
+"""A jump is larger than this (m) and than this share of the way at nominal speed."""
+
+GATE, GATE_LOST = 0.05, 0.2
+"""Growth of the distance from dead reckoning within which a GPS comes back, in nominal speeds:
+with a trusted heading, and without."""
+
+LOST_TIME = 20.0
+"""Fixes that follow their own velocity for so long (s) are right, and dead reckoning is not."""
+
+CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
+"""An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
+comes back after its fixes followed its velocity again for so long, wherever it is;
+one that was left out for very long after the third time."""
+
+
+@inlined
+def _begin_sum(health):
+    """Set the sum to zero."""
+    health.position_sum[0] = health.position_sum[1] = 0.0
+
+
+@inlined
+def _reckon(dt, z, s, health):
+    """Move on by the velocity since the last fix, and from where an excluded GPS was right."""
+    north, east = over_ground(s)
+    health.reckoned[0] += north * dt
+    health.reckoned[1] += east * dt
+    health.reckoned_time += dt
+    doppler = math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY])
+    if doppler:
+        north, east = z[GPS_VX], z[GPS_VY]
+    health.travelled[0] += north * dt
+    health.travelled[1] += east * dt
+    health.fix_time += dt
+    return doppler
+
+
+@inlined
+def _readmit(z, T, size, frozen, health, given):
+    """Take the GPS back after it was near dead reckoning for a while."""
+    gps = health.sensors[GPS]
+    if gps.reason == IMPOSSIBLE:
+        return
+    level, lasted = health.position_level, health.reckoned_time
+    heading_lost = (
+        health.sensors[COMPASS_SENSOR].status != OK or health.sensors[GYRO_SENSOR].status != OK
+    )
+    gate = CLEAR * level + (GATE_LOST if heading_lost else GATE) * given.speed * lasted
+    error = math.hypot(z[GPS_X] - health.reckoned[0], z[GPS_Y] - health.reckoned[1])
+    follows = size < CLEAR * level and not frozen
+    if not follows:
+        # the next fix begins a new track
+        _begin_sum(health)
+    gps.followed = gps.followed + T if follows else 0.0
+    gps.calm = gps.calm + T if error < gate and follows else 0.0
+    alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
+    lasting = lasted > LOST_TIME and gps.followed > CALM_LONG
+    if gps.calm > CALM or alive or lasting:
+        set_status(health, GPS, OK, NO_REASON)
+        _begin_sum(health)
+
+
+@kernel
+def check_position(dt, z, s, ready, new_gps, health, given):
+    """Hold fixes against velocity; see :func:`twin.health.checks.check_sensors`."""
+    doppler = _reckon(dt, z, s, health)
+    gps = health.sensors[GPS]
+    frozen = is_frozen(gps)
+    if not (math.isfinite(z[GPS_X]) and math.isfinite(z[GPS_Y]) and (new_gps or frozen)):
+        return
+    T = health.fix_time
+    known = math.isfinite(health.fix[0])
+    step_x = z[GPS_X] - health.fix[0] - health.travelled[0]
+    step_y = z[GPS_Y] - health.fix[1] - health.travelled[1]
+    health.fix[0], health.fix[1] = z[GPS_X], z[GPS_Y]
+    health.travelled[0] = health.travelled[1] = health.fix_time = 0.0
+    if not known or not ready:
+        return
+    if T > GAP_MAX:
+        _begin_sum(health)
+        return
+    fade = math.exp(-T / SUM_TIME)
+    health.position_sum[0] = health.position_sum[0] * fade + step_x
+    health.position_sum[1] = health.position_sum[1] * fade + step_y
+    size = math.hypot(health.position_sum[0], health.position_sum[1])
+    floor = math.sqrt(2.0) * given.gps_sd + FLOOR + given.doppler_sd * VELOCITY_TIME
+    if not doppler:
+        floor += RECKONED_SHARE * given.speed * SUM_TIME
+    floor += STEP_SHARE * given.speed * T
+    level = typical_size(health.position_level, size, floor, T, health.clock, gps.status == OK)
+    health.position_level = level
+    jumped = math.hypot(step_x, step_y) > (
+        max(ALARM * level, JUMP_MIN) + JUMP_SHARE * given.speed * T
+    )
+    if gps.status != EXCLUDED:
+        if jumped:
+            exclude(health, GPS, JUMPED)
+        # without a measured velocity, only the predictor's is left: it may be the one that errs
+        elif (doppler or frozen) and is_fault(size, level, T, gps):
+            exclude(health, GPS, FROZEN if frozen else DRIFTS)
+    else:
+        if jumped:
+            _begin_sum(health)
+            size = 0.0
+        _readmit(z, T, size, frozen, health, given)
