@@ -302,7 +302,7 @@ class Twin:
     def notes(self) -> tuple[str, ...]:
         """A line for each stretch of the rows taken in which a sensor was not ok.
 
-        For instance ``"compass excluded from 12.0 to 31.5 s: disagrees with the other sensors"``.
+        For instance ``"compass excluded from 12.0 to 31.5 s: contradicted the other sensors"``.
         A saved twin does not keep them, nor does a copy from a vector environment.
         """
         return self.health_history.lines()

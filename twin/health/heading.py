@@ -34,7 +34,7 @@ from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
-__all__ = ["check_course", "check_heading", "velocity_lag"]
+__all__ = ["check_course", "check_heading", "is_late"]
 
 SUM_TIME = 3.0
 """Time constant of the leaky sum of compass minus gyro, s: well below that of a gyro's drift,
@@ -89,6 +89,10 @@ LAG_MAX = 2.5
 
 LAG_TIME, DRIFT_ANGLE_MAX = 15.0, 1.2
 """Time over which that lag is learned, s; larger drift angles (rad) say nothing of it."""
+
+LATE_TIME, LATE_FREE, LATE_TURN = 2.5, 1.0, 0.05
+"""By so many lengths over nominal speed, and so many seconds, a velocity may lag the heading. The
+third is the standard deviation of the yaw rate from which on a lag shows, in U / L."""
 
 TINY = 1e-9
 
@@ -231,7 +235,15 @@ def check_heading(dt, z, s, ready, new_compass, health, given):
 
 
 @inlined
-def velocity_lag(health):
+def is_late(health, given):
+    """Return whether the velocity over ground is older than it may be."""
+    lag, variance = _velocity_lag(health)
+    natural = LATE_TIME * given.time_scale + LATE_FREE + given.latency
+    return lag > natural and variance > (LATE_TURN / given.time_scale) ** 2
+
+
+@inlined
+def _velocity_lag(health):
     """Return by how much the course seems to lag the heading (s), and the yaw rate's variance."""
     sums = health.lag_sums
     weight = max(sums.weight, TINY)
@@ -286,7 +298,7 @@ def check_course(z, new_gps, health, given):
         health.drift_time = 0.0
         return
     heading, T = z[COMPASS], health.course_time
-    lag = min(max(velocity_lag(health)[0], 0.0), LAG_MAX * given.time_scale)
+    lag = min(max(_velocity_lag(health)[0], 0.0), LAG_MAX * given.time_scale)
     course = math.atan2(z[GPS_VY], z[GPS_VX])
     _compare_turns(course, heading, T, lag, health)
     health.course, health.course_time, health.course_gyro = course, 0.0, 0.0

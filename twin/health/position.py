@@ -7,6 +7,7 @@ import math
 from twin.health.evidence import (
     ALARM,
     CLEAR,
+    GIVE_IN,
     exclude,
     is_fault,
     is_frozen,
@@ -25,6 +26,7 @@ from twin.health.state import (
     JUMPED,
     NO_REASON,
     OK,
+    RETURNING,
 )
 from usv_kernel.channels import GPS_VX, GPS_VY, GPS_X, GPS_Y
 from usv_kernel.jit import inlined, kernel
@@ -54,7 +56,8 @@ GATE, GATE_LOST = 0.05, 0.2
 with a trusted heading, and without."""
 
 LOST_TIME = 20.0
-"""Fixes that follow their own velocity for so long (s) are right, and dead reckoning is not."""
+"""After a GPS that gave garbage is left out for so long (s), its fixes are right if they follow
+their own velocity: dead reckoning began in the garbage."""
 
 CALM, CALM_FROZEN, CALM_LONG = 1.0, 3.0, 8.0
 """An excluded GPS comes back after it was near dead reckoning for so long, s. One that was frozen
@@ -103,7 +106,8 @@ def _readmit(z, T, size, frozen, health, given):
     gps.followed = gps.followed + T if follows else 0.0
     gps.calm = gps.calm + T if error < gate and follows else 0.0
     alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
-    lasting = lasted > LOST_TIME and gps.followed > CALM_LONG
+    most = LOST_TIME if gps.reason == RETURNING else GIVE_IN
+    lasting = lasted > most and gps.followed > CALM_LONG
     if gps.calm > CALM or alive or lasting:
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)

@@ -15,9 +15,9 @@ from twin.health.state import (
     GPS,
     GYRO_SENSOR,
     IMPOSSIBLE,
-    JUMPED,
     NO_REASON,
     OK,
+    RETURNING,
 )
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VX, GPS_X, GYRO
 from usv_kernel.jit import inlined, kernel
@@ -156,7 +156,7 @@ def note_absence(dt, health):
                 check.impossible = 0.0
                 # a place or heading must also be near where dead reckoning puts it
                 if sensor <= COMPASS_SENSOR:
-                    set_status(health, sensor, EXCLUDED, JUMPED)
+                    set_status(health, sensor, EXCLUDED, RETURNING)
                 else:
                     set_status(health, sensor, OK, NO_REASON)
 

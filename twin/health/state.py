@@ -51,6 +51,7 @@ REASONS = (
     "is late",
     "have the wrong sign or swapped sides",
     "do not explain how the boat moves",
+    "gave impossible numbers, and is not yet trusted again",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -64,6 +65,7 @@ REASONS = (
     LATE,
     WRONG_SIGN,
     NO_ANSWER,
+    RETURNING,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(

@@ -16,7 +16,7 @@ from twin.health.evidence import (
     set_status,
     typical_size,
 )
-from twin.health.heading import velocity_lag
+from twin.health.heading import is_late
 from twin.health.state import (
     ACCELEROMETERS,
     AT_ODDS,
@@ -50,12 +50,6 @@ STEP_MAX, GAP_SHARE = 3.0, 0.2
 BIAS_SIZE, BIAS_REACH, BIAS_FLOOR = 3.0, 5.0, 0.02
 """A bias is learned from steps of up to so many levels, and up to so many standard deviations of
 the data sheet and this, m/s2."""
-
-LAG_TIME, LAG_FREE = 2.5, 1.0
-"""By so many lengths over nominal speed, and so many seconds, a velocity may lag the heading."""
-
-LAG_TURN = 0.05
-"""Standard deviation of the yaw rate from which on a lag shows, in nominal speeds over a length."""
 
 
 @inlined
@@ -91,9 +85,7 @@ def _find_fault(size, T, health, given):
     """Name the GPS if its velocity is late, else the accelerometers."""
     accel = health.sensors[ACCELEROMETERS]
     if is_fault(size, health.velocity_level, T, accel):
-        lag, variance = velocity_lag(health)
-        natural = LAG_TIME * given.time_scale + LAG_FREE + given.latency
-        if lag > natural and variance > (LAG_TURN / given.time_scale) ** 2:
+        if is_late(health, given):
             exclude(health, GPS, LATE)
         else:
             set_status(health, ACCELEROMETERS, EXCLUDED, AT_ODDS)

@@ -40,7 +40,7 @@ def test_each_stretch_of_a_bad_status_leaves_one_line_with_its_reason():
         }
     )
     assert history.lines() == (
-        "compass excluded from 103.0 to 107.0 s: disagrees with the other sensors",
+        "compass excluded from 103.0 to 107.0 s: contradicted the other sensors",
         "gps absent from 105.0 s on",
     )
 
