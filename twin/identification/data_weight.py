@@ -199,10 +199,10 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
                 return
         if is_stable(row, params[chosen], bounds, model, work.line):
             count[CHOSEN] = chosen
-            if chosen < REFITS:
-                use(params[chosen], factors[chosen], _TRUSTS[chosen], segments, work)
-            else:
-                use(params[chosen], factors[0], 1.0, segments, work)
+            # less trust, or the prior, forecasts better: it does not make the data say less
+            own = chosen < REFITS and _TRUSTS[chosen] >= 1.0
+            given = chosen if own else 0
+            use(params[chosen], factors[given], _TRUSTS[given], segments, work)
             return
         refused |= np.uint64(1) << np.uint64(chosen)
         if count[SCORED] < ENOUGH:
