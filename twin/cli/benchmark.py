@@ -79,6 +79,14 @@ def benchmark_command(
             "all predictors. Exit code 1: it does not."
         ),
     ] = None,
+    faults_matrix: Annotated[
+        bool,
+        typer.Option(
+            "--faults-matrix",
+            help="Only sail every fault of sensors and commands that the twin knows, and print how "
+            "ukf and dsw-ukf-plus bear it. --predictors and --seeds [0-3] restrict it.",
+        ),
+    ] = False,
     scenarios: Annotated[
         str | None,
         typer.Option(help=f"Comma-separated, of: {', '.join(MANOEUVRES)}. [turn,zigzag]"),
@@ -167,6 +175,10 @@ def benchmark_command(
     """
     if check is not None:
         _check(check)
+        return
+    if faults_matrix:
+        given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
+        _matrix(parse_list(given, "--predictors"), parse_seeds(seeds or "0-3"), out, jobs)
         return
     check_backend(backend)
     asked = parse_list(predictors, "--predictors")
@@ -306,6 +318,28 @@ def _check(name: str) -> None:
     console.print(f"{len(found)} checks, {broken} failed")
     if broken:
         raise typer.Exit(1)
+
+
+def _matrix(predictors: Sequence[str], seeds: Sequence[int], out: Path, jobs: int) -> None:
+    """Sail the fault matrix, and print and write its table."""
+    from twin.benchmark.fault_matrix import MATRIX_FAULTS, fault_runs, matrix_table
+
+    out.mkdir(parents=True, exist_ok=True)
+    file, results = out / "fault_matrix.json", []
+    with progress_bar() as bar:
+        task = bar.add_task("fault matrix", total=None)
+        try:
+            for done, total, found in fault_runs(predictors, MATRIX_FAULTS, seeds, file, jobs=jobs):
+                results = found
+                bar.update(task, completed=done, total=total)
+        except KeyboardInterrupt:
+            raise stopped(
+                f"stopped: {file} has what is finished; the same command goes on"
+            ) from None
+    table = "\n".join(matrix_table(results)) + "\n"
+    write_text(out / "fault_matrix.md", table)
+    print(table, end="")
+    note(f"{file}, {out / 'fault_matrix.md'}")
 
 
 class _Failures(dict[str, str]):

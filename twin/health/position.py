@@ -55,7 +55,7 @@ GATE, GATE_LOST = 0.05, 0.2
 """Growth of the distance from dead reckoning within which a GPS comes back, in nominal speeds:
 with a trusted heading, and without."""
 
-LOST_TIME = 20.0
+LOST_TIME = 10.0
 """After a GPS that gave garbage is left out for so long (s), its fixes are right if they follow
 their own velocity: dead reckoning began in the garbage."""
 

@@ -27,6 +27,7 @@ from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, Paths, RolloutStart, Waves, rollout, rollout_size
 from twin.model.structure import N_STATES
 from twin.predictors.plus_update import OBSERVER_GAIN, WINDOW, all_good, last_row
+from twin.predictors.ukf import DOUBTED
 from usv_kernel.arrays import take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
@@ -226,6 +227,8 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
             small[i, k] = P_nav[i, k]
         if i >= 3:
             small[i, i] += (START_WAVE * window.wave_sd[i - 3]) ** 2
+            if nav.commands_doubted > 0.0:
+                small[i, i] += (DOUBTED * given.envelope[i - 3]) ** 2
     cholesky(small, small, out.line)
     out.shocks[:] = 0.0
     for d in range(D + 1):

@@ -1,0 +1,201 @@
+"""The fault matrix: how twins bear faults of sensors and commands, fault by fault.
+
+A boat sails a manoeuvre in waves. From second 90 on its twin gets rows with a fault, and the truth
+says how well it predicts meanwhile and afterwards. The same run without fault is the measure.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject
+from twin.digital_twin import Twin, known_plan
+from twin.files import write_whole
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.sea import SeaState
+
+__all__ = ["MATRIX_FAULTS", "FaultRun", "fault_runs", "matrix_table"]
+
+Array = NDArray[np.float64]
+
+START, AFTER = 90.0, 130.0
+"""When the fault begins, and how long a run goes on after its end, s."""
+
+FIRST, EVERY, HORIZON = 40.0, 1.0, 10.0
+"""First prediction, time between predictions, and how far they reach, s."""
+
+SPAN, FACTOR, FREE = 10.0, 1.5, 0.1
+"""Errors are normal again when their mean over so many seconds is within this factor of that
+without the fault, and this many metres."""
+
+REGION_90 = 4.605
+"""Squared Mahalanobis distance that 90 % of a normal distribution in the plane are within."""
+
+MATRIX_FAULTS = tuple(
+    name
+    for name, fault in SENSOR_FAULTS.items()
+    if fault.shafts == (1.0, 1.0) and fault.seconds < AFTER
+)
+"""Faults of the matrix: those that are changes of a run's rows, and short beside it."""
+
+
+class FaultRun(NamedTuple):
+    """What one run with a fault showed."""
+
+    predictor: str
+    fault: str
+    seed: int
+    recovered: float  # s from the fault's end until predictions are normal again; inf if never
+    inside_now: float  # share of times in which the truth was within the claimed 90 % region
+    inside_ahead: float  # the same 10 s ahead
+    farthest: float  # largest error of the position meanwhile, m
+    named: float  # s from the fault's begin until a sensor at fault is named; inf if none is
+    others: int  # sensors that were named without being at fault
+
+
+class _Track(NamedTuple):
+    """Predictions of a run: time, error now and 10 s ahead (m), and whether within 90 %."""
+
+    t: Array
+    now: Array
+    ahead: Array
+    inside_now: Array
+    inside_ahead: Array
+    named: dict[str, float]
+
+
+def _inside(error: Array, cov: Array) -> bool:
+    """Return whether an error in the plane is within the 90 % region of a covariance."""
+    return bool(error @ np.linalg.solve(cov[:2, :2], error) < REGION_90)
+
+
+def _track(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -> _Track:
+    """Predict along a run with a fault."""
+    boat, given = Vessel.load(vessel), SENSOR_FAULTS[fault]
+    log = simulate(
+        manoeuvre,
+        vessel=boat,
+        sea=SeaState(hs=0.5, wind=4.5),
+        duration=START + given.seconds + AFTER + HORIZON,
+        seed=seed,
+    )
+    rows, twin = inject(log, given, START, seed), Twin(particulars_of(boat), predictor, seed=seed)
+    assert log.truth is not None
+    found: list[tuple[float, ...]] = []
+    named: dict[str, float] = {}
+    due = FIRST
+    for k, (t, z, cmd) in enumerate(rows):
+        twin.step(t, z, cmd)
+        if t >= START:
+            for sensor, status in twin.health.items():
+                if status.status != "ok":
+                    named.setdefault(sensor, t - START)
+        if t < due or t > log.t[-1] - HORIZON:
+            continue
+        due += EVERY
+        # the commands to come are those that the boat got, not those that the twin was given
+        prediction = twin.predict(known_plan(log, k, HORIZON, 0.25), dt=0.25)
+        later = int(np.searchsorted(log.t, t + HORIZON))
+        now = prediction.start[:2] - log.truth[k, :2]
+        ahead = prediction.mean[-1, :2] - log.truth[later, :2]
+        inside = _inside(now, prediction.start_cov), _inside(ahead, prediction.cov[-1])
+        found.append((t, float(np.hypot(*now)), float(np.hypot(*ahead)), *inside))
+    return _Track(*np.array(found, dtype=np.float64).T, named)
+
+
+def _run(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -> FaultRun:
+    """Return what a run with a fault shows beside the one without."""
+    given = SENSOR_FAULTS[fault]
+    track = _track(predictor, fault, seed, manoeuvre, vessel)
+    clean = _track(predictor, "clean", seed, manoeuvre, vessel)
+    end, recovered = START + given.seconds, math.inf
+    for begin in np.arange(end, track.t[-1] - SPAN, EVERY):
+        span = (track.t >= begin) & (track.t < begin + SPAN)
+        normal = (clean.t >= begin) & (clean.t < begin + SPAN)
+        if track.ahead[span].mean() <= FACTOR * clean.ahead[normal].mean() + FREE:
+            recovered = float(begin - end)
+            break
+    meanwhile = (track.t >= START) & (track.t < end)
+    return FaultRun(
+        predictor,
+        fault,
+        seed,
+        recovered,
+        float(track.inside_now[meanwhile].mean()),
+        float(track.inside_ahead[meanwhile].mean()),
+        float(track.now[meanwhile].max()),
+        min((track.named.get(name, math.inf) for name in given.sensors), default=math.inf),
+        len(set(track.named) - set(given.sensors)),
+    )
+
+
+def fault_runs(
+    predictors: Sequence[str],
+    faults: Sequence[str],
+    seeds: Sequence[int],
+    file: Path,
+    *,
+    manoeuvre: str = "zigzag",
+    vessel: str = "usv75",
+    jobs: int = 1,
+) -> Iterator[tuple[int, int, list[FaultRun]]]:
+    """Sail every fault with every predictor and seed; yield (done, all, results) after each.
+
+    Finished runs are kept in ``file`` (JSON), and are not sailed again.
+    """
+    results = [FaultRun(**item) for item in json.loads(file.read_text())] if file.exists() else []
+    done = {(item.predictor, item.fault, item.seed) for item in results}
+    units = [(p, f, s) for p in predictors for f in faults for s in seeds]
+    left = [unit for unit in units if unit not in done]
+    yield len(units) - len(left), len(units), results
+    with ProcessPoolExecutor(jobs) as pool:
+        tasks = [pool.submit(_run, *unit, manoeuvre, vessel) for unit in left]
+        try:
+            for task in as_completed(tasks):
+                results.append(task.result())
+                kept: list[dict[str, Any]] = [item._asdict() for item in results]
+                write_whole(file, json.dumps(kept, indent=1).encode())
+                yield len(units) - len(left) + sum(t.done() for t in tasks), len(units), results
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _seconds(values: Array) -> str:
+    """Return median and largest of some times, s."""
+    shown = [f"{v:.0f}" if math.isfinite(v) else "never" for v in (np.median(values), values.max())]
+    return " / ".join(shown)
+
+
+def matrix_table(results: Sequence[FaultRun]) -> list[str]:
+    """Return the lines of a Markdown table: a row for each fault, predictor by predictor."""
+    lines = [
+        "| fault | predictor | normal again after, s | inside 90 % now / 10 s ahead | "
+        "farthest, m | named after, s | runs |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for fault in SENSOR_FAULTS:
+        for predictor in dict.fromkeys(item.predictor for item in results):
+            some = [r for r in results if r.fault == fault and r.predictor == predictor]
+            if not some:
+                continue
+            now = np.mean([r.inside_now for r in some])
+            ahead = np.mean([r.inside_ahead for r in some])
+            named = ""
+            if SENSOR_FAULTS[fault].sensors:
+                named = _seconds(np.array([r.named for r in some]))
+            lines.append(
+                f"| {SENSOR_FAULTS[fault].text} | `{predictor}` | "
+                f"{_seconds(np.array([r.recovered for r in some]))} | "
+                f"{100 * now:.0f} / {100 * ahead:.0f} % | {max(r.farthest for r in some):.1f} | "
+                f"{named} | {len(some)} |"
+            )
+    return lines
