@@ -105,11 +105,12 @@ def _track(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -
         # the commands to come are those that the boat got, not those that the twin was given
         prediction = twin.predict(known_plan(log, k, HORIZON, 0.25), dt=0.25)
         later = int(np.searchsorted(log.t, t + HORIZON))
-        now = prediction.start[:2] - log.truth[k, :2]
-        ahead = prediction.mean[-1, :2] - log.truth[later, :2]
-        inside = _inside(now, prediction.start_cov), _inside(ahead, prediction.cov[-1])
-        found.append((t, float(np.hypot(*now)), float(np.hypot(*ahead)), *inside))
-    return _Track(*np.array(found, dtype=np.float64).T, named)
+        error = prediction.start[:2] - log.truth[k, :2]
+        later_error = prediction.mean[-1, :2] - log.truth[later, :2]
+        inside = _inside(error, prediction.start_cov), _inside(later_error, prediction.cov[-1])
+        found.append((t, float(np.hypot(*error)), float(np.hypot(*later_error)), *inside))
+    times, now, ahead, inside_now, inside_ahead = np.array(found, dtype=np.float64).T
+    return _Track(times, now, ahead, inside_now, inside_ahead, named)
 
 
 def _run(predictor: str, fault: str, seed: int, manoeuvre: str, vessel: str) -> FaultRun:

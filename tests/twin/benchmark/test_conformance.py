@@ -95,15 +95,19 @@ class Keeps(Plain):
 
 
 class Peeps(Plain):
+    """Reads the later rows where only cheating finds them: in the caller that holds the log."""
+
     def predict(self, plan, dt):
         prediction = super().predict(plan, dt)
-        if self.row.base is not None:
-            prediction.mean[:, 1] = self.row.base[-1, 5]
+        prediction.mean[:, 1] = self.later
         return prediction
 
     def update(self, t, dt, z, cmd):
         super().update(t, dt, z, cmd)
-        self.row = z
+        frame = sys._getframe()
+        while frame is not None and "log" not in frame.f_locals:
+            frame = frame.f_back
+        self.later = 0.0 if frame is None else float(np.nan_to_num(frame.f_locals["log"].z[-1, 5]))
 
 
 class Shares(Plain):

@@ -1,0 +1,74 @@
+"""The current: found where the boat turns, and held while GPS is lost."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twin import Twin
+from twin.channels import MEASUREMENTS
+from twin.identification.data_weight import is_stable
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+
+GPS = [k for k, name in enumerate(MEASUREMENTS) if name.startswith("gps")]
+
+
+@pytest.fixture(scope="module")
+def log():
+    """A usv75 that turns and weaves where the water runs east at .8 m/s."""
+    sea = SeaState(hs=0.3, wind=3.0, current=0.8, current_to=math.radians(90.0))
+    return simulate("random", vessel=Vessel.load("usv75"), sea=sea, duration=150.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def twin(log):
+    twin = Twin(particulars_of(Vessel.load("usv75")), "dsw-ukf-plus")
+    twin.run(log.slice(0.0, 120.0))
+    return twin
+
+
+def current_of(twin):
+    found = twin.estimate()
+    at = twin.predictor.parameter_names.index("C_north")
+    return found.params[at : at + 2], found.params_sd[at : at + 2]
+
+
+def test_current_is_found_within_what_is_claimed(twin):
+    mean, sd = current_of(twin)
+    # measured: .03 north and .75 east
+    assert (np.abs(mean - [0.0, 0.8]) < 3.0 * sd + 0.1).all()
+    assert mean[1] > 0.4 and (sd < 0.25).all()
+
+
+def test_current_is_held_without_gps(twin, log):
+    before = current_of(twin)[0].copy()
+    for t, z, cmd in log.slice(120.1, 140.0):
+        z[GPS] = math.nan
+        twin.step(t, z, cmd)
+    np.testing.assert_allclose(current_of(twin)[0], before, atol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rough_models_are_refused_or_bounded(log, seed):
+    """Whatever the refits hold, forecast and observer stay with what was seen."""
+    boat = particulars_of(Vessel.load("usv75"))
+    twin = Twin(boat, "dsw-ukf-plus")
+    twin.run(log.slice(0.0, 30.0))
+    predictor, rng = twin.predictor, np.random.default_rng(seed)
+    own = predictor.selector.segments
+    sd = np.sqrt(np.diag(own.prior_cov))
+    wild = own.prior + 10.0 ** rng.uniform(0.0, 2.0) * sd * rng.standard_normal(len(sd))
+    predictor.selector.params[:] = predictor.ukf.x[6:] = wild
+    bounds = np.maximum(1.5 * predictor.ukf.fastest, predictor.ukf.nominal)
+    for t, z, cmd in log.slice(30.05, 45.0):
+        twin.step(t, z, cmd)
+        slow, seen = predictor.window["slow"], predictor.n[3:6]
+        assert (np.abs(slow - seen) <= 0.125 * predictor.ukf.envelope + 1e-9).all()
+    ahead = twin.predict("hold").mean[:, 3:]
+    assert np.isfinite(ahead).all()
+    assert (np.abs(ahead) <= bounds + 3.0 * predictor.window["wave_sd"] + 0.5).all()
+    chosen = predictor.selector.params[predictor.selector.chosen]
+    row = predictor.rows[predictor.last_row % len(predictor.rows)]
+    if predictor.selector.scored >= 8 and not (chosen == wild).all():
+        assert is_stable(row, chosen, bounds, own.model, own.work.line)
