@@ -89,7 +89,7 @@ AGREED, SILENT, UNEXPLAINED = 4.0, 3.0, 15.0
 makes way with shafts at rest does not get the commands. Above the third they are doubtful whatever
 explains them: high waves come in groups."""
 
-DRIFT, EVIDENCE_MAX, SUSPECT, EXPLAINED = 1.0, 10.0, 10.0, 40.0
+DRIFT, EVIDENCE_MAX, SUSPECT, EXPLAINED = 1.0, 10.0, 10.0, 80.0
 """Evidence for a hypothesis: the sum of what it takes off the squared errors (in levels) of the
 steps, less the first number a step. A step counts up to the second number, as one wave says little.
 Above the third nothing is learned, or the fault would become the model; above the fourth the

@@ -112,6 +112,7 @@ class HistoryPredictor(Predictor):
                 f"field 'next' = {self._next} is not within {2.0 * GRID} s of t = {self.t}; use an "
                 "earlier copy of the file"
             )
+        self._dropped = int(self._dropped)
         # errors of past forecasts follow from the history
         self._errors_at = -math.inf
 
