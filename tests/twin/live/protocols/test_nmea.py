@@ -185,7 +185,7 @@ def test_nothing_goes_back_before_there_is_a_place(wire: Wire) -> None:
 
 
 def test_a_sensors_new_status_goes_out_once(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
-    wire.tell(line(GGA), line(HDT))
+    wire.tell(line(GGA))
     sent: list[bytes] = []
     monkeypatch.setattr(wire.feed, "_send", sent.append)
     monkeypatch.setattr(wire.feed, "_peer", ("127.0.0.1", 1))

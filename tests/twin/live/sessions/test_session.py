@@ -414,7 +414,7 @@ class LogFeed(Feed):
         self.counts["received"] += len(rows)
         return rows
 
-    def send(self, estimate, prediction):
+    def send(self, estimate, prediction, health=None):
         self.sent.append((estimate, prediction))
 
     def close(self):
