@@ -40,6 +40,10 @@ PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
 
 
+CURRENT_MAX = 1.0
+"""A current is plausible up to this speed, m/s: three standard deviations of the prior."""
+
+
 class TwinError(UsvTwinError):
     """Rows or plans that the twin cannot use; the message names the entry and the remedy."""
 
@@ -295,8 +299,16 @@ class Twin:
 
     @property
     def health(self) -> dict[str, SensorStatus]:
-        """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why."""
-        return self.monitor.statuses(self.begun)
+        """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why.
+
+        A GPS that is drawn away looks like a current. Where that is too large, the GPS is doubtful.
+        """
+        found = self.monitor.statuses(self.begun)
+        size = self.predictor.surest_current()
+        if found["gps"].status == "ok" and size > CURRENT_MAX:
+            why = f"gps makes a current of at least {size:.1f} m/s: its fixes may be drawn away"
+            found["gps"] = SensorStatus("doubtful", self.t, why)
+        return found
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -223,6 +223,13 @@ class Predictor(ABC):
         """True once a first fix and a first heading have come."""
         return self.estimate().ready
 
+    def surest_current(self) -> float:
+        """Return the speed that the estimated current has at least (two standard deviations), m/s.
+
+        0 where the predictor knows none.
+        """
+        return 0.0
+
     def hold_parameters(self, held: bool) -> None:
         """Learn nothing of the model while the commands do not explain the motion.
 

@@ -412,6 +412,14 @@ class ModelPredictor(Predictor):
         self.add_common_error(variance)
         return self.ready
 
+    def surest_current(self) -> float:
+        """See :meth:`twin.predictors.base.Predictor.surest_current`."""
+        at = int(self.ukf.terms.hull[CURRENT])
+        if at < 0 or not self.ready:
+            return 0.0
+        mean, variance = self.ukf.xi[at : at + 2], self.ukf.P.diagonal()[N_STATES + at :][:2]
+        return max(float(np.hypot(*mean) - 2.0 * math.sqrt(variance.max())), 0.0)
+
     def identifiability(self) -> Identifiability:
         """Return what the data so far say of the parameters."""
         ukf, settings = self.ukf, self.ukf.settings

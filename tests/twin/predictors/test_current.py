@@ -72,3 +72,13 @@ def test_rough_models_are_refused_or_bounded(log, seed):
     row = predictor.rows[predictor.last_row % len(predictor.rows)]
     if predictor.selector.scored >= 8 and not (chosen == wild).all():
         assert is_stable(row, chosen, bounds, own.model, own.work.line)
+
+
+def test_current_that_is_too_large_makes_the_gps_doubtful(log):
+    twin = Twin(particulars_of(Vessel.load("usv75")), "ukf")
+    twin.run(log.slice(0.0, 30.0))
+    assert twin.health["gps"].status == "ok"
+    at = twin.predictor.parameter_names.index("C_north")
+    twin.predictor.ukf.xi[at : at + 2] = 1.5, -1.5
+    found = twin.health["gps"]
+    assert found.status == "doubtful" and "current of at least" in found.why

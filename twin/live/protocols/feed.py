@@ -17,13 +17,14 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, R
+from twin.health.monitor import SensorStatus
 from twin.live.protocols.sockets import Address, FeedError, open_socket
 from twin.logs.datum import Plane
 from twin.particulars import Particulars
@@ -226,6 +227,7 @@ class Feed(ABC):
         self._arrival = -math.inf
         self._peer: Address | None = None
         self._reply: Address | None = None
+        self._sent_health: dict[str, str] = {}
         self._socket: socket.socket | None = None
         self._output: socket.socket | None = None
         if address is not None:
@@ -248,6 +250,10 @@ class Feed(ABC):
     @abstractmethod
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
         """Yield the datagrams of the twin's estimate and prediction."""
+
+    @abstractmethod
+    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+        """Return the datagram of a sensor's new status, at a time of day or of the sender (s)."""
 
     def greet(self, now: float) -> Iterator[bytes]:
         """Yield datagrams that are due now whatever is known."""
@@ -297,12 +303,27 @@ class Feed(ABC):
                 self._arrival, self._peer = arrival, source
         self._release(self._head - self.wait)
 
-    def send(self, estimate: Estimate, prediction: Prediction | None = None) -> None:
-        """Send the twin's estimate; nothing before a position and a receiver are known."""
+    def send(
+        self,
+        estimate: Estimate,
+        prediction: Prediction | None = None,
+        health: Mapping[str, SensorStatus] | None = None,
+    ) -> None:
+        """Send the twin's estimate, and what changed of its sensors since the last time.
+
+        Nothing goes out before a position and a receiver are known.
+        """
         known = self._plane is not None and estimate.ready and np.isfinite(estimate.state).all()
-        if known and (self._reply or self._peer):
-            for data in self.encode(estimate, prediction):
-                self._send(data)
+        if not (known and (self._reply or self._peer)):
+            return
+        for data in self.encode(estimate, prediction):
+            self._send(data)
+        for sensor, status in (health or {}).items():
+            # sensors that are well, or were never there, are no news at first
+            before = self._sent_health.get(sensor, status.status if status.why == "" else "")
+            if status.status != before:
+                self._send(self.encode_health(self.stamp_of(estimate.t), sensor, status))
+            self._sent_health[sensor] = status.status
 
     def close(self) -> None:
         """Let go of the ports."""

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, PSI, R, U, V
+from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.nmea import HORIZONS
 from twin.live.protocols.sockets import FeedError, needed
@@ -216,6 +217,10 @@ class MavlinkFeed(Feed):
                 sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :2], 0.0))
                 yield write.deviations(made, np.column_stack([horizons, sd]))
 
+    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+        """See :meth:`Feed.encode_health`; a STATUSTEXT, which ground stations show and speak."""
+        return self._writer.text(status.why or f"{sensor} {status.status}", status.status != "ok")
+
     def _message(self, item: Any) -> Message | str:
         """Return what a message says, or how it counts."""
         kind = item.get_type()
@@ -385,6 +390,12 @@ class MavlinkWriter:
                 [UNKNOWN_HEADING] * 5,
             )
         )
+
+    def text(self, text: str, warning: bool) -> bytes:
+        """Return a text for the operator, cut to 50 letters."""
+        d = self._dialect
+        severity = d.MAV_SEVERITY_WARNING if warning else d.MAV_SEVERITY_INFO
+        return self._pack(d.MAVLink_statustext_message(severity, text.encode()[:50]))
 
     def deviations(self, stamp: float, table: Array) -> bytes:
         """Return seconds ahead and standard deviations north and east, shape (n, 3)."""

@@ -20,7 +20,11 @@ What goes back has the talker U9, as NMEA 0183 leaves U0 to U9 to users. It is G
 
 with the time of prediction, the horizon (s), latitude, longitude and heading (degrees). Standard
 deviations north and east (m, at most 999.99) and their correlation follow. Each sentence is at most
-82 characters long, as the standard asks.
+82 characters long, as the standard asks. Where a sensor's status changes, one more goes out ::
+
+    $PUTWH,hhmmss.sss,gps,excluded*hh<CR><LF>
+
+with the sensor (gps, compass, gyro, accelerometers, commands) and ok, doubtful, excluded or absent.
 
 Source: NMEA 0183 version 4.10, section 6 (sentences), section 7 (TAG blocks).
 """
@@ -39,6 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, R
+from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
 from twin.live.protocols.sockets import FeedError, needed
 from twin.predictors.base import Estimate, Prediction
@@ -124,6 +129,10 @@ class NmeaFeed(Feed):
                 place = self.place_of(state)[:2]
                 lines.append(write.predicted(made, after, place, float(state[2]), cov[:2, :2]))
         yield "".join(lines).encode()
+
+    def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
+        """See :meth:`Feed.encode_health`."""
+        return self._writer.health(stamp, sensor, status.status).encode()
 
     def _day(self, stamp: float) -> date:
         """Return the date of a time of day: that of the last date received, or the nearest."""
@@ -425,6 +434,11 @@ class NmeaWriter:
             *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
             f"{correlation:.2f}",
         )
+        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
+
+    def health(self, stamp: float, sensor: str, status: str) -> str:
+        """Return the new status of a sensor; see the head of this module."""
+        fields = ("H", _clock(stamp), sensor, status)
         return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
 
     def row(

@@ -79,7 +79,8 @@ class FeedSession(Session):
         # no estimates go out for a boat that is no longer heard of
         if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
             self._answered = now
-            self.feed.send(monitor.twin.estimate(), seen.prediction)
+            twin = monitor.twin
+            self.feed.send(twin.estimate(), seen.prediction, twin.health)
         return seen
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.twin.live.wire import Wire, estimate_of
+from twin.health.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
 from twin.particulars import Particulars
 
@@ -181,6 +182,23 @@ def test_nothing_goes_back_before_there_is_a_place(wire: Wire) -> None:
     wire.tell(line(GGA))
     wire.feed.send(replace(estimate, ready=False), prediction)
     assert wire.feed.counts["sent"] == wire.feed.counts["unsent"] == 0
+
+
+def test_a_sensors_new_status_goes_out_once(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    wire.tell(line(GGA))
+    sent: list[bytes] = []
+    monkeypatch.setattr(wire.feed, "_send", sent.append)
+    monkeypatch.setattr(wire.feed, "_peer", ("127.0.0.1", 1))
+    fine = SensorStatus("ok", 0.0, "")
+    lost = SensorStatus("excluded", 3.0, "gps jumped")
+    for health in ({"gps": fine}, {"gps": lost}, {"gps": lost}, {"gps": fine}):
+        wire.feed.send(estimate_of(0.0)[0], None, health)
+    news = [data.decode() for data in sent if b"PUTWH" in data]
+    assert [text.split(",")[2:] for text in (n.split("*")[0] for n in news)] == [
+        ["gps", "excluded"],
+        ["gps", "ok"],
+    ]
+    assert all(len(text) <= 82 and pynmea2.parse(text, check=True) for text in news)
 
 
 def test_wide_intervals_keep_a_sentence_within_the_standard() -> None:

@@ -406,12 +406,15 @@ class LogFeed(Feed):
     def encode(self, estimate, prediction):
         return iter(())
 
+    def encode_health(self, stamp, sensor, status):
+        return b""
+
     def take(self):
         rows, self.rows = self.rows[:10], self.rows[10:]
         self.counts["received"] += len(rows)
         return rows
 
-    def send(self, estimate, prediction):
+    def send(self, estimate, prediction, health=None):
         self.sent.append((estimate, prediction))
 
     def close(self):
