@@ -291,7 +291,7 @@ class Twin:
         if math.isnan(self.t):
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
-        z, trusted = monitor.check(dt, z, cmd, predictor.state, predictor.ready)
+        z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready)
         predictor.hold_parameters(monitor.commands_doubted)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
@@ -424,7 +424,8 @@ class Twin:
                 )
             if plan != "hold":
                 raise TwinError(f"plan = {plan!r}; use 'hold' or an array of commands (K, 4)")
-            rows = np.tile(self.cmd, (max(round(horizon / dt), 1), 1))
+            held = self.monitor.trusted(self.cmd)
+            rows = np.tile(held, (max(round(horizon / dt), 1), 1))
         else:
             rows = np.ascontiguousarray(plan, dtype=np.float64)
             if rows.ndim != 2 or rows.shape[1] != len(COMMANDS) or len(rows) == 0:
@@ -434,6 +435,10 @@ class Twin:
                 )
             if not np.isfinite(rows).all():
                 raise TwinError("plan holds NaN or infinity; every command must be a number")
+            if self.monitor.commands_doubted:
+                # what the drives got is not known, but what they will get is
+                with self.predictor.drives_at(rows[0]):
+                    return self.predictor.predict(rows, dt)
         return self.predictor.predict(rows, dt)
 
 

@@ -1,4 +1,4 @@
-"""Faults of sensors and commands that a twin may meet, each as a change of the rows of a log."""
+"""Faults that a twin may meet: changes of the rows of a log, or of the boat and its sea."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.logs.log import Log
+from twin.sim.bridge import simulate
+from usv_gym.vessel.vessel import Vessel
+from usv_gym.world.sea import SeaState
+from usv_gym.world.simulation import Simulation
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_VY, GPS_X, GPS_Y, GYRO
 
-__all__ = ["SENSOR_FAULTS", "SensorFault", "inject"]
+__all__ = ["SENSOR_FAULTS", "SensorFault", "inject", "simulate_with"]
 
 Array = NDArray[np.float64]
 
@@ -24,8 +28,8 @@ IMU_CHANNELS = slice(GYRO, ACCEL_Y + 1)
 
 SENSORS = slice(GPS_X, ACCEL_Y + 1)
 
-LEFT = 0
-"""The left shaft speed among the commands."""
+LEFT, RIGHT = 0, 1
+"""The shaft speeds among the commands."""
 
 
 class Rows(NamedTuple):
@@ -59,6 +63,10 @@ class SensorFault:
         Changes the rows that the twin gets.
     shafts : tuple of float
         Factors of the shaft speeds that the boat makes of its commands meanwhile.
+    current : float
+        Current to the east that sets in, m/s.
+    lasts : bool
+        Whether the boat stays so: the twin must learn it.
     """
 
     name: str
@@ -67,6 +75,8 @@ class SensorFault:
     sensors: tuple[str, ...]
     change: Change
     shafts: tuple[float, float] = (1.0, 1.0)
+    current: float = 0.0
+    lasts: bool = False
 
 
 def _nothing(rows: Rows) -> None:
@@ -194,9 +204,6 @@ SENSOR_FAULTS = {
         ),
         SensorFault("commands-zero", "commands zero", 20.0, ("commands",), _command_factor(0.0)),
         SensorFault("commands-absurd", "commands of 1e9", 10.0, ("commands",), _absurd_commands),
-        SensorFault(
-            "thruster-dead", "left thruster dead", 20.0, ("commands",), _nothing, (0.0, 1.0)
-        ),
         SensorFault("gps-jump", "GPS jumps by 500 m", 10.0, ("gps",), _added(GPS_X, 500.0)),
         SensorFault("gps-jump-small", "GPS jumps by 20 m", 10.0, ("gps",), _added(GPS_Y, 20.0)),
         SensorFault("gps-frozen", "GPS frozen", 20.0, ("gps",), _frozen(GPS_CHANNELS)),
@@ -215,9 +222,54 @@ SENSOR_FAULTS = {
         SensorFault("all-lost", "all sensors lost", 60.0, ANY, _set(SENSORS, math.nan)),
         SensorFault("garbage", "garbage from all sensors", 10.0, ANY, _garbage),
         SensorFault("garbage-long", "1e5 rows of garbage", 5000.0, ANY, _garbage),
+        SensorFault(
+            "thruster-dead",
+            "left thruster dead from then on",
+            60.0,
+            ("commands",),
+            _nothing,
+            (0.0, 1.0),
+            lasts=True,
+        ),
+        SensorFault(
+            "thruster-weak",
+            "left thruster at half its thrust from then on",
+            60.0,
+            (),
+            _nothing,
+            (math.sqrt(0.5), 1.0),
+            lasts=True,
+        ),
+        SensorFault(
+            "current-step",
+            "current of 1 m/s from then on",
+            60.0,
+            (),
+            _nothing,
+            current=1.0,
+            lasts=True,
+        ),
     )
 }
 """Faults by name: those of ``docs/explanation/fault_matrix.md``."""
+
+
+def simulate_with(
+    fault: SensorFault, start: float, manoeuvre: str, boat: Vessel, sea: SeaState, **options: Any
+) -> Log:
+    """Return a log of a boat that has its part of a fault from a time (s) on.
+
+    ``options`` are ``duration`` and ``seed`` of :func:`twin.sim.bridge.simulate`.
+    """
+    end = math.inf if fault.lasts else start + fault.seconds
+
+    def before_step(t: float, simulation: Simulation, command: Array) -> None:
+        if start <= t < end:
+            command[LEFT] *= fault.shafts[0]
+            command[RIGHT] *= fault.shafts[1]
+            simulation.weather["current_east"] = fault.current
+
+    return simulate(manoeuvre, vessel=boat, sea=sea, before_step=before_step, **options)
 
 
 def inject(log: Log, fault: SensorFault, start: float, seed: int) -> Log:

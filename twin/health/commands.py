@@ -1,7 +1,8 @@
 """Kernel that holds the commands against the motion that they should make.
 
 A linear model of the change of yaw rate and surge in a step of a third of a boat length is learned
-online. What it would say of commands reversed, or with sides swapped, says what is wrong with them.
+online. What it would say of commands reversed, with sides swapped or with one thruster dead, says
+what is wrong with them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from twin.health.state import (
     HYPOTHESES,
     IMPOSSIBLE,
     NO_ANSWER,
+    NO_LEFT,
     NO_REASON,
+    NO_RIGHT,
     OK,
     WRONG_SIGN,
 )
@@ -36,36 +39,47 @@ YAW, SURGE = range(2)
 THRUST, MOMENT, DIFFERENCE = 2, 2, 3
 """Places of the commands' effects among the parameters: thrust of surge, the others of yaw."""
 
-SIGNS = np.array(
+LEFT_THRUST, RIGHT_THRUST, LEFT_MOMENT, RIGHT_MOMENT = range(DRIVE)
+"""What the commands make, side by side: thrust, and the part of it that steers."""
+
+EFFECTS = np.array(
     [
-        [1.0, 1.0, 1.0],  # as given
-        [-1.0, -1.0, -1.0],  # all reversed
-        [1.0, -1.0, 1.0],  # steering reversed
-        [-1.0, 1.0, -1.0],  # thrust reversed
-        [1.0, 1.0, -1.0],  # sides swapped
+        # thrust of left, right; steering of left, right; difference of thrust of left, right
+        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],  # as given
+        [[-1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]],  # all reversed
+        [[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]],  # steering reversed
+        [[-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]],  # thrust reversed
+        [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]],  # sides swapped
+        [[0.0, 1.0], [0.0, 1.0], [0.0, -1.0]],  # left thruster dead
+        [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]],  # right thruster dead
     ]
 )
-"""What may be wrong with commands: factors of thrust, steering moment and difference of thrust."""
+"""What may be wrong with commands: factors of the sides in what a boat makes of them."""
 
-STEP = 0.35
-"""A step, in lengths over nominal speed: shorter ones are noise, in longer ones drag answers."""
+LEFT_DEAD, RIGHT_DEAD = 5, 6
+"""Of these hypotheses, those of a boat that has changed."""
 
-WARM_UP = 40.0
+STEP, STEP_MIN = 0.35, 0.9
+"""A step, in lengths over nominal speed and in s: in shorter ones waves hide what commands do, in
+longer ones drag answers."""
+
+WARM_UP = 35.0
 """Steps before anything is concluded."""
 
-RECENT = 4.0
+RECENT = 3.0
 """Steps over which errors are averaged."""
 
-FIRST_STEPS, LEVEL_STEPS = 15.0, 40.0
+FIRST_STEPS, LEVEL_STEPS = 8.0, 25.0
 """Steps until errors count for the level, as the model knows nothing yet; and over how many steps
 the level is averaged."""
 
-CORRELATED_STEPS = 8.0
+CORRELATED_STEPS = 4.0
 """So many neighbouring steps have the same error, as a wave lasts longer than a step. The
 covariance of the parameters, which takes errors for white, is too small by this."""
 
-MODEL_ERROR = 0.25
-"""Share of the commands' effect that a linear model without rate limits does not explain."""
+MODEL_ERROR, MODEL_DRIVE = 0.25, 0.15
+"""Share of the commands' effect that a linear model without rate limits does not explain; at least
+that share of the effect of so many nominal thrusts."""
 
 LEVEL_MIN = 0.004
 """Least typical error of a step, in nominal units: rounding of a filter's rates."""
@@ -80,20 +94,20 @@ PRIOR, WALK = 1e3, 5e-5
 """Variance of a parameter before any step, and what a step adds to it, in squared levels. With
 regressors of about 1 the latter makes a memory of 150 steps."""
 
-EXPECTED_SURGE, SURGE_PRIOR = 0.04, 0.5
-"""Expected change of surge by nominal thrust in a step, in nominal speeds; and the variance that
-it begins with: forward thrust pushes forward."""
+EXPECTED_SURGE, SURGE_PRIOR = 0.115, 0.5
+"""Expected change of surge by nominal thrust in a length over nominal speed, in nominal speeds; and
+the variance that it begins with: forward thrust pushes forward."""
 
 AGREED, SILENT, UNEXPLAINED = 4.0, 3.0, 15.0
 """Mean squares of errors, in levels: below the first commands agree. Above the second, a boat that
 makes way with shafts at rest does not get the commands. Above the third they are doubtful whatever
 explains them: high waves come in groups."""
 
-DRIFT, EVIDENCE_MAX, SUSPECT, EXPLAINED = 1.0, 10.0, 10.0, 80.0
+DRIFT, EVIDENCE_MAX, SUSPECT, EXPLAINED, DECIDED = 2.0, 20.0, 12.0, 60.0, 12.0
 """Evidence for a hypothesis: the sum of what it takes off the squared errors (in levels) of the
 steps, less the first number a step. A step counts up to the second number, as one wave says little.
-Above the third nothing is learned, or the fault would become the model; above the fourth the
-hypothesis explains the motion."""
+Above the third nothing is learned, or the fault would become the model; above the fourth a
+hypothesis that agrees explains the motion. The last number is clearly more than another has."""
 
 SIGN_SURE, SIGN_KEPT = 2.5, 1.0
 """Standard deviations by which an effect must be negative to be named, and to stay so."""
@@ -133,7 +147,15 @@ def _set(health, status, reason):
 
 
 @inlined
-def _regressor(axis, k, health, signs):
+def _effect(kind, health, effects):
+    """Return thrust, steering moment or difference of thrust of the last step."""
+    first = LEFT_MOMENT if kind == 1 else LEFT_THRUST
+    drive = health.mean_drive
+    return effects[kind, 0] * drive[first] + effects[kind, 1] * drive[first + 1]
+
+
+@inlined
+def _regressor(axis, k, health, effects):
     """Return regressor k of an axis."""
     r, u = health.motion[0], health.motion[1]
     if axis == YAW:
@@ -142,9 +164,9 @@ def _regressor(axis, k, health, signs):
         if k == 1:
             return r * abs(r)
         if k == MOMENT:
-            return signs[1] * health.mean_drive[1]
+            return _effect(1, health, effects)
         if k == DIFFERENCE:
-            return signs[2] * health.mean_drive[2]
+            return _effect(2, health, effects)
         if k == 4:
             return r * u
         return 1.0
@@ -153,38 +175,38 @@ def _regressor(axis, k, health, signs):
     if k == 1:
         return u * abs(u)
     if k == THRUST:
-        return signs[0] * health.mean_drive[0]
+        return _effect(0, health, effects)
     if k == 3:
         return r * r
     return 0.0  # no constant: thrust alone makes way
 
 
 @inlined
-def _error(axis, fit, change, signs, health):
+def _error(axis, fit, change, effects, health):
     """Return the error of a step under a hypothesis."""
     error = change
     for i in range(COMMAND_TERMS):
-        error -= fit.params[i] * _regressor(axis, i, health, signs)
+        error -= fit.params[i] * _regressor(axis, i, health, effects)
     return error
 
 
 @inlined
-def _variance(axis, fit, health):
+def _variance(axis, fit, health, effects):
     """Return the variance of the error of a step, in squared levels: more where all is new."""
     spread, driven = 1.0, 0.0
     for i in range(COMMAND_TERMS):
-        f = _regressor(axis, i, health, SIGNS[0])
+        f = _regressor(axis, i, health, effects)
         if i in (MOMENT, DIFFERENCE):
-            driven += abs(fit.params[i] * f)
+            driven += abs(fit.params[i]) * max(abs(f), MODEL_DRIVE)
         for j in range(COMMAND_TERMS):
-            g = _regressor(axis, j, health, SIGNS[0])
+            g = _regressor(axis, j, health, effects)
             spread += CORRELATED_STEPS * f * fit.cov[i, j] * g
     return spread + (MODEL_ERROR * driven / max(fit.level, LEVEL_MIN)) ** 2
 
 
 @inlined
-def _begin_fit(fit, axis):
-    """Set the model of an axis to what is expected of any boat."""
+def _begin_fit(fit, axis, length):
+    """Set the model of an axis to what is expected of any boat in a step of so many lengths."""
     for i in range(COMMAND_TERMS):
         for j in range(COMMAND_TERMS):
             fit.cov[i, j] = 0.0
@@ -192,14 +214,16 @@ def _begin_fit(fit, axis):
     if axis == SURGE:
         # at the nominal speed, nominal thrust and drag are equal
         fit.cov[1, 1] = fit.cov[2, 2] = SURGE_PRIOR
-        fit.params[1], fit.params[2] = -EXPECTED_SURGE, EXPECTED_SURGE
+        fit.params[2] = EXPECTED_SURGE * length
+        fit.params[1] = -fit.params[2]
 
 
 @inlined
-def _learn(axis, fit, change, warm, health):
+def _learn(axis, fit, change, warm, health, effects):
     """Take a step into the model of an axis: a Kalman filter of slowly changing parameters."""
     level = max(fit.level, LEVEL_MIN)
-    error, spread = _error(axis, fit, change, SIGNS[0], health), _variance(axis, fit, health)
+    error = _error(axis, fit, change, effects, health)
+    spread = _variance(axis, fit, health, effects)
     size = abs(error) / math.sqrt(spread)
     part = 1.0 / min(max(health.steps - FIRST_STEPS, 1.0), LEVEL_STEPS)
     capped = min(size, LEVEL_CUT * level) if warm else size
@@ -209,7 +233,7 @@ def _learn(axis, fit, change, warm, health):
     for i in range(COMMAND_TERMS):
         fit.gain[i] = 0.0
         for j in range(COMMAND_TERMS):
-            fit.gain[i] += fit.cov[i, j] * _regressor(axis, j, health, SIGNS[0])
+            fit.gain[i] += fit.cov[i, j] * _regressor(axis, j, health, effects)
     for i in range(COMMAND_TERMS):
         fit.params[i] += fit.gain[i] * error / spread
         for j in range(COMMAND_TERMS):
@@ -231,7 +255,7 @@ def _is_sign_wrong(T, health):
     for k in (MOMENT, DIFFERENCE):
         sd = level * math.sqrt(CORRELATED_STEPS * max(yaw.cov[k, k], 0.0))
         wrong = wrong or yaw.params[k] < -certain * sd
-    thrust, u = health.mean_drive[0], health.motion[1]
+    thrust, u = _effect(0, health, EFFECTS[0]), health.motion[1]
     if check.status == EXCLUDED:
         health.against_time = 0.0
     elif thrust * u < 0.0 and abs(thrust) > AGAINST_THRUST and abs(u) > AGAINST_SPEED:
@@ -242,13 +266,21 @@ def _is_sign_wrong(T, health):
 
 
 @inlined
+def _is_thruster_dead(health):
+    """Return whether one thruster is known not to answer."""
+    check = health.sensors[COMMAND]
+    return check.status == DOUBTFUL and (check.reason == NO_LEFT or check.reason == NO_RIGHT)
+
+
+@inlined
 def _add_evidence(health):
-    """Add the last step to the evidence for each hypothesis, a cumulative sum (Page 1954)."""
+    """Add a step to the evidence for each hypothesis, a cumulative sum (Page 1954)."""
     share = 1.0 / RECENT
     for k in range(HYPOTHESES):
         health.mismatch[k] += share * (0.5 * health.step_mismatch[k] - health.mismatch[k])
         better = min(health.step_mismatch[0] - health.step_mismatch[k], EVIDENCE_MAX)
-        health.evidence[k] = min(max(health.evidence[k] + better - DRIFT, 0.0), 2.0 * EXPLAINED)
+        total = health.evidence[k] + better - DRIFT
+        health.evidence[k] = min(max(total, 0.0), 2.0 * EXPLAINED)
     # entry 0: for the commands as given, against the hypothesis that excluded them
     other = health.step_mismatch[int(health.hypothesis)]
     better = min(other - health.step_mismatch[0], EVIDENCE_MAX)
@@ -257,12 +289,20 @@ def _add_evidence(health):
 
 @inlined
 def _best_hypothesis(health):
-    """Return the hypothesis with most evidence."""
+    """Return the hypothesis with most evidence; a dead thruster must be clearly more likely."""
     best = 1
     for k in range(2, HYPOTHESES):
-        if health.evidence[k] > health.evidence[best]:
+        more = DECIDED if k >= LEFT_DEAD and best < LEFT_DEAD else 0.0
+        if health.evidence[k] > health.evidence[best] + more:
             best = k
     return best
+
+
+@inlined
+def _forget_evidence(health):
+    """Begin again with all hypotheses."""
+    for k in range(HYPOTHESES):
+        health.mismatch[k] = health.evidence[k] = 0.0
 
 
 @inlined
@@ -270,10 +310,18 @@ def _find_fault(idle, wrong, health):
     """Doubt or exclude commands that are in use."""
     check, at_odds = health.sensors[COMMAND], health.mismatch[0]
     best = _best_hypothesis(health)
-    if health.evidence[best] > EXPLAINED:
-        _set(health, EXCLUDED, WRONG_SIGN)
+    if _is_thruster_dead(health):
+        if health.evidence[0] > EXPLAINED:
+            _set(health, OK, NO_REASON)
+            _forget_evidence(health)
+    elif health.evidence[best] > EXPLAINED and health.mismatch[best] < AGREED:
         health.hypothesis = best
         health.evidence[0] = 0.0
+        if best >= LEFT_DEAD:
+            # the boat has changed: the commands are used, and the twin learns what they do now
+            _set(health, DOUBTFUL, NO_LEFT if best == LEFT_DEAD else NO_RIGHT)
+        else:
+            _set(health, EXCLUDED, WRONG_SIGN)
     elif idle and at_odds > SILENT:
         _set(health, EXCLUDED, NO_ANSWER)
         check.calm = 0.0
@@ -300,8 +348,7 @@ def _readmit(idle, T, health):
         right = check.calm > CALM_STEPS * T
     if right or health.clock - check.since > GIVE_IN:
         _set(health, OK, NO_REASON)
-        for k in range(HYPOTHESES):
-            health.mismatch[k] = health.evidence[k] = 0.0
+        _forget_evidence(health)
 
 
 @inlined
@@ -315,22 +362,26 @@ def _end_step(left, right, cmd, s, step, health, given):
     r_new, u_new = s[R] / (1.0 / given.time_scale), s[U] / given.speed
     warm = health.steps > WARM_UP
     lasting = check.status == DOUBTFUL and health.clock - check.since > CHANGED
-    agreed = health.mismatch[0] < AGREED and health.evidence[_best_hypothesis(health)] < SUSPECT
+    dead = _is_thruster_dead(health)
+    effective = int(health.hypothesis) if dead else 0
+    agreed = health.mismatch[effective] < AGREED and (
+        dead or health.evidence[_best_hypothesis(health)] < SUSPECT
+    )
     learn = check.status != EXCLUDED and (agreed or not warm or lasting)
     for k in range(HYPOTHESES):
         health.step_mismatch[k] = 0.0
     for axis in range(2):
         fit = health.fit[axis]
         if health.steps == 0.0:
-            _begin_fit(fit, axis)
+            _begin_fit(fit, axis, step / given.time_scale)
         change = ((r_new - r) if axis == YAW else (u_new - u)) * step / T
         level = max(fit.level, LEVEL_MIN)
-        variance = _variance(axis, fit, health) * level * level
+        variance = _variance(axis, fit, health, EFFECTS[effective]) * level * level
         for k in range(HYPOTHESES):
-            error = _error(axis, fit, change, SIGNS[k], health)
+            error = _error(axis, fit, change, EFFECTS[k], health)
             health.step_mismatch[k] += min(error * error / variance, ERROR_MAX)
         if learn:
-            _learn(axis, fit, change, warm, health)
+            _learn(axis, fit, change, warm, health, EFFECTS[effective])
     health.steps += 1.0
     if check.status == OK and agreed:
         for k in range(4):
@@ -407,9 +458,10 @@ def check_commands(dt, cmd, s, ready, health, given):
     a, b = left * abs(left), right * abs(right)
     share = 1.0 - math.exp(-dt / max(given.lag, LAG_MIN))
     targets = (
-        0.5 * (a * math.cos(cmd[2]) + b * math.cos(cmd[3])),
-        0.5 * (a * math.sin(cmd[2]) + b * math.sin(cmd[3])),
-        0.5 * (a * math.cos(cmd[2]) - b * math.cos(cmd[3])),
+        0.5 * a * math.cos(cmd[2]),
+        0.5 * b * math.cos(cmd[3]),
+        0.5 * a * math.sin(cmd[2]),
+        0.5 * b * math.sin(cmd[3]),
     )
     turn = 1.0 / given.time_scale
     if health.step_time < 0.0:
@@ -421,6 +473,6 @@ def check_commands(dt, cmd, s, ready, health, given):
         health.drive[k] += share * (targets[k] - health.drive[k])
         health.drive_sum[k] += health.drive[k] * dt
     health.step_time += dt
-    step = STEP * given.time_scale
+    step = max(STEP * given.time_scale, STEP_MIN)
     if health.step_time >= step:
         _end_step(left, right, cmd, s, step, health, given)

@@ -131,7 +131,11 @@ class SensorMonitor:
         """
         state = np.ascontiguousarray(state)
         _check(dt, z, cmd, state, ready, self.memory, self._settings, self._out)
-        return self._out.copy(), self.record["trusted"].copy() if self.commands_doubted else cmd
+        return self._out.copy(), self.trusted(cmd)
+
+    def trusted(self, cmd: Array) -> Array:
+        """Return the command (4,), or the last one that was trusted while it is in doubt."""
+        return self.record["trusted"].copy() if self.commands_doubted else cmd
 
     def statuses(self, begin: float) -> dict[str, SensorStatus]:
         """Return the status of each sensor; ``begin`` is the time of the first row, s."""

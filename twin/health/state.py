@@ -52,6 +52,8 @@ REASONS = (
     "have the wrong sign or swapped sides",
     "do not explain how the boat moves",
     "gave impossible numbers, and is not yet trusted again",
+    "do not reach the left thruster",
+    "do not reach the right thruster",
 )
 """Why, in words that follow the sensor's name."""
 
@@ -66,6 +68,8 @@ REASONS = (
     WRONG_SIGN,
     NO_ANSWER,
     RETURNING,
+    NO_LEFT,
+    NO_RIGHT,
 ) = range(len(REASONS))
 
 CHECK = np.dtype(
@@ -88,10 +92,10 @@ CHECK = np.dtype(
 COMMAND_TERMS = 6
 """Most terms of the model of an axis."""
 
-DRIVE = 3
-"""What the commands make: thrust, steering moment, difference of thrust."""
+DRIVE = 4
+"""What the commands make: thrust of left and right, and the part of it that steers."""
 
-HYPOTHESES = 5
+HYPOTHESES = 7
 """What may be wrong with the commands, the first of them nothing."""
 
 N_COMMANDS, N_STATES = len(COMMANDS), len(STATE)
@@ -155,7 +159,7 @@ HEALTH = np.dtype(
         ("velocity_sum", "f8", 2),  # leaky sum of velocity minus acceleration, m/s
         ("velocity_level", "f8"),  # its typical size, m/s
         # commands against the motion: a linear model of the change in a step, for yaw and surge
-        ("drive", "f8", DRIVE),  # thrust, steering moment, difference of thrust, after the lags
+        ("drive", "f8", DRIVE),  # thrust and its steering part, side by side, after the lags
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
         ("mean_drive", "f8", DRIVE),  # their mean over the last step
         ("known_time", "f8"),  # how long the sensors of the motion have been in use, s
@@ -168,7 +172,7 @@ HEALTH = np.dtype(
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
         ("step_mismatch", "f8", HYPOTHESES),  # squared errors of the last step, in levels ...
-        ("mismatch", "f8", HYPOTHESES),  # ... and their leaky mean; by commands.SIGNS
+        ("mismatch", "f8", HYPOTHESES),  # ... and their leaky mean; by commands.EFFECTS
         ("evidence", "f8", HYPOTHESES),  # for each of them, in squared levels
         ("hypothesis", "f8"),  # that which excluded the commands last
     ]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -260,6 +261,22 @@ class Predictor(ABC):
     @abstractmethod
     def state(self) -> Array:
         """Estimated state, shape (6,) in the order of :data:`CHANNELS`; may be a view."""
+
+    @property
+    def navigation(self) -> Array:
+        """State by the sensors alone, shape (6,), for the sensor checks; may be a view.
+
+        A model that has the commands would agree with them. Here: :attr:`state`.
+        """
+        return self.state
+
+    @contextmanager
+    def drives_at(self, command: Array) -> Iterator[None]:
+        """Predict as if the drives were at a command (4,); what they do is not known.
+
+        For predictors without a model, this changes nothing.
+        """
+        yield
 
     @abstractmethod
     def estimate(self) -> Estimate:

@@ -170,7 +170,8 @@ def _slow_step(dt, nav, window, state, config, terms):
         rotate_body_velocity(n[R] - slow[2], h, slow, 0)
         for i in range(3):
             slow[i] += h * (rates[i] + OBSERVER_GAIN * (n[3 + i] - slow[i]))
-            reach = 0.125 * envelope[i]
+            # where nobody knows what the drives do, the model says nothing of the velocities
+            reach = 0.125 * envelope[i] if nav.commands_doubted == 0.0 else 0.0
             slow[i] = min(max(slow[i], n[3 + i] - reach), n[3 + i] + reach)
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +45,7 @@ from twin.identification.joint_ukf import (
     filter_workspace,
     information_is_due,
     limit_covariances,
+    scale_plan,
 )
 from twin.model.actuators import follow_all
 from twin.model.dynamics import current_terms, drive, rates_over_ground
@@ -420,6 +423,16 @@ class ModelPredictor(Predictor):
         mean, variance = self.ukf.xi[at : at + 2], self.ukf.P.diagonal()[N_STATES + at :][:2]
         return max(float(np.hypot(*mean) - 2.0 * math.sqrt(variance.max())), 0.0)
 
+    @contextmanager
+    def drives_at(self, command: Array) -> Iterator[None]:
+        """See :meth:`twin.predictors.base.Predictor.drives_at`."""
+        act, before = self.ukf.act, self.ukf.act.copy()
+        scale_plan(command[None], self.ukf.settings.n_unit, act[None])
+        try:
+            yield
+        finally:
+            act[:] = before
+
     def identifiability(self) -> Identifiability:
         """Return what the data so far say of the parameters."""
         ukf, settings = self.ukf, self.ukf.settings
@@ -558,6 +571,12 @@ class UKFPredictor(ModelPredictor):
     def ready(self) -> bool:
         """True once the filter has begun."""
         return bool(self.memory.nav.view(NAVIGATION)[0]["begun"])
+
+    @property
+    def navigation(self) -> Array:
+        """State of the navigation filter, a view of shape (6,)."""
+        navigation: Array = self._nav["n"][:N_STATES]
+        return navigation
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias and the error of the navigation added.

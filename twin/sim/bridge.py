@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,11 +107,14 @@ def simulate(
     faults: Sequence[Disturbance] = (),
     suite: SensorSuite | None = None,
     dof: int = 3,
+    before_step: Callable[[float, Simulation, Array], None] | None = None,
 ) -> Log:
     """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
     ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands (N, 4) of
     the control steps. ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
+    ``before_step(t, simulation, command)`` may change boat and sea, and in place the command (4,)
+    that reaches the boat; the log has the command as given.
     """
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
@@ -126,8 +129,13 @@ def simulate(
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     for k in range(N + 1):
         if k:
-            simulation.step(given[k - 1 : k])
+            command = given[k - 1 : k].copy()
+            if before_step is not None:
+                before_step(float(simulation.t[0]), simulation, command[0])
+            simulation.step(command)
         t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
+        if k and before_step is not None:
+            cmd[k] = given[k - 1]
         z[k, : len(SENSOR_CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
     return Log(t=t, z=z, cmd=cmd, truth=truth, name=f"{called}_{seed}")

@@ -212,10 +212,11 @@ def take_row(boat, note):
 
 
 @inlined
-def _check_row(dt, boat, note, x, nav, given):
+def _check_row(dt, boat, note, nav, given):
     """Do what ``Twin.feed`` does before a row is taken: write what of it is trusted."""
     health, ready = note.health, nav.begun > 0.0
-    check_sensors(dt, note.z[:], boat.command[:], x[:N_STATES], ready, health, given, note.used[:])
+    state = nav.n[:N_STATES]
+    check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
     for k in range(N_ACT):
         note.trusted[k] = health.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
@@ -324,11 +325,11 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
-            _check_row(dt, boat, note, state.x, nav, settings.health)
+            _check_row(dt, boat, note, nav, settings.health)
             tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
         if not _is_due(note, settings.look):
             continue
-        _hold(boat.command, forecast.plan)
+        _hold(note.trusted[:], forecast.plan)
         forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         due = note.last >= note.covs_due
@@ -375,11 +376,11 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
-            _check_row(dt, boat, note, state.x, nav, settings.health)
+            _check_row(dt, boat, note, nav, settings.health)
             plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
         if not _is_due(note, settings.look):
             continue
-        _hold(boat.command, forecast.plan)
+        _hold(note.trusted[:], forecast.plan)
         plus_mean(forecast.plan, LONG_STEP, memory, config, mean)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         for h in range(HORIZON_ROWS.shape[0]):
