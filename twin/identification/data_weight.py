@@ -66,6 +66,18 @@ MARGINS = (0.4, 0.15)
 """By how much the mean logarithm of another's squared errors must be lower, on average over the
 memories. The shorter the memory, the more of a difference is chance."""
 
+SHORT = 4
+"""The first of the refits with a short span. After a change, they look back to it at most."""
+
+SURPRISE_MAX, SURPRISE_DRIFT, SURPRISE_ALARM = 4.0, 2.2, 4.5
+"""Evidence that the boat has changed is a cumulative sum (Page 1954) of what the logarithms of
+squared errors exceed their long mean by: each up to the first number, less the second. Above the
+third it has. A boat that sails as never before, as into its first zigzag, makes less."""
+
+LOOK_BACK, SETTLED, HEAD_START = 1, 20.0, 1.1
+"""Segments before the alarm that count as after the change, seconds until the next alarm, and the
+lead that the short refits begin with, in margins."""
+
 LEAST, MOST = 1e-9, 1e9
 """Bounds of a squared error, so that its logarithm is a number."""
 
@@ -73,22 +85,22 @@ LEAST, MOST = 1e-9, 1e9
 class SelectorState(NamedTuple):
     """What the choice of the trust remembers."""
 
-    count: (
-        Any  # (4,) segments compared, refit in use, refit whose turn it is, last row that was noted
-    )
+    count: Any  # (6,) see SCORED to SURPRISE
     errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
     params: Any  # (3, p) parameters of each refit
     factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
     past: Any  # (slots, 3, p) parameters when recent segments began
 
 
-SCORED, CHOSEN, TURN, NOTED = 0, 1, 2, 3
+SCORED, CHOSEN, TURN, NOTED, CHANGED, SURPRISE = range(6)
+"""Segments compared, candidate in use, refit whose turn it is, last row that was noted, row at
+the boat changed, evidence that it did since."""
 
 
 @inlined
 def selector_state(memory, p, steps, spacing):
     """Open the memory of the choice between refits of p parameters."""
-    count, at = take(memory, 0, (4,))
+    count, at = take(memory, 0, (6,))
     errors, at = take(memory, at, (len(MEMORIES), CANDIDATES))
     params, at = take(memory, at, (CANDIDATES, p))
     factors, at = take(memory, at, (REFITS, p, p))
@@ -134,17 +146,38 @@ def note(start, spacing, state):
     state.count[NOTED] = start
 
 
+@inlined
+def _note_change(first, worse, state, config):
+    """Add to the evidence that the boat has changed; if it has, begin with the short refits."""
+    count, errors = state.count, state.errors
+    if count[SCORED] < ENOUGH or (first - count[CHANGED]) * GRID < SETTLED:
+        count[SURPRISE] = 0.0
+        return
+    count[SURPRISE] = max(count[SURPRISE] + worse - SURPRISE_DRIFT, 0.0)
+    if count[SURPRISE] <= SURPRISE_ALARM:
+        return
+    count[SURPRISE] = 0.0
+    count[CHANGED] = first - LOOK_BACK * config.spacing
+    count[CHOSEN] = SHORT
+    for m in range(len(MEMORIES)):
+        for r in range(SHORT, REFITS):
+            errors[m, r] = errors[m, 0] - HEAD_START * MARGINS[m]
+
+
 @kernel
 def score(first, rows, state, config, model, work):
     """Compare what the refits predicted at a row with what came."""
-    count, errors = state.count, state.errors
+    count, errors, worse = state.count, state.errors, 0.0
     count[SCORED] += 1.0
     for r in range(CANDIDATES):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
         error = forecast_error(first, rows, xi, model, config, work.line)
         error = math.log(min(max(error, LEAST), MOST))
+        if r == int(count[CHOSEN]):
+            worse = min(error - errors[1, r], SURPRISE_MAX)
         for m in range(len(MEMORIES)):
             errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
+    _note_change(first, worse, state, config)
 
 
 @kernel
@@ -180,6 +213,8 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
     other = int(count[TURN]) % (REFITS - 1)
     for r in (first, other if other < first else other + 1):
         since = max(newest - int(_SPANS[r]), 0)
+        if r >= SHORT:
+            since = max(since, int(count[CHANGED]))
         if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
     refused = np.uint64(0) if config.joint else np.uint64(1) << np.uint64(JOINT)
@@ -211,9 +246,8 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
 
 SELECTOR_FIELDS = {
     "count": Field(
-        low=(0.0, 0.0, 0.0, -1.0),
-        high=(COUNT_MAX, CANDIDATES - 1.0, COUNT_MAX, COUNT_MAX),
-        integer=True,
+        low=(0.0, 0.0, 0.0, -1.0, -COUNT_MAX, 0.0),
+        high=(COUNT_MAX, CANDIDATES - 1.0, COUNT_MAX, COUNT_MAX, COUNT_MAX, COUNT_MAX),
     )
 }
 """What the fields of a saved :class:`SelectorState` may hold."""
@@ -244,6 +278,7 @@ class TrustSelector:
         """Forget everything; all begin with the prior."""
         self.memory[:] = 0.0
         self.state.count[NOTED] = -1.0
+        self.state.count[CHANGED] = -COUNT_MAX
         self.params[:] = self.state.past[:] = self.segments.prior
 
     @property
