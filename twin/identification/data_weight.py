@@ -94,7 +94,7 @@ class SelectorState(NamedTuple):
 
 SCORED, CHOSEN, TURN, NOTED, CHANGED, SURPRISE = range(6)
 """Segments compared, candidate in use, refit whose turn it is, last row that was noted, row at
-the boat changed, evidence that it did since."""
+which the boat changed, evidence that it did since."""
 
 
 @inlined

@@ -46,6 +46,10 @@ ROUGH_PUSH, ROUGH_NOISE = 4.0, 0.5
 """Process and measurement noise of a boat with a fixed pair of thrusters, in those of the study's
 boat. No population says what such boats are like: what their rough model leaves is not white."""
 
+REST_PUSH = 0.001
+"""Share of that process noise at rest with shafts stopped. A rough model is wrong by a share of its
+forces; where there are none, a boat that lies still says that there is no current."""
+
 PRIOR_INFLATION = 1.5
 """How much larger than in the population the variances of a tanker's parameters are taken."""
 
@@ -73,6 +77,9 @@ class FilterSettings:
     # expectation. Then what that mean adds to the densities of measurement noise (s) and process
     # noise (1/s). With zeros nothing is
     waves: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # share of the velocities' process noise that is left at rest: 1 where waves and wind make it,
+    # less where the model's error does, which grows with the forces
+    rest_push: float = 1.0
     # spread of the sigma points
     alpha: float = 1.0
     beta: float = 2.0
@@ -123,6 +130,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         xi0=mean,
         xi0_cov=covariance,
         n_unit=structure.n_unit,
+        rest_push=REST_PUSH if rough else 1.0,
     )
 
 

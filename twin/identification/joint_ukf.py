@@ -93,6 +93,8 @@ class FilterConfig(NamedTuple):
     wave_time: float  # time over which waves are averaged, s; 0 for none
     wave_noise: float  # what their power adds to the measurement noise, s
     wave_push: float  # what it adds to the process noise, 1/s
+    rest_push: float  # share of the process noise that is left at rest
+    n_nominal: float  # nominal shaft speed in the unit of the structure
     model: Any  # ModelTerms
 
 
@@ -155,9 +157,10 @@ def filter_config(values, model):
     weights, at = take(values, at, (4,))
     n, at = take(values, at, (1,))
     waves, at = take(values, at, (3,))
+    rest, at = take(values, at, (2,))
     return FilterConfig(
         q, q_xi, r, p0, lags, envelope, nominal, prior,
-        weights, n[0], waves[0], waves[1], waves[2], model,
+        weights, n[0], waves[0], waves[1], waves[2], rest[0], rest[1], model,
     )  # fmt: skip
 
 
@@ -201,6 +204,14 @@ def _process_noise(h, state, config, work):
     """Write the process noise of a step of h."""
     for i in range(N_STATES):
         work.Q[i, i] = config.q[i] * h
+    if config.rest_push < 1.0:
+        # squares of thrust and motion, in nominal ones
+        x, act, U = state.x, state.act, 0.25 * config.envelope[0]
+        thrust = (act[0] * act[0] + act[1] * act[1]) / (2.0 * config.n_nominal**2)
+        motion = (x[3] * x[3] + x[4] * x[4]) / (U * U) + (4.0 * x[5] / config.envelope[2]) ** 2
+        share = config.rest_push + (1.0 - config.rest_push) * min(thrust + motion, 1.0)
+        for i in range(3):
+            work.Q[3 + i, 3 + i] *= share
     for i in range(3):
         work.Q[3 + i, 3 + i] += config.wave_push * state.wave_power[i] * h
     for k in range(config.q_xi.shape[0]):
@@ -423,6 +434,7 @@ class JointUKF:
                 self.weights,
                 [settings.n_unit],
                 settings.waves,
+                [settings.rest_push, settings.n_unit * particulars.shaft_speed],
             ]
         )
         config: FilterConfig = python_views(filter_config)(self.constants, self.terms)
