@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
+from twin.health.current import CurrentWatch
 from twin.health.history import HealthHistory
 from twin.health.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
@@ -38,10 +39,6 @@ _DAMAGE = (OSError, RuntimeError, TypeError, ValueError)
 
 PLANS = ("hold", "known")
 """``hold``: the last command stays. ``known``: the commands that the log went on with."""
-
-
-CURRENT_MAX = 1.0
-"""A current is plausible up to this speed, m/s: three standard deviations of the prior."""
 
 
 class TwinError(UsvTwinError):
@@ -108,6 +105,7 @@ class Twin:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
         self.monitor = SensorMonitor(particulars)
         self.health_history = HealthHistory(self.monitor)
+        self.current_watch = CurrentWatch()
         self.begun = math.nan
         self.datum: Datum | None = None
         self.t = math.nan
@@ -118,6 +116,7 @@ class Twin:
         self.predictor.reset()
         self.monitor.reset()
         self.health_history.reset()
+        self.current_watch.reset()
         self.t = self.begun = math.nan
         self.cmd = np.zeros(len(COMMANDS))
 
@@ -296,17 +295,19 @@ class Twin:
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
         self.health_history.take(t, self.begun)
+        if self.current_watch.is_due(t):
+            self.current_watch.take(t, predictor.current())
 
     @property
     def health(self) -> dict[str, SensorStatus]:
         """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why.
 
-        A GPS that is drawn away looks like a current. Where that is too large, the GPS is doubtful.
+        A GPS that is drawn away looks like a current. Where that is too large, or changes too fast,
+        the GPS is doubtful.
         """
         found = self.monitor.statuses(self.begun)
-        size = self.predictor.surest_current()
-        if found["gps"].status == "ok" and size > CURRENT_MAX:
-            why = f"gps makes a current of at least {size:.1f} m/s: its fixes may be drawn away"
+        why = self.current_watch.doubt(self.t, self.predictor.current())
+        if found["gps"].status == "ok" and why:
             found["gps"] = SensorStatus("doubtful", self.t, why)
         return found
 

@@ -217,7 +217,7 @@ SENSOR_FAULTS = {
             _added(GPS_Y, 0.0, 0.5),
         ),
         SensorFault(
-            "gps-spoofed", "fixes and velocity drawn away at .5 m/s", 60.0, (), _pulled(0.5)
+            "gps-spoofed", "fixes and velocity drawn away at .5 m/s", 60.0, ("gps",), _pulled(0.5)
         ),
         SensorFault("all-lost", "all sensors lost", 60.0, ANY, _set(SENSORS, math.nan)),
         SensorFault("garbage", "garbage from all sensors", 10.0, ANY, _garbage),

@@ -50,6 +50,9 @@ REST_PUSH = 0.001
 """Share of that process noise at rest with shafts stopped. A rough model is wrong by a share of its
 forces; where there are none, a boat that lies still says that there is no current."""
 
+CURRENT_TIME = 300.0
+"""Time of the study's boat in which a current may change by its prior's standard deviation, s."""
+
 PRIOR_INFLATION = 1.5
 """How much larger than in the population the variances of a tanker's parameters are taken."""
 
@@ -126,12 +129,21 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,
         p0=p0**2,
-        q_xi=np.zeros(len(structure)),
+        q_xi=_wander_of_current(structure, covariance, time),
         xi0=mean,
         xi0_cov=covariance,
         n_unit=structure.n_unit,
         rest_push=REST_PUSH if rough else 1.0,
     )
+
+
+def _wander_of_current(structure: Structure, covariance: Array, time: float) -> Array:
+    """Return the variance that each parameter gains per second: the current's, of a slow walk."""
+    q = np.zeros(len(structure))
+    for k, name in enumerate(structure.parameters):
+        if name in ("C_north", "C_east"):
+            q[k] = covariance[k, k] / (CURRENT_TIME * time)
+    return q
 
 
 def _of_a_tanker(particulars: Particulars) -> FilterSettings:

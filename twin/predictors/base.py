@@ -224,12 +224,12 @@ class Predictor(ABC):
         """True once a first fix and a first heading have come."""
         return self.estimate().ready
 
-    def surest_current(self) -> float:
-        """Return the speed that the estimated current has at least (two standard deviations), m/s.
+    def current(self) -> tuple[float, float, float] | None:
+        """Return the assumed velocity of the water to north and east, and its standard deviation.
 
-        0 where the predictor knows none.
+        All in m/s; None where there is no estimate.
         """
-        return 0.0
+        return None
 
     def hold_parameters(self, held: bool) -> None:
         """Learn nothing of the model while the commands do not explain the motion.

@@ -415,13 +415,14 @@ class ModelPredictor(Predictor):
         self.add_common_error(variance)
         return self.ready
 
-    def surest_current(self) -> float:
-        """See :meth:`twin.predictors.base.Predictor.surest_current`."""
+    def current(self) -> tuple[float, float, float] | None:
+        """See :meth:`twin.predictors.base.Predictor.current`."""
         at = int(self.ukf.terms.hull[CURRENT])
         if at < 0 or not self.ready:
-            return 0.0
-        mean, variance = self.ukf.xi[at : at + 2], self.ukf.P.diagonal()[N_STATES + at :][:2]
-        return max(float(np.hypot(*mean) - 2.0 * math.sqrt(variance.max())), 0.0)
+            return None
+        north, east = self.ukf.xi[at : at + 2]
+        variance = self.ukf.P.diagonal()[N_STATES + at :][:2].max()
+        return float(north), float(east), math.sqrt(variance)
 
     @contextmanager
     def drives_at(self, command: Array) -> Iterator[None]:
