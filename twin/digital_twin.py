@@ -306,7 +306,7 @@ class Twin:
         the GPS is doubtful.
         """
         found = self.monitor.statuses(self.begun)
-        why = self.current_watch.doubt(self.t, self.predictor.current())
+        why = self.current_watch.why_doubtful(self.t, self.predictor.current())
         if found["gps"].status == "ok" and why:
             found["gps"] = SensorStatus("doubtful", self.t, why)
         return found

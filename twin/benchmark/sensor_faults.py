@@ -6,13 +6,14 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.logs.log import Log
-from twin.sim.bridge import simulate
+from twin.sim.bridge import CONTROL_STEP, sail
+from usv_gym.manoeuvring.manoeuvres import commands
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
@@ -255,12 +256,16 @@ SENSOR_FAULTS = {
 
 
 def simulate_with(
-    fault: SensorFault, start: float, manoeuvre: str, boat: Vessel, sea: SeaState, **options: Any
+    fault: SensorFault,
+    start: float,
+    manoeuvre: str,
+    boat: Vessel,
+    sea: SeaState,
+    *,
+    duration: float,
+    seed: int,
 ) -> Log:
-    """Return a log of a boat that has its part of a fault from a time (s) on.
-
-    ``options`` are ``duration`` and ``seed`` of :func:`twin.sim.bridge.simulate`.
-    """
+    """Return a log of a boat that has its part of a fault from a time (s) on."""
     end = math.inf if fault.lasts else start + fault.seconds
 
     def before_step(t: float, simulation: Simulation, command: Array) -> None:
@@ -269,7 +274,12 @@ def simulate_with(
             command[RIGHT] *= fault.shafts[1]
             simulation.weather["current_east"] = fault.current
 
-    return simulate(manoeuvre, vessel=boat, sea=sea, before_step=before_step, **options)
+    sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
+    simulation = Simulation(1, boat, sea, dt=CONTROL_STEP)
+    simulation.reset([0], [sea_rng])
+    times = np.arange(round(duration / CONTROL_STEP)) * CONTROL_STEP
+    given = commands(manoeuvre, times, boat, helm_rng)
+    return sail(simulation, given, f"{manoeuvre}_{seed}", before_step)
 
 
 def inject(log: Log, fault: SensorFault, start: float, seed: int) -> Log:

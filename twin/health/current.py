@@ -52,7 +52,7 @@ class CurrentWatch:
                 self._changed, self._by = t, by
         self._past.append(current)
 
-    def doubt(self, t: float, current: Current | None) -> str:
+    def why_doubtful(self, t: float, current: Current | None) -> str:
         """Return in words why a current makes the GPS doubtful; empty where it does not."""
         if current is None:
             return ""

@@ -420,9 +420,8 @@ class ModelPredictor(Predictor):
         at = int(self.ukf.terms.hull[CURRENT])
         if at < 0 or not self.ready:
             return None
-        north, east = self.ukf.xi[at : at + 2]
         variance = self.ukf.P.diagonal()[N_STATES + at :][:2].max()
-        return float(north), float(east), math.sqrt(variance)
+        return float(self.ukf.xi[at]), float(self.ukf.xi[at + 1]), math.sqrt(variance)
 
     @contextmanager
     def drives_at(self, command: Array) -> Iterator[None]:
@@ -525,7 +524,8 @@ class UKFPredictor(ModelPredictor):
         self.work: Any = UKFWork(np.zeros(NAVIGATION_WORK.itemsize // 8), self.ukf.scratch)
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
         nav = self._nav = self.memory.nav.view(NAVIGATION)[0]
-        self.n, self.P_nav = nav["n"], nav["P"]
+        self.n: Array = nav["n"]
+        self.P_nav = nav["P"]
         self.reset()
 
     def reset(self) -> None:
@@ -576,8 +576,7 @@ class UKFPredictor(ModelPredictor):
     @property
     def navigation(self) -> Array:
         """State of the navigation filter, a view of shape (6,)."""
-        navigation: Array = self._nav["n"][:N_STATES]
-        return navigation
+        return self.n[:N_STATES]
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias and the error of the navigation added.

@@ -25,6 +25,7 @@ __all__ = [
     "TRUE_STATE",
     "measurement_row",
     "particulars_of",
+    "sail",
     "simulate",
 ]
 
@@ -107,14 +108,11 @@ def simulate(
     faults: Sequence[Disturbance] = (),
     suite: SensorSuite | None = None,
     dof: int = 3,
-    before_step: Callable[[float, Simulation, Array], None] | None = None,
 ) -> Log:
     """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
     ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands (N, 4) of
     the control steps. ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
-    ``before_step(t, simulation, command)`` may change boat and sea, and in place the command (4,)
-    that reaches the boat; the log has the command as given.
     """
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
@@ -125,6 +123,21 @@ def simulate(
         given, called = commands(manoeuvre, times, vessel, helm_rng), manoeuvre
     else:
         given, called = manoeuvre, "own"
+    return sail(simulation, given, f"{called}_{seed}")
+
+
+def sail(
+    simulation: Simulation,
+    given: Array,
+    name: str,
+    before_step: Callable[[float, Simulation, Array], None] | None = None,
+) -> Log:
+    """Step a simulation of one boat by commands (N, 4), and return the log, with the truth.
+
+    ``before_step(t, simulation, command)`` may change boat and sea, and in place the command (4,)
+    that reaches the boat; the log has the command as given.
+    """
+    N = len(given)
     t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     for k in range(N + 1):
@@ -138,4 +151,4 @@ def simulate(
             cmd[k] = given[k - 1]
         z[k, : len(SENSOR_CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
-    return Log(t=t, z=z, cmd=cmd, truth=truth, name=f"{called}_{seed}")
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name)

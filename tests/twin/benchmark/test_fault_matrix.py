@@ -5,7 +5,9 @@ import math
 from typer.testing import CliRunner
 
 from twin.benchmark.fault_matrix import MATRIX_FAULTS, FaultRun, fault_runs, matrix_table
+from twin.benchmark.sensor_faults import SENSOR_FAULTS, simulate_with
 from twin.cli.main import app
+from usv_gym import SeaState, Vessel
 
 
 def run_of(fault, seed, recovered=1.0):
@@ -44,5 +46,20 @@ def test_command_goes_on_from_what_is_finished(tmp_path, monkeypatch):
     assert (tmp_path / "fault_matrix.md").read_text() in again.output
 
 
-def test_faults_of_the_matrix_are_changes_of_rows():
-    assert "thruster-dead" not in MATRIX_FAULTS and "clean" in MATRIX_FAULTS
+def test_faults_of_the_matrix_are_short():
+    assert "garbage-long" not in MATRIX_FAULTS and "clean" in MATRIX_FAULTS
+
+
+def test_weak_thruster_leaves_the_log_with_the_commands_given():
+    boat, sea = Vessel.load("usv75"), SeaState(hs=0.3, wind=3.0)
+    clean, weak, tide = (
+        simulate_with(SENSOR_FAULTS[name], 20.0, "turn", boat, sea, duration=40.0, seed=1)
+        for name in ("clean", "thruster-dead", "current-step")
+    )
+    before = clean.t < 20.0
+    assert (weak.cmd == clean.cmd).all()
+    for other in (weak, tide):
+        assert (other.truth[before] == clean.truth[before]).all()
+    # measured: a dead thruster costs 1.3 m/s in 20 s, and water that runs east at 1 m/s takes 18 m
+    assert weak.truth[-1, 3] < clean.truth[-1, 3] - 0.5
+    assert tide.truth[-1, 1] > clean.truth[-1, 1] + 10.0

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from twin import Twin
+from twin.benchmark.sensor_faults import SENSOR_FAULTS, simulate_with
 from twin.channels import MEASUREMENTS
-from twin.identification.data_weight import is_stable
+from twin.health.current import CurrentWatch
+from twin.identification.data_weight import CHANGED, is_stable
+from twin.model.rollout import GRID
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 
@@ -82,3 +85,31 @@ def test_current_that_is_too_large_makes_the_gps_doubtful(log):
     twin.predictor.ukf.xi[at : at + 2] = 1.5, -1.5
     found = twin.health["gps"]
     assert found.status == "doubtful" and "current of at least" in found.why
+
+
+def test_current_that_changes_fast_makes_the_gps_doubtful():
+    watch = CurrentWatch()
+    for t in range(0, 100, 5):
+        watch.take(float(t), (0.1, 0.0, 0.05))
+        assert not watch.why_doubtful(float(t), (0.1, 0.0, 0.05))
+    watch.take(100.0, (0.1, 0.3, 0.05))  # within the standard deviations
+    assert not watch.why_doubtful(100.0, (0.1, 0.3, 0.05))
+    watch.take(105.0, (0.1, 0.6, 0.05))
+    assert "change by 0.6 m/s" in watch.why_doubtful(105.0, (0.1, 0.6, 0.05))
+    assert not watch.why_doubtful(300.0, (0.1, 0.6, 0.05))
+
+
+def test_boat_that_has_changed_is_predicted_soon():
+    """A current of 1 m/s sets in: the refits look back to the change."""
+    boat = Vessel.load("usv75")
+    log = simulate_with(
+        SENSOR_FAULTS["current-step"], 90.0, "turn", boat, SeaState(hs=0.5, wind=4.5),
+        duration=130.0, seed=1,
+    )  # fmt: skip
+    twin = Twin(particulars_of(boat), "dsw-ukf-plus")
+    twin.run(log.slice(0.0, 80.0))
+    assert twin.predictor.selector.state.count[CHANGED] < 0.0
+    twin.run(log.slice(80.05, 120.0))
+    # the rows of the window are a quarter of a second apart
+    assert twin.predictor.selector.state.count[CHANGED] * GRID > 80.0
+    assert abs(current_of(twin)[0][1] - 1.0) < 0.4

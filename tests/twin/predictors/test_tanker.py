@@ -115,7 +115,8 @@ def test_process_noise_scales_with_length_not_speed() -> None:
 def test_named_model_is_used() -> None:
     settings = plain_settings(TANKER, "paper")
     assert settings.structure.name == "paper"
-    assert not settings.q_xi.any()
+    walking = [settings.structure.parameters[k] for k in np.flatnonzero(settings.q_xi)]
+    assert walking == ["C_north", "C_east"]
     own = plain_settings(TANKER)
     wandering = {own.structure.parameters[k] for k in np.flatnonzero(own.q_xi)}
     assert (own.structure.name, wandering) == ("mmg", {"E_north", "E_east", "N_0"})
