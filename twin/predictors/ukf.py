@@ -524,8 +524,7 @@ class UKFPredictor(ModelPredictor):
         self.work: Any = UKFWork(np.zeros(NAVIGATION_WORK.itemsize // 8), self.ukf.scratch)
         self._plain = plain(self.memory), plain(self.config), plain(self.work)
         nav = self._nav = self.memory.nav.view(NAVIGATION)[0]
-        self.n: Array = nav["n"]
-        self.P_nav = nav["P"]
+        self.n, self.P_nav = nav["n"], nav["P"]
         self.reset()
 
     def reset(self) -> None:
@@ -576,7 +575,7 @@ class UKFPredictor(ModelPredictor):
     @property
     def navigation(self) -> Array:
         """State of the navigation filter, a view of shape (6,)."""
-        return self.n[:N_STATES]
+        return np.asarray(self.n[:N_STATES])
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias and the error of the navigation added.
