@@ -332,12 +332,12 @@ def test_another_boat_and_another_twin_take_over(served, tmp_path):
     hull = viewer.scene.length
     viewer.controls.vessel.value = "otter"
     viewer.controls.predictor.value = "ukf"
-    viewer.controls._restart()
+    session.order(viewer.controls._restart)
     wait(lambda: session.changed == 2 and viewer.scene.length != hull)
     assert session.vessel.name == "otter"
     assert session.monitor.twin.name == "ukf"
     viewer.controls.predictor.value = "oracle"  # needs the simulator
-    viewer.controls._restart()
+    session.order(viewer.controls._restart)
     wait(lambda: session.changed == 3)
     wait(lambda: session.snapshot is not None and session.snapshot.overlay is not None)
     assert session.message == ""
