@@ -102,8 +102,8 @@ def view_command(
     host: Annotated[
         str,
         typer.Option(
-            help="Address of the page. Another than that of loopback is open to other machines, and "
-            "needs a token."
+            help="Address of the page. All but those of loopback are open to other machines, and "
+            "need a token."
         ),
     ] = "127.0.0.1",
     token: Annotated[
@@ -189,8 +189,10 @@ def _show(session: Session, access: Access, port: int, browser: bool) -> None:
         if not is_loopback(access.host):
             note(
                 f"{access.host} is open to other machines, without encryption: whoever has the "
-                f"token can see this boat, and {session.offers}"
+                f"token can see this boat, {session.offers}"
             )
+            if "localhost" in viewer.url:
+                note("on another machine, put the address of this one for localhost")
         console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False, soft_wrap=True)
         if browser:
             webbrowser.open(viewer.url)

@@ -56,7 +56,7 @@ class LogSession(Session):
     come. Nothing is recorded twice.
     """
 
-    offers = "choose the moment that all see"
+    offers = "and choose the moment that all see"
 
     def __init__(
         self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "known"

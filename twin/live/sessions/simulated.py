@@ -76,7 +76,7 @@ class SimulatedSession(Session):
 
     has_truth = True
 
-    offers = "steer it, restart it and record logs to the folder of --out"
+    offers = "steer it, restart it, and record logs to the folder of --out"
 
     def __init__(self, setup: SimulationSetup, folder: Path, autopilot: str = "off") -> None:
         super().__init__(setup.vessel, particulars_of(setup.vessel), folder)

@@ -60,7 +60,8 @@ def start_server(access: Access, port: int, report: Callable[[str], None]) -> vi
     if not count:
         server.stop()
         raise AccessError(
-            f"viser {viser.__version__} cannot be guarded; install viser 1.1: pip install viser==1.1"
+            f"viser {viser.__version__} serves without our checks; install another: "
+            "pip install viser==1.1.1"
         )
     return server
 

@@ -25,7 +25,6 @@ import pytest
 from tests.twin.live.wire import free_port
 from twin import Log, Twin, recorded_runs
 from twin.live.sessions.log import LogSession
-from twin.live.sessions.session import Session
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -52,38 +51,6 @@ def wait(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.05)
     return found
-
-
-@pytest.fixture
-def served() -> Iterator[Callable[[Session], Viewer]]:
-    """Return a function that serves a session until the end of the test."""
-    running = []
-
-    def serve(session: Session) -> Viewer:
-        viewer = Viewer(session, port=free_port(socket.SOCK_STREAM))
-
-        def show() -> None:
-            with contextlib.suppress(Stopped):
-                viewer.serve()
-
-        thread = threading.Thread(target=show)
-        session.start()
-        thread.start()
-        running.append((session, viewer, thread))
-        return viewer
-
-    yield serve
-    for session, viewer, thread in running:
-        session.stop()
-        assert session.error is None, session.error
-        session.error = Stopped()
-        session.fresh.set()
-        thread.join()
-        viewer.close()
-
-
-class Stopped(Exception):
-    """The test is over."""
 
 
 def status(driver: Any) -> dict[str, str]:
