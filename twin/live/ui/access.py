@@ -113,7 +113,7 @@ class Access:
         found = {
             # the page of viser holds its scripts, and connects where its address says
             "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' "
-            "'unsafe-inline' 'wasm-unsafe-eval' data: blob:; style-src 'self' 'unsafe-inline'; "
+            "'unsafe-inline' 'unsafe-eval' data: blob:; style-src 'self' 'unsafe-inline'; "
             f"connect-src {sources}; base-uri 'none'; form-action 'none'; object-src 'none'; "
             f"frame-ancestors {frames}",
             "X-Content-Type-Options": "nosniff",

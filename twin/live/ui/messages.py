@@ -13,7 +13,7 @@ __all__ = [
 ]
 
 SLACK = 1e-6
-"""Part of a control's range by which browsers round past its ends."""
+"""Part of a range by which browsers round past its ends; of whole numbers they do not."""
 
 LONGEST = 120
 """So many characters of a value are repeated in a message."""
@@ -119,9 +119,9 @@ def _is_within(control: Any, value: bool | float | str) -> bool:
     """Return whether a value is a number of a control's kind and in its range."""
     if isinstance(value, (bool, str)) or not math.isfinite(value):
         return False
-    if isinstance(control.value, int) and value != int(value):
-        return False
-    low, high = (-math.inf if control.min is None else control.min), control.max
-    high = math.inf if high is None else high
+    low = -math.inf if control.min is None else control.min
+    high = math.inf if control.max is None else control.max
+    if isinstance(control.value, int):
+        return value == int(value) and bool(low <= value <= high)
     slack = SLACK * (high - low) if math.isfinite(high - low) else 0.0
     return bool(low - slack <= value <= high + slack)

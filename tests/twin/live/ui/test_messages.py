@@ -25,6 +25,7 @@ from twin.live.sessions.log import LogSession  # noqa: E402
 from twin.live.sessions.simulated import SimulatedSession  # noqa: E402
 from twin.live.ui.viewer import Viewer  # noqa: E402
 from twin.sim.bridge import particulars_of, simulate  # noqa: E402
+from usv_gym import SeaState  # noqa: E402
 
 NAN, INF = math.nan, math.inf
 
@@ -34,7 +35,7 @@ CAMERA = {
     **{"look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0)},
 }
 
-NUMBERS = NAN, INF, -INF, 1e300, -1e300, 99.0, "1", "nan", True, None, [], {}, "x" * 5000
+NUMBERS = NAN, INF, -INF, 1e300, -1e300, 1e10, "1", "nan", True, None, [], {}, "x" * 5000
 
 NAMES = "nobody", "evilmod:X", "../x.toml", "/etc/passwd", "", 0, True, None, ["ukf"], NAN
 
@@ -46,7 +47,7 @@ def update(control: Any, **updates: Any) -> bytes:
 
 def talk(viewer: Viewer) -> ClientConnection:
     url = f"ws://127.0.0.1:{viewer.port}"
-    one = connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None)
+    one = connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, max_queue=None)
     one.send(encode(CAMERA))
     return one
 
@@ -199,7 +200,7 @@ def test_nothing_is_imported_or_opened_for_a_name_that_a_browser_sends(
 
 def test_the_moment_and_the_plan_of_a_log_are_checked(served, tmp_path):
     vessel = setup().vessel
-    log = simulate("zigzag", vessel=vessel, duration=20.0, seed=1, dof=3)
+    log = simulate("zigzag", vessel=vessel, sea=SeaState(), duration=20.0, seed=1, dof=3)
     session = LogSession(log, Twin(particulars_of(vessel), "persistence"), vessel, tmp_path)
     viewer = served(session)
     wait(lambda: session.done == log.t[-1] and viewer.frames > 0)
