@@ -97,8 +97,8 @@ class Recorder:
         path, file = _new_log(folder)
         os.close(file)
         write_whole(path, self.path.read_bytes() + self._pending)
-        beside = sibling_path(path, ".toml")
-        write_whole(beside, sibling_path(self.path, ".toml").read_bytes())
+        particulars = sibling_path(self.path, ".toml").read_bytes()
+        write_whole(sibling_path(path, ".toml"), particulars)
         os.close(self._file)
         return path
 

@@ -115,7 +115,7 @@ def _answer(
 
 
 def _silent() -> logging.Logger:
-    """Return a logger that says nothing: what strangers send is no news to the user."""
+    """Return a logger that says nothing: anybody can send a request that is none."""
     logger = logging.getLogger("usv_twin.view")
     logger.addHandler(logging.NullHandler())
     logger.propagate = False

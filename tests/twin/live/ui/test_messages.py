@@ -25,7 +25,7 @@ from twin.live.sessions.log import LogSession  # noqa: E402
 from twin.live.sessions.simulated import SimulatedSession  # noqa: E402
 from twin.live.ui.viewer import Viewer  # noqa: E402
 from twin.sim.bridge import particulars_of, simulate  # noqa: E402
-from usv_gym import SeaState  # noqa: E402
+from usv_gym import SeaState, Vessel  # noqa: E402
 
 NAN, INF = math.nan, math.inf
 
@@ -84,6 +84,7 @@ def test_a_value_that_a_control_does_not_offer_is_refused_and_changes_nothing(na
         assert control.value == before
     if name == "scale":
         refused(update(control, value="infx"))
+    wait(lambda: "refused" in viewer.controls.status.content)
     assert session.helm.throttle == throttle and session.scale == 1.0
     t = session.t
     wait(lambda: session.t > t + 0.5)
@@ -196,6 +197,29 @@ def test_nothing_is_imported_or_opened_for_a_name_that_a_browser_sends(
     wait(lambda: session.message)
     assert session.changed == 2 and session.setup.predictor == "persistence"
     assert not any("evil" in name for name in set(sys.modules) - modules)
+
+
+def test_orders_that_fail_are_answered_on_the_page_and_the_view_goes_on(steered, monkeypatch):
+    session, viewer, _refused = steered
+
+    def says(words: str) -> None:
+        wait(lambda: words in viewer.controls.status.content)
+
+    session.order(lambda: 1 / 0)
+    says("ZeroDivisionError")
+    # a mesh that is gone when the page asks for its vessel
+    monkeypatch.setattr("twin.live.ui.viewer.boat_of", lambda *_: Vessel.load("nobody"))
+    session.order(session.restart, session.setup)
+    says("nobody")
+    monkeypatch.undo()
+    session.order(session.simulation.state.__setitem__, (0, 0), math.nan)
+    says("restart with another")
+    frames = viewer.frames
+    wait(lambda: viewer.frames > frames + 3)
+    session.order(session.restart, session.setup)
+    session.order(session.set_paused, False)
+    wait(lambda: session.t > 1.0)
+    assert session.error is None
 
 
 def test_the_moment_and_the_plan_of_a_log_are_checked(served, tmp_path):
