@@ -224,7 +224,8 @@ class Session(ABC):
     @property
     def kept(self) -> int:
         """Rows of the log that is being recorded."""
-        return 0 if self.recorder is None else self.recorder.rows
+        recorder = self.recorder  # of another thread
+        return 0 if recorder is None else recorder.rows
 
     def _keep(self, t: float, z: Array, cmd: Array, truth: Array = UNKNOWN) -> None:
         """Add a row to the log that is being recorded, if one is."""

@@ -183,7 +183,9 @@ class SimulatedSession(Session):
             self.simulation.step(cmd[None])
             if not np.isfinite(self.simulation.state).all():
                 self.set_paused(True)
-                self.report("the motion of this vessel grows without bounds; restart with another")
+                self.report(
+                    "the motion of this vessel grows without bounds; restart with another, and go on"
+                )
                 break
             self._feed()
             if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine

@@ -86,21 +86,22 @@ class Access:
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or hosts[0].lower() not in known:
             return connection.respond(
-                403, "This view does not go by that name. --allow-origin http://NAME:PORT adds it."
+                403,
+                "This view does not go by that name. --allow-origin http://NAME:PORT adds it.\n",
             )
         allowed = {f"http://{name}" for name in own} | self.origins
         if not all(origin.lower() in allowed for origin in origins) or (
             not origins and _is_foreign(headers)
         ):
             return connection.respond(
-                403, "Pages of another site may not use this view. --allow-origin adds a site."
+                403, "Pages of another site may not use this view. --allow-origin adds a site.\n"
             )
         query = _query(request)
         if query is None:
-            return connection.respond(400, "This view takes no parameter but its token.")
+            return connection.respond(400, "This view takes no parameter but its token.\n")
         if self.token is not None and not self._presents(headers, query, port):
             return connection.respond(
-                403, "This view needs its token: open the address that usv-twin has printed."
+                403, "This view needs its token: open the address that usv-twin has printed.\n"
             )
         return None
 

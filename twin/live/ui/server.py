@@ -105,13 +105,13 @@ def _answer(
             # another release's page, or none of viser's
             offered = request.headers.get("Sec-WebSocket-Protocol", "")
             known = PROTOCOL in [one.strip() for one in offered.split(",")]
-            return None if known else connection.respond(400, "Load the page again.")
+            return None if known else connection.respond(400, "Load the page again.\n")
         response = pages(connection, request)
         if response is not None:
             response.headers.update(access.headers(connection, request))
         return response
     except Exception:  # two headers of a name, a path that is none
-        return connection.respond(400, "This request cannot be read.")
+        return connection.respond(400, "This request cannot be read.\n")
 
 
 def _silent() -> logging.Logger:

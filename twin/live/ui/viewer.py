@@ -82,6 +82,15 @@ class Viewer:
         """Make one frame, if there is anything new."""
         if self.session.changed != self._changed:
             self._rebuild()
+        try:
+            self._show(now)
+        except Exception:
+            # another boat or twin took over within the frame: the next one shows it
+            if self.session.changed == self._changed:
+                raise
+
+    def _show(self, now: float) -> None:
+        """Show the latest snapshot, and the curves when they are due."""
         snapshot = self.session.snapshot
         if snapshot is None:
             self.controls.show_nothing()
