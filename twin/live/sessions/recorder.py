@@ -84,12 +84,15 @@ class Recorder:
             error.filename = str(self.path)
             raise
 
-    def close(self) -> Path:
-        """Write all rows, to the medium itself, and return the file."""
+    def close(self) -> Path | None:
+        """Write all rows, to the medium itself, and return the file; None without a row."""
         self.flush()
         os.fsync(self._file)
         os.close(self._file)
-        return self.path
+        if not self.rows:
+            for path in (self.path, sibling_path(self.path, ".toml")):
+                path.unlink(missing_ok=True)
+        return self.path if self.rows else None
 
     def rescue(self, folder: Path) -> Path:
         """Write all rows to another folder, where the log's own has failed; return the file."""

@@ -205,7 +205,7 @@ class Session(ABC):
         if on and self.recorder is None:
             self.recorder = Recorder(self.folder, self.particulars, with_truth=self.has_truth)
         elif not on and self.recorder is not None:
-            self.recorded = self.recorder.close()
+            self.recorded = self.recorder.close() or self.recorded
             self.recorder = None
 
     @property

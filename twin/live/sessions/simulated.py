@@ -184,7 +184,7 @@ class SimulatedSession(Session):
             if not np.isfinite(self.simulation.state).all():
                 self.set_paused(True)
                 self.report(
-                    "the motion of this vessel grows without bounds; restart with another, and go on"
+                    "this vessel's motion grows without bounds; restart with another, and go on"
                 )
                 break
             self._feed()

@@ -106,7 +106,9 @@ def test_a_log_whose_last_line_is_torn_can_be_read(log, tmp_path):
 
 def test_two_logs_of_one_second_have_names_of_their_own(tmp_path):
     made = [Recorder(tmp_path, particulars_of(VESSEL), with_truth=False) for _k in range(3)]
-    assert len({one.close() for one in made}) == 3
+    assert len({one.path for one in made}) == 3
+    assert [one.close() for one in made] == [None] * 3
+    assert list(tmp_path.iterdir()) == []  # there was nothing to write
 
 
 def test_a_folder_that_cannot_be_written_to_holds_no_part_of_a_log(tmp_path, monkeypatch):

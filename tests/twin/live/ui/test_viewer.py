@@ -24,6 +24,8 @@ import pytest
 
 from tests.twin.live.wire import free_port
 from twin import Log, Twin, recorded_runs
+from twin.live.protocols.nmea import NmeaFeed
+from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.sim.bridge import particulars_of, simulate
@@ -231,6 +233,31 @@ def test_a_log_is_seen_with_its_slider(browser, served, tmp_path):
     assert errors_of(driver) == []
 
 
+def test_the_ends_of_every_slider_pass_the_check(browser, served, tmp_path):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
+    viewer = served(session)
+    driver = opened(browser, viewer)
+    for text in ("Weather", "Boat and twin"):
+        driver.find_element(By.XPATH, f"//*[text()='{text}']").click()
+    controls = viewer.controls
+    sliders = controls.throttle, controls.helm, controls.wind, controls.wind_from
+    found = wait(
+        lambda: (
+            len(seen := driver.find_elements(By.CSS_SELECTOR, "[role=slider]")) == len(sliders)
+            and seen
+        )
+    )
+    for handle, slider in zip(found, sliders, strict=True):
+        for key, end in ((Keys.HOME, slider.min), (Keys.END, slider.max)):
+            driver.execute_script("arguments[0].focus()", handle)
+            handle.send_keys(key)
+            wait(lambda slider=slider, end=end: slider.value == pytest.approx(end))
+    assert session.message == "" and "not done" not in status(driver)
+
+
 async def _watch(url: str, seconds: float) -> int:
     """Watch like a browser; return how many messages came."""
     import msgspec
@@ -318,6 +345,20 @@ def test_every_boat_has_a_scene(name, served, tmp_path):
     viewer = served(session)
     wait(lambda: viewer.frames > 0)
     assert viewer.scene.length == pytest.approx(np.ptp(boat_of(vessel).whole().vertices[:, 0]))
+
+
+def test_a_feed_that_has_not_begun_answers_orders(served, tmp_path):
+    twin = Twin(particulars_of(VESSEL), "persistence")
+    feed = NmeaFeed(f"udp://:{free_port()}", twin.particulars)
+    (tmp_path / "file").write_text("no folder")
+    session = FeedSession(feed, twin, VESSEL, tmp_path / "file" / "folder")
+    controls = served(session).controls
+    wait(lambda: "nothing has come yet" in controls.status.content)
+    session.order(session.toggle_record)
+    wait(lambda: "choose another folder" in controls.status.content)
+    session.folder = tmp_path
+    session.order(session.toggle_record)
+    wait(lambda: controls.record.label == "stop recording")
 
 
 def test_labels_follow_the_session_and_the_scale_is_that_asked_for(served, tmp_path):
