@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import itertools
 import json
 import math
@@ -234,6 +235,7 @@ def test_a_log_is_seen_with_its_slider(browser, served, tmp_path):
 
 
 def test_the_ends_of_every_slider_pass_the_check(browser, served, tmp_path):
+    from selenium.webdriver import ActionChains
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
@@ -250,11 +252,15 @@ def test_the_ends_of_every_slider_pass_the_check(browser, served, tmp_path):
             and seen
         )
     )
+
+    def reaches(handle: Any, key: str, slider: Any, end: float) -> bool:
+        driver.execute_script("arguments[0].focus()", handle)  # once its folder is open
+        ActionChains(driver).send_keys(key).perform()
+        return bool(slider.value == pytest.approx(end))
+
     for handle, slider in zip(found, sliders, strict=True):
         for key, end in ((Keys.HOME, slider.min), (Keys.END, slider.max)):
-            driver.execute_script("arguments[0].focus()", handle)
-            handle.send_keys(key)
-            wait(lambda slider=slider, end=end: slider.value == pytest.approx(end))
+            wait(functools.partial(reaches, handle, key, slider, end))
     assert session.message == "" and "not done" not in status(driver)
 
 
