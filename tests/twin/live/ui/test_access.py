@@ -146,6 +146,8 @@ def test_a_page_is_not_sent_elsewhere_by_its_address(viewer):
 
 def test_requests_that_are_none_are_answered_without_a_word(viewer, capfd, caplog):
     view = viewer()
+    wait(lambda: view.frames > 0)  # all that is compiled has been
+    capfd.readouterr()
     host = f"Host: 127.0.0.1:{view.port}\r\n".encode()
     head = b" HTTP/1.1\r\n" + host
     protocol = b"Sec-WebSocket-Protocol: viser-v\x1b[31m[red]0\r\n"

@@ -11,11 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 viser = pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
-from msgspec.msgpack import encode  # noqa: E402
+from msgspec.msgpack import decode, encode  # noqa: E402
 from websockets.exceptions import ConnectionClosed  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
@@ -24,6 +25,7 @@ from tests.twin.live.wire import free_port  # noqa: E402
 from twin import Twin  # noqa: E402
 from twin.live.sessions.log import LogSession  # noqa: E402
 from twin.live.sessions.simulated import SimulatedSession  # noqa: E402
+from twin.live.ui.messages import RefusedError, checked  # noqa: E402
 from twin.live.ui.viewer import Viewer  # noqa: E402
 from twin.sim.bridge import particulars_of, simulate  # noqa: E402
 from usv_gym import SeaState, Vessel  # noqa: E402
@@ -89,6 +91,39 @@ def test_a_value_that_a_control_does_not_offer_is_refused_and_changes_nothing(na
     assert session.helm.throttle == throttle and session.scale == 1.0
     t = session.t
     wait(lambda: session.t > t + 0.5)
+
+
+def test_damaged_messages_are_refused_or_stay_in_range():
+    port = free_port(socket.SOCK_STREAM)
+    server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    gui = server.gui
+    slider = gui.add_slider("s", -1.0, 1.2, 0.05, 0.0)
+    number = gui.add_number("n", 3, min=0, max=9, step=1)
+    choice = gui.add_dropdown("c", ("a", "b"))
+    whole = [encode(CAMERA), update(slider, value=0.5), update(number, value=4)]
+    whole += [update(choice, value="b")]
+    rng, passed = np.random.default_rng(0), 0
+    for k in range(4000):
+        raw = bytearray(whole[k % len(whole)])
+        for place in rng.integers(len(raw), size=rng.integers(1, 4)):
+            raw[place] = rng.integers(256)
+        try:
+            message = decode(
+                checked(gui, bytes(raw[: rng.integers(len(raw)) if k % 9 == 0 else None]))
+            )
+        except RefusedError:
+            continue
+        passed += 1
+        value = message.get("updates", {}).get("value")
+        uuid = message.get("uuid")
+        if uuid == slider._impl.uuid:
+            assert -1.0 <= value <= 1.2 + 1e-5
+        elif uuid == number._impl.uuid:
+            assert value in range(10)
+        else:
+            assert value in (None, "a", "b")
+    server.stop()
+    assert 0 < passed < 2000
 
 
 def test_other_properties_of_a_control_cannot_be_set(steered):
