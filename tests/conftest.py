@@ -27,8 +27,8 @@ FLAGS = (
 def browser() -> Iterator[Callable[..., Any]]:
     """Return a function that opens a browser of a size in CSS pixels; all are closed at the end.
 
-    ``browser(390, 844, scale=2)`` is a phone. What the page says on its console is at
-    ``driver.get_log("browser")``.
+    ``browser(390, 844, scale=2)`` is a phone; ``flags`` are further ones of Chromium.
+    What the page says on its console is at ``driver.get_log("browser")``.
     """
     selenium = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
@@ -37,10 +37,12 @@ def browser() -> Iterator[Callable[..., Any]]:
         pytest.skip("needs chromium and chromedriver (Debian: chromium, chromium-driver)")
     opened = []
 
-    def open_one(width: int = 1280, height: int = 720, scale: float = 1.0) -> Any:
+    def open_one(
+        width: int = 1280, height: int = 720, scale: float = 1.0, flags: tuple[str, ...] = ()
+    ) -> Any:
         options = selenium.ChromeOptions()
         options.binary_location = chromium
-        for flag in (*FLAGS, f"--window-size={width},{height}"):
+        for flag in (*FLAGS, *flags, f"--window-size={width},{height}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         service = selenium.ChromeService(executable_path=driver)

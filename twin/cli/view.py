@@ -40,6 +40,7 @@ from usv_gym.world.sensors import GRADES
 
 if TYPE_CHECKING:
     from twin.live.sessions.session import Session
+    from twin.live.ui.access import Access
 
 
 def view_command(
@@ -99,8 +100,26 @@ def view_command(
         Path, typer.Option("--out", "-o", help="Folder for logs that are recorded.")
     ] = Path(),
     host: Annotated[
-        str, typer.Option(help="Address of the page; 0.0.0.0 is open to other machines.")
+        str,
+        typer.Option(
+            help="Address of the page. All but those of loopback are open to other machines, and "
+            "need a token."
+        ),
     ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            envvar="USV_TWIN_TOKEN",
+            help="What a browser must present, in the address. Default: none on loopback, else a "
+            "new one.",
+        ),
+    ] = None,
+    allow_origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Further origin that may connect, as http://boat.local:8080; may be repeated."
+        ),
+    ] = None,
     port: Annotated[
         int, typer.Option(min=1, max=65535, help="Port; if it is taken, the next free one.")
     ] = 8080,
@@ -113,13 +132,14 @@ def view_command(
     Without a log or a feed, the boat is simulated: steer it, change the weather, lose its GPS.
     Ctrl-C ends it; a log that is being recorded is written then.
     """
+    needed("viser")  # before anything is compiled
     from twin.live.sessions.autopilot import AUTOPILOTS
     from twin.live.sessions.feed import FeedSession
     from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
-    from twin.live.ui.viewer import check_host
+    from twin.live.ui.access import Access, check_host
 
-    needed("viser")  # before anything is compiled
     check_host(host)
+    access = Access.of(host, allow_origin or (), token)
     given = [name for name, one in (("LOG", log), ("--nmea", nmea), ("--mavlink", mavlink)) if one]
     if len(given) > 1:
         raise LogError(f"{' and '.join(given)}: look at one of them at a time")
@@ -151,21 +171,29 @@ def view_command(
         )
         session = SimulatedSession(setup, out, autopilot)
     session.set_scale(speed)
-    _show(session, host, port, browser)
+    _show(session, access, port, browser)
 
 
-def _show(session: Session, host: str, port: int, browser: bool) -> None:
+def _show(session: Session, access: Access, port: int, browser: bool) -> None:
     """Serve a session until Ctrl-C, or until it ends."""
+    from twin.live.ui.access import is_loopback
     from twin.live.ui.viewer import Viewer
 
-    viewer = Viewer(session, host, port)
+    viewer = Viewer(session, access.host, port, access)
     for kind in (signal.SIGINT, signal.SIGTERM):  # also where a shell ignores them
         signal.signal(kind, signal.default_int_handler)
     try:
         session.start()
         if viewer.port != port:
             note(f"port {port} is in use")
-        console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False)
+        if not is_loopback(access.host):
+            note(
+                f"{access.host} is open to other machines, without encryption: whoever has the "
+                f"token can see this boat, {session.offers}"
+            )
+            if "localhost" in viewer.url:
+                note("on another machine, put the address of this one for localhost")
+        console.print(f"look at {viewer.url} (Ctrl-C ends it)", highlight=False, soft_wrap=True)
         if browser:
             webbrowser.open(viewer.url)
         viewer.serve()

@@ -170,6 +170,8 @@ def gathered(file: CsvFile | ParquetFile, entries: Sequence[Entry], layout: Layo
         raw = thinned(_only(timed, raw), raw, layout)
     place = raw.pop(_PLACE)
     notes = [f"{void} row(s) without a single value left out"] if void else []
+    if isinstance(file, CsvFile) and file.torn:
+        notes.append("the last line is cut off, and left out")
     notes += said(layout, read, len(place))
     if epoch == epoch:
         notes.append(f"t_s: counted from {date_of(epoch)}")
@@ -278,7 +280,7 @@ class CsvFile:
     unit = "line"
 
     def __init__(self, path: Path) -> None:
-        self.path, self.source = path, str(path)
+        self.path, self.source, self.torn = path, str(path), False
         try:
             with path.open("rb") as file:
                 self.packed = file.read(2) == b"\x1f\x8b"
@@ -317,6 +319,9 @@ class CsvFile:
             for _ in range(self.blank + 1):
                 file.readline()
             for text in _pieces(file, self.source):
+                # the writer was stopped within this line: its last number may have lost digits
+                if text and text[-1:] != b"\n" and text.count(b",") + 1 < len(self.header):
+                    text, self.torn = b"", True
                 frame = self._parsed(text, first, wanted, clock)
                 lines = np.arange(first, first + frame.height, dtype=np.float64)
                 yield lines, *_numbers(frame, clock, lines, self.source, self.unit)

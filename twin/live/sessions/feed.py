@@ -38,6 +38,8 @@ class FeedSession(Session):
     ``folder``.
     """
 
+    offers = "restart its twin, and record logs to the folder of --out"
+
     def __init__(self, feed: Feed, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
         super().__init__(vessel, twin.particulars, folder)
         self.feed = feed

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import PLANS, Twin, TwinError, known_plan
-from twin.live.sessions.session import PUBLISHED, Session, Snapshot, measured_boat
+from twin.live.sessions.session import (
+    PUBLISHED,
+    Session,
+    SessionError,
+    Snapshot,
+    measured_boat,
+)
 from twin.live.sessions.tracker import (
     HORIZON,
     LOST_AFTER,
@@ -50,9 +56,12 @@ class LogSession(Session):
     come. Nothing is recorded twice.
     """
 
+    offers = "and choose the moment that all see"
+
     def __init__(
         self, log: Log, twin: Twin, vessel: Vessel | None, folder: Path, plan: str = "known"
     ) -> None:
+        _check_plan(plan)
         super().__init__(vessel, twin.particulars, folder)
         self.log = log
         self.at = float(log.t[0])
@@ -68,8 +77,6 @@ class LogSession(Session):
 
     def _prepare(self, twin: Twin, plan: str) -> None:
         """Make a new twin, before the first row."""
-        if plan not in PLANS:
-            raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")
         self.plan, self._row, self.done = plan, 0, float(self.log.t[0])
         self.monitor = TwinMonitor(twin)
         self._estimated = np.full((len(self.log), 6), math.nan)
@@ -80,6 +87,7 @@ class LogSession(Session):
 
     def again(self, plan: str) -> None:
         """Go through the log once more with another plan, up to the moment that is shown."""
+        _check_plan(plan)
         self._over.set()
         self._worker.join()
         twin = self.monitor.twin
@@ -94,7 +102,9 @@ class LogSession(Session):
         return whole.rows(whole.t <= self.at + 1e-9)
 
     def seek(self, t: float) -> None:
-        """Show another moment."""
+        """Show another moment, s."""
+        if not math.isfinite(t):
+            raise SessionError(f"the moment {t} s: must be a finite time of the log")
         self.at = min(max(t, float(self.log.t[0])), self.done)
         self._anchor = time.monotonic(), self.at
 
@@ -206,3 +216,9 @@ class LogSession(Session):
             ahead=made.ahead[later],
             covs=made.covs[later],
         )
+
+
+def _check_plan(plan: str) -> None:
+    """Refuse a plan that is none."""
+    if plan not in PLANS:
+        raise TwinError(f"plan = {plan!r}: use {' or '.join(PLANS)}")

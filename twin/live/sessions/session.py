@@ -15,29 +15,31 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty, Full, Queue
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import TRUTH
-from twin.files import write_whole
 from twin.health.monitor import SensorStatus
+from twin.live.sessions.recorder import Recorder
 from twin.live.sessions.tracker import LOST_AFTER, History, TwinMonitor, overlay_of
 from twin.logs.datum import Datum
-from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from usv_gym.envs.scene import TwinOverlay
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.realisation import Sea
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "MAX_LAG",
+    "PACES",
     "PUBLISHED",
     "Session",
+    "SessionError",
     "Snapshot",
     "measured_boat",
 ]
@@ -50,10 +52,20 @@ PUBLISHED = 0.05
 MAX_LAG = 0.25
 """A session that is behind by more gives up catching up, s."""
 
+PACES = 0.1, 10.0
+"""Slowest and fastest pace, seconds of the run per second of the clock."""
+
+ORDERS = 100
+"""So many orders wait at most: pages may send them faster than they are carried out."""
+
 RATE_OVER = 2.0
 """The pace is measured over so many seconds."""
 
 UNKNOWN = np.full(len(TRUTH), math.nan)
+
+
+class SessionError(UsvTwinError):
+    """An order that cannot be carried out; the message says what can."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,23 +107,29 @@ class Session(ABC):
 
     ``snapshot`` is the latest, ``fresh`` is set with every new one. ``scale`` is seconds of the run
     per second of the clock; ``paused``: time stands still. ``changed`` counts how often another
-    boat or twin took over. ``message`` says what the last order could not do. ``recorded`` is the
-    file of the last log that was recorded, ``error`` what ended the thread.
+    boat or twin took over. ``message`` says what the last order could not do. ``recorder`` writes
+    the log that is being recorded, ``recorded`` is the file of the last one that was.
+    ``error`` is what ended the thread.
     """
 
     monitor: TwinMonitor
 
+    has_truth = False
+    """Whether rows have the true state."""
+
+    offers = ""
+    """What a page can do beside looking, in words."""
+
     def __init__(self, vessel: Vessel | None, particulars: Particulars, folder: Path) -> None:
         self.vessel, self.particulars, self.folder = vessel, particulars, folder
-        self.recording = False
+        self.recorder: Recorder | None = None
         self.recorded: Path | None = None
-        self._rows: list[tuple[float, Array, Array, Array]] = []
         self.message = ""
         self.snapshot: Snapshot | None = None
         self.scale, self.paused = 1.0, False
         self.error: BaseException | None = None
         self.changed = 0
-        self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._orders: Queue[Callable[[], None]] = Queue(ORDERS)
         self.fresh, self._stop = threading.Event(), threading.Event()
         self._marks: list[tuple[float, float]] = []
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
@@ -132,10 +150,22 @@ class Session(ABC):
 
     def order(self, call: Callable[..., None], *arguments: Any) -> None:
         """Have something done in the session's thread, between two steps."""
-        self._orders.put(lambda: call(*arguments))
+        try:
+            self._orders.put_nowait(lambda: call(*arguments))
+        except Full:
+            self.report("orders came faster than they can be carried out; give this one again")
+
+    def report(self, text: str) -> None:
+        """Show why an order was not carried out; may be called from any thread."""
+        self.message = text
 
     def set_scale(self, scale: float) -> None:
-        """Change the pace."""
+        """Change the pace; SessionError where it is outside :data:`PACES`."""
+        slowest, fastest = PACES
+        if not slowest <= scale <= fastest:
+            raise SessionError(
+                f"a time scale of {scale:g}: use one from {slowest:g} to {fastest:g}"
+            )
         self.scale = scale
         self._mark_restart()
 
@@ -161,20 +191,22 @@ class Session(ABC):
         try:
             self.record(False)
         except OSError:  # write it elsewhere rather than lose it
-            self.folder = Path(tempfile.gettempdir())
-            self.record(False)
+            if self.recorder is not None:
+                self.recorded = self.recorder.rescue(Path(tempfile.gettempdir()))
+                self.recorder = None
+
+    @property
+    def recording(self) -> bool:
+        """Whether a log is being recorded."""
+        return self.recorder is not None
 
     def record(self, on: bool) -> None:
-        """Begin to record a log, or end and write it; what cannot be written is kept."""
-        if on:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        elif self._rows:
-            t, z, cmd, truth = (np.array(column) for column in zip(*self._rows, strict=True))
-            known = truth if np.isfinite(truth).any() else None
-            log = Log(t, z, cmd, known, "view", datum=self.datum)
-            self.recorded = save(log, self.particulars, self.folder)
-            self._rows = []
-        self.recording = on
+        """Begin to record a log, or end it; what cannot be written is kept."""
+        if on and self.recorder is None:
+            self.recorder = Recorder(self.folder, self.particulars, with_truth=self.has_truth)
+        elif not on and self.recorder is not None:
+            self.recorded = self.recorder.close() or self.recorded
+            self.recorder = None
 
     @property
     def datum(self) -> Datum | None:
@@ -192,12 +224,21 @@ class Session(ABC):
     @property
     def kept(self) -> int:
         """Rows of the log that is being recorded."""
-        return len(self._rows)
+        recorder = self.recorder  # of another thread
+        return 0 if recorder is None else recorder.rows
 
     def _keep(self, t: float, z: Array, cmd: Array, truth: Array = UNKNOWN) -> None:
         """Add a row to the log that is being recorded, if one is."""
-        if self.recording:
-            self._rows.append((t, z.copy(), cmd.copy(), truth.copy()))
+        if self.recorder is not None:
+            self.recorder.add(t, z, cmd, truth, self.datum)
+
+    def _flush(self) -> None:
+        """Write the rows that are due; what the disk does not take is kept, and reported."""
+        if self.recorder is not None:
+            try:
+                self.recorder.flush(now=False)
+            except OSError as error:
+                self.report(f"{_words(error)}; the rows are kept until it can be written")
 
     def _run(self) -> None:
         due = time.monotonic()
@@ -206,6 +247,7 @@ class Session(ABC):
                 self._obey()
                 if not self.paused:
                     self._advance()
+                self._flush()
                 now = time.monotonic()
                 if now >= due:
                     due = max(due + PUBLISHED, now)
@@ -226,12 +268,14 @@ class Session(ABC):
             while True:
                 call = self._orders.get_nowait()
                 try:
-                    self.message = ""
+                    self.report("")
                     call()
                 except OSError as error:
-                    self.message = f"{error.filename}: {error.strerror}; choose another folder"
-                except (ValueError, ImportError) as error:
-                    self.message = str(error)
+                    self.report(f"{_words(error)}; choose another folder")
+                except (UsvTwinError, ImportError) as error:
+                    self.report(str(error))
+                except Exception as error:  # the boat sails on
+                    self.report(f"{type(error).__name__}: {error}")
 
     def _rest(self) -> float:
         """Return how long may be slept before the next step, s."""
@@ -280,12 +324,6 @@ def measured_boat(measured: Array, cmd: Array) -> Array:
     return boat
 
 
-def save(log: Log, particulars: Particulars, folder: Path) -> Path:
-    """Write a log and the boat's particulars to new files of a folder; return the log's."""
-    folder.mkdir(parents=True, exist_ok=True)
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    names = (f"view_{stamp}{suffix}.csv" for suffix in ("", *(f"_{k}" for k in range(2, 1000))))
-    path = next(folder / name for name in names if not (folder / name).exists())
-    log.write(path)
-    write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
-    return path
+def _words(error: OSError) -> str:
+    """Return the file and the reason of an error of the system."""
+    return str(error) if error.filename is None else f"{error.filename}: {error.strerror}"

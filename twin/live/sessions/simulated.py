@@ -13,13 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.digital_twin import Twin
-from twin.live.sessions.autopilot import Autopilot
-from twin.live.sessions.session import MAX_LAG, Session, Snapshot
+from twin.live.sessions.autopilot import AUTOPILOTS, Autopilot
+from twin.live.sessions.session import MAX_LAG, Session, SessionError, Snapshot
 from twin.live.sessions.tracker import TwinMonitor
-from twin.predictors.registry import DEFAULT, predictor_class
+from twin.predictors.registry import (
+    DEFAULT,
+    EXTRAS,
+    PREDICTORS,
+    PredictorError,
+    predictor_class,
+)
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from twin.sim.oracle import simulator_options
-from usv_gym.vessel.vessel import Vessel
+from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import Disturbance, Fault
 from usv_gym.world.realisation import Sea
 from usv_gym.world.sea import SeaState
@@ -64,16 +70,33 @@ class SimulatedSession(Session):
     """A boat in a simulated sea that is steered, disturbed and deprived of its sensors by hand.
 
     ``setup`` is what the run that is on began with, ``autopilot`` who steers at first, one of
-    :data:`twin.live.sessions.autopilot.AUTOPILOTS`. Logs are recorded to ``folder``.
+    :data:`twin.live.sessions.autopilot.AUTOPILOTS`. Logs are recorded to ``folder``. ``vessels``
+    by name and ``predictors`` are on offer for a restart: nothing else is opened or imported.
     """
+
+    has_truth = True
+
+    offers = "steer it, restart it, and record logs to the folder of --out"
 
     def __init__(self, setup: SimulationSetup, folder: Path, autopilot: str = "off") -> None:
         super().__init__(setup.vessel, particulars_of(setup.vessel), folder)
+        names = [name for name in vessel_names() if name != setup.vessel.name]
+        self.vessels = {setup.vessel.name: setup.vessel}
+        self.vessels |= {name: Vessel.load(name) for name in names}
+        self.predictors = _on_offer(setup.predictor)
         self.helm: Autopilot
         self.restart(setup, autopilot)
 
     def restart(self, setup: SimulationSetup, autopilot: str | None = None) -> None:
-        """Restart; a log that is being recorded ends. Who steers goes on unless named."""
+        """Restart; a log that is being recorded ends. Who steers goes on unless named.
+
+        SessionError for a predictor that was not on offer at the start. An error changes nothing.
+        """
+        if setup.predictor not in self.predictors:
+            raise SessionError(
+                f"predictor {setup.predictor!r} was not on offer at the start; use one of "
+                f"{', '.join(self.predictors)}"
+            )
         suite = SensorSuite.grade(setup.sensors)
         # two windows of loss that are moved when they are ordered
         gps, imu = (Fault(kind, NEVER, 1.0) for kind in ("gps", "imu"))
@@ -92,18 +115,23 @@ class SimulatedSession(Session):
             given = simulator_options(setup.predictor, setup.vessel, setup.sea, setup.dof)
         twin = Twin(particulars, setup.predictor, seed=setup.seed, **given)
         self.record(False)
-        rng, self._sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
-        self._gust_seed = int(self._sea_rng.integers(2**32))
+        rng, sea_rng, helm_rng = np.random.default_rng(setup.seed).spawn(3)
         simulation.reset([0], [rng])
         helm = Autopilot(setup.vessel, particulars.speed, helm_rng)
         if autopilot is None:
             autopilot = self.helm.autopilot
             helm.throttle, helm.angle = self.helm.throttle, self.helm.angle
-        self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
-        self.simulation, self.monitor, self.helm = simulation, TwinMonitor(twin), helm
-        self.steer(autopilot)
-        self._mark_restart()
-        self._feed()
+        before = vars(self).copy()
+        try:
+            self.setup, self.vessel, self.particulars = setup, setup.vessel, particulars
+            self.simulation, self.monitor, self.helm = simulation, TwinMonitor(twin), helm
+            self._sea_rng, self._gust_seed = sea_rng, int(sea_rng.integers(2**32))
+            self.steer(autopilot)
+            self._mark_restart()
+            self._feed()
+        except Exception:
+            vars(self).update(before)
+            raise
         self.changed += 1
 
     @property
@@ -117,6 +145,10 @@ class SimulatedSession(Session):
 
     def steer(self, autopilot: str) -> None:
         """Hand the helm over, from this moment on."""
+        if autopilot not in AUTOPILOTS:
+            raise SessionError(
+                f"no autopilot is called {autopilot!r}; use one of {', '.join(AUTOPILOTS)}"
+            )
         self.helm.hand_over(autopilot, self.t, self.monitor.twin.predictor.state)
 
     def lose(self, kind: str, seconds: float) -> None:
@@ -149,6 +181,12 @@ class SimulatedSession(Session):
         while self.t + self.simulation.dt <= goal + 1e-9:
             cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
             self.simulation.step(cmd[None])
+            if not np.isfinite(self.simulation.state).all():
+                self.set_paused(True)
+                self.report(
+                    "this vessel's motion grows without bounds; restart with another, and go on"
+                )
+                break
             self._feed()
             if time.monotonic() > now + MAX_LAG:  # too much is asked of this machine
                 self._anchor = time.monotonic(), self.t
@@ -168,3 +206,17 @@ class SimulatedSession(Session):
         sea = Sea(sim.waves[0].copy(), sim.gusts[0].copy(), sim.weather[0].copy())
         state = sim.state[0].copy()
         return self._seen(state, path=self.helm.path, sea=sea, rate=self._rate(self.t))
+
+
+def _on_offer(given: str) -> tuple[str, ...]:
+    """Import the predictors that a page may name, and return their names, the given one first."""
+    found = []
+    for name in dict.fromkeys((given, *PREDICTORS)):
+        # those whose library takes seconds to load only where they are asked for at the start
+        if name == given or name not in EXTRAS:
+            try:
+                predictor_class(name)
+            except (PredictorError, ImportError):
+                continue  # of another package that is broken; the given one says why by itself
+            found.append(name)
+    return tuple(found)

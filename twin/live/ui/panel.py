@@ -22,12 +22,10 @@ from twin.live.sessions.session import Session, Snapshot
 from twin.live.sessions.simulated import SimulatedSession
 from twin.live.sessions.tracker import History
 from twin.live.ui.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
-from twin.predictors.registry import PREDICTORS
 from usv_gym.envs.scene import SDS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
 from usv_gym.physics import weather as wx
-from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sea import SEA_STATES, SeaState
 
 if TYPE_CHECKING:
@@ -42,6 +40,9 @@ __all__ = [
 Array = NDArray[np.float64]
 
 SCALES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+
+SEEDS = 2**32 - 1
+"""Largest seed that can be entered."""
 
 THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 """What a press of an arrow key changes: part of the nominal shaft speed, degrees."""
@@ -78,9 +79,17 @@ class Controls(ABC):
     def add(self) -> None:
         """Add what only this kind of session has."""
 
+    def show_nothing(self) -> None:
+        """Say that nothing has come yet, and what became of the orders meanwhile."""
+        self.status.content = table({"status": "nothing has come yet", **outcome(self.session)})
+        self._relabel()
+
     def show(self, now: Snapshot) -> None:
         """Say what the instruments say, and what each button does next."""
         self.status.content = table(said(now, self.session))
+        self._relabel()
+
+    def _relabel(self) -> None:
         for button, label in self.labels():
             if button.label != label:
                 button.label = label
@@ -89,7 +98,7 @@ class Controls(ABC):
         """Return the buttons whose words change, and what they say now."""
         said = {
             "pause": "go on" if self.session.paused else "pause",
-            "record": "stop, and write the log" if self.session.recording else "record a log",
+            "record": "stop recording" if self.session.recording else "record a log",
         }
         return [(getattr(self, name), text) for name, text in said.items() if hasattr(self, name)]
 
@@ -164,25 +173,25 @@ class SimulatedControls(Controls):
             self.wind = self.gui.add_slider("wind (m/s)", 0.0, 25.0, 0.5, round(setup.sea.wind, 1))
             degrees = round(math.degrees(setup.sea.wind_from)) % 360
             self.wind_from = self.gui.add_slider("wind from (deg)", 0, 359, 1, degrees)
-            self.sea.on_update(lambda _: self._set_wind())
+            self.sea.on_update(lambda _: order(self._set_sea))
             for slider in (self.wind, self.wind_from):
-                slider.on_update(lambda _: order(session.change_sea, self._chosen_sea(), False))
+                slider.on_update(lambda _: order(self._set_wind))
         with self.gui.add_folder("Boat and twin", expand_by_default=False):
-            names = tuple(dict.fromkeys((setup.vessel.name, *vessel_names())))
-            self._given = setup.vessel
-            self.vessel = self.gui.add_dropdown("vessel", names, initial_value=setup.vessel.name)
+            self.vessel = self.gui.add_dropdown(
+                "vessel", tuple(session.vessels), initial_value=setup.vessel.name
+            )
             self.predictor = self.gui.add_dropdown(
-                "predictor",
-                tuple(dict.fromkeys((setup.predictor, *PREDICTORS))),
-                initial_value=setup.predictor,
+                "predictor", session.predictors, initial_value=setup.predictor
             )
             self.dof = self.gui.add_dropdown(
                 "degrees of freedom", ("6", "3"), initial_value=str(setup.dof)
             )
-            self.seed = self.gui.add_number("seed", setup.seed, min=0, step=1)
+            self.seed = self.gui.add_number(
+                "seed", setup.seed, min=0, max=max(SEEDS, setup.seed), step=1
+            )
             restart = self.gui.add_button("restart", hint="key: R")
-            restart.on_click(lambda _: self._restart())
-        self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: self._restart())
+            restart.on_click(lambda _: order(self._restart))
+        self.gui.add_command("restart", hotkey="R").on_trigger(lambda _: order(self._restart))
 
     # The helm's callbacks are coroutines, which viser runs in turn. Functions would run side by
     # side, and two quick presses of a key would move the slider only once.
@@ -227,23 +236,26 @@ class SimulatedControls(Controls):
             wind=float(self.wind.value), wind_from=math.radians(self.wind_from.value)
         )
 
+    # In the session's thread, so that what fails is answered on the page.
+
     def _set_wind(self) -> None:
+        self.session.change_sea(self._chosen_sea(), waves=False)
+
+    def _set_sea(self) -> None:
         """Take over the wind that goes with a sea state."""
         self.wind.value = round(SEA_STATES.get(self.sea.value, self.session.setup.sea).wind, 1)
-        self.session.order(self.session.change_sea, self._chosen_sea())
+        self.session.change_sea(self._chosen_sea())
 
     def _restart(self) -> None:
-        name = self.vessel.value
-        vessel = self._given if name == self._given.name else Vessel.load(name)
         setup = replace(
             self.session.setup,
-            vessel=vessel,
+            vessel=self.session.vessels[self.vessel.value],
             sea=self._chosen_sea(),
             predictor=self.predictor.value,
             dof=int(self.dof.value),
             seed=int(self.seed.value or 0),  # an emptied field is None
         )
-        self.session.order(self.session.restart, setup)
+        self.session.restart(setup)
 
 
 class FeedControls(Controls):
@@ -358,6 +370,12 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["waves Hs"] = f"{height:.2f} m"
     for k, note in enumerate(now.notes):
         lines["messages" if k == 0 else " " * k] = note
+    return lines | outcome(session)
+
+
+def outcome(session: Session) -> dict[str, str]:
+    """Return what became of the log and of the last order."""
+    lines = {}
     if session.recording:
         lines["log"] = f"recording, {session.kept} rows"
     elif session.recorded is not None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import io
-import socket
 import time
 from typing import Any
 
-from twin.live.protocols.sockets import needed
 from twin.live.sessions.session import Session, Snapshot
+from twin.live.ui.access import Access, check_host
 from twin.live.ui.panel import Curves, controls_of
 from twin.live.ui.scene import SceneView
+from twin.live.ui.server import start_server
 from usv_gym.vessel.geometry import Boat, Form, boat_of
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Viewer",
-    "check_host",
 ]
 
 CURVES = 0.5
@@ -30,17 +30,21 @@ class Viewer:
     """Shows a session, which its owner starts and stops, to every browser that asks.
 
     It listens at ``host``, loopback unless others are to see it too, and at ``port``, or the next
-    free one. ``frames`` counts the frames that were made.
+    free one. ``access`` says which browsers may connect; without it, those of :meth:`Access.of`.
+    ``frames`` counts the frames that were made.
     """
 
-    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self,
+        session: Session,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        access: Access | None = None,
+    ) -> None:
         check_host(host)
         self.session, self.frames = session, 0
-        # the server prints its address; the command does so in one line
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server: Any = needed("viser").ViserServer(
-                host=host, port=port, label="usv-twin", verbose=False
-            )
+        self.access = access or Access.of(host)
+        self.server: Any = start_server(self.access, port, session.report)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.scene = SceneView(self.server, boat(session))
         self.controls = controls_of(self.server, session)
@@ -54,7 +58,8 @@ class Viewer:
         """Where browsers find it."""
         host = self.server.get_host()
         shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, host)
-        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}"
+        token = f"/?token={self.access.token}" if self.access.token is not None else ""
+        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}{token}"
 
     @property
     def port(self) -> int:
@@ -77,8 +82,19 @@ class Viewer:
         """Make one frame, if there is anything new."""
         if self.session.changed != self._changed:
             self._rebuild()
+        try:
+            self._show(now)
+        except Exception:
+            # another boat or twin took over within the frame: the next one shows it
+            if self.session.changed == self._changed:
+                raise
+
+    def _show(self, now: float) -> None:
+        """Show the latest snapshot, and the curves when they are due."""
         snapshot = self.session.snapshot
-        if snapshot is not None and snapshot is not self._shown:
+        if snapshot is None:
+            self.controls.show_nothing()
+        elif snapshot is not self._shown:
             self._shown = snapshot
             self.frames += 1
             with self.server.atomic():
@@ -97,10 +113,15 @@ class Viewer:
             self.server.stop()
 
     def _rebuild(self) -> None:
-        """Show another boat and another twin."""
+        """Show another boat and another twin; a hull that cannot be drawn stays the last one."""
         self._changed = self.session.changed
-        self.scene.remove()
-        self.scene = SceneView(self.server, boat(self.session))
+        try:
+            hull = boat(self.session)
+        except (UsvTwinError, OSError) as error:
+            self.session.report(str(error))
+        else:
+            self.scene.remove()
+            self.scene = SceneView(self.server, hull)
         self.curves.remove()
         self.curves = Curves(self.server, self.session)
 
@@ -114,16 +135,3 @@ def boat(session: Session) -> Boat:
     volume = own.mass / 1000.0
     form = Form(length=own.length, beam=own.beam, draft=own.draft, volume=volume, kind=kind)
     return boat_of(form)
-
-
-def check_host(host: str) -> None:
-    """Refuse an address that is none of this machine: the server would wait for ever."""
-    try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(*found[:3]) as one:
-            one.bind(found[4])
-    except (OSError, UnicodeError) as error:
-        raise OSError(
-            f"--host {host}: cannot listen there ({error}); use 127.0.0.1, 0.0.0.0 or an address "
-            "of this machine"
-        ) from None

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import stat
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,6 +47,23 @@ def sail(session: SimulatedSession, seconds: float) -> None:
         session._obey()
         session._advance()
         session._anchor = time.monotonic() - (end - session.t) - 1e-6, session.t
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Return an event; while it is set, logs take ten more bytes and no others."""
+    full, write, taken = threading.Event(), os.write, []
+
+    def write_some(file: int, data: bytes) -> int:
+        if full.is_set() and stat.S_ISREG(os.fstat(file).st_mode):
+            taken.append(file)
+            if taken[:-1]:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return write(file, data[:10])
+        return write(file, data)
+
+    monkeypatch.setattr("os.write", write_some)
+    return full
 
 
 def wait(condition: Callable[[], bool], seconds: float = 20.0) -> None:
@@ -194,33 +215,108 @@ def test_a_recorded_log_is_a_log_with_truth_and_particulars(tmp_path):
     assert session.recorded != first and len(Log.read(first)) == 120
 
 
-def test_a_log_that_cannot_be_written_is_kept(tmp_path):
+def test_an_order_that_fails_in_any_way_is_reported_and_the_boat_sails_on(tmp_path):
     session = SimulatedSession(setup(predictor="persistence"), tmp_path)
-    session.order(session.toggle_record)
-    sail(session, 2.0)
-    session.folder = tmp_path / "file" / "folder"
+    session.start()
+    for error in (TypeError("x"), KeyError("x"), ZeroDivisionError("x"), MemoryError("x")):
+
+        def fail(error: Exception = error) -> None:
+            raise error
+
+        session.order(fail)
+        wait(lambda name=error: session.message.startswith(type(name).__name__))
+    for scale in (math.nan, math.inf, 0.0, -1.0, 11.0):
+        session.order(session.set_scale, scale)
+        session.order(session.set_scale, scale)
+        wait(lambda: "use one from 0.1 to 10" in session.message)
+        session.report("")
+    session.order(session.steer, "nobody")
+    wait(lambda: "no autopilot is called 'nobody'" in session.message)
+    session.stop()
+    assert session.error is None and session.scale == 1.0 and session.helm.autopilot == "off"
+
+
+def test_orders_that_come_too_fast_are_refused_in_words(tmp_path):
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
+    for _order in range(1000):
+        session.order(session.toggle_paused)
+    assert "faster than they can be carried out" in session.message
+    session._obey()
+    assert session.message == "" and not session.paused
+
+
+def test_a_restart_that_fails_late_changes_nothing(tmp_path, monkeypatch):
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
+    sail(session, 1.0)
+    before, t = vars(session).copy(), session.t
+    monkeypatch.setattr(simulated, "measurement_row", lambda z: 1 / 0)
+    session.order(session.restart, replace(session.setup, vessel=Vessel.load("otter")))
+    session._obey()
+    monkeypatch.undo()
+    assert "ZeroDivisionError" in session.message
+    assert vars(session) | {"message": ""} == before | {"message": ""} and session.t == t
+    sail(session, 1.0)
+
+
+def test_a_vessel_that_runs_away_is_stopped_and_said(tmp_path):
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
+    sail(session, 1.0)
+    session.record(True)
+    session.simulation.state[0, fr.U] = math.nan
+    session._anchor = time.monotonic() - 1.0, session.t
+    session._advance()
+    assert session.paused and "restart with another" in session.message
+    assert session.kept == 0
+    session.order(session.restart, session.setup)
+    session._obey()
+    session.set_paused(False)
+    sail(session, 1.0)
+    assert np.isfinite(session.simulation.state).all()
+
+
+def test_a_log_that_cannot_be_begun_is_reported(tmp_path):
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path / "file" / "folder")
     (tmp_path / "file").write_text("no folder")
     session.order(session.toggle_record)
     session._obey()
-    assert "choose another folder" in session.message and session.recording
+    assert "choose another folder" in session.message and not session.recording
     session.folder = tmp_path / "good"
+    session.order(session.toggle_record)
     sail(session, 1.0)
+    session.order(session.toggle_record)
+    session._obey()
+    assert len(Log.read(session.recorded)) == 20 and not session.recording
+
+
+def test_rows_that_the_disk_does_not_take_are_kept_until_it_does(tmp_path, full_disk):
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
+    session.order(session.toggle_record)
+    sail(session, 2.0)
+    full_disk.set()
+    session.order(session.toggle_record)
+    session._obey()
+    assert "No space left on device" in session.message and session.recording
+    sail(session, 1.0)
+    session.recorder._due = 0.0
+    session._flush()
+    assert f"{session.recorder.path.name}: No space left" in session.message
+    full_disk.clear()
     session.order(session.toggle_record)
     session._obey()
     assert len(Log.read(session.recorded)) == 60 and not session.recording
 
 
-def test_a_log_that_cannot_be_written_at_the_end_goes_elsewhere(tmp_path, monkeypatch):
+def test_a_log_that_cannot_be_written_at_the_end_goes_elsewhere(tmp_path, monkeypatch, full_disk):
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "elsewhere"))
     session = SimulatedSession(setup(predictor="persistence"), tmp_path)
     session.start()
     session.order(session.toggle_record)
     wait(lambda: session.kept > 5)
-    (tmp_path / "file").write_text("no folder")
-    session.folder = tmp_path / "file" / "folder"
+    full_disk.set()
     session.stop()
     assert session.error is None
     assert session.recorded.parent == tmp_path / "elsewhere" and len(Log.read(session.recorded)) > 5
+    assert Particulars.load(session.recorded.with_suffix(".toml")) == session.particulars
 
 
 def test_the_wind_changes_without_the_waves(tmp_path):

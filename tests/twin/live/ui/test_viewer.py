@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import itertools
 import json
 import math
@@ -24,8 +25,9 @@ import pytest
 
 from tests.twin.live.wire import free_port
 from twin import Log, Twin, recorded_runs
+from twin.live.protocols.nmea import NmeaFeed
+from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
-from twin.live.sessions.session import Session
 from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
@@ -52,38 +54,6 @@ def wait(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.05)
     return found
-
-
-@pytest.fixture
-def served() -> Iterator[Callable[[Session], Viewer]]:
-    """Return a function that serves a session until the end of the test."""
-    running = []
-
-    def serve(session: Session) -> Viewer:
-        viewer = Viewer(session, port=free_port(socket.SOCK_STREAM))
-
-        def show() -> None:
-            with contextlib.suppress(Stopped):
-                viewer.serve()
-
-        thread = threading.Thread(target=show)
-        session.start()
-        thread.start()
-        running.append((session, viewer, thread))
-        return viewer
-
-    yield serve
-    for session, viewer, thread in running:
-        session.stop()
-        assert session.error is None, session.error
-        session.error = Stopped()
-        session.fresh.set()
-        thread.join()
-        viewer.close()
-
-
-class Stopped(Exception):
-    """The test is over."""
 
 
 def status(driver: Any) -> dict[str, str]:
@@ -264,6 +234,36 @@ def test_a_log_is_seen_with_its_slider(browser, served, tmp_path):
     assert errors_of(driver) == []
 
 
+def test_the_ends_of_every_slider_pass_the_check(browser, served, tmp_path):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    session = SimulatedSession(setup(predictor="persistence"), tmp_path)
+    viewer = served(session)
+    driver = opened(browser, viewer)
+    for text in ("Weather", "Boat and twin"):
+        driver.find_element(By.XPATH, f"//*[text()='{text}']").click()
+    controls = viewer.controls
+    sliders = controls.throttle, controls.helm, controls.wind, controls.wind_from
+    found = wait(
+        lambda: (
+            len(seen := driver.find_elements(By.CSS_SELECTOR, "[role=slider]")) == len(sliders)
+            and seen
+        )
+    )
+
+    def reaches(handle: Any, key: str, slider: Any, end: float) -> bool:
+        driver.execute_script("arguments[0].focus()", handle)  # once its folder is open
+        ActionChains(driver).send_keys(key).perform()
+        return bool(slider.value == pytest.approx(end))
+
+    for handle, slider in zip(found, sliders, strict=True):
+        for key, end in ((Keys.HOME, slider.min), (Keys.END, slider.max)):
+            wait(functools.partial(reaches, handle, key, slider, end))
+    assert session.message == "" and "not done" not in status(driver)
+
+
 async def _watch(url: str, seconds: float) -> int:
     """Watch like a browser; return how many messages came."""
     import msgspec
@@ -332,12 +332,12 @@ def test_another_boat_and_another_twin_take_over(served, tmp_path):
     hull = viewer.scene.length
     viewer.controls.vessel.value = "otter"
     viewer.controls.predictor.value = "ukf"
-    viewer.controls._restart()
+    session.order(viewer.controls._restart)
     wait(lambda: session.changed == 2 and viewer.scene.length != hull)
     assert session.vessel.name == "otter"
     assert session.monitor.twin.name == "ukf"
     viewer.controls.predictor.value = "oracle"  # needs the simulator
-    viewer.controls._restart()
+    session.order(viewer.controls._restart)
     wait(lambda: session.changed == 3)
     wait(lambda: session.snapshot is not None and session.snapshot.overlay is not None)
     assert session.message == ""
@@ -351,6 +351,20 @@ def test_every_boat_has_a_scene(name, served, tmp_path):
     viewer = served(session)
     wait(lambda: viewer.frames > 0)
     assert viewer.scene.length == pytest.approx(np.ptp(boat_of(vessel).whole().vertices[:, 0]))
+
+
+def test_a_feed_that_has_not_begun_answers_orders(served, tmp_path):
+    twin = Twin(particulars_of(VESSEL), "persistence")
+    feed = NmeaFeed(f"udp://:{free_port()}", twin.particulars)
+    (tmp_path / "file").write_text("no folder")
+    session = FeedSession(feed, twin, VESSEL, tmp_path / "file" / "folder")
+    controls = served(session).controls
+    wait(lambda: "nothing has come yet" in controls.status.content)
+    session.order(session.toggle_record)
+    wait(lambda: "choose another folder" in controls.status.content)
+    session.folder = tmp_path
+    session.order(session.toggle_record)
+    wait(lambda: controls.record.label == "stop recording")
 
 
 def test_labels_follow_the_session_and_the_scale_is_that_asked_for(served, tmp_path):

@@ -1,0 +1,136 @@
+"""Logs that are written as the boat sails."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin import Log, Particulars, Twin
+from twin.live.sessions import recorder
+from twin.live.sessions.recorder import Recorder
+from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
+from twin.logs.datum import Datum
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SeaState, Vessel
+
+VESSEL = Vessel.load("usv75")
+
+SAILS = """
+import sys
+from pathlib import Path
+from twin.live.sessions.simulated import SimulatedSession, SimulationSetup
+from usv_gym import SeaState, Vessel
+setup = SimulationSetup(vessel=Vessel.load("usv75"), sea=SeaState(), predictor="persistence")
+session = SimulatedSession(setup, Path(sys.argv[1]))
+session.start()
+session.order(session.toggle_record)
+while True:
+    session.order(lambda: print(session.t, flush=True))
+    session._stop.wait(0.05)
+"""
+"""Records a log, and says from the session's thread how far it has come."""
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulate("zigzag", vessel=VESSEL, sea=SeaState.named("2"), duration=20.0, seed=2)
+
+
+def record(folder: Path, log: Log, datum: Datum | None = None) -> Recorder:
+    made = Recorder(folder, particulars_of(VESSEL), with_truth=log.truth is not None)
+    for row, (t, z, cmd) in enumerate(log):
+        truth = np.full(6, math.nan) if log.truth is None else log.truth[row]
+        made.add(t, z, cmd, truth, datum if row > 9 else None)  # known from the first fix on
+    return made
+
+
+@pytest.mark.parametrize("datum", [None, Datum(latitude=59.9, longitude=10.7)])
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_a_recorded_log_holds_the_same_numbers(datum, with_truth, log, tmp_path):
+    given = log if with_truth else log.without_truth()
+    path = record(tmp_path / "new" / "folder", given, datum).close()
+    read = Log.read(path)
+    for name in ("t", "z", "cmd"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(given, name))
+    assert (read.truth is None) == (given.truth is None)
+    if with_truth:
+        np.testing.assert_array_equal(read.truth, given.truth)
+    assert read.datum == datum
+    assert Particulars.load(path.with_suffix(".toml")) == particulars_of(VESSEL)
+
+
+def test_rows_reach_the_disk_when_they_are_due(log, tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(recorder.time, "monotonic", lambda: now[0])
+    made = record(tmp_path, log)
+    size = made.path.stat().st_size
+    made.flush(now=False)
+    assert made.path.stat().st_size == size  # the header, a moment ago
+    now[0] += recorder.FLUSHED
+    made.flush(now=False)
+    assert made.path.read_text().count("\n") == len(log) + 1
+    assert recorder.FLUSHED <= 0.5
+
+
+def test_a_process_that_is_killed_loses_at_most_a_second(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", SAILS, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        said = next(float(line) for line in process.stdout if float(line) > 3.0)
+        process.kill()
+    (path,) = tmp_path.glob("view_*.csv")
+    log = Log.read(path)
+    assert log.t[-1] >= said - 1.0
+    assert np.isfinite(log.t).all() and log.truth is not None
+    twin = Twin(Particulars.load(path.with_suffix(".toml")), "persistence")
+    assert len(twin.run(log)) == len(log)
+
+
+def test_a_log_whose_last_line_is_torn_can_be_read(log, tmp_path):
+    path = record(tmp_path, log.slice(t1=2.0)).close()
+    whole = path.read_bytes()
+    rows = len(Log.read(path))
+    last = whole[:-1].rindex(b"\n") + 1
+    for cut in range(last, len(whole)):
+        path.write_bytes(whole[:cut])
+        torn = Log.read(path)
+        assert len(torn) in (rows - 1, rows)
+        assert len(torn) == rows or cut == last or "the last line is cut off" in torn.notes[0]
+        np.testing.assert_array_equal(torn.z, log.z[: len(torn)])
+
+
+def test_two_logs_of_one_second_have_names_of_their_own(tmp_path):
+    made = [Recorder(tmp_path, particulars_of(VESSEL), with_truth=False) for _k in range(3)]
+    assert len({one.path for one in made}) == 3
+    assert [one.close() for one in made] == [None] * 3
+    assert list(tmp_path.iterdir()) == []  # there was nothing to write
+
+
+def test_a_folder_that_cannot_be_written_to_holds_no_part_of_a_log(tmp_path, monkeypatch):
+    def fail(file: int, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.write", fail)
+    with pytest.raises(OSError, match="No space left") as caught:
+        Recorder(tmp_path, particulars_of(VESSEL), with_truth=False)
+    monkeypatch.undo()
+    assert Path(caught.value.filename).parent == tmp_path
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_memory_of_a_recording_does_not_grow(tmp_path):
+    setup = SimulationSetup(vessel=VESSEL, sea=SeaState(), predictor="persistence")
+    session = SimulatedSession(setup, tmp_path)
+    session.record(True)
+    for _row in range(2000):
+        session._keep(0.0, np.zeros(10), np.zeros(4), np.zeros(6))
+        session._flush()
+    session.recorder._due = 0.0
+    session._flush()
+    assert session.kept == 2000 and len(session.recorder._pending) == 0
+    session.stop()
