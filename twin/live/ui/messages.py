@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from usv_kernel.errors import UsvTwinError
+
 __all__ = [
     "RefusedError",
     "checked",
@@ -21,7 +23,7 @@ LONGEST = 120
 Triple = tuple[float, float, float]
 
 
-class RefusedError(ValueError):
+class RefusedError(UsvTwinError):
     """A message that no control of the page sends; the text says why."""
 
 
