@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.logs.log import Log
-from twin.sim.bridge import CONTROL_STEP, sail
-from usv_gym.manoeuvring.manoeuvres import commands
+from twin.sim.bridge import CONTROL_STEP, prepare, sail
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
@@ -274,12 +273,8 @@ def simulate_with(
             command[RIGHT] *= fault.shafts[1]
             simulation.weather["current_east"] = fault.current
 
-    sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, boat, sea, dt=CONTROL_STEP)
-    simulation.reset([0], [sea_rng])
-    times = np.arange(round(duration / CONTROL_STEP)) * CONTROL_STEP
-    given = commands(manoeuvre, times, boat, helm_rng)
-    return sail(simulation, given, f"{manoeuvre}_{seed}", before_step)
+    return sail(prepare(simulation, manoeuvre, duration, seed), before_step)
 
 
 def inject(log: Log, fault: SensorFault, start: float, seed: int) -> Log:

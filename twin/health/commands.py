@@ -1,8 +1,8 @@
 """Kernel that holds the commands against the motion that they should make.
 
-A linear model of the change of yaw rate and surge in a step of a third of a boat length is learned
-online. What it would say of commands reversed, with sides swapped or with one thruster dead, says
-what is wrong with them.
+A linear model of the change of yaw rate and surge in a step of about a second is learned online.
+What it would say of commands reversed, with sides swapped or with one thruster dead, says what is
+wrong with them.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ YAW, SURGE = range(2)
 THRUST, MOMENT, DIFFERENCE = 2, 2, 3
 """Places of the commands' effects among the parameters: thrust of surge, the others of yaw."""
 
-LEFT_THRUST, RIGHT_THRUST, LEFT_MOMENT, RIGHT_MOMENT = range(DRIVE)
-"""What the commands make, side by side: thrust, and the part of it that steers."""
+LEFT_THRUST, LEFT_MOMENT = 0, 2
+"""Places in the drive of what the left side makes; that of the right side follows."""
 
 EFFECTS = np.array(
     [
@@ -56,8 +56,11 @@ EFFECTS = np.array(
 )
 """What may be wrong with commands: factors of the sides in what a boat makes of them."""
 
-LEFT_DEAD, RIGHT_DEAD = 5, 6
-"""Of these hypotheses, those of a boat that has changed."""
+LEFT_DEAD = 5
+"""The first of the hypotheses of a boat that has changed: a thruster does not answer."""
+
+OF_THRUST, OF_MOMENT, OF_DIFFERENCE = range(3)
+"""Kinds of effects: the second index of EFFECTS."""
 
 STEP, STEP_MIN = 0.35, 0.9
 """A step, in lengths over nominal speed and in s: in shorter ones waves hide what commands do, in
@@ -149,7 +152,7 @@ def _set(health, status, reason):
 @inlined
 def _effect(kind, health, effects):
     """Return thrust, steering moment or difference of thrust of the last step."""
-    first = LEFT_MOMENT if kind == 1 else LEFT_THRUST
+    first = LEFT_MOMENT if kind == OF_MOMENT else LEFT_THRUST
     drive = health.mean_drive
     return effects[kind, 0] * drive[first] + effects[kind, 1] * drive[first + 1]
 
@@ -164,9 +167,9 @@ def _regressor(axis, k, health, effects):
         if k == 1:
             return r * abs(r)
         if k == MOMENT:
-            return _effect(1, health, effects)
+            return _effect(OF_MOMENT, health, effects)
         if k == DIFFERENCE:
-            return _effect(2, health, effects)
+            return _effect(OF_DIFFERENCE, health, effects)
         if k == 4:
             return r * u
         return 1.0
@@ -175,7 +178,7 @@ def _regressor(axis, k, health, effects):
     if k == 1:
         return u * abs(u)
     if k == THRUST:
-        return _effect(0, health, effects)
+        return _effect(OF_THRUST, health, effects)
     if k == 3:
         return r * r
     return 0.0  # no constant: thrust alone makes way
@@ -255,7 +258,7 @@ def _is_sign_wrong(T, health):
     for k in (MOMENT, DIFFERENCE):
         sd = level * math.sqrt(CORRELATED_STEPS * max(yaw.cov[k, k], 0.0))
         wrong = wrong or yaw.params[k] < -certain * sd
-    thrust, u = _effect(0, health, EFFECTS[0]), health.motion[1]
+    thrust, u = _effect(OF_THRUST, health, EFFECTS[0]), health.motion[1]
     if check.status == EXCLUDED:
         health.against_time = 0.0
     elif thrust * u < 0.0 and abs(thrust) > AGAINST_THRUST and abs(u) > AGAINST_SPEED:
@@ -279,8 +282,7 @@ def _add_evidence(health):
     for k in range(HYPOTHESES):
         health.mismatch[k] += share * (0.5 * health.step_mismatch[k] - health.mismatch[k])
         better = min(health.step_mismatch[0] - health.step_mismatch[k], EVIDENCE_MAX)
-        total = health.evidence[k] + better - DRIFT
-        health.evidence[k] = min(max(total, 0.0), 2.0 * EXPLAINED)
+        health.evidence[k] = min(max(health.evidence[k] + better - DRIFT, 0.0), 2.0 * EXPLAINED)
     # entry 0: for the commands as given, against the hypothesis that excluded them
     other = health.step_mismatch[int(health.hypothesis)]
     better = min(other - health.step_mismatch[0], EVIDENCE_MAX)

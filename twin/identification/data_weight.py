@@ -66,7 +66,7 @@ MARGINS = (0.4, 0.15)
 """By how much the mean logarithm of another's squared errors must be lower, on average over the
 memories. The shorter the memory, the more of a difference is chance."""
 
-SHORT = 4
+SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
 """The first of the refits with a short span. After a change, they look back to it at most."""
 
 SURPRISE_MAX, SURPRISE_DRIFT, SURPRISE_ALARM = 4.0, 2.2, 4.5
@@ -85,27 +85,29 @@ LEAST, MOST = 1e-9, 1e9
 class SelectorState(NamedTuple):
     """What the choice of the trust remembers."""
 
-    count: Any  # (6,) see SCORED to SURPRISE
+    count: Any  # (5,) see SCORED to CHANGED
+    surprise: Any  # (1,) evidence that the boat has changed
     errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
     params: Any  # (3, p) parameters of each refit
     factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
     past: Any  # (slots, 3, p) parameters when recent segments began
 
 
-SCORED, CHOSEN, TURN, NOTED, CHANGED, SURPRISE = range(6)
+SCORED, CHOSEN, TURN, NOTED, CHANGED = range(5)
 """Segments compared, candidate in use, refit whose turn it is, last row that was noted, row at
-which the boat changed, evidence that it did since."""
+which the boat changed."""
 
 
 @inlined
 def selector_state(memory, p, steps, spacing):
     """Open the memory of the choice between refits of p parameters."""
-    count, at = take(memory, 0, (6,))
+    count, at = take(memory, 0, (5,))
+    surprise, at = take(memory, at, (1,))
     errors, at = take(memory, at, (len(MEMORIES), CANDIDATES))
     params, at = take(memory, at, (CANDIDATES, p))
     factors, at = take(memory, at, (REFITS, p, p))
     past, at = take(memory, at, (1 + steps // spacing + 3, CANDIDATES, p))
-    return SelectorState(count, errors, params, factors, past)
+    return SelectorState(count, surprise, errors, params, factors, past)
 
 
 @kernel
@@ -149,14 +151,14 @@ def note(start, spacing, state):
 @inlined
 def _note_change(first, worse, state, config):
     """Add to the evidence that the boat has changed; if it has, begin with the short refits."""
-    count, errors = state.count, state.errors
+    count, surprise, errors = state.count, state.surprise, state.errors
     if count[SCORED] < ENOUGH or (first - count[CHANGED]) * GRID < SETTLED:
-        count[SURPRISE] = 0.0
+        surprise[0] = 0.0
         return
-    count[SURPRISE] = max(count[SURPRISE] + worse - SURPRISE_DRIFT, 0.0)
-    if count[SURPRISE] <= SURPRISE_ALARM:
+    surprise[0] = max(surprise[0] + worse - SURPRISE_DRIFT, 0.0)
+    if surprise[0] <= SURPRISE_ALARM:
         return
-    count[SURPRISE] = 0.0
+    surprise[0] = 0.0
     count[CHANGED] = first - LOOK_BACK * config.spacing
     count[CHOSEN] = SHORT
     for m in range(len(MEMORIES)):
@@ -246,9 +248,11 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
 
 SELECTOR_FIELDS = {
     "count": Field(
-        low=(0.0, 0.0, 0.0, -1.0, -COUNT_MAX, 0.0),
-        high=(COUNT_MAX, CANDIDATES - 1.0, COUNT_MAX, COUNT_MAX, COUNT_MAX, COUNT_MAX),
-    )
+        low=(0.0, 0.0, 0.0, -1.0, -COUNT_MAX),
+        high=(COUNT_MAX, CANDIDATES - 1.0, COUNT_MAX, COUNT_MAX, COUNT_MAX),
+        integer=True,
+    ),
+    "surprise": Field(low=0.0, high=SURPRISE_ALARM),
 }
 """What the fields of a saved :class:`SelectorState` may hold."""
 

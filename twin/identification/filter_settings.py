@@ -124,26 +124,19 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         r *= ROUGH_NOISE
     structure = model_of(particulars, model or ("mmg" if rough else "paper"), current=True)
     mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
+    walking = np.isin(structure.parameters, ("C_north", "C_east"))
+    q_xi = walking * np.diag(covariance) / (CURRENT_TIME * time)
     return FilterSettings(
         structure=structure,
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,
         p0=p0**2,
-        q_xi=_wander_of_current(structure, covariance, time),
+        q_xi=q_xi,
         xi0=mean,
         xi0_cov=covariance,
         n_unit=structure.n_unit,
         rest_push=REST_PUSH if rough else 1.0,
     )
-
-
-def _wander_of_current(structure: Structure, covariance: Array, time: float) -> Array:
-    """Return the variance that each parameter gains per second: the current's, of a slow walk."""
-    q = np.zeros(len(structure))
-    for k, name in enumerate(structure.parameters):
-        if name in ("C_north", "C_east"):
-            q[k] = covariance[k, k] / (CURRENT_TIME * time)
-    return q
 
 
 def _of_a_tanker(particulars: Particulars) -> FilterSettings:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import PSI
+from twin.channels import PSI, R, U, V
 from twin.checkpoint import Field
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.navigation_state import N_MODELLED
@@ -206,9 +206,9 @@ def _process_noise(h, state, config, work):
         work.Q[i, i] = config.q[i] * h
     if config.rest_push < 1.0:
         # squares of thrust and motion, in nominal ones
-        x, act, U = state.x, state.act, 0.25 * config.envelope[0]
+        x, act, speed = state.x, state.act, 0.25 * config.envelope[0]
         thrust = (act[0] * act[0] + act[1] * act[1]) / (2.0 * config.n_nominal**2)
-        motion = (x[3] * x[3] + x[4] * x[4]) / (U * U) + (4.0 * x[5] / config.envelope[2]) ** 2
+        motion = (x[U] ** 2 + x[V] ** 2) / speed**2 + (4.0 * x[R] / config.envelope[2]) ** 2
         share = config.rest_push + (1.0 - config.rest_push) * min(thrust + motion, 1.0)
         for i in range(3):
             work.Q[3 + i, 3 + i] *= share

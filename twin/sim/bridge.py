@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ __all__ = [
     "TRUE_STATE",
     "measurement_row",
     "particulars_of",
+    "prepare",
     "sail",
     "simulate",
 ]
@@ -98,6 +100,14 @@ def measurement_row(channels: Array) -> Array:
     return row
 
 
+class PreparedRun(NamedTuple):
+    """A simulation of one boat before its first step, and what it is commanded then."""
+
+    simulation: Simulation
+    commands: Array  # (N, 4)
+    name: str
+
+
 def simulate(
     manoeuvre: str | Array,
     *,
@@ -114,41 +124,44 @@ def simulate(
     ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands (N, 4) of
     the control steps. ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
     """
-    sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
+    return sail(prepare(simulation, manoeuvre, duration, seed))
+
+
+def prepare(
+    simulation: Simulation, manoeuvre: str | Array, duration: float, seed: int
+) -> PreparedRun:
+    """Put a simulation of one boat to its start, and a manoeuvre into commands.
+
+    The arguments are those of :func:`simulate`.
+    """
+    sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation.reset([0], [sea_rng])
-    N = max(round(duration / CONTROL_STEP), 1)
-    if isinstance(manoeuvre, str):
-        times = np.arange(N) * CONTROL_STEP
-        given, called = commands(manoeuvre, times, vessel, helm_rng), manoeuvre
-    else:
-        given, called = manoeuvre, "own"
-    return sail(simulation, given, f"{called}_{seed}")
+    if not isinstance(manoeuvre, str):
+        return PreparedRun(simulation, manoeuvre, f"own_{seed}")
+    times = np.arange(max(round(duration / CONTROL_STEP), 1)) * CONTROL_STEP
+    given = commands(manoeuvre, times, simulation.vessel, helm_rng)
+    return PreparedRun(simulation, given, f"{manoeuvre}_{seed}")
 
 
 def sail(
-    simulation: Simulation,
-    given: Array,
-    name: str,
-    before_step: Callable[[float, Simulation, Array], None] | None = None,
+    run: PreparedRun, before_step: Callable[[float, Simulation, Array], None] | None = None
 ) -> Log:
-    """Step a simulation of one boat by commands (N, 4), and return the log, with the truth.
+    """Step a simulation by its commands, and return the log, with the truth.
 
     ``before_step(t, simulation, command)`` may change boat and sea, and in place the command (4,)
     that reaches the boat; the log has the command as given.
     """
-    N = len(given)
-    t, cmd = np.empty(N + 1), np.empty((N + 1, 4))
+    simulation, N = run.simulation, len(run.commands)
+    t, cmd = np.empty(N + 1), np.concatenate([simulation.cmd, run.commands])
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     for k in range(N + 1):
         if k:
-            command = given[k - 1 : k].copy()
+            command = cmd[k : k + 1].copy()
             if before_step is not None:
                 before_step(float(simulation.t[0]), simulation, command[0])
             simulation.step(command)
-        t[k], cmd[k] = simulation.t[0], simulation.cmd[0]
-        if k and before_step is not None:
-            cmd[k] = given[k - 1]
+        t[k] = simulation.t[0]
         z[k, : len(SENSOR_CHANNELS)] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
-    return Log(t=t, z=z, cmd=cmd, truth=truth, name=name)
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=run.name)

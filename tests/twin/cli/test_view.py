@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import os
 import re
 import signal
 import socket
@@ -14,7 +13,7 @@ import pytest
 
 pytest.importorskip("viser", reason="needs viser: pip install 'usv-twin[view]'")
 
-from tests.twin.live.wire import free_port
+from tests.twin.live.wire import free_port, viewing
 
 
 def status(port: int, path: str) -> int:
@@ -29,19 +28,7 @@ def status(port: int, path: str) -> int:
 def test_a_view_that_others_reach_says_what_is_open_and_has_a_token(tmp_path):
     port = free_port(socket.SOCK_STREAM)
     options = ["--host", "0.0.0.0", "--port", str(port), "-p", "persistence"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "twin.cli", "view", *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    ) as process:
-        said = []
-        for line in process.stdout:
-            said.append(line)
-            if "look at" in line:
-                break
+    with viewing(tmp_path, *options) as (process, said):
         path = re.search(rf"http://localhost:{port}(/\?token=[A-Za-z0-9_-]+)", said[-1]).group(1)
         answers = [status(port, "/"), status(port, path), status(port, f"{path}x")]
         process.send_signal(signal.SIGINT)

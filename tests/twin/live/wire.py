@@ -1,10 +1,15 @@
-"""What the tests of the live feed share: a wire without waiting, and an estimate."""
+"""What the tests of live feeds and views share: a wire without waiting, a view, and an estimate."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import socket
+import subprocess
+import sys
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,3 +84,22 @@ def estimate_of(t: float) -> tuple[Estimate, Prediction]:
     cov = np.eye(6) * (1.0 + after[:, None, None]) ** 2
     cov[:, 0, 1] = cov[:, 1, 0] = 0.5 * cov[:, 0, 0]
     return estimate, Prediction(t, s, np.eye(6), t + after, mean, cov)
+
+
+@contextlib.contextmanager
+def viewing(folder: Path, *arguments: str) -> Iterator[tuple[Any, list[str]]]:
+    """Run ``usv-twin view``; yield its process and its lines up to that with its address."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "twin.cli", "view", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    ) as process:
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if "look at" in line:
+                break
+        yield process, said

@@ -177,10 +177,10 @@ def _cookie(port: int) -> str:
     return f"usv-twin-{port}"
 
 
-def _netloc(name: str, port: int) -> str:
+def _netloc(name: str, port: int | None, scheme: str = "http") -> str:
     """Return a name and a port as browsers write them."""
     name = f"[{name}]" if ":" in name else name
-    return name if port == PORTS["http"] else f"{name}:{port}"
+    return name if port is None or port == PORTS[scheme] else f"{name}:{port}"
 
 
 def _origin(text: str) -> str:
@@ -195,6 +195,4 @@ def _origin(text: str) -> str:
         raise AccessError(
             f"--allow-origin {text}: write scheme, name and port, as http://boat.local:8080"
         )
-    name = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
-    plain = port is None or port == PORTS[parts.scheme]
-    return f"{parts.scheme}://{name if plain else f'{name}:{port}'}"
+    return f"{parts.scheme}://{_netloc(parts.hostname, port, parts.scheme)}"

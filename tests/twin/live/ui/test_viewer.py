@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import itertools
 import json
 import math
-import os
 import re
 import signal
 import socket
@@ -16,14 +14,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import free_port
+from tests.twin.live.wire import free_port, viewing
 from twin import Log, Twin, recorded_runs
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.sessions.feed import FeedSession
@@ -423,25 +421,11 @@ def test_an_address_of_nobody_is_refused_at_once(host):
     assert "Traceback" not in done.stderr
 
 
-@contextlib.contextmanager
-def viewing(folder: Path, *arguments: str) -> Iterator[tuple[Any, str]]:
-    """Run the command; yield its process and the line that tells its address."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "twin.cli", "view", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    ) as process:
-        yield process, next(line for line in process.stdout if "look at" in line)
-
-
 @pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])
 def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
     port = free_port(socket.SOCK_STREAM)
-    with viewing(tmp_path, "--port", str(port), *arguments) as (process, line):
-        assert f"http://127.0.0.1:{port}" in line
+    with viewing(tmp_path, "--port", str(port), *arguments) as (process, told):
+        assert f"http://127.0.0.1:{port}" in told[-1]
         (came,) = watch(f"http://127.0.0.1:{port}", 1, 3.0)
         assert came > 5
         process.send_signal(signal.SIGINT)
