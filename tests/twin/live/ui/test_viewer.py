@@ -424,8 +424,8 @@ def test_an_address_of_nobody_is_refused_at_once(host):
 @pytest.mark.parametrize("arguments", [[], ["--sea", "4", "--dof", "3", "-p", "ukf"]])
 def test_the_command_ends_cleanly_on_ctrl_c(arguments, tmp_path):
     port = free_port(socket.SOCK_STREAM)
-    with viewing(tmp_path, "--port", str(port), *arguments) as (process, told):
-        assert f"http://127.0.0.1:{port}" in told[-1]
+    with viewing(tmp_path, "--port", str(port), *arguments) as (process, lines):
+        assert f"http://127.0.0.1:{port}" in lines[-1]
         (came,) = watch(f"http://127.0.0.1:{port}", 1, 3.0)
         assert came > 5
         process.send_signal(signal.SIGINT)
