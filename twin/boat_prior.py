@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import read_toml
 
 __all__ = [
     "ENVIRONMENT",
@@ -37,11 +37,6 @@ __all__ = [
     "combine",
     "limited",
 ]
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Array = NDArray[np.float64]
 
@@ -174,12 +169,7 @@ class BoatPrior:
             Names the file, the key and the remedy.
         """
         remedy = "make it with: usv-twin identify RUN... --save-prior boat.prior"
-        try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise BoatPriorError(f"prior {path}: cannot be read ({error.strerror})") from None
-        except (ValueError, RecursionError) as error:
-            raise BoatPriorError(f"prior {path}: is not valid TOML ({error}); {remedy}") from None
+        table = read_toml(path, BoatPriorError)
         if table.pop("format", None) != FORMAT:
             raise BoatPriorError(f"prior {path}: has no format = {FORMAT!r}; {remedy}")
         try:

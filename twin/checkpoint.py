@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-import zlib
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -22,9 +21,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.files import write_whole
+from twin.files import read_archive
 from usv_kernel import __version__
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import parse_json, write_whole
 
 __all__ = [
     "VERSION",
@@ -46,10 +46,6 @@ FORMAT = "usv-twin state"
 
 VERSION = 3
 """Version of the format. It rises when a field changes its name or meaning."""
-
-SIZE_MAX, EXPANSION_MAX = 2**28, 20
-"""A saved twin unpacks to no more bytes than this, or than so many times its file. Zeros of an
-empty window shrink to nothing, a long history hardly at all."""
 
 _HEADER = "header.json"
 
@@ -94,45 +90,17 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
     StateError: it is no such file, is damaged, or has another format version.
     """
-    content = Path(path).read_bytes()
-    header: Any = None
-    arrays: dict[str, NDArray[Any]] = {}
-    try:
-        if content.startswith(b"PK"):
-            with zipfile.ZipFile(io.BytesIO(content)) as archive:
-                names = archive.namelist()
-                size = sum(info.file_size for info in archive.infolist())
-                most = max(SIZE_MAX, EXPANSION_MAX * len(content))
-                if size > most or len(set(names)) < len(names):
-                    raise StateError(
-                        f"{path}: holds {size:.3g} bytes in {len(names)} parts, more or other than "
-                        f"a saved twin has; {_EARLIER}"
-                    )
-                if {"header.npy", "memory.npy"} <= set(names):
-                    _refuse_version(path, 2, "0.1")
-                if _HEADER in names:
-                    header = json.loads(archive.read(_HEADER))
-                    _check_header(path, header)
-                    arrays = {name[:-4]: _array(archive, name) for name in names if name != _HEADER}
-    except StateError:
-        raise
-    except (
-        *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
-        *(NotImplementedError, RecursionError, RuntimeError, SyntaxError, TypeError, ValueError),
-        *(zipfile.BadZipFile, zlib.error),
-    ):
-        raise StateError(f"{path}: is cut off or damaged; {_EARLIER}") from None
-    if header is None:
-        raise StateError(f"{path}: is no saved twin; choose a file that Twin.save wrote")
-    return header, arrays
-
-
-def _array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    """Return one array of an archive."""
-    array: NDArray[Any] = np.lib.format.read_array(
-        io.BytesIO(archive.read(name)), allow_pickle=False
-    )
-    return array
+    remedy = "choose a file that Twin.save wrote"
+    entries = read_archive(path, StateError, "saved twin", remedy)
+    if {"header", "memory"} <= set(entries):
+        _refuse_version(path, 2, "0.1")
+    if _HEADER not in entries:
+        raise StateError(f"{path}: is no saved twin; {remedy}")
+    header = parse_json(Path(path), entries.pop(_HEADER), StateError)
+    _check_header(path, header)
+    if any(isinstance(entry, bytes) for entry in entries.values()):
+        raise StateError(f"{path}: is cut off or damaged; {_EARLIER}")
+    return header, entries
 
 
 def _check_header(path: str | Path, header: Any) -> None:

@@ -1,33 +1,32 @@
-"""Files written whole or not at all, and results as JSON."""
+"""Contents of files: results as JSON and CSV, arrays in archives, and kept results."""
 
 from __future__ import annotations
 
 import gzip
+import io
 import json
-import os
+import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import JSON_MAX, read_json, read_limited, write_whole
+
 __all__ = [
     "compressed_csv",
+    "keep",
+    "kept",
+    "read_archive",
     "results_text",
-    "write_whole",
 ]
 
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, even if the machine stops; make its folder if needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}_{path.name}")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+ARCHIVE_MAX, EXPANSION_MAX = 2**28, 20
+"""An archive unpacks to no more bytes than this, or than so many times its file. Zeros of an
+empty window shrink to nothing, a long history hardly at all."""
 
 
 def results_text(results: dict[str, Any]) -> str:
@@ -46,3 +45,67 @@ def compressed_csv(rows: Sequence[dict[str, Any]]) -> bytes:
     import polars as pl
 
     return gzip.compress(pl.DataFrame(rows).write_csv().encode(), mtime=0)
+
+
+def read_archive(
+    path: str | Path, error: type[UsvTwinError], what: str, remedy: str
+) -> dict[str, Any]:
+    """Return the entries of a zip archive: arrays by name without ``.npy``, others as bytes.
+
+    Nothing in it is run. ``error`` says that the file is no ``what`` and the ``remedy``, or that it
+    is damaged.
+    """
+    path = Path(path)
+    content = read_limited(path, error, JSON_MAX)
+    if not content.startswith(b"PK"):
+        raise error(f"{path}: is no {what}; {remedy}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            names = archive.namelist()
+            size = sum(info.file_size for info in archive.infolist())
+            most = max(ARCHIVE_MAX, EXPANSION_MAX * len(content))
+            if size > most or len(set(names)) < len(names):
+                raise error(
+                    f"{path}: holds {size:.3g} bytes in {len(names)} parts, more or other than "
+                    f"a {what} has; {remedy}"
+                )
+            return {name.removesuffix(".npy"): _entry(archive, name) for name in names}
+    except error:
+        raise
+    except (
+        *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
+        *(NotImplementedError, RecursionError, RuntimeError, SyntaxError, TypeError, ValueError),
+        *(zipfile.BadZipFile, zlib.error),
+    ):
+        raise error(f"{path}: is cut off or damaged; use an earlier copy of the file") from None
+
+
+def _entry(archive: zipfile.ZipFile, name: str) -> Any:
+    """Return one entry of an archive."""
+    content = archive.read(name)
+    if not name.endswith(".npy"):
+        return content
+    return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
+
+
+class _KeptError(UsvTwinError):
+    """A kept result that cannot be read; never seen outside of this module."""
+
+
+def keep(path: Path, key: Any, content: Any) -> None:
+    """Keep a result, plain JSON data, for :func:`kept` with the same key."""
+    checksum = zlib.crc32(json.dumps(content).encode())
+    write_whole(path, json.dumps({"key": key, "checksum": checksum, "content": content}).encode())
+
+
+def kept(path: Path, key: Any) -> Any:
+    """Return what :func:`keep` wrote; None if it is missing, damaged, or has another key."""
+    try:
+        found = read_json(path, _KeptError)
+    except _KeptError:
+        return None
+    if not isinstance(found, dict) or found.get("key") != json.loads(json.dumps(key)):
+        return None
+    content = found.get("content")
+    checksum = zlib.crc32(json.dumps(content).encode())
+    return content if found.get("checksum") == checksum else None

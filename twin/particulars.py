@@ -9,13 +9,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from twin.boat_prior import BoatPrior, BoatPriorError
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import read_toml
 
 __all__ = [
     "DESIGNS",
@@ -24,11 +24,6 @@ __all__ = [
     "Instruments",
     "Particulars",
 ]
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 GRAVITY = 9.81
 """Gravity, m/s2."""
@@ -303,12 +298,7 @@ class Particulars:
             Names the file, the key and the remedy.
         """
         path = Path(path)
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ParticularsError(f"{path}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ParticularsError(f"{path}: is not valid TOML: {error}") from None
+        table = read_toml(path, ParticularsError)
         try:
             if "ship" in table:
                 table = _ship_of(table, log)

@@ -12,12 +12,16 @@ in its own way, with the same results.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import pickle
+import zlib
+from pathlib import Path
 from typing import Any, ClassVar
 
 from llvmlite.binding import parse_bitcode
 from numba.core import config, types
-from numba.core.caching import Cache, CompileResultCacheImpl
+from numba.core.caching import Cache, CompileResultCacheImpl, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import (
     CompilerBase,
@@ -28,9 +32,12 @@ from numba.core.compiler import (
 )
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
 from numba.core.typed_passes import NativeLowering
 from numba.core.types import unliteral  # type: ignore[attr-defined]
 from numba.core.typing import Context
+
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Kernel",
@@ -54,6 +61,11 @@ _NEEDED = {
 }
 
 _PARTS = all(hasattr(owner, name) for owner, names in _NEEDED.items() for name in names)
+
+_FILES = all(
+    hasattr(IndexDataCacheFile, name)
+    for name in ("_load_index", "_save_index", "_load_data", "_save_data", "_open_for_write")
+)
 
 
 class _Typing(Context):  # type: ignore[misc]
@@ -216,6 +228,63 @@ class _PartCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
         return f"part.{super().get_filename_base(fullname, abiflags)}"
 
 
+class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Files of compiled code with a checksum: what is damaged counts as missing.
+
+    numba would stop at every later command, or run damaged machine code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):  # a full disk: the next process compiles again
+            super().save(key, data)
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            version, stamp, overloads = _opened(self._index_path)
+        except (OSError, _DamageError):
+            return {}
+        fresh = version == self._version and stamp == self._source_stamp
+        return overloads if fresh else {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        with self._open_for_write(self._index_path) as file:
+            file.write(_sealed((self._version, self._source_stamp, overloads)))
+
+    def _load_data(self, name: str) -> Any:
+        try:
+            return _opened(self._data_path(name))
+        except _DamageError:
+            raise FileNotFoundError from None  # numba compiles, and writes it again
+
+    def _save_data(self, name: str, data: Any) -> None:
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(_sealed(data))
+
+
+class _DamageError(UsvTwinError):
+    """A file of compiled code that is damaged; never seen outside of this module."""
+
+
+def _sealed(data: Any) -> bytes:
+    """Return data as bytes with a checksum before them."""
+    content = dumps(data)
+    return zlib.crc32(content).to_bytes(4, "big") + content
+
+
+def _opened(path: str) -> Any:
+    """Return the data of a file that :func:`_sealed` made."""
+    content = Path(path).read_bytes()
+    if zlib.crc32(content[4:]).to_bytes(4, "big") != content[:4]:
+        raise _DamageError(f"{path}: is damaged")
+    return pickle.loads(content[4:])
+
+
+def _check_files(cache: Any) -> None:
+    """Let a cache of numba use files with checksums."""
+    if _FILES:
+        cache._cache_file.__class__ = _CacheFile
+
+
 class _PartCache(Cache):  # type: ignore[misc]
     """Disk cache of parts."""
 
@@ -254,6 +323,7 @@ class _Part(_Dispatcher):
 
     def enable_caching(self) -> None:
         self._cache = _PartCache(self.py_func)
+        _check_files(self._cache)
 
 
 class Kernel(_Dispatcher):
@@ -268,6 +338,7 @@ class Kernel(_Dispatcher):
     def enable_caching(self) -> None:
         """Keep what is compiled on disk."""
         super().enable_caching()
+        _check_files(self._cache)
         if self.part is not self:
             self.part.enable_caching()
 

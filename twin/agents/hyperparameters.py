@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +13,7 @@ from twin.agents.policy import ACTIVATIONS, AgentError
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
+from usv_kernel.files import read_toml
 
 __all__ = [
     "ALGORITHMS",
@@ -72,12 +67,7 @@ def hyperparameters(algo: str, path: str | Path | None = None) -> dict[str, Any]
     """
     check_algorithm(algo)
     path = Path(__file__).with_name("hyper") / f"{algo}.toml" if path is None else Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise AgentError(f"{path}: {error.strerror}; name a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AgentError(f"{path}: is no TOML ({error})") from None
+    values = read_toml(path, AgentError)
     check_hyperparameters(algo, values, str(path))
     return {"n_timesteps": TIMESTEPS, **values}
 

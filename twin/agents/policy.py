@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.files import write_whole
+from twin.files import read_archive
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import parse_json, write_whole
 
 __all__ = [
     "AgentError",
     "Policy",
-    "write_whole",
 ]
 
 Array = NDArray[Any]
@@ -33,6 +32,13 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 }
 
 FORMAT = 1
+
+ACTIONS = 2
+"""Numbers in an action."""
+
+VALUE_MAX, SD_MIN = 1e6, 1e-9
+"""Bounds of weights, biases and means, and of standard deviations. Within them no sum of a net
+overflows."""
 
 
 class AgentError(UsvTwinError):
@@ -82,6 +88,9 @@ class Policy:
     activation: str = "tanh"
     squash: bool = False
     _hidden: tuple[Array, Array] | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._check()
 
     def begin(self, envs: USVVectorEnv) -> None:
         """Forget all there was; see :meth:`twin.agents.agent.Agent.begin`.
@@ -169,12 +178,11 @@ class Policy:
         path = Path(path)
         if path.is_dir():  # a run
             path = path / "policy.npz"
+        remedy = "usv-twin train writes policy.npz"
+        arrays = read_archive(path, AgentError, "policy", remedy)
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
-            notes = json.loads(str(arrays["notes"]))
-            if notes.pop("format") != FORMAT:
-                raise AgentError(f"{path}: was written by another version; train it again")
+            notes = parse_json(path, str(arrays["notes"]).encode(), AgentError)
+            version = notes.pop("format")
             several = range(len(arrays))
             layers = [
                 (arrays[f"weights_{j}"], arrays[f"bias_{j}"])
@@ -183,14 +191,58 @@ class Policy:
             ]
             lstm = tuple(arrays[f"lstm_{j}"] for j in range(3)) if "lstm_0" in arrays else None
             notes["names"] = tuple(notes["names"])
-            policy = cls(**notes, mean=arrays["mean"], sd=arrays["sd"], layers=layers, lstm=lstm)
-        except AgentError:
-            raise
-        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise AgentError(
-                f"{path}: is no policy ({error}); usv-twin train writes policy.npz"
-            ) from None
+            if version == FORMAT:
+                policy = cls(
+                    **notes, mean=arrays["mean"], sd=arrays["sd"], layers=layers, lstm=lstm
+                )
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            why = str(error).removeprefix(f"{path}: ")
+            raise AgentError(f"{path}: is no policy ({why}); {remedy}") from None
+        if version != FORMAT:
+            raise AgentError(f"{path}: was written by another version; train it again")
         return policy
+
+    def _check(self) -> None:
+        """Refuse what cannot act: AgentError names the part."""
+        for name in ("name", "observation"):
+            if not isinstance(getattr(self, name), str):
+                raise AgentError(f"{name} is no text")
+        names = self.names
+        if not names or not all(isinstance(n, str) for n in names) or len(set(names)) < len(names):
+            raise AgentError("names must be texts, each once")
+        if not isinstance(self.settings, dict) or not isinstance(self.squash, bool):
+            raise AgentError("settings must be a table, and squash true or false")
+        if not isinstance(self.activation, str) or self.activation not in ACTIVATIONS:
+            raise AgentError(f"activation is not one of {', '.join(ACTIVATIONS)}")
+        number = isinstance(self.clip, (int, float)) and not isinstance(self.clip, bool)
+        if not number or not self.clip > 0.0:
+            raise AgentError("clip must be a number above 0")
+        inputs = len(names)
+        _check_array("mean", self.mean, (inputs,))
+        _check_array("sd", self.sd, (inputs,), least=SD_MIN)
+        if self.lstm is not None:
+            size = np.shape(self.lstm[1])[-1:][0] if np.ndim(self.lstm[1]) else 0
+            shapes = (4 * size, inputs), (4 * size, size), (4 * size,)
+            for j, (part, shape) in enumerate(zip(self.lstm, shapes, strict=True)):
+                _check_array(f"lstm_{j}", part, shape)
+            inputs = size
+        if not self.layers:
+            raise AgentError("has no layer")
+        for j, (weights, bias) in enumerate(self.layers):
+            outputs = ACTIONS if j == len(self.layers) - 1 else np.shape(bias)[:1][0]
+            _check_array(f"weights_{j}", weights, (outputs, inputs))
+            _check_array(f"bias_{j}", bias, (outputs,))
+            inputs = outputs
+
+
+def _check_array(name: str, array: Any, shape: tuple[int, ...], least: float = -VALUE_MAX) -> None:
+    """Refuse an array of another shape, or with values that are not numbers in range."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
+        raise AgentError(f"{name} holds no numbers")
+    if array.shape != shape or not array.size:
+        raise AgentError(f"{name} has shape {array.shape} where {shape} is needed")
+    if not ((array >= least) & (array <= VALUE_MAX)).all():
+        raise AgentError(f"{name} holds values outside {least:g} to {VALUE_MAX:g}")
 
 
 def _sigmoid(x: Array) -> Array:

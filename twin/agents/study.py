@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,8 +22,9 @@ from numpy.typing import NDArray
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, evaluate, on_grid
 from twin.agents.hyperparameters import hyperparameters
-from twin.agents.policy import AgentError, write_whole
+from twin.agents.policy import AgentError
 from twin.agents.training import CURVE_SEEDS, EVERY, Plan, train
+from twin.files import keep, kept
 from twin.parallel import results_of
 from usv_kernel import __version__
 from usv_kernel.cache import sources_digest
@@ -159,12 +159,10 @@ def _work_one(settings: Settings, folder: Path, piece: Piece) -> dict[str, Any]:
     }
     if seed is None:
         asked["curve_seeds"] = settings.curve_seeds
-    asked = json.loads(json.dumps(asked))
     path = place / "evaluation.json"
-    if path.exists():
-        before = json.loads(path.read_text(encoding="utf-8"))
-        if before["asked"] == asked:
-            return before
+    before: dict[str, Any] | None = kept(path, asked)
+    if before is not None:
+        return before
     grid = {"seas": settings.seas, "outages": settings.outages}
     fixed = {key: value for key, value in plan.environment.items() if key not in ("sea", "faults")}
     seeds = settings.evaluation_seeds
@@ -172,8 +170,7 @@ def _work_one(settings: Settings, folder: Path, piece: Piece) -> dict[str, Any]:
     if seed is None:
         rows = evaluate(agent, seeds=settings.curve_seeds, **plan.environment)
         made["level"] = float(np.mean([row["off_path_m"] for row in rows]))
-    made["asked"] = asked
-    write_whole(path, json.dumps(made).encode())
+    keep(path, asked, made)
     return made
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.agents.policy import write_whole
 from twin.agents.study import METRICS, Piece, Settings
 from twin.files import results_text
+from usv_kernel.files import replacing, write_whole
 
 __all__ = ["COLOURS", "markdown", "pictures", "verdicts", "write"]
 
@@ -41,8 +40,8 @@ def _copy_middle(settings: Settings, done: Mapping[Piece, Mapping[str, Any]], fo
             continue
         algo, observation, seed = sorted(means, key=lambda piece: means[piece])[len(means) // 2]
         source = folder / "runs" / f"{algo}-{observation}-{seed}" / "policy.npz"
-        (folder / "policies").mkdir(exist_ok=True)
-        shutil.copyfile(source, folder / "policies" / f"{algo}-{observation}.npz")
+        copy = folder / "policies" / f"{algo}-{observation}.npz"
+        write_whole(copy, source.read_bytes())
 
 
 def _steps(results: Mapping[str, Any]) -> str:
@@ -148,7 +147,8 @@ def pictures(results: Mapping[str, Any], folder: Path) -> list[Path]:
         "curves.png": _draw_curves(results),
     }
     for name, figure in drawn.items():
-        figure.savefig(folder / name, dpi=130)
+        with replacing(folder / name) as partial:
+            figure.savefig(partial, dpi=130)
         plt.close(figure)
     return [folder / name for name in drawn]
 

@@ -9,6 +9,7 @@ goes on from a checkpoint is the run that was never stopped.
 from __future__ import annotations
 
 import csv
+import hashlib
 import importlib.util
 import io
 import json
@@ -32,9 +33,10 @@ from twin.agents.hyperparameters import (
     schedule,
     torch_options,
 )
-from twin.agents.policy import AgentError, Policy, write_whole
+from twin.agents.policy import AgentError, Policy
 from twin.sim.wrapper import OBSERVATIONS
 from usv_kernel import __version__
+from usv_kernel.files import read_json, read_limited, write_whole
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
@@ -52,6 +54,12 @@ EVERY = 16_384
 
 CURVE_SEEDS = tuple(range(800_000, 800_016))
 """Episodes behind each point of a learning curve."""
+
+CURVE_MAX = 1 << 24
+"""Longest learning curve, bytes."""
+
+_CHECKSUM = 32
+"""Bytes of a checksum before a checkpoint: torch itself may crash on a damaged one."""
 
 FILES = ("run.json", "checkpoint.pt", "curve.csv", "policy.npz")
 
@@ -120,9 +128,15 @@ class Run:
         if not (folder / _POLICY).exists():
             went = "has not ended: the command that began it goes on with it"
             raise AgentError(f"{folder}: {went if (folder / _NOTES).exists() else 'is no run'}")
-        with (folder / _CURVE).open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        curve = [{key: float(value) for key, value in row.items()} for row in rows]
+        path = folder / _CURVE
+        text = read_limited(path, AgentError, CURVE_MAX).decode("utf-8", "replace")
+        try:
+            rows = csv.DictReader(io.StringIO(text))
+            curve = [{key: float(value) for key, value in row.items()} for row in rows]
+        except (TypeError, ValueError, csv.Error) as error:
+            raise AgentError(
+                f"{path}: is no learning curve ({error}); delete {folder} and train again"
+            ) from None
         return cls(folder, Policy.load(folder / _POLICY), curve)
 
 
@@ -167,16 +181,13 @@ def train(
 def _check_claim(folder: Path, notes: dict[str, Any]) -> None:
     """Refuse a folder that is another run's."""
     path = folder / _NOTES
-    text = json.dumps(notes)
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return
-    except ValueError:
-        raise AgentError(f"{path}: cannot be read; choose another folder") from None
-    now = json.loads(text)
+    before, now = read_json(path, AgentError), json.loads(json.dumps(notes))
+    if not isinstance(before, dict) or not isinstance(before.get("plan"), dict):
+        raise AgentError(f"{path}: does not describe a run; delete {folder} or choose another one")
     parts = {**now["plan"], "hyper": now["hyper"], "curve_seeds": now["curve_seeds"]}
-    old = {**before["plan"], "hyper": before["hyper"], "curve_seeds": before["curve_seeds"]}
+    old = {**before["plan"], **before}
     for name in parts:
         if parts[name] != old.get(name):
             raise AgentError(
@@ -330,8 +341,15 @@ class _Learner:
         path = self.folder / _CHECKPOINT
         if not path.exists():
             return
+        try:
+            self._restore(_read(path))
+        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError):
+            # ValueError: AgentError of a damaged file as well
+            raise AgentError(f"{path}: is damaged; delete {self.folder} and train again") from None
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        """Take on the state of a checkpoint."""
         model, envs = self.model, self.envs
-        state = _read(path)
         model.set_parameters(state["parameters"], device="cpu")
         model.num_timesteps, model._n_updates = state["decisions"], state["updates"]
         self.wall, self.curve = state["wall_s"], state["curve"]
@@ -374,14 +392,13 @@ def _averages(envs: VecNormalize) -> dict[str, Any]:
 
 def _read(path: Path) -> Any:
     """Return what :func:`_write` wrote."""
-    import pickle
-
     import torch
 
-    try:
-        return torch.load(path, weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError):
-        raise AgentError(f"{path}: is damaged; delete {path.parent} and train again") from None
+    content = path.read_bytes()
+    checksum, packed = content[:_CHECKSUM], content[_CHECKSUM:]
+    if hashlib.sha256(packed).digest() != checksum:
+        raise AgentError(f"{path}: is damaged; delete {path.parent} and train again")
+    return torch.load(io.BytesIO(packed), weights_only=True)
 
 
 def _write(path: Path, content: Any) -> None:
@@ -389,7 +406,7 @@ def _write(path: Path, content: Any) -> None:
 
     packed = io.BytesIO()
     torch.save(content, packed)
-    write_whole(path, packed.getvalue())
+    write_whole(path, hashlib.sha256(packed.getvalue()).digest() + packed.getvalue())
 
 
 def _seed_of(seed: int, steps: int) -> int:

@@ -6,22 +6,22 @@ says how well it predicts meanwhile and afterwards. The same run without fault i
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject, simulate_with
 from twin.digital_twin import Twin, known_plan
-from twin.files import write_whole
+from twin.files import keep, kept
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
+from usv_kernel.cache import running_program
 
 __all__ = ["MATRIX_FAULTS", "FaultRun", "fault_runs", "matrix_table"]
 
@@ -151,9 +151,10 @@ def fault_runs(
 ) -> Iterator[tuple[int, int, list[FaultRun]]]:
     """Sail every fault with every predictor and seed; yield (done, all, results) after each.
 
-    Finished runs are kept in ``file`` (JSON), and are not sailed again.
+    Finished runs are kept in ``file`` (JSON). The same program does not sail them again.
     """
-    results = [FaultRun(**item) for item in json.loads(file.read_text())] if file.exists() else []
+    key = [running_program(), manoeuvre, vessel]
+    results = [FaultRun(*item) for item in kept(file, key) or ()]
     done = {(item.predictor, item.fault, item.seed) for item in results}
     units = [(p, f, s) for p in predictors for f in faults for s in seeds]
     left = [unit for unit in units if unit not in done]
@@ -163,8 +164,7 @@ def fault_runs(
         try:
             for task in as_completed(tasks):
                 results.append(task.result())
-                kept: list[dict[str, Any]] = [item._asdict() for item in results]
-                write_whole(file, json.dumps(kept, indent=1).encode())
+                keep(file, key, [list(item) for item in results])
                 yield len(units) - len(left) + sum(t.done() for t in tasks), len(units), results
         finally:
             pool.shutdown(cancel_futures=True)

@@ -32,6 +32,7 @@ from twin.benchmark.figures.data import (
 )
 from twin.benchmark.figures.style import Styles
 from twin.benchmark.svg import FONTS, sheet_of, standalone, svg_of
+from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -152,7 +153,7 @@ def write_report(
     }
     page = _template().render(**sections, fonts=FONTS, sheet=sheet_of(pictures.styles, "svg "))
     report = out / "report.html"
-    report.write_text(page, encoding="utf-8")
+    write_whole(report, page.encode())
     return [report, *pictures.written]
 
 
@@ -189,7 +190,7 @@ class _Pictures:
         while path in self.written:
             path, number = self.folder / f"{stem}_{number}.svg", number + 1
         svg = svg_of(fig, f"p{len(self.written)}", caption, self.styles)
-        path.write_text(standalone(svg, self.styles), encoding="utf-8")
+        write_whole(path, standalone(svg, self.styles).encode())
         self.written.append(path)
         if self.drawn:
             self.drawn(path.name)

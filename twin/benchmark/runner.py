@@ -13,8 +13,6 @@ import hashlib
 import inspect
 import json
 import math
-import os
-import threading
 import urllib.parse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -36,6 +34,7 @@ from twin.benchmark.metrics import (
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
 from twin.digital_twin import Twin, known_plan
+from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
@@ -49,6 +48,7 @@ from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, apply_faults, 
 from usv_gym.world.sensors import SensorSuite
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
+from usv_kernel.files import write_whole
 
 __all__ = [
     "AGAINST",
@@ -193,8 +193,6 @@ def run_unit(
             f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{gaps}"
         )
     result: dict[str, Any] = {
-        "digest": digest(settings, unit),
-        "pictures": pictures,
         "unit": dataclasses.asdict(unit),
         "plans": {plan: table_of(parts) for plan, parts in scores.items()},
         "start_error": float(np.mean(starts)),
@@ -210,11 +208,7 @@ def run_unit(
             "units": twin.predictor.parameter_units,
             "blocks": dict(twin.predictor.parameter_blocks),
         }
-    path = result_file(folder, unit)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial_name(path)
-    partial.write_text(json.dumps(result), encoding="utf-8")
-    partial.replace(path)
+    keep(result_file(folder, unit), [digest(settings, unit), pictures], result)
     return result
 
 
@@ -230,11 +224,6 @@ def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
         # in time for the first prediction, whose history begins with the first late fix
         options["train_at"] = run.identify - float(run.seen.t[0]) - 0.5
     return Twin(run.particulars, unit.predictor, seed=unit.seed, **options)
-
-
-def _partial_name(path: Path) -> Path:
-    """Return a name in the folder of a file that no other worker uses."""
-    return path.with_name(f".{os.getpid()}_{threading.get_ident()}_{path.name}")
 
 
 def _thin(prediction: Prediction) -> dict[str, Any]:
@@ -254,21 +243,17 @@ def _thin(prediction: Prediction) -> dict[str, Any]:
 
 def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
     """Write a log and its particulars, whole: another worker may do the same meanwhile."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial_name(path)
-    log.write(partial)
-    partial.replace(path)
-    partial.write_text(particulars.to_toml(), encoding="utf-8")
-    partial.replace(sibling_path(path, ".toml"))
+    log.write(path)
+    write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
 
 
 def digest(settings: Settings, unit: Unit) -> str:
     """Return a hash of all that a result depends on: programs, settings, unit and recorded file."""
-    kept = dataclasses.asdict(settings)
+    asked = dataclasses.asdict(settings)
     for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
-        del kept[key]
+        del asked[key]
     text = json.dumps(
-        [__version__, running_program(), kept, dataclasses.asdict(unit)], sort_keys=True
+        [__version__, running_program(), asked, dataclasses.asdict(unit)], sort_keys=True
     )
     value = hashlib.sha256(text.encode())
     value.update(_foreign_source(unit.predictor))
@@ -309,13 +294,9 @@ def finished(
     settings: Settings, unit: Unit, folder: Path, *, pictures: bool
 ) -> dict[str, Any] | None:
     """Return the result of earlier work with the same settings, if there is one."""
-    try:
-        result = json.loads(result_file(folder, unit).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    if result.get("digest") != digest(settings, unit) or result.get("pictures") != pictures:
-        return None
-    return dict(result)
+    key = [digest(settings, unit), pictures]
+    result: dict[str, Any] | None = kept(result_file(folder, unit), key)
+    return result
 
 
 def all_finished(settings: Settings, folder: Path) -> bool:

@@ -55,6 +55,7 @@ from twin.predictors.registry import PREDICTORS, PredictorError
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP
+from usv_kernel.files import write_whole
 
 Row = Mapping[str, Any]
 
@@ -238,7 +239,7 @@ def benchmark_command(
     console.print(f"scoring {len(done)} results")
     results = runner.collect(settings, done, command, notes + not_scored, against)
     if full:  # hundreds of thousands of rows: a table of their own
-        (out / "rows.csv.gz").write_bytes(compressed_csv(results.pop("rows")))
+        write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"]
     write_text(out / "results.json", results_text(results))
     print_results({**results, "notes": notes}, [name for name in asked if name not in names])

@@ -19,7 +19,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.table import Table
 
 from twin.digital_twin import Twin, TwinError
-from twin.files import write_whole
 from twin.logs.log import Log
 from twin.model.structure import MODELS
 from twin.parallel import BACKENDS
@@ -29,6 +28,7 @@ from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError, did_you_mean
+from usv_kernel.files import write_whole
 
 HEALTH_LINES = 12
 """So many lines on sensors are printed at most."""

@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 from twin.benchmark.runner import gps_windows
-from twin.cli.common import DofOption, HsOption, WindFromOption, WindOption, console, note, radians
+from twin.cli.common import (
+    DofOption,
+    HsOption,
+    WindFromOption,
+    WindOption,
+    console,
+    note,
+    radians,
+    write_text,
+)
 from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
@@ -64,6 +73,6 @@ def simulate_command(
     path.parent.mkdir(parents=True, exist_ok=True)
     log.write(path)
     particulars, picture = sibling_path(path, ".toml"), sibling_path(path, ".png")
-    particulars.write_text(particulars_of(boat, suite, dof).to_toml(), encoding="utf-8")
+    write_text(particulars, particulars_of(boat, suite, dof).to_toml())
     picture_of_log(log, picture, gps_windows(parsed))
     console.print(f"{len(log)} rows, {duration:g} s: {path}, {particulars}, {picture}")

@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from twin.cli.common import INTERRUPTED, console, errors, note, write_json
+from twin.cli.common import INTERRUPTED, console, errors, note, write_json, write_text
 
 if TYPE_CHECKING:
     from usv_gym.validation.study import Section, Study
@@ -60,7 +60,7 @@ def validate_command(
         from usv_gym.validation.figures import draw
 
         folder.mkdir(parents=True, exist_ok=True)
-        page.write_text(validation_page.render(sections, before), encoding="utf-8")
+        write_text(page, validation_page.render(sections, before))
         with console.status("drawing the pictures"):
             drawn = draw(study, folder / validation_page.FOLDER)
         console.print(f"{page}, {len(drawn)} pictures in {folder / validation_page.FOLDER}")

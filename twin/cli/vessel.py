@@ -9,12 +9,12 @@ import numpy as np
 import typer
 
 from twin.cli.common import console, new_table, note, write_json, write_text
-from twin.files import write_whole
 from usv_gym.design.checks import Inspection, inspect
 from usv_gym.design.new_vessel import DesignError, MainParticulars, design
 from usv_gym.physics import KNOT
 from usv_gym.vessel.geometry import boat_of, encode_mesh
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, Vessel, VesselError, vessel_names
+from usv_kernel.files import write_whole
 
 
 def vessel_check_command(

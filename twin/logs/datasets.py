@@ -19,6 +19,7 @@ from twin.logs.log import Log, recorded_runs, sibling_path
 from twin.logs.readers import CsvFile, ParquetFile
 from twin.particulars import Instruments, Particulars
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import write_whole
 
 __all__ = [
     "ArchiveError",
@@ -199,6 +200,6 @@ def export(folder: str | Path, out: str | Path) -> list[Path]:
         log, particulars = load(folder, name)
         path = out / f"{name}.csv"
         log.write(path)
-        path.with_suffix(".toml").write_text(particulars.to_toml(), encoding="utf-8")
+        write_whole(path.with_suffix(".toml"), particulars.to_toml().encode())
         written.append(path)
     return written

@@ -40,6 +40,7 @@ from twin.logs.readers import (
     shorten,
 )
 from twin.logs.rosbag import is_bag, read_bag
+from usv_kernel.files import replacing
 
 __all__ = [
     "Log",
@@ -199,15 +200,15 @@ class Log:
         if self.datum is not None:
             columns.update(self.datum.columns(len(self)))
         frame = pl.DataFrame(columns).fill_nan(None)
-        path = Path(path)
-        if path.suffix == ".parquet":
-            frame.write_parquet(path)
-        elif path.suffix == ".gz":
-            # No time stamp and no name inside: equal logs give equal files.
-            with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
-                frame.write_csv(file)  # type: ignore[call-overload]
-        else:
-            frame.write_csv(path)
+        with replacing(path) as partial, partial.open("wb") as raw:
+            if partial.suffix == ".parquet":
+                frame.write_parquet(raw)
+            elif partial.suffix == ".gz":
+                # No time stamp and no name inside: equal logs give equal files.
+                with gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
+                    frame.write_csv(file)  # type: ignore[call-overload]
+            else:
+                frame.write_csv(raw)
 
     @classmethod
     def read(cls, path: str | Path, mapping: str | Path | None = None) -> Log:

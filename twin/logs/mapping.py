@@ -36,7 +36,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -48,17 +47,13 @@ import numpy as np
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
 from twin.logs.datum import FIXES, Datum, Plane
+from usv_kernel.files import read_toml
 
 __all__ = [
     "LAYOUTS",
     "Layout",
     "layout_of",
 ]
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
 
@@ -93,15 +88,7 @@ class Layout:
     def load(cls, path: str | Path) -> Layout:
         """Read a TOML file as in the head of this module; LogError names key and remedy."""
         path = Path(path)
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise LogError(
-                f"{path}: the mapping cannot be read ({error.strerror}); check its name"
-            ) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise LogError(f"{path}: the mapping is not TOML: {error}") from None
-        return _Parser(str(path)).layout(data)
+        return _Parser(str(path)).layout(read_toml(path, LogError))
 
 
 LAYOUTS = (

@@ -50,7 +50,11 @@ __all__ = [
 MAX_ROWS = 4_000_000
 """Longest log, rows: 11 hours at 100 Hz, about 2 GB of memory while it is read."""
 
-_BLOCK_BYTES = 1 << 26
+_BLOCK_BYTES = 1 << 20
+"""A piece of a CSV file, whose rows take little memory even if they are blank or short."""
+
+_BLANK_MAX = 1000
+"""Most blank lines before the header."""
 
 _BLOCK_ROWS = 1 << 19
 
@@ -319,6 +323,9 @@ class CsvFile:
             for _ in range(self.blank + 1):
                 file.readline()
             for text in _pieces(file, self.source):
+                if not text.strip():  # blank lines only
+                    first += text.count(b"\n")
+                    continue
                 # the writer was stopped within this line: its last number may have lost digits
                 if text and text[-1:] != b"\n" and text.count(b",") + 1 < len(self.header):
                     text, self.torn = b"", True
@@ -363,12 +370,12 @@ class CsvFile:
 
 
 def _pieces(file: BinaryIO, source: str) -> Iterator[bytes]:
-    """Yield the rest of a file in pieces that end where a line ends."""
+    """Yield the rest of a file in pieces that end where a line ends, of few bytes and few rows."""
     rest = b""
     while data := file.read(_BLOCK_BYTES):
         cut = data.rfind(b"\n") + 1
         if not cut and len(rest) + len(data) > _BLOCK_BYTES:
-            raise LogError(f"{source}: a line is longer than 64 MB; this is no CSV file")
+            raise LogError(f"{source}: a line is longer than 1 MB; this is no CSV file")
         if cut:
             yield rest + data[:cut]
             rest = b""
@@ -390,6 +397,11 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, tuple[str, ...
     file.seek(0)
     while (raw := file.readline(1 << 20)) and not raw.strip(b"\r\n\t \xef\xbb\xbf"):
         blank += 1
+        if blank > _BLANK_MAX:
+            raise LogError(
+                f"{path}: begins with more than {_BLANK_MAX} blank lines; write a header of column "
+                "names and the rows"
+            )
     if not raw:
         raise LogError(f"{path}: the file is empty; write a header of column names and the rows")
     try:

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.channels import STATE, TIME
-from twin.files import write_whole
 from twin.logs.datum import Datum
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd

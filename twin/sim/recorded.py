@@ -9,6 +9,7 @@ from twin.logs.log import Log, sibling_path
 from twin.particulars import Particulars, ParticularsError
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_kernel.files import TOML_MAX, read_limited
 
 __all__ = [
     "has_particulars",
@@ -70,6 +71,6 @@ _NO_PARTICULARS = (
 
 def _text(path: str) -> str:
     try:
-        return Path(path).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
+        return read_limited(Path(path), ParticularsError, TOML_MAX).decode("utf-8", "replace")
+    except ParticularsError:
+        return ""  # whoever reads it says why

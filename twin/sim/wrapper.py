@@ -24,6 +24,7 @@ from usv_gym.envs.episodes import OBSERVATION, Episodes
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError, check_options
+from usv_kernel.files import write_whole
 
 __all__ = [
     "OBSERVATIONS",
@@ -368,5 +369,5 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
     if path is not None:
         log.write(path)
         particulars = particulars_of(base.vessel, base.simulation.suite, base.simulation.dof)
-        sibling_path(path, ".toml").write_text(particulars.to_toml(), encoding="utf-8")
+        write_whole(sibling_path(path, ".toml"), particulars.to_toml().encode())
     return log

@@ -27,6 +27,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from rich.progress import track
 
+from twin.files import read_archive
 from twin.model.priors import KINDS
 from twin.particulars import Particulars
 from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
@@ -53,6 +54,7 @@ from usv_gym.world.faults import Bursts, Disturbance, Fault, RandomFaults
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import replacing
 
 __all__ = [
     "FleetError",
@@ -337,8 +339,7 @@ def sail_fleet(settings: FleetSettings, folder: Path, jobs: int = 1) -> list[Run
 
 
 def _keep(runs: list[Run], path: Path) -> None:
-    partial = path.with_name(f".{path.name}")
-    with partial.open("wb") as file:
+    with replacing(path) as partial, partial.open("wb") as file:
         np.savez(
             file,
             about=np.array([json.dumps(dataclasses.asdict(run.particulars)) for run in runs]),
@@ -346,16 +347,15 @@ def _keep(runs: list[Run], path: Path) -> None:
             rows=np.concatenate([run.rows for run in runs]).astype(np.float32),
             truth=np.concatenate([run.truth for run in runs]).astype(np.float32),
         )
-    partial.replace(path)
 
 
 def _kept(path: Path) -> list[Run]:
-    with np.load(path, allow_pickle=False) as file:
-        ends = np.cumsum(file["length"])[:-1]
-        parts = zip(
-            file["about"], np.split(file["rows"], ends), np.split(file["truth"], ends), strict=True
-        )
-        return [Run(_boat_of(json.loads(str(about))), *run) for about, *run in parts]
+    file = read_archive(path, FleetError, "part of a fleet", "delete it: it will be sailed again")
+    ends = np.cumsum(file["length"])[:-1]
+    parts = zip(
+        file["about"], np.split(file["rows"], ends), np.split(file["truth"], ends), strict=True
+    )
+    return [Run(_boat_of(json.loads(str(about))), *run) for about, *run in parts]
 
 
 def _boat_of(about: dict[str, Any]) -> Particulars:
@@ -523,10 +523,13 @@ def train(
         )
         done = 0
         if state.exists():
-            kept = torch.load(state, weights_only=True)
-            net.load_state_dict(kept["net"])
-            optimiser.load_state_dict(kept["optimiser"])
-            done = kept["done"]
+            try:
+                kept = torch.load(state, weights_only=True)
+                net.load_state_dict(kept["net"])
+                optimiser.load_state_dict(kept["optimiser"])
+                done = int(kept["done"])
+            except Exception:  # damaged files fail in many ways
+                raise FleetError(f"{state}: is damaged; delete it to train again") from None
         late = np.arange(1, AHEAD * PATCH + 1) ** settings.late
         weight = torch.from_numpy(((late / late.mean())[:, None] / TYPICAL).astype(np.float32))
         for step in _counted(done, settings, name or f"{settings.kind} learns"):
@@ -546,10 +549,9 @@ def train(
             torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
             optimiser.step()
             if (step + 1) % every == 0 or step + 1 == settings.steps:
-                partial = state.with_suffix(".part")
                 kept = {"net": net.state_dict(), "optimiser": optimiser.state_dict()}
-                torch.save({**kept, "done": step + 1}, partial)
-                partial.replace(state)
+                with replacing(state) as partial:
+                    torch.save({**kept, "done": step + 1}, partial)
         arrays = {key: value.numpy().copy() for key, value in net.state_dict().items()}
     record = dataclasses.asdict(settings) | {"sailed": len(fleet)}
     return Weights(settings.kind, settings.seed, record, arrays)
@@ -589,7 +591,6 @@ def main(
             f"twin.training.fleet: stopped; the same command goes on from {work}"
         ) from None
     path = out or NETS[kind].file
-    path.parent.mkdir(parents=True, exist_ok=True)
     weights.write(path)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 

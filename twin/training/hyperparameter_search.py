@@ -20,7 +20,6 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from twin.files import write_whole
 from twin.predictors.learned.lstm import import_torch
 from twin.predictors.learned.pretrained import Weights
 from twin.training.fleet import (
@@ -35,6 +34,7 @@ from twin.training.fleet import (
     sail_fleet,
     train,
 )
+from usv_kernel.files import write_whole
 
 __all__ = [
     "draw",
@@ -118,8 +118,8 @@ def search(
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "search.jsonl"
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    known = [json.loads(line) for line in text.splitlines()]
+    text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    known = [line for line in map(_result, text.splitlines()) if line]
     field, ranked = configurations, list[dict[str, Any]]()
     for rung in range(rungs):
         ranked = []
@@ -188,3 +188,13 @@ def main(
 
 if __name__ == "__main__":
     app()
+
+
+def _result(line: str) -> dict[str, Any] | None:
+    """Return a finished training; None for a damaged line, whose training is repeated."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    names = {"settings", "windows", "loss", "channels"}
+    return found if isinstance(found, dict) and names <= set(found) else None

@@ -16,6 +16,7 @@ from usv_gym.validation.manoeuvring import SAVITSKY
 from usv_gym.validation.sea import BLENDERMANN_LOADS, SEAS
 from usv_gym.validation.study import DEGREE, HEADINGS, OMEGA, SPEEDS, Study, an_hour, realise
 from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_kernel.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,15 +41,13 @@ LENGTH = 7.0
 
 def draw(study: Study, folder: Path) -> list[Path]:
     """Write every picture with available data to a folder, and return the paths."""
-    folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, picture in PICTURES.items():
         figure = picture(study)
         if figure is not None:
             # no date or version: equal pictures are equal bytes
-            figure.savefig(
-                folder / name, metadata={"Software": None}, pil_kwargs={"optimize": True}
-            )
+            with replacing(folder / name) as partial:
+                figure.savefig(partial, metadata={"Software": None}, pil_kwargs={"optimize": True})
             written.append(folder / name)
     return written
 

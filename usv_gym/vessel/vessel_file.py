@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from usv_gym.vessel.schema import OPTIONAL, SCHEMA, UNITS, VesselError, check_kind, keys_of
+from usv_kernel.files import read_toml
 
 __all__ = [
     "read_vessel",
     "vessel_names",
 ]
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 
 def vessel_names() -> tuple[str, ...]:
@@ -40,12 +35,7 @@ def read_vessel(source: str | Path) -> dict[str, Any]:
             f"no vessel is called {str(source)!r}; known: {', '.join(vessel_names())}, "
             "or give the path of a .toml file"
         )
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise VesselError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise VesselError(f"{path}: is not valid TOML: {error}") from None
+    table = read_toml(path, VesselError)
     try:
         return {**_fields(table, path), "design": design}
     except VesselError as error:

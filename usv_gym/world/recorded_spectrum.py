@@ -6,6 +6,7 @@ import csv
 import gzip
 import math
 import os
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,10 @@ Array = NDArray[np.float64]
 
 class SeaError(UsvTwinError):
     """An invalid sea state; the message names the value and the remedy."""
+
+
+SPECTRUM_MAX = 1 << 22
+"""Longest file of a spectrum, bytes, unpacked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +74,15 @@ class Spectrum:
         """
         path = Path(path)
         try:
-            raw = path.read_bytes()
-            text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
-        except (OSError, EOFError, UnicodeDecodeError) as error:
+            with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+                raw = file.read(SPECTRUM_MAX + 1)
+            if len(raw) > SPECTRUM_MAX:
+                raise SeaError(f"longer than {SPECTRUM_MAX / 1e6:.3g} MB")
+            text = raw.decode("utf-8-sig")
+            lines = [line for line in text.splitlines() if not line.startswith("#")]
+            rows = [row for row in csv.reader(lines) if row]
+        except (OSError, EOFError, ValueError, zlib.error, csv.Error) as error:
             raise SeaError(f"{path}: cannot be read as a spectrum ({error})") from None
-        lines = [line for line in text.splitlines() if not line.startswith("#")]
-        rows = [row for row in csv.reader(lines) if row]
         header = ",".join(cell.strip() for cell in rows[0]) if rows else ""
         if header not in _PER_RADIAN:
             raise SeaError(f"{path}: header {header!r} must be {' or '.join(_PER_RADIAN)}")

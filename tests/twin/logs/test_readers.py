@@ -457,7 +457,7 @@ def test_block_size_changes_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert refused(bad) == place
     np.testing.assert_array_equal(Log.read(tmp_path / "a.csv", thin).z, thinned.z)
     monkeypatch.setattr(table, "_BLOCK_BYTES", 64)
-    assert "a line is longer than 64 MB; this is no CSV file" in refused(tmp_path / "a.csv")
+    assert "a line is longer than 1 MB; this is no CSV file" in refused(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])

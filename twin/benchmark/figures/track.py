@@ -42,10 +42,10 @@ from twin.benchmark.figures.style import (
     shade_lost,
 )
 from twin.channels import PSI, R, U, X
-from twin.files import write_whole
 from twin.logs.log import Log
 from twin.predictors.base import Prediction
 from usv_kernel.channels import GPS_VX, GPS_VY, GYRO
+from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,6 @@ from twin.cli.common import (
     write_text,
 )
 from twin.cli.logs.check_picture import draw_check
-from twin.files import write_whole
 from twin.logs.columns import LogError
 from twin.logs.diagnosis.diagnose import Diagnosis, diagnose
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
@@ -29,6 +28,7 @@ from twin.logs.log import assemble, read_table
 from twin.logs.readers import Table
 from twin.particulars import Particulars
 from twin.sim.recorded import has_particulars, particulars_for_log
+from usv_kernel.files import write_whole
 
 STYLES = {ERROR: "red", WARNING: "yellow", NOTE: "dim"}
 

@@ -20,12 +20,12 @@ from twin.cli.common import (
     write_json,
 )
 from twin.cli.logs.judge_picture import draw_verdict
-from twin.files import write_whole
 from twin.logs.diagnosis.diagnose import diagnose
 from twin.logs.diagnosis.findings import Finding, Recording
 from twin.logs.log import read_table
 from twin.particulars import Particulars
 from twin.predictors.registry import DEFAULT, PREDICTORS
+from usv_kernel.files import write_whole
 
 STYLES = {"green": "green", "amber": "yellow", "red": "red"}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +27,7 @@ from twin.cli.common import (
 from twin.digital_twin import TwinError, known_plan
 from twin.logs.columns import LogError
 from twin.logs.log import Log
+from twin.logs.readers import Clock, CsvFile
 from twin.logs.tables import check_export
 from twin.predictors.base import Prediction
 from twin.predictors.registry import DEFAULT
@@ -106,15 +106,13 @@ def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
     names = (TIME, *COMMANDS)
     if not path.is_file():
         raise TwinError(f"--plan {path}: use hold, known, or a CSV file with {', '.join(names)}")
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        missing = [name for name in names if name not in (reader.fieldnames or ())]
-        if missing:
-            raise TwinError(f"{path}: the column(s) {', '.join(missing)} are missing")
-        try:
-            rows = np.array([[float(line[name]) for name in names] for line in reader])
-        except (TypeError, ValueError) as error:
-            raise TwinError(f"{path}: line {reader.line_num}: {error}") from None
+    file = CsvFile(path)
+    missing = [name for name in names if name not in file.header]
+    if missing:
+        raise TwinError(f"{path}: the column(s) {', '.join(missing)} are missing")
+    blocks = [columns for _, columns, _ in file.blocks(names, Clock(""))]
+    rows = np.concatenate([np.stack([b[name] for name in names], axis=1) for b in blocks])
+    rows = rows[~np.isnan(rows).all(axis=1)]  # blank lines
     if len(rows) == 0 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
         raise TwinError(f"{path}: needs at least one row, finite numbers, and a rising t_s")
     middle = dt * (np.arange(round(horizon / dt)) + 0.5)

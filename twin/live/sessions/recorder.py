@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
-from twin.files import write_whole
 from twin.logs.datum import DATUM, Datum
 from twin.logs.log import sibling_path
 from twin.particulars import Particulars
+from usv_kernel.files import write_whole
 
 __all__ = [
     "FLUSHED",

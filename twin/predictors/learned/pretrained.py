@@ -8,6 +8,7 @@ the plan. So it has to infer the boat from the run itself.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import math
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI
 from twin.checkpoint import Field
+from twin.files import read_archive
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.baselines import ACTUATORS, COMMANDED, GRID, VELOCITIES
 from twin.predictors.learned.features import (
@@ -29,6 +31,7 @@ from twin.predictors.learned.features import (
     thrust_features,
 )
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.files import replacing
 
 __all__ = [
     "AHEAD",
@@ -97,6 +100,9 @@ CENTRE, SCALE = np.array([0.8, 0.0, 0.0]), np.array([3.0, 5.0, 4.0])
 STEP = 0.5
 """Increments of u, v, r over their typical size, per length travelled, of an output of 1."""
 
+WEIGHT_MAX = 1e4
+"""Bound of a weight: trained ones stay below 100."""
+
 HERE = Path(__file__).with_name("weights")
 """Where the weights that ship lie."""
 
@@ -117,12 +123,9 @@ class Weights:
     def write(self, path: str | Path) -> None:
         """Write a file that :meth:`read` reads; weights are rounded to half precision."""
         about = {"format": FORMAT, "kind": self.kind, "seed": self.seed, "settings": self.settings}
-        path = Path(path)
-        partial = path.with_name(f".{path.name}")
-        with partial.open("wb") as file:
+        with replacing(path) as partial, partial.open("wb") as file:
             rounded: Any = {key: value.astype(np.float16) for key, value in self.arrays.items()}
             np.savez_compressed(file, about=np.array(json.dumps(about)), **rounded)
-        partial.replace(path)
 
     def run(self, x: Array) -> Array:
         """Return the net's outputs (B, AHEAD, 3 PATCH) for :func:`tokens`."""
@@ -133,21 +136,35 @@ class Weights:
     def read(cls, path: str | Path, kind: str) -> Weights:
         """Read weights of a net; WeightsError says what is wrong, and how to make new ones."""
         remedy = f"make a new one: python -m twin.training.fleet {kind}"
+        if not Path(path).exists():
+            raise WeightsError(f"{path}: is missing; reinstall usv-twin, or {remedy}")
+        arrays = read_archive(path, WeightsError, "file of weights of a net", remedy)
         try:
-            with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                about = json.loads(str(file["about"]))
-                arrays = {key: file[key].astype(np.float32) for key in file.files if key != "about"}
+            about = json.loads(str(arrays.pop("about")))
             version, found = about["format"], about["kind"]
-        except FileNotFoundError:
-            raise WeightsError(f"{path}: is missing; reinstall usv-twin, or {remedy}") from None
-        except Exception as error:
+            weights = cls(found, about["seed"], about["settings"], arrays)
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
             raise WeightsError(f"{path}: holds no weights of a net ({error}); {remedy}") from None
         if version != FORMAT or found != kind:
             raise WeightsError(
                 f"{path}: holds weights of a {found}, format {version}; this usv-twin needs a "
                 f"{kind} of format {FORMAT}: {remedy}"
             )
-        return cls(found, about["seed"], about["settings"], arrays)
+        return weights._checked(path, remedy)
+
+    def _checked(self, path: str | Path, remedy: str) -> Weights:
+        """Return the weights in single precision; WeightsError if the net cannot run with them."""
+        tokens = np.zeros((1, PAST + AHEAD, TOKEN), np.float32)
+        try:
+            arrays = {key: value.astype(np.float32) for key, value in self.arrays.items()}
+            sane = all((np.abs(value) < WEIGHT_MAX).all() for value in arrays.values())
+            weights = dataclasses.replace(self, arrays=arrays)
+            answer = weights.run(tokens)
+        except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError):
+            sane = False
+        if not sane or answer.shape != (1, AHEAD, 3 * PATCH) or not np.isfinite(answer).all():
+            raise WeightsError(f"{path}: holds damaged weights of a net; {remedy}")
+        return weights
 
 
 @functools.cache
