@@ -12,8 +12,18 @@ __all__ = [
 ]
 
 
+MESSAGE_MAX = 1500
+"""Longest message, characters: what a file holds may be quoted, and may be of any length."""
+
+
 class UsvTwinError(ValueError):
     """Invalid input; the message names the value, its place and the remedy."""
+
+    def __init__(self, *arguments: object) -> None:
+        text = arguments[0] if arguments else ""
+        if isinstance(text, str) and len(text) > MESSAGE_MAX:
+            arguments = (f"{text[: MESSAGE_MAX - 500]} ... {text[-400:]}", *arguments[1:])
+        super().__init__(*arguments)
 
 
 class ArgumentError(UsvTwinError, TypeError):

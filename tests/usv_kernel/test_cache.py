@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 import usv_kernel
@@ -433,3 +434,39 @@ def test_fresh_and_cached_code_give_equal_bits(tmp_path: Path) -> None:
         for _ in range(2)
     ]
     assert ends[0] == ends[1]
+
+
+DAMAGED = """
+import sys
+import numpy as np
+import usv_kernel.warmup
+usv_kernel.warmup.MESSAGE_DELAY = 0.0
+from usv_gym.physics import parameters, wind
+p = np.ones(1, parameters.PARAMETERS)[0]
+print(repr(float(wind.wind_loads(0.0, 0.0, 0.0, 10.0, 0.0, p)[0])))
+"""
+
+
+def test_a_damaged_cache_is_made_again(tmp_path: Path) -> None:
+    """Every file of it cut off, overwritten or with a changed byte: the same number each time."""
+    rng, answers = np.random.default_rng(5), []
+    command = [sys.executable, "-c", DAMAGED]
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    for damage in range(5):
+        done = subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT)
+        assert not done.returncode, done.stderr
+        answers.append((done.stdout, "compil" in done.stderr))
+        files = [path for path in tmp_path.rglob("*") if path.suffix in (".nbi", ".nbc")]
+        assert files
+        for path in files:
+            content = bytearray(path.read_bytes())
+            if damage == 1:
+                content = content[: len(content) // 2]
+            elif damage == 2:
+                content = bytearray(rng.bytes(len(content)))
+            elif damage == 3:
+                content[int(rng.integers(len(content)))] ^= 1
+            path.write_bytes(content)
+    assert len({number for number, _ in answers}) == 1
+    # compiled at first and after each damage, read from the disk after none
+    assert [compiled for _, compiled in answers] == [True, False, True, True, True]

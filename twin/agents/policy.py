@@ -221,7 +221,7 @@ class Policy:
         _check_array("mean", self.mean, (inputs,))
         _check_array("sd", self.sd, (inputs,), least=SD_MIN)
         if self.lstm is not None:
-            size = np.shape(self.lstm[1])[-1:][0] if np.ndim(self.lstm[1]) else 0
+            size = np.shape(self.lstm[1])[-1] if np.ndim(self.lstm[1]) else 0
             shapes = (4 * size, inputs), (4 * size, size), (4 * size,)
             for j, (part, shape) in enumerate(zip(self.lstm, shapes, strict=True)):
                 _check_array(f"lstm_{j}", part, shape)
@@ -229,7 +229,7 @@ class Policy:
         if not self.layers:
             raise AgentError("has no layer")
         for j, (weights, bias) in enumerate(self.layers):
-            outputs = ACTIONS if j == len(self.layers) - 1 else np.shape(bias)[:1][0]
+            outputs = ACTIONS if j == len(self.layers) - 1 else np.size(bias)
             _check_array(f"weights_{j}", weights, (outputs, inputs))
             _check_array(f"bias_{j}", bias, (outputs,))
             inputs = outputs

@@ -294,8 +294,10 @@ def finished(
     settings: Settings, unit: Unit, folder: Path, *, pictures: bool
 ) -> dict[str, Any] | None:
     """Return the result of earlier work with the same settings, if there is one."""
-    key = [digest(settings, unit), pictures]
-    result: dict[str, Any] | None = kept(result_file(folder, unit), key)
+    path = result_file(folder, unit)
+    if not path.exists():
+        return None
+    result: dict[str, Any] | None = kept(path, [digest(settings, unit), pictures])
     return result
 
 

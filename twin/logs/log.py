@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import gzip
+import io
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -202,7 +203,9 @@ class Log:
         frame = pl.DataFrame(columns).fill_nan(None)
         with replacing(path) as partial, partial.open("wb") as raw:
             if partial.suffix == ".parquet":
-                frame.write_parquet(raw)
+                packed = io.BytesIO()  # polars would turn a full disk into an error of its own
+                frame.write_parquet(packed)
+                raw.write(packed.getvalue())
             elif partial.suffix == ".gz":
                 # No time stamp and no name inside: equal logs give equal files.
                 with gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:

@@ -323,7 +323,7 @@ class CsvFile:
             for _ in range(self.blank + 1):
                 file.readline()
             for text in _pieces(file, self.source):
-                if not text.strip():  # blank lines only
+                if text and not text.strip():  # blank lines only
                     first += text.count(b"\n")
                     continue
                 # the writer was stopped within this line: its last number may have lost digits

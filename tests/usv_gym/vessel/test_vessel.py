@@ -347,7 +347,7 @@ def test_bad_entries_are_refused_with_place_and_remedy(tmp_path: Path) -> None:
         ("N_v", value("nan", "1"), N_v, "finite"),
         ("N_v", value("inf", "1"), N_v, "finite"),
         ("N_v", value("-inf", "1"), N_v, "finite"),
-        ("N_v", value("1" + "0" * 400, "1"), N_v, "finite"),
+        ("N_v", value("1" + "0" * 400, "1"), "hull.N_v", "more digits"),
         ("mass", value("5000", "kg"), mass, "5000", "displace", "20 %"),
         ("x_P", value("2.6", "m"), "[propulsion] x_P", "aft"),
     ):

@@ -142,14 +142,16 @@ class Weights:
         try:
             about = json.loads(str(arrays.pop("about")))
             version, found = about["format"], about["kind"]
+            if version != FORMAT or found != kind:
+                raise WeightsError(
+                    f"{path}: holds weights of a {found}, format {version}; this usv-twin needs a "
+                    f"{kind} of format {FORMAT}: {remedy}"
+                )
             weights = cls(found, about["seed"], about["settings"], arrays)
+        except WeightsError:
+            raise
         except (KeyError, TypeError, ValueError, RecursionError) as error:
             raise WeightsError(f"{path}: holds no weights of a net ({error}); {remedy}") from None
-        if version != FORMAT or found != kind:
-            raise WeightsError(
-                f"{path}: holds weights of a {found}, format {version}; this usv-twin needs a "
-                f"{kind} of format {FORMAT}: {remedy}"
-            )
         return weights._checked(path, remedy)
 
     def _checked(self, path: str | Path, remedy: str) -> Weights:
