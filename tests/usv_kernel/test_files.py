@@ -49,7 +49,7 @@ def test_a_link_stays_a_link_and_a_device_a_device(tmp_path):
     assert not Path(os.devnull).is_file()
 
 
-def test_a_name_that_cannot_be_written_is_told(tmp_path):
+def test_a_name_that_cannot_be_written_is_an_error(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     for path in (tmp_path / "file" / "below", tmp_path, tmp_path / ("x" * 300)):
         with pytest.raises(WriteError, match=r"cannot be written \(.*\); free space, or choose"):
@@ -93,7 +93,7 @@ for name, write in writers.items():
 """
 
 
-def test_a_full_disk_is_told_and_nothing_is_left(tmp_path):
+def test_a_full_disk_is_an_error_and_nothing_is_left(tmp_path):
     pytest.importorskip("resource")
     root = Path(__file__).resolve().parents[2]
     policy = root / "examples/gps_loss_study/policies/ppo-twin.npz"

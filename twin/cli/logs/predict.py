@@ -110,7 +110,7 @@ def _read_plan(path: Path, horizon: float, dt: float) -> np.ndarray:
     missing = [name for name in names if name not in file.header]
     if missing:
         raise TwinError(f"{path}: the column(s) {', '.join(missing)} are missing")
-    blocks = [columns for _, columns, _ in file.blocks(names, Clock(""))]
+    blocks = [block[1] for block in file.blocks(names, Clock(""))]
     rows = np.concatenate([np.stack([b[name] for name in names], axis=1) for b in blocks])
     rows = rows[~np.isnan(rows).all(axis=1)]  # blank lines
     if len(rows) == 0 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
