@@ -15,6 +15,7 @@ from usv_gym.physics import GRAVITY, KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
 
 __all__ = [
@@ -242,7 +243,14 @@ def inspect(vessel: Vessel) -> Inspection:
         found.turn = _turn(vessel, [t for t in found.periods.values() if not math.isnan(t)])
     except VesselError as error:
         found.findings.append(Finding(True, str(error)))
-    for rule in (_hull_rules, _mass_rules, _motion_rules, _speed_rules, _steering_rules):
+    for rule in (
+        _runaway_rules,
+        _hull_rules,
+        _mass_rules,
+        _motion_rules,
+        _speed_rules,
+        _steering_rules,
+    ):
         found.findings += rule(vessel, found)
     found.findings.sort(key=lambda finding: not finding.error)
     return found
@@ -411,6 +419,15 @@ def _speed_rules(vessel: Vessel, found: Inspection) -> Findings:
         ("Resistance at full shaft speed over the weight", resistance / weight, 5e-4, 0.6),
         ("Bollard pull over the weight", pull / weight, 5e-4, 2.0),
     )
+
+
+def _runaway_rules(vessel: Vessel, found: Inspection) -> Findings:
+    try:
+        for dof in (3, 6):
+            check_motion(vessel, dof, DT)
+    except VesselError as error:
+        if found.speeds:  # else it is the error of the speeds
+            yield Finding(True, str(error))
 
 
 def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:

@@ -29,7 +29,15 @@ from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance, FaultError, fault_records, parse_faults
 from usv_gym.world.sea import choice
-from usv_gym.world.simulation import Simulation, advance, out_of_numbers
+from usv_gym.world.simulation import (
+    DONE,
+    NO_NUMBERS,
+    NOT_FINITE,
+    RAN_AWAY,
+    Simulation,
+    advance,
+    out_of_numbers,
+)
 from usv_gym.world.state import BOAT, SIMULATION
 from usv_kernel.channels import (
     ACCEL_X,
@@ -102,9 +110,6 @@ EPISODES = np.dtype(
     ]
 )
 """What all episodes share, and never changes."""
-
-DONE, NOT_FINITE, NO_NUMBERS = 0, 1, 2
-"""Results of a step."""
 
 _ALL = slice(None)
 
@@ -179,6 +184,7 @@ def _step(
                 return NOT_FINITE
     if out_of_numbers(rows):
         return NO_NUMBERS
+    sound = True
     for i in range(rows.shape[0]):
         episode = as_record(episodes[i], EPISODE)
         if episode.idle_steps > 0.0:
@@ -192,7 +198,7 @@ def _step(
             for k in range(width):
                 share += config.mixing[j, k] * action[k]
             boat.command[j] = config.scale[j] * min(max(share, -1.0), 1.0)
-        advance(rows[i], config.simulation, factors)
+        sound = advance(rows[i], config.simulation, factors) and sound
         if first:
             episode.task.terms[:] = 0.0
             episode.task.reward = 0.0
@@ -202,7 +208,7 @@ def _step(
             before[j] = action[j]
         if episode.task.terminated != 0.0:
             episode.idle_steps = left
-    return DONE
+    return DONE if sound else RAN_AWAY
 
 
 @kernel
@@ -401,6 +407,8 @@ class Episodes:
             if result == NO_NUMBERS:
                 self.simulation.draw_numbers()
                 result = _step(*arguments)
+            if result == RAN_AWAY:
+                raise self.simulation.runaway()
             return bool(result == DONE)
         active = self.records["idle_steps"] == 0.0
         if not np.isfinite(self.actions[1, active]).all():
@@ -410,7 +418,8 @@ class Episodes:
 
         def step_block(j: int) -> None:
             arguments = (*self._arguments[j], obs[self.blocks[j]], left)
-            _step(*arguments)
+            if _step(*arguments) == RAN_AWAY:
+                raise self.simulation.runaway()
 
         self.each(step_block)
         return True

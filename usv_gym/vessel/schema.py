@@ -167,6 +167,10 @@ def check_values(kind: str, values: Mapping[str, float]) -> None:
             raise VesselError(f"[propulsion] {key}: must be below 1, got {v[key]:g}")
     if kind == "steerable_drive" and v["x_P"] >= 0.0:
         raise VesselError("[propulsion] x_P: the drives must be aft (x_P below 0)")
+    if v.get("steer_max", 0.0) > 0.5 * math.pi:
+        raise VesselError(
+            f"[propulsion] steer_max: must be at most 90 deg, got {v['steer_max']:g} rad"
+        )
     if v["units"] not in (1.0, 2.0):
         raise VesselError(f"[propulsion] units: must be 1 or 2, got {v['units']:g}")
     if kind == "thruster_pair" and (v["units"] != 2.0 or v["y_P"] == 0.0):

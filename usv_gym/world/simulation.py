@@ -12,6 +12,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
+from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import sensors
 from usv_gym.world.faults import FAULT, FAULT_NUMBERS, Disturbance, fault_records, fault_sources
@@ -31,6 +32,13 @@ __all__ = [
     "out_of_numbers",
 ]
 
+DONE, NOT_FINITE, NO_NUMBERS, RAN_AWAY = range(4)
+"""What became of a step: done; not done, as actions were not finite or numbers are to be drawn;
+done, but a boat has run away."""
+
+STATE_MAX = 1e9
+"""Bound of every entry of a plausible state, SI units."""
+
 BLOCK_STEPS = 512, 128
 """Control steps of random numbers drawn at a time: for one boat, and for each of many."""
 
@@ -40,11 +48,11 @@ class SimulationError(UsvTwinError):
 
 
 @kernel
-def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
+def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     """Advance one boat, a row of :mod:`usv_gym.world.state`, by one control step, with sensors.
 
-    Its command is read. ``factors`` (13, width) is scratch, from
-    :func:`usv_gym.physics.waves.factor_workspace`.
+    Return whether its state is still plausible. Its command is read. ``factors`` (13, width) is
+    scratch, from :func:`usv_gym.physics.waves.factor_workspace`.
     """
     boat = as_record(row, BOAT)
     waves, gusts = sea_arrays(row, config)
@@ -64,6 +72,10 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
     sensors.measure(boat, config.dt, config.suite, now, faults, delay_line)
+    sound = True
+    for i in range(fr.STATE_SIZE):
+        sound = sound and abs(boat.state[i]) < STATE_MAX
+    return sound
 
 
 @kernel
@@ -77,13 +89,14 @@ def out_of_numbers(rows: np.ndarray) -> bool:
 
 
 @kernel
-def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> bool:
-    """Advance every boat; return False, with nothing done, if numbers are to be drawn first."""
+def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> int:
+    """Advance every boat; NO_NUMBERS: nothing was done, as numbers are to be drawn first."""
     if out_of_numbers(rows):
-        return False
+        return NO_NUMBERS
+    sound = True
     for i in range(rows.shape[0]):
-        advance(rows[i], as_record(shared, SIMULATION), factors)
-    return True
+        sound = advance(rows[i], as_record(shared, SIMULATION), factors) and sound
+    return DONE if sound else RAN_AWAY
 
 
 @kernel
@@ -181,6 +194,7 @@ class Simulation:
         if not (isinstance(n, (int, np.integer)) and n >= 1):
             raise SimulationError(f"n = {n!r}: must be a whole number of boats, 1 or more")
         vessel, suite = Vessel.load(vessel), SensorSuite.of(suite)
+        check_motion(vessel, dof, dt_physics)
         self.seas = SeaState.any_of(sea)
         self.dof = int(dof)
         self.n, self.vessel, self.dt, self.substeps = n, vessel, dt, substeps
@@ -337,9 +351,22 @@ class Simulation:
                 f"cmd of shape {cmd.shape}: must be finite numbers of shape {self.cmd.shape}"
             )
         self.cmd[:] = cmd
-        if not _advance_all(self.rows, self.shared, self.factors):
+        result = _advance_all(self.rows, self.shared, self.factors)
+        if result == NO_NUMBERS:
             self.draw_numbers()
-            _advance_all(self.rows, self.shared, self.factors)
+            result = _advance_all(self.rows, self.shared, self.factors)
+        if result == RAN_AWAY:
+            raise self.runaway()
+
+    def runaway(self) -> SimulationError:
+        """Return the error of the boat whose state is no longer plausible."""
+        sound = (np.abs(self.state) < STATE_MAX).all(axis=1)
+        i = int(np.argmin(sound))
+        return SimulationError(
+            f"boat {i} ({self.vessel.name}) ran away after {self.t[i]:.6g} s: its state is no "
+            "longer finite. Check its coefficients with usv-twin vessel check, take a smaller "
+            "dt_physics or a calmer sea, and reset"
+        )
 
     def draw_numbers(self) -> None:
         """Draw the next block of random numbers of every boat whose block is used up."""
