@@ -83,7 +83,7 @@ def test_a_stiff_vessel_sails_with_the_step_that_the_message_names():
     assert np.isfinite(simulation.state).all()
 
 
-def test_a_boat_that_runs_away_in_sailing_is_an_error(monkeypatch):
+def test_a_boat_that_runs_away_while_sailing_is_refused(monkeypatch):
     for target in (
         lambda: gym.make("USVTwin-v0", dof=6),
         lambda: gym.make_vec("USVTwin-v0", num_envs=3),
