@@ -1,14 +1,20 @@
 """Base class of the errors that a user can correct, and the message for a misspelled name."""
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 __all__ = [
     "ArgumentError",
     "BoatIndexError",
     "UsvTwinError",
+    "check_number",
     "check_options",
+    "check_whole",
     "did_you_mean",
+    "is_finite",
 ]
 
 
@@ -62,3 +68,26 @@ def check_options(owner: str, options: Iterable[str], known: Sequence[str]) -> N
         raise ArgumentError(
             f"{owner} has no option {', '.join(unknown)}; its options: {', '.join(known)}"
         )
+
+
+def is_finite(value: object) -> bool:
+    """Return whether something is a finite number, and no truth value."""
+    if not isinstance(value, (int, float, np.number)) or isinstance(value, (bool, complex)):
+        return False
+    try:
+        return math.isfinite(value)  # type: ignore[arg-type]
+    except (OverflowError, TypeError):  # a whole number of 400 digits, a complex number
+        return False
+
+
+def check_number(name: str, value: object, low: float, high: float) -> None:
+    """Refuse what is no number from ``low`` to ``high``; UsvTwinError names value and range."""
+    if not is_finite(value) or not low <= value <= high:  # type: ignore[operator]
+        raise UsvTwinError(f"{name} = {value!r}: must be a number from {low:g} to {high:g}")
+
+
+def check_whole(name: str, value: object, low: int, high: int) -> None:
+    """Refuse what is no whole number from ``low`` to ``high``; UsvTwinError names the range."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or not low <= value <= high:  # type: ignore[operator]
+        raise UsvTwinError(f"{name} = {value!r}: must be a whole number from {low} to {high}")

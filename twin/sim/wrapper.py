@@ -268,8 +268,9 @@ def _made(
     of_twin, own = _keywords(with_twin, "observation"), _keywords(plain)
     known = ["observation", *of_twin, "max_episode_steps", *own, *EnvConfig.names()]
     check_options("USVTwin-v0", options, list(dict.fromkeys(known)))
-    observation = observation or ("raw" if twin is None else "twin")
-    if observation not in OBSERVATIONS:
+    if observation is None:
+        observation = "raw" if twin is None else "twin"
+    if not isinstance(observation, str) or observation not in OBSERVATIONS:
         raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
     if observation in OBSERVERS:
         idle = [name for name in options if name in of_twin and name not in own]

@@ -9,15 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
-from usv_kernel.errors import UsvTwinError, check_options
+from usv_gym.world.simulation import substeps_of
+from usv_kernel.errors import UsvTwinError, check_number, check_options, check_whole
 
 __all__ = ["EnvConfig"]
+
+FRAME_SKIP_MAX = 10_000
+"""Most steps that an action is held for."""
+
+DEGREES_MAX = 3600.0
+"""Largest angle that may be given, degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +76,12 @@ class EnvConfig:
     dt_physics: float = 0.05
 
     def __post_init__(self) -> None:
-        if self.actions not in ("common", "units"):
+        if not isinstance(self.actions, str) or self.actions not in ("common", "units"):
             raise UsvTwinError(f"actions = {self.actions!r}; use 'common' or 'units'")
-        check_count("frame_skip", self.frame_skip)
-        angle = self.wind_from_deg
-        if angle is not None and not isinstance(angle, (int, float, np.number)):
-            raise UsvTwinError(f"wind_from_deg = {angle!r}: must be a number of degrees")
+        check_whole("frame_skip", self.frame_skip, 1, FRAME_SKIP_MAX)
+        if self.wind_from_deg is not None:
+            check_number("wind_from_deg", self.wind_from_deg, -DEGREES_MAX, DEGREES_MAX)
+        substeps_of(self.dt, self.dt_physics)
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -104,9 +109,3 @@ class EnvConfig:
             state.replace(hs=self.hs, wind=self.wind, wind_from=wind_from)
             for state in SeaState.any_of(self.sea)
         )
-
-
-def check_count(name: str, value: Any) -> None:
-    """Refuse what is no whole number of 1 or more."""
-    if isinstance(value, bool) or not (isinstance(value, (int, np.integer)) and value >= 1):
-        raise UsvTwinError(f"{name} = {value!r}: must be a whole number, 1 or more")

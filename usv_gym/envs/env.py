@@ -151,6 +151,8 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         render_size: tuple[int, int] = RENDER_SIZE,
         **options: Any,
     ) -> None:
+        if not isinstance(record, bool):
+            raise UsvTwinError(f"record = {record!r}: must be True or False")
         own = "record", "render_mode", "render_size"
         self.episodes = Episodes(1, EnvConfig.of(options, own))
         self.simulation, self.task = self.episodes.simulation, self.episodes.task

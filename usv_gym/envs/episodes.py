@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.envs.config import EnvConfig, check_count
+from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.tasks import (
     COURSE_ERROR,
     CROSS_TRACK,
@@ -37,6 +37,7 @@ from usv_gym.world.simulation import (
     Simulation,
     advance,
     out_of_numbers,
+    parts_of,
 )
 from usv_gym.world.state import BOAT, SIMULATION
 from usv_kernel.channels import (
@@ -50,6 +51,7 @@ from usv_kernel.channels import (
     GYRO,
     SENSOR_CHANNELS,
 )
+from usv_kernel.errors import check_whole
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
@@ -80,6 +82,9 @@ OBSERVATION = (
     _SHAFT_LEFT, _SHAFT_RIGHT, _DRIVE_LEFT, _DRIVE_RIGHT,
     _CROSS_TRACK, _TO_GO, _COS_COURSE_ERROR, _SIN_COURSE_ERROR, _COS_NEXT_TURN, _SIN_NEXT_TURN,
 ) = range(len(OBSERVATION))  # fmt: skip
+
+THREADS_MAX = 1024
+"""Most threads."""
 
 BOUND = 10.0
 """Largest size of an entry of an observation; what is larger is cut off."""
@@ -290,7 +295,7 @@ class Episodes:
     """
 
     def __init__(self, n: int, config: EnvConfig, *, threads: int = 1) -> None:
-        check_count("num_threads", threads)
+        check_whole("num_threads", threads, 1, THREADS_MAX)
         self.vessel, self.seas = Vessel.load(config.vessel), config.seas()
         given, most = _faults(config.faults, config.dt)
         self.simulation = Simulation(
@@ -329,9 +334,8 @@ class Episodes:
         """The action that holds the nominal speed, straight ahead; episodes begin with it."""
         self.actions = np.zeros((2, n, self.width))
         """Those of the last step, and of this one."""
-        parts = np.array_split(np.arange(n), min(threads, n))
-        self.blocks = [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
-        """The boats of each thread."""
+        self.blocks = parts_of(n, self.simulation.substeps, threads)
+        """The boats of each call of a kernel."""
         sim = self.simulation
         self._arguments: list[tuple[Any, ...]] = [
             (
@@ -344,7 +348,7 @@ class Episodes:
             )
             for block in self.blocks
         ]
-        self._pool = ThreadPoolExecutor(len(self.blocks)) if len(self.blocks) > 1 else None
+        self._pool = ThreadPoolExecutor(threads) if min(threads, n) > 1 else None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Refuse to be copied: a copy's arrays would no longer be those that kernels write to."""
@@ -401,7 +405,7 @@ class Episodes:
         return True
 
     def _step(self, obs: np.ndarray, left: int) -> bool:
-        if self._pool is None:
+        if len(self.blocks) == 1:
             arguments = (*self._arguments[0], obs, left)
             result = _step(*arguments)
             if result == NO_NUMBERS:
@@ -425,9 +429,10 @@ class Episodes:
         return True
 
     def each(self, call: Callable[[int], Any]) -> None:
-        """Call a function for the number of each block of boats, by a thread for each."""
+        """Call a function for the number of each block of boats, by threads if there are any."""
         if self._pool is None:
-            call(0)
+            for j in range(len(self.blocks)):
+                call(j)
         else:
             list(self._pool.map(call, range(len(self.blocks))))
 

@@ -78,7 +78,7 @@ class Renderer:
         mode: str,
         size: tuple[int, int] = RENDER_SIZE,
     ) -> None:
-        if mode not in RENDER_MODES:
+        if not isinstance(mode, str) or mode not in RENDER_MODES:
             raise UsvTwinError(
                 f"render_mode = {mode!r}: unknown; use {' or '.join(map(repr, RENDER_MODES))}, or "
                 "leave it out"
@@ -105,6 +105,7 @@ class Renderer:
         size: tuple[int, int],
     ) -> Renderer | None:
         """Return what makes an environment's pictures; None without a mode."""
+        checked_size(size)
         return None if mode is None else cls(episodes, observer, mode, size)
 
     def observe(self, obs: NDArray[np.float32], look: bool = True) -> None:
@@ -207,6 +208,21 @@ def _nice(length: float) -> float:
     return power * max(k for k in (1.0, 2.0, 5.0) if k * power <= length * (1.0 + 1e-9))
 
 
+def checked_size(size: Any) -> tuple[int, int]:
+    """Return width and height of a picture, pixels; UsvTwinError says which there may be."""
+    try:
+        w, h = size
+        whole = bool(w == int(w) and h == int(h))
+    except (OverflowError, TypeError, ValueError):
+        whole = False
+    if not (whole and SMALLEST[0] <= w <= LARGEST and SMALLEST[1] <= h <= LARGEST):
+        raise UsvTwinError(
+            f"render_size = {size!r}: must be width and height in whole pixels, at least "
+            f"{SMALLEST[0]} x {SMALLEST[1]} and at most {LARGEST} x {LARGEST}"
+        )
+    return int(w), int(h)
+
+
 class Painter:
     """Paints scenes: a map with the north up, a rose, what the instruments say, and a key.
 
@@ -214,17 +230,7 @@ class Painter:
     """
 
     def __init__(self, size: tuple[int, int] = RENDER_SIZE) -> None:
-        try:
-            w, h = size
-            whole = w == int(w) and h == int(h)
-        except (TypeError, ValueError):
-            whole = False
-        if not (whole and SMALLEST[0] <= w <= LARGEST and SMALLEST[1] <= h <= LARGEST):
-            raise UsvTwinError(
-                f"render_size = {size!r}: must be width and height in whole pixels, at least "
-                f"{SMALLEST[0]} x {SMALLEST[1]} and at most {LARGEST} x {LARGEST}"
-            )
-        self.size = int(w), int(h)
+        self.size = w, h = checked_size(size)
         self.pg = _pygame()
         self.pg.font.init()
         em = max(9, round(min(self.size) / 50))
@@ -236,7 +242,7 @@ class Painter:
         self._font = self.pg.font.Font(font, em)
         self._words: dict[tuple[str, Any], Any] = {}
         pad, line = em // 2, self._line
-        rose = min(10 * line, int(w) - 35 * em)
+        rose = min(10 * line, w - 35 * em)
         self._wide = w >= 1.25 * h
         if self._wide:
             panel = max(18 * em, rose)

@@ -17,13 +17,18 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import names_of, spaces_of
 from usv_gym.envs.episodes import OBSERVATION, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
-from usv_kernel.errors import ArgumentError, UsvTwinError
+from usv_gym.world.simulation import BOATS_MAX
+from usv_kernel.errors import ArgumentError, UsvTwinError, check_whole
 
 __all__ = [
     "USVVectorEnv",
 ]
 
 Info = dict[str, Any]
+
+
+STEPS_MAX = 10**12
+"""Longest episode, decisions."""
 
 
 class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -78,13 +83,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         render_size: tuple[int, int] = RENDER_SIZE,
         **options: Any,
     ) -> None:
-        if not _count(num_envs):
-            raise UsvTwinError(f"num_envs = {num_envs!r}: must be a whole number, 1 or more")
-        if max_episode_steps is not None and not _count(max_episode_steps):
-            raise UsvTwinError(
-                f"max_episode_steps = {max_episode_steps!r}: must be a whole number, 1 or more, "
-                "or None"
-            )
+        check_whole("num_envs", num_envs, 1, BOATS_MAX)
+        if max_episode_steps is not None:
+            check_whole("max_episode_steps", max_episode_steps, 1, STEPS_MAX)
         own = ["observation", "twin", "max_episode_steps", "autoreset_mode", "num_threads"]
         config = EnvConfig.of(options, own)
         try:
@@ -328,9 +329,3 @@ def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> In
         infos[key] = value.copy() if mask is None else np.where(mask, value, value.dtype.type(0))
         infos[f"_{key}"] = where
     return infos
-
-
-def _count(value: object) -> bool:
-    """Return whether a value is a whole number of 1 or more."""
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    return whole and value >= 1  # type: ignore[operator,return-value]

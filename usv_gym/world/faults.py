@@ -14,7 +14,7 @@ import numpy as np
 
 from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
 from usv_kernel.channels import SENSOR_CHANNELS
-from usv_kernel.errors import UsvTwinError
+from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
 
@@ -33,7 +33,6 @@ __all__ = [
     "apply_faults",
     "fault_records",
     "fault_sources",
-    "is_finite",
     "parse_faults",
     "strike",
 ]
@@ -70,12 +69,6 @@ FAULT = np.dtype(
     ]
 )
 """A fault as kernels read and advance it."""
-
-
-def is_finite(value: object) -> bool:
-    """Return whether something is a finite number."""
-    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-    return number and math.isfinite(value)  # type: ignore[arg-type]
 
 
 class FaultError(UsvTwinError):

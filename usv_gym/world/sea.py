@@ -18,6 +18,7 @@ from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.realisation import Sea, wave_rows
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
+from usv_kernel.errors import is_finite
 
 __all__ = [
     "SEA_STATES",
@@ -44,6 +45,9 @@ _GUST_BAND_HZ = (1.0 / 600.0, 0.5)
 _BAND = np.array([0.001, 0.999])
 
 _TURN = 2.0 * math.pi
+
+SMALLEST = 1e-6
+"""Smaller heights (m) and speeds (m/s) count as 0: their spectra would have no energy."""
 
 STEEPEST = 1.0 / 7.0
 """Height over length at which waves break."""
@@ -149,17 +153,22 @@ class SeaState:
     schedule: Sequence[SeaKeyframe] = ()
 
     def __post_init__(self) -> None:
-        if self.spreading == math.inf:
+        if isinstance(self.spreading, float) and self.spreading == math.inf:
             object.__setattr__(self, "spreading", None)
         for item in dataclasses.fields(self):
             if item.name not in (*_CHOICES, "schedule"):
                 _check(item.name, getattr(self, item.name), optional=item.default is None)
+        for name in ("hs", "wind", "current"):
+            if 0.0 < getattr(self, name) < SMALLEST:
+                object.__setattr__(self, name, 0.0)
         if self.components != int(self.components):
             raise SeaError(f"components = {self.components}: must be a whole number")
         self._take_spectrum()
         for name, known in _CHOICES.items():
             value = getattr(self, name)
-            if not isinstance(value, Spectrum) and value not in known:
+            if isinstance(value, Spectrum):
+                continue
+            if not isinstance(value, str) or value not in known:
                 raise SeaError(f"{name} = {value!r}: unknown; known: {', '.join(known)}")
         if self.tp is not None and self.spectrum not in ("jonswap", "ittc"):
             raise SeaError(
@@ -373,8 +382,7 @@ def _check(name: str, value: object, where: str = "", *, optional: bool = False)
     """Refuse a number that is none, or out of its range; None passes where it is optional."""
     if value is None and optional:
         return
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not (number and math.isfinite(value)):  # type: ignore[arg-type]
+    if not is_finite(value):
         raise SeaError(f"{where}{name} = {value!r}: must be a finite number")
     low, high = _RANGES.get(name, (-math.inf, math.inf))
     if not low <= value <= high:  # type: ignore[operator]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
-from usv_gym.world.faults import FaultError, is_finite, strike
+from usv_gym.world.faults import FaultError, strike
 from usv_kernel.channels import (
     ACCEL_X,
     ACCEL_Y,
@@ -22,6 +23,7 @@ from usv_kernel.channels import (
     GYRO,
     SENSOR_CHANNELS,
 )
+from usv_kernel.errors import is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, record_size
 
@@ -91,8 +93,24 @@ SUITE = np.dtype(
 )
 """A :class:`SensorSuite` as kernels read it, for one length of control step."""
 
+ERROR_RANGE = 0.0, 1e6
+"""Range of the sizes of errors, SI units."""
+
+TIME_RANGE = 1e-6, 1e9
+"""Range of times (s) and rates (Hz)."""
+
+ARM_MAX = 1000.0
+"""Largest distance of a sensor from the origin, m."""
+
 LATENCY_MAX = 10.0
 """Largest age of a fix, s."""
+
+
+def _is_place(value: Any) -> bool:
+    """Return whether something is a place on a boat: three lengths."""
+    if not isinstance(value, (tuple, list, np.ndarray)) or np.shape(value) != (3,):
+        return False
+    return all(is_finite(length) and abs(length) <= ARM_MAX for length in value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,16 +161,17 @@ class SensorSuite:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
             if item.name.endswith("_arm"):
-                if np.ndim(value) != 1 or len(value) != 3 or not all(map(is_finite, value)):
+                if not _is_place(value):
                     raise FaultError(
-                        f"sensor {item.name} = {value}: must be three finite lengths in m "
-                        "(forward, to starboard, down)"
+                        f"sensor {item.name} = {value}: must be three lengths in m (forward, to "
+                        f"starboard, down), at most {ARM_MAX:g}"
                     )
                 continue
-            positive = item.name.endswith(("_time", "_rate"))
-            if not is_finite(value) or value < 0 or (positive and value <= 0):
-                rule = "above 0" if positive else "0 or more"
-                raise FaultError(f"sensor {item.name} = {value!r}: must be finite and {rule}")
+            low, high = TIME_RANGE if item.name.endswith(("_time", "_rate")) else ERROR_RANGE
+            if not is_finite(value) or not low <= value <= high:
+                raise FaultError(
+                    f"sensor {item.name} = {value!r}: must be a number from {low:g} to {high:g}"
+                )
         if self.gps_latency > LATENCY_MAX:
             raise FaultError(
                 f"sensor gps_latency = {self.gps_latency:g} s: must be {LATENCY_MAX:g} s or less"

@@ -20,7 +20,7 @@ from usv_gym.world.realisation import Sea
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
-from usv_kernel.errors import UsvTwinError
+from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, field_at, record_size, structured
 from usv_kernel.simd import padded
@@ -36,6 +36,19 @@ DONE, NOT_FINITE, NO_NUMBERS, RAN_AWAY = range(4)
 """What became of a step: done; not done, as actions were not finite or numbers are to be drawn;
 done, but a boat has run away."""
 
+DT_RANGE = 1e-4, 10.0
+"""Range of control and integration steps, s."""
+
+SUBSTEPS_MAX = 1000
+"""Most integration steps in a control step."""
+
+BOATS_MAX = 100_000
+"""Most boats; they take some 20 kB each."""
+
+WORK_MAX = 20_000
+"""Most integration steps in one call of a kernel, about a second in a sea of 1000 components:
+Ctrl-C is heard between calls."""
+
 STATE_MAX = 1e9
 """Bound of every entry of a plausible state, SI units."""
 
@@ -45,6 +58,19 @@ BLOCK_STEPS = 512, 128
 
 class SimulationError(UsvTwinError):
     """A simulation that cannot be set up; the message names the argument and the remedy."""
+
+
+def substeps_of(dt: float, dt_physics: float) -> int:
+    """Return the integration steps in a control step; UsvTwinError names what is out of range."""
+    check_number("dt", dt, *DT_RANGE)
+    check_number("dt_physics", dt_physics, *DT_RANGE)
+    substeps = round(dt / dt_physics)
+    if not (1 <= substeps <= SUBSTEPS_MAX and math.isclose(substeps * dt_physics, dt)):
+        raise SimulationError(
+            f"dt = {dt!r} s must be a whole multiple, up to {SUBSTEPS_MAX}, of dt_physics = "
+            f"{dt_physics!r} s"
+        )
+    return substeps
 
 
 @kernel
@@ -118,6 +144,13 @@ def _float(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     ship.float_on(boat.state, config.vessel, ship.Sea(waves, gusts, boat.weather, factors))
 
 
+def parts_of(n: int, substeps: int, threads: int = 1) -> list[slice]:
+    """Return the boats of each call of a kernel: a part for each thread, and none too long."""
+    count = max(min(threads, n), -(-n * substeps // WORK_MAX))
+    parts = np.array_split(np.arange(n), min(count, n))
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
+
+
 class Simulation:
     """n boats of one kind, each in a sea of its own.
 
@@ -183,16 +216,10 @@ class Simulation:
         dt_physics: float = 0.05,
         changing: bool = False,
     ) -> None:
-        sound = math.isfinite(dt) and math.isfinite(dt_physics) and dt_physics > 0
-        substeps = round(dt / dt_physics) if sound else 0
-        if not (substeps >= 1 and math.isclose(substeps * dt_physics, dt)):
-            raise SimulationError(
-                f"dt = {dt} s must be a whole multiple of dt_physics = {dt_physics} s"
-            )
-        if dof not in (3, 6):
+        substeps = substeps_of(dt, dt_physics)
+        if isinstance(dof, bool) or not isinstance(dof, (int, np.integer)) or dof not in (3, 6):
             raise SimulationError(f"dof = {dof!r}: must be 3 or 6")
-        if not (isinstance(n, (int, np.integer)) and n >= 1):
-            raise SimulationError(f"n = {n!r}: must be a whole number of boats, 1 or more")
+        check_whole("n", n, 1, BOATS_MAX)
         vessel, suite = Vessel.load(vessel), SensorSuite.of(suite)
         check_motion(vessel, dof, dt_physics)
         self.seas = SeaState.any_of(sea)
@@ -224,6 +251,7 @@ class Simulation:
         }
         ends = np.cumsum([record_size(BOAT), *map(math.prod, shapes.values())])
         self.rows = np.zeros((n, ends[-1]))
+        self._parts = [self.rows[part] for part in parts_of(n, substeps)]
         at = dict(zip(shapes, ends[:-1].tolist(), strict=True))
         parts = {
             name: self.rows[:, at[name] : at[name] + math.prod(shape)].reshape(n, *shape)
@@ -351,12 +379,15 @@ class Simulation:
                 f"cmd of shape {cmd.shape}: must be finite numbers of shape {self.cmd.shape}"
             )
         self.cmd[:] = cmd
-        result = _advance_all(self.rows, self.shared, self.factors)
-        if result == NO_NUMBERS:
+        if len(self._parts) > 1 and out_of_numbers(self.rows):
             self.draw_numbers()
-            result = _advance_all(self.rows, self.shared, self.factors)
-        if result == RAN_AWAY:
-            raise self.runaway()
+        for rows in self._parts:
+            result = _advance_all(rows, self.shared, self.factors)
+            if result == NO_NUMBERS:
+                self.draw_numbers()
+                result = _advance_all(rows, self.shared, self.factors)
+            if result == RAN_AWAY:
+                raise self.runaway()
 
     def runaway(self) -> SimulationError:
         """Return the error of the boat whose state is no longer plausible."""
