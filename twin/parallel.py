@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from usv_kernel.errors import UsvTwinError
@@ -24,6 +24,9 @@ BACKENDS = {
     "ray": ("ray.util.joblib", "ray"),
 }
 """Kinds of workers by joblib's names: the module that each needs, and what to install."""
+
+DEATHS_MAX = 3
+"""After so many deaths of workers the calls that are left are given up."""
 
 _Result = TypeVar("_Result")
 
@@ -52,19 +55,41 @@ def results_of(
 
     With other backends than ``threading`` the calls are sent as pickles. ``dask`` uses the cluster
     that ``DASK_SCHEDULER_ADDRESS`` names, ``ray`` the one of ``RAY_ADDRESS``; else each starts one
-    on this machine. A folder that the calls write to must be shared with a cluster.
+    on this machine. A folder that the calls write to must be shared with a cluster. Calls that are
+    lost as their worker dies are made again. BackendError: workers died :data:`DEATHS_MAX` times.
     """
+    left = dict(enumerate(calls))
+    deaths = 0
+    with _workers(backend, jobs) as lost:
+        while left:
+            try:
+                for i, result in _pass(left, jobs, backend):
+                    del left[i]
+                    yield i, result
+            except lost as error:  # noqa: PERF203 - once for a death, not for a call
+                deaths += 1
+                if deaths == DEATHS_MAX:
+                    raise BackendError(
+                        f"backend {backend}: workers died {deaths} times ({type(error).__name__}); "
+                        f"not done: {len(left)} of {len(calls)} calls, the first is number "
+                        f"{min(left)}. Use fewer --jobs if the memory is short"
+                    ) from None
+
+
+def _pass(
+    calls: Mapping[int, Callable[[], _Result]], jobs: int, backend: str
+) -> Iterator[tuple[int, _Result]]:
+    """Make calls once; see :func:`results_of`."""
     from joblib import Parallel, delayed, parallel_config
 
     # cluster backends return nothing before all calls are done: send a few at a time
     flows = backend in ("loky", "threading")
-    size = len(calls) if flows else 4 * jobs
-    with _workers(backend, jobs):
-        with parallel_config(backend=backend):  # registers dask, which Parallel alone does not know
-            pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
-        for first in range(0, len(calls), size):
-            some = range(first, min(first + size, len(calls)))
-            yield from pool(delayed(_numbered)(i, calls[i]) for i in some)
+    numbers = list(calls)
+    size = len(numbers) if flows else 4 * jobs
+    with parallel_config(backend=backend):  # registers dask, which Parallel alone does not know
+        pool = Parallel(n_jobs=jobs, return_as="generator_unordered" if flows else "list")
+    for first in range(0, len(numbers), size):
+        yield from pool(delayed(_numbered)(i, calls[i]) for i in numbers[first : first + size])
 
 
 def _numbered(i: int, call: Callable[[], _Result]) -> tuple[int, _Result]:
@@ -72,19 +97,26 @@ def _numbered(i: int, call: Callable[[], _Result]) -> tuple[int, _Result]:
 
 
 @contextlib.contextmanager
-def _workers(backend: str, jobs: int) -> Iterator[None]:
-    """Start workers of a kind where joblib does not do so itself."""
+def _workers(backend: str, jobs: int) -> Iterator[tuple[type[Exception], ...]]:
+    """Start workers of a kind where joblib does not; yield the errors of a worker's death."""
     check_backend(backend)
     with contextlib.ExitStack() as stack:
-        if backend == "dask":
+        lost: tuple[type[Exception], ...] = ()
+        if backend == "loky":
+            from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+            lost = (TerminatedWorkerError,)
+        elif backend == "dask":
             import dask
-            from dask.distributed import Client
+            from dask.distributed import Client, KilledWorker
 
             here = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
             far = dask.config.get("scheduler-address", None)
             stack.enter_context(Client(far) if far else Client(**here))
+            lost = (KilledWorker,)
         elif backend == "ray":
             import ray
+            from ray.exceptions import NodeDiedError, RayActorError, WorkerCrashedError
             from ray.util.joblib import register_ray
 
             if not ray.is_initialized():
@@ -92,4 +124,5 @@ def _workers(backend: str, jobs: int) -> Iterator[None]:
                 ray.init(**({} if far else {"num_cpus": jobs}), log_to_driver=False)
                 stack.callback(ray.shutdown)
             register_ray()
-        yield
+            lost = NodeDiedError, RayActorError, WorkerCrashedError
+        yield lost

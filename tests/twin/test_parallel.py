@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import operator
+import os
+import signal
 
 import pytest
 
@@ -34,3 +36,46 @@ def test_a_missing_backend_is_named(monkeypatch):
     monkeypatch.setitem(parallel.BACKENDS, "dask", ("no_such_module", "'dask[distributed]'"))
     with pytest.raises(BackendError, match=r"pip install 'dask\[distributed\]'"):
         parallel.check_backend("dask")
+
+
+def dying_calls(folder, deaths):
+    """Return calls that forecast simulated runs; one kills its worker so many times first."""
+
+    def call(seed):
+        from pathlib import Path
+
+        import numpy as np
+
+        from twin import Twin
+        from twin.sim.bridge import particulars_of, simulate
+        from usv_gym.vessel.vessel import Vessel
+        from usv_gym.world.sea import SeaState
+
+        died = len(list(Path(folder).glob("died*"))) if folder else deaths
+        if seed == 3 and died < deaths:
+            (Path(folder) / f"died_{died}").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        boat = Vessel.load("usv75")
+        log = simulate("random", vessel=boat, sea=SeaState.named("2"), duration=15.0, seed=seed)
+        twin = Twin(particulars_of(boat), "ukf")
+        twin.run(log)
+        made = twin.predict("hold")
+        return np.concatenate([made.mean.ravel(), made.cov.ravel()]).tobytes()
+
+    return [functools.partial(call, seed) for seed in range(8)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["loky", "dask", "ray"])
+def test_a_killed_worker_changes_no_bit(backend, tmp_path):
+    pytest.importorskip(parallel.BACKENDS[backend][0], reason=f"{backend} is not installed")
+    alone = {i: call() for i, call in enumerate(dying_calls(None, 0))}
+    found = dict(parallel.results_of(dying_calls(tmp_path, 1), jobs=2, backend=backend))
+    assert len(list(tmp_path.iterdir())) == 1
+    assert found == alone
+
+
+def test_calls_that_kill_their_workers_are_given_up():
+    calls = [*CALLS[:3], lambda: os.kill(os.getpid(), signal.SIGKILL)]
+    with pytest.raises(BackendError, match=r"backend loky: workers died 3 times .*; not done: \d"):
+        list(parallel.results_of(calls, jobs=2))

@@ -76,6 +76,9 @@ REPEAT = 0.01
 HOLD = 2.0
 """Time without messages, s, over which the sender's clock is extrapolated at its own rate."""
 
+SENDER_GONE = 30.0
+"""A receiver of answers that sends nothing for this, s, is replaced by another sender."""
+
 BYTES_MAX = 1 << 16
 """About so many bytes are read in one call; the rest waits for the next."""
 
@@ -158,6 +161,11 @@ class _Clock:
         return offset + rate * known + (arrival - known)
 
 
+def _named(address: Address | None) -> str:
+    """Return an address in words."""
+    return "nobody" if address is None else f"{address[0]} port {address[1]}"
+
+
 class Feed(ABC):
     """Messages of a boat as rows for its twin; the contract of every kind of feed.
 
@@ -169,7 +177,8 @@ class Feed(ABC):
     particulars : Particulars
         The boat: until a command comes it is taken to keep the nominal shaft speed, straight on.
     reply : str, optional
-        Where the twin's estimates go; left out, to whom the last used datagram came from.
+        Where the twin's estimates go. Left out, they go to the first sender of a datagram that was
+        used, for as long as it is not silent for :data:`SENDER_GONE`; others are only listened to.
     clock : callable
         Returns the time now, s.
     period, wait : float
@@ -226,6 +235,8 @@ class Feed(ABC):
         self._order = itertools.count()
         self._arrival = -math.inf
         self._peer: Address | None = None
+        self._peer_at = -math.inf
+        self._other: Address | None = None
         self._reply: Address | None = None
         self._sent_health: dict[str, str] = {}
         self._socket: socket.socket | None = None
@@ -270,11 +281,18 @@ class Feed(ABC):
         }
         if self.particulars.steering == "drives":
             taken["drive angle"] = COMMANDS[2:], "straight ahead"
-        return tuple(
+        notes = [
             f"no {what} has come: taken as {text}"
             for what, (names, text) in taken.items()
             if self.commanded.isdisjoint(names)
-        )
+        ]
+        if self._other is not None:
+            receiver = self._reply or self._peer
+            notes.append(
+                f"a second sender, {_named(self._other)}: its data are used, answers go to "
+                f"{_named(receiver)}"
+            )
+        return tuple(notes)
 
     def take(self) -> list[tuple[float, Array, Array]]:
         """Return the rows that are complete, oldest first: time, measurements (10,), commands (4,).
@@ -300,8 +318,20 @@ class Feed(ABC):
             self.counts["received"] += 1
             self.counts[counted] += 1
             if counted in ("used", "void"):
-                self._arrival, self._peer = arrival, source
+                self._arrival = arrival
+                self._hear(source, arrival)
         self._release(self._head - self.wait)
+
+    def _hear(self, source: Address | None, arrival: float) -> None:
+        """Note a sender: the first gets the answers, a second is named in the notes."""
+        if source is None:
+            return
+        if self._peer is None or arrival - self._peer_at > SENDER_GONE:
+            self._peer = source
+        if source == self._peer:
+            self._peer_at = arrival
+        elif self._other is None:
+            self._other = source
 
     def send(
         self,
