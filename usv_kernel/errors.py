@@ -80,14 +80,18 @@ def is_finite(value: object) -> bool:
         return False
 
 
-def check_number(name: str, value: object, low: float, high: float) -> None:
-    """Refuse what is no number from ``low`` to ``high``; UsvTwinError names value and range."""
+def check_number(
+    name: str, value: object, low: float, high: float, error: type[UsvTwinError] = UsvTwinError
+) -> None:
+    """Refuse what is no number from ``low`` to ``high``; the error names value and range."""
     if not is_finite(value) or not low <= value <= high:  # type: ignore[operator]
-        raise UsvTwinError(f"{name} = {value!r}: must be a number from {low:g} to {high:g}")
+        raise error(f"{name} = {value!r}: must be a number from {low:g} to {high:g}")
 
 
-def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Refuse what is no whole number from ``low`` to ``high``; UsvTwinError names the range."""
+def check_whole(
+    name: str, value: object, low: int, high: int, error: type[UsvTwinError] = UsvTwinError
+) -> None:
+    """Refuse what is no whole number from ``low`` to ``high``; the error names value and range."""
     whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if not whole or not low <= value <= high:  # type: ignore[operator]
-        raise UsvTwinError(f"{name} = {value!r}: must be a whole number from {low} to {high}")
+        raise error(f"{name} = {value!r}: must be a whole number from {low} to {high}")

@@ -52,6 +52,12 @@ WAYS = (
 
 SPEED_BISECTIONS = 40
 
+STATE_MAX = 1e9
+"""Bound of every entry of a state, SI units, also of a ship that has capsized."""
+
+CAPSIZED = math.radians(70.0)
+"""Roll or pitch beyond which the motion is not judged, rad."""
+
 HEELED, DIPPING = 0.2, 0.05
 """Roll and pitch at the start of those in six degrees of freedom, rad."""
 
@@ -62,8 +68,8 @@ DIMENSIONS = {
 }
 """Powers of the length with which quantities grow in ships of one Froude number, by unit."""
 
-WIND = 15.0
-"""Speed of the wind, m/s."""
+WIND = 5.5, 15.0
+"""Speed of the wind for a ship of 1 m, scaled by Froude, and its maximum, m/s."""
 
 SMALLER_STEPS = (2, 5, 10, 20, 50, 100)
 """By which the integration step is divided in search of one with which the ship can be sailed."""
@@ -194,13 +200,17 @@ def _steps_to_runaway(p: Record, dof: int, h: float, trial: tuple[Any, ...]) -> 
         states = np.zeros((steps + 1, fr.STATE_SIZE))
         states[0] = _start(p, top, dof, way)
         work = np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-        sea = ship.calm_sea(constant(WIND, way[2]))
+        wind = min(WIND[0] * math.sqrt(p["length_waterline"]), WIND[1])
+        sea = ship.calm_sea(constant(wind, way[2]))
         ship.sail(states, np.tile(command, (steps, 1)), ship.Ship(p, dof), sea, h, work)
         speeds = np.abs(states[:, [fr.U, fr.V, fr.W]]).max(axis=1)
         rates = np.abs(states[:, [fr.P, fr.Q, fr.R]]).max(axis=1)
         fast = ~(speeds <= SPEED_MAX[0] * top + SPEED_MAX[1])
         fast |= ~(rates <= RATE_MAX[0] * time + RATE_MAX[1])
-        fast |= ~np.isfinite(states).all(axis=1)
+        over = np.abs(states[:, [fr.PHI, fr.THETA]]).max(axis=1) > CAPSIZED
+        if over.any():  # what has capsized tumbles, and an episode ends there
+            fast[np.argmax(over) + 1 :] = False
+        fast |= ~(np.abs(states).max(axis=1) < STATE_MAX)
     return int(np.argmax(fast)) if fast.any() else None
 
 

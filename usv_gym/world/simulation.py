@@ -61,14 +61,14 @@ class SimulationError(UsvTwinError):
 
 
 def substeps_of(dt: float, dt_physics: float) -> int:
-    """Return the integration steps in a control step; UsvTwinError names what is out of range."""
-    check_number("dt", dt, *DT_RANGE)
-    check_number("dt_physics", dt_physics, *DT_RANGE)
+    """Return the integration steps in a control step; SimulationError names the range."""
+    check_number("dt", dt, *DT_RANGE, SimulationError)
+    check_number("dt_physics", dt_physics, *DT_RANGE, SimulationError)
     substeps = round(dt / dt_physics)
     if not (1 <= substeps <= SUBSTEPS_MAX and math.isclose(substeps * dt_physics, dt)):
         raise SimulationError(
-            f"dt = {dt!r} s must be a whole multiple, up to {SUBSTEPS_MAX}, of dt_physics = "
-            f"{dt_physics!r} s"
+            f"dt = {dt!r} s must be a whole multiple of dt_physics = {dt_physics!r} s, at most "
+            f"{SUBSTEPS_MAX} times it"
         )
     return substeps
 
@@ -219,7 +219,7 @@ class Simulation:
         substeps = substeps_of(dt, dt_physics)
         if isinstance(dof, bool) or not isinstance(dof, (int, np.integer)) or dof not in (3, 6):
             raise SimulationError(f"dof = {dof!r}: must be 3 or 6")
-        check_whole("n", n, 1, BOATS_MAX)
+        check_whole("n", n, 1, BOATS_MAX, SimulationError)
         vessel, suite = Vessel.load(vessel), SensorSuite.of(suite)
         check_motion(vessel, dof, dt_physics)
         self.seas = SeaState.any_of(sea)

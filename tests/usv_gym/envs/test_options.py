@@ -138,7 +138,10 @@ def test_fields_of_seas_and_sensors_are_named_or_sail(kind):
     [
         ({"dt": "x"}, "dt = 'x': must be a number from 0.0001 to 10"),
         ({"dt_physics": 1e-12}, "dt_physics = 1e-12: must be a number from 0.0001 to 10"),
-        ({"dt": 10.0, "dt_physics": 1e-3}, "dt = 10.0 s must be a whole multiple, up to 1000"),
+        (
+            {"dt": 10.0, "dt_physics": 1e-3},
+            "dt = 10.0 s must be a whole multiple of dt_physics = 0.001 s, at most",
+        ),
         ({"hs": -1.0}, "hs = -1.0: must lie between 0 and 20"),
         ({"wind": math.inf}, "wind = inf: must be a finite number"),
         ({"wind_from_deg": "north"}, "wind_from_deg = 'north': must be a number"),

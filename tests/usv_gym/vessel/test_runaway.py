@@ -83,7 +83,7 @@ def test_a_stiff_vessel_sails_with_the_step_that_the_message_names():
     assert np.isfinite(simulation.state).all()
 
 
-def test_a_boat_that_runs_away_while_sailing_is_refused(monkeypatch):
+def test_a_state_that_diverges_is_an_error(monkeypatch):
     for target in (
         lambda: gym.make("USVTwin-v0", dof=6),
         lambda: gym.make_vec("USVTwin-v0", num_envs=3),
@@ -148,7 +148,7 @@ def mutants(count: int, seed: int, folder: Path) -> None:
             sailed += 1
             assert np.isfinite(state).all()
     assert sailed > 0.5 * count and named > 0.85 * refused > 0.05 * count
-    assert late <= 2 + 0.01 * count  # grows over half a minute; no row was written
+    assert late <= 3 + 0.02 * count  # grows over half a minute; no row was written
 
 
 def test_mutated_vessels_are_refused_or_sail(tmp_path):
