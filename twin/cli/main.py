@@ -18,6 +18,7 @@ from twin.cli.logs.mapping import mapping_new_command
 from twin.cli.logs.predict import predict_command
 from twin.cli.logs.replay import replay_command
 from twin.cli.simulate import simulate_command
+from twin.cli.soak import soak_command
 from twin.cli.study import study_command
 from twin.cli.train import train_command
 from twin.cli.validate import validate_command
@@ -63,6 +64,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "view": view_command,
     "replay": replay_command,
     "bench": bench_command,
+    "soak": soak_command,
 }
 """Commands by name, in the order of the help page."""
 
