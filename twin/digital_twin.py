@@ -280,7 +280,7 @@ class Twin:
             )
         if not math.isfinite(t) or t <= self.t:
             raise TwinError(f"t = {t} must be finite and later than the row before ({self.t})")
-        if not math.isfinite(cmd.sum()):
+        if not all(map(math.isfinite, cmd.tolist())):
             raise TwinError(f"cmd = {cmd} holds NaN or infinity; give the last command")
         self.feed(t, z, cmd)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.digital_twin import Twin, TwinError, known_plan
 from twin.sim.bridge import particulars_of, simulate
+from usv_gym.envs.episodes import BOUND
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sea import SEA_STATES, SeaState
 
@@ -138,7 +139,7 @@ def soak_predictor(
     seed : int
         Of run and garbage.
     progress : callable
-        Told how many rows of garbage are done.
+        Called with the number of rows of garbage that are done.
     """
     boat = Vessel.load("usv75")
     duration = BEFORE + AFTER + HORIZON
@@ -224,10 +225,10 @@ def inspect_twin(twin: Twin, counts: dict[str, int]) -> None:
 def _normal_after(after: _Errors, normal: _Errors) -> float:
     """Return how long after the garbage errors are normal, s; inf if never."""
     t, error = np.array(after.t), np.array(after.error)
-    usual = np.interp(t, normal.t, normal.error)
+    clean_error = np.interp(t, normal.t, normal.error)
     for begin in t[t <= t[-1] - SPAN]:
         span = (t >= begin) & (t < begin + SPAN)
-        if error[span].mean() <= FACTOR * usual[span].mean() + FREE:
+        if error[span].mean() <= FACTOR * clean_error[span].mean() + FREE:
             return float(begin - BEFORE)
     return math.inf
 
@@ -237,7 +238,7 @@ def soak_environments(
 ) -> Iterator[EnvironmentSoak]:
     """Step boats of every vessel in every sea, with all faults, with 3 and 6 degrees of freedom.
 
-    ``steps`` are those of all boats together; ``progress`` is told how many are done.
+    ``steps`` are those of all boats together; ``progress`` is called with how many are done.
     """
     kinds = [
         (v, s, dof) for v in vessel_names() for s in SEA_STATES if s != "calm" for dof in (3, 6)
@@ -253,7 +254,6 @@ def soak_environments(
         crashes = not_finite = 0
         env.reset(seed=int(rng.integers(2**31)))
         memory = resident_memory()
-        space = env.observation_space
         for j in range(each):
             if j % ACTION_STEPS == 0:
                 action = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)
@@ -263,7 +263,7 @@ def soak_environments(
                 crashes += 1
                 env.reset(seed=int(rng.integers(2**31)))
                 continue
-            inside = (observation >= space.low).all() and (observation <= space.high).all()
+            inside = (np.abs(observation) <= BOUND).all()  # NaN is not
             not_finite += not (inside and np.isfinite(reward).all())
         done += each * BOATS
         env.close()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.progress import Progress
 
 from twin.cli.common import (
     console,
@@ -41,24 +44,30 @@ def soak_command(
     names = parse_list(predictors, "--predictors")
     try:
         with progress_bar() as bar:
-            task = bar.add_task("steps of boats", total=steps)
-            for part in soak_environments(steps, seed, lambda n: bar.update(task, completed=n)):
+            counting = functools.partial(_counting, bar)
+            for part in soak_environments(steps, seed, counting("steps of boats", steps)):
                 found["environments"].append(part._asdict())
             for name in names:
-                task = bar.add_task(f"garbage for {name}", total=rows)
-                result = soak_predictor(
-                    name, rows, seed, lambda n, task=task: bar.update(task, completed=n)
-                )
+                result = soak_predictor(name, rows, seed, counting(f"garbage for {name}", rows))
                 found["garbage"].append(result._asdict())
             if hours:
-                task = bar.add_task("hours of a feed", total=hours)
-                fed = soak_feed(hours, seed, lambda n: bar.update(task, completed=n))
-                found["feed"].append(fed._asdict())
+                feed = soak_feed(hours, seed, counting("hours of a feed", hours))
+                found["feed"].append(feed._asdict())
     except KeyboardInterrupt:
         _show(found, json)
         raise stopped("the tables hold what was finished") from None
     if not _show(found, json):
         raise typer.Exit(1)
+
+
+def _counting(bar: Progress, text: str, total: float) -> Callable[[float], None]:
+    """Return what is called with the amount that is done."""
+    task = bar.add_task(text, total=total)
+
+    def count(done: float) -> None:
+        bar.update(task, completed=done)
+
+    return count
 
 
 def _show(found: dict[str, list[dict[str, Any]]], json: Path | None) -> bool:
@@ -74,13 +83,18 @@ def _show(found: dict[str, list[dict[str, Any]]], json: Path | None) -> bool:
             f"crashes, {total['not_finite']} not finite, memory at most +{growth:.0f} MB",
             highlight=False,
         )
-    heads = ("predictor", "rows", "refused", "crashes", "not finite", "not definite")
-    heads += ("slowest row", "mean row", "normal after s", "MB")
+    heads = [
+        *("predictor", "refused", "crashes", "not finite", "not definite"),
+        *("slowest", "mean", "normal after s", "MB"),
+    ]
     if found["garbage"]:
-        table = new_table("garbage; times of rows over those of clean rows", *heads, left=heads[:1])
+        rows = found["garbage"][0]["rows"]
+        table = new_table(
+            f"{rows:,} rows of garbage; times over those of clean rows", *heads, left=("predictor",)
+        )
         for one in found["garbage"]:
             after = "never" if math.isinf(one["normal_after"]) else f"{one['normal_after']:.0f}"
-            counts = [str(one[key]) for key in tuple(one)[1:6]]
+            counts = [str(one[key]) for key in tuple(one)[2:6]]
             times = [three_digits(one[key]) for key in ("slowest", "mean")]
             table.add_row(one["predictor"], *counts, *times, after, f"{one['growth']:.0f}")
         console.print(table)

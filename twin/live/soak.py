@@ -58,7 +58,7 @@ def soak_feed(
 ) -> FeedSoak:
     """Let a boat with all faults send NMEA over a poor link for hours, and twin it with ``ukf``.
 
-    ``progress`` is told how many hours are done.
+    ``progress`` is called with the hours that are done.
     """
     boat, rng = Vessel.load("usv75"), np.random.default_rng(seed)
     simulation = Simulation(1, boat, "2", faults=parse_faults("on", 0.0))
