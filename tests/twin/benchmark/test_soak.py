@@ -50,8 +50,8 @@ def test_garbage_harms_no_predictor(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOAKED)
 def test_much_garbage_harms_no_predictor(name):
-    found = soak_predictor(name, 20_000, seed=1)
-    check(found, 20_000)
+    found = soak_predictor(name, 5000, seed=1)
+    check(found, 5000)
     assert not found.growth > 50.0
 
 
@@ -78,7 +78,7 @@ def test_ten_million_steps_of_boats_break_nothing():
 
 @pytest.mark.slow
 def test_hours_of_a_feed_break_nothing():
-    found = soak_feed(1.0, seed=2)
-    assert found.rows > 0.9 * 3600.0 * 20.0
+    found = soak_feed(0.5, seed=2)
+    assert found.rows > 0.9 * 1800.0 * 20.0
     assert found.crashes == found.not_finite == found.not_definite == 0
     assert found.error < 4.0 and not found.growth > 50.0
