@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usv_gym.physics import GRAVITY, ship
 from usv_gym.physics import frames as fr
-from usv_gym.physics import ship
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.propulsion import propulsion_forces
 from usv_gym.physics.weather import constant
-from usv_gym.vessel.schema import KIND_SCHEMA, SCHEMA
+from usv_gym.vessel.schema import KIND_SCHEMA, OPTIONAL, SCHEMA
 from usv_gym.vessel.vessel import Vessel, VesselError
 from usv_gym.vessel.vessel_file import vessel_names
 from usv_kernel.records import Record
@@ -60,6 +60,9 @@ CAPSIZED = math.radians(70.0)
 
 HEELED, DIPPING = 0.2, 0.05
 """Roll and pitch at the start of those in six degrees of freedom, rad."""
+
+ROCKING = 0.3
+"""Rates of roll and pitch there, as in steep waves, in units of sqrt(g / length)."""
 
 DIMENSIONS = {
     **{"1": 0.0, "1/rad": 0.0, "rad": 0.0, "m": 1.0, "m2": 2.0, "kg": 3.0, "kg m2": 5.0},
@@ -180,12 +183,16 @@ def _top_speed(p: Record, n: float) -> float:
 def _start(p: Record, top: float, dof: int, way: tuple[float, float, float]) -> np.ndarray:
     """Return the state (16,) in which a manoeuvre starts."""
     share, crab = way[:2]
-    rate = crab * top / p["length_waterline"]
     start = np.zeros(fr.STATE_SIZE)
-    start[fr.U], start[fr.V], start[fr.R] = share * top, crab * top, rate
+    start[fr.U], start[fr.V], start[fr.R] = (
+        share * top,
+        crab * top,
+        crab * top / p["length_waterline"],
+    )
     if dof == 6:
         start[fr.PHI], start[fr.THETA] = math.copysign(HEELED, crab), DIPPING
-        start[fr.W], start[fr.P], start[fr.Q] = 0.1 * crab * top, rate, 0.5 * rate
+        rocking = math.copysign(ROCKING * math.sqrt(GRAVITY / p["length_waterline"]), crab)
+        start[fr.W], start[fr.P], start[fr.Q] = 0.1 * crab * top, rocking, rocking
     return start
 
 
@@ -221,14 +228,21 @@ def _is_sound(p: Record, dof: int, h: float, trials: tuple[tuple[Any, ...], ...]
 
 @functools.cache
 def _typical() -> dict[str, tuple[float, float, float]]:
-    """Return least, median and most of each coefficient of vessels that ship, scaled to 1 m."""
+    """Return least, median and most of each coefficient of vessels that ship, scaled to 1 m.
+
+    A vessel may lack the optional terms: their ranges include 0.
+    """
     found: dict[str, list[float]] = {}
     for name in vessel_names():
         values = Vessel.load(name).values
         for key, value in values.items():
             scale = values["length_waterline"] ** DIMENSIONS[_UNIT[key]]
             found.setdefault(key, []).append(value / scale)
-    return {key: (min(x), float(np.median(x)), max(x)) for key, x in found.items()}
+    none = {key: [0.0] if key in OPTIONAL else [] for key in found}
+    return {
+        key: (min(x + none[key]), float(np.median(x)), max(x + none[key]))
+        for key, x in found.items()
+    }
 
 
 _UNIT = {

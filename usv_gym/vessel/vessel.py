@@ -236,7 +236,8 @@ class Vessel:
         if not surplus(0.0) > 0.0 > surplus(top):
             raise VesselError(
                 f"{self.name}: [propulsion] k_0, k_1, k_2: at {n:g} rev/s the propellers do not "
-                "balance the resistance at any speed. K_T must be above 0 at rest and fall with J"
+                "balance the resistance at any speed. K_T must be above 0 at rest and fall with J, "
+                "and resistance (R_0, D_u, D_uu or its curve) must grow with speed"
             )
         return _root(surplus, 0.0, top)
 

@@ -71,6 +71,19 @@ def test_too_much_drag_is_named_everywhere(name, tmp_path):
     assert found.typical[0] <= Vessel.load(name).values.get(key, found.typical[0])
 
 
+def test_inertia_that_only_waves_would_show_is_named():
+    boat = changed("kvlcc2_l7", "I_yy", 514.0 * Vessel.load("kvlcc2_l7").values["I_yy"])
+    found = find_runaway(boat, 6, 0.05)
+    assert found is not None and found.coefficient == "I_yy"
+
+
+def test_a_term_that_a_vessel_may_lack_is_not_to_blame():
+    # more of the missing D_vv would help, but it is not wrong
+    boat = changed("kvlcc2_l7", "Y_vvv", -Vessel.load("kvlcc2_l7").values["Y_vvv"])
+    found = find_runaway(boat, 3, 0.05)
+    assert found is not None and found.coefficient == "Y_vvv"
+
+
 def test_a_stiff_vessel_sails_with_the_step_that_the_message_names():
     boat = changed("otter", "D_rr", 1.5e4)
     found = find_runaway(boat, 3, 0.05)
