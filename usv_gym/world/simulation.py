@@ -26,6 +26,7 @@ from usv_kernel.records import Record, as_record, field_at, record_size, structu
 from usv_kernel.simd import padded
 
 __all__ = [
+    "RunawayError",
     "Simulation",
     "SimulationError",
     "advance",
@@ -58,6 +59,10 @@ BLOCK_STEPS = 512, 128
 
 class SimulationError(UsvTwinError):
     """A simulation that cannot be set up; the message names the argument and the remedy."""
+
+
+class RunawayError(SimulationError):
+    """A boat whose state is no longer plausible; the message names boat and time."""
 
 
 def substeps_of(dt: float, dt_physics: float) -> int:
@@ -389,11 +394,11 @@ class Simulation:
             if result == RAN_AWAY:
                 raise self.runaway()
 
-    def runaway(self) -> SimulationError:
+    def runaway(self) -> RunawayError:
         """Return the error of the boat whose state is no longer plausible."""
         sound = (np.abs(self.state) < STATE_MAX).all(axis=1)
         i = int(np.argmin(sound))
-        return SimulationError(
+        return RunawayError(
             f"boat {i} ({self.vessel.name}) ran away after {self.t[i]:.6g} s: its state is no "
             "longer finite. Check its coefficients with usv-twin vessel check, take a smaller "
             "dt_physics or a calmer sea, and reset"

@@ -30,7 +30,7 @@ from usv_gym.world.faults import Disturbance, Fault
 from usv_gym.world.realisation import Sea
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
-from usv_gym.world.simulation import Simulation
+from usv_gym.world.simulation import RunawayError, Simulation
 
 __all__ = [
     "SimulatedSession",
@@ -180,8 +180,9 @@ class SimulatedSession(Session):
         goal = first + (now - begin) * self.scale
         while self.t + self.simulation.dt <= goal + 1e-9:
             cmd = self.helm.command(self.t, self.monitor.twin.predictor.state)
-            self.simulation.step(cmd[None])
-            if not np.isfinite(self.simulation.state).all():
+            try:
+                self.simulation.step(cmd[None])
+            except RunawayError:
                 self.set_paused(True)
                 self.report(
                     "this vessel's motion grows without bounds; restart with another, and go on"
