@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,12 @@ def test_a_process_that_is_killed_loses_at_most_a_second(tmp_path):
     with subprocess.Popen(
         [sys.executable, "-c", SAILS, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as process:
-        said = next(float(line) for line in process.stdout if float(line) > 3.0)
+        # kernels that compile hold the boat up, which then catches up within a moment
+        begun, said = time.monotonic(), 0.0
+        for line in process.stdout:
+            said = float(line)
+            if said > 3.0 and time.monotonic() > begun + 3.0:
+                break
         process.kill()
     (path,) = tmp_path.glob("view_*.csv")
     log = Log.read(path)
