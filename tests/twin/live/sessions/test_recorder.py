@@ -83,10 +83,12 @@ def test_a_process_that_is_killed_loses_at_most_a_second(tmp_path):
         [sys.executable, "-c", SAILS, str(tmp_path)], stdout=subprocess.PIPE, text=True
     ) as process:
         # kernels that compile hold the boat up, which then catches up within a moment
-        begun, said = time.monotonic(), 0.0
+        begun, said = math.inf, 0.0
         for line in process.stdout:
             said = float(line)
-            if said > 3.0 and time.monotonic() > begun + 3.0:
+            if said > 3.0:
+                begun = min(begun, time.monotonic())
+            if time.monotonic() > begun + 3.0:
                 break
         process.kill()
     (path,) = tmp_path.glob("view_*.csv")
