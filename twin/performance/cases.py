@@ -39,6 +39,7 @@ from twin.sim.bridge import particulars_of, simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.physics import ship
 from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
+from usv_gym.world.realisation import load_rows
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import kernel
 from usv_kernel.simd import padded
@@ -316,7 +317,9 @@ def sail_ship(dof: int, components: int) -> Burst:
     waves[:, : sea.waves.shape[1]] = sea.waves
     factors = factor_workspace(waves.shape[1])
     cmds = np.tile(boat.command(20.4, 0.1), (SHIP_STEPS, 1))
-    vessel, around = ship.Ship(boat.packed, dof), ship.Sea(waves, sea.gusts, sea.weather, factors)
+    loads = load_rows(boat, waves)
+    around = ship.Sea(waves, sea.gusts, sea.weather, factors, loads)
+    vessel = ship.Ship(boat.packed, dof)
     return lambda: ship.sail(states, cmds, vessel, around, H, work), SHIP_STEPS
 
 

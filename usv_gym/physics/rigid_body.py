@@ -50,15 +50,15 @@ def accelerate_6(
     Forces X, Y, Z, K, M, N are about the origin in the water line; velocity is through water.
     Source: Eq (6) as restored in ship_and_sea.md (SNAME) with ``y_G = 0`` and the axes of inertia
     along the body. The added masses of surge and sway act ``z_H`` below the water line, and as in
-    the MMG standard method in the horizontal plane. That of heave moves with the boat, so that the
-    period of heave does not depend on the speed. Strip theory's lift at speed would be wrong for
+    the MMG standard method in the horizontal plane. That of heave acts at the centre of the water
+    plane and moves with the boat, so that the period of heave does not depend on the speed. Strip theory's lift at speed would be wrong for
     planing hulls. With w = p = q = 0 and held, the rows of X, Y and N are those of
     :func:`accelerate_3`.
     """
     X, Y, Z, K, M, N = forces
     u, v, w, p, q, r = velocity
     m, m_x, m_y, m_z = vessel.mass, vessel.m_x, vessel.m_y, vessel.m_z
-    x_G, z_G, z_H = vessel.x_G, vessel.draft - vessel.KG, vessel.z_H
+    x_G, z_G, z_H, x_F = vessel.x_G, vessel.draft - vessel.KG, vessel.z_H, vessel.x_F
     I_x = vessel.I_xx + vessel.J_xx + m * z_G * z_G
     I_y = vessel.I_yy + vessel.J_yy + m * (x_G * x_G + z_G * z_G)
     I_z = vessel.I_zz + vessel.J_zz + m * x_G * x_G
@@ -71,12 +71,22 @@ def accelerate_6(
     X += X_A + m * (a_x + x_G * (q * q + r * r) - z_G * p * r) - m_z * w * q
     Y += Y_A + m * (a_y - z_G * q * r - x_G * q * p) + m_z * w * p
     Z += m * (a_z + z_G * (p * p + q * q) - x_G * r * p) + m_z * a_z
+    # that of heave moves with the boat, also where the water plane's centre is off the origin
+    M -= m_z * x_F * a_z
     K += -z_H * Y_A - (I_z - I_y) * q * r + p * q * I_xz - m * z_G * a_y
     M += z_H * X_A - (I_x - I_z) * r * p - (p * p - r * r) * I_xz + m * (z_G * a_x - x_G * a_z)
     N += -(I_y - I_x) * p * q - r * q * I_xz + m * x_G * a_y
 
     du, dw, dq = _solve(
-        (m + m_x, 0.0, m * z_G + m_x * z_H, m + m_z, -m * x_G, I_y + m_x * z_H * z_H), (X, Z, M)
+        (
+            m + m_x,
+            0.0,
+            m * z_G + m_x * z_H,
+            m + m_z,
+            -m * x_G - m_z * x_F,
+            I_y + m_x * z_H * z_H + m_z * x_F * x_F,
+        ),
+        (X, Z, M),
     )
     dv, dp, dr = _solve(
         (m + m_y, -m * z_G - m_y * z_H, m * x_G, I_x + m_y * z_H * z_H, -I_xz, I_z), (Y, K, N)

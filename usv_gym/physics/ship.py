@@ -19,11 +19,14 @@ from usv_gym.physics.hull import heave_force, hull_forces, restoring
 from usv_gym.physics.propulsion import actuator_rates, propulsion_forces
 from usv_gym.physics.rigid_body import accelerate_3, accelerate_6
 from usv_gym.physics.waves import (
+    LOAD_ROWS,
     WAVE_ROWS,
-    box_factors,
+    drift_at,
     factor_workspace,
     first_order_loads,
     mean_drift_loads,
+    table_loads,
+    wave_factors,
 )
 from usv_gym.physics.weather import air_velocity, constant, wave_gain
 from usv_gym.physics.wind import apparent_loads, wind_loads
@@ -56,14 +59,23 @@ class Sea(NamedTuple):
     weather: Record
     """Fields in :data:`~usv_gym.physics.weather.WEATHER`."""
     factors: np.ndarray
-    """Scratch (13, width) of :func:`~usv_gym.physics.waves.box_factors`."""
+    """Scratch (16, width) of :func:`~usv_gym.physics.waves.wave_factors`."""
+    loads: np.ndarray
+    """Loads of a hydrodynamic table (H, 14, M), rows in :mod:`~usv_gym.physics.waves`.
+
+    H = 0: box loads. With three degrees of freedom they are not used.
+    """
+
+
+NO_LOADS = np.zeros((0, LOAD_ROWS, 0))
+"""Loads of a sea without a hydrodynamic table."""
 
 
 def calm_sea(weather: Record | None = None) -> Sea:
     """Return a sea without waves and gusts; without weather, also without wind and current."""
     if weather is None:
         weather = constant()
-    return Sea(np.zeros((WAVE_ROWS, 0)), np.zeros((3, 0)), weather, factor_workspace(0))
+    return Sea(np.zeros((WAVE_ROWS, 0)), np.zeros((3, 0)), weather, factor_workspace(0), NO_LOADS)
 
 
 class Air(NamedTuple):
@@ -88,7 +100,8 @@ def derivative(
     mass its acceleration. So a boat on a long wave moves with the water. Weight and buoyancy act
     along the vertical, the water plane's share at its centre. The wave's push on the boat's mass
     acts at the centre of gravity. Hull, added mass, propulsion and wind act at their heights in the
-    vessel file.
+    vessel file. With a hydrodynamic table the loads of the waves are about the origin and include
+    what they push of the added mass.
     """
     p, waves, weather, gain = ship.p, sea.waves, sea.weather, air.wave_gain
     psi, r = state[fr.PSI], state[fr.R]
@@ -105,7 +118,12 @@ def derivative(
 
     X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u_water, v_water = u, v
-    if waves.shape[1] > 0:
+    tabled = free and sea.loads.shape[0] > 0
+    if waves.shape[1] > 0 and tabled:
+        loads = table_loads(state[fr.X], state[fr.Y], t, waves, sea.factors)
+        u_water -= gain * loads[6]
+        v_water -= gain * loads[7]
+    elif waves.shape[1] > 0:
         X_wave, Y_wave, N_wave, Z_wave, K_wave, M_wave, u_orbit, v_orbit = first_order_loads(
             state[fr.X], state[fr.Y], psi, t, waves, p, ship.dof, sea.factors
         )
@@ -129,7 +147,10 @@ def derivative(
         X_wind, Y_wind = X_air - X_still, Y_air - Y_still
         X, Y, N = X + X_wind, Y + Y_wind, N + N_air - N_still
     if waves.shape[1] > 0:
-        X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather.drift_sums)
+        if weather.drift_tabled > 0.0:
+            X_drift, Y_drift, N_drift = drift_at(psi, weather.drift_table)
+        else:
+            X_drift, Y_drift, N_drift = mean_drift_loads(psi, weather.drift_sums)
         X, Y, N = X + gain * gain * X_drift, Y + gain * gain * Y_drift, N + gain * gain * N_drift
 
     x_G = p.x_G
@@ -161,6 +182,11 @@ def derivative(
     M = M_0 + M_wave + z_G * X_level + z_H * X_H + z_P * X_P - p.s_H * X_wind
     M -= x_F * k_z * vertical
     N += N_0 + x_G * Y_level + x_F * k_y * vertical
+    if waves.shape[1] > 0 and tabled:
+        ahead, aside, down_push = gain * loads[0], gain * loads[1], gain * loads[2]
+        X, Y = X + ct * ahead + k_x * down_push, Y + sf * st * ahead + cf * aside + k_y * down_push
+        Z += cf * st * ahead - sf * aside + k_z * down_push
+        K, M, N = K + gain * loads[3], M + gain * loads[4], N + gain * loads[5]
     du, dv, dw, dp, dq, dr = accelerate_6(
         (X + X_level + k_x * vertical, Y + Y_level + k_y * vertical, Z, K, M, N),
         (u, v, w, p_rate, q_rate, r),
@@ -182,11 +208,18 @@ def derivative(
 @kernel
 def _lean(x: float, y: float, psi: float, t: float, p: Record, sea: Sea) -> tuple[float, ...]:
     """Return the z (m), phi and theta (rad) at which the boat would lie in a frozen sea."""
+    weight, plane = p.mass * GRAVITY, p.water_density * GRAVITY * p.A_wp
+    if sea.loads.shape[0] > 0:
+        X, Y, Z, K, M, _, _, _ = table_loads(x, y, t, sea.waves, sea.factors)
+        # less what the horizontal acceleration of boat and water takes
+        z_G = p.draft - p.KG
+        K += (p.mass * z_G + p.m_y * p.z_H) / (p.mass + p.m_y) * Y
+        M += p.x_F * Z - (p.mass * z_G + p.m_x * p.z_H) / (p.mass + p.m_x) * X
+        theta = M / (weight * p.GM_L)
+        return Z / plane + p.x_F * theta, K / (weight * p.GM_T), theta
     loads = first_order_loads(x, y, psi, t, sea.waves, p, 6, sea.factors)
     Z, K, M = loads[3], loads[4], loads[5]
-    weight = p.mass * GRAVITY
-    z = Z / (p.water_density * GRAVITY * p.A_wp)
-    return z, K / (weight * p.GM_T), M / (weight * p.GM_L)
+    return Z / plane, K / (weight * p.GM_T), M / (weight * p.GM_L)
 
 
 @kernel
@@ -197,7 +230,7 @@ def float_on(state: np.ndarray, p: Record, sea: Sea) -> None:
     """
     if sea.waves.shape[1] == 0:
         return
-    box_factors(state[fr.PSI], sea.waves, p, 6, sea.factors)
+    wave_factors(state[fr.PSI], sea.waves, sea.loads, p, 6, sea.factors)
     gain = wave_gain(0.0, sea.weather)
     psi, u, h = state[fr.PSI], state[fr.U], 0.01
     along_x, along_y = h * u * math.cos(psi), h * u * math.sin(psi)
@@ -228,7 +261,8 @@ def step(
     """
     north, east = air_velocity(t, sea.gusts, sea.weather)
     air = Air(north, east, wave_gain(t, sea.weather))
-    box_factors(state[fr.PSI] + 0.5 * dt * state[fr.R], sea.waves, ship.p, ship.dof, sea.factors)
+    middle = state[fr.PSI] + 0.5 * dt * state[fr.R]
+    wave_factors(middle, sea.waves, sea.loads, ship.p, ship.dof, sea.factors)
     total, k, trial = work[0], work[1], work[2]
     derivative(state, cmd, ship, sea, air, t, k)
     for i in range(fr.STATE_SIZE):

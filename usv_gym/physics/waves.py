@@ -24,7 +24,17 @@ FORCE_NORTH, FORCE_EAST, YAW_ALONG, YAW_ACROSS, ORBIT_NORTH, ORBIT_EAST = 0, 1, 
 
 LIFT, TRIM, HEEL, SCRATCH = 6, 7, 8, 9
 
-FACTOR_ROWS = SCRATCH + 4
+# rows of the loads of a hydrodynamic table (H, 14, M), at H headings of the boat: X, Y, Z, K, M, N
+# that go with the cosine of a component's phase, then with its sine, and the velocity of the water
+# forward and to starboard, with the cosine
+COSINE_LOADS, SINE_LOADS, ORBIT_FORWARD, ORBIT_STARBOARD = 0, 6, 12, 13
+
+LOAD_ROWS = 14
+
+FACTOR_ROWS = LOAD_ROWS + 2
+
+LOAD_HEADINGS = 24
+"""Headings of the boat at which a sea has loads, and mean drift; between them cubic."""
 
 DRIFT_SUMS = 6
 
@@ -68,7 +78,7 @@ def elevation(x: float, y: float, t: float, waves: np.ndarray) -> float:
 
 
 def factor_workspace(components: int) -> np.ndarray:
-    """Return the workspace of :func:`box_factors` for so many components, shape (13, width).
+    """Return the workspace of :func:`wave_factors` for so many components, shape (16, width).
 
     Rows are filled up with zeros, see :func:`~usv_kernel.simd.padded`.
     """
@@ -106,7 +116,7 @@ def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.
     """Write what the length and the beam of the hull make of each component.
 
     They hang on the heading only, so that one evaluation, at its middle, serves a step. ``dof``
-    3 leaves lift, trim and heel out. ``factors`` (13, padded(M)) is from :func:`factor_workspace`.
+    3 leaves lift, trim and heel out. ``factors`` (16, padded(M)) is from :func:`factor_workspace`.
     """
     M = waves.shape[1]
     half_length, half_beam = 0.5 * p.length_waterline, 0.5 * p.beam
@@ -142,6 +152,80 @@ def box_factors(psi: float, waves: np.ndarray, p: Record, dof: int, factors: np.
         _scale(S, waves[BOTTOM], factors[LIFT, :M])
         _scale(along, waves[BOTTOM], factors[TRIM, :M])
         _scale(across, waves[BOTTOM], factors[HEEL, :M])
+
+
+@kernel
+def _around(psi: float, count: int) -> tuple[int, int, int, int, float]:
+    """Return the four headings next to psi of so many on a circle, and psi's share of the middle.
+
+    They are those of :func:`_weights`.
+    """
+    place = psi * (count / (2.0 * math.pi))
+    whole = math.floor(place)
+    i = int(whole) % count
+    return (i + count - 1) % count, i, (i + 1) % count, (i + 2) % count, place - whole
+
+
+@kernel
+def _weights(s: float) -> tuple[float, float, float, float]:
+    """Return the weights of the four values at -1, 0, 1, 2 of the cubic through them, at s."""
+    below, above, far = 1.0 + s, 1.0 - s, 2.0 - s
+    middle = 0.5 * far * below
+    outer = -s * above / 6.0
+    return outer * far, middle * above, middle * s, outer * below
+
+
+@kernel
+def _blend(rows: tuple[np.ndarray, ...], weights: tuple[float, ...], out: np.ndarray) -> None:
+    """Write the weighted sum of four rows."""
+    a, b, c, d = rows
+    f, g, h, k = weights
+    for i in range(out.shape[0]):
+        out[i] = f * a[i] + g * b[i] + h * c[i] + k * d[i]
+
+
+@kernel
+def wave_factors(
+    psi: float, waves: np.ndarray, loads: np.ndarray, p: Record, dof: int, factors: np.ndarray
+) -> None:
+    """Write the factors of each component at a heading.
+
+    They are from ``loads`` (H, 14, M), as a hydrodynamic table says, with six degrees of freedom
+    and H above 0. Else they are those of :func:`box_factors`.
+    """
+    if dof != 6 or loads.shape[0] == 0:
+        box_factors(psi, waves, p, dof, factors)
+        return
+    M = waves.shape[1]
+    a, b, c, d, s = _around(psi, loads.shape[0])
+    weights = _weights(s)
+    for j in range(LOAD_ROWS):
+        _blend((loads[a, j], loads[b, j], loads[c, j], loads[d, j]), weights, factors[j, :M])
+
+
+@kernel
+def table_loads(
+    x: float, y: float, t: float, waves: np.ndarray, factors: np.ndarray
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return the first-order loads of a hydrodynamic table, and the water's motion.
+
+    ``factors`` is what :func:`wave_factors` makes of loads and heading. Returned are X, Y, Z (N,
+    down), K, M, N (N m) about the origin, level in the frame of the heading. They push the boat and
+    its added mass. Then come u, v of the water as in :func:`first_order_loads`.
+    """
+    M = waves.shape[1]
+    sines, cosines = factors[LOAD_ROWS], factors[LOAD_ROWS + 1]
+    for i in range(M):
+        phase = fma(waves[K_NORTH, i], x, waves[PHASE, i] - waves[OMEGA, i] * t)
+        sines[i], cosines[i] = sincos(fma(waves[K_EAST, i], y, phase))
+    X, Y = dots(factors[0], factors[1], cosines)
+    Z, K = dots(factors[2], factors[3], cosines)
+    M_pitch, N = dots(factors[4], factors[5], cosines)
+    X_sine, Y_sine = dots(factors[6], factors[7], sines)
+    Z_sine, K_sine = dots(factors[8], factors[9], sines)
+    M_sine, N_sine = dots(factors[10], factors[11], sines)
+    u, v = dots(factors[ORBIT_FORWARD], factors[ORBIT_STARBOARD], cosines)
+    return X + X_sine, Y + Y_sine, Z + Z_sine, K + K_sine, M_pitch + M_sine, N + N_sine, u, v
 
 
 @kernel
@@ -207,4 +291,15 @@ def mean_drift_loads(psi: float, sums: np.ndarray) -> tuple[float, float, float]
     X = sums[0] * c + sums[1] * s
     Y = sums[3] * c - sums[2] * s
     N = sums[5] * c - sums[4] * s
+    return X, Y, N
+
+
+@kernel
+def drift_at(psi: float, table: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean second-order X, Y (N) and N (N m) from those at even headings (H, 3)."""
+    a, b, c, d, s = _around(psi, table.shape[0])
+    f, g, h, k = _weights(s)
+    X = f * table[a, 0] + g * table[b, 0] + h * table[c, 0] + k * table[d, 0]
+    Y = f * table[a, 1] + g * table[b, 1] + h * table[c, 1] + k * table[d, 1]
+    N = f * table[a, 2] + g * table[b, 2] + h * table[c, 2] + k * table[d, 2]
     return X, Y, N

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from usv_gym.physics.waves import DRIFT_SUMS, elevation
+from usv_gym.physics.waves import DRIFT_SUMS, LOAD_HEADINGS, elevation
 from usv_gym.physics.wind import gust
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
@@ -39,6 +39,9 @@ WEATHER = np.dtype(
         ("current_north", float),  # velocity of the water, m/s
         ("current_east", float),
         ("drift_sums", float, DRIFT_SUMS),  # see waves.mean_drift_loads, at gain 1
+        # mean drift of a hydrodynamic table at headings of the boat, and 1 if there is one
+        ("drift_table", float, (LOAD_HEADINGS, 3)),
+        ("drift_tabled", float),
     ]
 )
 """Weather of one boat; zeros are calm."""

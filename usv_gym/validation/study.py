@@ -302,7 +302,8 @@ class BoatInSea:
         """Return the derivative of a state at time 0; default command: the present actuators."""
         out = np.zeros(fr.STATE_SIZE)
         weather, gusts = self.sea.weather, self.sea.gusts
-        waves.box_factors(state[fr.PSI], self.sea.waves, self.p, 6, self.sea.factors)
+        sea = self.sea
+        waves.wave_factors(state[fr.PSI], sea.waves, sea.loads, self.p, 6, sea.factors)
         air, gain = wx.air_velocity(0.0, gusts, weather), wx.wave_gain(0.0, weather)
         cmd = state[fr.N_LEFT :].copy() if cmd is None else cmd
         moving = ship.Ship(self.p, self.dof)

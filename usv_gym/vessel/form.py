@@ -23,6 +23,8 @@ class Form:
     length_overall: float | None = None  # m; default 1.1 length
     # area of the water plane, m2; default from the block coefficient
     waterplane: float | None = None
+    # centre of buoyancy, m forward of the origin; default where the lines put it
+    buoyancy: float | None = None
     # mean height of hull and superstructure above the water, m; default from the length
     height: float | None = None
     # steerable_drive, propeller_rudder or thruster_pair, as in a vessel file
@@ -53,6 +55,7 @@ class Form:
             hull_beam=v.get("hull_beam"),
             length_overall=v["length_overall"],
             waterplane=v["A_wp"],
+            buoyancy=v["x_G"],
             height=v["A_L"] / v["length_overall"],
             kind=kind,
             units=int(v["units"]),

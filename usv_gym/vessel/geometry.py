@@ -9,7 +9,7 @@ from usv_gym.vessel.drives import propulsion_parts
 from usv_gym.vessel.form import Form
 from usv_gym.vessel.hull_lines import HullLines
 from usv_gym.vessel.mesh import Mesh
-from usv_gym.vessel.mesh_files import encode_mesh, read_mesh
+from usv_gym.vessel.mesh_files import PROPULSION, encode_mesh, read_mesh
 from usv_gym.vessel.parts import COLOURS, Boat, Part
 from usv_gym.vessel.superstructure import fixed_parts
 from usv_gym.vessel.vessel import Vessel
@@ -22,6 +22,7 @@ __all__ = [
     "Part",
     "boat_of",
     "encode_mesh",
+    "hull_of",
 ]
 
 
@@ -37,3 +38,15 @@ def boat_of(source: Vessel | Form) -> Boat:
     if isinstance(source, Vessel) and source.mesh is not None:
         return read_mesh(source.mesh, form, moving)
     return Boat((*fixed_parts(form, HullLines(form)), *moving))
+
+
+def hull_of(vessel: Vessel) -> Mesh:
+    """Return the surface of a vessel that floats: its drawn hull, or its mesh file without drives.
+
+    VesselError: the file cannot be used.
+    """
+    if vessel.mesh is None:
+        return HullLines(Form.of(vessel)).mesh
+    boat = boat_of(vessel)
+    fixed = [part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION]
+    return Mesh.joined(part.mesh.moved(boat.position_of(part)) for part in fixed)

@@ -14,6 +14,10 @@ __all__ = ["HullLines"]
 
 _STATIONS, _BELOW, _ABOVE = 33, 8, 4  # sections of a hull; rows of faces below and above water
 
+_BLUNT = (0.7, 12.0)  # exponents of sections that a keel may be tilted to
+
+_TILT = 1.0  # logarithm of the largest ratio of a keel's depth at an end and amidships
+
 _POWERS = (math.log(0.6), math.log(40.0))  # logarithms of a section's exponent: hollow V to box
 
 
@@ -22,8 +26,9 @@ class HullLines:
 
     Sections below water are superellipses: one exponent takes them from a V to a box. The water
     line has straight sides between run and entrance. The fullness of the water line is solved for
-    its area, and the exponent for the volume. An impossible one is approached as closely as
-    possible. ``mesh`` is the closed surface of hull and deck.
+    its area, and the exponent for the volume. The keel is tilted until the centre of buoyancy
+    is where the form asks for it, so that the hull floats level. An impossible one is
+    approached as closely as possible. ``mesh`` is the closed surface of hull and deck.
     """
 
     def __init__(self, form: Form) -> None:
@@ -35,18 +40,41 @@ class HullLines:
         plane = self.block / (0.47 + 0.55 * self.block)
         if form.waterplane is not None:
             plane = form.waterplane / (form.length * self.beam) / (2.0 if twin else 1.0)
+        self.plane = plane
         angle = np.linspace(0.0, math.pi, _STATIONS)
         self.params = 0.5 * (1.0 - np.cos(angle)) * 0.75 + 0.25 * angle / math.pi
+        if form.buoyancy is None:
+            self._fit(0.0)
+        else:
+            want = (form.buoyancy - form.stern) / form.length
+            most = math.copysign(_TILT, want - self._fit(0.0))
+            while abs(most) > 0.05 * _TILT and not self._fits(most):
+                most *= 0.8
+            low, high = min(most, 0.0), max(most, 0.0)
+            self._fit(_bisect(lambda tilt: self._fit(tilt) - want, low, high, 16))
+        one = loft(self._rings(), caps=(True, False)).moved([0.0, self.offset, 0.0])
+        self.mesh = Mesh.joined((mirrored(one), one)) if twin else one
 
+    def _fit(self, tilt: float) -> float:
+        """Fit the lines with the keel deeper forward; return the centre of buoyancy.
+
+        It is a share of the length from the stern.
+        """
+        self.tilt = tilt
         fullness = _bisect(
-            lambda f: float(np.trapezoid(self._side(f), self.params)) - plane, 0.0, 1.0
+            lambda f: float(np.trapezoid(self._side(f), self.params)) - self.plane, 0.0, 1.0
         )
         power = _bisect(lambda n: self._displaced(fullness, math.exp(n)), *_POWERS)
         if power in _POWERS:  # out of range: change the water line instead
             fullness = _bisect(lambda f: self._displaced(f, math.exp(power)), 0.0, 1.0)
         self.fullness, self.power = fullness, math.exp(power)
-        one = loft(self._rings(), caps=(True, False)).moved([0.0, self.offset, 0.0])
-        self.mesh = Mesh.joined((mirrored(one), one)) if twin else one
+        volume, moment = self._moments(self.fullness, self.power)
+        return moment / volume
+
+    def _fits(self, tilt: float) -> bool:
+        """Return whether volume and water plane can both be had with a tilted keel."""
+        self._fit(tilt)
+        return bool(_BLUNT[0] < self.power < _BLUNT[1])
 
     def _side(self, fullness: float) -> Array:
         """Half breadths of the water line, as shares of the largest."""
@@ -66,6 +94,7 @@ class HullLines:
         if self.form.kind == "propeller_rudder":  # the keel rises ahead of the propeller
             rise = np.clip(self.params / min(max(0.7 * (1.0 - self.block), 0.02), 0.14), 0.0, 1.0)
             keel *= 0.12 + 0.88 * rise**2 * (3.0 - 2.0 * rise)
+        keel = keel * np.exp(self.tilt * (2.0 * self.params - 1.0))
         return np.asarray(keel / keel.max())
 
     def _below(self, fullness: float, power: float) -> tuple[Array, Array]:
@@ -78,6 +107,10 @@ class HullLines:
 
     def _displaced(self, fullness: float, power: float) -> float:
         """Error of the block coefficient."""
+        return self._moments(fullness, power)[0] / (self.beam * self.form.draft) - self.block
+
+    def _moments(self, fullness: float, power: float) -> tuple[float, float]:
+        """Return the volume (m2) and its moment about the stern (m2), with lengths as shares."""
         y, z = self._below(fullness, power)
 
         def area(y: Array, z: Array) -> Array:
@@ -85,8 +118,10 @@ class HullLines:
             return np.asarray(steps.sum(axis=1))
 
         ends, half = area(y, z), area(0.5 * (y[1:] + y[:-1]), 0.5 * (z[1:] + z[:-1]))
-        pieces = (ends[1:] + 4.0 * half + ends[:-1]) / 6.0 * np.diff(self.params)
-        return float(pieces.sum()) / (self.beam * self.form.draft) - self.block
+        step, aft = np.diff(self.params), self.params[:-1]
+        volume = (ends[1:] + 4.0 * half + ends[:-1]) / 6.0 * step
+        fore = (ends[1:] + 2.0 * half) / 6.0 * step  # Simpson's rule of the share of each piece
+        return float(volume.sum()), float(np.sum(volume * aft + fore * step))
 
     def deck(self) -> tuple[Array, Array, Array]:
         """x, half breadth and z of the deck's edge, m, each (stations,)."""
@@ -119,14 +154,14 @@ class HullLines:
         return np.concatenate([half, top, port], axis=1)
 
 
-def _bisect(f: Callable[[float], float], a: float, b: float) -> float:
+def _bisect(f: Callable[[float], float], a: float, b: float, steps: int = 40) -> float:
     """Return the root of a rising function, or the nearest end."""
     if f(a) >= 0.0:
         return a
     if f(b) <= 0.0:
         return b
     low, high = a, b
-    for _ in range(40):
+    for _ in range(steps):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if f(middle) < 0.0 else (low, middle)
     return 0.5 * (low + high)

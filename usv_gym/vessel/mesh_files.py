@@ -15,6 +15,7 @@ from usv_gym.vessel.parts import COLOURS, Boat, Colour, Part
 from usv_gym.vessel.vessel import MESH_FORMATS, VesselError
 
 __all__ = [
+    "PROPULSION",
     "encode_mesh",
     "read_mesh",
 ]
@@ -24,7 +25,7 @@ _GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])
 
-_PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
+PROPULSION = ("drive", "rudder", "shaft", "bracket", "propeller")
 """First words of the names of parts that are drawn if a mesh file has none."""
 
 
@@ -40,7 +41,7 @@ def encode_mesh(boat: Boat, suffix: str) -> bytes:
     trimesh = _trimesh()
     if suffix != ".glb":
         # in a vessel's mesh, such drives would not turn
-        fixed = [part for part in boat.parts if part.name.partition("_")[0] not in _PROPULSION]
+        fixed = [part for part in boat.parts if part.name.partition("_")[0] not in PROPULSION]
         mesh = Mesh.joined(part.mesh.moved(boat.position_of(part)) for part in fixed)
         solid = trimesh.Trimesh(mesh.vertices @ _UPRIGHT.T, mesh.faces, process=False)
         if suffix == ".ply":

@@ -18,6 +18,7 @@ __all__ = [
     "OPTIONAL",
     "SCHEMA",
     "UNITS",
+    "ZETA_ROLL_VISCOUS",
     "VesselError",
     "check_kind",
     "check_resistance",
@@ -67,7 +68,7 @@ SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
         "A_wp": ("m2", "+"), "x_F": ("m", ""), "GM_T": ("m", "+"), "GM_L": ("m", "+"),
         "m_z": ("kg", "0"), "J_xx": ("kg m2", "0"), "J_yy": ("kg m2", "0"),
         "zeta_heave": ("1", "0"), "zeta_roll": ("1", "0"), "zeta_pitch": ("1", "0"),
-        "z_H": ("m", ""),
+        "zeta_roll_viscous": ("1", "0"), "z_H": ("m", ""),
     },
     "hull": {**{key: ("1", "") for key in HULL_TERMS}, "C_d_crossflow": ("1", "0"), **DAMPING},
     "propulsion": {
@@ -104,8 +105,15 @@ KIND_SCHEMA: dict[str, dict[str, tuple[str, str]]] = {
 }
 # fmt: on
 
-OPTIONAL = frozenset(("hull_beam", "spacing", *SCHEMA["hull"]))
-"""Keys that a vessel may lack: of a catamaran, or terms of the hull."""
+OPTIONAL = frozenset(("hull_beam", "spacing", "zeta_roll_viscous", *SCHEMA["hull"]))
+"""Keys that a vessel may lack: of a catamaran, of a hydrodynamic table, or terms of the hull."""
+
+ZETA_ROLL_VISCOUS = 0.05
+"""Share of the critical roll damping beyond radiated waves, where a vessel with a table has none.
+
+A guess: bare hulls without speed have 0.02 to 0.08 by the components of Himeno 1981 and Ikeda 2004
+(ITTC 7.5-02-07-04.5), most of it from eddies at the chines.
+"""
 
 MESH_FORMATS = (".glb", ".stl", ".obj", ".ply")
 """Mesh files that a vessel may name."""

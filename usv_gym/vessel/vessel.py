@@ -12,7 +12,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from usv_gym.hydro.motions import equivalent_loads, natural_values
+from usv_gym.hydro.netcdf import read_table
+from usv_gym.hydro.table import HydroError, HydroTable
 from usv_gym.physics import frames as fr
 from usv_gym.physics import parameters as par
 from usv_gym.physics import ship
@@ -23,6 +27,7 @@ from usv_gym.vessel.schema import (
     HULL_TERMS,
     KIND_SCHEMA,
     MESH_FORMATS,
+    ZETA_ROLL_VISCOUS,
     VesselError,
     check_kind,
     check_resistance,
@@ -98,6 +103,10 @@ class Vessel:
         Mesh file that replaces the hull and superstructure drawn from the particulars, see
         :mod:`usv_gym.vessel.mesh_files`. In m, origin amidships on the water line. A .glb file
         has y up, z forward and x to port (glTF); others have z up, x forward and y to port.
+    hydro : HydroTable, optional
+        Hydrodynamic table of the hull, see :meth:`with_table`.
+    stated : Mapping[str, float]
+        With a table: the numbers that the vessel had without it.
     design : str
         Vessel of the package that this one is, or was drawn from by :meth:`varied`. Empty for
         any other file, whatever its name.
@@ -111,10 +120,13 @@ class Vessel:
     resistance_force: tuple[float, ...] = ()
     guesses: frozenset[str] = field(default=frozenset())
     mesh: Path | None = None
+    hydro: HydroTable | None = None
+    stated: Mapping[str, float] = field(default_factory=dict)
     design: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        for name in ("values", "stated"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         object.__setattr__(self, "mesh", None if self.mesh is None else Path(self.mesh))
         check_values(check_kind(self.kind), self.values)
         check_resistance(self.values, self.resistance_speed, self.resistance_force)
@@ -126,7 +138,7 @@ class Vessel:
     # a mapping proxy cannot be pickled, and parallel workers need the vessel
     def __reduce__(self) -> tuple[Any, ...]:
         fields = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        return _rebuild, ({**fields, "values": dict(self.values)},)
+        return _rebuild, (fields | {key: dict(fields[key]) for key in ("values", "stated")},)
 
     def __getattr__(self, key: str) -> float:
         values = self.__dict__.get("values", {})
@@ -157,10 +169,45 @@ class Vessel:
         if not isinstance(source, (str, Path)):
             raise VesselError(f"vessel = {source!r}: give a name, the path of a file, or a Vessel")
         fields = read_vessel(source)
+        hydro = fields.pop("hydro")
         try:
-            return cls(**fields)
-        except VesselError as error:
+            vessel = cls(**fields)
+            return vessel if hydro is None else vessel.with_table(read_table(hydro))
+        except (VesselError, HydroError) as error:
             raise VesselError(f"{source}: {error}") from None
+
+    def with_table(self, table: HydroTable) -> Vessel:
+        """Return the vessel with a hydrodynamic table, which replaces the numbers that it gives.
+
+        They are the keys of :func:`usv_gym.hydro.motions.natural_values`, in place of the file's
+        own, which stay in ``stated``. VesselError: the table does not reach a natural frequency, or
+        is of water of another density by more than 5 %.
+        """
+        stated = self.stated or self.values
+        density = stated["water_density"] / table.density
+        if not 0.95 < density < 1.05:
+            raise VesselError(
+                f"[vessel] hydro: the table is of water of {table.density:g} kg/m3, but "
+                f"water_density is {stated['water_density']:g} kg/m3"
+            )
+        values = {"zeta_roll_viscous": ZETA_ROLL_VISCOUS, **stated}
+        try:
+            found = natural_values(table, values)
+        except HydroError as error:
+            raise VesselError(f"[vessel] hydro: {error}") from None
+        return dataclasses.replace(self, values=values | found, hydro=table, stated=stated)
+
+    @cached_property
+    def loads(self) -> NDArray[np.complex128] | None:
+        """Loads in waves on the ship in time, see :func:`~usv_gym.hydro.motions.equivalent_loads`.
+
+        Shape (F, 2 (H - 1), 6), over the frequencies and all headings of the table; None without.
+        """
+        if self.hydro is None:
+            return None
+        nominal = {"zeta_roll_viscous": ZETA_ROLL_VISCOUS, **self.stated}
+        nominal |= natural_values(self.hydro, nominal)
+        return equivalent_loads(self.hydro, self.values, nominal)
 
     @cached_property
     def packed(self) -> Record:
@@ -276,6 +323,7 @@ class Vessel:
             factor["length_overall"] = factor["length_waterline"]
             factor["hull_beam"] = factor["spacing"] = factor["beam"]
             factor["A_wp"] = factor["length_waterline"] * factor["beam"]
+            factor["zeta_roll_viscous"] = factor["zeta_roll"]
             try:
                 boat = dataclasses.replace(
                     self,

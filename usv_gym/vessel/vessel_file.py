@@ -15,6 +15,9 @@ __all__ = [
 ]
 
 
+_FILES = ("mesh", "hydro")
+
+
 def vessel_names() -> tuple[str, ...]:
     """Return the names of the vessels that ship with the package."""
     folder = resources.files("usv_gym.vessel") / "vessels"
@@ -23,6 +26,8 @@ def vessel_names() -> tuple[str, ...]:
 
 def read_vessel(source: str | Path) -> dict[str, Any]:
     """Return the keyword arguments of a vessel, in SI units, from a TOML file or a known name.
+
+    ``hydro`` is the path of a hydrodynamic table, or None.
 
     VesselError names the key and the remedy.
     """
@@ -92,21 +97,25 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _about(table: Any, path: Path) -> dict[str, Any]:
-    """Return name, title and mesh from the table [vessel]."""
+    """Return name, title and files from the table [vessel]."""
     if not isinstance(table, dict):
         raise VesselError("[vessel] must be a table")
     for key, value in table.items():
-        if key not in ("name", "title", "mesh") or not isinstance(value, str):
-            raise VesselError(f"[vessel] {key}: unknown key; known: name, title, mesh (texts)")
-    mesh = (path.parent / table["mesh"]).resolve() if "mesh" in table else None
-    if mesh is not None and not mesh.is_file():
-        raise VesselError(
-            f"[vessel] mesh: there is no file {mesh}; give its path from this file's folder"
-        )
+        if key not in ("name", "title", *_FILES) or not isinstance(value, str):
+            known = ", ".join(("name", "title", *_FILES))
+            raise VesselError(f"[vessel] {key}: unknown key; known: {known} (texts)")
+    files: dict[str, Path | None] = {}
+    for key in _FILES:
+        file = (path.parent / table[key]).resolve() if key in table else None
+        if file is not None and not file.is_file():
+            raise VesselError(
+                f"[vessel] {key}: there is no file {file}; give its path from this file's folder"
+            )
+        files[key] = file
     return {
         "name": table.get("name", path.stem),
         "title": table.get("title", path.stem),
-        "mesh": mesh,
+        **files,
     }
 
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usv_gym.hydro.table import between
 from usv_gym.physics import GRAVITY, ship, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
 from usv_kernel.records import Record
 
-__all__ = ["Sea", "wave_rows"]
+__all__ = ["Sea", "drift_table", "load_rows", "wave_rows"]
 
 Array = NDArray[np.float64]
 
@@ -50,6 +51,76 @@ def wave_rows(
     return rows, drift
 
 
+def load_rows(vessel: Vessel, rows: Array) -> Array:
+    """Return the loads (H, 14, M) of wave components (7, M) on a vessel with a hydrodynamic table.
+
+    They are those of :func:`usv_gym.physics.waves.wave_factors`, for H even headings of the boat;
+    H = 0 without a table or without waves.
+    """
+    M, table = rows.shape[1], vessel.hydro
+    if table is None or vessel.loads is None or M == 0:
+        return np.zeros((0, waves.LOAD_ROWS, M))
+    amplitude = rows[waves.AMPLITUDE]
+    scale = vessel.values["length_waterline"] / table.length
+    points = table.omega / math.sqrt(scale)
+    at = np.where(amplitude > 0.0, rows[waves.OMEGA], points[0])  # rows are filled up with zeros
+    loads = between(at, points, vessel.loads)
+    loads *= _beyond(at, points)[:, None]
+    to = np.arctan2(rows[waves.K_EAST], rows[waves.K_NORTH])
+    around = amplitude[:, None, None] * _turned(loads, to)
+    # (M, H, 6) -> (H, 6, M); Re(F exp(i phase)) = Re F cos(phase) - Im F sin(phase)
+    around = np.moveaxis(around, 0, 2)
+    out = np.zeros((waves.LOAD_HEADINGS, waves.LOAD_ROWS, M))
+    out[:, waves.COSINE_LOADS : waves.SINE_LOADS] = around.real
+    out[:, waves.SINE_LOADS : waves.ORBIT_FORWARD] = -around.imag
+    for i, psi in enumerate(2.0 * math.pi * np.arange(len(out)) / len(out)):
+        factors = waves.factor_workspace(M)
+        waves.box_factors(psi, rows, vessel.packed.copy(), 3, factors)
+        north, east = factors[waves.ORBIT_NORTH, :M], factors[waves.ORBIT_EAST, :M]
+        out[i, waves.ORBIT_FORWARD] = north * math.cos(psi) + east * math.sin(psi)
+        out[i, waves.ORBIT_STARBOARD] = east * math.cos(psi) - north * math.sin(psi)
+    return out
+
+
+def drift_table(vessel: Vessel, rows: Array) -> Array | None:
+    """Return the mean drift (H, 3) of wave components (7, M) at even headings; None without a table.
+
+    Forces in N, moment in N m.
+    """
+    table = vessel.hydro
+    if table is None or table.drift is None or rows.shape[1] == 0:
+        return None
+    scale = vessel.values["length_waterline"] / table.length
+    points = table.omega / math.sqrt(scale)
+    at, square = rows[waves.OMEGA], rows[waves.AMPLITUDE] ** 2
+    drift = between(at, points, table.around(table.drift) * scale ** np.array([1.0, 1.0, 2.0]))
+    # longer waves pass by
+    drift = drift * np.minimum(at / points[0], 1.0)[:, None, None] ** 4
+    to = np.arctan2(rows[waves.K_EAST], rows[waves.K_NORTH])
+    return np.asarray(np.sum(square[:, None, None] * _turned(drift, to).real, axis=0))
+
+
+def _beyond(omega: Array, points: Array) -> Array:
+    """Return factors (M, 6) of loads at frequencies beyond those of a table.
+
+    In longer waves all but heave go with the slope, in shorter ones they vanish.
+    """
+    long = np.minimum(omega / points[0], 1.0)[:, None] ** np.array([2.0, 2, 0, 2, 2, 4])
+    return np.asarray(long * np.minimum(points[-1] / omega, 1.0)[:, None] ** 6)
+
+
+def _turned(values: NDArray[np.inexact], to: Array) -> NDArray[np.complex128]:
+    """Return values (M, K, n) at even headings of the wave, at even headings (M, H, n) of the boat.
+
+    ``to`` (M,) is where each wave goes. Trigonometric interpolation: exact up to K / 2 lobes.
+    """
+    K, H = values.shape[1], waves.LOAD_HEADINGS
+    order = np.fft.fftfreq(K, 1.0 / K)
+    lobes = np.fft.fft(values, axis=1) / K * np.exp(1j * np.outer(to, order))[:, :, None]
+    psi = 2.0 * math.pi * np.arange(H) / H
+    return np.asarray(np.exp(-1j * np.outer(psi, order)) @ lobes)
+
+
 @dataclass(frozen=True)
 class Sea:
     """One realisation, as the kernels read it."""
@@ -57,6 +128,7 @@ class Sea:
     waves: Array  # (7, M): wave components; rows in usv_gym.physics.waves
     gusts: Array  # (3, G): circular frequency, phase and amplitude of the gusts
     weather: Record  # schedule, current, mean drift and slow wind
+    vessel: Vessel | None = None  # what it was made for
 
     @classmethod
     def calm(cls) -> Sea:
@@ -74,12 +146,13 @@ class Sea:
         origin at time 0, rad.
         """
         rows = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)[0]
-        return dataclasses.replace(cls.calm(), waves=rows)
+        return dataclasses.replace(cls.calm(), waves=rows, vessel=vessel)
 
     def arrays(self) -> ship.Sea:
         """Return the arrays that the ship's kernels take, with scratch of their own."""
         scratch = waves.factor_workspace(self.waves.shape[1])
-        return ship.Sea(self.waves, self.gusts, self.weather, scratch)
+        loads = ship.NO_LOADS if self.vessel is None else load_rows(self.vessel, self.waves)
+        return ship.Sea(self.waves, self.gusts, self.weather, scratch, loads)
 
     def elevation(self, x: ArrayLike, y: ArrayLike, t: ArrayLike) -> Array:
         """Return the height of the sea surface above rest (m) at places (m) and times (s).

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.realisation import Sea, wave_rows
+from usv_gym.world.realisation import Sea, drift_table, wave_rows
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_kernel.errors import is_finite
 
@@ -319,7 +319,11 @@ class SeaState:
             weather["wind_speed"][i] = keyframe.wind
             weather["wind_from"][i] = self._wind_from(keyframe)
         components = self._waves(vessel, rng_waves, weather["drift_sums"])
-        return Sea(waves=components, gusts=self._gusts(rng_gusts), weather=weather)
+        drift = drift_table(vessel, components)
+        if drift is not None:
+            weather["drift_table"], weather["drift_tabled"] = drift, 1.0
+        gusts = self._gusts(rng_gusts)
+        return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
 
     def _wind_from(self, keyframe: SeaKeyframe) -> float:
         return self.wind_from if keyframe.wind_from is None else keyframe.wind_from

@@ -11,12 +11,12 @@ import numpy as np
 from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
 from usv_gym.physics import weather as wx
-from usv_gym.physics.waves import WAVE_ROWS, factor_workspace
+from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_workspace
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world import sensors
 from usv_gym.world.faults import FAULT, FAULT_NUMBERS, Disturbance, fault_records, fault_sources
-from usv_gym.world.realisation import Sea
+from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
@@ -44,7 +44,7 @@ SUBSTEPS_MAX = 1000
 """Most integration steps in a control step."""
 
 BOATS_MAX = 100_000
-"""Most boats; they take some 20 kB each."""
+"""Most boats; they take some 20 kB each, and 0.3 MB more with six degrees of freedom and a table."""
 
 WORK_MAX = 20_000
 """Most integration steps in one call of a kernel, about a second in a sea of 1000 components:
@@ -52,6 +52,8 @@ Ctrl-C is heard between calls."""
 
 STATE_MAX = 1e9
 """Bound of every entry of a plausible state, SI units."""
+
+_DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
 BLOCK_STEPS = 512, 128
 """Control steps of random numbers drawn at a time: for one boat, and for each of many."""
@@ -82,12 +84,12 @@ def substeps_of(dt: float, dt_physics: float) -> int:
 def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     """Advance one boat, a row of :mod:`usv_gym.world.state`, by one control step, with sensors.
 
-    Return whether its state is still plausible. Its command is read. ``factors`` (13, width) is
+    Return whether its state is still plausible. Its command is read. ``factors`` (16, width) is
     scratch, from :func:`usv_gym.physics.waves.factor_workspace`.
     """
     boat = as_record(row, BOAT)
-    waves, gusts = sea_arrays(row, config)
-    sea = ship.Sea(waves, gusts, boat.weather, factors)
+    waves, gusts, loads = sea_arrays(row, config)
+    sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
     numbers, faults, delay_line = sensor_arrays(row, config)
     vessel = ship.Ship(config.vessel, config.dof)
     h = config.dt / config.substeps
@@ -145,8 +147,9 @@ def _start(row: np.ndarray, config: Record) -> None:
 def _float(row: np.ndarray, config: Record, factors: np.ndarray) -> None:
     """Set a boat on the surface of its sea."""
     boat = as_record(row, BOAT)
-    waves, gusts = sea_arrays(row, config)
-    ship.float_on(boat.state, config.vessel, ship.Sea(waves, gusts, boat.weather, factors))
+    waves, gusts, loads = sea_arrays(row, config)
+    sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
+    ship.float_on(boat.state, config.vessel, sea)
 
 
 def parts_of(n: int, substeps: int, threads: int = 1) -> list[slice]:
@@ -244,9 +247,12 @@ class Simulation:
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
         examples = [sea.realise(vessel, quiet, quiet) for sea in seas]
         self._block = BLOCK_STEPS[n > 1]
+        width = padded(max(example.waves.shape[1] for example in examples))
+        tabled = dof == 6 and vessel.hydro is not None and width > 0
         shapes = {
-            "waves": (WAVE_ROWS, padded(max(example.waves.shape[1] for example in examples))),
+            "waves": (WAVE_ROWS, width),
             "gusts": max(example.gusts.shape for example in examples),
+            "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
             "numbers": (
                 self._block,
                 sensors.NOISE_SIZE + FAULT_NUMBERS * max_faults + wx.NOISE_SIZE,
@@ -263,6 +269,7 @@ class Simulation:
             for name, shape in shapes.items()
         }
         self.waves, self.gusts = parts["waves"], parts["gusts"]
+        self._loads = parts["loads"]
         self._numbers, self._delay_lines = parts["numbers"], parts["delay_line"]
         self.faults = parts["faults"].view(FAULT)[..., 0]
         self.boats = structured(self.rows, BOAT)
@@ -280,10 +287,8 @@ class Simulation:
         config["vessel"], config["suite"] = vessel.packed, self.suite.pack(dt)
         for name, begin in at.items():
             config[f"{name}_at"] = begin
-        config["wave_components"], config["gust_components"] = (
-            shapes["waves"][1],
-            shapes["gusts"][1],
-        )
+        config["wave_components"], config["gust_components"] = width, shapes["gusts"][1]
+        config["load_headings"] = shapes["loads"][0]
         config["numbers_rows"], config["numbers_width"] = shapes["numbers"]
         config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
         self.config, self.shared = config, shared.view(float)
@@ -365,14 +370,18 @@ class Simulation:
 
     def _fill(self, i: int, sea: Sea, *, waves: bool = True) -> None:
         """Write a sea to the arrays of boat i, or its wind alone."""
-        drift = self.weather[i]["drift_sums"].copy()
+        kept = {key: self.weather[i][key].copy() for key in _DRIFT}
         # where seas differ in their number of components, the others are zeros
         for array, components in ((self.waves, sea.waves), (self.gusts, sea.gusts))[not waves :]:
             array[i] = 0.0
             array[i, :, : components.shape[1]] = components
         self.weather[i] = sea.weather
         if not waves:  # the mean drift is that of the waves
-            self.weather[i]["drift_sums"] = drift
+            for key, drift in kept.items():
+                self.weather[i][key] = drift
+        elif self._loads.shape[1] > 0:
+            self._loads[i] = 0.0
+            self._loads[i, :, :, : sea.waves.shape[1]] = load_rows(self.vessel, sea.waves)
 
     def step(self, cmd: np.ndarray) -> None:
         """Advance every boat by one control step with finite commands (n, 4), rev/s and rad."""

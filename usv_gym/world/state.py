@@ -1,7 +1,7 @@
 """What lasts of one simulated boat, and what all boats of a simulation share.
 
-A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, random numbers,
-faults and the delay line of the GPS. Their sizes depend on sea, faults and delay. One array a call
+A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, random
+numbers, faults and the delay line of the GPS. Their sizes depend on sea, faults and delay. One array a call
 keeps the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts names.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from usv_gym.physics import frames as fr
 from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.ship import WORK_ROWS
-from usv_gym.physics.waves import WAVE_ROWS
+from usv_gym.physics.waves import LOAD_ROWS, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
 from usv_gym.world.faults import FAULT
 from usv_gym.world.sensors import SENSORS, SUITE
@@ -47,6 +47,8 @@ SIMULATION = np.dtype(
         # where the parts that follow the record begin in a row, and their sizes
         ("waves_at", int),
         ("wave_components", int),
+        ("loads_at", int),  # of a hydrodynamic table
+        ("load_headings", int),
         ("gusts_at", int),
         ("gust_components", int),
         ("numbers_at", int),  # random numbers: a block of control steps, one a row
@@ -64,10 +66,12 @@ SIMULATION = np.dtype(
 
 
 @inlined
-def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Return waves (7, M) and gusts (3, G) of a boat."""
+def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return waves (7, M), gusts (3, G) and loads (H, 14, M) of a boat."""
     waves = shaped(row, config.waves_at, (WAVE_ROWS, config.wave_components))
-    return waves, shaped(row, config.gusts_at, (3, config.gust_components))
+    gusts = shaped(row, config.gusts_at, (3, config.gust_components))
+    shape = (config.load_headings, LOAD_ROWS, config.wave_components)
+    return waves, gusts, shaped(row, config.loads_at, shape)
 
 
 @inlined

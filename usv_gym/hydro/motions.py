@@ -1,0 +1,240 @@
+"""Motions in waves by linear frequency-domain theory, and what a ship in time takes from them.
+
+The ship in time has constant added masses and dampings: those of a table at the natural frequency
+of each mode. A table's own change with frequency. In a wave of one frequency the difference is a
+load that goes with the motion. :func:`equivalent_loads` adds it to the excitation, so that at rest
+the ship in time moves as the table says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from usv_gym.hydro.table import Array, Complex, HydroError, HydroTable
+from usv_gym.physics import GRAVITY
+
+__all__ = [
+    "Matrices",
+    "drift_loads",
+    "equivalent_loads",
+    "natural_values",
+    "response",
+    "ship_matrices",
+]
+
+SURGE, SWAY, HEAVE, ROLL, PITCH, YAW = range(6)
+
+_FREE = [SWAY, YAW]  # what moves along with roll
+
+_GRID = 600  # frequencies in the search for natural ones
+
+
+class Matrices(NamedTuple):
+    """A ship at rest, linear: matrices (6, 6) about the origin, SI units."""
+
+    body: Array
+    """Mass and inertia of the boat itself."""
+    added_mass: Array
+    damping: Array
+    """Of radiated waves."""
+    viscous: Array
+    """Damping beyond that."""
+    stiffness: Array
+
+    def impedance(self, omega: Array) -> Complex:
+        """Return (n, 6, 6): load amplitude over motion amplitude at frequencies (n,), rad/s."""
+        w = np.asarray(omega, dtype=float)[:, None, None]
+        damping = self.damping + self.viscous
+        return np.asarray(
+            self.stiffness - w**2 * (self.body + self.added_mass) - 1j * w * damping
+        )
+
+
+def ship_matrices(v: Mapping[str, float]) -> Matrices:
+    """Return the matrices of the ship in time from a vessel's numbers, SI units.
+
+    They are those of :func:`usv_gym.physics.rigid_body.accelerate_6`, and of restoring and damping
+    in :mod:`usv_gym.physics.hull`, for small motions at rest. Linear drag of sway and yaw
+    (``D_v``, ``D_r``) is left out.
+    """
+    m, x_G, z_G, x_F, z_H = v["mass"], v["x_G"], v["draft"] - v["KG"], v["x_F"], v["z_H"]
+    body = np.diag(
+        [
+            *[m] * 3,
+            v["I_xx"] + m * z_G**2,
+            v["I_yy"] + m * (x_G**2 + z_G**2),
+            v["I_zz"] + m * x_G**2,
+        ]
+    )
+    _couple(body, {(0, 4): m * z_G, (1, 3): -m * z_G, (1, 5): m * x_G})
+    _couple(body, {(2, 4): -m * x_G, (3, 5): -m * x_G * z_G})
+    m_x, m_y, m_z = v["m_x"], v["m_y"], v["m_z"]
+    added = np.diag(
+        [
+            *(m_x, m_y, m_z, v["J_xx"] + m_y * z_H**2),
+            v["J_yy"] + m_z * x_F**2 + m_x * z_H**2,
+            v["J_zz"],
+        ]
+    )
+    _couple(added, {(0, 4): m_x * z_H, (1, 3): -m_y * z_H, (2, 4): -m_z * x_F})
+    C_33, C_44, C_55 = _stiffness(v)
+    stiffness = np.diag([0.0, 0.0, C_33, C_44, C_55 + C_33 * x_F**2, 0.0])
+    _couple(stiffness, {(2, 4): -C_33 * x_F})
+    B_33 = 2.0 * v["zeta_heave"] * np.sqrt(C_33 * (m + m_z))
+    B_44 = 2.0 * np.sqrt(C_44 * (v["I_xx"] + v["J_xx"]))
+    B_55 = 2.0 * v["zeta_pitch"] * np.sqrt(C_55 * (v["I_yy"] + v["J_yy"]))
+    zeta = v.get("zeta_roll_viscous", 0.0)
+    damping = np.diag([0.0, 0.0, B_33, (v["zeta_roll"] - zeta) * B_44, B_55 + B_33 * x_F**2, 0.0])
+    _couple(damping, {(2, 4): -B_33 * x_F})
+    return Matrices(body, added, damping, np.diag([0.0, 0, 0, zeta * B_44, 0, 0]), stiffness)
+
+
+def _couple(matrix: Array, entries: Mapping[tuple[int, int], float]) -> None:
+    for (i, j), value in entries.items():
+        matrix[i, j] = matrix[j, i] = value
+
+
+def _stiffness(v: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return the restoring coefficients of heave, roll and pitch about the water plane's centre."""
+    weight = v["mass"] * GRAVITY
+    return v["water_density"] * GRAVITY * v["A_wp"], weight * v["GM_T"], weight * v["GM_L"]
+
+
+def natural_values(table: HydroTable, values: Mapping[str, float]) -> dict[str, float]:
+    """Return what a table says of a vessel's heave, roll and pitch, by key of the vessel file.
+
+    They are the water plane and GM of its hull if it has them, then added masses and dampings at
+    the natural frequency of each mode. Those of pitch are about the centre of the water plane.
+    Those of roll make the ship's roll, with sway and yaw free, oscillate as the table's.
+    """
+    static = {}
+    if table.hydrostatics is not None:
+        static = dict(zip(("A_wp", "x_F", "GM_T", "GM_L"), table.hydrostatics, strict=True))
+    v = {**values, **static}
+    C_33, C_44, C_55 = _stiffness(v)
+    m, z_G, x_F = v["mass"], v["draft"] - v["KG"], v["x_F"]
+    omega = np.linspace(table.omega[0], table.omega[-1], _GRID)
+    A, B = table.at(omega)
+    shift = np.eye(6)  # velocities at the origin from those at the water plane's centre
+    shift[HEAVE, PITCH] = x_F
+    A_F, B_F = shift.T @ A @ shift, shift.T @ B @ shift
+
+    i = _crossing(C_33 - omega**2 * (m + A_F[:, 2, 2]), "heave")
+    m_z, B_33 = float(A_F[i, 2, 2]), float(B_F[i, 2, 2])
+    I_y = v["I_yy"] + m * ((v["x_G"] - x_F) ** 2 + z_G**2)
+    j = _crossing(C_55 - omega**2 * (I_y + A_F[:, 4, 4]), "pitch")
+    J_yy, B_55 = float(A_F[j, 4, 4]), float(B_F[j, 4, 4])
+
+    zeta = v.get("zeta_roll_viscous", 0.0)
+    v |= {"m_z": m_z, "J_yy": J_yy, "J_xx": 0.0, "zeta_roll": zeta}
+    bare = ship_matrices(v)
+    w = omega[:, None, None]
+    whole = bare.stiffness - w**2 * (bare.body + A) - 1j * w * B
+    ours = bare.stiffness - w**2 * (bare.body + bare.added_mass)
+    theirs = _roll_alone(whole)
+    n = _crossing(theirs.real, "roll")
+    difference = _roll_alone(ours)[n] - theirs[n]
+    J_xx = max(float(difference.real) / omega[n] ** 2, 0.0)
+    B_44 = max(float(difference.imag) / omega[n], 0.0)
+    roll = B_44 / (2.0 * np.sqrt(C_44 * (v["I_xx"] + J_xx)))
+    return {
+        **static,
+        "m_z": m_z,
+        "J_xx": J_xx,
+        "J_yy": J_yy,
+        "zeta_heave": B_33 / (2.0 * float(np.sqrt(C_33 * (m + m_z)))),
+        "zeta_roll": float(roll) + zeta,
+        "zeta_pitch": B_55 / (2.0 * float(np.sqrt(C_55 * (v["I_yy"] + J_yy)))),
+    }
+
+
+def _roll_alone(impedance: Complex) -> Complex:
+    """Return the impedance of roll (n,) with sway and yaw free."""
+    free = impedance[:, _FREE][:, :, _FREE]
+    along = np.linalg.solve(free, impedance[:, _FREE, ROLL][..., None])[..., 0]
+    return np.asarray(impedance[:, ROLL, ROLL] - np.sum(impedance[:, ROLL, _FREE] * along, axis=1))
+
+
+def _crossing(stiffness: Array, mode: str) -> int:
+    """Return where the dynamic stiffness of a mode falls below 0 first."""
+    below = stiffness < 0.0
+    if not below.any() or below[0]:
+        raise HydroError(
+            f"the natural frequency of {mode} lies outside the frequencies of the table; make it "
+            "with a wider range"
+        )
+    return int(np.argmax(below))
+
+
+def equivalent_loads(
+    table: HydroTable, values: Mapping[str, float], nominal: Mapping[str, float]
+) -> Complex:
+    """Return the loads on the ship in time (F, 2 (H - 1), 6) per wave amplitude, all round.
+
+    ``nominal`` are the numbers of the vessel with which the table was loaded, ``values`` those of
+    this one. A boat of the same kind takes the table by Froude's law and its loads in proportion
+    to its restoring and its mass.
+    """
+    ratio = values["length_waterline"] / nominal["length_waterline"]
+    table = table.scaled(ratio * nominal["length_waterline"] / table.length)
+    F = table.around(table.excitation)
+    lever = np.array([0, 0, 0, 1, 1, 1])
+    power = ratio ** (3.0 + lever[:, None] + lever)
+    share = np.ones(6)
+    for mode, now, then in zip((2, 3, 4), _stiffness(values), _stiffness(nominal), strict=True):
+        share[mode] = now / (then * ratio ** (2.0 if mode == HEAVE else 4.0))
+    share[[0, 1, 5]] = values["mass"] / (nominal["mass"] * ratio**3)
+    known, ours = ship_matrices(nominal), ship_matrices(values).impedance(table.omega)
+    w = table.omega[:, None, None]
+    beyond = -(w**2) * (table.added_mass - power * known.added_mass)
+    beyond = beyond - 1j * w * (table.damping - power / np.sqrt(ratio) * known.damping)
+    motion = np.linalg.solve(ours + beyond, np.swapaxes(F * share, 1, 2))
+    return np.asarray(np.swapaxes(ours @ motion, 1, 2))
+
+
+def response(table: HydroTable, values: Mapping[str, float]) -> Complex:
+    """Return the motions (F, H, 6) of a vessel per wave amplitude: m/m and rad/m.
+
+    ``values`` are the vessel's numbers; mass, restoring and viscous roll damping are theirs, added
+    mass and radiation damping the table's at each frequency.
+    """
+    ship = ship_matrices(values)
+    w = table.omega[:, None, None]
+    whole = ship.stiffness - w**2 * (ship.body + table.added_mass)
+    whole = whole - 1j * w * (table.damping + ship.viscous)
+    motion = np.linalg.solve(whole, np.swapaxes(table.excitation, 1, 2))
+    return np.asarray(np.swapaxes(motion, 1, 2))
+
+
+def drift_loads(
+    omega: Array, heading: Array, kochin: Complex, absorbed: Array, density: float
+) -> Array:
+    """Return the mean drift (F, H, 3) per square of the amplitude from far-field waves.
+
+    ``kochin`` (F, H, 2 N) is the Kochin function of all waves that the moving hull sends out, at
+    even angles from 0; ``absorbed`` (F, H) the power that viscous damping takes, W/m2. The axes are
+    x ahead and y to port, the angles counter-clockwise, as in capytaine.
+
+    Source: Maruo 1960, Newman 1967, in capytaine's scale. What the wave loses is taken from the
+    energy sent out and absorbed, not from the wave sent straight on: the two are equal by
+    conservation of energy.
+    """
+    k = (omega**2 / GRAVITY)[:, None]
+    count = kochin.shape[2]
+    theta = 2.0 * np.pi * np.arange(count) / count
+    step, scale = 2.0 * np.pi / count, 2.0 * np.pi * density * k**2
+    sent = scale[..., None] * np.abs(kochin) ** 2 * step
+    lost = sent.sum(axis=2) + absorbed * k / omega[:, None]
+    X = lost * np.cos(heading) - np.sum(sent * np.cos(theta), axis=2)
+    Y = lost * np.sin(heading) - np.sum(sent * np.sin(theta), axis=2)
+    order = np.fft.fftfreq(count, 1.0 / count)
+    waves = np.fft.fft(kochin, axis=2)
+    slope = np.fft.ifft(1j * order * waves, axis=2)
+    ahead = np.exp(1j * order * heading[:, None])
+    straight = np.einsum("fhn,hn->fh", 1j * order * waves, ahead) / count
+    N = (2.0 * np.pi * density * omega[:, None] / k) * (1j * straight).real
+    N = N - scale / k * np.sum((np.conj(kochin) * slope).imag, axis=2) * step
+    return np.stack([X, Y, N], axis=-1)
