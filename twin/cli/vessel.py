@@ -1,4 +1,4 @@
-"""``usv-twin vessel``: check a vessel file, or make a new one."""
+"""``usv-twin vessel``: check a vessel file, or make a new one, its mesh or its hydrodynamics."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from rich.progress import TimeRemainingColumn
 
-from twin.cli.common import console, new_table, note, write_json, write_text
+from twin.cli.common import console, new_table, note, progress_bar, write_json, write_text
 from usv_gym.design.checks import Inspection, inspect
 from usv_gym.design.new_vessel import DesignError, MainParticulars, design
+from usv_gym.design.panels import FREQUENCIES, capytaine, make_table
+from usv_gym.hydro.codes import Water, read_results
+from usv_gym.hydro.netcdf import encode_table
 from usv_gym.physics import KNOT
 from usv_gym.vessel.geometry import boat_of, encode_mesh
 from usv_gym.vessel.vessel import KIND_SCHEMA, MESH_FORMATS, Vessel, VesselError, vessel_names
@@ -136,6 +140,57 @@ def vessel_mesh_command(
     console.print(
         f"{path}: of a boat of {len(boat.parts)} parts, {len(whole.faces)} triangles, "
         f"with its drives {long:.4g} m long, {wide:.4g} m wide, {high:.4g} m high",
+        soft_wrap=True,
+    )
+
+
+def vessel_hydro_command(
+    vessel: Annotated[
+        str, typer.Argument(help=f"TOML file, or a name: {', '.join(vessel_names())}.")
+    ],
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="Results of another code instead: capytaine's .nc, a folder of NEMOH, WAMIT's .1.",
+        ),
+    ] = None,
+    origin: Annotated[
+        float,
+        typer.Option(help="With --from: how far their origin lies forward of the vessel's, m."),
+    ] = 0.0,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="[<name>.nc]")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
+) -> None:
+    """Make a hydrodynamic table of a vessel's hull, a minute or two with capytaine.
+
+    The table holds added mass, radiation damping, excitation and mean drift by frequency and
+    heading. A vessel file names it with hydro = "FILE" in [vessel].
+    """
+    boat = Vessel.load(vessel)
+    path = out or Path(f"{boat.name}.nc")
+    if path.exists() and not force:
+        raise VesselError(f"{path}: is there already; choose another --out, or --force")
+    if results is not None:
+        v = boat.values
+        water = Water(v["length_waterline"], v["water_density"], v["mass"])
+        table = read_results(results, water, origin)
+    else:
+        command = f"usv-twin vessel hydro {boat.name}, capytaine {capytaine().__version__}"
+        with progress_bar(TimeRemainingColumn(), transient=True) as progress:
+            bar = progress.add_task(boat.name, total=len(FREQUENCIES))
+            table = make_table(boat, lambda done: progress.update(bar, completed=done), command)
+    with_table = boat.with_table(table)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, encode_table(table))
+    shown = new_table(f"{boat.name}: {table.source}", "", "file", "table", left=("",))
+    for key, value in with_table.values.items():
+        stated = with_table.stated.get(key)
+        if value != stated:
+            shown.add_row(key, "-" if stated is None else f"{stated:.4g}", f"{value:.4g}")
+    console.print(shown)
+    console.print(
+        f'{path}: write hydro = "{path.name}" in [vessel] of the vessel file beside it',
         soft_wrap=True,
     )
 

@@ -15,6 +15,8 @@ from usv_gym.physics import GRAVITY, KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics.hull import hull_forces
 from usv_gym.physics.propulsion import propulsion_forces
+from usv_gym.vessel.geometry import hull_of
+from usv_gym.vessel.hydrostatics import Hydrostatics
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
 
@@ -34,11 +36,11 @@ RK4_LIMIT = 2.5
 CAPSIZED = math.radians(70.0)
 """Heel at which a hull counts as capsized, rad."""
 
+LEVEL = 0.5
+"""Trim up to which a mesh counts as level, degrees."""
+
 NO_TURN = 100.0
 """Turning radius in lengths from which a ship counts as not turning."""
-
-TWO_HULLS = 0.5
-"""Water-plane coefficient below which a vessel counts as a catamaran."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,6 @@ def form_of(vessel: Vessel) -> reg.Form:
         hulls=hulls,
         spacing=v.get("spacing", 0.0),
     )
-
-
-def _two_hulls(vessel: Vessel) -> bool:
-    """Return whether a vessel is a catamaran: its file says so, or its water plane."""
-    v = vessel.values
-    return "hull_beam" in v or v["A_wp"] < TWO_HULLS * v["length_waterline"] * v["beam"]
 
 
 def _periods(vessel: Vessel) -> dict[str, float]:
@@ -206,8 +202,11 @@ def inspect(vessel: Vessel) -> Inspection:
     water = reg.hydrostatics(form, v["A_wp"] / (form.hulls * L * form.beam))
     keel = water["KB"] - v["KG"]
     estimates = {f"GM_{axis} by KB + BM - KG m": keel + water[f"BM_{axis}"] for axis in "TL"}
-    if _two_hulls(vessel) and form.hulls == 1:  # how far they are apart is not known
+    if vessel.two_hulls and form.hulls == 1:  # how far they are apart is not known
         estimates = {}
+    mesh, stated = Hydrostatics.of(hull_of(vessel)), vessel.stated
+    height = v["KG"] - d
+    GM = mesh.GM(height)
     found = Inspection(vessel.name, vessel.title)
     found.particulars = {
         "mass kg": mass,
@@ -220,6 +219,12 @@ def inspect(vessel: Vessel) -> Inspection:
         "KG m": v["KG"],
         "GM_T m": v["GM_T"],
         "GM_L m": v["GM_L"],
+        **({"GM_T of the file m": stated["GM_T"]} if stated else {}),
+        **({"GM_L of the file m": stated["GM_L"]} if stated else {}),
+        "GM_T of the mesh m": GM[0],
+        "GM_L of the mesh m": GM[1],
+        "centre of buoyancy of the mesh ahead of that of gravity m": mesh.x_B - v["x_G"],
+        "trim of the mesh by the stern deg": math.degrees(mesh.trim(v["x_G"], height)),
         **estimates,
         "gyradius in roll / beam": math.sqrt(v["I_xx"] / mass) / B,
         "gyradius in pitch / length": math.sqrt(v["I_yy"] / mass) / L,
@@ -246,6 +251,7 @@ def inspect(vessel: Vessel) -> Inspection:
     for rule in (
         _runaway_rules,
         _hull_rules,
+        _level_rules,
         _mass_rules,
         _motion_rules,
         _speed_rules,
@@ -279,7 +285,7 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
             f"The mass is {v['mass']:.4g} kg, but block coefficient, length, beam and draft "
             f"displace {facts['displacement of the hull kg']:.4g} kg; both should agree to 3 %.",
         )
-    two = _two_hulls(vessel)
+    two = vessel.two_hulls
     yield from _outside(
         ("Length over beam", L / B, 1.0 if two else 1.5, 12.0),
         ("Beam over draft", B / d, 1.2, 60.0 if two else 20.0),
@@ -321,10 +327,22 @@ def _hull_rules(vessel: Vessel, found: Inspection) -> Findings:
             yield from _outside((text, v[key] / guess if guess > 0.0 else math.inf, 0.5, 2.0))
 
 
+def _level_rules(vessel: Vessel, found: Inspection) -> Findings:
+    trim = found.particulars["trim of the mesh by the stern deg"]
+    apart = found.particulars["centre of buoyancy of the mesh ahead of that of gravity m"]
+    if abs(trim) > LEVEL:
+        yield Finding(
+            False,
+            f"The mesh does not float level: it trims {abs(trim):.2g} degrees by the "
+            f"{'stern' if trim > 0.0 else 'bow'}, as its centre of buoyancy lies {abs(apart):.3g} m "
+            f"{'ahead' if apart > 0.0 else 'aft'} of x_G.",
+        )
+
+
 def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
     v, facts = vessel.values, found.particulars
     stale = "does it belong to another mass?"
-    roll, two = facts["gyradius in roll / beam"], _two_hulls(vessel)
+    roll, two = facts["gyradius in roll / beam"], vessel.two_hulls
     yield from _outside(("The gyradius in roll over the beam", roll, 0.3, 0.5, stale))
     for axis, key in (("pitch", "I_yy"), ("yaw", "I_zz")):
         gyradius = math.sqrt(v[key] / v["mass"]) / v["length_overall"]
@@ -360,7 +378,7 @@ def _mass_rules(vessel: Vessel, found: Inspection) -> Findings:
 
 def _motion_rules(vessel: Vessel, found: Inspection) -> Findings:
     v = vessel.values
-    form, two = form_of(vessel), _two_hulls(vessel)
+    form, two = form_of(vessel), vessel.two_hulls
     estimate = reg.periods(form, v["GM_T"])
     for name, period in found.periods.items():
         if math.isnan(period):
@@ -457,7 +475,7 @@ def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:
         L = vessel.values["length_waterline"]
         radius, drift = turn["steady_radius_m"] / L, turn["drift_angle_deg"]
         # slender hulls need little thrust ahead, and so have little of it to turn them
-        widest = 30.0 if _two_hulls(vessel) else 10.0
+        widest = 30.0 if vessel.two_hulls else 10.0
         yield from _outside(
             ("The steady turning radius in lengths", radius, 0.2, widest),
             ("The drift angle in the steady turn, degrees,", drift, -10.0, 45.0),

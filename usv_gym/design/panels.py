@@ -114,11 +114,11 @@ class _Panels:
 
 
 def make_table(
-    vessel: Vessel, on_progress: Callable[[float], None] | None = None, source: str = ""
+    vessel: Vessel, on_progress: Callable[[int], None] | None = None, source: str = ""
 ) -> HydroTable:
     """Return the table of a vessel's hull on even keel; some minutes for fine meshes.
 
-    ``on_progress`` is called with the share that is done, ``source`` is kept in the table. Mean
+    ``on_progress`` is called with the number of frequencies that are done, ``source`` is kept in the table. Mean
     drift is that of the vessel's own mass, centre of gravity and viscous roll damping.
     HydroError: capytaine is missing, or the mesh has too many panels.
     """
@@ -148,7 +148,7 @@ def make_table(
                 F[i, j] = [got.forces[name] + incident[name] for name in _DOFS]
                 sent[i, j] = far @ got.sources
             if on_progress is not None:
-                on_progress((i + 1) / len(omega))
+                on_progress(i + 1)
     GM_T, GM_L = hull.GM(v["KG"] - v["draft"])
     turn = _TURN[:, None] * _TURN
     table = HydroTable(

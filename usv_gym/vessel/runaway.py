@@ -81,6 +81,7 @@ SETTINGS = frozenset(
     (
         *("units", "water_density", "shaft_speed_service", "shaft_speed_manoeuvring", "steer_max"),
         *("length_waterline", "beam", "draft", "block_coefficient", "hull_beam", "spacing"),
+        "zeta_roll_viscous",
     )
 )
 """Parameters that are not to blame."""

@@ -73,6 +73,9 @@ _FIXED = frozenset((
 # fmt: on
 """Water, engines and steering gear: equal in all boats of a kind."""
 
+TWO_HULLS = 0.5
+"""Water-plane coefficient below which a vessel counts as a catamaran."""
+
 TRIES = 1000
 """Boats that :meth:`Vessel.varied` draws at most."""
 
@@ -222,6 +225,13 @@ class Vessel:
                 record[key] = points[-1]
                 record[key][: len(points)] = points
         return record
+
+    @property
+    def two_hulls(self) -> bool:
+        """Whether it is a catamaran: its file says so, or its water plane."""
+        v = self.values
+        plane = self.stated.get("A_wp", v["A_wp"])
+        return "hull_beam" in v or plane < TWO_HULLS * v["length_waterline"] * v["beam"]
 
     @property
     def helm_max(self) -> float:

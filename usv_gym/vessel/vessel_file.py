@@ -107,6 +107,10 @@ def _about(table: Any, path: Path) -> dict[str, Any]:
     files: dict[str, Path | None] = {}
     for key in _FILES:
         file = (path.parent / table[key]).resolve() if key in table else None
+        if file is not None and key == "hydro" and not file.is_file():
+            # a copy of a vessel of the package keeps its table
+            shipped = Path(str(resources.files("usv_gym.vessel") / "vessels" / table[key]))
+            file = shipped if shipped.is_file() else file
         if file is not None and not file.is_file():
             raise VesselError(
                 f"[vessel] {key}: there is no file {file}; give its path from this file's folder"
