@@ -104,6 +104,10 @@ STEP_MAX = 0.1
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
 
+FINE_MAX, COARSE_STEP = 30.0, 10.0
+"""Only the last part of a gap, s, is cut up finely; the rest into steps of this length, s. A row
+then takes no longer after an hour without rows than after half a minute."""
+
 _SHARP = 1e4
 """A correction that shrinks a variance by more than this may leave rounding behind."""
 
@@ -375,15 +379,16 @@ def navigate(nav, dt, z, model, settings, work):
             r_mean += 0.5 * change
     elif modelled:
         r_rate, r_var = _aided(model, 2, settings.r_aided_density, r_var, settings)
-    steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
-    h = dt / steps
+    fine = min(dt, FINE_MAX)
+    steps = max(1, math.ceil(fine / STEP_MAX - 1e-9))
+    coarse = math.ceil((dt - fine) / COARSE_STEP)
     ax, ay, held = 0.0, 0.0, settings.held_density
     if modelled:
         ax, ahead = _aided(model, 0, settings.aided_density, held, settings)
         ay, aside = _aided(model, 1, settings.aided_density, held, settings)
         held = max(ahead, aside)
-    held *= h
-    for j in range(steps):
+    for j in range(-coarse, steps):
+        h = (dt - fine) / coarse if j < 0 else fine / steps
         # a sample is the mean over its interval; a gap is not filled with it
         if driven and j == steps - 1:
             forward, side = settings.imu_x, settings.imu_y
@@ -398,7 +403,7 @@ def navigate(nav, dt, z, model, settings, work):
         else:
             if not gyro:
                 r_mean = n[R] + 0.5 * h * r_rate
-            motion = Motion(h, ax, ay, held, False, r_mean, r_rate, r_var * h)
+            motion = Motion(h, ax, ay, held * h, False, r_mean, r_rate, r_var * h)
         predict(nav, settings, motion, work.A)
     if steps > 1:
         mend(P, work.A)

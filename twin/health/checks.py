@@ -63,11 +63,12 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         The row without the samples of excluded sensors.
     """
     health.clock += dt
-    usable = ready and _take_state(s, health, given)
+    possible = _take_state(s, health, given)
+    usable = ready and possible
     state = health.state
     new_gps, new_compass = take_samples(dt, z, health, given, out)
     check_heading(dt, out, state, usable, new_compass, health, given)
-    check_position(dt, out, state, usable, new_gps, health, given)
+    check_position(dt, out, state, ready, possible, new_gps, health, given)
     find_frozen(usable, health, given)
     check_velocity(dt, out, state, usable, new_gps, health, given)
     check_course(out, new_gps, health, given)

@@ -12,6 +12,9 @@ from twin.channels import MEASUREMENTS
 from twin.checkpoint import Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
+    COMPASS_SENSOR,
+    EXCLUDED,
+    GPS,
     HEALTH,
     HEALTH_SETTINGS,
     HYPOTHESES,
@@ -106,6 +109,12 @@ class SensorMonitor:
     def commands_doubted(self) -> bool:
         """True while the commands do not explain how the boat moves."""
         return bool(self.record["commands_doubted"] > 0.0)
+
+    @property
+    def motion_doubted(self) -> bool:
+        """True while GPS or compass are at fault and left out."""
+        status = self.record["sensors"]["status"]
+        return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED)
 
     def check(
         self, dt: float, z: Array, cmd: Array, state: Array, ready: bool

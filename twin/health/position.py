@@ -114,8 +114,11 @@ def _readmit(z, T, size, frozen, health, given):
 
 
 @kernel
-def check_position(dt, z, s, ready, new_gps, health, given):
-    """Hold fixes against velocity; see :func:`twin.health.checks.check_sensors`."""
+def check_position(dt, z, s, ready, possible, new_gps, health, given):
+    """Hold fixes against velocity; see :func:`twin.health.checks.check_sensors`.
+
+    A predictor whose state is not ``possible`` is lost. Only fixes bring it back.
+    """
     doppler = _reckon(dt, z, s, health)
     gps = health.sensors[GPS]
     frozen = is_frozen(gps)
@@ -125,6 +128,8 @@ def check_position(dt, z, s, ready, new_gps, health, given):
     known = math.isfinite(health.fix[0])
     step_x = z[GPS_X] - health.fix[0] - health.travelled[0]
     step_y = z[GPS_Y] - health.fix[1] - health.travelled[1]
+    if not (possible or doppler):
+        step_x = step_y = 0.0
     health.fix[0], health.fix[1] = z[GPS_X], z[GPS_Y]
     health.travelled[0] = health.travelled[1] = health.fix_time = 0.0
     if not known or not ready:

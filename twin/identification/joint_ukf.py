@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V
 from twin.checkpoint import Field
-from twin.filters.navigation_ekf import GAP_MAX
+from twin.filters.navigation_ekf import FINE_MAX
 from twin.filters.navigation_state import N_MODELLED
 from twin.filters.ukf import UKFWorkspace, scaled_weights
 from twin.identification.filter_settings import FilterSettings
@@ -229,8 +229,11 @@ def scale_plan(plan, n_unit, scaled):
 
 @inlined
 def advance(dt, cmd, state, config, work):
-    """Predict state, parameters and covariance over dt s under a command, in place."""
-    dt = min(dt, GAP_MAX)
+    """Predict state, parameters and covariance over dt s under a command, in place.
+
+    A longer gap than :data:`FINE_MAX` leaves nothing of the motion before it, and counts as that.
+    """
+    dt = min(dt, FINE_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
     _process_noise(h, state, config, work)

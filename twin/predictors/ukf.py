@@ -590,9 +590,9 @@ class UKFPredictor(ModelPredictor):
         super().add_common_error(variance)
         variance[:N_STATES] += self.P_nav.diagonal()[:N_STATES]
 
-    def hold_parameters(self, held: bool) -> None:
-        """See :meth:`twin.predictors.base.Predictor.hold_parameters`: parameters are held."""
-        self._nav["commands_doubted"] = 1.0 if held else 0.0
+    def suspend_learning(self, commands: bool, motion: bool) -> None:
+        """See :meth:`Predictor.suspend_learning`; a loss of GPS is weighed as it is."""
+        self._nav["commands_doubted"] = 1.0 if commands else 0.0
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
