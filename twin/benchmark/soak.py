@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -163,6 +164,7 @@ def soak_predictor(
     counts = dict.fromkeys(("refused", "crashes", "not_finite", "not_definite"), 0)
     slow, total, done = 0.0, 0.0, 0
     memory = resident_memory()
+    gc.disable()  # Python's collections of the whole program are no row's
     for t, z, cmd in garbage_rows(rng, float(log.t[middle - 1])):
         begun = time.thread_time()
         try:
@@ -174,12 +176,14 @@ def soak_predictor(
         took = time.thread_time() - begun
         slow, total, done = max(slow, took), total + took, done + 1
         if done % BLOCK == 0:
+            gc.collect()
             inspect_twin(twin, counts)
             progress(done)
         if done == BLOCK:
             memory = resident_memory()  # histories have reached their size
         if done == rows:
             break
+    gc.enable()
     growth = resident_memory() - memory
     shift = twin.t - float(log.t[middle - 1])
     after = _sail(twin, log, middle, len(log), shift, counts)[0]

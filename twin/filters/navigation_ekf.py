@@ -81,6 +81,8 @@ __all__ = [
     "Navigator",
     "aid",
     "is_ready",
+    "lacks_gps",
+    "lacks_imu",
     "navigate",
 ]
 
@@ -100,6 +102,9 @@ FROZEN_TIME = 2.0
 
 STEP_MAX = 0.1
 """Longest step of the prediction, s; longer gaps are cut up."""
+
+LOST_AFTER = 1.0
+"""GPS or IMU are missing once their last sample is so old, s."""
 
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
@@ -195,6 +200,18 @@ def aid(nav, work, entry, value, variance):
     # the model's variance is bounded from below, so that the covariance needs no repair
     variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
+
+
+@inlined
+def lacks_gps(nav):
+    """Return whether the navigation goes without fixes."""
+    return nav.gps_age > LOST_AFTER
+
+
+@inlined
+def lacks_imu(nav):
+    """Return whether the IMU is lost; a boat that never had one has lost none."""
+    return nav.has_imu > 0.0 and nav.imu_age > LOST_AFTER
 
 
 @inlined

@@ -20,11 +20,26 @@ from twin.health.samples import (
     note_absence,
     take_samples,
 )
-from twin.health.state import COMMAND, DOUBTFUL, EXCLUDED, N_STATES, NO_ANSWER
+from twin.health.state import (
+    COMMAND,
+    COMPASS_SENSOR,
+    DOUBTFUL,
+    EXCLUDED,
+    GPS,
+    N_STATES,
+    NO_ANSWER,
+)
 from twin.health.velocity import check_velocity
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["check_sensors"]
+__all__ = ["check_sensors", "is_motion_doubted"]
+
+
+@inlined
+def is_motion_doubted(health):
+    """Return whether GPS or compass are at fault and left out."""
+    sensors = health.sensors
+    return sensors[GPS].status == EXCLUDED or sensors[COMPASS_SENSOR].status == EXCLUDED
 
 
 @inlined

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, navigate
+from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, lacks_gps, lacks_imu, navigate
 from twin.filters.navigation_state import (
     IS_MODELLED,
     MODEL_VARIANCES,
@@ -99,8 +99,8 @@ speed; that of a smaller one lasts less."""
 SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
 
-AID_AFTER, AID_EVERY = 1.0, 1.0
-"""The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
+AID_EVERY = 1.0
+"""The model aids a navigation filter that lacks fixes or IMU each so many seconds."""
 
 
 class UKFMemory(NamedTuple):
@@ -217,6 +217,11 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     x, P, n, P_nav, wave_power = state.x, state.P, nav.n, nav.P, state.wave_power
     envelope, noise, mask = given.envelope, scratch.R, scratch.mask
     advance(dt, cmd, state, given, scratch)
+    if nav.motion_doubted > 0.0:
+        # parameters without correlation to the state learn nothing of it
+        for i in range(N_STATES):
+            for k in range(N_STATES, x.shape[0]):
+                P[i, k] = P[k, i] = 0.0
     row = max(dt, 1e-3)
     for i in range(N_STATES):
         noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
@@ -254,18 +259,6 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     if not no_gps and P_nav[U, U] + P_nav[V, V] < 2.0 * (SURE * 0.25 * envelope[0]) ** 2:
         for k in range(3):
             state.fastest[k] = max(state.fastest[k], abs(n[U + k]))
-
-
-@inlined
-def lacks_gps(nav):
-    """Return whether the navigation goes without fixes."""
-    return nav.gps_age > AID_AFTER
-
-
-@inlined
-def lacks_imu(nav):
-    """Return whether the IMU is lost; a boat that never had one has lost none."""
-    return nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
 
 
 @inlined
@@ -591,8 +584,9 @@ class UKFPredictor(ModelPredictor):
         variance[:N_STATES] += self.P_nav.diagonal()[:N_STATES]
 
     def suspend_learning(self, commands: bool, motion: bool) -> None:
-        """See :meth:`Predictor.suspend_learning`; a loss of GPS is weighed as it is."""
+        """See :meth:`twin.predictors.base.Predictor.suspend_learning`."""
         self._nav["commands_doubted"] = 1.0 if commands else 0.0
+        self._nav["motion_doubted"] = 1.0 if motion else 0.0
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
