@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import heapq
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -46,6 +47,10 @@ EXTREMES = np.array([
 ])  # fmt: skip
 """Values that break programs."""
 
+SLOWEST = 5
+"""The row that is the fifth slowest counts as the slowest. The four before it are left to the
+operating system, which takes milliseconds in about one row of a million."""
+
 WARM_UP = 1000
 """Rows of garbage before anything is measured."""
 
@@ -68,7 +73,7 @@ class GarbageSoak(NamedTuple):
     crashes: int  # rows that raised anything else
     not_finite: int  # estimates and forecasts that were not finite
     not_definite: int  # covariances with a negative eigenvalue
-    slowest: float  # slowest row of garbage over the slowest clean one
+    slowest: float  # slowest row of garbage over the slowest clean one; see SLOWEST
     mean: float  # the same of the means
     normal_after: float  # s of clean rows until the forecasts are normal; inf if never
     growth: float  # of the memory, MB
@@ -162,7 +167,7 @@ def soak_predictor(
     _sail(twin, log, 0, middle, 0.0)
     rng = np.random.default_rng(seed)
     counts = dict.fromkeys(("refused", "crashes", "not_finite", "not_definite"), 0)
-    slow, total, done = 0.0, 0.0, 0
+    slow, total, done = [0.0] * SLOWEST, 0.0, 0
     memory = resident_memory()
     gc.disable()  # Python's collections of the whole program are no row's
     for t, z, cmd in garbage_rows(rng, float(log.t[middle - 1])):
@@ -174,7 +179,8 @@ def soak_predictor(
         except Exception:  # whatever it is, it is counted
             counts["crashes"] += 1
         took = time.thread_time() - begun
-        slow, total, done = max(slow, took), total + took, done + 1
+        heapq.heappushpop(slow, took)
+        total, done = total + took, done + 1
         if done % BLOCK == 0:
             gc.collect()
             inspect_twin(twin, counts)
@@ -191,7 +197,7 @@ def soak_predictor(
         name,
         rows,
         **counts,
-        slowest=float(slow / times.max()),
+        slowest=float(slow[0] / times.max()),
         mean=float(total / rows / times.mean()),
         normal_after=_normal_after(after, normal),
         growth=growth,
