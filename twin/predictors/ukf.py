@@ -47,6 +47,7 @@ from twin.identification.joint_ukf import (
     limit_covariances,
     scale_plan,
 )
+from twin.identification.physical_bounds import keep_physical
 from twin.model.actuators import follow_all
 from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
@@ -252,6 +253,7 @@ def correct(dt, cmd, nav, state, given, model, scratch):
             noise[i, i] += given.wave_noise * wave_power[k] / row
     water = current_of(x, N_STATES, model.hull)
     measurement_update(x, P, n[:N_STATES], mask, noise, PSI, math.inf, scratch.sigma)
+    keep_physical(x, P, given.bounds, scratch.ahead[0])
     if no_gps and model.hull[CURRENT] >= 0.0:
         at = N_STATES + int(model.hull[CURRENT])
         x[at], x[at + 1] = water

@@ -100,6 +100,9 @@ def printed(
         if kind == "tanker"
         else (left * cos_l - right * cos_r) / 2,
     }
+    # by unequal propellers
+    surge["X_dn"] = (left * cos_l - right * cos_r) / 2
+    yaw["N_mn"] = surge["X_nn"]
     # a rudder or drive feels hull wake, slipstream (a tenth of it astern), and the turning stern
     across = 0.5 * (0.71 * LENGTH * r - v)
     fin_x, fin_y, side = 0.0, 0.0, 0.0
@@ -285,7 +288,7 @@ def test_wind_acts_by_its_speed_past_the_boat() -> None:
 
 
 # Those whose sign a mirror does not turn, though they stand in sway or yaw.
-LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "Y_S", "N_S"}
+LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "Y_S", "N_S", "X_dn", "N_mn"}
 
 
 @pytest.mark.parametrize("case", CASES)
