@@ -9,6 +9,7 @@ Source: Simon and Simon 2010, doi:10.1080/00207720903042970, truncation of the d
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,9 @@ def _terms_at(u, v, r, n, hull, terms):
 
 
 def physical_bounds(structure: Structure, mean: Array, speed: float, shaft_speed: float) -> Array:
-    """Return rows (:data:`BOUNDS`, p + 1): the products of p factors and parameters, and their most.
+    """Return rows (:data:`BOUNDS`, p + 1): p factors, and the most that their sum may be.
+
+    The sum is that of factors times parameters.
 
     Parameters
     ----------
@@ -59,15 +62,14 @@ def physical_bounds(structure: Structure, mean: Array, speed: float, shaft_speed
     which, hull = structure.terms.which, structure.terms.hull
     nominal = structure.n_unit * shaft_speed
 
-    def factors(u: float, v: float, r: float, n: float, equation: int) -> Array:
+    def factors(u: float, v: float, r: float, n: float, equation: int) -> Any:
         terms = np.zeros(N_TERMS)
         _terms_at(u * speed, v * speed, r * speed / hull[2], n * nominal, hull, terms)
         return terms[which[equation]]
 
     rows = [factors(u + SMALL, 0, 0, u, 0) - factors(u - SMALL, 0, 0, u, 0) for u in SPEEDS]
-    for i in (1, 2):
-        step = SMALL * np.eye(3)[i]
-        rows.append(factors(1.0, *step[1:], 1.0, i) - factors(1.0, *-step[1:], 1.0, i))
+    rows.append(factors(1.0, SMALL, 0.0, 1.0, 1) - factors(1.0, -SMALL, 0.0, 1.0, 1))
+    rows.append(factors(1.0, 0.0, SMALL, 1.0, 2) - factors(1.0, 0.0, -SMALL, 1.0, 2))
     rows.append(factors(0, 0, 0, 0, 0) - factors(0, 0, 0, 1.0, 0))
     bounds = np.array([[*row, SHARE * (row @ mean)] for row in rows])
     # of a prior that itself breaks a bound nothing is asked

@@ -73,8 +73,8 @@ def test_moments_are_those_of_a_normal_distribution_cut_off():
 
 @pytest.mark.parametrize("kind", [UKFPredictor, PlusPredictor])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_filter_fed_with_false_velocities_never_learns_thrust_astern(kind, seed):
-    """A boat that slows down the more it is pushed: no filter may believe in it for good."""
+def test_false_velocities_never_teach_thrust_astern(kind, seed):
+    """A boat that slows down the more it is pushed is no boat, whatever the sensors say."""
     boat = particulars_of(Vessel.load("otter"))
     predictor, rng = kind(boat), np.random.default_rng(seed)
     bounds = bounds_of(boat)[0]
