@@ -111,3 +111,20 @@ def test_files_of_before_rows_were_dropped_can_be_read():
     del state["dropped"], state["sum"]
     two.load_state_dict(state)
     assert_same(one, two, 0.25)
+
+
+@pytest.mark.parametrize("name", ["fleet-lstm", "transformer"])
+def test_a_net_begins_again_after_a_fault(name: str) -> None:
+    """Once the sensors are right again, rows before that change no forecast; until then they do."""
+    paths = []
+    for size in (0.0, 20.0):
+        predictor: Any = make_predictor(name, BOAT)
+        for k, (t, dt, z, cmd) in enumerate(rows(1, 900, 0.05)):
+            predictor.suspend_learning(commands=False, motion=400 <= k < 500)
+            z[:2] += size * math.sin(0.1 * k) * (400 <= k < 500)
+            predictor.update(t, dt, z, cmd)
+            if k in (450, 899):
+                paths.append(predictor.mean(PLAN, 0.25))
+    assert not np.allclose(paths[0], paths[2], atol=0.05)
+    # what is left is the navigation's own memory of the fault
+    np.testing.assert_allclose(paths[1], paths[3], atol=0.1)
