@@ -42,6 +42,10 @@ _UNITS = {60.0: "rpm", 2.0 * math.pi: "rad/s"}
 _MOST_ANGLE = 1.3
 """Few rudders and drives turn farther than this, rad."""
 
+_FIXED_ANGLE, _UNEQUAL = 0.05, 0.05
+"""Angles that move by less, rad, are those of fixed units; and shaft speeds that differ by more of
+their mean steer a boat without angles."""
+
 
 class Effect(NamedTuple):
     """What a command does to the motion, by regression."""
@@ -237,7 +241,7 @@ def check_commands(recording: Recording, particulars: Particulars | None = None)
     particulars : Particulars, optional
         Of the boat: its length and its shaft speed at its speed tell units better.
     """
-    found = _angles(recording) + _shafts(recording, particulars)
+    found = _angles(recording) + _shafts(recording, particulars) + _kind(recording, particulars)
     surge = surge_effect(recording)
     wrong = surge is not None and surge.clear and surge.gain < 0.0
     if wrong and surge is not None:
@@ -307,6 +311,34 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
             )
         )
     return found
+
+
+def _kind(recording: Recording, particulars: Particulars | None) -> list[Finding]:
+    """Return a finding where the commands steer in another way than the particulars say."""
+    if particulars is None:
+        return []
+    angle = np.nan_to_num(recording.cmd[:, 2:])
+    n = np.nan_to_num(recording.cmd[:, :2])
+    moved = float(np.ptp(angle, axis=0).max(initial=0.0))
+    usual = float(np.abs(n).mean())
+    unequal = float(np.abs(n[:, 0] - n[:, 1]).mean()) / max(usual, 1e-300)
+    evidence = {"angle_rad": moved, "unequal": unequal}
+    fixed = particulars.steering == "differential"
+    if fixed and moved > _FIXED_ANGLE:
+        what = (
+            f"{recording.called('delta_left_rad', 'delta_right_rad')}: the angle moves by "
+            f"{math.degrees(moved):.0f} degrees, but the particulars say fixed thrusters"
+        )
+        remedy = 'set steering = "drives" in the particulars, or leave the angle out'
+    elif not fixed and not angle.any() and unequal > _UNEQUAL:
+        what = (
+            f"{recording.called('n_left_rps', 'n_right_rps')}: the shaft speeds differ by "
+            f"{unequal:.0%} and no angle moves, but the particulars say that the drives turn"
+        )
+        remedy = 'set steering = "differential" in the particulars, or record the angle'
+    else:
+        return []
+    return [Finding(WARNING, "steering-kind", what, remedy, evidence)]
 
 
 def _angles(recording: Recording) -> list[Finding]:
