@@ -41,6 +41,7 @@ __all__ = [
     "TrustMeter",
     "Verdict",
     "position_bound",
+    "worst_of",
 ]
 
 Array = NDArray[np.float64]
@@ -182,6 +183,34 @@ class Verdict:
             ],
             "deviations_in_prior_sd": dict(self.deviations),
         }
+
+
+def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
+    """Return one verdict on several runs of a boat: of each answer, that of the worst run.
+
+    Parameters
+    ----------
+    verdicts : sequence of Verdict
+        One for each run, of one boat and predictor.
+    """
+    rows = [[(each.log, answer) for answer in each.answers] for each in verdicts]
+    answers = []
+    for row in zip(*rows, strict=True):
+        log, worst = max(row, key=lambda pair: COLOURS.index(pair[1].colour))
+        same = sum(answer.colour == worst.colour for _, answer in row)
+        more = f" [{log}; {same} of {len(row)} runs are {worst.colour}]"
+        answers.append(dataclasses.replace(worst, text=worst.text + more))
+    deviations: dict[str, float] = {}
+    for name, size in (pair for each in verdicts for pair in each.deviations):
+        deviations[name] = max(size, deviations.get(name, 0.0))
+    return dataclasses.replace(
+        verdicts[0],
+        log=f"{len(verdicts)} runs of {verdicts[0].boat}",
+        answers=tuple(answers),
+        forecasts=tuple(f for each in verdicts for f in each.forecasts),
+        losses=tuple(loss for each in verdicts for loss in each.losses),
+        deviations=tuple(sorted(deviations.items(), key=lambda pair: -pair[1])),
+    )
 
 
 def position_bound(particulars: Particulars) -> float:
@@ -421,9 +450,7 @@ class TrustMeter:
             factor, mean, sd = scaled_prior(names, mean, sd, last.params)
         far = np.abs(last.params - mean) / np.where(sd > 0.0, sd, math.inf)
         pairs = [
-            pair
-            for pair in zip(names, far.tolist(), strict=True)
-            if pair[0] not in ENVIRONMENT and not pair[0].startswith("C_")
+            pair for pair in zip(names, far.tolist(), strict=True) if pair[0] not in ENVIRONMENT
         ]
         return sorted(pairs, key=lambda pair: -pair[1]), factor
 

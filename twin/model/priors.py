@@ -183,7 +183,7 @@ def scaled_prior(
     mean, sd : ndarray, shape (p,)
         The prior of such a boat.
     """
-    grows = np.array([name not in _NO_DRAG and not name.startswith("C_") for name in names])
+    grows = np.array([name not in _NO_DRAG for name in names])
     factors = np.geomspace(1.0 / SCALE_MOST, SCALE_MOST, 121)
     known = grows & (sd > 0.0)
     far = (found[known] / factors[:, None] - mean[known]) / sd[known]

@@ -510,6 +510,23 @@ def test_jitter_of_the_otter_is_named(run: str) -> None:
     assert not [f.text for f in found.values() if f.severity == ERROR]
 
 
+@pytest.mark.parametrize("vessel", ["wamv16", "usv75"])
+def test_a_boat_that_circles_against_its_commands_is_named(vessel: str) -> None:
+    """A steady turn changes no command, but no wind turns a boat around again and again."""
+    ship = Vessel.load(vessel)
+    sea = SeaState(hs=0.1, wind=3.0)
+    log = simulate("turn", vessel=ship, sea=sea, duration=150.0, seed=1).without_truth()
+    swapped_sides, other_sign = log.cmd[:, [1, 0, 2, 3]], log.cmd * [1.0, 1.0, -1.0, -1.0]
+    wrong = swapped_sides if vessel == "wamv16" else other_sign
+
+    def codes(cmd: np.ndarray) -> set[str]:
+        return {f.code for f in diagnose(Recording(log.t, log.z, cmd, log.t)).findings}
+
+    fault = "sides-swapped" if vessel == "wamv16" else "steering-sign"
+    assert fault in codes(wrong)
+    assert not {"sides-swapped", "steering-sign"} & codes(log.cmd)
+
+
 def test_steering_that_the_particulars_do_not_know_is_named() -> None:
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 60.0, 0.1)
