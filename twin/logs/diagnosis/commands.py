@@ -291,8 +291,7 @@ def check_commands(recording: Recording, particulars: Particulars | None = None)
 
 def _against(recording: Recording, yaw: dict[str, Effect], sign: float) -> list[Finding]:
     """Return a finding where the boat circles against commands that do not change enough."""
-    angles = recording.cmd[:, 2:]
-    steered = float(np.ptp(np.nan_to_num(angles))) > 0.0 or bool(np.nan_to_num(angles).any())
+    steered = bool(np.nan_to_num(recording.cmd[:, 2:]).any())
     name = "steering" if steered else "difference"
     if name in yaw and yaw[name].clear:
         return []
@@ -367,7 +366,7 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
 
 def _kind(recording: Recording, particulars: Particulars | None) -> list[Finding]:
     """Return a finding where the commands steer in another way than the particulars say."""
-    if particulars is None:
+    if particulars is None or not len(recording.t):
         return []
     angle = np.nan_to_num(recording.cmd[:, 2:])
     n = np.nan_to_num(recording.cmd[:, :2])
