@@ -193,11 +193,11 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
     verdicts : sequence of Verdict
         One for each run, of one boat and predictor.
     """
-    rows = [[(each.log, answer) for answer in each.answers] for each in verdicts]
     answers = []
-    for row in zip(*rows, strict=True):
-        log, worst = max(row, key=lambda pair: COLOURS.index(pair[1].colour))
-        same = sum(answer.colour == worst.colour for _, answer in row)
+    for row in zip(*(each.answers for each in verdicts), strict=True):
+        worst = max(row, key=lambda answer: COLOURS.index(answer.colour))
+        log = verdicts[row.index(worst)].log
+        same = sum(answer.colour == worst.colour for answer in row)
         more = f" [{log}; {same} of {len(row)} runs are {worst.colour}]"
         answers.append(dataclasses.replace(worst, text=worst.text + more))
     deviations: dict[str, float] = {}

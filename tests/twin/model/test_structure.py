@@ -358,5 +358,5 @@ def test_a_scaled_prior_finds_the_drag_of_a_catamaran(factor: float, seed: int) 
 def test_a_scaled_prior_does_not_explain_thrust_of_the_wrong_sign() -> None:
     model = structure_of("mmg", 2.0, 1.0, 10.0, differential=True)
     wrong = np.where([name == "X_nn" for name in model.parameters], -9.0, 1.0) * model.mean
-    _, mean, sd = scaled_prior(model.parameters, model.mean, model.sd, wrong)
+    mean, sd = scaled_prior(model.parameters, model.mean, model.sd, wrong)[1:]
     assert (np.abs(wrong - mean) > 4.0 * np.where(sd > 0.0, sd, np.inf)).any()

@@ -123,8 +123,8 @@ def identify_command(
         if given:
             raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
         runs = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
-        _combine([twin for twin, _ in runs], save_prior)
-        print_verdict(worst_of([verdict for _, verdict in runs]))
+        _combine([run[0] for run in runs], save_prior)
+        print_verdict(worst_of([run[1] for run in runs]))
         explain("Each line is that of the worst run. usv-twin judge LOG judges one in full.")
         return
     log = logs[0]

@@ -291,6 +291,8 @@ def check_commands(recording: Recording, particulars: Particulars | None = None)
 
 def _against(recording: Recording, yaw: dict[str, Effect], sign: float) -> list[Finding]:
     """Return a finding where the boat circles against commands that do not change enough."""
+    if not len(recording.t):
+        return []
     steered = bool(np.nan_to_num(recording.cmd[:, 2:]).any())
     name = "steering" if steered else "difference"
     if name in yaw and yaw[name].clear:
@@ -371,8 +373,8 @@ def _kind(recording: Recording, particulars: Particulars | None) -> list[Finding
     angle = np.nan_to_num(recording.cmd[:, 2:])
     n = np.nan_to_num(recording.cmd[:, :2])
     moved = float(np.ptp(angle, axis=0).max(initial=0.0))
-    usual = float(np.abs(n).mean())
-    unequal = float(np.abs(n[:, 0] - n[:, 1]).mean()) / max(usual, 1e-300)
+    mean = float(np.abs(n).mean())
+    unequal = float(np.abs(n[:, 0] - n[:, 1]).mean()) / max(mean, 1e-300)
     evidence = {"angle_rad": moved, "unequal": unequal}
     fixed = particulars.steering == "differential"
     if fixed and moved > _FIXED_ANGLE:
