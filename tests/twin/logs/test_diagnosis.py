@@ -510,6 +510,18 @@ def test_jitter_of_the_otter_is_named(run: str) -> None:
     assert not [f.text for f in found.values() if f.severity == ERROR]
 
 
+def test_written_gyro_noise_covers_the_difference_from_the_compass() -> None:
+    sea = SeaState(hs=0.1, wind=3.0)
+    log = simulate("zigzag", vessel=Vessel.load("usv75"), sea=sea, duration=100.0, seed=1)
+    z = frozen(50.0, 65.0, R)(log.t, log.z, log.cmd)[1]
+    clean, wrong = (diagnose(Recording(log.t, each, log.cmd, log.t)) for each in (log.z, z))
+    assert "gyro-compass" in {finding.code for finding in wrong.findings}
+    assert estimate_instruments(clean)[0].gyro_sd < 0.003
+    on_board, reasons = estimate_instruments(wrong)
+    assert on_board.gyro_sd > 0.02
+    assert "compass" in reasons["gyro_sd"]
+
+
 @pytest.mark.parametrize("vessel", ["wamv16", "usv75"])
 def test_a_boat_that_circles_against_its_commands_is_named(vessel: str) -> None:
     """A steady turn changes no command, but no wind turns a boat around again and again."""
