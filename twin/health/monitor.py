@@ -177,7 +177,7 @@ FIELDS = {
     "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
     # what is divided by
     **dict.fromkeys(("sensors.interval", "heading_level", "position_level"), _POSITIVE),
-    **dict.fromkeys(("velocity_level", "fit.level", "clock"), _POSITIVE),
-    "fit.cov": Field(covariance=True),
+    **dict.fromkeys(("velocity_level", "wave_level", "clock"), _POSITIVE),
+    "filters.P": Field(covariance=True),
 }
 """What the fields of a saved state may hold."""
