@@ -290,6 +290,8 @@ def _end_step(cmd, s, step, health, given):
         restart_motion(health)
         health.wave_level[YAW] = health.wave_level[SURGE] = LEVEL_FIRST
         health.hypothesis = AS_GIVEN
+        health.steps = 1.0
+        return
     write_effects(health)
     suspected = health.evidence[_strongest(health)] > LEVEL_SUSPECT
     _step_filters(length, not suspected, health)
@@ -352,12 +354,6 @@ def check_commands(dt, cmd, s, ready, health, given):
     left, right = cmd[0] / n0, cmd[1] / n0
     if not _are_possible(dt, left, right, cmd, health) or not ready:
         return
-    if not _is_motion_known(dt, health):
-        health.step_time = -1.0
-        if health.known_time == 0.0:
-            for k in range(HYPOTHESES):
-                health.evidence[k] = health.distinct[k] = 0.0
-        return
     a, b = left * abs(left), right * abs(right)
     share = 1.0 - math.exp(-dt / max(given.lag, LAG_MIN))
     targets = (
@@ -366,6 +362,14 @@ def check_commands(dt, cmd, s, ready, health, given):
         0.5 * a * math.sin(cmd[2]),
         0.5 * b * math.sin(cmd[3]),
     )
+    for k in range(DRIVE):
+        health.drive[k] += share * (targets[k] - health.drive[k])
+    if not _is_motion_known(dt, health):
+        health.step_time = -1.0
+        if health.known_time == 0.0:
+            for k in range(HYPOTHESES):
+                health.evidence[k] = health.distinct[k] = 0.0
+        return
     if health.step_time < 0.0:
         health.step_time = 0.0
         for k in range(DRIVE):
@@ -374,7 +378,6 @@ def check_commands(dt, cmd, s, ready, health, given):
         health.sway = s[V] / given.speed
         restart_motion(health)
     for k in range(DRIVE):
-        health.drive[k] += share * (targets[k] - health.drive[k])
         health.drive_sum[k] += health.drive[k] * dt
     health.step_time += dt
     step = max(STEP * given.time_scale, STEP_MIN)
