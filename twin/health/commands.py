@@ -18,6 +18,7 @@ from twin.health.drive_filters import (
     MOMENT,
     RIGHT_DEAD,
     SURGE,
+    WARM_UP,
     YAW,
     begin_filters,
     copy_filter,
@@ -56,9 +57,6 @@ longer ones drag answers."""
 STEP_LONG = 1.7
 """A step that became longer than so many is a gap: the mean drive says little of it."""
 
-WARM_UP = 35.0
-"""Steps before anything is concluded."""
-
 FIRST_STEPS, LEVEL_STEPS, LEVEL_CUT = 4.0, 80.0, 9.0
 """Steps in which the level of the waves is not yet learned faster, steps over which it is averaged,
 and most that a squared innovation counts in it, in its variances."""
@@ -74,11 +72,10 @@ DISTINCT, DISTINCT_FADE = 0.5, 0.7
 """A step in which two hypotheses make the drives differ by less (in nominal thrusts) counts less.
 Their difference fades so in a step: the motion that it made remains."""
 
-DECIDED, HELD_MORE = 17.0, 2.0
-"""Evidence above which a hypothesis comes into force: of 20 h of clean sailing, none had more.
-That the boat goes on as before must have so much more: shafts at rest explain much."""
+DECIDED = 16.0
+"""Evidence above which a hypothesis comes into force."""
 
-SUSPECT, LEVEL_SUSPECT = 2.0, 45.0
+SUSPECT, LEVEL_SUSPECT = 1.0, 45.0
 """Evidence above which a step is not one before anything was at odds, and above which the level of
 the waves is not learned: the fault would become the level."""
 
@@ -97,12 +94,18 @@ AGAINST_THRUST, AGAINST_SPEED, AGAINST_TIME = 0.1, 0.3, 15.0
 """Nominal thrust and speed of a boat that goes against its thrust, and how long (s) it must: one
 that brakes stops sooner, and a current is slower."""
 
+AT_REST = 1e-9
+"""Shafts are at rest below it, in nominal speeds."""
+
 CHANGED = 6.0
 """What is still doubtful after so long is a boat that has changed, s."""
 
 CALM, GIVE_IN = 2.0, 60.0
 """Impossible commands come back after good ones for so long, s; excluded ones of any kind after
 the second time. They are then learned as they are."""
+
+CALM_STEPS = 2.0
+"""Commands that did not reach the boat come back after they explained so many steps."""
 
 KNOWN_TIME = 2.0
 """After a sensor of the motion came back, the estimated motion needs so long to be right, s."""
@@ -136,10 +139,13 @@ def _put_in_force(k, health):
         _set(health, DOUBTFUL, NO_RIGHT)
     elif k == HELD:
         _set(health, EXCLUDED, NO_ANSWER)
+        health.sensors[COMMAND].calm = 0.0
     else:
         _set(health, EXCLUDED, WRONG_SIGN)
     for j in range(HYPOTHESES):
         health.evidence[j] = health.distinct[j] = 0.0
+    for axis in range(2):
+        health.wave_level[axis] = health.quiet_level[axis]
     health.mismatch = 0.0
 
 
@@ -177,9 +183,25 @@ def _learn_level(axis, innovation, S, health):
 
 
 @inlined
-def _step_filters(length, learn, health):
+def _strongest(health):
+    """Return the hypothesis with most evidence."""
+    best, most = AS_GIVEN, health.evidence[AS_GIVEN]
+    excluded = health.sensors[COMMAND].status == EXCLUDED
+    for k in range(1, HYPOTHESES):
+        # on the way back from another fault, half the thrust is no dead thruster
+        half = k == LEFT_DEAD or k == RIGHT_DEAD
+        if health.evidence[k] > most and not (excluded and half):
+            best, most = k, health.evidence[k]
+    return best
+
+
+@inlined
+def _step_filters(length, health):
     """Advance the filters of all hypotheses by a step."""
     force = int(health.hypothesis)
+    # what is wrong with excluded commands must not become the model
+    learn = health.sensors[COMMAND].status != EXCLUDED
+    suspected = not learn or health.evidence[_strongest(health)] > LEVEL_SUSPECT
     for k in range(HYPOTHESES):
         if k != force and health.evidence[k] <= 0.0:
             copy_filter(health, k, force)
@@ -189,14 +211,14 @@ def _step_filters(length, learn, health):
         k = i if i < force else i + 1
         if i == HYPOTHESES - 1:
             k = force
-        r, u = health.filters[k].x[YAW, 0], health.filters[k].x[SURGE, 0]
+        motion = health.filters[k].x[YAW, 0], health.filters[k].x[SURGE, 0]
         health.likelihood[k] = 0.0
         for axis in range(2):
-            innovation, S = step_filter(axis, k, r, u, length, health)
+            innovation, S = step_filter(axis, k, motion, length, learn, health)
             health.likelihood[k] += log_likelihood(innovation, S)
             if k == force:
                 square += 0.5 * min(innovation * innovation / S, SQUARE_MAX)
-                if learn:
+                if not suspected:
                     _learn_level(axis, innovation, S, health)
     health.mismatch += (square - health.mismatch) / RECENT
 
@@ -218,17 +240,6 @@ def _add_evidence(health):
 
 
 @inlined
-def _strongest(health):
-    """Return the hypothesis with most evidence."""
-    best, most = AS_GIVEN, health.evidence[AS_GIVEN]
-    for k in range(1, HYPOTHESES):
-        evidence = health.evidence[k] - (HELD_MORE if k == HELD else 0.0)
-        if evidence > most:
-            best, most = k, evidence
-    return best
-
-
-@inlined
 def _conclude(wrong, health):
     """Set the status by what explains the motion."""
     check, force = health.sensors[COMMAND], int(health.hypothesis)
@@ -236,7 +247,11 @@ def _conclude(wrong, health):
     if health.evidence[best] > DECIDED:
         _put_in_force(best, health)
     elif check.status == EXCLUDED:
-        if health.clock - check.since > GIVE_IN:
+        agreed = force == HELD and health.at_rest == 0.0 and health.mismatch < AGREED
+        check.calm = check.calm + 1.0 if agreed else 0.0
+        if check.calm > CALM_STEPS:
+            _put_in_force(AS_GIVEN, health)
+        elif health.clock - check.since > GIVE_IN:
             # what they do is learned again, as it is
             _put_in_force(AS_GIVEN, health)
             health.steps = 0.0
@@ -266,13 +281,17 @@ def _remember_commands(cmd, health):
         health.trusted[k] = health.before[k]
         health.before[k] = cmd[k]
     for k in range(DRIVE):
-        health.held_drive[k] = health.mean_drive[k]
+        health.held_drive[k] = health.drive_before[k]
+        health.drive_before[k] = health.mean_drive[k]
+    for axis in range(2):
+        health.quiet_level[axis] = health.wave_level[axis]
 
 
 @inlined
-def _end_step(cmd, s, step, health, given):
+def _end_step(cmd, at_rest, s, step, health, given):
     """Hold the step that ends against what each hypothesis says of it, and learn from it."""
     T = health.step_time
+    health.at_rest = 1.0 if at_rest else 0.0
     for k in range(DRIVE):
         health.mean_drive[k] = health.drive_sum[k] / T
         health.drive_sum[k] = 0.0
@@ -293,8 +312,7 @@ def _end_step(cmd, s, step, health, given):
         health.steps = 1.0
         return
     write_effects(health)
-    suspected = health.evidence[_strongest(health)] > LEVEL_SUSPECT
-    _step_filters(length, not suspected, health)
+    _step_filters(length, health)
     health.steps += 1.0
     wrong = _is_sign_wrong(T, health)
     if warm:
@@ -382,4 +400,5 @@ def check_commands(dt, cmd, s, ready, health, given):
     health.step_time += dt
     step = max(STEP * given.time_scale, STEP_MIN)
     if health.step_time >= step:
-        _end_step(cmd, s, step, health, given)
+        at_rest = abs(left) + abs(right) < AT_REST
+        _end_step(cmd, at_rest, s, step, health, given)

@@ -28,6 +28,7 @@ __all__ = [
     "MOMENT",
     "RIGHT_DEAD",
     "SURGE",
+    "WARM_UP",
     "YAW",
     "begin_filters",
     "copy_filter",
@@ -50,7 +51,7 @@ EFFECTS = np.array(
         [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]],  # sides swapped
         [[0.0, 1.0], [0.0, 1.0], [0.0, -1.0]],  # left thruster dead
         [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]],  # right thruster dead
-        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],  # as before: the boat does not get new ones
+        [[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]],  # at rest, but the boat gets others
     ]
 )
 """What may be wrong with commands: factors of the sides in what a boat makes of them."""
@@ -62,6 +63,9 @@ THRUST, MOMENT, DIFFERENCE = 3, 3, 4
 
 LEFT_THRUST, LEFT_MOMENT = 0, 2
 """Places in the drive of what the left side makes; that of the right side follows."""
+
+WARM_UP = 35.0
+"""Steps before anything is concluded."""
 
 SCALE, SCALE_SD = 0.4, 0.6
 """Expected acceleration by nominal thrust, and its standard deviation, in nominal speeds squared
@@ -91,6 +95,14 @@ WALK = 0.013
 
 MODEL_SHARE = 0.53
 """Standard deviation of what the model leaves out in a step, in levels of the waves."""
+
+UNKNOWN_THRUST, UNKNOWN_STEERING = 0.25, 0.1
+"""Standard deviations of thrust and steering about those of before, in nominal thrusts, where
+shafts are said to be at rest and are not."""
+
+SCALE_KNOWN, SCALE_MIN = 0.2, 0.03
+"""Once learned, the acceleration by thrust is known to this share of it, or of the least of any
+boat: at a constant speed thrust and drag could else both fade, and explain anything."""
 
 ROBUST = 9.4
 """Squared innovations above so many variances count less: a single wave says little."""
@@ -124,7 +136,7 @@ def thrust_of(drive):
 def write_effects(health):
     """Write thrust, steering moment and difference of thrust of the last step by hypothesis."""
     for k in range(HYPOTHESES):
-        drive = health.held_drive if k == HELD else health.mean_drive
+        drive = health.held_drive if k == HELD and health.at_rest > 0.0 else health.mean_drive
         for kind in range(3):
             health.effects[k, kind] = _effect(kind, k, drive)
 
@@ -193,18 +205,34 @@ def _write_regressors(axis, k, r, u, v, health):
         f[4], f[5] = v * r, 0.0
 
 
+@inlined
+def _bound_scale(x, P, length, gain):
+    """Make the acceleration by thrust known to a share of it, as by a measurement that agrees."""
+    most = (SCALE_KNOWN * max(abs(x[THRUST]), SCALE_MIN * length)) ** 2
+    variance = P[THRUST, THRUST]
+    if variance > most:
+        for i in range(FILTER_STATES):
+            gain[i] = P[i, THRUST]
+        share = (1.0 - most / variance) / variance
+        for i in range(FILTER_STATES):
+            for j in range(FILTER_STATES):
+                P[i, j] -= share * gain[i] * gain[j]
+
+
 @kernel
-def step_filter(axis, k, r, u, length, health):
-    """Advance the filter of a hypothesis by a step from yaw rate r and surge u.
+def step_filter(axis, k, motion, length, learn, health):
+    """Advance the filter of a hypothesis by a step.
 
     Parameters
     ----------
     axis, k : int
         0 for yaw, 1 for surge; the hypothesis.
-    r, u : float
-        Its motion before the step, in nominal units.
+    motion : tuple of float
+        Its yaw rate and surge before the step, in nominal units.
     length : float
         Length of the step, in lengths over nominal speed.
+    learn : bool
+        Whether the parameters are corrected too, or only the motion.
     health : record
         ``HEALTH``: the filter is advanced in place.
 
@@ -215,6 +243,8 @@ def step_filter(axis, k, r, u, length, health):
     """
     x, P = health.filters[k].x[axis], health.filters[k].P[axis]
     f, gain = health.regressors, health.gain
+    r, u = motion
+    learned = health.steps > WARM_UP
     _write_regressors(axis, k, r, u, health.mean_sway, health)
     change = 0.0
     for i in range(COMMAND_TERMS):
@@ -224,6 +254,9 @@ def step_filter(axis, k, r, u, length, health):
     x[0] += change
     level = health.wave_level[axis]
     variance = decay * decay * P[0, 0] + (MODEL_SHARE * level) ** 2
+    if k == HELD and health.at_rest > 0.0:
+        unknown = UNKNOWN_STEERING if axis == YAW else UNKNOWN_THRUST
+        variance += (unknown * x[THRUST]) ** 2
     for j in range(1, FILTER_STATES):
         gain[j] = 0.0
         for i in range(COMMAND_TERMS):
@@ -240,11 +273,15 @@ def step_filter(axis, k, r, u, length, health):
     for i in range(FILTER_STATES):
         gain[i] = P[i, 0]
     for i in range(FILTER_STATES):
-        x[i] += gain[i] * innovation / weighted
+        if learn or i == 0:
+            x[i] += gain[i] * innovation / weighted
         for j in range(FILTER_STATES):
-            P[i, j] -= gain[i] * gain[j] / weighted
+            if learn or i == 0 or j == 0:
+                P[i, j] -= gain[i] * gain[j] / weighted
         P[i, i] = max(P[i, i], VARIANCE_MIN)
     x[0] = min(max(x[0], -MOTION_MAX), MOTION_MAX)
+    if axis == SURGE and learned:
+        _bound_scale(x, P, length, gain)
     return innovation, S
 
 

@@ -163,7 +163,9 @@ HEALTH = np.dtype(
         ("drive", "f8", DRIVE),  # thrust and its steering part, side by side, after the lags
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
         ("mean_drive", "f8", DRIVE),  # their mean over the last step
+        ("drive_before", "f8", DRIVE),  # the same of the step before
         ("held_drive", "f8", DRIVE),  # the same of the last step before anything was at odds
+        ("at_rest", "f8"),  # 1 where the shafts were commanded to rest when it ended
         ("known_time", "f8"),  # how long the sensors of the motion have been in use, s
         ("step_time", "f8"),  # time since the step began, s; negative before the first
         ("motion", "f8", 2),  # yaw rate and surge at its beginning or end, in nominal units
@@ -173,6 +175,7 @@ HEALTH = np.dtype(
         ("filters", FILTER, HYPOTHESES),
         ("effects", "f8", (HYPOTHESES, 3)),  # thrust, steering, difference of sides in a step
         ("wave_level", "f8", 2),  # typical part of the waves in yaw rate and surge
+        ("quiet_level", "f8", 2),  # the same before anything was at odds
         ("regressors", "f8", COMMAND_TERMS),  # scratch
         ("gain", "f8", FILTER_STATES),  # scratch
         ("against_time", "f8"),  # how long the boat has gone against its thrust, s
