@@ -189,7 +189,7 @@ def _strongest(health):
     excluded = health.sensors[COMMAND].status == EXCLUDED
     for k in range(1, HYPOTHESES):
         # on the way back from another fault, half the thrust is no dead thruster
-        half = k == LEFT_DEAD or k == RIGHT_DEAD
+        half = k in (LEFT_DEAD, RIGHT_DEAD)
         if health.evidence[k] > most and not (excluded and half):
             best, most = k, health.evidence[k]
     return best

@@ -96,7 +96,7 @@ WALK = 0.013
 MODEL_SHARE = 0.53
 """Standard deviation of what the model leaves out in a step, in levels of the waves."""
 
-UNKNOWN_THRUST, UNKNOWN_STEERING = 0.25, 0.1
+UNKNOWN_THRUST, UNKNOWN_STEERING = 0.3, 0.2
 """Standard deviations of thrust and steering about those of before, in nominal thrusts, where
 shafts are said to be at rest and are not."""
 
