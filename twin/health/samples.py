@@ -96,10 +96,11 @@ def _is_garbage(z, fastest):
 @inlined
 def _is_impossible(z, first, last, limit):
     """Return whether any of some channels is beyond a limit."""
+    most = 0.0
     for j in range(first, last):
-        if abs(z[j]) >= limit:
-            return True
-    return False
+        if math.isfinite(z[j]) or math.isinf(z[j]):
+            most = max(most, abs(z[j]))
+    return most >= limit
 
 
 @inlined

@@ -149,6 +149,10 @@ HEALTH = np.dtype(
         ("travelled", "f8", 2),  # integral of the velocity since then, m
         ("position_sum", "f8", 2),  # leaky sum of position minus velocity, m
         ("position_level", "f8"),  # its typical size, m
+        ("pull_short", "f8", 2),  # short mean of position minus velocity, from the last fix, m
+        ("pull_long", "f8", 2),  # long mean of the same, m
+        ("pull_age", "f8"),  # time since they began, s
+        ("pull_level", "f8"),  # typical distance between them, m
         ("reckoned", "f8", 2),  # where dead reckoning puts an excluded GPS, m
         ("reckoned_time", "f8"),  # time since it began, s
         # velocity against accelerometers
@@ -197,6 +201,7 @@ HEALTH_SETTINGS = np.dtype(
         ("speed", "f8"),  # nominal speed, m/s
         # standard deviations of the data sheets: see twin.particulars.Instruments
         ("gps_sd", "f8"),  # m
+        ("gps_bias_sd", "f8"),  # m
         ("doppler_sd", "f8"),  # m/s
         ("compass_sd", "f8"),  # rad
         ("gyro_sd", "f8"),  # rad/s
@@ -226,6 +231,7 @@ def health_settings(particulars: Particulars) -> Array:
             L / U,
             U,
             I.gps_sd,
+            I.gps_bias_sd,
             I.doppler_sd,
             I.compass_sd,
             I.gyro_sd,

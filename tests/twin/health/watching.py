@@ -67,7 +67,7 @@ def base(manoeuvre: str, vessel: str = "usv75") -> tuple[Log, Twin, int]:
 
 
 def watch(twin: Twin, log: Log, first: int, last: int | None = None) -> Watch:
-    """Feed rows of a log to a twin; return each doubt or exclusion when it begins, or its reason."""
+    """Feed rows of a log to a twin; return when each doubt or exclusion, or its reason, begins."""
     findings: list[Finding] = []
     before = twin.monitor.record["sensors"][["status", "reason"]].copy()
     for row in range(first, len(log) if last is None else last):
