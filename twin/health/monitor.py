@@ -185,8 +185,10 @@ FIELDS = {
     "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
     "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
     # what is divided by
-    **dict.fromkeys(("sensors.interval", "heading_level", "position_level"), _POSITIVE),
-    **dict.fromkeys(("velocity_level", "fit.level", "clock"), _POSITIVE),
-    "fit.cov": Field(covariance=True),
+    **dict.fromkeys(
+        ("sensors.interval", "heading_level", "position_level", "pull_level"), _POSITIVE
+    ),
+    **dict.fromkeys(("velocity_level", "wave_level", "clock"), _POSITIVE),
+    "filters.P": Field(covariance=True),
 }
 """What the fields of a saved state may hold."""
