@@ -17,6 +17,7 @@ from twin.health.drive_filters import (
     LEFT_DEAD,
     MOMENT,
     RIGHT_DEAD,
+    SIDES_SWAPPED,
     SURGE,
     WARM_UP,
     YAW,
@@ -224,7 +225,7 @@ def _step_filters(length, health):
 
 
 @inlined
-def _add_evidence(health):
+def _add_evidence(health, given):
     """Add the log-likelihood ratios of a step, a cumulative sum (Page 1954)."""
     force = int(health.hypothesis)
     for k in range(HYPOTHESES):
@@ -237,6 +238,9 @@ def _add_evidence(health):
             more *= min(health.distinct[k] / DISTINCT, 1.0)
         health.evidence[k] = max(FADE * health.evidence[k] + more - DRIFT, 0.0)
     health.evidence[force] = 0.0
+    if given.sides == 0.0:
+        for k in range(SIDES_SWAPPED, RIGHT_DEAD + 1):
+            health.evidence[k] = 0.0
 
 
 @inlined
@@ -316,7 +320,7 @@ def _end_step(cmd, at_rest, s, step, health, given):
     health.steps += 1.0
     wrong = _is_sign_wrong(T, health)
     if warm:
-        _add_evidence(health)
+        _add_evidence(health, given)
         if health.sensors[COMMAND].reason != IMPOSSIBLE:
             _conclude(wrong, health)
     _remember_commands(cmd, health)

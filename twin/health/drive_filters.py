@@ -27,6 +27,7 @@ __all__ = [
     "LEFT_DEAD",
     "MOMENT",
     "RIGHT_DEAD",
+    "SIDES_SWAPPED",
     "SURGE",
     "WARM_UP",
     "YAW",
@@ -56,7 +57,7 @@ EFFECTS = np.array(
 )
 """What may be wrong with commands: factors of the sides in what a boat makes of them."""
 
-AS_GIVEN, LEFT_DEAD, RIGHT_DEAD, HELD = 0, 5, 6, 7
+AS_GIVEN, SIDES_SWAPPED, LEFT_DEAD, RIGHT_DEAD, HELD = 0, 4, 5, 6, 7
 
 THRUST, MOMENT, DIFFERENCE = 3, 3, 4
 """Places of the commands' effects in a filter's state: thrust of surge, the others of yaw."""

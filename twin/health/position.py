@@ -48,6 +48,9 @@ PULL_FLOOR, PULL_VELOCITY, BIAS_TIME = 0.05, 1.0, 400.0
 """Least level of their distance, m; the time for which a velocity error counts in it, and the time
 in which the drifting error of a fix changes, s."""
 
+TINY = 1e-9
+"""Least age of the means, s: two fixes may have one stamp."""
+
 RECKONED_SHARE = 0.03
 """Error of the navigation's velocity where the GPS gives none, in nominal speeds."""
 
@@ -89,7 +92,7 @@ def _begin_pull(health):
 @inlined
 def _pull(step_x, step_y, T, health, given):
     """Learn the means of position minus velocity; return how far they are apart, in levels."""
-    health.pull_age += T
+    health.pull_age += max(T, TINY)
     short = min(T / min(health.pull_age, PULL_MEAN), 1.0)
     long = min(T / min(health.pull_age, PULL_TIME), 1.0)
     for k in range(2):
@@ -101,8 +104,9 @@ def _pull(step_x, step_y, T, health, given):
         health.pull_short[0] - health.pull_long[0], health.pull_short[1] - health.pull_long[1]
     )
     white = given.gps_sd * math.sqrt(min(T / (2.0 * PULL_MEAN), 1.0))
-    floor = math.hypot(white, given.gps_bias_sd * math.sqrt(PULL_TIME / BIAS_TIME)) + PULL_FLOOR
-    floor += given.doppler_sd * PULL_VELOCITY + STEP_SHARE * given.speed * T
+    drift = given.gps_bias_sd * math.sqrt(PULL_TIME / BIAS_TIME)
+    other = math.hypot(given.doppler_sd * PULL_VELOCITY, PULL_FLOOR)
+    floor = math.hypot(math.hypot(white, drift), other) + STEP_SHARE * given.speed * T
     learn = health.sensors[GPS].status == OK
     health.pull_level = typical_size(health.pull_level, size, floor, T, health.clock, learn)
     factor = limited(size, health.pull_level)
@@ -144,6 +148,7 @@ def _readmit(z, T, size, pull, frozen, health, given):
     if not follows:
         # the next fix begins a new track
         _begin_sum(health)
+        _begin_pull(health)
     gps.followed = gps.followed + T if follows else 0.0
     gps.calm = gps.calm + T if error < gate and follows else 0.0
     alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN

@@ -214,6 +214,7 @@ HEALTH_SETTINGS = np.dtype(
         ("max_turn", "f8"),  # yaw rate that no boat of its size exceeds, rad/s
         ("shaft_speed", "f8"),  # nominal, rev/s
         ("lag", "f8"),  # of shafts and drives, s
+        ("sides", "f8"),  # 1 for a boat with a thruster on each side, else 0
     ]
 )
 """What the checks are given of a boat and its instruments."""
@@ -244,6 +245,7 @@ def health_settings(particulars: Particulars) -> Array:
             TURN_FREE + TURN_FACTOR * U / L,
             particulars.shaft_speed,
             max(particulars.shaft_lag, particulars.steer_lag),
+            particulars.steering != "rudder",
         ]
     )
 
