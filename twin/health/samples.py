@@ -49,7 +49,7 @@ IMPOSSIBLE_COUNT, IMPOSSIBLE_MAX, IMPOSSIBLE_FADE = 2.0, 20.0, 0.1
 """A single impossible number is masked; so many in few samples are a fault. The count stays
 below the second number, and each good sample takes the third off."""
 
-IMPOSSIBLE_DOUBT = 0.65
+IMPOSSIBLE_MASK = 0.65
 """While the count is above, so for three samples after an impossible one, good numbers of the
 sensor are masked too: garbage holds numbers of any size."""
 
@@ -130,7 +130,7 @@ def _take_channels(dt, z, first, last, sensor, limit, health, out):
     if not given:
         return False
     check.impossible = max(check.impossible - IMPOSSIBLE_FADE, 0.0)
-    if check.impossible > IMPOSSIBLE_DOUBT and check.status != EXCLUDED:
+    if check.impossible > IMPOSSIBLE_MASK and check.status != EXCLUDED:
         for j in range(first, last):
             out[j] = math.nan
         check.age = 0.0
