@@ -53,6 +53,7 @@ __all__ = [
     "MODELS",
     "N_STATES",
     "N_TERMS",
+    "UNEQUAL_THRUSTERS",
     "ModelTerms",
     "Structure",
     "StructureError",
@@ -403,6 +404,9 @@ _CURRENT = (
     ("C_east", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
 )
 
+UNEQUAL_THRUSTERS = ("X_dn", "N_mn")
+"""What unequal thrusters do: the push by their difference, the turning by their mean."""
+
 _BIASES = (
     ("E_north", "m/s2", "E", COS, (-1, 2, 0), 0.0, 0.0087),
     ("E_east", "m/s2", "E", SIN, (-1, 2, 0), 0.0, 0.0087),
@@ -520,7 +524,7 @@ def structure_of(
     """
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
-    left_out = ("X_dn", "N_mn") if tanker else ("Y_S", "N_S")
+    left_out = UNEQUAL_THRUSTERS if tanker else ("Y_S", "N_S")
     rows = [row for row in _TABLES[name] if row[0] not in left_out]
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
