@@ -42,7 +42,10 @@ Array = NDArray[np.float64]
 
 FORMAT = "usv-twin prior 1"
 
-ENVIRONMENT = ("E_north", "E_east", "N_0", "N_cos", "N_sin", "N_cos2", "N_sin2")
+ENVIRONMENT = (
+    *("C_north", "C_east", "E_north", "E_east"),
+    *("N_0", "N_cos", "N_sin", "N_cos2", "N_sin2"),
+)
 """Parameters that are those of wind, current and sea of a day."""
 
 WIDENED = 0.1

@@ -291,7 +291,7 @@ class Twin:
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
         z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready)
-        predictor.hold_parameters(monitor.commands_doubted)
+        predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
         predictor.update(t, dt, z, trusted)
         self.t, self.cmd = t, cmd
         self.health_history.take(t, self.begun)

@@ -38,6 +38,7 @@ from numba.core.types import unliteral  # type: ignore[attr-defined]
 from numba.core.typing import Context
 
 from usv_kernel.errors import UsvTwinError
+from usv_kernel.warmup import deferred_interrupt
 
 __all__ = [
     "Kernel",
@@ -311,8 +312,9 @@ class _Dispatcher(CPUDispatcher):  # type: ignore[misc]
         self._compiler._customize_flags = _Flags
 
     def compile(self, sig: Any) -> Any:
-        # else a constant in a call would compile the kernel once more for its value
-        return super().compile(tuple(map(unliteral, sig)))
+        with deferred_interrupt():
+            # else a constant in a call would compile the kernel once more for its value
+            return super().compile(tuple(map(unliteral, sig)))
 
 
 class _Part(_Dispatcher):

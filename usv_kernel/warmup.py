@@ -1,13 +1,16 @@
-"""While kernels compile: a message on stderr, and no garbage collection."""
+"""While kernels compile: a message on stderr, no garbage collection, and no interruption."""
 
 from __future__ import annotations
 
 import gc
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import cycle
 from typing import Any
 
@@ -16,6 +19,7 @@ from numba.core import event
 __all__ = [
     "QUIET",
     "CompileListener",
+    "deferred_interrupt",
 ]
 
 QUIET = "USV_TWIN_QUIET"
@@ -25,6 +29,38 @@ MESSAGE = "usv-twin: compiling kernels (first use after an install or update)"
 
 MESSAGE_DELAY = 0.3
 """Compilation time before the message appears, s."""
+
+
+INTERRUPTED = "usv-twin: stops as soon as this kernel is compiled"
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[None]:
+    """Let Ctrl-C wait for the end of the block: numba and LLVM do not survive it.
+
+    Half-compiled code is left behind otherwise, and the process hangs or crashes at the next use.
+    Blocks may be nested. Only the main thread ever receives Ctrl-C.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    if not main or not callable(before) or getattr(before, "defers", False):
+        yield
+        return
+    pressed: list[Any] = []
+
+    def remember(number: int, frame: Any) -> None:
+        if not pressed:
+            print(f"\n{INTERRUPTED}", file=sys.stderr, flush=True)
+        pressed[:] = [number, frame]
+
+    remember.defers = True  # type: ignore[attr-defined]
+    signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if pressed:
+            before(*pressed)
 
 
 class CompileListener(event.Listener):  # type: ignore[misc]

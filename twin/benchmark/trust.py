@@ -23,6 +23,7 @@ from twin.digital_twin import Twin, known_plan
 from twin.filters.navigation_ekf import Navigator
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
+from twin.model.priors import kind_of, scaled_prior
 from twin.particulars import Particulars
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.baselines import hold_velocity
@@ -40,6 +41,7 @@ __all__ = [
     "TrustMeter",
     "Verdict",
     "position_bound",
+    "worst_of",
 ]
 
 Array = NDArray[np.float64]
@@ -58,7 +60,13 @@ RATIO_GREEN, RATIO_AMBER = 0.9, 1.1
 """Error over that of persistence, up to which a forecast is green or amber."""
 
 COVERAGE_GREEN, COVERAGE_AMBER = 0.75, 0.5
-"""Share inside the claimed 90 %, from which on it is green or amber."""
+"""Share inside the claimed 90 %, from which on it is green or amber ..."""
+
+CLAIMED, CHANCE = 0.9, 2.5
+"""... and how many standard deviations less than claimed a short log may show by chance."""
+
+STEADY = 2.0
+"""Where persistence is off by so many times the noise of the sensors, the boat kept its motion."""
 
 BEARS_GREEN, BEARS_AMBER = 30.0, 10.0
 """Seconds without GPS from which on they are green or amber."""
@@ -68,6 +76,20 @@ FAR, FAR_AMBER = 4.0, 4
 
 SURE_BEFORE, SURE_AFTER = 1.5, 2.0
 """Standard deviations by which a sign was known before and after, where it is said to be other."""
+
+EFFECTS = {
+    **dict.fromkeys(("X_nn", "T_uL", "T_uR"), "surge"),
+    **dict.fromkeys(("Y_nn", "Y_F", "T_vL", "T_vR"), "sway"),
+    **dict.fromkeys(("N_nn", "N_F", "N_dn", "T_rL", "T_rR"), "yaw"),
+}
+"""Parameters that say what commands do, and their equations."""
+
+DAMPING = {
+    **dict.fromkeys(("X_u", "X_u|u|", "X_uu"), "surge"),
+    **dict.fromkeys(("Y_|u|v", "Y_v"), "sway"),
+    **dict.fromkeys(("N_|u|r", "N_r"), "yaw"),
+}
+"""Parameters that damp the motion, and their equations."""
 
 BOUND_MIN, BOUND_NOISE = 5.0, 5.0
 """The bound of the position error without GPS is at least this (m, standard deviations of a fix),
@@ -87,9 +109,10 @@ LOSS_MIN = BEARS_AMBER
 
 RULES = (
     f"Green: error at {HORIZON:g} s up to {RATIO_GREEN:g} of persistence, or no more than the "
-    f"noise of the sensors; at least {COVERAGE_GREEN:.0%} inside the claimed 90 %; at least "
-    f"{BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, or of "
-    "the other sign; no finding of the log check. "
+    f"noise of the sensors, or {STEADY:g} times it where persistence is; at least "
+    f"{COVERAGE_GREEN:.0%} inside the claimed 90 %, less what a short log shows by chance; at "
+    f"least {BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, "
+    "and no effect of a command of the other sign; no finding of the log check. "
     f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
     f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
     "green; warnings; or what the log is too short to tell "
@@ -160,6 +183,34 @@ class Verdict:
             ],
             "deviations_in_prior_sd": dict(self.deviations),
         }
+
+
+def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
+    """Return one verdict on several runs of a boat: of each answer, that of the worst run.
+
+    Parameters
+    ----------
+    verdicts : sequence of Verdict
+        One for each run, of one boat and predictor.
+    """
+    answers = []
+    for row in zip(*(each.answers for each in verdicts), strict=True):
+        worst = max(row, key=lambda answer: COLOURS.index(answer.colour))
+        log = verdicts[row.index(worst)].log
+        same = sum(answer.colour == worst.colour for answer in row)
+        more = f" [{log}; {same} of {len(row)} runs are {worst.colour}]"
+        answers.append(dataclasses.replace(worst, text=worst.text + more))
+    deviations: dict[str, float] = {}
+    for name, size in (pair for each in verdicts for pair in each.deviations):
+        deviations[name] = max(size, deviations.get(name, 0.0))
+    return dataclasses.replace(
+        verdicts[0],
+        log=f"{len(verdicts)} runs of {verdicts[0].boat}",
+        answers=tuple(answers),
+        forecasts=tuple(f for each in verdicts for f in each.forecasts),
+        losses=tuple(loss for each in verdicts for loss in each.losses),
+        deviations=tuple(sorted(deviations.items(), key=lambda pair: -pair[1])),
+    )
 
 
 def position_bound(particulars: Particulars) -> float:
@@ -286,9 +337,9 @@ class TrustMeter:
         findings : sequence of Finding
             Of ``twin.logs.diagnosis.diagnose``.
         """
-        deviations = self._deviations()
+        deviations, drag = self._deviations()
         scores = self._forecast_answer(), self._coverage_answer(), self._loss_answer()
-        parameters = _parameter_answer(deviations, self._reversed())
+        parameters = _parameter_answer(deviations, self._reversed(), drag)
         if not self.twin.estimate().ready:
             parameters = Answer("parameters", AMBER, "cannot tell: no fix and heading together")
         elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
@@ -312,9 +363,11 @@ class TrustMeter:
         own = _root_mean_square([f.error for f in self.forecasts])
         held = _root_mean_square([f.persistence for f in self.forecasts])
         on_board = self.particulars.instruments
-        noise = math.sqrt(2.0) * np.array([on_board.gps_sd, on_board.compass_sd])
+        # two fixes, each of two coordinates; two headings
+        noise = math.sqrt(2.0) * np.array([math.sqrt(2.0) * on_board.gps_sd, on_board.compass_sd])
         ratio = own / np.maximum(held, 1e-12)
-        worst = float(np.max(np.where(own <= noise, 0.0, ratio)))
+        small = (own <= noise) | ((own <= STEADY * noise) & (held <= STEADY * noise))
+        worst = float(np.max(np.where(small, 0.0, ratio)))
         degrees = math.degrees(own[1]), math.degrees(held[1])
         text = (
             f"{own[0]:.2f} m and {degrees[0]:.1f} degrees off after {HORIZON:g} s; persistence "
@@ -340,7 +393,11 @@ class TrustMeter:
             f"({count} {'forecast' if count == 1 else 'forecasts'})"
         )
         worst = min(place, heading)
-        colour = self._colour(worst >= COVERAGE_GREEN, worst >= COVERAGE_AMBER)
+        # forecasts that overlap count as one
+        alone = 1.0 + (self.forecasts[-1].t - self.forecasts[0].t) / HORIZON
+        chance = CHANCE * math.sqrt(CLAIMED * (1.0 - CLAIMED) / alone)
+        bound = max(min(COVERAGE_GREEN, CLAIMED - chance), COVERAGE_AMBER)
+        colour = self._colour(worst >= bound, worst >= COVERAGE_AMBER)
         return Answer("coverage", colour, text, {"position": place, "heading": heading})
 
     def _colour(self, is_green: bool, is_amber: bool) -> str:
@@ -381,25 +438,40 @@ class TrustMeter:
         colour = GREEN if typical >= BEARS_GREEN else AMBER if typical >= BEARS_AMBER else RED
         return Answer("without GPS", colour, text, numbers)
 
-    def _deviations(self) -> list[tuple[str, float]]:
-        """Return the parameters by how far they ended from the prior, in its deviations."""
+    def _deviations(self) -> tuple[list[tuple[str, float]], float]:
+        """Return how far parameters ended from the prior, in its deviations; and a factor.
+
+        The factor is that of drag where the prior was rough, else 1.
+        """
         last, names = self.twin.estimate(), self.twin.predictor.parameter_names
-        sd = self.prior.params_sd
-        far = np.abs(last.params - self.prior.params) / np.where(sd > 0.0, sd, math.inf)
-        pairs = zip(names, far.tolist(), strict=True)
-        return sorted((p for p in pairs if p[0] not in ENVIRONMENT), key=lambda pair: -pair[1])
+        mean, sd, factor = self.prior.params, self.prior.params_sd, 1.0
+        own = self.particulars.prior is not None
+        if len(names) and kind_of(self.particulars) == "differential" and not own:
+            factor, mean, sd = scaled_prior(names, mean, sd, last.params)
+        far = np.abs(last.params - mean) / np.where(sd > 0.0, sd, math.inf)
+        pairs = [
+            pair for pair in zip(names, far.tolist(), strict=True) if pair[0] not in ENVIRONMENT
+        ]
+        return sorted(pairs, key=lambda pair: -pair[1]), factor
 
     def _reversed(self) -> list[str]:
-        """Return the parameters that ended with the other sign, where both are sure."""
+        """Return the effects of commands that ended with the other sign, where both are sure.
+
+        An effect and the damping of its motion that are both reversed are the two sides of one
+        equation: a steady run has shown their ratio only.
+        """
         last, prior = self.twin.estimate(), self.prior
         before, after = prior.params, last.params
-        other = (
-            (before * after < 0.0)
-            & (np.abs(before) > SURE_BEFORE * prior.params_sd)
-            & (np.abs(after) > SURE_AFTER * last.params_sd)
-        )
-        names = zip(self.twin.predictor.parameter_names, other.tolist(), strict=True)
-        return [name for name, is_other in names if is_other]
+        names = self.twin.predictor.parameter_names
+        known = (before * after < 0.0) & (np.abs(before) > SURE_BEFORE * prior.params_sd)
+        sure = known & (np.abs(after) > SURE_AFTER * last.params_sd)
+        damping = {
+            DAMPING[name]
+            for name, is_known in zip(names, known, strict=True)
+            if is_known and name in DAMPING
+        }
+        found = [name for name, is_sure in zip(names, sure, strict=True) if is_sure]
+        return [name for name in found if name in EFFECTS and EFFECTS[name] not in damping]
 
 
 def _root_mean_square(pairs: list[tuple[float, float]]) -> Array:
@@ -420,15 +492,22 @@ def _with_noise(prediction: Prediction, particulars: Particulars) -> Prediction:
     return dataclasses.replace(prediction, cov=cov, low=low, high=high)
 
 
-def _parameter_answer(deviations: Sequence[tuple[str, float]], other: Sequence[str]) -> Answer:
-    """Return what parameters far from the prior, or of the other sign, say."""
+def _parameter_answer(
+    deviations: Sequence[tuple[str, float]], other: Sequence[str], drag: float = 1.0
+) -> Answer:
+    """Return what parameters far from the prior, or of the other sign, say.
+
+    ``drag`` is the factor by which a rough prior was scaled.
+    """
     if not deviations:
         return Answer("parameters", GREEN, "the predictor has none", {"far": {}, "sign": []})
     far = [(name, size) for name, size in deviations if size > FAR]
-    numbers = {"far": dict(far), "sign": list(other), "count": len(deviations)}
+    numbers = {"far": dict(far), "sign": list(other), "count": len(deviations), "drag": drag}
     if not far and not other:
         name, size = deviations[0]
         text = f"all within {FAR:g} prior standard deviations; largest {name}, {size:.1f}"
+        if not 0.5 < drag < 2.0:
+            text += f" (of a boat with {drag:.2g} times the drag of the rough prior)"
         return Answer("parameters", GREEN, text, numbers)
     parts = []
     if far:

@@ -17,6 +17,8 @@ Decisions that the paper leaves open, all of them ours:
 - The two estimates share their past once there is feedback, so that the fused covariance is
   too small. The formula is kept as published.
 - Noise that no data sheet states scales by Froude's law with the length of the boat.
+- A fix that is farther off than :data:`LOST` restarts both filters. False numbers may have driven
+  one away, and its covariance does not know.
 - Losses. Variances are capped (position 1000 lengths, velocity ten times ``sqrt(g * length)``,
   acceleration g, heading pi). What is capped loses its correlations, which keeps the covariances
   positive definite. After ``hold`` seconds without a sample, the acceleration of the GPS filter and
@@ -41,6 +43,7 @@ from usv_kernel.errors import UsvTwinError
 from usv_kernel.scalar import wrap
 
 __all__ = [
+    "LOST",
     "LateFusion",
     "fuse",
 ]
@@ -56,6 +59,9 @@ SAME_DT = 1e-9
 HEADING_VAR_MAX = 0.5**2
 """Heading variance, rad2, above which the accelerometer, whose direction is then unknown,
 counts as missing."""
+
+LOST = 20.0
+"""A fix that is so many standard deviations off shows that a filter has diverged."""
 
 FIELDS = {
     **dict.fromkeys(
@@ -384,6 +390,10 @@ class LateFusion:
         gps.predict(F=self._gps_F_fading if stale else self._gps_F, Q=self._gps_Q)
         gps.P = _capped(gps.P, self._gps_cap)
         fresh = bool(seen.any())
+        if seen[0] and seen[1] and self._is_lost(z):
+            self._gps_age = 0.0
+            self._start(z, seen)
+            return
         if fresh:
             self._gps_age = 0.0
             H, R = self._select("gps", seen)
@@ -395,6 +405,14 @@ class LateFusion:
         )
         if self.feedback and fresh:
             self._feed_back()
+
+    def _is_lost(self, z: Array) -> bool:
+        """Return whether a fix is so far off that both filters must start again."""
+        for kalman, at in ((self.gps, _GPS_TO_FUSED[:2]), (self.imu, slice(NORTH, EAST + 1))):
+            variance = kalman.P.diagonal()[at] + self._gps_R[:2]
+            if ((z[:2] - kalman.x[at]) ** 2 > LOST**2 * variance).any():
+                return True
+        return False
 
     def _start(self, z: Array, seen: NDArray[np.bool_]) -> None:
         """Set both filters to the first fix."""

@@ -81,6 +81,8 @@ __all__ = [
     "Navigator",
     "aid",
     "is_ready",
+    "lacks_gps",
+    "lacks_imu",
     "navigate",
 ]
 
@@ -101,8 +103,15 @@ FROZEN_TIME = 2.0
 STEP_MAX = 0.1
 """Longest step of the prediction, s; longer gaps are cut up."""
 
+LOST_AFTER = 1.0
+"""GPS or IMU are missing once their last sample is so old, s."""
+
 GAP_MAX = 600.0
 """A gap longer than this, s, is predicted through as if it were this long."""
+
+FINE_MAX, COARSE_STEP = 30.0, 10.0
+"""Only the last part of a gap, s, is cut up finely; the rest into steps of this length, s. A row
+then takes no longer after an hour without rows than after half a minute."""
 
 _SHARP = 1e4
 """A correction that shrinks a variance by more than this may leave rounding behind."""
@@ -191,6 +200,18 @@ def aid(nav, work, entry, value, variance):
     # the model's variance is bounded from below, so that the covariance needs no repair
     variance = max(variance, 2.0 * nav.P[entry, entry] / _SHARP)
     _correct(nav, work, value - nav.n[entry], variance, 0.0, -1)
+
+
+@inlined
+def lacks_gps(nav):
+    """Return whether the navigation goes without fixes."""
+    return nav.gps_age > LOST_AFTER
+
+
+@inlined
+def lacks_imu(nav):
+    """Return whether the IMU is lost; a boat that never had one has lost none."""
+    return nav.has_imu > 0.0 and nav.imu_age > LOST_AFTER
 
 
 @inlined
@@ -375,15 +396,16 @@ def navigate(nav, dt, z, model, settings, work):
             r_mean += 0.5 * change
     elif modelled:
         r_rate, r_var = _aided(model, 2, settings.r_aided_density, r_var, settings)
-    steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
-    h = dt / steps
+    fine = min(dt, FINE_MAX)
+    steps = max(1, math.ceil(fine / STEP_MAX - 1e-9))
+    coarse = math.ceil((dt - fine) / COARSE_STEP)
     ax, ay, held = 0.0, 0.0, settings.held_density
     if modelled:
         ax, ahead = _aided(model, 0, settings.aided_density, held, settings)
         ay, aside = _aided(model, 1, settings.aided_density, held, settings)
         held = max(ahead, aside)
-    held *= h
-    for j in range(steps):
+    for j in range(-coarse, steps):
+        h = (dt - fine) / coarse if j < 0 else fine / steps
         # a sample is the mean over its interval; a gap is not filled with it
         if driven and j == steps - 1:
             forward, side = settings.imu_x, settings.imu_y
@@ -398,7 +420,7 @@ def navigate(nav, dt, z, model, settings, work):
         else:
             if not gyro:
                 r_mean = n[R] + 0.5 * h * r_rate
-            motion = Motion(h, ax, ay, held, False, r_mean, r_rate, r_var * h)
+            motion = Motion(h, ax, ay, held * h, False, r_mean, r_rate, r_var * h)
         predict(nav, settings, motion, work.A)
     if steps > 1:
         mend(P, work.A)

@@ -86,15 +86,15 @@ NAVIGATION = np.dtype(
         ("has_imu", "f8"),  # 1 once an IMU sample has come
         ("drift_var", "f8"),  # of the model's velocity, as it lasts, (m/s)2
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
+        ("motion_doubted", "f8"),  # 1 while GPS or compass are at fault and left out
     ]
 )
 """What the filter of a boat remembers."""
 
 NAVIGATION_FIELDS = {
     "P": Field(covariance=True),
-    **dict.fromkeys(
-        ("has_fix", "has_heading", "lost", "begun", "has_imu", "commands_doubted"), FLAG
-    ),
+    **dict.fromkeys(("has_fix", "has_heading", "lost", "begun", "has_imu"), FLAG),
+    **dict.fromkeys(("commands_doubted", "motion_doubted"), FLAG),
     **dict.fromkeys(("gps_age", "compass_age", "imu_age", "refused"), Field(low=0.0)),
     **dict.fromkeys(("unchanged", "clock", "since_aid"), Field(low=0.0)),
     "last": Field(nan=True, infinite=True),

@@ -20,11 +20,26 @@ from twin.health.samples import (
     note_absence,
     take_samples,
 )
-from twin.health.state import COMMAND, DOUBTFUL, EXCLUDED, N_STATES, NO_ANSWER
+from twin.health.state import (
+    COMMAND,
+    COMPASS_SENSOR,
+    DOUBTFUL,
+    EXCLUDED,
+    GPS,
+    N_STATES,
+    NO_ANSWER,
+)
 from twin.health.velocity import check_velocity
 from usv_kernel.jit import inlined, kernel
 
-__all__ = ["check_sensors"]
+__all__ = ["check_sensors", "is_motion_doubted"]
+
+
+@inlined
+def is_motion_doubted(health):
+    """Return whether GPS or compass are at fault and left out."""
+    sensors = health.sensors
+    return sensors[GPS].status == EXCLUDED or sensors[COMPASS_SENSOR].status == EXCLUDED
 
 
 @inlined
@@ -63,11 +78,12 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         The row without the samples of excluded sensors.
     """
     health.clock += dt
-    usable = ready and _take_state(s, health, given)
+    possible = _take_state(s, health, given)
+    usable = ready and possible
     state = health.state
     new_gps, new_compass = take_samples(dt, z, health, given, out)
     check_heading(dt, out, state, usable, new_compass, health, given)
-    check_position(dt, out, state, usable, new_gps, health, given)
+    check_position(dt, out, state, ready, possible, new_gps, health, given)
     find_frozen(usable, health, given)
     check_velocity(dt, out, state, usable, new_gps, health, given)
     check_course(out, new_gps, health, given)

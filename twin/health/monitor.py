@@ -12,6 +12,9 @@ from twin.channels import MEASUREMENTS
 from twin.checkpoint import Field, State, check_fields, fill, record_views
 from twin.health.checks import check_sensors
 from twin.health.state import (
+    COMPASS_SENSOR,
+    EXCLUDED,
+    GPS,
     HEALTH,
     HEALTH_SETTINGS,
     HYPOTHESES,
@@ -107,6 +110,12 @@ class SensorMonitor:
         """True while the commands do not explain how the boat moves."""
         return bool(self.record["commands_doubted"] > 0.0)
 
+    @property
+    def motion_doubted(self) -> bool:
+        """True while GPS or compass are at fault and left out."""
+        status = self.record["sensors"]["status"]
+        return bool(status[GPS] == EXCLUDED or status[COMPASS_SENSOR] == EXCLUDED)
+
     def check(
         self, dt: float, z: Array, cmd: Array, state: Array, ready: bool
     ) -> tuple[Array, Array]:
@@ -176,8 +185,10 @@ FIELDS = {
     "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
     "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
     # what is divided by
-    **dict.fromkeys(("sensors.interval", "heading_level", "position_level"), _POSITIVE),
-    **dict.fromkeys(("velocity_level", "fit.level", "clock"), _POSITIVE),
-    "fit.cov": Field(covariance=True),
+    **dict.fromkeys(
+        ("sensors.interval", "heading_level", "position_level", "pull_level"), _POSITIVE
+    ),
+    **dict.fromkeys(("velocity_level", "wave_level", "clock"), _POSITIVE),
+    "filters.P": Field(covariance=True),
 }
 """What the fields of a saved state may hold."""

@@ -11,6 +11,7 @@ from twin.health.evidence import (
     exclude,
     is_fault,
     is_frozen,
+    limited,
     over_ground,
     set_status,
     typical_size,
@@ -34,10 +35,21 @@ from usv_kernel.jit import inlined, kernel
 __all__ = ["check_position"]
 
 SUM_TIME = 20.0
-"""Time constant of the leaky sum of position minus velocity, s: a slow pull needs a long one."""
+"""Time constant of the leaky sum of position minus velocity, s: slow pulls need a long one."""
 
 FLOOR, VELOCITY_TIME = 0.15, 2.0
 """Least level, m; and the time for which a velocity error lasts, s."""
+
+PULL_TIME, PULL_MEAN = 8.0, 1.0
+"""Time constants of a long and a short mean of position minus velocity, s: in both, the noise of
+single fixes averages out, and a pull of half a metre a second shows in five seconds."""
+
+PULL_FLOOR, PULL_VELOCITY, BIAS_TIME = 0.05, 1.0, 400.0
+"""Least level of their distance, m; the time for which a velocity error counts in it, and the time
+in which the drifting error of a fix changes, s."""
+
+TINY = 1e-9
+"""Least age of the means, s: two fixes may have one stamp."""
 
 RECKONED_SHARE = 0.03
 """Error of the navigation's velocity where the GPS gives none, in nominal speeds."""
@@ -72,6 +84,39 @@ def _begin_sum(health):
 
 
 @inlined
+def _begin_pull(health):
+    """Forget the means of position minus velocity."""
+    health.pull_age = 0.0
+
+
+@inlined
+def _pull(step_x, step_y, T, health, given):
+    """Learn the means of position minus velocity; return how far they are apart, in levels."""
+    health.pull_age += max(T, TINY)
+    short = min(T / min(health.pull_age, PULL_MEAN), 1.0)
+    long = min(T / min(health.pull_age, PULL_TIME), 1.0)
+    for k in range(2):
+        # both from the last fix
+        step = step_x if k == 0 else step_y
+        health.pull_short[k] = (1.0 - short) * (health.pull_short[k] - step)
+        health.pull_long[k] = (1.0 - long) * (health.pull_long[k] - step)
+    size = math.hypot(
+        health.pull_short[0] - health.pull_long[0], health.pull_short[1] - health.pull_long[1]
+    )
+    white = given.gps_sd * math.sqrt(min(T / (2.0 * PULL_MEAN), 1.0))
+    drift = given.gps_bias_sd * math.sqrt(PULL_TIME / BIAS_TIME)
+    other = math.hypot(given.doppler_sd * PULL_VELOCITY, PULL_FLOOR)
+    floor = math.hypot(math.hypot(white, drift), other) + STEP_SHARE * given.speed * T
+    learn = health.sensors[GPS].status == OK
+    health.pull_level = typical_size(health.pull_level, size, floor, T, health.clock, learn)
+    factor = limited(size, health.pull_level)
+    for k in range(2):
+        health.pull_short[k] *= factor
+        health.pull_long[k] *= factor
+    return size / health.pull_level
+
+
+@inlined
 def _reckon(dt, z, s, health):
     """Move on by the velocity since the last fix, and from where an excluded GPS was right."""
     north, east = over_ground(s)
@@ -88,7 +133,7 @@ def _reckon(dt, z, s, health):
 
 
 @inlined
-def _readmit(z, T, size, frozen, health, given):
+def _readmit(z, T, size, pull, frozen, health, given):
     """Take the GPS back after it was near dead reckoning for a while."""
     gps = health.sensors[GPS]
     if gps.reason == IMPOSSIBLE:
@@ -99,10 +144,11 @@ def _readmit(z, T, size, frozen, health, given):
     )
     gate = CLEAR * level + (GATE_LOST if heading_lost else GATE) * given.speed * lasted
     error = math.hypot(z[GPS_X] - health.reckoned[0], z[GPS_Y] - health.reckoned[1])
-    follows = size < CLEAR * level and not frozen
+    follows = size < CLEAR * level and pull < CLEAR and not frozen
     if not follows:
         # the next fix begins a new track
         _begin_sum(health)
+        _begin_pull(health)
     gps.followed = gps.followed + T if follows else 0.0
     gps.calm = gps.calm + T if error < gate and follows else 0.0
     alive = gps.reason == FROZEN and gps.followed > CALM_FROZEN
@@ -111,11 +157,15 @@ def _readmit(z, T, size, frozen, health, given):
     if gps.calm > CALM or alive or lasting:
         set_status(health, GPS, OK, NO_REASON)
         _begin_sum(health)
+        _begin_pull(health)
 
 
 @kernel
-def check_position(dt, z, s, ready, new_gps, health, given):
-    """Hold fixes against velocity; see :func:`twin.health.checks.check_sensors`."""
+def check_position(dt, z, s, ready, possible, new_gps, health, given):
+    """Hold fixes against velocity; see :func:`twin.health.checks.check_sensors`.
+
+    A predictor whose state is not ``possible`` is lost. Only fixes bring it back.
+    """
     doppler = _reckon(dt, z, s, health)
     gps = health.sensors[GPS]
     frozen = is_frozen(gps)
@@ -125,12 +175,15 @@ def check_position(dt, z, s, ready, new_gps, health, given):
     known = math.isfinite(health.fix[0])
     step_x = z[GPS_X] - health.fix[0] - health.travelled[0]
     step_y = z[GPS_Y] - health.fix[1] - health.travelled[1]
+    if not (possible or doppler):
+        step_x = step_y = 0.0
     health.fix[0], health.fix[1] = z[GPS_X], z[GPS_Y]
     health.travelled[0] = health.travelled[1] = health.fix_time = 0.0
     if not known or not ready:
         return
     if T > GAP_MAX:
         _begin_sum(health)
+        _begin_pull(health)
         return
     fade = math.exp(-T / SUM_TIME)
     health.position_sum[0] = health.position_sum[0] * fade + step_x
@@ -145,14 +198,16 @@ def check_position(dt, z, s, ready, new_gps, health, given):
     jumped = math.hypot(step_x, step_y) > (
         max(ALARM * level, JUMP_MIN) + JUMP_SHARE * given.speed * T
     )
+    pull = _pull(step_x, step_y, T, health, given)
     if gps.status != EXCLUDED:
         if jumped:
             exclude(health, GPS, JUMPED)
         # without a measured velocity, only the predictor's is left: it may be the one that errs
-        elif (doppler or frozen) and is_fault(size, level, T, gps):
+        elif (doppler or frozen) and is_fault(max(size / level, pull), 1.0, T, gps):
             exclude(health, GPS, FROZEN if frozen else DRIFTS)
     else:
         if jumped:
             _begin_sum(health)
-            size = 0.0
-        _readmit(z, T, size, frozen, health, given)
+            _begin_pull(health)
+            size = pull = 0.0
+        _readmit(z, T, size, pull, frozen, health, given)

@@ -49,6 +49,14 @@ IMPOSSIBLE_COUNT, IMPOSSIBLE_MAX, IMPOSSIBLE_FADE = 2.0, 20.0, 0.1
 """A single impossible number is masked; so many in few samples are a fault. The count stays
 below the second number, and each good sample takes the third off."""
 
+IMPOSSIBLE_MASK = 0.65
+"""While the count is above, so for three samples after an impossible one, good numbers of the
+sensor are masked too: garbage holds numbers of any size."""
+
+IMPOSSIBLE_SENSORS = 2
+"""A row in which so many sensors give impossible numbers is masked as a whole: what else it holds
+is garbage of a plausible size."""
+
 LONGEST_TIME = 60.0
 """For so long the longest repetition is remembered, s."""
 
@@ -66,6 +74,33 @@ be known."""
 
 ABSENT_TIME, ABSENT_INTERVALS = 3.0, 10.0
 """A sensor is absent after so long without a sample (s), and after so many intervals."""
+
+
+@inlined
+def _is_garbage(z, fastest):
+    """Return whether a row holds impossible numbers of several sensors."""
+    sensors = 0
+    if _is_impossible(z, GPS_X, GPS_VX, POSITION_MAX) or _is_impossible(
+        z, GPS_VX, COMPASS, fastest
+    ):
+        sensors += 1
+    if _is_impossible(z, COMPASS, GYRO, COMPASS_MAX):
+        sensors += 1
+    if _is_impossible(z, GYRO, ACCEL_X, GYRO_MAX):
+        sensors += 1
+    if _is_impossible(z, ACCEL_X, ACCEL_Y + 1, ACCEL_MAX):
+        sensors += 1
+    return sensors >= IMPOSSIBLE_SENSORS
+
+
+@inlined
+def _is_impossible(z, first, last, limit):
+    """Return whether any of some channels is beyond a limit."""
+    most = 0.0
+    for j in range(first, last):
+        if math.isfinite(z[j]) or math.isinf(z[j]):
+            most = max(most, abs(z[j]))
+    return most >= limit
 
 
 @inlined
@@ -95,6 +130,11 @@ def _take_channels(dt, z, first, last, sensor, limit, health, out):
     if not given:
         return False
     check.impossible = max(check.impossible - IMPOSSIBLE_FADE, 0.0)
+    if check.impossible > IMPOSSIBLE_MASK and check.status != EXCLUDED:
+        for j in range(first, last):
+            out[j] = math.nan
+        check.age = 0.0
+        return False
     if same:
         check.repeated += check.age
         check.age = 0.0
@@ -124,6 +164,10 @@ def take_samples(dt, z, health, given, out):
     new_compass = _take_channels(dt, z, COMPASS, GYRO, COMPASS_SENSOR, COMPASS_MAX, health, out)
     _take_channels(dt, z, GYRO, ACCEL_X, GYRO_SENSOR, GYRO_MAX, health, out)
     _take_channels(dt, z, ACCEL_X, ACCEL_Y + 1, ACCELEROMETERS, ACCEL_MAX, health, out)
+    if _is_garbage(z, fastest):
+        for j in range(GPS_X, ACCEL_Y + 1):
+            out[j] = math.nan
+        return False, False
     return new_gps, new_compass
 
 

@@ -90,12 +90,15 @@ CHECK = np.dtype(
 """What is remembered of a sensor."""
 
 COMMAND_TERMS = 6
-"""Most terms of the model of an axis."""
+"""Parameters of the model of yaw rate or surge."""
+
+FILTER_STATES = 1 + COMMAND_TERMS
+"""Entries of the filter of an axis: its motion and the parameters."""
 
 DRIVE = 4
 """What the commands make: thrust of left and right, and the part of it that steers."""
 
-HYPOTHESES = 7
+HYPOTHESES = 8
 """What may be wrong with the commands, the first of them nothing."""
 
 N_COMMANDS, N_STATES = len(COMMANDS), len(STATE)
@@ -105,15 +108,13 @@ LAG_SUMS = np.dtype(
 )
 """Leaky sums of yaw rate r and drift angle beta: they tell how late the velocity is."""
 
-AXIS = np.dtype(
+FILTER = np.dtype(
     [
-        ("params", "f8", COMMAND_TERMS),
-        ("cov", "f8", (COMMAND_TERMS, COMMAND_TERMS)),  # their covariance, in squared levels
-        ("gain", "f8", COMMAND_TERMS),  # covariance times regressors: scratch
-        ("level", "f8"),  # typical error of a step, in nominal units
+        ("x", "f8", (2, FILTER_STATES)),  # yaw rate or surge, then parameters; nominal units
+        ("P", "f8", (2, FILTER_STATES, FILTER_STATES)),  # their covariance
     ]
 )
-"""A linear model of yaw rate or surge."""
+"""The filters of yaw and surge by one hypothesis; see ``twin.health.drive_filters``."""
 
 HEALTH = np.dtype(
     [
@@ -148,6 +149,10 @@ HEALTH = np.dtype(
         ("travelled", "f8", 2),  # integral of the velocity since then, m
         ("position_sum", "f8", 2),  # leaky sum of position minus velocity, m
         ("position_level", "f8"),  # its typical size, m
+        ("pull_short", "f8", 2),  # short mean of position minus velocity, from the last fix, m
+        ("pull_long", "f8", 2),  # long mean of the same, m
+        ("pull_age", "f8"),  # time since they began, s
+        ("pull_level", "f8"),  # typical distance between them, m
         ("reckoned", "f8", 2),  # where dead reckoning puts an excluded GPS, m
         ("reckoned_time", "f8"),  # time since it began, s
         # velocity against accelerometers
@@ -158,23 +163,34 @@ HEALTH = np.dtype(
         ("accel_bias", "f8", 2),  # of forward and starboard, m/s2
         ("velocity_sum", "f8", 2),  # leaky sum of velocity minus acceleration, m/s
         ("velocity_level", "f8"),  # its typical size, m/s
-        # commands against the motion: a linear model of the change in a step, for yaw and surge
+        # commands against the motion: a filter of yaw rate and surge for each hypothesis
         ("drive", "f8", DRIVE),  # thrust and its steering part, side by side, after the lags
         ("drive_sum", "f8", DRIVE),  # their integral over the step so far, s
         ("mean_drive", "f8", DRIVE),  # their mean over the last step
+        ("drive_before", "f8", DRIVE),  # the same of the step before
+        ("held_drive", "f8", DRIVE),  # the same of the last step before anything was at odds
+        ("at_rest", "f8"),  # 1 where the shafts were commanded to rest when it ended
         ("known_time", "f8"),  # how long the sensors of the motion have been in use, s
         ("step_time", "f8"),  # time since the step began, s; negative before the first
-        ("motion", "f8", 2),  # yaw rate and surge at its beginning, in nominal units
+        ("motion", "f8", 2),  # yaw rate and surge at its beginning or end, in nominal units
+        ("sway", "f8"),  # sway at its beginning, in nominal speeds ...
+        ("mean_sway", "f8"),  # ... and its mean over the last step
         ("steps", "f8"),  # steps learned from
-        ("fit", AXIS, 2),  # of yaw rate and surge
+        ("filters", FILTER, HYPOTHESES),
+        ("effects", "f8", (HYPOTHESES, 3)),  # thrust, steering, difference of sides in a step
+        ("wave_level", "f8", 2),  # typical part of the waves in yaw rate and surge
+        ("quiet_level", "f8", 2),  # the same before anything was at odds
+        ("regressors", "f8", COMMAND_TERMS),  # scratch
+        ("gain", "f8", FILTER_STATES),  # scratch
         ("against_time", "f8"),  # how long the boat has gone against its thrust, s
         ("before", "f8", N_COMMANDS),  # command when the step began
         ("trusted", "f8", N_COMMANDS),  # last command before anything was at odds
         ("commands_doubted", "f8"),  # 1 while the commands do not explain the motion
-        ("step_mismatch", "f8", HYPOTHESES),  # squared errors of the last step, in levels ...
-        ("mismatch", "f8", HYPOTHESES),  # ... and their leaky mean; by commands.EFFECTS
-        ("evidence", "f8", HYPOTHESES),  # for each of them, in squared levels
-        ("hypothesis", "f8"),  # that which excluded the commands last
+        ("mismatch", "f8"),  # leaky mean of the squared innovations, in their variances
+        ("likelihood", "f8", HYPOTHESES),  # logarithms, of the last step
+        ("distinct", "f8", HYPOTHESES),  # how far a hypothesis differs from the one in force
+        ("evidence", "f8", HYPOTHESES),  # sums of log-likelihood ratios to the one in force
+        ("hypothesis", "f8"),  # the one in force
     ]
 )
 """What the checks remember of a boat."""
@@ -185,6 +201,7 @@ HEALTH_SETTINGS = np.dtype(
         ("speed", "f8"),  # nominal speed, m/s
         # standard deviations of the data sheets: see twin.particulars.Instruments
         ("gps_sd", "f8"),  # m
+        ("gps_bias_sd", "f8"),  # m
         ("doppler_sd", "f8"),  # m/s
         ("compass_sd", "f8"),  # rad
         ("gyro_sd", "f8"),  # rad/s
@@ -197,6 +214,7 @@ HEALTH_SETTINGS = np.dtype(
         ("max_turn", "f8"),  # yaw rate that no boat of its size exceeds, rad/s
         ("shaft_speed", "f8"),  # nominal, rev/s
         ("lag", "f8"),  # of shafts and drives, s
+        ("sides", "f8"),  # 1 for a boat with a thruster on each side, else 0
     ]
 )
 """What the checks are given of a boat and its instruments."""
@@ -214,6 +232,7 @@ def health_settings(particulars: Particulars) -> Array:
             L / U,
             U,
             I.gps_sd,
+            I.gps_bias_sd,
             I.doppler_sd,
             I.compass_sd,
             I.gyro_sd,
@@ -226,6 +245,7 @@ def health_settings(particulars: Particulars) -> Array:
             TURN_FREE + TURN_FACTOR * U / L,
             particulars.shaft_speed,
             max(particulars.shaft_lag, particulars.steer_lag),
+            particulars.steering != "rudder",
         ]
     )
 

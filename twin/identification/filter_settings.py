@@ -53,6 +53,10 @@ forces; where there are none, a boat that lies still says that there is no curre
 CURRENT_TIME = 300.0
 """Time of the study's boat in which a current may change by its prior's standard deviation, s."""
 
+UNEQUAL, UNEQUAL_TIME = ("N_0", "N_mn"), 10.0
+"""What turns a boat with a fixed pair of thrusters that are equally fast: wind, waves and unequal
+thrusters. It wanders, by the prior's standard deviation in this time of the study's boat, s."""
+
 PRIOR_INFLATION = 1.5
 """How much larger than in the population the variances of a tanker's parameters are taken."""
 
@@ -124,8 +128,10 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         r *= ROUGH_NOISE
     structure = model_of(particulars, model or ("mmg" if rough else "paper"), current=True)
     mean, covariance = boat_or((structure.mean, np.diag(structure.sd**2)), structure, particulars)
-    walking = np.isin(structure.parameters, ("C_north", "C_east"))
-    q_xi = walking * np.diag(covariance) / (CURRENT_TIME * time)
+    walking = np.isin(structure.parameters, ("C_north", "C_east")) / CURRENT_TIME
+    if rough:
+        walking = walking + np.isin(structure.parameters, UNEQUAL) / UNEQUAL_TIME
+    q_xi = walking * np.diag(covariance) / time
     return FilterSettings(
         structure=structure,
         q=q**2 / (STUDY_STEP * time),

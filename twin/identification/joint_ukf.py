@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, R, U, V
 from twin.checkpoint import Field
-from twin.filters.navigation_ekf import GAP_MAX
+from twin.filters.navigation_ekf import FINE_MAX
 from twin.filters.navigation_state import N_MODELLED
 from twin.filters.ukf import UKFWorkspace, scaled_weights
 from twin.identification.filter_settings import FilterSettings
 from twin.identification.identifiability import accumulate
+from twin.identification.physical_bounds import BOUNDS, physical_bounds
 from twin.model.actuators import follow_all
 from twin.model.augmented import JointState, joint_predict
 from twin.model.dynamics import N_ACT
@@ -95,6 +96,7 @@ class FilterConfig(NamedTuple):
     wave_push: float  # what it adds to the process noise, 1/s
     rest_push: float  # share of the process noise that is left at rest
     n_nominal: float  # nominal shaft speed in the unit of the structure
+    bounds: Any  # (6, p + 1) see physical_bounds
     model: Any  # ModelTerms
 
 
@@ -158,9 +160,10 @@ def filter_config(values, model):
     n, at = take(values, at, (1,))
     waves, at = take(values, at, (3,))
     rest, at = take(values, at, (2,))
+    bounds, at = take(values, at, (BOUNDS, model.which.shape[1] + 1))
     return FilterConfig(
         q, q_xi, r, p0, lags, envelope, nominal, prior,
-        weights, n[0], waves[0], waves[1], waves[2], rest[0], rest[1], model,
+        weights, n[0], waves[0], waves[1], waves[2], rest[0], rest[1], bounds, model,
     )  # fmt: skip
 
 
@@ -229,8 +232,11 @@ def scale_plan(plan, n_unit, scaled):
 
 @inlined
 def advance(dt, cmd, state, config, work):
-    """Predict state, parameters and covariance over dt s under a command, in place."""
-    dt = min(dt, GAP_MAX)
+    """Predict state, parameters and covariance over dt s under a command, in place.
+
+    A longer gap than :data:`FINE_MAX` leaves nothing of the motion before it, and counts as that.
+    """
+    dt = min(dt, FINE_MAX)
     steps = max(1, math.ceil(dt / STEP_MAX - 1e-9))
     h = dt / steps
     _process_noise(h, state, config, work)
@@ -435,6 +441,9 @@ class JointUKF:
                 [settings.n_unit],
                 settings.waves,
                 [settings.rest_push, settings.n_unit * particulars.shaft_speed],
+                physical_bounds(
+                    settings.structure, settings.xi0, U, particulars.shaft_speed
+                ).ravel(),
             ]
         )
         config: FilterConfig = python_views(filter_config)(self.constants, self.terms)

@@ -108,7 +108,7 @@ def _candidates(text: str) -> list[tuple[str, str]]:
         year = "%Y" if len(named[4]) == 4 else "%y"
         month = "%b" if len(named[3]) == 3 else "%B"
         return [(f"%d{named[2]}{month}{named[2]}{year}{clock}", "")]
-    if re.match(r"^\d{4}[/.]\d{1,2}[/.]\d{1,2}$", day):
+    if re.match(r"^\d{4}([/.\-])\d{1,2}\1\d{1,2}$", day):
         mark = day[4]
         return [(f"%Y{mark}%m{mark}%d{clock}", "")]
     return []

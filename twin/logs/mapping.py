@@ -14,6 +14,7 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     latitude = "lat"
     longitude = "lon"
     datum = [38.86580, 121.53438]                   # left out: the first fix
+    scale = 1e-7                                    # of latitude and longitude, to degrees
 
     [datum]                                         # positions in metres: where that was
     latitude = "lat"
@@ -233,15 +234,16 @@ class _Parser:
         )
 
     def position(self, given: Any) -> Entry:
-        keys = ("topic", "latitude", "longitude", "datum")
+        keys = ("topic", "latitude", "longitude", "scale", "datum")
         table = self.known("[position]", given, keys)
+        scale = self.number("[position] scale", table.get("scale", 1.0))
         datum = table.get("datum")
         if datum is not None:
             if not isinstance(datum, list) or len(datum) != 2:
                 raise self.fail("[position] datum", "must be [latitude, longitude] in degrees")
             datum = tuple(self.number("[position] datum", value) for value in datum)
             Datum(latitude=datum[0], longitude=datum[1])  # refuses what is no place on Earth
-        position = _Position(None if datum is None else Plane(*datum), self.source)
+        position = _Position(None if datum is None else Plane(*datum), self.source, scale)
         names = [self.text("[position]", table, key, key) for key in ("latitude", "longitude")]
         topic = self.text("[position]", table, "topic", "")
         return Entry(
@@ -323,8 +325,13 @@ class _Position:
 
     datum: Plane | None
     source: str
+    scale: float = 1.0  # to degrees
+
+    def _degrees(self, values: Sequence[Array]) -> list[Array]:
+        return [self.scale * values[0], self.scale * values[1], *values[2:]]
 
     def __call__(self, values: Sequence[Array]) -> list[Array]:
+        values = self._degrees(values)
         beyond = np.abs(values[0]) > 90.0
         if beyond.mean() > 0.5 and not (np.abs(values[1]) > 90.0).any():
             raise LogError(
@@ -332,12 +339,14 @@ class _Position:
                 "degrees: latitude and longitude are swapped; exchange the two columns"
             )
         latitude, longitude = _fixes(values)
-        plane = self.plane(values)
+        plane = self._plane(latitude, longitude)
         return [latitude, longitude] if plane is None else [*plane.metres(latitude, longitude)]
 
     def plane(self, values: Sequence[Array]) -> Plane | None:
         """Return the plane of the datum, else that of the first fix, if there is one."""
-        latitude, longitude = _fixes(values)
+        return self._plane(*_fixes(self._degrees(values)))
+
+    def _plane(self, latitude: Array, longitude: Array) -> Plane | None:
         if self.datum is not None or np.isnan(latitude).all():
             return self.datum
         first = int(np.argmin(np.isnan(latitude)))

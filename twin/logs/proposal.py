@@ -7,7 +7,6 @@ import io
 import json
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +19,17 @@ from twin.logs.datum import radii
 from twin.logs.diagnosis.heading import gyro_on_compass
 from twin.logs.diagnosis.position import velocity_on_fixes
 from twin.logs.diagnosis.track import compass_on_track
-from twin.logs.readers import CsvFile, ParquetFile, dates
+from twin.logs.header_words import (
+    NAMES,
+    SHAFT,
+    STEER,
+    is_command,
+    means,
+    sides_of,
+    unit_of,
+    words_of,
+)
+from twin.logs.readers import CsvFile, ParquetFile, dates, with_points
 
 if TYPE_CHECKING:
     import polars as pl
@@ -32,46 +41,6 @@ __all__ = [
 
 _ROWS = 200_000
 """Rows that are looked at."""
-
-_SIDES = {"left": r"left|port|ps|l|1", "right": r"right|starboard|stbd|sb|r|2"}
-
-_SHAFT = r"n|rpm|rps|pwm|shaft|motor|thruster|throttle|prop|propeller|esc|servo|engine|revs"
-
-_STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm"
-
-_NAMES = {
-    "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock",
-    "latitude": r"lat|latitude",
-    "longitude": r"lon|lng|long|longitude",
-    "north": r"x|north|northing",
-    "east": r"y|east|easting",
-    "speed": r"sog|speed|velocity|groundspeed",
-    "course": r"cog|course|track",
-    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
-    "gyro": r"gyro|rot|yawrate|r|gz|turn",
-    "accel_x": r"ax|accx|accelx",
-    "accel_y": r"ay|accy|accely",
-    "wind_speed": r"tws|windspeed",
-    "wind_from": r"twd|winddirection|winddir|windfrom",
-}
-"""Words in the names of columns, by what they mean."""
-
-_UNIT_WORDS = {
-    "deg": r"deg|degs|degree|degrees|°",
-    "rad": r"rad|rads|radians",
-    "kn": r"kn|kt|kts|knot|knots",
-    "kmph": r"kmh|kmph|kph",
-    "mps": r"mps|ms1",
-    "degps": r"degps|dps|degs",
-    "degpmin": r"degpmin|degmin|dpm",
-    "radps": r"radps|rads",
-    "rpm": r"rpm",
-    "rps": r"rps|hz",
-    "ms": r"ms|msec|millis|milliseconds",
-    "us": r"us|usec|micros",
-    "ns": r"ns|nsec",
-    "g": r"g",
-}
 
 
 @dataclass
@@ -146,11 +115,13 @@ def propose(path: str | Path, order: str = "") -> Proposal:
     found = Proposal()
     t = _time(columns, found, order)
     fix = _position(columns, found, t)
-    _velocity(columns, found, t, fix)
+    if not _velocity(columns, found, t, fix):
+        _components(columns, found, t, fix)
     heading = _heading(columns, found, t, fix)
     _gyro(columns, found, t, heading)
     _plain(columns, found)
     _commands(columns, found)
+    _pulses(columns, found)
     if columns.left:
         found.questions.append(f"left out: {', '.join(columns.left)}")
     return found
@@ -173,9 +144,11 @@ def _read(path: Path) -> _Columns:
             frame = pl.read_csv(
                 io.BytesIO(b"".join(lines)),
                 infer_schema=False,
+                separator=file.mark,
                 encoding="utf8-lossy",
                 truncate_ragged_lines=True,
             )
+            frame = frame if file.mark == "," else with_points(frame)
         except pl.exceptions.PolarsError as error:
             raise LogError(f"{path}: {str(error).splitlines()[0]}") from None
         frame = frame.rename({name: name.strip() for name in frame.columns})
@@ -189,46 +162,17 @@ def _read(path: Path) -> _Columns:
     return _Columns(frame, numbers, list(frame.columns))
 
 
-def _words(name: str) -> list[str]:
-    """Return the words of a column's name, in lower case."""
-    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
-    return [word for word in re.split(r"[^a-z0-9°]+", split.lower()) if word]
-
-
-def _means(name: str, pattern: str) -> bool:
-    """Return whether a name has a word of a pattern, or joins to one."""
-    words = _words(name)
-    # longer words first, and letters alone only if they are the name without its unit
-    for word in words:
-        if re.fullmatch(pattern, word) and (len(word) > 2 or word == words[0]):
-            return True
-    return any(re.fullmatch(pattern, "".join(words[i : i + 2])) for i in range(len(words)))
-
-
-def _unit(name: str, among: Sequence[str]) -> str:
-    """Return the unit that a name ends with, if it is one of some."""
-    squeezed = re.sub(r"[^a-z0-9°]", "", name.lower().replace("/s", "ps").replace("/h", "ph"))
-    words = [
-        *_words(name.replace("/s", "ps").replace("/h", "ph").replace("/min", "pmin")),
-        squeezed,
-    ]
-    for unit in among:
-        if any(re.fullmatch(_UNIT_WORDS[unit], word) for word in words[1:]):
-            return unit
-    return ""
-
-
 def _pick(columns: _Columns, meaning: str, *, numeric: bool = True) -> str | None:
     """Return the first column of a meaning, shorter names first."""
     there = [
         name
         for name in columns.left
         if (name in columns.numbers or not numeric)
-        and _means(name, _NAMES[meaning])
-        and "rpm" not in _words(name)  # the r of rpm_r is a side
+        and means(name, NAMES[meaning])
+        and "rpm" not in words_of(name)  # the r of rpm_r is a side
     ]
-    exact = [name for name in there if re.fullmatch(_NAMES[meaning], "".join(_words(name)[:1]))]
-    return min(exact or there, key=lambda name: len(_words(name)), default=None)
+    exact = [name for name in there if re.fullmatch(NAMES[meaning], "".join(words_of(name)[:1]))]
+    return min(exact or there, key=lambda name: len(words_of(name)), default=None)
 
 
 def _entry(name: str, source: str, unit: str = "", more: str = "", why: str = "") -> str:
@@ -246,10 +190,13 @@ def _add(found: Proposal, table: str, line: str) -> None:
 
 def _time(columns: _Columns, found: Proposal, order: str) -> Array | None:
     """Find the time, and return it in seconds."""
-    named = [name for name in columns.left if _means(name, _NAMES["time"])]
-    dated = [name for name in named if name not in columns.numbers]
-    for name in dated:
-        cells = columns.text[name].drop_nulls().to_list()
+    named = [name for name in columns.left if means(name, NAMES["time"])]
+    texts = [name for name in columns.left if name not in columns.numbers]
+    # named ones first; a date with a clock before a clock, and a date alone is no time
+    known = [(name, columns.text[name].drop_nulls().to_list()) for name in texts]
+    known = [(name, cells) for name, cells in known if any(":" in cell for cell in cells)]
+    known.sort(key=lambda pair: (len(pair[1][0].strip()) < 15, pair[0] not in named))
+    for name, cells in known:
         formats = date_formats(cells)
         if not formats:
             continue
@@ -262,6 +209,7 @@ def _time(columns: _Columns, found: Proposal, order: str) -> Array | None:
         form = formats[0].format
         if form and "%d" not in form and "%j" not in form:
             why = "a time without a date: a log across midnight would go back"
+            found.questions.append(f"{name}: the log keeps no date; join date and time to keep it")
         else:
             why = "dates without a zone count as UTC" if not re.search(r"%#?z", form) else ""
             why = "" if not form and re.search(r"(Z|[+-]\d\d:?\d\d)$", cells[0].strip()) else why
@@ -269,23 +217,31 @@ def _time(columns: _Columns, found: Proposal, order: str) -> Array | None:
         _add(found, "columns", _entry("t_s", columns.take(name), "datetime", more, why))
         seconds = dates(columns.text[name].str.strip_chars(), form)
         return seconds.to_numpy().astype(np.float64, copy=False)
-    rising = [
-        name
-        for name in named
-        if name in columns.numbers and (np.diff(_known(columns.numbers[name])) >= 0.0).all()
-    ]
+    numbers = [name for name in columns.left if name in columns.numbers]
+    rising = [name for name in numbers if (np.diff(_known(columns.numbers[name])) >= 0.0).all()]
+    if not set(rising) & set(named):
+        rising = [name for name in rising[:1] if _is_clock(columns.numbers[name])]
+        found.questions += [f"{name}: taken as the time, for it rises steadily" for name in rising]
     if not rising:
         found.missing.append("t_s")
         return None
-    name = min(rising, key=lambda each: len(each))
+    name = min((name for name in rising if name in named), key=len, default=rising[0])
     values = columns.numbers[name]
-    unit = _unit(name, ("ms", "us", "ns")) or _time_unit(values)
+    unit = unit_of(name, ("ms", "us", "ns")) or _time_unit(values)
     scale = {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
     start = float(_known(values)[0]) * scale
     more = f"offset = {-start!r}" if start > 1e6 else ""
     why = "counted from the first row" if more else ""
     _add(found, "columns", _entry("t_s", columns.take(name), unit, more, why))
     return np.asarray(values * scale - (start if more else 0.0))
+
+
+def _is_clock(values: Array) -> bool:
+    """Return whether values of a column rise in each row, most by much the same."""
+    step = np.diff(_known(values))
+    if len(step) < 10 or (step <= 0.0).any():
+        return False
+    return bool(np.mean(np.abs(step / np.median(step) - 1.0) < 0.5) > 0.9)
 
 
 def _time_unit(values: Array) -> str:
@@ -307,7 +263,10 @@ def _position(columns: _Columns, found: Proposal, t: Array | None) -> tuple[Arra
     latitude, longitude = _pick(columns, "latitude"), _pick(columns, "longitude")
     if latitude is not None and longitude is not None:
         lat, lon = columns.numbers[latitude], columns.numbers[longitude]
-        most = float(np.abs(_known(lat)).max())
+        most = float(np.abs(_known(lat)).max(initial=0.0))
+        if most > 1e6 and float(np.abs(_known(lon)).max(initial=0.0)) <= 1.8e9:
+            lat, lon, most = 1e-7 * lat, 1e-7 * lon, 1e-7 * most
+            _add(found, "position", "scale = 1e-7  # as MAVLink has them")
         if most > 90.0 and float(np.abs(_known(lon)).max()) <= 90.0:
             found.questions.append(
                 f"{latitude} reaches {most:.4g} degrees: latitude and longitude are swapped, and "
@@ -316,8 +275,8 @@ def _position(columns: _Columns, found: Proposal, t: Array | None) -> tuple[Arra
             latitude, longitude, lat, lon = longitude, latitude, lon, lat
         elif most > 90.0:
             found.questions.append(
-                f"{latitude} reaches {most:.6g}: convert it to degrees before (1e-7 degrees of "
-                "MAVLink, or degrees and minutes of NMEA)"
+                f"{latitude} reaches {most:.6g}: convert it to degrees before (NMEA has degrees "
+                "and minutes in one number)"
             )
         rows = [
             f"{key} = {json.dumps(columns.take(name), ensure_ascii=False)}"
@@ -333,6 +292,10 @@ def _position(columns: _Columns, found: Proposal, t: Array | None) -> tuple[Arra
             [np.radians(lat - lat[first][0]) * to_north, np.radians(lon - lon[first][0]) * to_east]
         )
         return _clean(t, metres)
+    for name in columns.left:
+        if name not in columns.numbers and means(name, NAMES["latitude"]):
+            cell = columns.text[name].drop_nulls().first()
+            found.questions.append(f"{name}: {cell!r} is no number; write degrees, south below 0")
     north, east = _pick(columns, "north"), _pick(columns, "east")
     if north is None or east is None:
         found.missing += ["gps_x_m", "gps_y_m"]
@@ -355,16 +318,41 @@ def _clean(t: Array, values: Array) -> tuple[Array, Array]:
     return t[new], values[new]
 
 
-def _velocity(
+def _components(
     columns: _Columns, found: Proposal, t: Array | None, fix: tuple[Array, Array] | None
 ) -> None:
-    """Find speed and course over ground; the fixes tell the unit of the speed."""
-    speed, course = _pick(columns, "speed"), _pick(columns, "course")
-    if speed is None or course is None:
+    """Find velocities to north and east; the fixes tell the unit, and whether they are that."""
+    north, east = _pick(columns, "to_north"), _pick(columns, "to_east")
+    if north is None or east is None:
         return
+    fit = None
+    if t is not None and fix is not None:
+        velocity = np.column_stack([columns.numbers[north], columns.numbers[east]])
+        fit = velocity_on_fixes(fix, _clean(t, velocity))
+    sound = fit is not None and fit.coherence > 0.9 and abs(fit.turned) < 0.3
+    unit = "" if fit is None or not sound else _speed_unit(fit.ratio)
+    hundredths = fit is not None and sound and abs(100.0 * fit.ratio - 1.0) < 0.12
+    if not unit and not hundredths:
+        found.questions.append(
+            f"{north}, {east}: are these m/s to north and east? The fixes do not say so"
+        )
+        return
+    more = "scale = 0.01" if hundredths else ""
+    for target, name in (("gps_vx_mps", north), ("gps_vy_mps", east)):
+        given = "" if unit in ("", "mps") else unit
+        _add(found, "columns", _entry(target, columns.take(name), given, more, "as the fixes say"))
+
+
+def _velocity(
+    columns: _Columns, found: Proposal, t: Array | None, fix: tuple[Array, Array] | None
+) -> bool:
+    """Find speed and course over ground, if they are there; the fixes tell the speed's unit."""
+    speed, course = _pick(columns, "speed"), _pick(columns, "course")
+    if speed is None or course is None or speed == course:
+        return False
     radians = _angle_unit(course, columns.numbers[course]) == "rad"
     angle = columns.numbers[course] * (1.0 if radians else math.pi / 180.0)
-    unit = _unit(speed, ("kn", "kmph", "mps"))
+    unit = unit_of(speed, ("kn", "kmph", "mps"))
     why = ""
     if t is not None and fix is not None:
         value = columns.numbers[speed]
@@ -383,6 +371,7 @@ def _velocity(
         _entry("speed", columns.take(speed), "" if unit in ("", "mps") else unit, why=why),
     )
     _add(found, "velocity", _entry("course", columns.take(course), "" if radians else "deg"))
+    return True
 
 
 def _speed_unit(ratio: float) -> str:
@@ -396,7 +385,7 @@ def _angle_unit(name: str, values: Array) -> str:
     most = float(np.abs(_known(values)).max(initial=0.0))
     if most > 4.0 * math.pi:
         return "deg"
-    return _unit(name, ("deg", "rad")) or ("deg" if most > 2.0 * math.pi else "rad")
+    return unit_of(name, ("deg", "rad")) or ("deg" if most > 2.0 * math.pi else "rad")
 
 
 def _heading(
@@ -407,15 +396,22 @@ def _heading(
     if name is None:
         found.missing.append("compass_rad")
         return None
-    unit = _angle_unit(name, columns.numbers[name])
-    values = columns.numbers[name] * (math.pi / 180.0 if unit == "deg" else 1.0)
-    more = why = ""
+    values, more, why = columns.numbers[name], "", ""
+    if 3000.0 < np.abs(_known(values)).max(initial=0.0) <= 36000.0:
+        values, more, why = 0.01 * values, "scale = 0.01", "hundredths of degrees"
+    unit = _angle_unit(name, values)
+    values = values * (math.pi / 180.0 if unit == "deg" else 1.0)
     known = None if t is None else _clean(t, values)
     if known is not None and fix is not None:
         fit = compass_on_track(fix, known)
         if fit is not None and fit.mirrored > 0.7 and fit.mirrored > fit.along + 0.3:
             if abs(fit.mirror - 0.5 * math.pi) < 0.6:
-                more, why = 'frame = "enu"', "it counts from east, as the track says"
+                more = f"{more}, " * bool(more) + 'frame = "enu"'
+                why = "it counts from east, as the track says"
+                if "position" in found.lines:
+                    found.questions.append(
+                        f"{name}: counts from east, or latitude and longitude are swapped"
+                    )
                 known = known[0], 0.5 * math.pi - known[1]
             else:
                 found.questions.append(f"{name}: turns against the track; check its sign")
@@ -427,27 +423,30 @@ def _heading(
 def _gyro(
     columns: _Columns, found: Proposal, t: Array | None, heading: tuple[Array, Array] | None
 ) -> None:
-    """Find the yaw rate; the heading tells its unit and sign."""
-    name = _pick(columns, "gyro")
+    """Find the yaw rate; the heading tells which it is, its unit and sign."""
+    best, name = None, _pick(columns, "gyro")
     if name is None:
         return
-    unit = _unit(name, ("degpmin", "degps", "radps"))
+    if t is not None and heading is not None:
+        for each in columns.left:
+            if each not in columns.numbers or not means(each, NAMES["gyro"]):
+                continue
+            fit = gyro_on_compass(*heading, *_clean(t, columns.numbers[each]))
+            if fit is not None and (best is None or abs(fit.correlation) > abs(best.correlation)):
+                best, name = fit, each
+    unit = unit_of(name, ("degpmin", "degps", "radps"))
     scale = {"degps": math.pi / 180.0, "degpmin": math.pi / 10800.0}
     more = why = ""
-    if t is not None and heading is not None:
-        at, rate = _clean(t, columns.numbers[name])
-        fit = gyro_on_compass(*heading, at, rate)
-        if fit is not None and abs(fit.correlation) > 0.8:
-            for each in ("radps", "degps", "degpmin"):
-                if 0.7 < abs(fit.scale) * scale.get(each, 1.0) < 1.4:
-                    unit, why = each, "as the heading says"
-            if fit.scale < 0.0:
-                more, why = "scale = -1.0", "it turns against the heading"
-    _add(
-        found,
-        "columns",
-        _entry("gyro_radps", columns.take(name), "" if unit in ("", "radps") else unit, more, why),
-    )
+    if best is not None and abs(best.correlation) > 0.8:
+        for each in ("radps", "degps", "degpmin"):
+            if 0.7 < abs(best.scale) * scale.get(each, 1.0) < 1.4:
+                unit, why = each, "as the heading says"
+        if best.scale < 0.0:
+            more, why = "scale = -1.0", "it turns against the heading"
+    elif best is not None:
+        found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
+    given = "" if unit in ("", "radps") else unit
+    _add(found, "columns", _entry("gyro_radps", columns.take(name), given, more, why))
 
 
 def _plain(columns: _Columns, found: Proposal) -> None:
@@ -459,7 +458,7 @@ def _plain(columns: _Columns, found: Proposal) -> None:
     ):
         name = _pick(columns, meaning)
         if name is not None:
-            _add(found, "columns", _entry(target, columns.take(name), _unit(name, units)))
+            _add(found, "columns", _entry(target, columns.take(name), unit_of(name, units)))
     name = _pick(columns, "wind_from")
     if name is not None:
         unit = _angle_unit(name, columns.numbers[name])
@@ -470,16 +469,13 @@ def _plain(columns: _Columns, found: Proposal) -> None:
 def _commands(columns: _Columns, found: Proposal) -> None:
     """Find shaft speeds and steering angles, of one unit or two."""
     for pattern, single, pair, convert in (
-        (_SHAFT, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
-        (_STEER, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
+        (SHAFT, "n_rps", ("n_left_rps", "n_right_rps"), _shaft),
+        (STEER, "delta_rad", ("delta_left_rad", "delta_right_rad"), _steer),
     ):
-        there = [n for n in columns.left if n in columns.numbers and _is_command(n, pattern)]
-        sides = {
-            side: next((n for n in there if _means_side(n, words)), None)
-            for side, words in _SIDES.items()
-        }
-        if sides["left"] is not None and sides["right"] is not None:
-            for target, source in zip(pair, (sides["left"], sides["right"]), strict=True):
+        there = [n for n in columns.left if n in columns.numbers and is_command(n, pattern)]
+        sides = sides_of(there)
+        if sides is not None:
+            for target, source in zip(pair, sides, strict=True):
                 _add(found, "columns", convert(target, source, columns))
         elif there:
             _add(found, "columns", convert(single, there[0], columns))
@@ -490,24 +486,32 @@ def _commands(columns: _Columns, found: Proposal) -> None:
             found.missing.append("n_left_rps, n_right_rps (or n_rps)")
 
 
-def _is_command(name: str, pattern: str) -> bool:
-    return any(re.fullmatch(rf"({pattern})(l|r|\d|left|right|port|stbd)?", w) for w in _words(name))
-
-
-def _means_side(name: str, words: str) -> bool:
-    return any(
-        re.fullmatch(rf"({words})|[a-z]{{2,}}({words})", word) or re.fullmatch(rf"n({words})", word)
-        for word in _words(name)
-    )
+def _pulses(columns: _Columns, found: Proposal) -> None:
+    """Take two columns of pulse widths as the shafts, where no column is named so."""
+    lacking = "n_left_rps, n_right_rps (or n_rps)"
+    pulses = [
+        name
+        for name in columns.left
+        if (values := _known(columns.numbers.get(name, np.empty(0)))).size
+        and values.min() >= 800.0
+        and values.max() <= 2200.0
+        and (np.ptp(values) > 20.0 or means(name, NAMES["channel"]))
+    ]
+    if lacking not in found.missing or len(pulses) != 2:
+        return
+    found.missing.remove(lacking)
+    found.questions.append(f"{pulses[0]}, {pulses[1]}: left and right? Or throttle and steering?")
+    for target, name in zip(("n_left_rps", "n_right_rps"), pulses, strict=True):
+        _add(found, "columns", _shaft(target, name, columns))
 
 
 def _shaft(target: str, name: str, columns: _Columns) -> str:
     values = _known(columns.numbers[name])
     most = float(np.abs(values).max(initial=0.0))
-    if len(values) and values.min() >= 800.0 and most <= 2200.0 and "rpm" not in _words(name):
+    if len(values) and values.min() >= 800.0 and most <= 2200.0 and "rpm" not in words_of(name):
         more = "scale = 0.02, offset = -30.0"
         return _entry(target, columns.take(name), "", more, "pulse width, 1500 us: stop")
-    words = _words(name)
+    words = words_of(name)
     if "rpm" in words or most > 150.0:
         return _entry(target, columns.take(name), "rpm")
     return _entry(target, columns.take(name), "", "", "rev/s, or any unit: as in the particulars")
@@ -515,6 +519,6 @@ def _shaft(target: str, name: str, columns: _Columns) -> str:
 
 def _steer(target: str, name: str, columns: _Columns) -> str:
     most = float(np.abs(_known(columns.numbers[name])).max(initial=0.0))
-    unit = _unit(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
+    unit = unit_of(name, ("deg", "rad")) or ("deg" if most > 1.6 else "rad")
     why = "above 0 must turn to starboard"
     return _entry(target, columns.take(name), "deg" if unit == "deg" else "", "", why)

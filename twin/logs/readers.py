@@ -45,6 +45,7 @@ __all__ = [
     "shorten",
     "thinned",
     "too_long",
+    "with_points",
 ]
 
 MAX_ROWS = 4_000_000
@@ -279,7 +280,10 @@ def dates(text: pl.Series, form: str = "") -> pl.Series:
 
 
 class CsvFile:
-    """A CSV file, plain or gzipped; LogError where it is none with a header."""
+    """A CSV file, plain or gzipped; LogError where it is none with a header.
+
+    Cells are separated by commas; or by semicolons or tabs, where a comma may be the decimal mark.
+    """
 
     unit = "line"
 
@@ -297,7 +301,7 @@ class CsvFile:
                 "gzip or drop the .gz"
             )
         with self._whole(), self._open() as file:
-            self.blank, self.raw, self.header = _read_header(path, file)
+            self.blank, self.raw, self.mark, self.header = _read_header(path, file)
 
     def _open(self) -> BinaryIO:
         return gzip.open(self.path, "rb") if self.packed else self.path.open("rb")  # type: ignore[return-value]
@@ -327,7 +331,11 @@ class CsvFile:
                     first += text.count(b"\n")
                     continue
                 # the writer was stopped within this line: its last number may have lost digits
-                if text and text[-1:] != b"\n" and text.count(b",") + 1 < len(self.header):
+                if (
+                    text
+                    and text[-1:] != b"\n"
+                    and text.count(self.mark.encode()) + 1 < len(self.header)
+                ):
                     text, self.torn = b"", True
                 frame = self._parsed(text, first, wanted, clock)
                 lines = np.arange(first, first + frame.height, dtype=np.float64)
@@ -350,6 +358,7 @@ class CsvFile:
                 header,
                 columns=wanted,
                 infer_schema=False,
+                separator=self.mark,
                 null_values=list(_EMPTY),
                 encoding="utf8" if numbers else "utf8-lossy",
                 schema_overrides=kinds,
@@ -361,12 +370,31 @@ class CsvFile:
         except pl.exceptions.PolarsError:
             pass  # spaces around numbers, or a cell that is no number: look at the text
         try:
-            return read(numbers=False)
+            frame = read(numbers=False)
+            return frame if self.mark == "," else with_points(frame)
         except pl.exceptions.PolarsError as error:
-            ragged = _ragged(text, first, len(self.header))
+            ragged = _ragged(text, first, len(self.header), self.mark)
             raise LogError(
                 f"{self.source}: {ragged or shorten(str(error).splitlines()[0], 200)}"
             ) from None
+
+
+def with_points(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return cells of text with a point where a digit follows a comma, as decimals have.
+
+    A column in which numbers have both stays as it is: there a comma may part thousands.
+    """
+    import polars as pl
+
+    columns = []
+    for name in frame.columns:
+        text = frame[name]
+        if text.dtype == pl.String:
+            numbers = text.filter(~text.str.contains(":"))
+            if not (numbers.str.contains(",").any() and numbers.str.contains(r"\.").any()):
+                text = text.str.replace(r",(\d+)", ".$1")
+        columns.append(text)
+    return pl.DataFrame(columns)
 
 
 def _pieces(file: BinaryIO, source: str) -> Iterator[bytes]:
@@ -389,8 +417,8 @@ def cannot_be_read(path: Path, error: OSError) -> LogError:
     return LogError(f"{path}: cannot be read ({reason}); check the name and the file")
 
 
-def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, tuple[str, ...]]:
-    """Return the number of blank lines before the header, its bytes, and its names."""
+def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, str, tuple[str, ...]]:
+    """Return the blank lines before the header, its bytes, what separates cells, and its names."""
     blank = 0
     if b"\0" in file.read(4096):
         raise LogError(f"{path}: is a binary file or UTF-16 text, not CSV; save it as CSV in UTF-8")
@@ -412,22 +440,20 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, bytes, tuple[str, ...
         ) from None
     if "\r" in text:
         raise LogError(f"{path}: the lines end in CR only; save the file with LF or CR LF ends")
+    mark = ","
     try:
-        header = tuple(name.strip() for name in next(csv.reader([text])))
+        header = next(csv.reader([text]))
+        for other in ";\t":
+            if len(header) < 3 and text.count(other) > 2:
+                mark, header = other, next(csv.reader([text], delimiter=other))
     except csv.Error as error:
         raise LogError(f"{path}: line {blank + 1} is no header of CSV ({error})") from None
-    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
-        if len(header) < 3 and text.count(mark) > 2:
-            raise LogError(
-                f"{path}: line {blank + 1}: cells are separated by {called}; separate them by "
-                "commas, with a point as the decimal mark"
-            )
     if all(_is_number(name) for name in header):
         raise LogError(
             f"{path}: line {blank + 1} holds numbers; put a header of column names above them: "
             f"{', '.join((TIME, *COMMANDS, *MEASUREMENTS))}"
         )
-    return blank, raw.rstrip(b"\r\n"), header
+    return blank, raw.rstrip(b"\r\n"), mark, tuple(name.strip() for name in header)
 
 
 def _is_number(text: str) -> bool:
@@ -438,9 +464,10 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _ragged(text: bytes, first: int, width: int) -> str | None:
+def _ragged(text: bytes, first: int, width: int, mark: str) -> str | None:
     """Return the complaint about the first line with more cells than the header has."""
-    reader = csv.reader(io.TextIOWrapper(io.BytesIO(text), "utf-8", errors="replace", newline=""))
+    lines = io.TextIOWrapper(io.BytesIO(text), "utf-8", errors="replace", newline="")
+    reader = csv.reader(lines, delimiter=mark)
     with suppress(csv.Error):
         for cells in reader:
             if len(cells) > width:

@@ -10,6 +10,8 @@ Source: docs/explanation/twin.md, The refit.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -30,6 +32,7 @@ __all__ = [
     "boat_or",
     "kind_of",
     "population_prior",
+    "scaled_prior",
     "shipped_prior",
     "takes",
 ]
@@ -53,6 +56,14 @@ UNCORRELATED_PART = 0.3
 
 SPREAD_MIN = 1e-3
 """A smaller spread, as a share of the structure's own, means that calm water shows nothing."""
+
+
+SCALE_SD, SCALE_MOST = math.log(3.0), 10.0
+"""Of the drag of two thrusters' boats: standard deviation of its logarithm, and the most of it.
+Drag over displacement of such boats at their typical speeds goes from .01 to .1 and more."""
+
+_NO_DRAG = ("X_vr", "Y_ur", "N_uv", "X_w", "Y_w", "N_w", *ENVIRONMENT)
+"""Parameters that do not grow with drag: those of mass, wind and sea."""
 
 
 class PriorError(UsvTwinError):
@@ -145,6 +156,40 @@ def population_prior(structure: Structure, particulars: Particulars) -> tuple[Ar
     if kind == "differential":
         return structure.mean.copy(), np.diag(structure.sd**2)
     return shipped_prior(structure.name, kind).of(structure)
+
+
+def scaled_prior(
+    names: Sequence[str], mean: Array, sd: Array, found: Array
+) -> tuple[float, Array, Array]:
+    """Return the rough prior of a boat with the drag that a run has shown.
+
+    At its typical speed a boat's thrust is its drag. So all terms of thrust, drag and damping grow
+    together with drag over displacement, which the rough prior does not know. The factor is the one
+    that leaves the least squared deviations, its own logarithm's (:data:`SCALE_SD`) among them.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the p parameters.
+    mean, sd : ndarray, shape (p,)
+        Rough prior, in any units.
+    found : ndarray, shape (p,)
+        Parameters that a run has shown, in the same units.
+
+    Returns
+    -------
+    factor : float
+        Of drag, from 1 / :data:`SCALE_MOST` to :data:`SCALE_MOST`.
+    mean, sd : ndarray, shape (p,)
+        The prior of such a boat.
+    """
+    grows = np.array([name not in _NO_DRAG for name in names])
+    factors = np.geomspace(1.0 / SCALE_MOST, SCALE_MOST, 121)
+    known = grows & (sd > 0.0)
+    far = (found[known] / factors[:, None] - mean[known]) / sd[known]
+    factor = float(factors[np.argmin((far**2).sum(axis=1) + (np.log(factors) / SCALE_SD) ** 2)])
+    scale = np.where(grows, factor, 1.0)
+    return factor, scale * mean, scale * sd
 
 
 def takes(structure: Structure, particulars: Particulars) -> bool:

@@ -20,8 +20,9 @@ A new structure is a new list; a new term is one line in :func:`state_terms` (an
     inflow of hull and propeller, apparent wind, and slow biases follow. The biases of yaw go with
     the heading, once and twice around. Wind and waves turn a boat that lies across them, and what
     is not measured must be learned. Left and right propeller enter as their mean and difference,
-    because nothing tells them apart when they turn at the same speed. A tanker has one propeller:
-    in the place of the difference, N_dn is the turning of one that runs astern. Behind it, flow
+    because nothing tells them apart when they turn at the same speed. No two thrusters are equal:
+    N_mn and X_dn are the turning by their mean and the push by their difference. A tanker has one
+    propeller, and neither: N_dn is the turning of one that runs astern. Behind it, flow
     from port is not straightened as flow from starboard is. Y_S and N_S, of tankers alone, are what
     the rudder's lift gains from one side and loses from the other.
 
@@ -52,6 +53,7 @@ __all__ = [
     "MODELS",
     "N_STATES",
     "N_TERMS",
+    "UNEQUAL_THRUSTERS",
     "ModelTerms",
     "Structure",
     "StructureError",
@@ -402,6 +404,9 @@ _CURRENT = (
     ("C_east", "m/s", "C", _ZERO, (0, 0, 0), 0.0, CURRENT_SD),
 )
 
+UNEQUAL_THRUSTERS = ("X_dn", "N_mn")
+"""What unequal thrusters do: the push by their difference, the turning by their mean."""
+
 _BIASES = (
     ("E_north", "m/s2", "E", COS, (-1, 2, 0), 0.0, 0.0087),
     ("E_east", "m/s2", "E", SIN, (-1, 2, 0), 0.0, 0.0087),
@@ -415,6 +420,7 @@ _MMG = (
     ("X_vr", "1/rad", "X", VR, (0, 0, 0), 1.29, 0.3),
     ("X_rr", "m/rad2", "X", RR, (1, 0, 0), 0.0, 0.03),
     ("X_nn", "1/m", "X", MEAN_COS, (-1, 0, 0), 0.38, 0.12),
+    ("X_dn", "1/m", "X", DIFFERENCE, (-1, 0, 0), 0.0, 0.04),
     ("X_nu", "1/m", "X", ADVANCE_COS, (-1, 0, 0), -0.19, 0.12),
     ("X_F", "1/m", "X", FIN_DRAG, (-1, 0, 0), -0.05, 0.1),
     ("X_w", "1/m", "X", WIND_X, (-1, 0, 0), 0.003, 0.003),
@@ -441,6 +447,7 @@ _MMG = (
     ("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
     ("N_S", "rad/m2", "N", FIN_SIDE, (-2, 0, 0), 0.0, 0.3),
     ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.05, 0.1),
+    ("N_mn", "rad/m2", "N", MEAN_COS, (-2, 0, 0), 0.0, 0.01),
     ("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
     ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01),
     ("N_cos", "rad/s2", "N", COS, (-2, 2, 0), 0.0, 0.01),
@@ -455,7 +462,7 @@ MODELS = tuple(_TABLES)
 """Names of the structures."""
 
 # A pair of fixed propellers .2 L off the middle turns a boat whose radius of gyration is .25 L. It
-# has no angle, so no side force.
+# has no angle, so no side force. Their thrusts are equal within 15 %.
 _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
     "T_vL": (LEFT_SIN, 0.0, 0.06965),
     "T_vR": (RIGHT_SIN, 0.0, 0.06965),
@@ -464,6 +471,7 @@ _DIFFERENTIAL: dict[str, tuple[int, float, float]] = {
     "Y_nn": (MEAN_SIN, 0.0, 0.1),
     "N_nn": (MEAN_SIN, 0.0, 0.1),
     "N_dn": (DIFFERENCE, 0.48, 0.28),
+    "N_mn": (MEAN_COS, 0.0, 0.07),
 }
 
 # A laden ship of full form: most of it is under water. Drag of 0.3 m2 of side and 0.06 m2 of front
@@ -516,7 +524,8 @@ def structure_of(
     """
     if name not in _TABLES:
         raise StructureError(f"no model structure is called {name!r}; known: {', '.join(MODELS)}")
-    rows = [row for row in _TABLES[name] if tanker or row[3] != FIN_SIDE]
+    left_out = UNEQUAL_THRUSTERS if tanker else ("Y_S", "N_S")
+    rows = [row for row in _TABLES[name] if row[0] not in left_out]
     if biased and _BIASES[0] not in rows:
         sway = next(i for i, row in enumerate(rows) if row[2] == "Y")
         rows[sway:sway] = _BIASES

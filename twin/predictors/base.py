@@ -231,10 +231,17 @@ class Predictor(ABC):
         """
         return None
 
-    def hold_parameters(self, held: bool) -> None:
-        """Learn nothing of the model while the commands do not explain the motion.
+    def suspend_learning(self, commands: bool, motion: bool) -> None:
+        """Learn nothing from the rows that follow while one of the two holds.
 
-        A predictor without a model has nothing to hold.
+        A predictor without a model has nothing to do.
+
+        Parameters
+        ----------
+        commands : bool
+            Whether the commands do not explain the motion.
+        motion : bool
+            Whether GPS or compass are at fault and left out, so that states come from the rest.
         """
         return
 

@@ -83,6 +83,8 @@ class HistoryPredictor(Predictor):
         self._extra = np.zeros(0)
         self._last = np.zeros(10)
         self._rows: list[Array] = []
+        self._suspended = False
+        self._unreliable: list[bool] = []
         self._dropped = 0
         self._next = math.inf
         self._errors_at = -math.inf
@@ -92,6 +94,7 @@ class HistoryPredictor(Predictor):
         """Return all that is remembered; see :meth:`Predictor.state_dict`."""
         state = super().state_dict()
         state["rows"] = np.array(self._rows).reshape(-1, len(self._last))
+        state["unreliable"] = np.array(self._unreliable, dtype=np.float64)
         return state
 
     def fields(self) -> dict[str, Field]:
@@ -99,14 +102,22 @@ class HistoryPredictor(Predictor):
         return {
             **{"t": ANY, "cmd": ANY, "extra": GAPS, "last": GAPS, "next": Field(infinite=True)},
             "rows": Field(nan=True, shape=(None, len(self._last))),
+            "unreliable": Field(low=0.0, high=1.0, integer=True, shape=(None,)),
             "dropped": COUNT,
         }
 
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
-        # earlier files lack the number
-        state = {"dropped": 0, **state}
+        # earlier files lack some of it
+        none = np.zeros(len(state.get("rows", ())))
+        state = {"dropped": 0, "suspended": False, "unreliable": none, **state}
         restore_attributes(self, state, self._left_out(), self.fields())
+        if len(self._unreliable) != len(self._rows):
+            raise StateError(
+                f"field 'unreliable' has {len(self._unreliable)} entries for {len(self._rows)} "
+                "rows; use an earlier copy of the file"
+            )
+        self._unreliable = [flag > 0.0 for flag in self._unreliable]
         if math.isfinite(self._next) and not abs(self._next - self.t) <= 2.0 * GRID:
             raise StateError(
                 f"field 'next' = {self._next} is not within {2.0 * GRID} s of t = {self.t}; use an "
@@ -177,7 +188,12 @@ class HistoryPredictor(Predictor):
             old = len(self._rows) - int(keep)
             self.before_drop(np.array(self._rows[:old]))
             del self._rows[:old]
+            del self._unreliable[:old]
             self._dropped += old
+
+    def suspend_learning(self, commands: bool, motion: bool) -> None:
+        """See :meth:`Predictor.suspend_learning`: rows are marked in the history."""
+        self._suspended = commands or motion
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`."""
@@ -190,6 +206,7 @@ class HistoryPredictor(Predictor):
         now = np.concatenate([s, self._cmd, self._extra])
         if dt > GAP_MAX:  # the history before a long gap is of no use
             self._rows.clear()
+            self._unreliable.clear()
             self._dropped = 0
             self._errors_at = self._next = -math.inf
         if not math.isfinite(self._next):
@@ -200,6 +217,7 @@ class HistoryPredictor(Predictor):
             row = self._last + share * (now - self._last)
             row[COMMANDED] = self._cmd
             self._rows.append(row)
+            self._unreliable.append(self._suspended)
             self._next += GRID
             self._drop_old()
         self._last = now

@@ -35,7 +35,7 @@ from twin.checkpoint import (
     load_part,
     with_prefix,
 )
-from twin.filters.late_fusion import LateFusion
+from twin.filters.late_fusion import LOST, LateFusion
 from twin.filters.navigation_ekf import GAP_MAX
 from twin.filters.navigation_state import sample_limits
 from twin.filters.ukf import measurement_update
@@ -51,13 +51,14 @@ from twin.identification.joint_ukf import (
     information_is_due,
 )
 from twin.identification.noise_adaptation import NoiseLimits, adapt_noise
+from twin.model.actuators import follow_all
 from twin.model.dynamics import N_ACT, drive, model_of, rates_over_ground
 from twin.model.structure import N_STATES
 from twin.particulars import Particulars
 from twin.predictors.ukf import ModelPredictor
 from usv_kernel.arrays import alloca_f64
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import wrap
 
 __all__ = [
@@ -197,6 +198,31 @@ def _rerun(first, count, ring, joint):
         measurement_update(x, P, z, work.mask, work.R, PSI, math.inf, work.sigma)
 
 
+@inlined
+def _start_at(measured, state, config):
+    """Start from a measured state (6,); parameters and their covariance go on as they are."""
+    x, P = state.x, state.P
+    for i in range(N_STATES):
+        x[i] = measured[i]
+        row = P[i]
+        row[:] = 0.0
+        P[i, i] = config.p0[i]
+    for k in range(N_STATES, x.shape[0]):
+        row = P[k]
+        for i in range(N_STATES):
+            row[i] = 0.0
+
+
+@kernel
+def _take_motion(measured, dt, cmd, joint):
+    """Take a measured state (6,) without learning from it."""
+    state = filter_state(joint.memory, joint.model)
+    config = filter_config(joint.config, joint.model)
+    _start_at(measured, state, config)
+    clip_velocities(state.x, config.envelope)
+    follow_all(state.act, cmd, config.lags, config.n_unit, dt)
+
+
 @kernel
 def _restart(first, count, ring, joint):
     """Run the filter over the ``count`` rows after ``first`` once more, from what it measured.
@@ -205,19 +231,11 @@ def _restart(first, count, ring, joint):
     """
     model = joint.model
     state, config = filter_state(joint.memory, model), filter_config(joint.config, model)
-    x, P, act = state.x, state.P, state.act
+    act = state.act
     now, size = alloca_f64(N_ACT), ring.states.shape[0]
     for k in range(N_ACT):
         now[k], act[k] = act[k], ring.acts[(first + 1) % size, k]
-    for i in range(N_STATES):
-        x[i] = ring.states[first, i]
-        row = P[i]
-        row[:] = 0.0
-        P[i, i] = config.p0[i]
-    for k in range(N_STATES, x.shape[0]):
-        row = P[k]
-        for i in range(N_STATES):
-            row[i] = 0.0
+    _start_at(ring.states[first], state, config)
     _rerun(first + 1, count, ring, joint)
     for k in range(N_ACT):
         act[k] = now[k]
@@ -360,6 +378,7 @@ class DSWPredictor(ModelPredictor):
         ukf.fastest[:] = math.inf  # the paper's forecast has no guard
         self._joint = _Filter(ukf.memory, ukf.constants, ukf.terms, ukf.scratch)
         self._count = 0
+        self._held, self._sound = False, 0
         self._wind = math.nan
         self.t = 0.0
         self.q, self.r = self.ukf.q, self.ukf.r
@@ -383,6 +402,7 @@ class DSWPredictor(ModelPredictor):
         return {
             **super().state_dict(),
             **{"count": self._count, "wind": self._wind},
+            **{"held": self._held, "sound": self._sound},
             **with_prefix("fusion", self.fusion.state_dict()),
             **with_prefix("window", self.window.state_dict()),
             **with_prefix("waves", self.waves.state_dict()),
@@ -392,12 +412,16 @@ class DSWPredictor(ModelPredictor):
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
         parts = {"fusion": self.fusion, "window": self.window, "waves": self.waves}
         own = {k: v for k, v in state.items() if k.partition(".")[0] not in parts}
-        count = {name: own.pop(name, None) for name in ("count", "wind")}
-        check_fields(count, {"count": 0, "wind": 0.0}, {"count": COUNT, "wind": GAPS})
+        # earlier files lack the last two
+        own = {"held": False, "sound": own.get("count"), **own}
+        like = {"count": 0, "wind": 0.0, "held": False, "sound": 0}
+        count = {name: own.pop(name, None) for name in like}
+        check_fields(count, like, {"count": COUNT, "wind": GAPS, "sound": COUNT})
         for name, part in parts.items():
             load_part(name, part, state)
         super().load_state_dict(own)
         self._count, self._wind = int(count["count"]), count["wind"]
+        self._held, self._sound = bool(count["held"]), int(count["sound"])
         if not self.window._latest <= self.t:
             raise StateError("field 'window.latest' is later than 't'; use an earlier copy")
 
@@ -412,8 +436,12 @@ class DSWPredictor(ModelPredictor):
         if self.use == "off":
             return math.nan
         W = self.window.base if self.use == "fixed" else self.window.W
-        last = np.arange(self._count - min(W, self._count), self._count) % self._size
+        last = np.arange(self._count - min(W, self._sound), self._count) % self._size
         return float(self._ring.dts[last].sum())
+
+    def suspend_learning(self, commands: bool, motion: bool) -> None:
+        """See :meth:`twin.predictors.base.Predictor.suspend_learning`: parameters are held."""
+        self._held = commands or motion
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""
@@ -435,6 +463,12 @@ class DSWPredictor(ModelPredictor):
         ring.states[row], ring.cmds[row], ring.dts[row] = s, cmd, dt
         ring.acts[row] = ukf.act
         self._count += 1
+        if self._held or self._is_lost(s):
+            # no row before this one is used again
+            self._sound = 0
+            _take_motion(s, dt, cmd, self._joint)
+            return
+        self._sound += 1
         self._run(row, 1)
         error, expected = self._ring.innovation.copy()
         if self.adapt != "off":
@@ -444,9 +478,16 @@ class DSWPredictor(ModelPredictor):
             self._wind = float(z[_WIND])
         if self.use != "off":
             W = self.window.base if self.use == "fixed" else self._length(z, dt, s, expected)
-            if self._count % self.stride == 0 and self._count > W:
+            if self._count % self.stride == 0 and self._sound > W:
                 self._restart(W)
         _finish_row(dt, self._joint)
+
+    def _is_lost(self, measured: Array) -> bool:
+        """Return whether a measured state (6,) is so far off that the filter has diverged."""
+        error = measured - self.ukf.x[:N_STATES]
+        error[PSI] = wrap(error[PSI])
+        variance = self.ukf.P.diagonal()[:N_STATES] + self.r
+        return bool((error**2 > LOST**2 * variance).any())
 
     def with_common_error(self, cov: Array) -> Array:
         """Return covariances with the GPS bias added, positive definite however large."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twin.channels import PSI, R, U, V
+from twin.filters.navigation_ekf import lacks_gps
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.data_weight import (
     CHOSEN,
@@ -56,7 +57,6 @@ from twin.predictors.ukf import (
     UKFWork,
     correct,
     has_diverged,
-    lacks_gps,
     place_by_navigation,
     restart_state,
     start_filter,
@@ -430,7 +430,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
         _slow_step(dt, nav, window, state, given, terms)
     fast = (SPEED_GOOD * 0.25 * given.envelope[0]) ** 2
     sure = P[U, U] < fast and P[V, V] < fast and P[PSI, PSI] < HEADING_GOOD**2
-    trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted == 0.0
+    trusted = nav.gps_age <= GAP_GOOD and nav.commands_doubted + nav.motion_doubted == 0.0
     good = 1.0 if sure and dt <= GAP_GOOD and trusted else 0.0
     _record(t, dt, good, nav, window, state, memory.rows)
     if t >= window.refit_at and nav.gps_age <= GAP_GOOD:

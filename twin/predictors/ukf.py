@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from twin.channels import PSI, WIND_FROM, WIND_SPEED, R, U, V, X, Y
 from twin.checkpoint import Field, State, check_fields, fill, record_views, with_prefix
-from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, navigate
+from twin.filters.navigation_ekf import GAP_MAX, aid, is_ready, lacks_gps, lacks_imu, navigate
 from twin.filters.navigation_state import (
     IS_MODELLED,
     MODEL_VARIANCES,
@@ -47,6 +47,7 @@ from twin.identification.joint_ukf import (
     limit_covariances,
     scale_plan,
 )
+from twin.identification.physical_bounds import keep_physical
 from twin.model.actuators import follow_all
 from twin.model.dynamics import current_terms, drive, rates_over_ground
 from twin.model.structure import CURRENT, N_STATES, ModelTerms, current_of
@@ -99,8 +100,8 @@ speed; that of a smaller one lasts less."""
 SURE = 0.25
 """Largest standard deviation of a velocity that counts as seen, in nominal speeds."""
 
-AID_AFTER, AID_EVERY = 1.0, 1.0
-"""The model aids the navigation filter each AID_EVERY s once GPS is AID_AFTER s old."""
+AID_EVERY = 1.0
+"""The model aids a navigation filter that lacks fixes or IMU each so many seconds."""
 
 
 class UKFMemory(NamedTuple):
@@ -217,6 +218,11 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     x, P, n, P_nav, wave_power = state.x, state.P, nav.n, nav.P, state.wave_power
     envelope, noise, mask = given.envelope, scratch.R, scratch.mask
     advance(dt, cmd, state, given, scratch)
+    if nav.motion_doubted > 0.0:
+        # parameters without correlation to the state learn nothing of it
+        for i in range(N_STATES):
+            for k in range(N_STATES, x.shape[0]):
+                P[i, k] = P[k, i] = 0.0
     row = max(dt, 1e-3)
     for i in range(N_STATES):
         noise[i, i] = STUDY_STEP * given.r[i] / row + P_nav[i, i]
@@ -247,6 +253,7 @@ def correct(dt, cmd, nav, state, given, model, scratch):
             noise[i, i] += given.wave_noise * wave_power[k] / row
     water = current_of(x, N_STATES, model.hull)
     measurement_update(x, P, n[:N_STATES], mask, noise, PSI, math.inf, scratch.sigma)
+    keep_physical(x, P, given.bounds, scratch.ahead[0])
     if no_gps and model.hull[CURRENT] >= 0.0:
         at = N_STATES + int(model.hull[CURRENT])
         x[at], x[at + 1] = water
@@ -254,18 +261,6 @@ def correct(dt, cmd, nav, state, given, model, scratch):
     if not no_gps and P_nav[U, U] + P_nav[V, V] < 2.0 * (SURE * 0.25 * envelope[0]) ** 2:
         for k in range(3):
             state.fastest[k] = max(state.fastest[k], abs(n[U + k]))
-
-
-@inlined
-def lacks_gps(nav):
-    """Return whether the navigation goes without fixes."""
-    return nav.gps_age > AID_AFTER
-
-
-@inlined
-def lacks_imu(nav):
-    """Return whether the IMU is lost; a boat that never had one has lost none."""
-    return nav.has_imu > 0.0 and nav.imu_age > AID_AFTER
 
 
 @inlined
@@ -590,9 +585,10 @@ class UKFPredictor(ModelPredictor):
         super().add_common_error(variance)
         variance[:N_STATES] += self.P_nav.diagonal()[:N_STATES]
 
-    def hold_parameters(self, held: bool) -> None:
-        """See :meth:`twin.predictors.base.Predictor.hold_parameters`: parameters are held."""
-        self._nav["commands_doubted"] = 1.0 if held else 0.0
+    def suspend_learning(self, commands: bool, motion: bool) -> None:
+        """See :meth:`twin.predictors.base.Predictor.suspend_learning`."""
+        self._nav["commands_doubted"] = 1.0 if commands else 0.0
+        self._nav["motion_doubted"] = 1.0 if motion else 0.0
 
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`twin.predictors.base.Predictor.update`."""

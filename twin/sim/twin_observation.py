@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.channels import MEASUREMENTS, PSI, STATE, R, U, V, X, Y
 from twin.filters.navigation_state import NAVIGATION
-from twin.health.checks import check_sensors
+from twin.health.checks import check_sensors, is_motion_doubted
 from twin.health.state import HEALTH, HEALTH_SETTINGS, SENSORS
 from twin.identification.joint_ukf import (
     filter_config,
@@ -218,6 +218,7 @@ def _check_row(dt, boat, note, nav, given):
     state = nav.n[:N_STATES]
     check_sensors(dt, note.z[:], boat.command[:], state, ready, health, given, note.used[:])
     nav.commands_doubted = health.commands_doubted
+    nav.motion_doubted = 1.0 if is_motion_doubted(health) else 0.0
     for k in range(N_ACT):
         note.trusted[k] = health.trusted[k] if health.commands_doubted > 0.0 else boat.command[k]
 

@@ -315,8 +315,21 @@ def make_env(
     return _made(USVEnv, USVTwinEnv, observation, twin, kwargs)
 
 
+class _RenderModes(list[str]):
+    """Modes for gym.make, which makes ``rgb_array_list`` itself.
+
+    All else is left to the environment: its error names value and remedy.
+    """
+
+    def __contains__(self, mode: object) -> bool:
+        return not (isinstance(mode, str) and mode.endswith("_list"))
+
+
 # where gym.make looks for the modes, to offer "rgb_array_list" as well
-make_env.metadata = USVEnv.metadata  # type: ignore[attr-defined]
+make_env.metadata = {  # type: ignore[attr-defined]
+    **USVEnv.metadata,
+    "render_modes": _RenderModes(USVEnv.metadata["render_modes"]),
+}
 
 
 def make_vector_env(

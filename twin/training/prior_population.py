@@ -50,6 +50,7 @@ from twin.model.structure import (
     ONE,
     SIN,
     SIN_TWICE,
+    UNEQUAL_THRUSTERS,
     WIND_N,
     WIND_X,
     WIND_Y,
@@ -210,9 +211,10 @@ def rolled(
 
 
 def _shown(structure: Structure) -> Any:
-    """Return which parameters calm water can show: no wind, no biases."""
+    """Return which parameters calm water can show: no wind, no biases, no unequal thrusters."""
     hidden = (COS, SIN, MINUS_SIN, COS_TWICE, SIN_TWICE, ONE, WIND_X, WIND_Y, WIND_N)
-    return ~np.isin(structure.terms.which, hidden).any(axis=0)
+    unequal = [name in UNEQUAL_THRUSTERS for name in structure.parameters]
+    return ~np.isin(structure.terms.which, hidden).any(axis=0) & ~np.array(unequal)
 
 
 def _window(structure: Structure, run: CalmRun) -> Array:

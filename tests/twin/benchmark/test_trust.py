@@ -14,6 +14,7 @@ from twin.benchmark.trust import (
     RED,
     Answer,
     GpsLoss,
+    ScoredForecast,
     TrustMeter,
     Verdict,
     position_bound,
@@ -132,15 +133,74 @@ def test_another_boat_shows_in_the_parameters(boat: Particulars, log: Log, good:
     assert good.answers[3].numbers["far"] == {}
 
 
-def test_parameters_alone_are_never_red() -> None:
-    otter = Vessel.load("otter")
-    about = particulars_of(otter)
-    sea = SeaState(hs=0.1, wind=3.0)
-    run = simulate("random", vessel=otter, sea=sea, duration=200.0, seed=2)
-    found = verdict_of(about, run.without_truth(), "dsw-ukf-plus")
+def test_parameters_alone_are_never_red(boat: Particulars, log: Log) -> None:
+    twin = Twin(boat, "dsw-ukf-plus")
+    meter = TrustMeter(twin, log)
+    meter.prior = dataclasses.replace(meter.prior, params_sd=0.02 * meter.prior.params_sd)
+    twin.run(log, meter)
+    found = meter.verdict()
     assert [answer.colour for answer in found.answers[:3]] == [GREEN] * 3
     assert len(found.answers[3].numbers["far"]) > 4
     assert found.answers[3].colour == AMBER
+
+
+def clean(vessel: str, manoeuvre: str, seed: int, hs: float = 0.1) -> Verdict:
+    """Return the verdict on 200 s of a simulated boat whose particulars are right."""
+    ship = Vessel.load(vessel)
+    sea = SeaState(hs=hs, wind=3.0 if hs else 0.0)
+    run = simulate(manoeuvre, vessel=ship, sea=sea, duration=200.0, seed=seed)
+    return verdict_of(particulars_of(ship), run.without_truth(), "dsw-ukf-plus")
+
+
+@pytest.mark.parametrize("vessel", ["otter", "wamv16"])
+@pytest.mark.parametrize("manoeuvre", ["zigzag", "random"])
+def test_a_clean_catamaran_is_green(vessel: str, manoeuvre: str) -> None:
+    """Its drag over displacement is several times that of the rough prior."""
+    found = clean(vessel, manoeuvre, 1)
+    assert found.answers[3].numbers["drag"] > 2.0
+    assert "times the drag" in found.answers[3].text
+    assert found.colour == GREEN, [answer.text for answer in found.answers]
+
+
+def test_a_steady_turn_in_calm_water_is_green() -> None:
+    """There persistence is as good as the sensors, and no twin can be better."""
+    found = clean("otter", "turn", 1, hs=0.0)
+    numbers = found.answers[0].numbers
+    assert numbers["displacement_m"] > 0.9 * numbers["persistence_displacement_m"]
+    assert found.colour == GREEN, [answer.text for answer in found.answers]
+
+
+def test_effect_and_damping_reversed_together_are_no_sign(boat: Particulars, log: Log) -> None:
+    """A steady turn tells their ratio only."""
+    twin = Twin(dataclasses.replace(boat, steering="differential"), "dsw-ukf-plus")
+    meter = TrustMeter(twin, log)
+    names = twin.predictor.parameter_names
+    last = twin.estimate()
+    params, sd = last.params.copy(), 0.1 * last.params_sd
+    params[names.index("N_dn")] *= -1.0
+    for damping in (1.0, -1.0):
+        params[names.index("N_|u|r")] *= damping
+        turned = dataclasses.replace(last, params=params, params_sd=sd, ready=True)
+        twin.estimate = lambda turned=turned: turned  # type: ignore[method-assign]
+        assert meter.verdict().answers[3].numbers["sign"] == (["N_dn"] if damping > 0.0 else [])
+
+
+def test_short_logs_may_cover_less_by_chance(boat: Particulars, log: Log) -> None:
+    meter = TrustMeter(Twin(boat, "ukf"), log)
+
+    def colour(seconds: float, share: float) -> str:
+        count = int(seconds / 2.0)
+        inside = np.arange(count) < share * count
+        meter.forecasts = [
+            ScoredForecast(2.0 * k, np.zeros((1, 2)), (0.1, 0.1), (9.0, 9.0), (bool(ok), True))
+            for k, ok in enumerate(inside)
+        ]
+        return meter.verdict().answers[1].colour
+
+    assert colour(130.0, 0.71) == GREEN
+    assert colour(130.0, 0.6) == AMBER
+    assert colour(1300.0, 0.71) == AMBER
+    assert colour(130.0, 0.4) == RED
 
 
 def test_reversed_steering_shows_in_a_sign(boat: Particulars, log: Log) -> None:

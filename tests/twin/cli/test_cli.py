@@ -518,10 +518,25 @@ def test_identify_ends_with_five_answers_and_says_what_was_not_shown(folder):
     assert "the run did not show" in out
 
 
+def test_identify_of_several_runs_ends_with_five_answers(folder, tmp_path):
+    log = folder / "run.csv"
+    for arguments in ((log, log), (log, log, log, "--save-prior", tmp_path / "boat.prior")):
+        out = run("identify", *arguments).stdout
+        lines = [line for line in out.splitlines() if re.match("(green|amber|red) ", line)]
+        heads = [line.split()[1] for line in lines]
+        assert heads == ["forecast", "coverage", "without", "parameters", "sensors"]
+        runs = len([one for one in arguments if one == log])
+        assert all(f"of {runs} runs are " in line for line in lines)
+        assert f"from {runs} run(s), model mmg" in out and "e+15" not in out
+    assert "prior = " in out
+    assert "no model" in run("identify", log, log, "-p", "persistence").stdout
+
+
 def test_identify_saves_and_uses_a_prior(folder, tmp_path):
     log, kept = folder / "run.csv", tmp_path / "boat.prior"
     out = run("identify", log, log, "--save-prior", kept).stdout
     assert "from 2 run(s), model mmg" in out and 'prior = "boat.prior"' in out
+    assert "C_north" not in kept.read_text()  # the current is that of a day
     text = (folder / "run.toml").read_text()
     own = tmp_path / "own.toml"
     own.write_text(text.replace("[particulars]", '[particulars]\nprior = "boat.prior"'))
@@ -536,8 +551,8 @@ def test_identify_saves_and_uses_a_prior(folder, tmp_path):
     assert "begins without the prior" in out
     for arguments, words in (
         ((log, "--save-prior", kept), "--force"),
-        ((log, log), "several are for --save-prior"),
-        ((log, log, "--save-prior", tmp_path / "3.prior", "--save", "x"), "without --save"),
+        ((log, log, "--json", tmp_path / "x.json"), "--json: that is for one run"),
+        ((log, log, "--save-prior", tmp_path / "3.prior", "--save", "x"), "--save: that is for"),
         ((log, "-p", "persistence", "--save-prior", tmp_path / "3.prior"), "no parameters"),
     ):
         assert words in run("identify", *arguments, check=2).stderr

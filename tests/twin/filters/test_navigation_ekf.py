@@ -392,3 +392,15 @@ def test_thirty_seconds_after_a_fault_it_is_as_if_there_had_been_none():
 @pytest.mark.parametrize(("kind", "rows"), [(UKFPredictor, 1_000_000), (PlusPredictor, 1_000_000)])
 def test_navigation_stays_finite_over_a_million_rows(kind, rows):
     marathon(kind, rows, 1)
+
+
+def test_a_long_gap_in_one_row_is_as_unsure_as_in_many(zigzag, boat):
+    """The coarse steps of a gap are no surer than fine ones."""
+    sure = []
+    for dt, count in ((0.1, 3000), (300.0, 1)):
+        navigator = run(zigzag.slice(0.0, 20.0), boat)[1]
+        for _ in range(count):
+            navigator.update(dt, np.full(len(MEASUREMENTS), np.nan))
+        assert positive_definite(navigator.P)
+        sure.append(np.sqrt(np.diag(navigator.P)[:6]))
+    assert (sure[1] > 0.99 * sure[0]).all() and (sure[1] < 10.0 * sure[0]).all(), sure

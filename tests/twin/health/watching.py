@@ -67,14 +67,14 @@ def base(manoeuvre: str, vessel: str = "usv75") -> tuple[Log, Twin, int]:
 
 
 def watch(twin: Twin, log: Log, first: int, last: int | None = None) -> Watch:
-    """Feed rows of a log to a twin; return each doubt or exclusion when it begins."""
+    """Feed rows of a log to a twin; return when each doubt or exclusion, or its reason, begins."""
     findings: list[Finding] = []
-    before = twin.monitor.record["sensors"]["status"].copy()
+    before = twin.monitor.record["sensors"][["status", "reason"]].copy()
     for row in range(first, len(log) if last is None else last):
         twin.step(log.t[row], log.z[row], log.cmd[row])
-        now = twin.monitor.record["sensors"]["status"]
+        now = twin.monitor.record["sensors"][["status", "reason"]]
         for k in np.flatnonzero(now != before):
-            if now[k] not in IN_USE:
+            if now["status"][k] not in IN_USE:
                 status = twin.health[SENSORS[k]]
                 after = float(log.t[row]) - START
                 findings.append(Finding(after, SENSORS[k], status.status, status.why))

@@ -99,6 +99,45 @@ LOGGERS: dict[str, dict[str, Column]] = {
         "Throttle starboard": numbers(lambda log: 100.0 * log.cmd[:, 1] / log.cmd[:, 1].max()),
         "Steering (deg)": numbers(lambda log: np.degrees(log.cmd[:, 2])),
     },
+    "ArduPilot": {
+        "TimeUS": numbers(lambda log: 1e6 * log.t + 5e7, 0),
+        "Lat": lat,
+        "Lng": lon,
+        "Spd": speed,
+        "GCrs": course,
+        "Yaw": heading,
+        "GyrX": numbers(lambda log: 0.1 * np.sin(0.7 * log.t)),
+        "GyrZ": numbers(lambda log: log.z[:, 5]),
+        "RCOU.C1": numbers(lambda log: 1500.0 + 20.0 * log.cmd[:, 0]),
+        "RCOU.C3": numbers(lambda log: 1500.0 + 20.0 * log.cmd[:, 1]),
+        "rudder_rad": numbers(lambda log: log.cmd[:, 2]),
+    },
+    "MAVLink": {
+        "time_boot_ms": numbers(lambda log: 1000.0 * log.t, 3),
+        "lat_e7": numbers(lambda log: 1e7 * (LATITUDE + log.z[:, 0] / TO_NORTH), 0),
+        "lon_e7": numbers(lambda log: 1e7 * (LONGITUDE + log.z[:, 1] / TO_EAST), 0),
+        "vx": numbers(lambda log: 100.0 * log.z[:, 2]),
+        "vy": numbers(lambda log: 100.0 * log.z[:, 3]),
+        "hdg_cdeg": numbers(lambda log: 100.0 * (np.degrees(log.z[:, 4]) % 360.0)),
+        "yaw_rate_dps": rate,
+        "n_l": numbers(lambda log: log.cmd[:, 0]),
+        "n_r": numbers(lambda log: log.cmd[:, 1]),
+        "delta_l": numbers(lambda log: log.cmd[:, 2]),
+        "delta_r": numbers(lambda log: log.cmd[:, 3]),
+    },
+    "motors": {
+        "Zeit": stamps("%Y-%m-%d %H:%M:%S.%f %z"),
+        "gps.lat": lat,
+        "gps.lon": lon,
+        "gps.speed_kmh": numbers(lambda log: 3.6 * np.hypot(log.z[:, 2], log.z[:, 3])),
+        "gps.course": course,
+        "imu.yaw": numbers(lambda log: np.remainder(log.z[:, 4], 2.0 * math.pi)),
+        "imu.gyro_z": numbers(lambda log: log.z[:, 5]),
+        "Port motor rpm": numbers(lambda log: 60.0 * log.cmd[:, 0]),
+        "Stbd motor rpm": numbers(lambda log: 60.0 * log.cmd[:, 1]),
+        "left_drive_angle": numbers(lambda log: log.cmd[:, 2]),
+        "right_drive_angle": numbers(lambda log: log.cmd[:, 3]),
+    },
     "swapped": {
         "t": numbers(lambda log: log.t),
         "Latitude": numbers(lambda log: 110.47 + log.z[:, 1] / TO_EAST),
@@ -114,9 +153,11 @@ LOGGERS: dict[str, dict[str, Column]] = {
 }
 
 
-def write(path: Path, log: Log, columns: dict[str, Column]) -> Path:
-    cells = [make(log) for make in columns.values()]
-    rows = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
+def write(
+    path: Path, log: Log, columns: dict[str, Column], mark: str = ",", point: str = "."
+) -> Path:
+    cells = [[cell.replace(".", point) for cell in make(log)] for make in columns.values()]
+    rows = [mark.join(columns), *(mark.join(row) for row in zip(*cells, strict=True))]
     path.write_text("\n".join(rows).replace("nan", "") + "\n", encoding="utf-8")
     return path
 
@@ -136,11 +177,58 @@ def test_a_proposed_mapping_reads_the_log(tmp_path: Path, run: Log, name: str) -
     assert np.nanmax(np.abs(turned)) < 1e-6
     if name != "swapped":
         assert np.nanmax(np.abs(back.z[:, 5] - run.z[:, 5])) < 1e-6
-    scale = 100.0 / run.cmd[:, 0].max() if name == "American" else 1.0
+    scale = {"American": 100.0 / run.cmd[:, 0].max(), "ArduPilot": 0.4}.get(name, 1.0)
     assert np.abs(back.cmd[:, :2] - scale * run.cmd[:, :2]).max() < 1e-6
     assert np.abs(back.cmd[:, 2:] - run.cmd[:, 2:]).max() < 1e-6
     checked = CliRunner().invoke(app, ["log", "check", str(path), "--no-picture"])
     assert checked.exit_code == 0 or "shaft" in checked.output, checked.output
+
+
+@pytest.mark.parametrize(("mark", "point"), [(";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+@pytest.mark.parametrize("name", ["survey boat", "motors"])
+def test_semicolons_tabs_and_decimal_commas_are_read(
+    tmp_path: Path, run: Log, name: str, mark: str, point: str
+) -> None:
+    same, other = tmp_path / "a.csv", tmp_path / "b.csv"
+    write(same, run, LOGGERS[name])
+    write(other, run, LOGGERS[name], mark, point)
+    for path in (same, other):
+        result = CliRunner().invoke(app, ["mapping", "new", str(path)])
+        assert result.exit_code == 0, result.output
+    a, b = Log.read(same), Log.read(other)
+    np.testing.assert_allclose(a.t, b.t, atol=1e-6)
+    np.testing.assert_allclose(a.z, b.z, atol=1e-9)
+    np.testing.assert_allclose(a.cmd, b.cmd, atol=1e-9)
+
+
+def test_commas_that_part_thousands_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{k};0.5;{k};1,234.5;0.1" for k in range(9)]
+    path.write_text("t_s;n_rps;gps_x_m;gps_y_m;compass_rad\n" + "\n".join(rows) + "\n")
+    with pytest.raises(LogError, match=r"'1,234\.5' is not a number"):
+        Log.read(path)
+
+
+def test_what_is_open_is_asked(tmp_path: Path, run: Log) -> None:
+    """Swapped within 90 degrees, a date apart, text, and velocities that are not over ground."""
+    columns = {
+        "Date": stamps("%Y-%m-%d"),
+        "Clock": stamps("%H:%M:%S.%f"),
+        "Latitude": lon,
+        "Longitude": lat,
+        "vx": numbers(lambda log: np.sin(log.t)),
+        "vy": numbers(lambda log: np.cos(log.t)),
+        "Heading": heading,
+        "n1": numbers(lambda log: log.cmd[:, 0]),
+        "n2": numbers(lambda log: log.cmd[:, 1]),
+    }
+    text = propose(write(tmp_path / "a.csv", run, columns)).text("a.csv")
+    assert 'from = "Clock"' in text and "keeps no date" in text
+    assert "or latitude and longitude are swapped" in text
+    assert "vx, vy: are these m/s to north and east?" in text and "gps_vx_mps" not in text
+    columns["Latitude"] = lambda log: ["59.43 N"] * len(log)
+    text = propose(write(tmp_path / "b.csv", run, columns)).text("b.csv")
+    assert "'59.43 N' is no number" in text
 
 
 def test_missing_columns_are_named(tmp_path: Path) -> None:
@@ -210,6 +298,7 @@ def test_dates_of_a_stated_format_are_read(tmp_path: Path, run: Log, form: str) 
         (["5/3/2024 23:59:59", "5/4/2024 00:00:00"], ["%m/%d/%Y %H:%M:%S%.f"]),
         (["3.5.24, 09:30:00 +0200", "20.5.24, 09:30:00 +0200"], ["%d.%m.%y, %H:%M:%S%.f %#z"]),
         (["03-May-2024 09:30:00"], ["%d-%b-%Y %H:%M:%S%.f"]),
+        (["2024-05-03 09:30:00.5 +0200"], ["%Y-%m-%d %H:%M:%S%.f %#z"]),
         (["09:30:00.5"], ["%H:%M:%S%.f"]),
         (["soon"], []),
         ([], []),

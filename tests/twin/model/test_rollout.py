@@ -139,7 +139,7 @@ def test_derivative_turns_velocities_to_the_earth_and_adds_accelerations(
 def test_a_mirrored_boat_makes_the_mirrored_motion(name: str, steering: str) -> None:
     structure = structure_for(name, steering)
     swap, sign = np.arange(len(structure)), np.ones(len(structure))
-    lopsided = ("Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2")
+    lopsided = ("Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "X_dn", "N_mn")
     for k, label in enumerate(structure.parameters):
         if label[0] == "T":
             swap[k] = structure.parameters.index(label[:-1] + {"L": "R", "R": "L"}[label[-1]])

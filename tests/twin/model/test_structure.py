@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from twin.model.priors import scaled_prior
 from twin.model.structure import (
     LEFT_COS,
     MODELS,
@@ -100,6 +101,9 @@ def printed(
         if kind == "tanker"
         else (left * cos_l - right * cos_r) / 2,
     }
+    # by unequal propellers
+    surge["X_dn"] = (left * cos_l - right * cos_r) / 2
+    yaw["N_mn"] = surge["X_nn"]
     # a rudder or drive feels hull wake, slipstream (a tenth of it astern), and the turning stern
     across = 0.5 * (0.71 * LENGTH * r - v)
     fin_x, fin_y, side = 0.0, 0.0, 0.0
@@ -285,7 +289,7 @@ def test_wind_acts_by_its_speed_past_the_boat() -> None:
 
 
 # Those whose sign a mirror does not turn, though they stand in sway or yaw.
-LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "Y_S", "N_S"}
+LOPSIDED = {"Y_u", "N_u", "N_0", "E_east", "N_cos", "N_cos2", "Y_S", "N_S", "X_dn", "N_mn"}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -333,3 +337,29 @@ def test_prior_keeps_its_speed_and_course(name, differential) -> None:
 def test_an_unknown_structure_is_refused() -> None:
     with pytest.raises(StructureError, match=r"no model structure is called 'dave'; .*paper, mmg"):
         structure_of("dave", LENGTH, SPEED, SHAFT)
+
+
+@settings(max_examples=50, deadline=None)
+@given(factor=st.floats(1.0, 8.0), seed=st.integers(0, 99))
+def test_a_scaled_prior_finds_the_drag_of_a_catamaran(factor: float, seed: int) -> None:
+    model = structure_of("mmg", 2.0, 1.0, 10.0, differential=True, current=True)
+    rng = np.random.default_rng(seed)
+    grows = np.array([name.startswith(("X_u", "X_n", "N_d", "N_|")) for name in model.parameters])
+    own = model.mean + 0.5 * model.sd * rng.standard_normal(len(model))
+    found, mean, sd = scaled_prior(
+        model.parameters, model.mean, model.sd, np.where(grows, factor * own, own)
+    )
+    assert 0.3 * factor < found < 3.0 * factor
+    assert (np.abs(np.where(grows, factor * own, own) - mean) < 4.0 * sd).all()
+    still = [model.parameters.index(name) for name in ("X_vr", "Y_ur", "C_north", "N_0")]
+    np.testing.assert_array_equal(mean[still], model.mean[still])
+    np.testing.assert_array_equal(sd[still], model.sd[still])
+    thrust = model.parameters.index("X_nn")
+    assert mean[thrust] == pytest.approx(found * model.mean[thrust])
+
+
+def test_a_scaled_prior_does_not_explain_thrust_of_the_wrong_sign() -> None:
+    model = structure_of("mmg", 2.0, 1.0, 10.0, differential=True)
+    wrong = np.where([name == "X_nn" for name in model.parameters], -9.0, 1.0) * model.mean
+    mean, sd = scaled_prior(model.parameters, model.mean, model.sd, wrong)[1:]
+    assert (np.abs(wrong - mean) > 4.0 * np.where(sd > 0.0, sd, np.inf)).any()

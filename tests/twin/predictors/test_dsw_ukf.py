@@ -212,3 +212,20 @@ def test_settings_are_taken_by_channel(boat: Particulars) -> None:
     np.testing.assert_array_equal(settings.xi0, np.arange(25.0))
     np.testing.assert_array_equal(settings.xi0_cov, np.diag(np.arange(7.0, 32.0)))
     np.testing.assert_array_equal(settings.p0, np.arange(1.0, 7.0))
+
+
+def test_suspended_learning_changes_no_parameter(boat: Particulars, run: Log) -> None:
+    predictor = run_of(boat, run)
+    params, moved = predictor.ukf.xi.copy(), run.z.copy()
+    moved[:, :2] += 1e5
+    predictor.suspend_learning(commands=False, motion=True)
+    for k in range(100):
+        predictor.update(run.t[-1] + 0.05 * (k + 1), 0.05, moved[k], run.cmd[k])
+    np.testing.assert_array_equal(predictor.ukf.xi, params)
+    assert math.isnan(predictor.window_s) or predictor.window_s == 0.0
+    # it goes on from where the fixes are, and learns again
+    predictor.suspend_learning(commands=False, motion=False)
+    for k in range(200, 300):
+        predictor.update(run.t[-1] + 0.05 * (k + 1), 0.05, run.z[k], run.cmd[k])
+    off = np.hypot(*(predictor.state[:2] - run.truth[299, :2]))
+    assert 0.0 < np.abs(predictor.ukf.xi - params).max() < 5.0 and off < 3.0

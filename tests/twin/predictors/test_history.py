@@ -111,3 +111,19 @@ def test_files_of_before_rows_were_dropped_can_be_read():
     del state["dropped"], state["sum"]
     two.load_state_dict(state)
     assert_same(one, two, 0.25)
+
+
+@pytest.mark.parametrize("name", ["fleet-lstm", "transformer"])
+def test_a_net_begins_again_after_a_fault(name: str) -> None:
+    """Rows up to a fault change no forecast once the sensors are right; before that they do."""
+    predictor: Any = make_predictor(name, BOAT)
+    for t, dt, z, cmd in rows(1, 400, 0.05):
+        predictor.update(t, dt, z, cmd)
+    history = np.array([*predictor._rows, predictor._rows[-1]])
+    false = history.copy()
+    false[:60, 3:6] *= 0.2
+    predictor._unreliable[40:60] = 20 * [True]
+    for suspended in (False, True):
+        predictor._suspended = suspended
+        one, two = (predictor.forecast_from_last(r, PLAN) for r in (history, false))
+        assert np.array_equal(one, two) is not suspended

@@ -21,7 +21,7 @@ from twin.model.priors import (
     population_prior,
     shipped_prior,
 )
-from twin.model.structure import MODELS, Structure
+from twin.model.structure import MODELS, UNEQUAL_THRUSTERS, Structure
 from twin.particulars import DESIGNS, Particulars
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.sim.bridge import particulars_of
@@ -33,6 +33,7 @@ EACH = pytest.mark.parametrize(
     ("model", "kind"), [(m, k) for m in MODELS for k in (*KINDS, TANKER, *DESIGNS)]
 )
 CALM_BLIND = {
+    *UNEQUAL_THRUSTERS,
     *("E_north", "E_east", "X_w", "Y_w", "N_w"),
     *("N_0", "N_cos", "N_sin", "N_cos2", "N_sin2"),
 }

@@ -40,8 +40,8 @@ ODD = [
 TAKEN = {"wind_from_deg": (-1, -0.5), "sea": (SEVERAL, RANGE, *WRONG[17:18])}
 """Exceptions: degrees below 0, and several seas."""
 
-GYMNASIUM = {"render_mode", "max_episode_steps"}
-"""Those that gym.make itself checks, with errors of its own."""
+GYMNASIUM = {"max_episode_steps"}
+"""What gym.make itself checks, with an error of its own that names it."""
 
 
 def keywords(*functions) -> set[str]:
@@ -103,8 +103,6 @@ def test_what_a_vector_environment_cannot_take_is_named(name):
     for value in WRONG:
         if any(value is taken for taken in TAKEN.get(name, ())):
             continue
-        if name == "render_mode" and not isinstance(value, str):
-            continue  # gym.make_vec looks into it
         with pytest.raises(ValueError) as caught:
             make(True, **{name: value})
         assert isinstance(caught.value, UsvTwinError) and named(caught.value, name), value
@@ -116,8 +114,6 @@ def test_odd_values_are_named_or_sail(name, many):
     if not many and (name not in SINGLE or name in GYMNASIUM):
         return
     for value in ODD:
-        if name == "render_mode" and not isinstance(value, str):
-            continue
         made = made_or_named(lambda value=value: make(many, **{name: value}), name)
         if made is not None:
             sails(made, 10)

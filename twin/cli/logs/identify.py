@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from twin.benchmark.trust import TrustMeter
+from twin.benchmark.trust import TrustMeter, Verdict, worst_of
 from twin.channels import STATE
 from twin.cli.common import (
     STATE_HEADS,
@@ -39,6 +39,7 @@ from twin.logs.tables import check_export
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
 from twin.predictors.registry import DEFAULT, PREDICTORS
+from twin.predictors.ukf import ModelPredictor
 
 
 def identify_command(
@@ -46,7 +47,7 @@ def identify_command(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP. Several with --save-prior.",
+            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP. Several runs of one boat together.",
         ),
     ],
     predictor: Annotated[
@@ -102,10 +103,12 @@ def identify_command(
     results are the same bits as without the stop. The file holds predictor, boat and instruments;
     those options are then left out.
 
-    With --save-prior, runs of one boat become its own prior: mean and covariance of the parameters,
-    widened for load and fouling. Each run begins without an earlier prior.
+    Several logs are runs of one boat: each is identified by itself, and the parameters are
+    combined, with their covariance widened for load and fouling. --save-prior keeps that as the
+    boat's own prior, also of one run. Each run begins without an earlier prior.
 
     It ends with the colour and five lines of usv-twin judge, from fewer forecasts and GPS losses.
+    Of several runs, each line is that of the worst.
     """
     if save_prior is not None:
         if resume is not None:
@@ -117,14 +120,12 @@ def identify_command(
     if len(logs) > 1:
         one = {"--save": save, "--resume": resume, "--out": out, "--json": json_file}
         given = [name for name, value in one.items() if value is not None]
-        if given or save_prior is None:
-            raise OptionError(
-                f"{len(logs)} logs: several are for --save-prior"
-                + (f", without {', '.join(given)}" if given else "; name one")
-            )
-    if save_prior is not None and len(logs) > 1:
-        twins = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
-        _save_prior(save_prior, twins)
+        if given:
+            raise OptionError(f"{len(logs)} logs, and {', '.join(given)}: that is for one run")
+        runs = [_run_of(one, predictor, ship, until, model, mapping) for one in logs]
+        _combine([run[0] for run in runs], save_prior)
+        print_verdict(worst_of([run[1] for run in runs]))
+        explain("Each line is that of the worst run. usv-twin judge LOG judges one in full.")
         return
     log = logs[0]
     if save_prior is not None:
@@ -168,7 +169,7 @@ def identify_command(
     if save is not None:
         console.print(f"the twin at t = {twin.t:.2f} s: {save}")
     if save_prior is not None:
-        _save_prior(save_prior, [twin])
+        _combine([twin], save_prior)
     print_verdict(meter.verdict(findings_of(log, mapping, twin.particulars, until)))
     explain("usv-twin judge LOG tries more forecasts and GPS losses; its --help has the rules.")
 
@@ -199,26 +200,40 @@ def _run_of(
     until: float | None,
     model: str | None,
     mapping: Path | None,
-) -> Twin:
-    """Return a twin that ran over a log."""
+) -> tuple[Twin, Verdict]:
+    """Return a twin that ran over a log, and how far it may be trusted."""
     run, twin = _opened(log, predictor, ship, until, model, mapping)
+    meter = TrustMeter(twin, run, light=True)
     with row_progress(f"identifying {run.name}", len(run)) as advance:
-        twin.run(run, advance)
+
+        def on_row() -> None:
+            meter()
+            advance()
+
+        twin.run(run, on_row)
     print_health(twin)
-    console.print(f"{run.name}: {run.t[-1] - run.t[0]:.0f} s", highlight=False)
-    return twin
+    if not twin.estimate().ready:
+        raise LogError(f"{log}: no fix and heading came together, so there is nothing to say")
+    verdict = meter.verdict(findings_of(log, mapping, twin.particulars, until))
+    about = f"{run.name}: {run.t[-1] - run.t[0]:.0f} s, {verdict.colour}"
+    console.print(about, highlight=False, soft_wrap=True)
+    return twin, verdict
 
 
-def _save_prior(path: Path, twins: Sequence[Twin]) -> None:
-    """Write the boat's own prior, and print it beside the population's."""
+def _combine(twins: Sequence[Twin], path: Path | None) -> None:
+    """Print what runs say together of the boat, beside the population; and write it as a prior."""
+    if path is None and not isinstance(twins[0].predictor, ModelPredictor):
+        console.print(f"{twins[0].name} has no model, and so identifies no parameters.")
+        return
     prior = prior_of_runs([twin.predictor for twin in twins])
-    write_text(path, prior.file_text())
+    if path is not None:
+        write_text(path, prior.file_text())
     first = twins[0].predictor
     first.reset()
     before = first.estimate()
     places = {name: k for k, name in enumerate(first.parameter_names)}
     heads = ("", "unit", "population", "sd", "this boat", "sd", "ratio")
-    title = f"prior of {prior.boat} from {prior.runs} run(s), model {prior.model}"
+    title = f"{prior.boat}, from {prior.runs} run(s), model {prior.model}"
     table = new_table(title, *heads, left=("", "unit"))
     for k, name in enumerate(prior.parameters):
         at, sd = places[name], math.sqrt(prior.covariance[k][k])
@@ -227,6 +242,9 @@ def _save_prior(path: Path, twins: Sequence[Twin]) -> None:
         row = (f"{value:.3g}" for value in numbers)
         table.add_row(name, first.parameter_units[at], *row, f"{sd / old:.2f}")
     console.print(table)
+    if path is None:
+        explain("--save-prior boat.prior keeps this for the next run of the boat.")
+        return
     console.print(f'prior: {path}; use it with prior = "{path.name}" in the particulars')
 
 
@@ -292,7 +310,8 @@ LEGEND = {
     r"[XYN]_nn$": ("nn", "thrust at rest: mean n|n| of the shafts, n the shaft speed"),
     r"[XYN]_nu$": ("nu", "change of thrust with speed: mean |n| u of the shafts"),
     r"T_": ("T_uL, T_uR ...", "thrust n|n| of the left, right shaft in surge, sway, yaw"),
-    r"N_dn$": ("dn", "left less right thrust; of a tanker, thrust astern"),
+    r"[XN]_dn$": ("dn", "left less right thrust; of a tanker, thrust astern"),
+    r"N_mn$": ("mn", "turning by the mean thrust: the thrusters are unequal"),
     r"[XYN]_F$": ("F", "drag and lift of rudders or drives in the flow at the stern"),
     r"[XYN]_S$": ("S", "force of flow from the side on rudders or drives"),
     r"[XYN]_w$": ("w", "apparent wind, its speed squared"),

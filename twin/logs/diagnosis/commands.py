@@ -42,6 +42,14 @@ _UNITS = {60.0: "rpm", 2.0 * math.pi: "rad/s"}
 _MOST_ANGLE = 1.3
 """Few rudders and drives turn farther than this, rad."""
 
+_FIXED_ANGLE, _UNEQUAL = 0.05, 0.05
+"""Angles that move by less, rad, are those of fixed units; and shaft speeds that differ by more of
+their mean steer a boat without angles."""
+
+
+_CIRCLES, _ONE_WAY = 2.0, 0.8
+"""So many full turns, this share of all turning, against a command: no wind turns a boat so."""
+
 
 class Effect(NamedTuple):
     """What a command does to the motion, by regression."""
@@ -124,16 +132,11 @@ def yaw_effects(recording: Recording, sign: float = 1.0) -> dict[str, Effect]:
     The change of the yaw rate over a time is regressed on the rate at its beginning and on the
     commands within it. So a helmsman who answers the motion does not turn the sign.
     """
-    turning, n, delta = _turning(recording), recording.cmd[:, :2], recording.cmd[:, 2:]
+    turning, n = _turning(recording), recording.cmd[:, :2]
     if turning is None or not np.isfinite(n).any():
         return {}
-    force = sign * np.nan_to_num(n * np.abs(n))
+    force, angle, signals = _steering(recording, sign)
     total = force.sum(axis=1)
-    angle = np.nan_to_num(delta).mean(axis=1)
-    signals = {
-        "difference": force[:, 0] - force[:, 1],
-        "steering": angle * (total if np.ptp(total) > 0.0 or total.any() else 1.0),
-    }
     signals = {
         name: value
         for name, value in signals.items()
@@ -147,6 +150,35 @@ def yaw_effects(recording: Recording, sign: float = 1.0) -> dict[str, Effect]:
         if min(np.std(value) for value in sides.values()) > 0.05 * np.abs(force).max():
             best |= _best(recording, turning, sides)
     return best
+
+
+def _steering(recording: Recording, sign: float) -> tuple[Array, Array, dict[str, Array]]:
+    """Return squared shaft speeds (N, 2), mean angles (N,), and what turns the boat (N,)."""
+    n = recording.cmd[:, :2]
+    force = sign * np.nan_to_num(n * np.abs(n))
+    angle = np.nan_to_num(recording.cmd[:, 2:]).mean(axis=1)
+    total = force.sum(axis=1)
+    steering = angle * (total if np.ptp(total) > 0.0 or total.any() else 1.0)
+    return force, angle, {"difference": force[:, 0] - force[:, 1], "steering": steering}
+
+
+def _circles(recording: Recording, signal: Array) -> float:
+    """Return how many full turns the boat makes to the side of a steady command, if most are.
+
+    Below 0: to the other side. 0: too few, or to both.
+    """
+    turning, most = _turning(recording), float(np.abs(signal).max(initial=0.0))
+    if turning is None or most == 0.0:
+        return 0.0
+    t, psi = turning
+    grid = np.arange(t[0], t[-1], max(2.0, 10.0 * float(np.median(np.diff(t)))))
+    held = np.interp(grid[:-1], recording.t, signal)
+    turned = np.where(np.abs(held) > 0.25 * most, np.diff(np.interp(grid, t, psi)), 0.0)
+    along = float(turned @ np.sign(held))
+    if abs(along) < _ONE_WAY * float(np.abs(turned).sum()):
+        return 0.0
+    circles = along / (2.0 * math.pi)
+    return circles if abs(circles) > _CIRCLES else 0.0
 
 
 def _swings(value: Array) -> int:
@@ -237,7 +269,7 @@ def check_commands(recording: Recording, particulars: Particulars | None = None)
     particulars : Particulars, optional
         Of the boat: its length and its shaft speed at its speed tell units better.
     """
-    found = _angles(recording) + _shafts(recording, particulars)
+    found = _angles(recording) + _shafts(recording, particulars) + _kind(recording, particulars)
     surge = surge_effect(recording)
     wrong = surge is not None and surge.clear and surge.gain < 0.0
     if wrong and surge is not None:
@@ -252,7 +284,32 @@ def check_commands(recording: Recording, particulars: Particulars | None = None)
                 surge._asdict(),
             )
         )
-    return found + _sides(recording, yaw_effects(recording, -1.0 if wrong else 1.0))
+    sign = -1.0 if wrong else 1.0
+    yaw = yaw_effects(recording, sign)
+    return found + (_against(recording, yaw, sign) or _sides(recording, yaw))
+
+
+def _against(recording: Recording, yaw: dict[str, Effect], sign: float) -> list[Finding]:
+    """Return a finding where the boat circles against commands that do not change enough."""
+    if not len(recording.t):
+        return []
+    steered = bool(np.nan_to_num(recording.cmd[:, 2:]).any())
+    name = "steering" if steered else "difference"
+    if name in yaw and yaw[name].clear:
+        return []
+    circles = _circles(recording, _steering(recording, sign)[2][name])
+    if circles >= 0.0:
+        return []
+    if steered:
+        called = recording.called("delta_left_rad", "delta_right_rad")
+        code, what = "steering-sign", f"{called}: the boat turns against the angle"
+        remedy = "turn its sign: scale = -1.0 in a mapping file; above 0 turns to starboard"
+    else:
+        called = recording.called("n_left_rps", "n_right_rps")
+        code, what = "sides-swapped", f"{called}: the boat turns to the side that pushes more"
+        remedy = "swap the two columns in a mapping file, or turn their sign if both run backwards"
+    what += f", {-circles:.1f} times around: no wind does that"
+    return [Finding(ERROR, code, what, remedy, {"circles": circles})]
 
 
 def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
@@ -307,6 +364,34 @@ def _sides(recording: Recording, yaw: dict[str, Effect]) -> list[Finding]:
             )
         )
     return found
+
+
+def _kind(recording: Recording, particulars: Particulars | None) -> list[Finding]:
+    """Return a finding where the commands steer in another way than the particulars say."""
+    if particulars is None or not len(recording.t):
+        return []
+    angle = np.nan_to_num(recording.cmd[:, 2:])
+    n = np.nan_to_num(recording.cmd[:, :2])
+    moved = float(np.ptp(angle, axis=0).max(initial=0.0))
+    mean = float(np.abs(n).mean())
+    unequal = float(np.abs(n[:, 0] - n[:, 1]).mean()) / max(mean, 1e-300)
+    evidence = {"angle_rad": moved, "unequal": unequal}
+    fixed = particulars.steering == "differential"
+    if fixed and moved > _FIXED_ANGLE:
+        what = (
+            f"{recording.called('delta_left_rad', 'delta_right_rad')}: the angle moves by "
+            f"{math.degrees(moved):.0f} degrees, but the particulars say fixed thrusters"
+        )
+        remedy = 'set steering = "drives" in the particulars, or leave the angle out'
+    elif not fixed and not angle.any() and unequal > _UNEQUAL:
+        what = (
+            f"{recording.called('n_left_rps', 'n_right_rps')}: the shaft speeds differ by "
+            f"{unequal:.0%} and no angle moves, but the particulars say that the drives turn"
+        )
+        remedy = 'set steering = "differential" in the particulars, or record the angle'
+    else:
+        return []
+    return [Finding(WARNING, "steering-kind", what, remedy, evidence)]
 
 
 def _angles(recording: Recording) -> list[Finding]:

@@ -128,7 +128,8 @@ class Recording:
     def samples(self, *names: str) -> tuple[Array, Array]:
         """Return times (M,) and new samples (M, k) of measurements that come together.
 
-        A fix, a velocity or a compass value that only repeats the last one is no new sample.
+        A fix, a velocity or a compass value that only repeats the last one is no new sample. Nor is
+        a yaw rate that repeats while the compass does: the logger wrote a row again.
         """
         columns = [MEASUREMENTS.index(name) for name in names]
         values = self.z[:, columns]
@@ -140,6 +141,8 @@ class Recording:
             new &= ~(repeated(values) & (repeated(fix) | np.isnan(fix).any(axis=1)))
         elif columns[0] == 4:
             new &= ~repeated(values)
+        elif columns[0] == 5:
+            new &= ~(repeated(values) & repeated(self.z[:, 4:5]))
         return self.t[new], values[new]
 
 

@@ -20,6 +20,7 @@ from twin.logs.diagnosis.signals import (
     sampled,
     white_noise,
 )
+from twin.logs.diagnosis.timing import STALE, stale_spans
 from twin.logs.diagnosis.track import check_track, compass_on_track
 
 __all__ = [
@@ -279,7 +280,8 @@ def check_heading(recording: Recording) -> list[Finding]:
     if any(finding.severity == ERROR for finding in degrees):
         compass = at, DEGREE * compass[1]
     steps = _steps(recording, compass)
-    found += steps + _gyro(recording, gyro_on_compass(*compass, *gyro), bool(steps))
+    fit = gyro_on_compass(*compass, *gyro)
+    found += steps + _gyro(recording, fit, _as_logged(recording), bool(steps))
     return found + check_track(recording, (t_fix, fix), compass)
 
 
@@ -347,8 +349,22 @@ def _steps_of_degrees(heading: Array) -> str:
     return f"it steps by {step[wild].max():.4g} as degrees do at north" if wild.any() else ""
 
 
-def _gyro(recording: Recording, fit: GyroFit | None, steps: bool) -> list[Finding]:
-    """Return findings about a gyro that does not measure what the compass shows."""
+def _as_logged(recording: Recording) -> GyroFit | None:
+    """Return how gyro and compass agree in all rows, where many repeat old samples; else None."""
+    if max(stale_spans(recording), default=0.0) <= STALE:
+        return None
+    compass, gyro = recording.z[:, 4], recording.z[:, 5]
+    rows, turns = np.isfinite(compass), np.isfinite(gyro)
+    return gyro_on_compass(recording.t[rows], compass[rows], recording.t[turns], gyro[turns])
+
+
+def _gyro(
+    recording: Recording, fit: GyroFit | None, logged: GyroFit | None, steps: bool
+) -> list[Finding]:
+    """Return findings about a gyro that does not measure what the compass shows.
+
+    ``logged`` compares all rows, also those that repeat old samples.
+    """
     if fit is None:
         return []
     name, evidence = recording.called("gyro_radps"), fit._asdict()
@@ -408,24 +424,36 @@ def _gyro(recording: Recording, fit: GyroFit | None, steps: bool) -> list[Findin
                 evidence,
             )
         )
-    bound = max(_DISAGREE, _DISAGREE_NOISE * fit.expected)
-    if not any(f.severity == ERROR for f in found) and (
-        fit.disagree > bound
-        or (fit.worst > bound and fit.worst > _DISAGREE_SHARE * fit.worst_turn and not steps)
-    ):
-        found.append(
-            Finding(
-                WARNING,
-                "gyro-compass",
-                f"gyro and compass disagree by {fit.worst:.2g} rad/s around t = "
-                f"{fit.worst_at:.0f} s, by {fit.disagree:.2g} in all (standard deviation over "
-                f"half a second; their noise explains {fit.expected:.2g})",
-                "one of them froze, jumped or failed: look at both there, and empty the false "
-                "cells or raise gyro_sd",
-                evidence,
-            )
-        )
+    if not any(finding.severity == ERROR for finding in found):
+        found += _disagreement(fit, logged, steps)
     return found
+
+
+def _disagreement(fit: GyroFit, logged: GyroFit | None, steps: bool) -> list[Finding]:
+    """Return a finding where gyro and compass differ in samples, or else in rows as logged."""
+    wrong = [each for each in (fit, logged) if each is not None and _disagree(each, steps)]
+    if not wrong:
+        return []
+    worst = max(wrong, key=lambda each: each.worst)
+    if worst is logged:
+        remedy = "rows repeat old samples there and then jump: empty their cells, or raise gyro_sd"
+    else:
+        remedy = (
+            "one of them froze, jumped or failed: look at both there, and empty the false cells "
+            "or raise gyro_sd"
+        )
+    what = (
+        f"gyro and compass disagree by {worst.worst:.2g} rad/s around t = {worst.worst_at:.0f} s, "
+        f"by {worst.disagree:.2g} in all (standard deviation over half a second; their noise "
+        f"explains {worst.expected:.2g})"
+    )
+    return [Finding(WARNING, "gyro-compass", what, remedy, worst._asdict())]
+
+
+def _disagree(fit: GyroFit, steps: bool) -> bool:
+    bound = max(_DISAGREE, _DISAGREE_NOISE * fit.expected)
+    local = fit.worst > bound and fit.worst > _DISAGREE_SHARE * fit.worst_turn
+    return fit.disagree > bound or (local and not steps)
 
 
 def _steps(recording: Recording, compass: tuple[Array, Array]) -> list[Finding]:

@@ -13,10 +13,12 @@ from twin.logs.diagnosis.signals import ENOUGH, robust_sd, runs_of
 __all__ = [
     "GAP_STEPS",
     "SENSORS",
+    "STALE",
     "check_timing",
     "is_gap",
     "longest_gap",
     "sensor_rates",
+    "stale_spans",
 ]
 
 GAP_STEPS = 5.0
@@ -34,7 +36,7 @@ _SLOW_STEP = 5.0
 _OUTAGE_SAMPLES, _OUTAGE = 10.0, 2.0
 """A sensor is lost when it is silent for so many of its intervals and so many seconds."""
 
-_STALE = 0.5
+STALE = 0.5
 """Longest time over which a working sensor of a moving boat repeats itself to the last digit, s."""
 
 _JUMPS = {"fix": 2.0, "velocity": 0.3, "compass": 0.1, "gyro": 0.05, "accelerometers": 0.1}
@@ -196,8 +198,8 @@ def _jitter(step: Array, median: float) -> list[Finding]:
     ]
 
 
-def _stale(recording: Recording) -> list[Finding]:
-    """Return a finding where all sensors repeat themselves at once: the logger did."""
+def stale_spans(recording: Recording) -> list[float]:
+    """Return how long, in s, all sensors repeat themselves at once, each time that they do."""
     finite = np.isfinite(recording.z)
     moving = [
         j
@@ -210,8 +212,13 @@ def _stale(recording: Recording) -> list[Finding]:
     same = np.zeros(len(z), dtype=np.bool_)
     same[1:] = (z[1:] == z[:-1]).all(axis=1)
     t = recording.t
-    stands = [float(t[j - 1] - t[i - 1]) for i, j in runs_of(same)]
-    long = [length for length in stands if length > _STALE]
+    return [float(t[j - 1] - t[i - 1]) for i, j in runs_of(same)]
+
+
+def _stale(recording: Recording) -> list[Finding]:
+    """Return a finding where all sensors repeat themselves at once: the logger did."""
+    stands = stale_spans(recording)
+    long = [length for length in stands if length > STALE]
     if not long:
         return []
     return [
@@ -219,7 +226,7 @@ def _stale(recording: Recording) -> list[Finding]:
             WARNING,
             "stale-rows",
             f"all sensors repeat their last values at once for up to {max(long):.1f} s, "
-            f"{len(long)} time(s) longer than {_STALE:g} s, {sum(stands):.0f} s in all",
+            f"{len(long)} time(s) longer than {STALE:g} s, {sum(stands):.0f} s in all",
             "the logger wrote old samples with new times, so gyro and compass jump; log each "
             "sample once, with its own time",
             {"longest_s": max(long), "times": float(len(long)), "total_s": sum(stands)},

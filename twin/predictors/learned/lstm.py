@@ -208,7 +208,9 @@ class LSTMPredictor(HistoryPredictor):
         """
         super().update(t, dt, z, cmd)
         if not self._trained and (len(self._rows) - 1) * GRID >= self.train_at - 1e-9:
-            self._net = self._train(np.array(self._rows).reshape(-1, 10))
+            rows = np.array(self._rows).reshape(-1, 10)
+            rows[self._unreliable] = math.nan
+            self._net = self._train(rows)
             self._trained = True
             self._errors_at = -math.inf
 

@@ -332,6 +332,12 @@ class FleetPredictor(ActuatedPredictor):
         """See :attr:`HistoryPredictor.look_back`."""
         return GRID * PAST * PATCH
 
+    def forecast_from_last(self, rows: Array, plan: Array) -> Array:
+        """See :meth:`HistoryPredictor.forecast_from_last`; after a fault a history begins again."""
+        if not self._suspended and True in self._unreliable:
+            rows = rows[len(self._unreliable) - self._unreliable[::-1].index(True) :]
+        return super().forecast_from_last(rows, plan)
+
     @staticmethod
     def windows(rows: Array, origins: Array) -> tuple[Array, Array]:
         """Return what :func:`tokens` takes: windows of a history (M, 17), and what is known."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.checkpoint import ANY, Field, State, check_fields
+from twin.checkpoint import ANY, COUNT, Field, State, check_fields
 from twin.particulars import Particulars
 from twin.predictors.baselines import (
     ACTUATORS,
@@ -45,7 +45,8 @@ class VARPredictor(ActuatedPredictor):
     forward and sideways parts and the sine of the angle, sum and difference of both sides.
     Actuators follow the commands with the lags of the particulars. A step is .25 s for the study
     boat and as much longer as a ship takes longer to sail its length. Until there is a fit,
-    velocities are held.
+    velocities are held. Unreliable rows are left out of the fit. What earlier rows taught is kept
+    as sums, so that it outlasts long gaps, and a fit costs the same after a day.
 
     Tuning budget: 39 configurations. They varied order (2 to 10, of the inputs 1 to 8), ridge (1e-4
     to .1), and five sets of inputs. Wind by heading, products of velocities and a window of 60 s
@@ -78,10 +79,19 @@ class VARPredictor(ActuatedPredictor):
         self.stride = min(max(round(particulars.time_scale), 1), STRIDE_MAX)
         super().__init__(particulars, seed=seed)
 
+    @property
+    def look_back(self) -> float:
+        """See :attr:`HistoryPredictor.look_back`: the rows since the last fit, and their past."""
+        return self.first + self.refit + GRID * self.stride * (self.order + 1)
+
     def reset(self) -> None:
         """See :meth:`Predictor.reset`; the fit is forgotten too."""
         super().reset()
         self._due = self.first
+        # row from which on nothing was added to the sums
+        self._next_at = 0
+        # sums of products of 1, the regressors and the changes
+        self._products = np.zeros((1 + 11 * self.order + 3,) * 2)
         self._fit: tuple[Array, Array] | None = None
 
     def state_dict(self) -> State:
@@ -91,13 +101,21 @@ class VARPredictor(ActuatedPredictor):
 
     def fields(self) -> dict[str, Field]:
         """See :meth:`HistoryPredictor.fields`."""
-        return {**super().fields(), "due": ANY}
+        return {
+            **super().fields(),
+            "due": ANY,
+            "next_at": COUNT,
+            "products": Field(covariance=True),
+        }
 
     def load_state_dict(self, state: State) -> None:
         """Take over a saved state; see :meth:`Predictor.load_state_dict`."""
         names = ("coefficients", "constant")
         fit = {name: state.get(name) for name in names}
-        super().load_state_dict({k: v for k, v in state.items() if k not in names})
+        # earlier files have all rows, and no sums of them
+        none = {"next_at": state.get("dropped", 0), "products": np.zeros_like(self._products)}
+        super().load_state_dict(none | {k: v for k, v in state.items() if k not in names})
+        self._next_at = int(self._next_at)
         self._fit = None
         W, b = fit.values()
         if W is not None and b is not None:
@@ -108,13 +126,19 @@ class VARPredictor(ActuatedPredictor):
     def update(self, t: float, dt: float, z: Array, cmd: Array) -> None:
         """Take one row; see :meth:`Predictor.update`. A refit takes a millisecond."""
         super().update(t, dt, z, cmd)
-        have = (len(self._rows) - 1) * GRID
+        have = (self._dropped + len(self._rows) - 1) * GRID
         if have >= self._due - 1e-9:
             self._due = have + self.refit
-            self._fit = self._learn(np.array(self._rows))
+            first = self._next_at - self._dropped
+            begin = max(first - self.stride * self.order, 0)
+            rows, unreliable = np.array(self._rows[begin:]), np.array(self._unreliable[begin:])
+            self._products += self._products_of(rows, unreliable, first - begin)
+            self._next_at = self._dropped + len(self._rows) - self.stride
+            self._fit = self._solve(self._products)
             self._errors_at = -math.inf
         elif have < self._due - max(self.first, self.refit):
-            self._due = self.first  # the history was cleared at a long gap
+            # the history was cleared at a long gap
+            self._due, self._next_at = self.first, 0
 
     def _past(self, rows: Array, at: Array) -> Array:
         """Return scaled u, v, r at rows (B,) and the steps before, newest first (B, 3 p)."""
@@ -133,27 +157,36 @@ class VARPredictor(ActuatedPredictor):
         mean = 0.5 * (both[:, 1:] + both[:, :-1])
         return mean.reshape(len(at), -1, self.stride, both.shape[2]).mean(axis=2)
 
-    def _learn(self, rows: Array) -> tuple[Array, Array] | None:
-        """Return coefficients and constant, or None where there are too few sound rows."""
+    def _products_of(self, rows: Array, unreliable: Array, first: int) -> Array:
+        """Return the sums of products of 1, regressors and changes at sound rows from a first."""
         m, p = self.stride, self.order
-        at = np.arange(m * (p - 1), len(rows) - m)
-        wild = ~np.isfinite(rows)
-        wild[:, VELOCITIES] |= ~(np.abs(rows[:, VELOCITIES]) <= self.bound)
-        at = at[~wild[at[:, None] + np.arange(-m * (p - 1), m + 1)].any(axis=(1, 2))]
-        if len(at) < ROWS_MIN:
-            return None
+        at = np.arange(max(m * (p - 1), first), len(rows) - m)
+        wild = ~np.isfinite(rows).all(axis=1) | unreliable
+        wild |= ~(np.abs(rows[:, VELOCITIES]) <= self.bound).all(axis=1)
+        at = at[~wild[at[:, None] + np.arange(-m * (p - 1), m + 1)].any(axis=1)]
+        if not len(at):
+            return np.zeros_like(self._products)
         ahead = rows[at[:, None] + np.arange(1, m + 1), ACTUATORS]
-        X = np.concatenate(
-            [self._past(rows, at), self._inputs(rows, at, ahead).reshape(len(at), -1)], axis=1
-        )
-        Y = (rows[at + m, VELOCITIES] - rows[at, VELOCITIES]) / self.typical
-        centre, sd = X.mean(axis=0), X.std(axis=0)
+        inputs = self._inputs(rows, at, ahead).reshape(len(at), -1)
+        change = (rows[at + m, VELOCITIES] - rows[at, VELOCITIES]) / self.typical
+        parts = np.ones((len(at), 1)), self._past(rows, at), inputs, change
+        columns = np.concatenate(parts, axis=1)
+        return columns.T @ columns
+
+    def _solve(self, products: Array) -> tuple[Array, Array] | None:
+        """Return coefficients and constant, or None where there are too few sound rows."""
+        count = products[0, 0]
+        if count < ROWS_MIN:
+            return None
+        means = products[0, 1:] / count
+        cov = products[1:, 1:] / count - np.outer(means, means)
+        centre, change = means[:-3], means[-3:]
+        sd = np.sqrt(np.maximum(np.diag(cov)[:-3], 0.0))
         # a column that never changed gets no weight, now or later
         scale = np.where(sd > 1e-6, 1.0 / np.maximum(sd, 1e-6), 0.0)
-        Z = (X - centre) * scale
-        A = Z.T @ Z / len(at) + self.ridge * np.eye(Z.shape[1])
-        W = np.linalg.solve(A, Z.T @ (Y - Y.mean(axis=0)) / len(at)) * scale[:, None]
-        return W, Y.mean(axis=0) - centre @ W
+        A = cov[:-3, :-3] * np.outer(scale, scale) + self.ridge * np.eye(len(scale))
+        W = np.linalg.solve(A, cov[:-3, -3:] * scale[:, None]) * scale[:, None]
+        return W, change - centre @ W
 
     def forecast(self, rows: Array, origins: Array, plans: Array) -> Array:
         """Return forecasts; see :meth:`HistoryPredictor.forecast`."""

@@ -51,7 +51,8 @@ def history(n: int = 400, kind: str = "drives", boat: Particulars = BOAT) -> np.
 def learned(rows: np.ndarray, boat: Particulars = BOAT) -> VARPredictor:
     """Return a predictor that was fitted to rows."""
     predictor = VARPredictor(boat)
-    predictor._fit = predictor._learn(rows)
+    sound = np.zeros(len(rows), dtype=np.bool_)
+    predictor._fit = predictor._solve(predictor._products_of(rows, sound, 0))
     return predictor
 
 
@@ -223,3 +224,30 @@ def test_actuators_follow_with_lag_and_rate() -> None:
     share = 1.0 - math.exp(-2.5)
     expected = [20.0 - 10.0 * math.exp(-0.5), 10.0, 0.075, 0.3 - 0.01 * share]
     np.testing.assert_allclose(act, expected)
+
+
+def test_unreliable_rows_teach_nothing() -> None:
+    """A fit to a history with a false stretch is that to the sound rows, if it is marked."""
+    rows, rng = history(), np.random.default_rng(3)
+    false = rows.copy()
+    false[100:140, :10] += rng.normal(size=(40, 10))
+    unreliable = np.zeros(len(rows), dtype=np.bool_)
+    predictor = VARPredictor(BOAT)
+    sound = predictor._products_of(rows, unreliable, 0)
+    unreliable[100:140] = True
+    marked = predictor._products_of(false, unreliable, 0)
+    np.testing.assert_array_equal(marked, predictor._products_of(rows, unreliable, 0))
+    assert 0 < sound[0, 0] - marked[0, 0] <= 40 + predictor.order
+
+
+def test_what_was_learned_outlasts_a_long_gap() -> None:
+    """After ten minutes without rows the fit is there, and the next one adds to it."""
+    predictor = VARPredictor(BOAT)
+    feed(predictor, history()[:241])
+    count, before = predictor._products[0, 0], predictor._fit
+    predictor.update(700.0, 640.0, np.full(len(MEASUREMENTS), np.nan), history()[0, 6:10])
+    assert len(predictor._rows) == 1
+    feed(predictor, history()[:60], first=700.25)
+    assert predictor._fit is before and predictor._products[0, 0] == count
+    feed(predictor, history()[60:121], first=715.25)
+    assert predictor._products[0, 0] > count and predictor._fit is not before

@@ -1,0 +1,110 @@
+"""What the names of a logger's columns mean: words, units and sides."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+
+__all__ = [
+    "NAMES",
+    "SHAFT",
+    "STEER",
+    "is_command",
+    "means",
+    "sides_of",
+    "unit_of",
+    "words_of",
+]
+
+SIDES = {"left": r"left|port|ps|l|1", "right": r"right|starboard|stbd|sb|r|2"}
+"""Words of the two sides; the last two letters or digits also end a word of a command."""
+
+SHAFT = r"n|rpm|rps|pwm|shaft|motor|thruster|throttle|prop|propeller|esc|servo|engine|revs"
+
+STEER = r"delta|rudder|steer|steering|angle|azimuth|drive|nozzle|helm"
+
+NAMES = {
+    "time": r"t|time|timestamp|stamp|date|datetime|utc|epoch|clock",
+    "latitude": r"lat|latitude",
+    "longitude": r"lon|lng|long|longitude",
+    "north": r"x|north|northing",
+    "east": r"y|east|easting",
+    "speed": r"sog|speed|spd|velocity|groundspeed",
+    "course": r"cog|course|crs|gcrs|track",
+    "heading": r"heading|hdg|psi|yaw|compass|hdt|head|bearing",
+    "gyro": r"gyro|gyr|rot|yawrate|r|gz|gyrz|turn",
+    "accel_x": r"ax|accx|accelx",
+    "accel_y": r"ay|accy|accely",
+    "to_north": r"vn|veln|vnorth|velnorth|velocitynorth|vx|velx",
+    "to_east": r"ve|vele|veast|veleast|velocityeast|vy|vely",
+    "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+",
+    "wind_speed": r"tws|windspeed",
+    "wind_from": r"twd|winddirection|winddir|windfrom",
+}
+"""Words in the names of columns, by what they mean."""
+
+UNIT_WORDS = {
+    "deg": r"deg|degs|degree|degrees|°",
+    "rad": r"rad|rads|radians",
+    "kn": r"kn|kt|kts|knot|knots",
+    "kmph": r"kmh|kmph|kph",
+    "mps": r"mps|ms1",
+    "degps": r"degps|dps|degs",
+    "degpmin": r"degpmin|degmin|dpm",
+    "radps": r"radps|rads",
+    "rpm": r"rpm",
+    "rps": r"rps|hz",
+    "ms": r"ms|msec|millis|milliseconds",
+    "us": r"us|usec|micros",
+    "ns": r"ns|nsec",
+    "g": r"g",
+}
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a column's name, in lower case."""
+    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    return [word for word in re.split(r"[^a-z0-9°]+", split.lower()) if word]
+
+
+def means(name: str, pattern: str) -> bool:
+    """Return whether a name has a word of a pattern, or two that join to one."""
+    words = words_of(name)
+    # letters alone only if they are the name without its unit
+    for word in words:
+        if re.fullmatch(pattern, word) and (len(word) > 2 or word == words[0]):
+            return True
+    pairs = itertools.pairwise(words)
+    return any(re.fullmatch(pattern, one + other) for one, other in pairs)
+
+
+def unit_of(name: str, among: Sequence[str]) -> str:
+    """Return the unit that a name ends with, if it is one of some."""
+    squeezed = re.sub(r"[^a-z0-9°]", "", name.lower().replace("/s", "ps").replace("/h", "ph"))
+    words = [
+        *words_of(name.replace("/s", "ps").replace("/h", "ph").replace("/min", "pmin")),
+        squeezed,
+    ]
+    for unit in among:
+        if any(re.fullmatch(UNIT_WORDS[unit], word) for word in words[1:]):
+            return unit
+    return ""
+
+
+def is_command(name: str, pattern: str) -> bool:
+    """Return whether a name is that of a command: a word of a pattern, with or without a side."""
+    side = rf"({'|'.join(SIDES.values())}|\d)?"
+    return any(re.fullmatch(rf"({pattern}){side}", word) for word in words_of(name))
+
+
+def sides_of(names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the names of the left and the right of two like columns, if there are both."""
+    found = {}
+    for side, words in SIDES.items():
+        whole = [name for name in names if any(re.fullmatch(words, w) for w in words_of(name))]
+        ends = rf"({SHAFT}|{STEER})({words})"
+        ending = [name for name in names if any(re.fullmatch(ends, w) for w in words_of(name))]
+        found[side] = next(iter(whole or ending), None)
+    left, right = found["left"], found["right"]
+    return None if left is None or right is None or left == right else (left, right)
