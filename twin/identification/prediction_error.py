@@ -46,6 +46,7 @@ from twin.model.structure import (
     thrust_terms,
 )
 from twin.model.term_slopes import BY_PSI, BY_R, BY_U, BY_V, term_slopes
+from twin.model.thrust_share import SIDES
 from usv_kernel.arrays import take
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
@@ -140,6 +141,7 @@ class RefitConfig(NamedTuple):
     prior: Any  # (p,) prior mean of the parameters
     variance: Any  # (p,) their prior variances
     information: Any  # (h,) inverse of the prior covariance, packed
+    shares: Any  # (2, p, p) see ``twin.model.thrust_share``
 
 
 @inlined
@@ -152,10 +154,11 @@ def refit_config(values, p):
     prior, at = take(values, at, (p,))
     variance, at = take(values, at, (p,))
     information, at = take(values, at, (packed_size(p),))
+    shares, at = take(values, at, (SIDES, p, p))
     return RefitConfig(
         weights, offsets, int(one[0]), int(one[1]), one[2], one[3],
         int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]), two[5] > 0.0,
-        prior, variance, information,
+        prior, variance, information, shares,
     )  # fmt: skip
 
 

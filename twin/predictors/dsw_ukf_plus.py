@@ -222,6 +222,7 @@ class PlusPredictor(UKFPredictor):
             filter=ukf_work.filter,
             line=segments.line,
             solve=segments.scratch,
+            change=segments.changes,
             waves=np.zeros(WAVE_WORK),
         )
         self._plain = plain(self.memory), plain(self.config), plain(self.work)

@@ -10,6 +10,7 @@ import numpy as np
 from twin.channels import PSI, R, U, V
 from twin.filters.navigation_ekf import lacks_gps
 from twin.filters.navigation_state import NAVIGATION
+from twin.identification.change import change_work
 from twin.identification.data_weight import (
     CHOSEN,
     JOINT,
@@ -144,13 +145,18 @@ class PlusWork(NamedTuple):
     filter: Any  # see FilterWorkspace
     line: Any  # see LineariseWork
     solve: Any  # see SegmentWork
+    change: Any  # see ChangeWork
     waves: Any  # of _fit_waves
 
 
 @inlined
 def refit_work(work, p, capacity):
     """Open the scratch of a refit."""
-    return RefitWork(linearise_work(work.line, p), segment_work(work.solve, p, capacity))
+    return RefitWork(
+        linearise_work(work.line, p),
+        segment_work(work.solve, p, capacity),
+        change_work(work.change, p, capacity),
+    )
 
 
 @inlined
@@ -365,7 +371,7 @@ def plus_config_of(config):
 @inlined
 def plus_work_of(work):
     """Return a workspace by name from a plain tuple."""
-    return PlusWork(work[0], work[1], work[2], work[3], work[4])
+    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5])
 
 
 @kernel
