@@ -24,6 +24,7 @@ __all__ = [
     "begin_anew",
     "change_evidence",
     "change_work",
+    "known_before",
     "quadratics_by_changes",
 ]
 
@@ -185,6 +186,24 @@ def change_evidence(since, samples, state, config, work):
     for i in range(CHANGES):
         evidence -= size[i] * size[i]
     return evidence
+
+
+@kernel
+def known_before(since, samples, state, config, work):
+    """Return the information on the thrust of both sides from segments before row ``since``.
+
+    In standard deviations of a change to the power of -2; see :func:`quadratics_by_changes`, which
+    must have written all segments.
+    """
+    known = 0.0
+    for n in range(state.first.shape[0]):
+        if 0 <= state.first[n] < since:
+            q = work.cost[n] / samples
+            weight = config.scale * (1.0 if q <= config.knee else config.knee / q)
+            for i in range(SIDES):
+                for j in range(SIDES):
+                    known += weight * work.curvature[n, i, j]
+    return known
 
 
 @kernel

@@ -22,8 +22,23 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import packed_size
-from twin.identification.change import begin_anew, change_evidence, quadratics_by_changes
-from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
+from twin.identification.change import (
+    begin_anew,
+    change_evidence,
+    known_before,
+    quadratics_by_changes,
+)
+from twin.identification.prediction_error import (
+    ACT,
+    FIRST,
+    GOOD,
+    LOW,
+    MIDDLE,
+    NONE,
+    WIND,
+    drive,
+    rk4_step,
+)
 from twin.identification.segments import (
     ITERATIONS,
     Known,
@@ -90,9 +105,10 @@ the last segment it is sought."""
 
 _LAGS = np.array([round(lag / GRID) for lag in LAGS])
 
-LOOK_BACK, KNOWN, SETTLED = 1, 14, 20.0
+LOOK_BACK, KNOWN, KNOWN_THRUST, SETTLED = 1, 14, 30.0, 20.0
 """Segments before the alarm that count as after the change; segments that must have been compared,
-and seconds since the last alarm, before another."""
+information that they must have on the thrust (see ``change.known_before``), and seconds since the
+last alarm, before another."""
 
 HEAD_START, FOLLOWS = 1.1, 0.5
 """Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
@@ -184,9 +200,15 @@ def _trust_of(candidate):
 
 
 @kernel
-def _begin_after(changed, first, state, config, model, work):
-    """Begin with the short refits after a change, from what was known at the row ``first``."""
-    count, errors = state.count, state.errors
+def _begin_after(changed, first, state, segments, config, model, work):
+    """Begin with the short refits after a change, from what was known at the row ``first``.
+
+    Of a boat that has hardly sailed nothing is known that could have changed.
+    """
+    count, errors, samples = state.count, state.errors, samples_of(config)
+    quadratics_by_changes(0, segments.params, segments, config, model, work.change)
+    if known_before(changed, samples, segments, config, work.change) < KNOWN_THRUST:
+        return
     base = state.past[max(first, 0) // config.spacing % state.past.shape[0], int(count[CHOSEN])]
     trust = _trust_of(int(count[CHOSEN]))
     # the first refit trusts the data least, and its covariance is the widest
@@ -221,12 +243,12 @@ def _test_for_change(newest, state, segments, config, model, work):
         quadratics_by_changes(since, segments.params, segments, config, model, work.change)
         evidence = change_evidence(since, samples, segments, config, work.change)
         if evidence > EVIDENCE_ALARM:
-            _begin_after(since, first, state, config, model, work)
+            _begin_after(since, first, state, segments, config, model, work)
             return
 
 
 @inlined
-def _note_surprise(first, worse, state, config, model, work):
+def _note_surprise(first, worse, state, segments, config, model, work):
     """Add to the evidence that the boat has changed; if it has, begin with the short refits."""
     surprise = state.surprise
     if not _may_change(first, state.count):
@@ -235,11 +257,12 @@ def _note_surprise(first, worse, state, config, model, work):
     surprise[0] = max(surprise[0] + worse - SURPRISE_DRIFT, 0.0)
     if surprise[0] > SURPRISE_ALARM:
         changed = first - LOOK_BACK * config.spacing
-        _begin_after(changed, first, state, config, model, work)
+        surprise[0] = 0.0
+        _begin_after(changed, first, state, segments, config, model, work)
 
 
 @kernel
-def score(first, rows, state, config, model, work):
+def score(first, rows, state, segments, config, model, work):
     """Compare what the refits predicted at a row with what came."""
     count, errors, worse = state.count, state.errors, 0.0
     if first <= count[ALARM]:
@@ -253,7 +276,7 @@ def score(first, rows, state, config, model, work):
             worse = min(error - errors[1, r], SURPRISE_MAX)
         for m in range(len(MEMORIES)):
             errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
-    _note_surprise(first, worse, state, config, model, work)
+    _note_surprise(first, worse, state, segments, config, model, work)
 
 
 @kernel
@@ -297,15 +320,16 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
                 known = Known(state.pull, state.information)
         if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, known, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    refused = np.uint64(0) if config.joint else np.uint64(1) << np.uint64(JOINT)
+    # it is in use until another has proved better
+    default = JOINT if config.joint == FIRST else 0
+    refused = np.uint64(0) if config.joint != NONE else np.uint64(1) << np.uint64(JOINT)
     for _ in range(params.shape[0]):
         if count[SCORED] >= ENOUGH:
             chosen, most = -1, -math.inf
             for r in range(CANDIDATES):
                 if (refused >> np.uint64(r)) & np.uint64(1):
                     continue
-                # the first is in use until another has proved better
-                lead = 0.0 if r > 0 else 1.0
+                lead = 1.0 if r == default else 0.0
                 for m in range(len(MEMORIES)):
                     lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
                 if lead > most:
@@ -362,6 +386,7 @@ class TrustSelector:
         self.state.count[NOTED] = -1.0
         self.state.count[CHANGED] = -COUNT_MAX
         self.state.count[ALARM] = -COUNT_MAX
+        self.state.count[CHOSEN] = JOINT if self.segments.config.joint == FIRST else 0
         self.params[:] = self.state.past[:] = self.segments.prior
 
     @property
@@ -382,7 +407,7 @@ class TrustSelector:
     def score(self, first: int, rows: Array) -> None:
         """Compare what the refits predicted at a segment's first row with what came."""
         own = self.segments
-        score(first, rows, self.state, own.config, own.model, own.work)
+        score(first, rows, self.state, own.state, own.config, own.model, own.work)
 
     def solve(self, newest: int, row: Array, bounds: Array) -> None:
         """Refit with the trust in use and another in turn, and put the best of all to use."""

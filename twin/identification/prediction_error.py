@@ -76,6 +76,10 @@ COLUMNS = 20
 fitted, actuators then (4) and half a step later (4)."""
 
 
+NONE, OTHER, FIRST = range(3)
+"""The parameters of the joint filter are no candidate, one of them, or in use until another has
+proved better."""
+
 SPAN_MAX = 3600.0
 """Longest window, s."""
 
@@ -137,7 +141,7 @@ class RefitConfig(NamedTuple):
     relinearised: int  # segments that a refit relinearises
     spacing: int  # rows between starts of segments
     span: int  # rows of the window
-    joint: bool  # whether the parameters of the joint filter are a candidate
+    joint: int  # what the parameters of the joint filter are: NONE, OTHER or FIRST
     prior: Any  # (p,) prior mean of the parameters
     variance: Any  # (p,) their prior variances
     information: Any  # (h,) inverse of the prior covariance, packed
@@ -157,7 +161,7 @@ def refit_config(values, p):
     shares, at = take(values, at, (SIDES, p, p))
     return RefitConfig(
         weights, offsets, int(one[0]), int(one[1]), one[2], one[3],
-        int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]), two[5] > 0.0,
+        int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]), int(two[5]),
         prior, variance, information, shares,
     )  # fmt: skip
 

@@ -26,6 +26,7 @@ from twin.identification.prediction_error import (
     GOOD,
     LOW,
     MIDDLE,
+    NONE,
     STATE,
     WIND,
     linearise_work,
@@ -237,7 +238,7 @@ def _take_segments(rows, window, selector, segments, config, model, work):
     while start + config.steps < newest:
         if all_good(start, start + config.steps, rows):
             add(start, rows, segments.params, segments, config, model, work)
-            score(start, rows, selector, config, model, work)
+            score(start, rows, selector, segments, config, model, work)
         start += config.spacing
         tried += 1
     window.next_start = start
@@ -430,7 +431,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             window.last_act[k] = state.act[k]
     else:
         scratch = filter_workspace(work.filter, model.which.shape[1])
-        if refit.joint:
+        if refit.joint != NONE:
             _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)
