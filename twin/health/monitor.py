@@ -89,21 +89,31 @@ class SensorMonitor:
     ----------
     memory : ndarray
         All that is remembered, in the layout of ``twin.health.state.HEALTH``.
+    record : record
+        The same by name: a view.
     """
 
     def __init__(self, particulars: Particulars) -> None:
         self._settings = health_settings(particulars)
-        self.memory = initial_health()
         self._out = np.full(len(MEASUREMENTS), math.nan)
+        self.remember(initial_health())
+
+    def remember(self, memory: Array) -> None:
+        """Remember in this memory from now on; see :attr:`memory`."""
+        self.memory, self.record = memory, memory.view(HEALTH)[0]
+
+    def __getstate__(self) -> dict[str, Array]:
+        """Return what copies are made of: a copied record would be no view."""
+        return {"settings": self._settings, "out": self._out, "memory": self.memory}
+
+    def __setstate__(self, state: dict[str, Array]) -> None:
+        """Become a copy."""
+        self._settings, self._out = state["settings"], state["out"]
+        self.remember(state["memory"])
 
     def reset(self) -> None:
         """Forget everything."""
         self.memory[:] = initial_health()
-
-    @property
-    def record(self) -> Any:
-        """What is remembered, by name."""
-        return self.memory.view(HEALTH)[0]
 
     @property
     def commands_doubted(self) -> bool:

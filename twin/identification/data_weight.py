@@ -21,8 +21,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.checkpoint import COUNT_MAX, Field
-from twin.identification.prediction_error import ACT, GOOD, LOW, MIDDLE, WIND, drive, rk4_step
-from twin.identification.segments import ITERATIONS, Segments, solve, store_factor, use
+from twin.filters.linalg import packed_size
+from twin.identification.change import (
+    begin_anew,
+    change_evidence,
+    known_before,
+    quadratics_by_changes,
+)
+from twin.identification.prediction_error import (
+    ACT,
+    FIRST,
+    GOOD,
+    LOW,
+    MIDDLE,
+    NONE,
+    WIND,
+    drive,
+    rk4_step,
+)
+from twin.identification.segments import (
+    ITERATIONS,
+    Known,
+    Segments,
+    samples_of,
+    solve,
+    store_factor,
+    use,
+)
 from twin.model.rollout import GRID
 from usv_kernel.arrays import flat_size, named_dtype, python_views, take
 from usv_kernel.jit import inlined, kernel
@@ -74,9 +99,23 @@ SURPRISE_MAX, SURPRISE_DRIFT, SURPRISE_ALARM = 4.0, 2.2, 4.5
 squared errors exceed their long mean by: each up to the first number, less the second. Above the
 third it has. A boat that sails as never before, as into its first zigzag, makes less."""
 
-LOOK_BACK, SETTLED, HEAD_START = 1, 20.0, 1.1
-"""Segments before the alarm that count as after the change, seconds until the next alarm, and the
-lead that the short refits begin with, in margins."""
+EVIDENCE_ALARM, LAGS = 12.5, (6.0, 14.0)
+"""Evidence above which a change of thrust or current has come, and over how many seconds before
+the last segment it is sought."""
+
+_LAGS = np.array([round(lag / GRID) for lag in LAGS])
+
+LOOK_BACK, KNOWN, KNOWN_THRUST, SETTLED = 1, 14, 30.0, 20.0
+"""Segments before the alarm that count as after the change; segments that must have been compared,
+information that they must have on the thrust (see ``change.known_before``), and seconds since the
+last alarm, before another."""
+
+HEAD_START, FOLLOWS = 1.1, 0.5
+"""Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
+trust leaves, from the trust before."""
+
+TRUST_OF_JOINT = 10.0
+"""Trust in the data that goes with the parameters of the joint filter."""
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of a squared error, so that its logarithm is a number."""
@@ -85,29 +124,33 @@ LEAST, MOST = 1e-9, 1e9
 class SelectorState(NamedTuple):
     """What the choice of the trust remembers."""
 
-    count: Any  # (5,) see SCORED to CHANGED
+    count: Any  # (6,) see SCORED to ALARM
     surprise: Any  # (1,) evidence that the boat has changed
     errors: Any  # (2, c) mean logarithms of each candidate's squared errors, over the memories
     params: Any  # (3, p) parameters of each refit
     factors: Any  # (3, p, p) Cholesky factors of the inverses of their covariances
     past: Any  # (slots, 3, p) parameters when recent segments began
+    pull: Any  # (p,) what the short refits go on from after a change; see ``segments.Known``
+    information: Any  # (h,) 0 before the first change
 
 
-SCORED, CHOSEN, TURN, NOTED, CHANGED = range(5)
+SCORED, CHOSEN, TURN, NOTED, CHANGED, ALARM = range(6)
 """Segments compared, candidate in use, refit whose turn it is, last row that was noted, row at
-which the boat changed."""
+which the boat changed, and that at which it was found."""
 
 
 @inlined
 def selector_state(memory, p, steps, spacing):
     """Open the memory of the choice between refits of p parameters."""
-    count, at = take(memory, 0, (5,))
+    count, at = take(memory, 0, (6,))
     surprise, at = take(memory, at, (1,))
     errors, at = take(memory, at, (len(MEMORIES), CANDIDATES))
     params, at = take(memory, at, (CANDIDATES, p))
     factors, at = take(memory, at, (REFITS, p, p))
     past, at = take(memory, at, (1 + steps // spacing + 3, CANDIDATES, p))
-    return SelectorState(count, surprise, errors, params, factors, past)
+    pull, at = take(memory, at, (p,))
+    information, at = take(memory, at, (packed_size(p),))
+    return SelectorState(count, surprise, errors, params, factors, past, pull, information)
 
 
 @kernel
@@ -149,27 +192,81 @@ def note(start, spacing, state):
 
 
 @inlined
-def _note_change(first, worse, state, config):
-    """Add to the evidence that the boat has changed; if it has, begin with the short refits."""
-    count, surprise, errors = state.count, state.surprise, state.errors
-    if count[SCORED] < ENOUGH or (first - count[CHANGED]) * GRID < SETTLED:
-        surprise[0] = 0.0
-        return
-    surprise[0] = max(surprise[0] + worse - SURPRISE_DRIFT, 0.0)
-    if surprise[0] <= SURPRISE_ALARM:
-        return
-    surprise[0] = 0.0
-    count[CHANGED] = first - LOOK_BACK * config.spacing
-    count[CHOSEN] = SHORT
-    for m in range(len(MEMORIES)):
-        for r in range(SHORT, REFITS):
-            errors[m, r] = errors[m, 0] - HEAD_START * MARGINS[m]
+def _trust_of(candidate):
+    """Return how far the data are trusted while a candidate is in use."""
+    if candidate < REFITS:
+        return max(_TRUSTS[candidate], 1.0)
+    return TRUST_OF_JOINT if candidate == JOINT else 1.0
 
 
 @kernel
-def score(first, rows, state, config, model, work):
+def _begin_after(changed, first, state, segments, config, model, work):
+    """Begin with the short refits after a change, from what was known at the row ``first``.
+
+    Of a boat that has hardly sailed nothing is known that could have changed.
+    """
+    count, errors, samples = state.count, state.errors, samples_of(config)
+    quadratics_by_changes(0, segments.params, segments, config, model, work.change)
+    if known_before(changed, samples, segments, config, work.change) < KNOWN_THRUST:
+        return
+    base = state.past[max(first, 0) // config.spacing % state.past.shape[0], int(count[CHOSEN])]
+    trust = _trust_of(int(count[CHOSEN]))
+    # the first refit trusts the data least, and its covariance is the widest
+    known = state.factors[0], state.pull, state.information
+    if not begin_anew(base, *known, config, model, work):
+        return
+    state.surprise[0] = 0.0
+    count[CHANGED], count[CHOSEN], count[ALARM] = changed, SHORT, count[NOTED]
+    for r in range(SHORT, REFITS):
+        if _TRUSTS[r] <= trust:
+            count[CHOSEN] = r
+    for m in range(len(MEMORIES)):
+        for r in range(SHORT, REFITS):
+            lead = HEAD_START - FOLLOWS * abs(math.log10(_TRUSTS[r] / trust))
+            errors[m, r] = errors[m, 0] - lead * MARGINS[m]
+
+
+@inlined
+def _may_change(row, count):
+    """Return whether enough is known to say that the boat has changed, and not just now."""
+    return count[SCORED] >= KNOWN and (row - count[ALARM]) * GRID >= SETTLED
+
+
+@kernel
+def _test_for_change(newest, state, segments, config, model, work):
+    """Begin with the short refits where a change explains the last segments much better."""
+    if not _may_change(newest, state.count):
+        return
+    samples, first = samples_of(config), newest - config.steps
+    for k in range(_LAGS.shape[0]):
+        since = first - _LAGS[k]
+        quadratics_by_changes(since, segments.params, segments, config, model, work.change)
+        evidence = change_evidence(since, samples, segments, config, work.change)
+        if evidence > EVIDENCE_ALARM:
+            _begin_after(since, first, state, segments, config, model, work)
+            return
+
+
+@inlined
+def _note_surprise(first, worse, state, segments, config, model, work):
+    """Add to the evidence that the boat has changed; if it has, begin with the short refits."""
+    surprise = state.surprise
+    if not _may_change(first, state.count):
+        surprise[0] = 0.0
+        return
+    surprise[0] = max(surprise[0] + worse - SURPRISE_DRIFT, 0.0)
+    if surprise[0] > SURPRISE_ALARM:
+        changed = first - LOOK_BACK * config.spacing
+        surprise[0] = 0.0
+        _begin_after(changed, first, state, segments, config, model, work)
+
+
+@kernel
+def score(first, rows, state, segments, config, model, work):
     """Compare what the refits predicted at a row with what came."""
     count, errors, worse = state.count, state.errors, 0.0
+    if first <= count[ALARM]:
+        return  # the short refits were others when it began
     count[SCORED] += 1.0
     for r in range(CANDIDATES):
         xi = state.past[first // config.spacing % state.past.shape[0], r]
@@ -179,7 +276,7 @@ def score(first, rows, state, config, model, work):
             worse = min(error - errors[1, r], SURPRISE_MAX)
         for m in range(len(MEMORIES)):
             errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
-    _note_change(first, worse, state, config)
+    _note_surprise(first, worse, state, segments, config, model, work)
 
 
 @kernel
@@ -209,25 +306,30 @@ def is_stable(row, xi, bounds, model, work):
 def select_trust(newest, row, bounds, state, segments, config, model, work):
     """Refit with the trust in use and another in turn, and put the best candidate to use."""
     count, errors, params, factors = state.count, state.errors, state.params, state.factors
+    _test_for_change(newest, state, segments, config, model, work)
     count[TURN] += 1.0
     chosen = int(count[CHOSEN])
     first = chosen if chosen < REFITS else int(count[TURN] + 1) % REFITS
     other = int(count[TURN]) % (REFITS - 1)
     for r in (first, other if other < first else other + 1):
         since = max(newest - int(_SPANS[r]), 0)
+        known = Known(work.solve.none, config.information)
         if r >= SHORT:
             since = max(since, int(count[CHANGED]))
-        if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, segments, config, work):
+            if newest - count[CHANGED] < config.span and state.information[0] > 0.0:
+                known = Known(state.pull, state.information)
+        if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, known, segments, config, work):
             store_factor(work.solve.U, factors[r])
-    refused = np.uint64(0) if config.joint else np.uint64(1) << np.uint64(JOINT)
+    # it is in use until another has proved better
+    default = JOINT if config.joint == FIRST else 0
+    refused = np.uint64(0) if config.joint != NONE else np.uint64(1) << np.uint64(JOINT)
     for _ in range(params.shape[0]):
         if count[SCORED] >= ENOUGH:
             chosen, most = -1, -math.inf
             for r in range(CANDIDATES):
                 if (refused >> np.uint64(r)) & np.uint64(1):
                     continue
-                # the first is in use until another has proved better
-                lead = 0.0 if r > 0 else 1.0
+                lead = 1.0 if r == default else 0.0
                 for m in range(len(MEMORIES)):
                     lead += (errors[m, 0] - errors[m, r]) / (len(MEMORIES) * MARGINS[m])
                 if lead > most:
@@ -248,8 +350,8 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
 
 SELECTOR_FIELDS = {
     "count": Field(
-        low=(0.0, 0.0, 0.0, -1.0, -COUNT_MAX),
-        high=(COUNT_MAX, CANDIDATES - 1.0, COUNT_MAX, COUNT_MAX, COUNT_MAX),
+        low=(0.0, 0.0, 0.0, -1.0, -COUNT_MAX, -COUNT_MAX),
+        high=(COUNT_MAX, CANDIDATES - 1.0, *4 * (COUNT_MAX,)),
         integer=True,
     ),
     "surprise": Field(low=0.0, high=SURPRISE_ALARM),
@@ -283,6 +385,8 @@ class TrustSelector:
         self.memory[:] = 0.0
         self.state.count[NOTED] = -1.0
         self.state.count[CHANGED] = -COUNT_MAX
+        self.state.count[ALARM] = -COUNT_MAX
+        self.state.count[CHOSEN] = JOINT if self.segments.config.joint == FIRST else 0
         self.params[:] = self.state.past[:] = self.segments.prior
 
     @property
@@ -303,7 +407,7 @@ class TrustSelector:
     def score(self, first: int, rows: Array) -> None:
         """Compare what the refits predicted at a segment's first row with what came."""
         own = self.segments
-        score(first, rows, self.state, own.config, own.model, own.work)
+        score(first, rows, self.state, own.state, own.config, own.model, own.work)
 
     def solve(self, newest: int, row: Array, bounds: Array) -> None:
         """Refit with the trust in use and another in turn, and put the best of all to use."""

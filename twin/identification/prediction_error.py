@@ -46,6 +46,7 @@ from twin.model.structure import (
     thrust_terms,
 )
 from twin.model.term_slopes import BY_PSI, BY_R, BY_U, BY_V, term_slopes
+from twin.model.thrust_share import SIDES
 from usv_kernel.arrays import take
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
@@ -74,6 +75,10 @@ COLUMNS = 20
 """Navigation state (6), low-frequency velocities (3), true wind (2), whether the row may be
 fitted, actuators then (4) and half a step later (4)."""
 
+
+NONE, OTHER, FIRST = range(3)
+"""The parameters of the joint filter are no candidate, one of them, or in use until another has
+proved better."""
 
 SPAN_MAX = 3600.0
 """Longest window, s."""
@@ -136,10 +141,11 @@ class RefitConfig(NamedTuple):
     relinearised: int  # segments that a refit relinearises
     spacing: int  # rows between starts of segments
     span: int  # rows of the window
-    joint: bool  # whether the parameters of the joint filter are a candidate
+    joint: int  # what the parameters of the joint filter are: NONE, OTHER or FIRST
     prior: Any  # (p,) prior mean of the parameters
     variance: Any  # (p,) their prior variances
     information: Any  # (h,) inverse of the prior covariance, packed
+    shares: Any  # (2, p, p) see ``twin.model.thrust_share``
 
 
 @inlined
@@ -152,10 +158,11 @@ def refit_config(values, p):
     prior, at = take(values, at, (p,))
     variance, at = take(values, at, (p,))
     information, at = take(values, at, (packed_size(p),))
+    shares, at = take(values, at, (SIDES, p, p))
     return RefitConfig(
         weights, offsets, int(one[0]), int(one[1]), one[2], one[3],
-        int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]), two[5] > 0.0,
-        prior, variance, information,
+        int(two[0]), two[1], int(two[2]), int(two[3]), int(two[4]), int(two[5]),
+        prior, variance, information, shares,
     )  # fmt: skip
 
 

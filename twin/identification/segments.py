@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import cholesky, dot, invert, packed_size, solve_factored
+from twin.identification.change import ChangeWork, change_work
 from twin.identification.prediction_error import (
     LineariseWork,
     RefitConfig,
@@ -23,17 +24,21 @@ from twin.identification.prediction_error import (
 )
 from twin.model.rollout import GRID
 from twin.model.structure import N_STATES, ModelTerms
+from twin.model.thrust_share import share_slopes
 from usv_kernel.arrays import flat_size, named_dtype, python_views, take
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import fma
 
 __all__ = [
     "ITERATIONS",
+    "Known",
+    "RefitWork",
     "SegmentState",
     "Segments",
     "add",
     "discard_before",
     "relinearise",
+    "samples_of",
     "segment_state",
     "segment_work",
     "solve",
@@ -63,6 +68,13 @@ class SegmentState(NamedTuple):
     packed: Any  # (n, h) curvatures H, packed
 
 
+class Known(NamedTuple):
+    """What is known of the parameters besides the segments: the prior, or more."""
+
+    pull: Any  # (p,) information times the difference of its mean to the prior's; 0 for the prior
+    information: Any  # (h,) inverse of its covariance, packed
+
+
 class SegmentWork(NamedTuple):
     """Scratch of the refit."""
 
@@ -76,6 +88,7 @@ class SegmentWork(NamedTuple):
     inverse: Any  # (p + 1, p) see ``linalg.invert``
     d: Any  # (p,) parameters relative to the prior's
     right: Any  # (p,) right side
+    none: Any  # (p,) zeros
     moved: Any  # (n,) how far parameters have moved since a segment was linearised
 
 
@@ -107,8 +120,9 @@ def segment_work(work, p, n):
     inverse, at = take(work, at, (p + 1, p))
     d, at = take(work, at, (p,))
     right, at = take(work, at, (p,))
+    none, at = take(work, at, (p,))
     moved, at = take(work, at, (n,))
-    return SegmentWork(H, pull, offset, total, square, lanes, U, inverse, d, right, moved)
+    return SegmentWork(H, pull, offset, total, square, lanes, U, inverse, d, right, none, moved)
 
 
 class RefitWork(NamedTuple):
@@ -116,6 +130,7 @@ class RefitWork(NamedTuple):
 
     line: Any  # LineariseWork
     solve: Any  # SegmentWork
+    change: Any  # see ``twin.identification.change``
 
 
 @kernel
@@ -209,7 +224,7 @@ def _cost(H, b, c, d, square, lanes):
 
 
 @inlined
-def _samples(config):
+def samples_of(config):
     """Return the number of errors in a segment."""
     return N_STATES * (config.steps // config.every)
 
@@ -222,7 +237,7 @@ def _costs(xi, state, config, work, q):
         d[k] = xi[k] - config.prior[k]
     square[:] = 0.0
     _square(d, square)
-    samples = _samples(config)
+    samples = samples_of(config)
     for i in range(state.first.shape[0]):
         if state.first[i] >= 0.0:
             cost = _cost(state.packed[i], state.b[i], state.c[i], d, square, work.solve.lanes)
@@ -241,19 +256,20 @@ def _unpack(packed, A):
 
 
 @kernel
-def solve(xi, trust, since, iterations, damping, state, config, work):
+def solve(xi, trust, since, iterations, damping, known, state, config, work):
     """Move parameters to the least that the weighted quadratics and the prior make.
 
     ``trust`` is the factor of the segments' information; those that begin before row ``since`` do
-    not count. ``iterations`` is the number of robust reweightings. ``damping`` is that of Levenberg
-    and Marquardt in units of the prior's information. Returned is False where rounding has left no
+    not count. ``known`` is what they are added to, see :class:`Known`. ``iterations`` is the number
+    of robust reweightings. ``damping`` is that of Levenberg and Marquardt in units of the prior's
+    information. Returned is False where rounding has left no
     definite matrix; else its factor is ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
     total, square, U, d, pull = scratch.total, scratch.square, scratch.U, scratch.d, scratch.right
-    start, prior, information = scratch.inverse[1], config.prior, config.information
+    start, prior, information = scratch.inverse[1], config.prior, known.information
     first, packed, slope = state.first, state.packed, state.b
-    scale, knee, samples = config.scale, config.knee, _samples(config)
+    scale, knee, samples = config.scale, config.knee, samples_of(config)
     for k in range(p):
         d[k] = start[k] = xi[k] - prior[k]
     square[:] = 0.0
@@ -261,7 +277,8 @@ def solve(xi, trust, since, iterations, damping, state, config, work):
         _square(d, square)
         for k in range(total.shape[0]):
             total[k] = information[k]
-        pull[:] = 0.0
+        for k in range(p):
+            pull[k] = known.pull[k]
         if damping > 0.0:
             for k in range(total.shape[0]):
                 total[k] *= 1.0 + damping
@@ -352,6 +369,7 @@ class Segments:
                 self.prior,
                 np.diag(self.prior_cov),
                 packed,
+                share_slopes(model).ravel(),
             ]
         )
         self.config: RefitConfig = python_views(refit_config)(self.values, p)
@@ -360,8 +378,11 @@ class Segments:
         self.params, self.cov = self.state.params, self.state.cov
         self.line = np.zeros(flat_size(linearise_work, p))
         self.scratch = np.zeros(flat_size(segment_work, p, capacity))
+        self.changes = np.zeros(flat_size(change_work, p, capacity))
         line: LineariseWork = python_views(linearise_work)(self.line, p)
-        self.work = RefitWork(line, python_views(segment_work)(self.scratch, p, capacity))
+        changes: ChangeWork = python_views(change_work)(self.changes, p, capacity)
+        scratch = python_views(segment_work)(self.scratch, p, capacity)
+        self.work = RefitWork(line, scratch, changes)
         self.reset()
 
     @property
@@ -427,7 +448,8 @@ class Segments:
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
-        given = self.state, self.config, self.work
+        known = Known(self.work.solve.none, self.config.information)
+        given = known, self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
         if solve(self.params, self.trust, 0, iterations, damping, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.trust, self.state, self.work)

@@ -109,6 +109,9 @@ speeds: no one sails a boat or a ship's model where the water runs as fast."""
 WAKE_SQUARED, SLIPSTREAM, ASTERN = 0.4, 0.6, 0.1
 """Inflow of a rudder or drive: parts of u|u| and of (P n)|P n|, the second less astern."""
 
+SOFT_SPEED = 0.05
+"""Flow below which the inflow is softened, in nominal speeds."""
+
 STRAIGHTENING, LEVER = 0.5, 0.71
 """Flow straightening and effective lever over length at the stern.
 
@@ -446,7 +449,7 @@ _MMG = (
     ("N_nu", "rad/m2", "N", ADVANCE_SIN, (-2, 0, 0), 0.0, 0.4),
     ("N_F", "rad/m2", "N", FIN_LIFT, (-2, 0, 0), 0.4, 0.8),
     ("N_S", "rad/m2", "N", FIN_SIDE, (-2, 0, 0), 0.0, 0.3),
-    ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.05, 0.1),
+    ("N_dn", "rad/m2", "N", DIFFERENCE, (-2, 0, 0), 0.3, 0.2),
     ("N_mn", "rad/m2", "N", MEAN_COS, (-2, 0, 0), 0.0, 0.01),
     ("N_w", "rad/m2", "N", WIND_N, (-2, 0, 0), 0.0, 0.004),
     ("N_0", "rad/s2", "N", ONE, (-2, 2, 0), 0.0, 0.01),
@@ -563,7 +566,9 @@ def structure_of(
         units=tuple(row[1] for row in rows),
         scales=scales,
         terms=ModelTerms(
-            which, limits, np.array([float(mixed), heading, length, (0.05 * speed) ** 2, water])
+            which,
+            limits,
+            np.array([float(mixed), heading, length, (SOFT_SPEED * speed) ** 2, water]),
         ),
         # in `mmg` a shaft speed is the boat's speed that it gives in calm water
         n_unit=speed / shaft_speed if mixed else 1.0,

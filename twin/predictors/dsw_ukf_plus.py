@@ -34,7 +34,7 @@ from twin.filters.linalg import cholesky
 from twin.identification.data_weight import SELECTOR_FIELDS, TrustSelector
 from twin.identification.filter_settings import FilterSettings, plain_settings
 from twin.identification.joint_ukf import JointUKF, coarse_plan
-from twin.identification.prediction_error import COLUMNS, RefitSettings
+from twin.identification.prediction_error import COLUMNS, FIRST, NONE, OTHER, RefitSettings
 from twin.identification.segments import SEGMENT_FIELDS, Segments
 from twin.identification.wave_residual import FACTOR
 from twin.model.dynamics import model_of
@@ -102,14 +102,17 @@ def refit_settings(particulars: Particulars) -> RefitSettings:
     )
 
 
-def integrates(particulars: Particulars) -> bool:
-    """Return whether what disturbs a boat adds up in its motion, as gusts and model errors do.
+def joint_candidate(particulars: Particulars) -> int:
+    """Return what the joint filter's parameters are to the refit: NONE, OTHER or FIRST.
 
-    So it is for ships in tanks, and for boats of which no population says how they move. There
-    the joint filter's process noise is the right likelihood, and its parameters may be better.
-    A fast boat at sea is moved to and fro by its waves, and the refit, which allows for them, is.
+    What disturbs some boats adds up in their motion, as gusts and model errors do. There the joint
+    filter's process noise is the right likelihood. So it is for ships in tanks and on ponds, and it
+    may be for boats of which no population says how they move. A fast boat at sea is moved to and
+    fro by its waves, and the refit, which allows for them, is better.
     """
-    return particulars.tanker or particulars.steering == "differential"
+    if particulars.tanker:
+        return FIRST
+    return OTHER if particulars.steering == "differential" else NONE
 
 
 def joint_settings(filters: FilterSettings, particulars: Particulars) -> FilterSettings:
@@ -186,7 +189,7 @@ class PlusPredictor(UKFPredictor):
         capacity = math.ceil(self.refit.span / self.refit.spacing)
         steps, span = round(self.refit.horizon / GRID), round(self.refit.span / GRID)
         self.rows = np.zeros((span + steps + 2 * self.spacing, COLUMNS))
-        schedule = period, relinearised, self.spacing, span, float(integrates(particulars))
+        schedule = period, relinearised, self.spacing, span, float(joint_candidate(particulars))
         self.segments = Segments(structure.terms, mean, cov, self.refit, capacity, schedule)
         self.selector = TrustSelector(self.segments)
         self._window = np.zeros(WINDOW.itemsize // 8)
@@ -222,6 +225,7 @@ class PlusPredictor(UKFPredictor):
             filter=ukf_work.filter,
             line=segments.line,
             solve=segments.scratch,
+            change=segments.changes,
             waves=np.zeros(WAVE_WORK),
         )
         self._plain = plain(self.memory), plain(self.config), plain(self.work)

@@ -10,6 +10,7 @@ import numpy as np
 from twin.channels import PSI, R, U, V
 from twin.filters.navigation_ekf import lacks_gps
 from twin.filters.navigation_state import NAVIGATION
+from twin.identification.change import change_work
 from twin.identification.data_weight import (
     CHOSEN,
     JOINT,
@@ -25,6 +26,7 @@ from twin.identification.prediction_error import (
     GOOD,
     LOW,
     MIDDLE,
+    NONE,
     STATE,
     WIND,
     linearise_work,
@@ -144,13 +146,18 @@ class PlusWork(NamedTuple):
     filter: Any  # see FilterWorkspace
     line: Any  # see LineariseWork
     solve: Any  # see SegmentWork
+    change: Any  # see ChangeWork
     waves: Any  # of _fit_waves
 
 
 @inlined
 def refit_work(work, p, capacity):
     """Open the scratch of a refit."""
-    return RefitWork(linearise_work(work.line, p), segment_work(work.solve, p, capacity))
+    return RefitWork(
+        linearise_work(work.line, p),
+        segment_work(work.solve, p, capacity),
+        change_work(work.change, p, capacity),
+    )
 
 
 @inlined
@@ -231,7 +238,7 @@ def _take_segments(rows, window, selector, segments, config, model, work):
     while start + config.steps < newest:
         if all_good(start, start + config.steps, rows):
             add(start, rows, segments.params, segments, config, model, work)
-            score(start, rows, selector, config, model, work)
+            score(start, rows, selector, segments, config, model, work)
         start += config.spacing
         tried += 1
     window.next_start = start
@@ -365,7 +372,7 @@ def plus_config_of(config):
 @inlined
 def plus_work_of(work):
     """Return a workspace by name from a plain tuple."""
-    return PlusWork(work[0], work[1], work[2], work[3], work[4])
+    return PlusWork(work[0], work[1], work[2], work[3], work[4], work[5])
 
 
 @kernel
@@ -424,7 +431,7 @@ def plus_step(t, dt, z, cmd, memory, config, work):
             window.last_act[k] = state.act[k]
     else:
         scratch = filter_workspace(work.filter, model.which.shape[1])
-        if refit.joint:
+        if refit.joint != NONE:
             _identify(lost, dt, cmd, nav, state.wind, memory, config, scratch)
         terms = scratch.terms
         _slow_step(dt, nav, window, state, given, terms)

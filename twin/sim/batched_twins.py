@@ -191,7 +191,7 @@ class SeparateTwins(TwinObserver):
         super().__init__(episodes, twin, band_period, observation)
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         for note, one in zip(self._notes, self.twins, strict=True):
-            one.monitor.memory = note[_HEALTH]
+            one.monitor.remember(note[_HEALTH])
         self._plan = np.zeros((ROWS, N_ACT))
 
     def _state(self, i: int) -> Array:
@@ -247,7 +247,7 @@ class CompiledTwins(TwinObserver):
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
         if self._single:
-            twin.monitor.memory = self._notes[0, _HEALTH]
+            twin.monitor.remember(self._notes[0, _HEALTH])
         own, many = predictor.memory, episodes.n
         self._blank = [array.copy() for array in own]
         self.memory = type(own)(
