@@ -56,6 +56,9 @@ def wave_rows(
     return rows, drift
 
 
+_HEAVE, _PITCH = 2, 4
+
+
 def load_rows(vessel: Vessel, rows: Array) -> Array:
     """Return the loads (H, 14, M) of wave components (7, M) on a vessel with a hydrodynamic table.
 
@@ -70,7 +73,10 @@ def load_rows(vessel: Vessel, rows: Array) -> Array:
     points = table.omega / math.sqrt(scale)
     at = np.where(amplitude > 0.0, rows[waves.OMEGA], points[0])  # rows are filled up with zeros
     loads = between(at, points, vessel.loads)
+    # heave pushes at the centre of the water plane: what is left of pitch goes with the slope
+    loads[..., _PITCH] += vessel.values["x_F"] * loads[..., _HEAVE]
     loads *= _beyond(at, points)[:, None]
+    loads[..., _PITCH] -= vessel.values["x_F"] * loads[..., _HEAVE]
     to = np.arctan2(rows[waves.K_EAST], rows[waves.K_NORTH])
     around = amplitude[:, None, None] * _turned(loads, to)
     # (M, H, 6) -> (H, 6, M); Re(F exp(i phase)) = Re F cos(phase) - Im F sin(phase)
