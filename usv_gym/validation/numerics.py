@@ -39,7 +39,8 @@ def energy(states: Array, v: Mapping[str, float]) -> Array:
     u, sway, w, p, q, r = states[:, fr.U : fr.R + 1].T
     m, x_G, z_G, z_H = v["mass"], v["x_G"], v["draft"] - v["KG"], v["z_H"]
     moving = m * ((u + z_G * q) ** 2 + (sway - z_G * p + x_G * r) ** 2 + (w - x_G * q) ** 2)
-    moving += v["m_x"] * (u + z_H * q) ** 2 + v["m_y"] * (sway - z_H * p) ** 2 + v["m_z"] * w**2
+    moving += v["m_x"] * (u + z_H * q) ** 2 + v["m_y"] * (sway - z_H * p) ** 2
+    moving += v["m_z"] * (w - v["x_F"] * q) ** 2
     moving += (v["I_xx"] + v["J_xx"]) * p**2 + (v["I_yy"] + v["J_yy"]) * q**2
     moving += (v["I_zz"] + v["J_zz"]) * r**2
     k_x = -np.sin(states[:, fr.THETA])

@@ -162,7 +162,7 @@ def accelerations(
     factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(0.0, rows, P, 6, factors)
     share = wx.wave_gain(0.0, weather)
-    around, air = ship.Sea(rows, NO_GUSTS, weather, factors), ship.Air(0.0, 0.0, share)
+    around, air = ship.Sea(rows, NO_GUSTS, weather, factors, ship.NO_LOADS), ship.Air(0.0, 0.0, share)
     ship.derivative(state, np.zeros(4), ship.Ship(P, dof), around, air, 0.0, out)
     return out[[fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R] if dof == 6 else [fr.U, fr.V, fr.R]]
 
@@ -189,7 +189,7 @@ def test_a_step_takes_the_gain_of_its_time() -> None:
     ends = []
     for weather in (sea.weather, held):
         state, work = np.zeros(fr.STATE_SIZE), np.zeros((ship.WORK_ROWS, fr.STATE_SIZE))
-        around = ship.Sea(sea.waves, sea.gusts, weather, factors)
+        around = ship.Sea(sea.waves, sea.gusts, weather, factors, ship.NO_LOADS)
         ship.step(state, np.zeros(4), ship.Ship(P, 6), around, 25.0, 0.05, work)
         ends.append(state)
     np.testing.assert_allclose(ends[0], ends[1], rtol=1e-12)
