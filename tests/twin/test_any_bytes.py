@@ -27,6 +27,7 @@ from twin.cli.logs.predict import _read_plan
 from twin.files import keep, kept
 from twin.logs.mapping import Layout
 from twin.predictors.learned.pretrained import Weights
+from usv_gym.hydro.netcdf import read_table
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.recorded_spectrum import Spectrum
 from usv_kernel.errors import UsvTwinError
@@ -108,6 +109,7 @@ def reads_bag(path: Path) -> None:
 KINDS = [
     Kind("usv75.toml", shipped("usv_gym/vessel/vessels/usv75.toml"), Vessel.load),
     Kind("otter.toml", shipped("usv_gym/vessel/vessels/otter.toml"), Vessel.load),
+    Kind("hull.nc", shipped("tests/usv_gym/hydro/usv75.nc"), read_table),
     Kind("boat.toml", shipped("twin/logs/recorded/boat1_usv_circle.toml"), Particulars.load),
     Kind("boat.prior", own_prior, BoatPrior.load),
     Kind("a.mapping.toml", lambda folder: FOREIGN.encode(), Layout.load),

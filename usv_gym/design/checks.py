@@ -334,8 +334,8 @@ def _level_rules(vessel: Vessel, found: Inspection) -> Findings:
         yield Finding(
             False,
             f"The mesh does not float level: it trims {abs(trim):.2g} degrees by the "
-            f"{'stern' if trim > 0.0 else 'bow'}, as its centre of buoyancy lies {abs(apart):.3g} m "
-            f"{'ahead' if apart > 0.0 else 'aft'} of x_G.",
+            f"{'stern' if trim > 0.0 else 'bow'}, as its centre of buoyancy lies "
+            f"{abs(apart):.3g} m {'ahead' if apart > 0.0 else 'aft'} of x_G.",
         )
 
 

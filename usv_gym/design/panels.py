@@ -118,8 +118,9 @@ def make_table(
 ) -> HydroTable:
     """Return the table of a vessel's hull on even keel; some minutes for fine meshes.
 
-    ``on_progress`` is called with the number of frequencies that are done, ``source`` is kept in the table. Mean
-    drift is that of the vessel's own mass, centre of gravity and viscous roll damping.
+    ``on_progress`` is called with the number of frequencies that are done, ``source`` is kept in
+    the table. Mean drift is that of the vessel's own mass, centre of gravity and viscous roll
+    damping.
     HydroError: capytaine is missing, or the mesh has too many panels.
     """
     code, v = capytaine(), vessel.values
@@ -178,8 +179,10 @@ def _drift(table: HydroTable, vessel: Vessel, radiated: Complex, diffracted: Com
     """Return the mean drift (F, H, 3) from Kochin functions of six modes and all headings."""
     moving = vessel.with_table(table).values
     motion = response(table, moving)
-    viscous = 2.0 * moving["zeta_roll_viscous"] * math.sqrt(
-        moving["mass"] * GRAVITY * moving["GM_T"] * (moving["I_xx"] + moving["J_xx"])
+    viscous = (
+        2.0
+        * moving["zeta_roll_viscous"]
+        * math.sqrt(moving["mass"] * GRAVITY * moving["GM_T"] * (moving["I_xx"] + moving["J_xx"]))
     )
     absorbed = 0.5 * viscous * table.omega[:, None] ** 2 * np.abs(motion[..., 3]) ** 2
     waves = 1j * (diffracted + np.einsum("fhj,fjn->fhn", _TURN * motion, radiated))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -151,7 +152,7 @@ def _read_capytaine(path: Path, water: Water) -> _Raw:
     try:
         with xarray.open_dataset(path, engine="netcdf4") as opened:
             found = opened.load()
-    except Exception as error:  # what a damaged file raises is not documented
+    except (OSError, ValueError, RuntimeError, LookupError, AttributeError, TypeError) as error:
         raise HydroError(f"cannot be read as NetCDF ({type(error).__name__})") from None
     names = ["added_mass", "radiation_damping", "Froude_Krylov_force", "diffraction_force"]
     if "excitation_force" in found:
@@ -199,16 +200,23 @@ def _numbers(path: Path) -> list[list[float]]:
         raise HydroError(f"{path}: cannot be read ({error.strerror or error})") from None
     if len(raw) > TEXT_MAX:
         raise HydroError(f"{path}: is longer than {TEXT_MAX >> 20} MiB")
-    rows = []
-    for line in raw.decode("latin-1").splitlines():
-        row = []
-        for word in line.replace(",", " ").split():
-            try:
-                row.append(float(word.replace("D", "E").replace("d", "e")))
-            except ValueError:
-                break
-        rows.append(row)
-    return rows
+    lines = raw.decode("latin-1").replace(",", " ").splitlines()
+    return [
+        [float(word) for word in itertools.takewhile(_is_number, _words(line))] for line in lines
+    ]
+
+
+def _words(line: str) -> list[str]:
+    """Return the words of a line, Fortran's exponents as others'."""
+    return line.replace("D", "E").replace("d", "e").split()
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_wamit(path: Path, water: Water) -> _Raw:

@@ -48,9 +48,7 @@ class Matrices(NamedTuple):
         """Return (n, 6, 6): load amplitude over motion amplitude at frequencies (n,), rad/s."""
         w = np.asarray(omega, dtype=float)[:, None, None]
         damping = self.damping + self.viscous
-        return np.asarray(
-            self.stiffness - w**2 * (self.body + self.added_mass) - 1j * w * damping
-        )
+        return np.asarray(self.stiffness - w**2 * (self.body + self.added_mass) - 1j * w * damping)
 
 
 def ship_matrices(v: Mapping[str, float]) -> Matrices:
@@ -133,7 +131,7 @@ def natural_values(table: HydroTable, values: Mapping[str, float]) -> dict[str, 
     bare = ship_matrices(v)
     w = omega[:, None, None]
     whole = bare.stiffness - w**2 * (bare.body + A) - 1j * w * B
-    ours = bare.stiffness - w**2 * (bare.body + bare.added_mass)
+    ours = (bare.stiffness - w**2 * (bare.body + bare.added_mass)).astype(complex)
     theirs = _roll_alone(whole)
     n = _crossing(theirs.real, "roll")
     difference = _roll_alone(ours)[n] - theirs[n]

@@ -200,7 +200,7 @@ def encode_table(table: HydroTable) -> bytes:
     }
     sizes = {"frequency": len(table.omega), "heading": len(table.heading), "force": 6, "motion": 6}
     sizes["drift_force"] = 3
-    numbers = {
+    numbers: dict[str, list[float]] = {
         "length": [table.length],
         "density": [table.density],
         **({} if table.hydrostatics is None else {"hydrostatics": list(table.hydrostatics)}),
@@ -212,13 +212,14 @@ def encode_table(table: HydroTable) -> bytes:
         "origin on the water line",
         "hydrostatics_names": "A_wp m2, x_F m, GM_T m, GM_L m",
     }
+    notes: dict[str, str | list[float]] = {**texts, **numbers}
     places = {name: i for i, name in enumerate(sizes)}
 
     def head(begins: Mapping[str, int]) -> bytes:
         out = b"CDF\x01" + _ints(0, _DIMENSION, len(sizes))
         out += b"".join(_text(name) + _ints(size) for name, size in sizes.items())
-        out += _ints(_ATTRIBUTE, len(texts) + len(numbers))
-        out += b"".join(_attribute(name, value) for name, value in {**texts, **numbers}.items())
+        out += _ints(_ATTRIBUTE, len(notes))
+        out += b"".join(_attribute(name, value) for name, value in notes.items())
         out += _ints(_VARIABLE, len(arrays))
         for name, array in arrays.items():
             out += _text(name) + _ints(array.ndim, *(places[axis] for axis in _AXES[name]))

@@ -35,8 +35,9 @@ class HydroTable:
 
     Loads are about the vessel's origin on the water line; x forward, y to starboard, z down. A wave
     of amplitude a has the elevation ``a cos(k . x - omega t)``, and its load is the real part of
-    ``a F exp(-i omega t)``. Headings are where the wave goes, less where the boat heads: 0 following
-    sea, pi head sea, and at pi/2 it goes to starboard. The hull is the same on both sides.
+    ``a F exp(-i omega t)``. Headings are where the wave goes, less where the boat heads: 0 is a
+    following sea, pi a head sea, and at pi/2 it goes to starboard. Both sides of the hull are the
+    same.
     """
 
     omega: Array
@@ -94,9 +95,9 @@ class HydroTable:
     def at(self, omega: Array) -> tuple[Array, Array]:
         """Return added mass and damping (n, 6, 6) at frequencies (n,), rad/s."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        return between(omega, self.omega, self.added_mass), between(
-            omega, self.omega, self.damping
-        )
+        pair = (between(omega, self.omega, matrix) for matrix in (self.added_mass, self.damping))
+        added_mass, damping = (np.asarray(matrix.real, dtype=float) for matrix in pair)
+        return added_mass, damping
 
     def scaled(self, ratio: float) -> HydroTable:
         """Return the table of the same hull with a length of ``ratio`` times this (Froude)."""

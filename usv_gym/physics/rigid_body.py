@@ -51,9 +51,9 @@ def accelerate_6(
     Source: Eq (6) as restored in ship_and_sea.md (SNAME) with ``y_G = 0`` and the axes of inertia
     along the body. The added masses of surge and sway act ``z_H`` below the water line, and as in
     the MMG standard method in the horizontal plane. That of heave acts at the centre of the water
-    plane and moves with the boat, so that the period of heave does not depend on the speed. Strip theory's lift at speed would be wrong for
-    planing hulls. With w = p = q = 0 and held, the rows of X, Y and N are those of
-    :func:`accelerate_3`.
+    plane and moves with the boat, so that the period of heave does not depend on the speed. Strip
+    theory's lift at speed would be wrong for planing hulls. With w = p = q = 0 and held, the rows
+    of X, Y and N are those of :func:`accelerate_3`.
     """
     X, Y, Z, K, M, N = forces
     u, v, w, p, q, r = velocity

@@ -72,7 +72,7 @@ def load_rows(vessel: Vessel, rows: Array) -> Array:
     scale = vessel.values["length_waterline"] / table.length
     points = table.omega / math.sqrt(scale)
     at = np.where(amplitude > 0.0, rows[waves.OMEGA], points[0])  # rows are filled up with zeros
-    loads = between(at, points, vessel.loads)
+    loads = np.asarray(between(at, points, vessel.loads), dtype=complex)
     # heave pushes at the centre of the water plane: what is left of pitch goes with the slope
     loads[..., _PITCH] += vessel.values["x_F"] * loads[..., _HEAVE]
     loads *= _beyond(at, points)[:, None]
@@ -94,7 +94,7 @@ def load_rows(vessel: Vessel, rows: Array) -> Array:
 
 
 def drift_table(vessel: Vessel, rows: Array) -> Array | None:
-    """Return the mean drift (H, 3) of wave components (7, M) at even headings; None without a table.
+    """Return the mean drift (H, 3) of wave components (7, M) at even headings, None without table.
 
     Forces in N, moment in N m.
     """

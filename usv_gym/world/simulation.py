@@ -44,7 +44,7 @@ SUBSTEPS_MAX = 1000
 """Most integration steps in a control step."""
 
 BOATS_MAX = 100_000
-"""Most boats; they take some 20 kB each, and 0.3 MB more with six degrees of freedom and a table."""
+"""Most boats; they take some 20 kB each, and 0.3 MB more in six degrees of freedom with a table."""
 
 WORK_MAX = 20_000
 """Most integration steps in one call of a kernel, about a second in a sea of 1000 components:

@@ -1,8 +1,9 @@
 """What lasts of one simulated boat, and what all boats of a simulation share.
 
 A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, random
-numbers, faults and the delay line of the GPS. Their sizes depend on sea, faults and delay. One array a call
-keeps the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts names.
+numbers, faults and the delay line of the GPS. Their sizes depend on sea, faults and delay. One
+array a call keeps the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts
+names.
 """
 
 from __future__ import annotations

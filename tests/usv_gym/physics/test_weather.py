@@ -162,7 +162,10 @@ def accelerations(
     factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(0.0, rows, P, 6, factors)
     share = wx.wave_gain(0.0, weather)
-    around, air = ship.Sea(rows, NO_GUSTS, weather, factors, ship.NO_LOADS), ship.Air(0.0, 0.0, share)
+    around, air = (
+        ship.Sea(rows, NO_GUSTS, weather, factors, ship.NO_LOADS),
+        ship.Air(0.0, 0.0, share),
+    )
     ship.derivative(state, np.zeros(4), ship.Ship(P, dof), around, air, 0.0, out)
     return out[[fr.U, fr.V, fr.W, fr.P, fr.Q, fr.R] if dof == 6 else [fr.U, fr.V, fr.R]]
 

@@ -1,0 +1,151 @@
+"""A ship with a table moves in waves as linear theory says of the table."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from usv_gym import SeaState, Vessel
+from usv_gym.hydro.motions import response
+from usv_gym.hydro.netcdf import read_table
+from usv_gym.hydro.table import between
+from usv_gym.manoeuvring import rao
+from usv_gym.physics import GRAVITY, waves
+from usv_gym.physics import ship as ship_kernels
+from usv_gym.world.realisation import Sea, drift_table, load_rows
+from usv_gym.world.simulation import Simulation
+
+FOLDER = Path(__file__).parent
+NAMES = ("usv75", "otter")
+OMEGA = {"usv75": (1.2, 2.2, 3.2), "otter": (2.0, 3.5, 5.0)}
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def boat(request):
+    return Vessel.load(request.param).with_table(read_table(FOLDER / f"{request.param}.nc"))
+
+
+@pytest.mark.parametrize("degrees", [90, 135, 180])
+def test_responses_are_those_of_the_table(boat, degrees):
+    omega = np.array(OMEGA[boat.name])
+    ours = rao.responses(boat, omega, math.radians(degrees))
+    j = round(degrees / 15)
+    wanted = np.abs(between(omega, boat.hydro.omega, response(boat.hydro, boat.values)[:, j]))
+    np.testing.assert_allclose(ours.heave, wanted[:, 2], rtol=0.04)
+    if degrees != 180:
+        np.testing.assert_allclose(ours.roll, wanted[:, 3], rtol=0.05)
+    if degrees != 90:
+        np.testing.assert_allclose(ours.pitch, wanted[:, 4], rtol=0.04)
+
+
+def test_waves_longer_than_the_table_s_carry_the_boat(boat):
+    omega = 0.6 * boat.hydro.omega[0]
+    slope = omega**2 / GRAVITY
+    head, beam = (rao.respond(boat, omega, to) for to in (math.pi, 0.5 * math.pi))
+    for got in (head.heave, head.pitch / slope, beam.heave, beam.roll / slope, beam.east):
+        assert float(got) == pytest.approx(1.0, abs=0.03)
+    # the centre of the water plane lies off the middle
+    assert float(beam.pitch) < 0.15 * slope
+
+
+def test_the_file_s_numbers_are_kept_aside(boat):
+    plain = Vessel.load(boat.name)
+    assert boat.stated == plain.values
+    for key in ("m_z", "J_yy", "zeta_pitch", "GM_T"):
+        assert boat.values[key] != plain.values[key]
+    assert boat.values["mass"] == plain.values["mass"]
+    again = boat.with_table(boat.hydro)
+    assert again.values == boat.values
+
+
+def test_a_varied_boat_takes_the_table_by_its_size(boat):
+    other = boat.varied(np.random.default_rng(3), 0.15)
+    ratio = other.values["length_waterline"] / boat.values["length_waterline"]
+    assert ratio != 1.0
+    omega = OMEGA[boat.name][0] / math.sqrt(ratio)
+    got, known = (
+        float(rao.respond(one, at, math.pi).heave)
+        for one, at in ((other, omega), (boat, OMEGA[boat.name][0]))
+    )
+    assert got == pytest.approx(known, rel=0.2)
+
+
+def test_loads_between_headings_are_interpolated_closely(boat):
+    rng = np.random.default_rng(0)
+    sea = SeaState(hs=0.3, wind=3.0, components=20).realise(boat, rng, rng)
+    loads = load_rows(boat, sea.waves)
+    by = 0.37 * 2.0 * math.pi / waves.LOAD_HEADINGS
+    turned = sea.waves.copy()
+    north, east = sea.waves[waves.K_NORTH], sea.waves[waves.K_EAST]
+    turned[waves.K_NORTH] = north * math.cos(by) + east * math.sin(by)
+    turned[waves.K_EAST] = east * math.cos(by) - north * math.sin(by)
+    factors = waves.factor_workspace(sea.waves.shape[1])
+    exact = factors.copy()
+    waves.wave_factors(by, sea.waves, loads, boat.packed.copy(), 6, factors)
+    waves.wave_factors(0.0, turned, load_rows(boat, turned), boat.packed.copy(), 6, exact)
+    # waves as long as half the boat and longer; steps of 15 degrees are coarse for shorter ones
+    k = np.hypot(north, east)
+    long = np.flatnonzero(k * boat.values["length_waterline"] < 4.0 * math.pi)
+    assert len(long) >= 8
+    for mode in range(6):
+        both = [mode, mode + waves.SINE_LOADS]
+        error, size = (factors - exact)[both][:, long], exact[both][:, long]
+        assert np.linalg.norm(error) < 0.02 * np.linalg.norm(size)
+
+
+def test_drift_pushes_with_the_waves(boat):
+    rng = np.random.default_rng(1)
+    sea = SeaState(hs=0.3, wind=0.0, wave_to=0.0, components=60).realise(boat, rng, rng)
+    drift = drift_table(boat, sea.waves)
+    H = len(drift)
+    assert drift[0, 0] > 0.0 > drift[H // 2, 0]  # following, and against the waves
+    assert drift[3 * H // 4, 1] > 0.0 > drift[H // 4, 1]  # waves from port push to starboard
+    assert drift_table(Vessel.load(boat.name), sea.waves) is None
+
+
+def test_a_sea_without_a_table_has_no_loads():
+    plain = Vessel.load("usv75")
+    rows = Sea.regular(plain, 2.0, 0.1).waves
+    assert load_rows(plain, rows).shape[0] == 0
+    assert ship_kernels.NO_LOADS.shape[0] == 0
+
+
+def test_boats_with_a_table_sail_alike_alone_and_in_a_batch(boat):
+    def states(n):
+        simulation = Simulation(n, boat, SeaState(hs=0.3, wind=3.0), dof=6)
+        simulation.reset(list(range(n)), [np.random.default_rng(k) for k in range(n)])
+        for _ in range(100):
+            simulation.step(np.tile(boat.command(10.0, 0.1), (n, 1)))
+        return simulation.state.copy()
+
+    np.testing.assert_array_equal(states(1)[0], states(3)[0])
+
+
+def test_without_waves_a_table_changes_no_manoeuvre_in_the_plane(boat):
+    plain = Vessel.load(boat.name)
+
+    def turn(one):
+        simulation = Simulation(1, one, SeaState.named("calm"), dof=3)
+        simulation.reset([0], [np.random.default_rng(0)])
+        for _ in range(200):
+            simulation.step(one.command(8.0, 0.2)[None])
+        return simulation.state[0].copy()
+
+    np.testing.assert_array_equal(turn(plain), turn(boat))
+
+
+def test_a_table_that_ends_too_early_is_refused():
+    table = read_table(FOLDER / "usv75.nc")
+    few = slice(0, 6)
+    short = dataclasses.replace(
+        table,
+        omega=table.omega[few],
+        added_mass=table.added_mass[few],
+        damping=table.damping[few],
+        excitation=table.excitation[few],
+        drift=table.drift[few],
+    )
+    with pytest.raises(ValueError, match=r"natural frequency of .* wider range"):
+        Vessel.load("usv75").with_table(short)
