@@ -21,11 +21,11 @@ from usv_kernel.jit import inlined, kernel
 
 __all__ = [
     "ChangeWork",
-    "begin_anew",
     "change_evidence",
     "change_work",
     "known_before",
     "quadratics_by_changes",
+    "widen_known",
 ]
 
 CHANGES = SIDES + 2
@@ -207,7 +207,7 @@ def known_before(since, samples, state, config, work):
 
 
 @kernel
-def begin_anew(base, factor, pull, information, config, model, work):
+def widen_known(base, factor, pull, information, config, model, work):
     """Write what is known of the parameters once something has changed.
 
     ``base`` (p,) are the parameters of before, ``factor`` (p, p) the upper Cholesky factor of their

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from twin.checkpoint import COUNT_MAX, Field
 from twin.filters.linalg import packed_size
 from twin.identification.change import (
-    begin_anew,
     change_evidence,
     known_before,
     quadratics_by_changes,
+    widen_known,
 )
 from twin.identification.prediction_error import (
     ACT,
@@ -213,7 +213,7 @@ def _begin_after(changed, first, state, segments, config, model, work):
     trust = _trust_of(int(count[CHOSEN]))
     # the first refit trusts the data least, and its covariance is the widest
     known = state.factors[0], state.pull, state.information
-    if not begin_anew(base, *known, config, model, work):
+    if not widen_known(base, *known, config, model, work):
         return
     state.surprise[0] = 0.0
     count[CHANGED], count[CHOSEN], count[ALARM] = changed, SHORT, count[NOTED]
@@ -312,13 +312,11 @@ def select_trust(newest, row, bounds, state, segments, config, model, work):
     first = chosen if chosen < REFITS else int(count[TURN] + 1) % REFITS
     other = int(count[TURN]) % (REFITS - 1)
     for r in (first, other if other < first else other + 1):
-        since = max(newest - int(_SPANS[r]), 0)
-        known = Known(work.solve.none, config.information)
-        if r >= SHORT:
-            since = max(since, int(count[CHANGED]))
-            if newest - count[CHANGED] < config.span and state.information[0] > 0.0:
-                known = Known(state.pull, state.information)
-        if solve(params[r], _TRUSTS[r], since, ITERATIONS, 0.0, known, segments, config, work):
+        since = max(newest - int(_SPANS[r]), int(count[CHANGED]) if r >= SHORT else 0, 0)
+        known = Known(_TRUSTS[r], since, work.solve.none, config.information)
+        if r >= SHORT and newest - count[CHANGED] < config.span and state.information[0] > 0.0:
+            known = Known(_TRUSTS[r], since, state.pull, state.information)
+        if solve(params[r], known, ITERATIONS, 0.0, segments, config, work):
             store_factor(work.solve.U, factors[r])
     # it is in use until another has proved better
     default = JOINT if config.joint == FIRST else 0

@@ -69,8 +69,10 @@ class SegmentState(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What is known of the parameters besides the segments: the prior, or more."""
+    """What a refit takes: how far it trusts which segments, and what else is known."""
 
+    trust: Any  # factor of the segments' information
+    since: Any  # segments that begin before this row do not count
     pull: Any  # (p,) information times the difference of its mean to the prior's; 0 for the prior
     information: Any  # (h,) inverse of its covariance, packed
 
@@ -256,13 +258,12 @@ def _unpack(packed, A):
 
 
 @kernel
-def solve(xi, trust, since, iterations, damping, known, state, config, work):
+def solve(xi, known, iterations, damping, state, config, work):
     """Move parameters to the least that the weighted quadratics and the prior make.
 
-    ``trust`` is the factor of the segments' information; those that begin before row ``since`` do
-    not count. ``known`` is what they are added to, see :class:`Known`. ``iterations`` is the number
-    of robust reweightings. ``damping`` is that of Levenberg and Marquardt in units of the prior's
-    information. Returned is False where rounding has left no
+    ``known`` says which segments count and how far, and what they are added to. ``iterations`` is
+    the number of robust reweightings. ``damping`` is that of Levenberg and Marquardt in units of
+    the prior's information. Returned is False where rounding has left no
     definite matrix; else its factor is ``work.solve.U``.
     """
     p, scratch = xi.shape[0], work.solve
@@ -287,10 +288,10 @@ def solve(xi, trust, since, iterations, damping, known, state, config, work):
                 for j in range(p):
                     pull[i] += damping * U[min(i, j), max(i, j)] * start[j]
         for i in range(first.shape[0]):
-            if first[i] < 0.0 or first[i] < since:
+            if first[i] < 0.0 or first[i] < known.since:
                 continue
             q = _cost(packed[i], slope[i], state.c[i], d, square, scratch.lanes) / samples
-            weight = trust * scale * (1.0 if q <= knee else knee / q)
+            weight = known.trust * scale * (1.0 if q <= knee else knee / q)
             own, tug = packed[i], slope[i]
             for k in range(total.shape[0]):
                 total[k] = fma(weight, own[k], total[k])
@@ -448,10 +449,10 @@ class Segments:
 
     def solve(self, iterations: int = ITERATIONS, damping: float = 0.0) -> None:
         """Move the parameters to the least of the quadratics and the prior; see :func:`solve`."""
-        known = Known(self.work.solve.none, self.config.information)
-        given = known, self.state, self.config, self.work
+        known = Known(self.trust, 0, self.work.solve.none, self.config.information)
+        given = self.state, self.config, self.work
         # the factor of a damped step is not that of the posterior
-        if solve(self.params, self.trust, 0, iterations, damping, *given) and damping == 0.0:
+        if solve(self.params, known, iterations, damping, *given) and damping == 0.0:
             use(self.params, self.work.solve.U, self.trust, self.state, self.work)
 
     def fit(self, rows: Array, *, iterations: int = 30, tolerance: float = 1e-9) -> bool:

@@ -3,7 +3,7 @@
 A boat whose left thruster gives the share e of its thrust moves as one with other parameters and
 both thrusters sound. In most terms that is exact: of the mean and the difference of two thrusts,
 each becomes a part of the other. The rest is the nearest in the sense of least squares, over the
-speeds, turns and commands of usual sailing.
+speeds, turns and commands that are common.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _BY_THRUST = (*range(ADVANCE_COS, FIN_SIDE + 1), *range(LEFT_COS, ASTERN_RACE + 
 
 _SPEEDS, _DRIFTS, _TURNS = (0.4, 0.8, 1.2), (-0.1, 0.0, 0.1), (-0.2, 0.0, 0.2)
 _SHAFTS, _ANGLES = (0.4, 0.8, 1.2), (-0.4, 0.0, 0.4)
-"""Sailing in nominal units, and drive angles, rad."""
+"""Motions in nominal units, and drive angles, rad."""
 
 _LESS = 0.5
 """Share of the thrust that is taken away to find the slopes: they are meant for large changes."""
@@ -59,10 +59,10 @@ def share_slopes(model: ModelTerms) -> NDArray[Any]:
     speed = math.sqrt(hull[SOFT]) / SOFT_SPEED
     # shaft speeds are in nominal speeds where all terms are in use
     unit = speed if hull[FULL] > 0.0 else 1.0
-    sailing = list(itertools.product(_SPEEDS, _DRIFTS, _TURNS, _SHAFTS, _SHAFTS, _ANGLES))
-    terms = np.zeros((1 + SIDES, len(sailing), N_TERMS))
+    motions = list(itertools.product(_SPEEDS, _DRIFTS, _TURNS, _SHAFTS, _SHAFTS, _ANGLES))
+    terms = np.zeros((1 + SIDES, len(motions), N_TERMS))
     still = np.zeros(2)
-    for k, (u, v, r, left, right, angle) in enumerate(sailing):
+    for k, (u, v, r, left, right, angle) in enumerate(motions):
         c, s = math.cos(angle), math.sin(angle)
         motion = u * speed, v * speed, r * speed / hull[LENGTH]
         less = math.sqrt(1.0 - _LESS)

@@ -118,7 +118,9 @@ def _decode(content: bytes) -> _Content:
         name = head.name()
         places = [head.number() for _ in range(min(max(head.number(), 0), 8))]
         head.attributes()
-        kind, _, begin = head.number(), head.number(), head.offset()
+        kind = head.number()
+        head.number()  # its size, which shape and type say too
+        begin = head.offset()
         if kind not in _TYPES or not all(0 <= place < len(sizes) for place in places):
             raise HydroError(f"is damaged: variable {name} has no type or no dimensions")
         shape = [sizes[place] for place in places]

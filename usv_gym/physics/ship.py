@@ -210,7 +210,7 @@ def _lean(x: float, y: float, psi: float, t: float, p: Record, sea: Sea) -> tupl
     """Return the z (m), phi and theta (rad) at which the boat would lie in a frozen sea."""
     weight, plane = p.mass * GRAVITY, p.water_density * GRAVITY * p.A_wp
     if sea.loads.shape[0] > 0:
-        X, Y, Z, K, M, _, _, _ = table_loads(x, y, t, sea.waves, sea.factors)
+        X, Y, Z, K, M = table_loads(x, y, t, sea.waves, sea.factors)[:5]
         # less what the horizontal acceleration of boat and water takes
         z_G = p.draft - p.KG
         K += (p.mass * z_G + p.m_y * p.z_H) / (p.mass + p.m_y) * Y

@@ -45,12 +45,7 @@ def wave_rows(
     rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
     rows[waves.BOTTOM] = k * np.exp(-k * draft) / -np.expm1(-k * draft)
     L, drift = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
-    coefficients = waves.drift_coefficients_limited(2.0 * math.pi / (k * L))
-    if vessel.two_hulls:  # waves pass below shallow pontoons
-        c_x, c_y, c_n = coefficients
-        share = waves.reflected_by_draft(k, draft)
-        coefficients = c_x, share * c_y, share * c_n
-    for i, c in enumerate(coefficients):
+    for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
         load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2
         drift[2 * i : 2 * i + 2] = np.sum(load * north), np.sum(load * east)
     return rows, drift

@@ -431,7 +431,7 @@ def test_a_new_vessel_is_checked_and_simulated(empty):
 
 def test_vessel_check_reports_errors_and_warnings(tmp_path):
     good = run("vessel", "check", "kvlcc2_l7")
-    assert "0 error(s), 1 warning(s)" in good.stdout
+    assert "0 error(s), 2 warning(s)" in good.stdout
     assert run("vessel", "check", "kvlcc2_l7", "--strict", check=1).stdout == good.stdout
     bad = tmp_path / "bad.toml"
     bad.write_text(USV75.replace("A_wp = { value = 13.41", "A_wp = { value = 18"))

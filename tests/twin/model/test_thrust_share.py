@@ -38,9 +38,7 @@ def boat(request):
     shaft=st.floats(0.4, 1.2),
     angle=st.floats(-0.35, 0.35),
 )
-def test_other_parameters_move_the_boat_like_a_weak_thruster(
-    boat, share, side, u, turn, shaft, angle
-):
+def test_other_parameters_act_as_a_weak_thruster(boat, share, side, u, turn, shaft, angle):
     about, structure, slopes = boat
     motion = u * about.speed, 0.0, turn * about.speed / about.length
     n = shaft * about.speed

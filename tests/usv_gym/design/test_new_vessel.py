@@ -45,8 +45,8 @@ def test_a_new_vessel_loads_passes_checks_and_sails(
 ) -> None:
     if kind == "propeller_rudder":
         froude = min(froude, 0.35)
-    if froude > 0.4:  # planing boats are flat, and not half as wide as long: those turn too hard
-        slender, flat, block = max(slender, 2.6), max(flat, 3.5), min(block, 0.55)
+    if froude > 0.4:  # planing boats are flat, and not as slender as ships
+        slender, flat, block = min(slender, 5.0), max(flat, 3.5), min(block, 0.55)
     if kind == "thruster_pair":  # they turn by unequal thrust, so they must be wide
         slender, flat = min(slender, 4.5), max(flat, 3.0)
     beam, draft = length / slender, length / slender / flat

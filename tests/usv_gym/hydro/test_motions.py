@@ -112,7 +112,7 @@ def test_a_sea_without_a_table_has_no_loads():
     assert ship_kernels.NO_LOADS.shape[0] == 0
 
 
-def test_boats_with_a_table_sail_alike_alone_and_in_a_batch(boat):
+def test_a_boat_with_a_table_moves_in_a_batch_as_alone(boat):
     def states(n):
         simulation = Simulation(n, boat, SeaState(hs=0.3, wind=3.0), dof=6)
         simulation.reset(list(range(n)), [np.random.default_rng(k) for k in range(n)])
