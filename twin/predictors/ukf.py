@@ -77,6 +77,10 @@ AID_SD = 0.5 / STUDY_SPEED
 MODEL_DRIFT = 0.02
 """Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least."""
 
+LASTING_SHARE = 0.25
+"""Share of the variance of a rough model's own velocity, ahead and aside, that lasts as well: what
+its parameters leave open turns with the boat, and is in part that of waves."""
+
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
 
@@ -299,6 +303,8 @@ def tight_step(dt, z, cmd, memory, config, work):
     no_gps, no_imu = lacks_gps(nav), lacks_imu(nav)
     if no_gps:
         lasting = max(nav.drift_var, (MODEL_DRIFT * 0.25 * given.envelope[0]) ** 2)
+        if given.rest_push < 1.0:  # a rough model: no population says what it leaves out
+            lasting = max(lasting, LASTING_SHARE * (P[U, U] + P[V, V]))
         at = N_STATES + int(model.hull[CURRENT])
         for i in range(2):
             more = P[at + i, at + i] if at >= N_STATES else 0.0
