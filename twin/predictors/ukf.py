@@ -74,12 +74,9 @@ Array = NDArray[Any]
 AID_SD = 0.5 / STUDY_SPEED
 """Standard deviation of the model's velocity as an aid, in nominal speeds."""
 
-MODEL_DRIFT = 0.02
-"""Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least."""
-
-LASTING_SHARE = 0.25
-"""Share of the variance of a rough model's own velocity, ahead and aside, that lasts as well: what
-its parameters leave open turns with the boat, and is in part that of waves."""
+MODEL_DRIFT, LASTING_SHARE = 0.02, 0.25
+"""Error of the model's velocity that lasts while GPS is lost, in nominal speeds, at least; and the
+share of the variance of a rough model's own velocity that does."""
 
 AID_TURN = 0.04
 """Standard deviation of the model's yaw rate as an aid, in nominal speeds over length."""
