@@ -188,6 +188,7 @@ def _seakeeping(
         strips = reg.heave_of_two_hulls(form, plane)
         added = {key: _Entry(strips[key], _source(strips)) for key in added}
     shape = "Schneekluth; Otter 0.75" if two else "Schneekluth; boats 0.78"
+    pitch = reg.pitch_damping(form)
     roll = _Entry(0.18 if boat else 0.08, "hard chines 0.18, ships 0.08")
     return {
         "A_wp": _Entry(area, f"water-plane coefficient {plane:.2f} ({shape})"),
@@ -197,7 +198,7 @@ def _seakeeping(
         **added,
         "zeta_heave": _Entry(0.3, "Fossen's Otter"),
         "zeta_roll": _Entry(0.2, "Fossen's Otter") if two else roll,
-        "zeta_pitch": _Entry(0.35, "Fossen's Otter 0.4, MSS 0.3"),
+        "zeta_pitch": _Entry(pitch["zeta_pitch"], f"radiated waves, {_source(pitch)}"),
         "z_H": _Entry(0.5 * d, "half the draft"),
     }
 

@@ -20,14 +20,15 @@ from usv_gym.hydro.table import Array, Complex, HydroError, HydroTable
 from usv_gym.physics import GRAVITY
 from usv_gym.vessel.geometry import hull_of
 from usv_gym.vessel.hydrostatics import Hydrostatics, wetted_surface
+from usv_gym.vessel.mesh import Mesh
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = ["FREQUENCIES", "HEADINGS", "capytaine", "make_table"]
 
 FREQUENCIES = np.concatenate(
-    [[0.3, 0.45, 0.6, 0.75, 0.9, 1.05], np.arange(1.2, 5.01, 0.17), np.linspace(5.4, 8.0, 6)]
+    [[0.3, 0.45, 0.6, 0.75, 0.9, 1.05], np.arange(1.2, 5.01, 0.17), [5.4, 5.92, 6.44]]
 )
-"""Frequencies of a table over sqrt(g / L)."""
+"""Frequencies of a table over sqrt(g / L); in shorter waves panels of pontoons are too coarse."""
 
 HEADINGS = np.linspace(0.0, math.pi, 13)
 """Headings of a table, rad."""
@@ -81,8 +82,8 @@ class _Panels:
     half: bool
 
     @classmethod
-    def of(cls, vessel: Vessel) -> _Panels:
-        corners = wetted_surface(hull_of(vessel)) * np.array([1.0, -1.0, -1.0])
+    def of(cls, vessel: Vessel, mesh: Mesh) -> _Panels:
+        corners = wetted_surface(mesh) * np.array([1.0, -1.0, -1.0])
         grain = 1e-6 * vessel.values["beam"]
         port, starboard = (side * corners[:, :, 1] > -grain for side in (1.0, -1.0))
         half = bool(np.all(port.all(axis=1) | starboard.all(axis=1)))
@@ -118,13 +119,18 @@ def make_table(
 ) -> HydroTable:
     """Return the table of a vessel's hull on even keel; some minutes for fine meshes.
 
+    A hull that would trim is moved along until its centre of buoyancy lies over the centre of
+    gravity. Else the waves would push the boat beside its mass, and turn it.
+
     ``on_progress`` is called with the number of frequencies that are done, ``source`` is kept in
     the table. Mean drift is that of the vessel's own mass, centre of gravity and viscous roll
     damping.
     HydroError: capytaine is missing, or the mesh has too many panels.
     """
     code, v = capytaine(), vessel.values
-    hull = Hydrostatics.of(hull_of(vessel))
+    mesh = hull_of(vessel)
+    mesh = mesh.moved((v["x_G"] - Hydrostatics.of(mesh).x_B, 0.0, 0.0))
+    hull = Hydrostatics.of(mesh)
     length, density = v["length_waterline"], v["water_density"]
     omega = FREQUENCIES * math.sqrt(GRAVITY / length)
     A, B = (np.zeros((len(omega), 6, 6)) for _ in "AB")
@@ -132,7 +138,7 @@ def make_table(
     sent = np.zeros((len(omega), len(HEADINGS), ANGLES), dtype=complex)
     radiated = np.zeros((len(omega), 6, ANGLES), dtype=complex)
     with _quiet():
-        body, solver = _Panels.of(vessel).body(code, vessel.name, hull.A_wp), code.BEMSolver()
+        body, solver = _Panels.of(vessel, mesh).body(code, vessel.name, hull.A_wp), code.BEMSolver()
         for i, w in enumerate(omega):
             far = _far_field(body, float(w) ** 2 / GRAVITY)
             common = {"body": body, "omega": float(w), "rho": density, "g": GRAVITY}

@@ -8,6 +8,7 @@ the ship in time moves as the table says.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -17,9 +18,11 @@ from usv_gym.hydro.table import Array, Complex, HydroError, HydroTable
 from usv_gym.physics import GRAVITY
 
 __all__ = [
+    "Frequencies",
     "Matrices",
     "drift_loads",
     "equivalent_loads",
+    "natural_frequencies",
     "natural_values",
     "response",
     "ship_matrices",
@@ -112,41 +115,74 @@ def natural_values(table: HydroTable, values: Mapping[str, float]) -> dict[str, 
     if table.hydrostatics is not None:
         static = dict(zip(("A_wp", "x_F", "GM_T", "GM_L"), table.hydrostatics, strict=True))
     v = {**values, **static}
+    at = natural_frequencies(table, v)
     C_33, C_44, C_55 = _stiffness(v)
-    m, z_G, x_F = v["mass"], v["draft"] - v["KG"], v["x_F"]
-    omega = np.linspace(table.omega[0], table.omega[-1], _GRID)
-    A, B = table.at(omega)
-    shift = np.eye(6)  # velocities at the origin from those at the water plane's centre
-    shift[HEAVE, PITCH] = x_F
-    A_F, B_F = shift.T @ A @ shift, shift.T @ B @ shift
-
-    i = _crossing(C_33 - omega**2 * (m + A_F[:, 2, 2]), "heave")
-    m_z, B_33 = float(A_F[i, 2, 2]), float(B_F[i, 2, 2])
-    I_y = v["I_yy"] + m * ((v["x_G"] - x_F) ** 2 + z_G**2)
-    j = _crossing(C_55 - omega**2 * (I_y + A_F[:, 4, 4]), "pitch")
-    J_yy, B_55 = float(A_F[j, 4, 4]), float(B_F[j, 4, 4])
+    m, x_F = v["mass"], v["x_F"]
+    A, B = _about(x_F, *table.at(at.heave))
+    m_z, B_33 = float(A[0, 2, 2]), float(B[0, 2, 2])
+    A, B = _about(x_F, *table.at(at.pitch))
+    J_yy, B_55 = float(A[0, 4, 4]), float(B[0, 4, 4])
 
     zeta = v.get("zeta_roll_viscous", 0.0)
     v |= {"m_z": m_z, "J_yy": J_yy, "J_xx": 0.0, "zeta_roll": zeta}
-    bare = ship_matrices(v)
-    w = omega[:, None, None]
-    whole = bare.stiffness - w**2 * (bare.body + A) - 1j * w * B
-    ours = (bare.stiffness - w**2 * (bare.body + bare.added_mass)).astype(complex)
-    theirs = _roll_alone(whole)
-    n = _crossing(theirs.real, "roll")
-    difference = _roll_alone(ours)[n] - theirs[n]
-    J_xx = max(float(difference.real) / omega[n] ** 2, 0.0)
-    B_44 = max(float(difference.imag) / omega[n], 0.0)
-    roll = B_44 / (2.0 * np.sqrt(C_44 * (v["I_xx"] + J_xx)))
+    w = np.array([at.roll])
+    ours = ship_matrices(v)
+    alone = ours.stiffness - w[:, None, None] ** 2 * (ours.body + ours.added_mass)
+    difference = complex(
+        (_roll_alone(alone.astype(complex)) - _roll_alone(_of_table(table, v, w)))[0]
+    )
+    J_xx = max(difference.real / at.roll**2, 0.0)
+    B_44 = max(difference.imag / at.roll, 0.0)
     return {
         **static,
         "m_z": m_z,
         "J_xx": J_xx,
         "J_yy": J_yy,
-        "zeta_heave": B_33 / (2.0 * float(np.sqrt(C_33 * (m + m_z)))),
-        "zeta_roll": float(roll) + zeta,
-        "zeta_pitch": B_55 / (2.0 * float(np.sqrt(C_55 * (v["I_yy"] + J_yy)))),
+        "zeta_heave": B_33 / (2.0 * math.sqrt(C_33 * (m + m_z))),
+        "zeta_roll": B_44 / (2.0 * math.sqrt(C_44 * (v["I_xx"] + J_xx))) + zeta,
+        "zeta_pitch": B_55 / (2.0 * math.sqrt(C_55 * (v["I_yy"] + J_yy))),
     }
+
+
+class Frequencies(NamedTuple):
+    """Natural frequencies without damping, rad/s."""
+
+    heave: float
+    roll: float
+    pitch: float
+
+
+def natural_frequencies(table: HydroTable, values: Mapping[str, float]) -> Frequencies:
+    """Return where inertia, with the added mass of each frequency, and restoring are equal.
+
+    Heave and pitch are about the centre of the water plane and by themselves, roll has sway and
+    yaw free. ``values`` are the vessel's numbers. HydroError: one lies outside the table.
+    """
+    C_33, _, C_55 = _stiffness(values)
+    m, z_G, x_F = values["mass"], values["draft"] - values["KG"], values["x_F"]
+    omega = np.linspace(table.omega[0], table.omega[-1], _GRID)
+    A, _ = _about(x_F, *table.at(omega))
+    I_y = values["I_yy"] + m * ((values["x_G"] - x_F) ** 2 + z_G**2)
+    crossing = {
+        "heave": C_33 - omega**2 * (m + A[:, 2, 2]),
+        "roll": _roll_alone(_of_table(table, values, omega)).real,
+        "pitch": C_55 - omega**2 * (I_y + A[:, 4, 4]),
+    }
+    return Frequencies(*(float(omega[_crossing(c, mode)]) for mode, c in crossing.items()))
+
+
+def _about(x_F: float, *matrices: Array) -> list[Array]:
+    """Return matrices (n, 6, 6) with heave and pitch about the centre of the water plane."""
+    shift = np.eye(6)  # velocities at the origin from those at that centre
+    shift[HEAVE, PITCH] = x_F
+    return [np.asarray(shift.T @ matrix @ shift) for matrix in matrices]
+
+
+def _of_table(table: HydroTable, values: Mapping[str, float], omega: Array) -> Complex:
+    """Return the impedance (n, 6, 6) of a vessel without viscous damping."""
+    A, B = table.at(omega)
+    ship, w = ship_matrices(values), omega[:, None, None]
+    return np.asarray(ship.stiffness - w**2 * (ship.body + A) - 1j * w * B)
 
 
 def _roll_alone(impedance: Complex) -> Complex:

@@ -89,6 +89,9 @@ class HydroTable:
         numbers = (self.length, self.density, *(self.hydrostatics or ()))
         if not (np.isfinite(numbers).all() and self.length > 0.0 and self.density > 0.0):
             raise HydroError("length, density and hydrostatics: must be finite, and above 0")
+        # both sides are alike: what lies between heave and sway is noise of a code
+        for name in ("added_mass", "damping"):
+            object.__setattr__(self, name, np.where(ODD[:, None] == ODD, getattr(self, name), 0.0))
         if np.diagonal(self.damping, 0, 1, 2).max() <= 0.0:
             raise HydroError("damping: no motion radiates waves; is its sign right?")
 

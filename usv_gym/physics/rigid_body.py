@@ -68,11 +68,13 @@ def accelerate_6(
     u_H, v_H = u + z_H * q, v - z_H * p
     X_A, Y_A = m_y * v_H * r, -m_x * u_H * r
     a_x, a_y, a_z = v * r - w * q, w * p - u * r, u * q - v * p
-    X += X_A + m * (a_x + x_G * (q * q + r * r) - z_G * p * r) - m_z * w * q
-    Y += Y_A + m * (a_y - z_G * q * r - x_G * q * p) + m_z * w * p
-    Z += m * (a_z + z_G * (p * p + q * q) - x_G * r * p) + m_z * a_z
-    # that of heave moves with the boat, also where the water plane's centre is off the origin
-    M -= m_z * x_F * a_z
+    # that of heave, a mass that moves with the boat and resists along z only
+    sinking, a_F = m_z * (w - x_F * q), m_z * (a_z - x_F * r * p)
+    X += X_A + m * (a_x + x_G * (q * q + r * r) - z_G * p * r) - sinking * q
+    Y += Y_A + m * (a_y - z_G * q * r - x_G * q * p) + sinking * p
+    Z += m * (a_z + z_G * (p * p + q * q) - x_G * r * p) + a_F
+    M -= x_F * a_F
+    N += x_F * sinking * p
     K += -z_H * Y_A - (I_z - I_y) * q * r + p * q * I_xz - m * z_G * a_y
     M += z_H * X_A - (I_x - I_z) * r * p - (p * p - r * r) * I_xz + m * (z_G * a_x - x_G * a_z)
     N += -(I_y - I_x) * p * q - r * q * I_xz + m * x_G * a_y

@@ -183,10 +183,13 @@ def derivative(
     M -= x_F * k_z * vertical
     N += N_0 + x_G * Y_level + x_F * k_y * vertical
     if waves.shape[1] > 0 and tabled:
+        # level loads turned into the body
         ahead, aside, down_push = gain * loads[0], gain * loads[1], gain * loads[2]
+        heel, trim, turning = gain * loads[3], gain * loads[4], gain * loads[5]
         X, Y = X + ct * ahead + k_x * down_push, Y + sf * st * ahead + cf * aside + k_y * down_push
         Z += cf * st * ahead - sf * aside + k_z * down_push
-        K, M, N = K + gain * loads[3], M + gain * loads[4], N + gain * loads[5]
+        K, M = K + ct * heel + k_x * turning, M + sf * st * heel + cf * trim + k_y * turning
+        N += cf * st * heel - sf * trim + k_z * turning
     du, dv, dw, dp, dq, dr = accelerate_6(
         (X + X_level + k_x * vertical, Y + Y_level + k_y * vertical, Z, K, M, N),
         (u, v, w, p_rate, q_rate, r),

@@ -59,12 +59,26 @@ def drift_coefficients_limited(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """Return the mean-drift coefficients, kept to where the regression holds.
 
     Below 0.2 the value at 0.2 is held; from 1.0 to 1.3 it fades to nothing (cos^2). Printed
-    polynomials are cubic and would push a 7.5 m boat with four times its weight.
+    polynomials are cubic and would push a 7.5 m boat with four times its weight. C_Y is at most 1,
+    the drift of a wall that reflects all.
     """
     x = np.asarray(ratio, dtype=float)
     fade = np.cos(0.5 * math.pi * np.clip((x - 1.0) / 0.3, 0.0, 1.0)) ** 2
     c_x, c_y, c_n = drift_coefficients(np.clip(x, 0.2, 1.0))
-    return c_x * fade, c_y * fade, c_n * fade
+    return c_x * fade, np.minimum(c_y, 1.0) * fade, c_n * fade
+
+
+def reflected_by_draft(k: np.ndarray, draft: float) -> np.ndarray:
+    """Return the share of a wave's energy that a vertical wall as deep as the draft reflects.
+
+    ``k`` is the wave number, 1/m. Source: Ursell 1947, with 1.5 times the draft as in Fujii and
+    Takahashi 1975.
+    """
+    from scipy.special import i1, k1  # takes a while, and few vessels need it
+
+    depth = 1.5 * draft * np.asarray(k, dtype=float)
+    within = (math.pi * i1(np.minimum(depth, 20.0))) ** 2
+    return np.asarray(within / (within + k1(depth) ** 2))
 
 
 @kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from usv_gym.validation.boundary_elements import hull_in_waves
 from usv_gym.validation.manoeuvring import plants, tanker_measured, tanker_replay, tanker_trials
 from usv_gym.validation.numerics import numerics
 from usv_gym.validation.sea import sea, wind_and_drift
@@ -19,6 +20,7 @@ SECTIONS: dict[str, Callable[[Study], Section]] = {
     "sea": sea,
     "wind and drift": wind_and_drift,
     "loads in waves": loads_in_waves,
+    "hull in waves": hull_in_waves,
     "motions": motions,
     "small boats": plants,
     "numerics": numerics,

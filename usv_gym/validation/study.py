@@ -15,6 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from usv_gym.hydro.table import HydroTable
 from usv_gym.manoeuvring import rao, trials
 from usv_gym.manoeuvring.track import Track
 from usv_gym.manoeuvring.trials import StandardTrials
@@ -166,6 +167,13 @@ class Study:
         self.shared = shared
         self.boat = Vessel.load("usv75")
         self.model = Vessel.load("kvlcc2_l7")
+
+    def table(self, name: str) -> HydroTable:
+        """Return the hydrodynamic table of a vessel of the package, for its own length."""
+        vessel = Vessel.load(name)
+        if vessel.hydro is None:
+            raise ValueError(f"{name} names no hydrodynamic table")
+        return vessel.hydro
 
     def data(self, name: str) -> Path | None:
         """Return a folder of recorded data, None if it is missing."""

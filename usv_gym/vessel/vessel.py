@@ -200,6 +200,11 @@ class Vessel:
             raise VesselError(f"[vessel] hydro: {error}") from None
         return dataclasses.replace(self, values=values | found, hydro=table, stated=stated)
 
+    def without_table(self) -> Vessel:
+        """Return the vessel with the numbers of its file alone, in waves a box of its size."""
+        values = self.stated or self.values
+        return dataclasses.replace(self, values=values, hydro=None, stated={})
+
     @cached_property
     def loads(self) -> NDArray[np.complex128] | None:
         """Loads in waves on the ship in time, see :func:`~usv_gym.hydro.motions.equivalent_loads`.

@@ -15,7 +15,7 @@ from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
 from usv_kernel.records import Record
 
-__all__ = ["Sea", "drift_table", "load_rows", "wave_rows"]
+__all__ = ["Sea", "drift_sums", "drift_table", "load_rows", "wave_rows"]
 
 Array = NDArray[np.float64]
 
@@ -27,12 +27,12 @@ def wave_rows(
     north: ArrayLike,
     east: ArrayLike,
     phase: ArrayLike,
-) -> tuple[Array, Array]:
-    """Return wave components (7, M) as the kernels read them, and the sums (6,) of mean drift.
+) -> Array:
+    """Return wave components (7, M) as the kernels read them.
 
-    The vessel's draft and length decide how deep the pressure reaches and which waves it reflects.
-    ``omega`` is in rad/s, ``amplitude`` in m; ``north, east`` are the unit vector of each
-    component's direction. ``phase`` is that at the origin at time 0, rad.
+    The vessel's draft decides how deep the pressure reaches. ``omega`` is in rad/s, ``amplitude``
+    in m; ``north, east`` are the unit vector of each component's direction. ``phase`` is that at
+    the origin at time 0, rad.
     """
     omega, amplitude, north, east, phase = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(a, float)) for a in (omega, amplitude, north, east, phase))
@@ -44,11 +44,26 @@ def wave_rows(
     rows[waves.K_NORTH], rows[waves.K_EAST] = k * north, k * east
     rows[waves.PRESSURE] = rho_g * amplitude * -np.expm1(-k * draft) / k
     rows[waves.BOTTOM] = k * np.exp(-k * draft) / -np.expm1(-k * draft)
-    L, drift = vessel.values["length_waterline"], np.zeros(waves.DRIFT_SUMS)
-    for i, c in enumerate(waves.drift_coefficients_limited(2.0 * math.pi / (k * L))):
+    return rows
+
+
+def drift_sums(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array:
+    """Return the sums (6,) of mean drift by regression, see :func:`waves.mean_drift_loads`.
+
+    ``omega`` (M,) in rad/s, ``amplitude`` (M,) in m; the waves go ``to`` (M,), rad. Length and
+    number of hulls, with their draft, decide which waves are reflected.
+    """
+    k, L = omega**2 / GRAVITY, vessel.values["length_waterline"]
+    coefficients = waves.drift_coefficients_limited(2.0 * math.pi / (k * L))
+    if vessel.two_hulls:  # waves pass below shallow pontoons
+        c_x, c_y, c_n = coefficients
+        share = waves.reflected_by_draft(k, vessel.values["draft"])
+        coefficients = c_x, share * c_y, share * c_n
+    rho_g, sums = vessel.values["water_density"] * GRAVITY, np.zeros(waves.DRIFT_SUMS)
+    for i, c in enumerate(coefficients):
         load = 0.5 * rho_g * L ** (1 if i < 2 else 2) * c * amplitude**2
-        drift[2 * i : 2 * i + 2] = np.sum(load * north), np.sum(load * east)
-    return rows, drift
+        sums[2 * i : 2 * i + 2] = np.sum(load * np.cos(to)), np.sum(load * np.sin(to))
+    return sums
 
 
 _HEAVE, _PITCH = 2, 4
@@ -88,22 +103,20 @@ def load_rows(vessel: Vessel, rows: Array) -> Array:
     return out
 
 
-def drift_table(vessel: Vessel, rows: Array) -> Array | None:
-    """Return the mean drift (H, 3) of wave components (7, M) at even headings, None without table.
+def drift_table(vessel: Vessel, omega: Array, amplitude: Array, to: Array) -> Array | None:
+    """Return the mean drift (H, 3) at even headings of the boat, None without a table.
 
-    Forces in N, moment in N m.
+    Forces in N, moment in N m; the waves as in :func:`drift_sums`.
     """
     table = vessel.hydro
-    if table is None or table.drift is None or rows.shape[1] == 0:
+    if table is None or table.drift is None:
         return None
     scale = vessel.values["length_waterline"] / table.length
     points = table.omega / math.sqrt(scale)
-    at, square = rows[waves.OMEGA], rows[waves.AMPLITUDE] ** 2
-    drift = between(at, points, table.around(table.drift) * scale ** np.array([1.0, 1.0, 2.0]))
+    drift = between(omega, points, table.around(table.drift) * scale ** np.array([1.0, 1.0, 2.0]))
     # longer waves pass by
-    drift = drift * np.minimum(at / points[0], 1.0)[:, None, None] ** 4
-    to = np.arctan2(rows[waves.K_EAST], rows[waves.K_NORTH])
-    return np.asarray(np.sum(square[:, None, None] * _turned(drift, to).real, axis=0))
+    drift = drift * np.minimum(omega / points[0], 1.0)[:, None, None] ** 4
+    return np.asarray(np.sum(amplitude[:, None, None] ** 2 * _turned(drift, to).real, axis=0))
 
 
 def _beyond(omega: Array, points: Array) -> Array:
@@ -121,8 +134,9 @@ def _turned(values: NDArray[np.inexact], to: Array) -> NDArray[np.complex128]:
     ``to`` (M,) is where each wave goes. Trigonometric interpolation: exact up to K / 2 lobes.
     """
     K, H = values.shape[1], waves.LOAD_HEADINGS
-    order = np.fft.fftfreq(K, 1.0 / K)
-    lobes = np.fft.fft(values, axis=1) / K * np.exp(1j * np.outer(to, order))[:, :, None]
+    order = np.arange(-(K // 2), K // 2 + 1)
+    lobes = np.fft.fft(values, axis=1)[:, order] / K * np.exp(1j * np.outer(to, order))[:, :, None]
+    lobes[:, [0, -1]] *= 0.5  # K / 2 lobes turn either way
     psi = 2.0 * math.pi * np.arange(H) / H
     return np.asarray(np.exp(-1j * np.outer(psi, order)) @ lobes)
 
@@ -151,7 +165,7 @@ class Sea:
         ``omega`` in rad/s, ``amplitude`` in m; ``to`` is where the wave goes, ``phase`` that at the
         origin at time 0, rad.
         """
-        rows = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)[0]
+        rows = wave_rows(vessel, omega, amplitude, math.cos(to), math.sin(to), phase)
         return dataclasses.replace(cls.calm(), waves=rows, vessel=vessel)
 
     def arrays(self) -> ship.Sea:

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from usv_gym.physics import GRAVITY, spectra, waves
 from usv_gym.physics import weather as wx
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.realisation import Sea, drift_table, wave_rows
+from usv_gym.world.realisation import Sea, drift_sums, drift_table, wave_rows
 from usv_gym.world.recorded_spectrum import SeaError, Spectrum
 from usv_kernel.errors import is_finite
 
@@ -43,6 +44,8 @@ _GUST_BAND_HZ = (1.0 / 600.0, 0.5)
 
 # shares of the energy between which random frequencies lie; the tail beyond would thin them
 _BAND = np.array([0.001, 0.999])
+
+_DRIFT_WAVES = 200  # bins of the spectrum
 
 _TURN = 2.0 * math.pi
 
@@ -318,12 +321,48 @@ class SeaState:
             weather["keyframe_t"][i], weather["wave_gain"][i] = keyframe.time, gain
             weather["wind_speed"][i] = keyframe.wind
             weather["wind_from"][i] = self._wind_from(keyframe)
-        components = self._waves(vessel, rng_waves, weather["drift_sums"])
-        drift = drift_table(vessel, components)
-        if drift is not None:
-            weather["drift_table"], weather["drift_tabled"] = drift, 1.0
-        gusts = self._gusts(rng_gusts)
+        if self.hs > 0.0:
+            omega, amplitude, aside = self._drift_waves
+            weather["drift_sums"] = drift_sums(vessel, omega, amplitude, self._to + aside)
+            drift = drift_table(vessel, omega, amplitude, self._to + aside)
+            if drift is not None:
+                weather["drift_table"], weather["drift_tabled"] = drift, 1.0
+        components, gusts = self._waves(vessel, rng_waves), self._gusts(rng_gusts)
         return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
+
+    @property
+    def _to(self) -> float:
+        """Mean direction that the waves go to, rad."""
+        if self.wave_to is not None:
+            return self.wave_to
+        highest = max(self.schedule, key=lambda keyframe: keyframe.hs, default=None)
+        return math.pi + (self.wind_from if highest is None else self._wind_from(highest))
+
+    @cached_property
+    def _drift_waves(self) -> tuple[Array, Array, Array]:
+        """Waves whose mean drift is summed: frequencies, amplitudes (m), directions off the mean.
+
+        The drift of a sea is that of its spectrum. The few short components of one realisation
+        would make it a matter of chance for small boats.
+        """
+        table = self.wave_spectrum()
+        step = 0.5 * np.diff(table.omega) * (table.density[1:] + table.density[:-1])
+        energy = np.concatenate([[0.0], np.cumsum(step)])
+        edges = np.geomspace(table.omega[0], table.omega[-1], _DRIFT_WAVES + 1)
+        amplitude = np.sqrt(2.0 * np.diff(np.interp(edges, table.omega, energy)))
+        # the golden section deals out directions evenly, whatever part of the waves counts
+        shares = (0.5 + 0.6180339887498949 * np.arange(_DRIFT_WAVES)) % 1.0
+        return np.sqrt(edges[1:] * edges[:-1]), amplitude, self._aside(shares)
+
+    def _aside(self, shares: Array) -> Array:
+        """Return the directions off the mean, rad, below which shares of the energy go."""
+        if self.spreading is None:
+            return np.zeros(len(shares))
+        from scipy.special import betaincinv  # takes a while, and few seas need it
+
+        # (1 + sin)/2 of a cos^2s direction has a beta distribution
+        shape = self.spreading + 0.5
+        return np.asarray(np.arcsin(2.0 * betaincinv(shape, shape, shares) - 1.0))
 
     def _wind_from(self, keyframe: SeaKeyframe) -> float:
         return self.wind_from if keyframe.wind_from is None else keyframe.wind_from
@@ -348,29 +387,20 @@ class SeaState:
             omega = spectra.quantile_frequencies(quantiles, table.omega, table.density)
         return omega, np.full(M, self.hs / math.sqrt(8.0 * M))
 
-    def _waves(self, vessel: Vessel, rng: np.random.Generator, drift: Array) -> Array:
-        """Draw the wave components, and write the sums of their mean drift."""
+    def _waves(self, vessel: Vessel, rng: np.random.Generator) -> Array:
+        """Draw the wave components."""
         if self.hs == 0.0:
             return np.zeros((waves.WAVE_ROWS, 0))
         omega, amplitude = self._components(rng)
         M = len(omega)
-        phase = rng.uniform(0.0, 2.0 * math.pi, M)
-        to = self.wave_to
-        if to is None:
-            highest = max(self.schedule, key=lambda keyframe: keyframe.hs, default=None)
-            to = math.pi + (self.wind_from if highest is None else self._wind_from(highest))
-        aside = np.zeros(M)
+        phase, aside = rng.uniform(0.0, 2.0 * math.pi, M), np.zeros(M)
         if self.spreading is not None:
-            from scipy.special import betaincinv  # takes a while, and few seas need it
-
-            # (1 + sin)/2 of a cos^2s direction has a beta distribution. One direction at random in
-            # each of M bins of equal energy, dealt out to the frequencies
-            shape, shares = self.spreading + 0.5, (rng.permutation(M) + rng.random(M)) / M
-            aside = np.arcsin(2.0 * betaincinv(shape, shape, shares) - 1.0)
+            # one direction at random in each of M bins of equal energy, dealt to the frequencies
+            aside = self._aside((rng.permutation(M) + rng.random(M)) / M)
+        to = self._to
         north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)
         east = math.sin(to) * np.cos(aside) + math.cos(to) * np.sin(aside)
-        rows, drift[:] = wave_rows(vessel, omega, amplitude, north, east, phase)
-        return rows
+        return wave_rows(vessel, omega, amplitude, north, east, phase)
 
     def _gusts(self, rng: np.random.Generator) -> Array:
         if self.wind == 0.0 or self.gusts == "none":

@@ -91,9 +91,9 @@ def test_a_turn_to_the_wrong_side_is_an_error() -> None:
     assert any("to port" in text for text in texts), texts
 
 
-def test_natural_periods_of_usv75_match_estimates() -> None:
-    # docs/explanation/validation.md, Loads and free motions in waves
+def test_natural_periods_of_usv75_are_those_of_its_table() -> None:
+    # capytaine's, of a study outside this project; its hull lay deeper by the stern
     periods = inspect(Vessel.load("usv75")).periods
-    assert periods["heave"] == pytest.approx(2.1, abs=0.03)
-    assert periods["pitch"] == pytest.approx(2.1, abs=0.03)
-    assert 1.8 < periods["roll"] < 2.3
+    assert periods["heave"] == pytest.approx(1.91, abs=0.04)
+    assert periods["pitch"] == pytest.approx(1.91, abs=0.15)
+    assert periods["roll"] == pytest.approx(2.11, abs=0.1)

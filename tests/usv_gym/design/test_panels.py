@@ -1,24 +1,19 @@
 """Tables that capytaine makes of our meshes."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from usv_gym import Vessel
 from usv_gym.design import panels
-from usv_gym.hydro.netcdf import read_table
 from usv_gym.hydro.table import HydroError
-
-STORED = Path(__file__).parents[1] / "hydro"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["usv75", "otter"])
+@pytest.mark.parametrize("name", ["usv75", "telemetron", "otter", "wamv16"])
 def test_stored_tables_are_what_the_function_makes(name):
     pytest.importorskip("capytaine")
-    stored, done = read_table(STORED / f"{name}.nc"), []
-    again = panels.make_table(Vessel.load(name), done.append)
+    vessel, done = Vessel.load(name), []
+    stored, again = vessel.hydro, panels.make_table(vessel, done.append)
     assert done == list(range(1, len(stored.omega) + 1))
     for key in ("added_mass", "damping", "excitation", "drift"):
         wanted = getattr(stored, key)

@@ -1,19 +1,18 @@
 """Results of other codes become the same table, and damaged ones a sentence."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from usv_gym import Vessel
 from usv_gym.hydro.codes import Water, read_results
-from usv_gym.hydro.netcdf import encode_table, read_table
+from usv_gym.hydro.netcdf import encode_table
 from usv_gym.hydro.table import HydroError
 from usv_gym.physics import GRAVITY
 
-TABLE = read_table(Path(__file__).parent / "usv75.nc")
 BOAT = Vessel.load("usv75")
+TABLE = BOAT.hydro
 WATER = Water(TABLE.length, TABLE.density, BOAT.values["mass"])
 TURN = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
 BOTH = TURN[:, None] * TURN

@@ -2,14 +2,12 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from usv_gym import SeaState, Vessel
 from usv_gym.hydro.motions import response
-from usv_gym.hydro.netcdf import read_table
 from usv_gym.hydro.table import between
 from usv_gym.manoeuvring import rao
 from usv_gym.physics import GRAVITY, waves
@@ -17,14 +15,13 @@ from usv_gym.physics import ship as ship_kernels
 from usv_gym.world.realisation import Sea, drift_table, load_rows
 from usv_gym.world.simulation import Simulation
 
-FOLDER = Path(__file__).parent
 NAMES = ("usv75", "otter")
 OMEGA = {"usv75": (1.2, 2.2, 3.2), "otter": (2.0, 3.5, 5.0)}
 
 
 @pytest.fixture(scope="module", params=NAMES)
 def boat(request):
-    return Vessel.load(request.param).with_table(read_table(FOLDER / f"{request.param}.nc"))
+    return Vessel.load(request.param)
 
 
 @pytest.mark.parametrize("degrees", [90, 135, 180])
@@ -51,7 +48,7 @@ def test_waves_longer_than_the_table_s_carry_the_boat(boat):
 
 
 def test_the_file_s_numbers_are_kept_aside(boat):
-    plain = Vessel.load(boat.name)
+    plain = boat.without_table()
     assert boat.stated == plain.values
     for key in ("m_z", "J_yy", "zeta_pitch", "GM_T"):
         assert boat.values[key] != plain.values[key]
@@ -98,15 +95,15 @@ def test_loads_between_headings_are_interpolated_closely(boat):
 def test_drift_pushes_with_the_waves(boat):
     rng = np.random.default_rng(1)
     sea = SeaState(hs=0.3, wind=0.0, wave_to=0.0, components=60).realise(boat, rng, rng)
-    drift = drift_table(boat, sea.waves)
+    drift = sea.weather["drift_table"]
     H = len(drift)
     assert drift[0, 0] > 0.0 > drift[H // 2, 0]  # following, and against the waves
     assert drift[3 * H // 4, 1] > 0.0 > drift[H // 4, 1]  # waves from port push to starboard
-    assert drift_table(Vessel.load(boat.name), sea.waves) is None
+    assert drift_table(boat.without_table(), *np.ones((3, 1))) is None
 
 
-def test_a_sea_without_a_table_has_no_loads():
-    plain = Vessel.load("usv75")
+def test_a_sea_without_a_table_has_no_loads(boat):
+    plain = boat.without_table()
     rows = Sea.regular(plain, 2.0, 0.1).waves
     assert load_rows(plain, rows).shape[0] == 0
     assert ship_kernels.NO_LOADS.shape[0] == 0
@@ -124,7 +121,7 @@ def test_a_boat_with_a_table_moves_in_a_batch_as_alone(boat):
 
 
 def test_without_waves_a_table_changes_no_manoeuvre_in_the_plane(boat):
-    plain = Vessel.load(boat.name)
+    plain = boat.without_table()
 
     def turn(one):
         simulation = Simulation(1, one, SeaState.named("calm"), dof=3)
@@ -137,7 +134,8 @@ def test_without_waves_a_table_changes_no_manoeuvre_in_the_plane(boat):
 
 
 def test_a_table_that_ends_too_early_is_refused():
-    table = read_table(FOLDER / "usv75.nc")
+    boat = Vessel.load("usv75")
+    table = boat.hydro
     few = slice(0, 6)
     short = dataclasses.replace(
         table,
@@ -148,4 +146,4 @@ def test_a_table_that_ends_too_early_is_refused():
         drift=table.drift[few],
     )
     with pytest.raises(ValueError, match=r"natural frequency of .* wider range"):
-        Vessel.load("usv75").with_table(short)
+        boat.with_table(short)

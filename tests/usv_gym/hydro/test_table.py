@@ -1,7 +1,6 @@
 """Hydrodynamic tables: files, scale, origin, and what is refused."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,7 @@ from usv_gym import Vessel
 from usv_gym.hydro.netcdf import decode_table, encode_table, read_table
 from usv_gym.hydro.table import HydroError, between
 
-FOLDER = Path(__file__).parent
-TABLE = read_table(FOLDER / "usv75.nc")
+TABLE = Vessel.load("usv75").hydro
 
 
 def assert_equal(one, other, rtol=1e-6):

@@ -249,11 +249,15 @@ def test_drift_has_the_shape_of_its_table() -> None:
 def test_limited_drift_is_the_regression_within_its_range() -> None:
     x = np.linspace(0.2, 1.0, 200)
     printed, limited = waves.drift_coefficients(x), waves.drift_coefficients_limited(x)
-    np.testing.assert_array_equal(limited, printed)
+    # no hull throws back more than all of a beam wave
+    at_most = printed[0], np.minimum(printed[1], 1.0), printed[2]
+    np.testing.assert_array_equal(limited, at_most)
+    assert printed[1].max() > 1.2
 
 
 def test_limited_drift_ends_and_is_continuous() -> None:
     held = np.array(waves.drift_coefficients(np.array(0.2)))
+    held[1] = min(held[1], 1.0)
     for x in (1e-6, 0.05, 0.2):
         np.testing.assert_array_equal(waves.drift_coefficients_limited(np.array(x)), held)
     # cos(pi/2)^2 is 4e-33, not 0
@@ -286,14 +290,13 @@ def test_truncated_drift_of_the_papers_sea() -> None:
 
 
 def test_drift_sums_of_a_realised_sea() -> None:
-    """A sea of 100 components has the drift of the fine one, in the direction of its waves."""
+    """A sea of a few components has the drift of its spectrum, in the direction of its waves."""
     direction = math.radians(40.0)
     rng = np.random.default_rng(5)
-    sea = SeaState(hs=0.5, wave_to=direction).realise(BOAT, rng, rng)
+    sea = SeaState(hs=0.5, wave_to=direction, components=3).realise(BOAT, rng, rng)
     drift = sea.weather["drift_sums"]
     fine = sums(limited=True)
-    # one frequency at random in each of 100 bins: 8 % (the spread over seeds is 1 to 4 %)
-    np.testing.assert_allclose(drift[0::2], fine * math.cos(direction), rtol=0.16)
+    np.testing.assert_allclose(drift[0::2], fine * math.cos(direction), rtol=0.01)
     np.testing.assert_allclose(drift[1::2] / drift[0::2], math.tan(direction), rtol=1e-12)
     # small (docs/explanation/ship_and_sea.md, Waves); the printed polynomials give 132 kN
     assert np.max(np.abs(drift)) < 100.0

@@ -157,7 +157,7 @@ def accelerations(
     if not first_order:
         rows[[waves.PRESSURE, waves.BOTTOM]] = 0.0
     if not drift:
-        weather["drift_sums"] = 0.0
+        weather["drift_table"] = 0.0
     state, out = np.zeros(fr.STATE_SIZE), np.zeros(fr.STATE_SIZE)
     factors = waves.factor_workspace(rows.shape[1])
     waves.box_factors(0.0, rows, P, 6, factors)
