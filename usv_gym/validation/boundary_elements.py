@@ -32,7 +32,7 @@ FREQUENCIES = np.linspace(0.64, 2.8, 10)
 SEAS = {"sea state 2": 0.3, "sea state 3": 0.88}
 """Significant heights, m."""
 
-SPECTRUM = np.geomspace(0.9, 9.0, 40)
+SPECTRUM = np.geomspace(0.9, 9.0, 48)
 """Frequencies of the amplitudes in irregular seas, rad/s."""
 
 CODE = "capytaine 3.0.0"
@@ -42,9 +42,7 @@ def hull_in_waves(study: Study) -> Section:
     """Return amplitudes, motions in irregular seas, free motions and mean drift of four boats."""
     found: list[Row] = []
     for name in BOATS:
-        boat, table = Vessel.load(name), study.table(name)
-        found += [*_amplitudes(boat, table), *_irregular(boat, table)]
-        found += [*_free(boat, table), *_drift(boat, table)]
+        found += boat_in_waves(Vessel.load(name), study.table(name))
     return Section(
         "Motions in waves against a boundary-element code",
         "Shown are simulated boats at rest, and beside them linear theory with added mass, damping "
@@ -56,7 +54,14 @@ def hull_in_waves(study: Study) -> Section:
         "are of a free decay, where heave and pitch couple. Drift of a simulated sea is beside an "
         "integral over its spectrum.",
         tuple(found),
+        {"hull_in_waves.png": f"Amplitudes of four boats: simulated (lines) and {CODE} (dots)."},
     )
+
+
+def boat_in_waves(boat: Vessel, table: HydroTable) -> list[Row]:
+    """Return the rows of a boat with a table, beside those that a table gives for it."""
+    parts = _amplitudes, _irregular, _free, _drift
+    return [row for part in parts for row in part(boat, table)]
 
 
 def _modes() -> Iterator[tuple[str, str]]:
@@ -67,7 +72,7 @@ def _modes() -> Iterator[tuple[str, str]]:
                 yield motion, direction
 
 
-def _both(
+def both(
     boat: Vessel, table: HydroTable, omega: Array
 ) -> dict[tuple[str, str], tuple[Array, Array]]:
     """Return the amplitudes of simulation and table at frequencies (rad/s), by motion and heading.
@@ -92,7 +97,7 @@ def _amplitudes(boat: Vessel, table: HydroTable) -> list[Row]:
     omega = FREQUENCIES * math.sqrt(GRAVITY / boat.values["length_waterline"])
     entries = [
         (f"{boat.name}, {motion}, {direction}, w = {w:.2f}: {_unit(motion)}/m", a, b)
-        for (motion, direction), pair in _both(boat, table, omega).items()
+        for (motion, direction), pair in both(boat, table, omega).items()
         for w, a, b in zip(omega, *pair, strict=True)
     ]
     return rows(entries, CODE, 0.1, digits=3)
@@ -100,7 +105,7 @@ def _amplitudes(boat: Vessel, table: HydroTable) -> list[Row]:
 
 def _irregular(boat: Vessel, table: HydroTable) -> list[Row]:
     """Return rows of the standard deviation of motions in PM seas."""
-    pairs = _both(boat, table, SPECTRUM)
+    pairs = both(boat, table, SPECTRUM)
     return rows(
         (
             (f"{boat.name}, {sea}, {direction}: rms {motion}, {_unit(motion)}", *sizes)
@@ -169,4 +174,4 @@ def _drift(boat: Vessel, table: HydroTable) -> list[Row]:
                     entries.append(
                         (f"{boat.name}, {sea}, {direction}: drift {name}, N", ours[i], wanted)
                     )
-    return rows(entries, CODE, 0.05, digits=3)
+    return rows(entries, CODE, 0.1, digits=3)

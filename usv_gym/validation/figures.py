@@ -12,6 +12,7 @@ import numpy as np
 from usv_gym.manoeuvring.track import Track
 from usv_gym.physics import GRAVITY, KNOT, wind
 from usv_gym.physics.hull import hull_forces
+from usv_gym.validation.boundary_elements import BOATS, both
 from usv_gym.validation.manoeuvring import SAVITSKY
 from usv_gym.validation.sea import BLENDERMANN_LOADS, SEAS
 from usv_gym.validation.study import DEGREE, HEADINGS, OMEGA, SPEEDS, Study, an_hour, realise
@@ -179,6 +180,28 @@ def seas(study: Study) -> Figure | None:
     return figure
 
 
+def hull_in_waves(study: Study) -> Figure:
+    """Response amplitudes of four boats, and those of a boundary-element code."""
+    figure, axes = _axes(len(BOATS), 3, 9.0, 9.6)
+    for row, name in enumerate(BOATS):
+        boat, table = Vessel.load(name), study.table(name)
+        scale = math.sqrt(GRAVITY / boat.values["length_waterline"])
+        fine, few = (np.linspace(0.64, 4.0, count) * scale for count in (60, 15))
+        lines, dots = both(boat, table, fine), both(boat, table, few)
+        for column, motion in enumerate(("heave", "roll", "pitch")):
+            one = axes[row, column]
+            for direction, colour in zip(("beam", "bow", "head"), COLOURS, strict=False):
+                if (motion, direction) in lines:
+                    one.plot(fine, lines[motion, direction][0], color=colour, label=direction)
+                    one.plot(few, dots[motion, direction][1], "o", color=colour, ms=4)
+            unit = "m/m" if motion == "heave" else "deg/m"
+            last = row == len(BOATS) - 1
+            _label(one, "wave frequency, rad/s" if last else "", f"{motion}, {unit}", name)
+            one.set_ylim(bottom=0.0)
+    axes[0, 0].legend(fontsize=8)
+    return figure
+
+
 def raos(study: Study) -> Figure:
     """Response amplitudes, and Jensen's."""
     figure, axes = _axes(3, 2, 7.6, 6.8)
@@ -241,6 +264,7 @@ PICTURES: dict[str, Callable[[Study], Figure | None]] = {
     "kvlcc2_zigzags.png": zigzags,
     "wind.png": wind_coefficients,
     "spectra.png": seas,
+    "hull_in_waves.png": hull_in_waves,
     "raos.png": raos,
     "speed_power.png": speed_power,
 }

@@ -62,8 +62,8 @@ What the results say:
 - The tanker turns as in towing tanks, within 6 %. Its overshoots in zigzags are too small, and a
   replay of long recorded zigzags diverges.
 - Simulated seas have the given height, period and spectrum.
-- Motions in waves agree with an independent theory within 20 % at rest, and within a factor of
-  2.5 under way.
+- At rest, motions in waves and mean drift of four boats are those of a boundary-element code
+  within 5 %. Under way, an independent theory has amplitudes of the same shape, not of one size.
 
 What is **not** validated:
 
@@ -73,7 +73,7 @@ What is **not** validated:
 - Six degrees of freedom in steep waves: loads are linear, hulls wall-sided, and no wave breaks.
 - The 7.5 m boat itself: no trials of it are public, and most of its coefficients are estimates,
   marked in `usv_gym/vessel/vessels/usv75.toml`.
-- Resonance under way: amplitudes are up to half lower than by Jensen's closed forms.
+- Hydrodynamics under way: the loads are those at rest, at the frequency of encounter.
 - Tolerances that a section states as chosen after the values were known.
 """
 

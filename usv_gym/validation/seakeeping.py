@@ -36,21 +36,18 @@ JENSEN = (
 )
 """Frequency (rad/s), speed (m/s), heave (m/m) and pitch (rad/m) in head sea."""
 
-PERIODS = (
-    ("heave", fr.Z, 2.15, 0.1, "zeta_heave"),
-    ("pitch", fr.THETA, 2.1, 0.1, "zeta_pitch"),
-    ("roll", fr.PHI, 2.05, 0.25, "zeta_roll"),
+DAMPINGS = (
+    ("heave", fr.Z, "zeta_heave"),
+    ("pitch", fr.THETA, "zeta_pitch"),
+    ("roll", fr.PHI, "zeta_roll"),
 )
-"""Motion, column, natural period (s) and its tolerance (s), key of the damping."""
+"""Motion, column, key of the damping."""
 
-# speed, heading, rms of heave (m), pitch and roll (deg)
+# heading, rms of heave (m), pitch and roll (deg) under way
 EXPECTED = (
-    (0.0, "head", 0.089, 2.45, None),
-    (0.0, "bow-quarter", 0.104, 2.15, 4.2),
-    (0.0, "beam", 0.129, None, 7.3),
-    (5.58, "head", 0.131, 2.18, None),
-    (5.58, "bow-quarter", 0.151, 2.04, 3.5),
-    (5.58, "stern-quarter", 0.068, 1.1, 0.9),
+    ("head", 0.131, 2.18, None),
+    ("bow-quarter", 0.151, 2.04, 3.5),
+    ("stern-quarter", 0.068, 1.1, 0.9),
 )
 
 LONG = OMEGA <= 2.2
@@ -98,7 +95,7 @@ def rms(response: Array, hs: float = 0.5) -> float:
 
 
 def loads_in_waves(study: Study) -> Section:
-    """Return closed forms, quadrature, natural periods, limits and linearity."""
+    """Return closed forms, quadrature, dampings, limits and linearity."""
     boat, formulas, limits = study.boat, [], []
     for omega, speed, *wants in JENSEN:
         # published for g = 9.81 m/s2: the same wave and Froude number here
@@ -110,12 +107,10 @@ def loads_in_waves(study: Study) -> Section:
     found = rows(formulas, SEPARATE, 1e-3)
     item = "Froude-Krylov loads against quadrature: largest error over 200 waves"
     found += rows([(item, quadrature_error(boat), 0.0)], "numerical quadrature", 1e-10, "below")
-    for name, column, want, allowed, key in PERIODS:
-        period, zeta = decay(boat, column)
-        item, source = f"usv75, free decay: {name}, period, s", "closed-form estimate"
-        found += rows([(item, period, want)], source, allowed, "absolute", 3)
+    for name, column, key in DAMPINGS:
         item = f"usv75, free decay: {name}, damping over critical"
-        found += rows([(item, zeta, boat.values[key])], "vessel file", 0.2, digits=3)
+        entry = (item, decay(boat, column)[1], boat.values[key])
+        found += rows([entry], "hydrodynamic table", 0.1, digits=3)
     slope = OMEGA[0] ** 2 / GRAVITY
     for speed in SPEEDS:
         head, beam = (study.responses[name, speed] for name in ("head", "beam"))
@@ -138,8 +133,8 @@ def loads_in_waves(study: Study) -> Section:
         found += rows([(item, float(high / small), 250.0)], "linearity")
     return Section(
         "Loads and free motions in waves",
-        "Closed forms and quadrature check the formulas of the loads. Natural periods, long-wave "
-        "limits and linearity check the simulation in six degrees of freedom. In a very long wave "
+        "Closed forms and quadrature check the formulas of the loads. Dampings, long-wave limits "
+        "and linearity check the simulation in six degrees of freedom. In a very long wave "
         "the boat must move with the water and tilt with its slope, at rest and under way. "
         "Hull, propulsion and added mass move relative to the orbital motion. Roll and pitch "
         "couple with sway, which changes their damping. Waves of .25 m show how linear the boat "
@@ -149,31 +144,28 @@ def loads_in_waves(study: Study) -> Section:
 
 
 def motions(study: Study) -> Section:
-    """Return response amplitudes over Jensen's, and motions in a PM sea."""
-    found, jensen = [], "Jensen, Mansour and Olsen 2004"
-    for speed in SPEEDS:
-        for heading in ("head", "bow-quarter", "beam", "following"):
-            if speed == 0.0 and heading == "following":
-                continue  # equal to head sea
-            got = study.responses[heading, speed]
-            simulated = {"heave": got.heave, "pitch": got.pitch}
-            closed = dict(zip(simulated, study.jensen(heading, speed), strict=True))
-            for name in simulated if heading != "beam" else ("heave",):
-                values, wants = simulated[name], closed[name]
-                used = LONG & np.isfinite(values)
-                ratio = values[used] / wants[used]
-                where = f"usv75, {name}, {heading}, U = {speed:g} m/s"
-                extremes = [
-                    (f"{where}, lambda > 2 L: smallest ratio", float(np.min(ratio)), 1.0),
-                    (f"{where}, lambda > 2 L: largest ratio", float(np.max(ratio)), 1.0),
-                ]
-                found += rows(extremes, jensen, 1.2 if speed == 0.0 else 2.5, "factor", 3)
-                used = np.isfinite(values) & (OMEGA <= 4.0)
-                correlation = float(np.corrcoef(values[used], wants[used])[0, 1])
-                entry = (f"{where}: correlation, w <= 4", correlation, 1.0)
-                found += rows([entry], jensen, 0.25, "absolute", 3)
+    """Return response amplitudes under way over Jensen's, and motions in a PM sea."""
+    found, jensen, speed = [], "Jensen, Mansour and Olsen 2004", SPEEDS[1]
+    for heading in ("head", "bow-quarter", "beam", "following"):
+        got = study.responses[heading, speed]
+        simulated = {"heave": got.heave, "pitch": got.pitch}
+        closed = dict(zip(simulated, study.jensen(heading, speed), strict=True))
+        for name in simulated if heading != "beam" else ("heave",):
+            values, wants = simulated[name], closed[name]
+            used = LONG & np.isfinite(values)
+            ratio = values[used] / wants[used]
+            where = f"usv75, {name}, {heading}, U = {speed:g} m/s"
+            extremes = [
+                (f"{where}, lambda > 2 L: smallest ratio", float(np.min(ratio)), 1.0),
+                (f"{where}, lambda > 2 L: largest ratio", float(np.max(ratio)), 1.0),
+            ]
+            found += rows(extremes, jensen, digits=3)
+            used = np.isfinite(values) & (OMEGA <= 4.0)
+            correlation = float(np.corrcoef(values[used], wants[used])[0, 1])
+            entry = (f"{where}: correlation, w <= 4", correlation, 1.0)
+            found += rows([entry], jensen, 0.2, "absolute", 3)
     names = ("heave, m", "pitch, deg", "roll, deg")
-    for speed, heading, *references in EXPECTED:
+    for heading, *references in EXPECTED:
         got = study.responses[heading, speed]
         sizes = rms(got.heave), rms(got.pitch) / DEGREE, rms(got.roll) / DEGREE
         where = f"usv75 in PM, Hs .5 m, {heading}, U = {speed:g} m/s: rms"
@@ -182,18 +174,17 @@ def motions(study: Study) -> Section:
             for name, value, want in zip(names, sizes, references, strict=True)
             if want is not None
         ]
-        found += rows(entries, "Jensen's closed forms", 2.5, "factor", 3)
+        found += rows(entries, "Jensen's closed forms", digits=3)
     return Section(
-        "Motions in waves against Jensen's closed forms",
-        "Shown are ratios of the simulated boat's response amplitudes to an independent theory of "
-        "box-shaped ships, in low regular waves longer than two ship lengths. Then follow the "
-        "resulting motions in a PM sea with Hs .5 m. They agree within 20 % at rest and within a "
-        "factor of 2.5 under way. These tolerances were chosen after the values were known, so "
-        "they detect changes and prove little. Resonance in head seas at speed is up to half "
-        "lower than Jensen's. The likely cause, not tested, is the damping: a fixed share of the "
-        "critical damping here, the radiated waves there. In following seas the boat is compared "
-        "at its encounter frequency, which is outside the range of the closed forms. No model "
-        "tests of this boat are known.",
+        "Motions under way beside Jensen's closed forms",
+        "No table of hydrodynamics under way is at hand. Shown are ratios of the simulated boat's "
+        "response amplitudes to a theory of box-shaped ships, in low regular waves longer than two "
+        "ship lengths, then motions in a PM sea with Hs .5 m. The theory holds to a Froude number "
+        "of .4 and the boat sails at .7, so sizes are reported only. Their shape over the "
+        "frequency is tested. Added mass, damping and excitation are those at rest here, and waves "
+        "are met at the frequency of encounter. In following seas the boat is compared at its "
+        "encounter frequency, which is outside the range of the closed forms. No model tests of "
+        "this boat are known.",
         tuple(found),
         {
             "raos.png": "Response amplitudes of the 7.5 m boat: simulated (lines) and Jensen's "
