@@ -109,7 +109,7 @@ def reads_bag(path: Path) -> None:
 KINDS = [
     Kind("usv75.toml", shipped("usv_gym/vessel/vessels/usv75.toml"), Vessel.load),
     Kind("otter.toml", shipped("usv_gym/vessel/vessels/otter.toml"), Vessel.load),
-    Kind("hull.nc", shipped("tests/usv_gym/hydro/usv75.nc"), read_table),
+    Kind("hull.nc", shipped("usv_gym/vessel/vessels/usv75.nc"), read_table),
     Kind("boat.toml", shipped("twin/logs/recorded/boat1_usv_circle.toml"), Particulars.load),
     Kind("boat.prior", own_prior, BoatPrior.load),
     Kind("a.mapping.toml", lambda folder: FOREIGN.encode(), Layout.load),

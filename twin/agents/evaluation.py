@@ -182,5 +182,6 @@ def _mean(values: np.ndarray) -> np.ndarray:
     """Return the means of columns over what is no NaN; NaN where there is nothing else."""
     known = np.isfinite(values)
     count = known.sum(axis=0)
-    total = np.where(known, values, 0.0).sum(axis=0)
+    # sums of a column that do not hang on the number of columns
+    total = np.ascontiguousarray(np.where(known, values, 0.0).T).sum(axis=1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -28,6 +28,7 @@ CLASSES = {
     "FilterSettings": "twin.identification.filter_settings",
     "RefitSettings": "twin.identification.prediction_error",
     "Vessel": "usv_gym.vessel.vessel",
+    "HydroTable": "usv_gym.hydro.table",
     "SeaState": "usv_gym.world.sea",
     "SeaKeyframe": "usv_gym.world.sea",
     "Spectrum": "usv_gym.world.recorded_spectrum",
@@ -45,7 +46,7 @@ def pack_option(value: Any, where: str, arrays: Arrays) -> Any:
         return value
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biufU":
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biufcU":
         arrays[where] = value
         return {"array": where}
     if isinstance(value, Path):

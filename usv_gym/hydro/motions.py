@@ -118,10 +118,9 @@ def natural_values(table: HydroTable, values: Mapping[str, float]) -> dict[str, 
     at = natural_frequencies(table, v)
     C_33, C_44, C_55 = _stiffness(v)
     m, x_F = v["mass"], v["x_F"]
-    A, B = _about(x_F, *table.at(at.heave))
-    m_z, B_33 = float(A[0, 2, 2]), float(B[0, 2, 2])
-    A, B = _about(x_F, *table.at(at.pitch))
-    J_yy, B_55 = float(A[0, 4, 4]), float(B[0, 4, 4])
+    of_heave, of_pitch = (_about(x_F, *table.at(omega)) for omega in (at.heave, at.pitch))
+    m_z, B_33 = (float(matrix[0, 2, 2]) for matrix in of_heave)
+    J_yy, B_55 = (float(matrix[0, 4, 4]) for matrix in of_pitch)
 
     zeta = v.get("zeta_roll_viscous", 0.0)
     v |= {"m_z": m_z, "J_yy": J_yy, "J_xx": 0.0, "zeta_roll": zeta}
@@ -158,15 +157,15 @@ def natural_frequencies(table: HydroTable, values: Mapping[str, float]) -> Frequ
     Heave and pitch are about the centre of the water plane and by themselves, roll has sway and
     yaw free. ``values`` are the vessel's numbers. HydroError: one lies outside the table.
     """
-    C_33, _, C_55 = _stiffness(values)
+    stiffness = _stiffness(values)
     m, z_G, x_F = values["mass"], values["draft"] - values["KG"], values["x_F"]
     omega = np.linspace(table.omega[0], table.omega[-1], _GRID)
-    A, _ = _about(x_F, *table.at(omega))
+    A = _about(x_F, *table.at(omega))[0]
     I_y = values["I_yy"] + m * ((values["x_G"] - x_F) ** 2 + z_G**2)
     crossing = {
-        "heave": C_33 - omega**2 * (m + A[:, 2, 2]),
+        "heave": stiffness[0] - omega**2 * (m + A[:, 2, 2]),
         "roll": _roll_alone(_of_table(table, values, omega)).real,
-        "pitch": C_55 - omega**2 * (I_y + A[:, 4, 4]),
+        "pitch": stiffness[2] - omega**2 * (I_y + A[:, 4, 4]),
     }
     return Frequencies(*(float(omega[_crossing(c, mode)]) for mode, c in crossing.items()))
 

@@ -95,6 +95,15 @@ class HydroTable:
         if np.diagonal(self.damping, 0, 1, 2).max() <= 0.0:
             raise HydroError("damping: no motion radiates waves; is its sign right?")
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, HydroTable):
+            return NotImplemented
+        names = [item.name for item in dataclasses.fields(self)]
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __hash__(self) -> int:
+        return hash((self.length, self.density, self.source))
+
     def at(self, omega: Array) -> tuple[Array, Array]:
         """Return added mass and damping (n, 6, 6) at frequencies (n,), rad/s."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))

@@ -182,7 +182,7 @@ def seas(study: Study) -> Figure | None:
 
 def hull_in_waves(study: Study) -> Figure:
     """Response amplitudes of four boats, and those of a boundary-element code."""
-    figure, axes = _axes(len(BOATS), 3, 9.0, 9.6)
+    figure, axes = _axes(len(BOATS), 3, 7.0, 7.2)
     for row, name in enumerate(BOATS):
         boat, table = Vessel.load(name), study.table(name)
         scale = math.sqrt(GRAVITY / boat.values["length_waterline"])
@@ -204,7 +204,7 @@ def hull_in_waves(study: Study) -> Figure:
 
 def raos(study: Study) -> Figure:
     """Response amplitudes, and Jensen's."""
-    figure, axes = _axes(3, 2, 7.6, 6.8)
+    figure, axes = _axes(3, 2, 7.2, 6.4)
     k = OMEGA**2 / GRAVITY
     low = OMEGA <= 4.6
     for column, speed in enumerate(SPEEDS):

@@ -15,7 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from usv_gym.hydro.table import HydroTable
+from usv_gym.hydro.table import HydroError, HydroTable
 from usv_gym.manoeuvring import rao, trials
 from usv_gym.manoeuvring.track import Track
 from usv_gym.manoeuvring.trials import StandardTrials
@@ -172,7 +172,7 @@ class Study:
         """Return the hydrodynamic table of a vessel of the package, for its own length."""
         vessel = Vessel.load(name)
         if vessel.hydro is None:
-            raise ValueError(f"{name} names no hydrodynamic table")
+            raise HydroError(f"{name} names no hydrodynamic table")
         return vessel.hydro
 
     def data(self, name: str) -> Path | None:

@@ -201,9 +201,26 @@ class Vessel:
         return dataclasses.replace(self, values=values | found, hydro=table, stated=stated)
 
     def without_table(self) -> Vessel:
-        """Return the vessel with the numbers of its file alone, in waves a box of its size."""
-        values = self.stated or self.values
+        """Return the vessel with the numbers of its file alone, in waves a box of its size.
+
+        One of :meth:`varied` keeps its factors of the others.
+        """
+        if self.hydro is None:
+            return self
+        nominal = self._nominal
+        values = {
+            key: v if self.values[key] == nominal[key] else self.values[key] / nominal[key] * v
+            for key, v in self.stated.items()
+        }
         return dataclasses.replace(self, values=values, hydro=None, stated={})
+
+    @cached_property
+    def _nominal(self) -> dict[str, float]:
+        """Numbers that a vessel with a table had when it was read."""
+        if self.hydro is None:
+            return dict(self.values)
+        nominal = {"zeta_roll_viscous": ZETA_ROLL_VISCOUS, **self.stated}
+        return nominal | natural_values(self.hydro, nominal)
 
     @cached_property
     def loads(self) -> NDArray[np.complex128] | None:
@@ -213,9 +230,7 @@ class Vessel:
         """
         if self.hydro is None:
             return None
-        nominal = {"zeta_roll_viscous": ZETA_ROLL_VISCOUS, **self.stated}
-        nominal |= natural_values(self.hydro, nominal)
-        return equivalent_loads(self.hydro, self.values, nominal)
+        return equivalent_loads(self.hydro, self.values, self._nominal)
 
     @cached_property
     def packed(self) -> Record:

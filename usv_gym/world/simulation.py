@@ -380,8 +380,8 @@ class Simulation:
             for key, drift in kept.items():
                 self.weather[i][key] = drift
         elif self._loads.shape[1] > 0:
-            self._loads[i] = 0.0
-            self._loads[i, :, :, : sea.waves.shape[1]] = load_rows(self.vessel, sea.waves)
+            loads, self._loads[i] = load_rows(self.vessel, sea.waves), 0.0
+            self._loads[i, : len(loads), :, : loads.shape[2]] = loads
 
     def step(self, cmd: np.ndarray) -> None:
         """Advance every boat by one control step with finite commands (n, 4), rev/s and rad."""

@@ -433,8 +433,8 @@ def test_vessel_check_reports_errors_and_warnings(tmp_path):
     good = run("vessel", "check", "kvlcc2_l7")
     assert "0 error(s), 2 warning(s)" in good.stdout
     assert run("vessel", "check", "kvlcc2_l7", "--strict", check=1).stdout == good.stdout
-    bad = tmp_path / "bad.toml"
-    bad.write_text(USV75.replace("A_wp = { value = 13.41", "A_wp = { value = 18"))
+    bad, box = tmp_path / "bad.toml", USV75.replace('hydro = "usv75.nc"\n', "")
+    bad.write_text(box.replace("A_wp = { value = 13.41", "A_wp = { value = 18"))
     assert "error: A_wp is 18 m2, above length" in run("vessel", "check", bad, check=1).stdout
     bad.write_text(USV75.replace("mass = { value = 3420", "mass = { value = 9000"))
     refused = run("vessel", "check", bad, check=2).stderr

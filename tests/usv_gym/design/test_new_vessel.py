@@ -23,7 +23,7 @@ from usv_gym.world.simulation import Simulation
 
 hulls = {
     "length": st.floats(1.0, 300.0),
-    "slender": st.floats(2.0, 8.5),
+    "slender": st.floats(2.0, 8.0),
     "flat": st.floats(2.0, 7.0),
     "block": st.floats(0.32, 0.88),
     "froude": st.floats(0.1, 1.0),

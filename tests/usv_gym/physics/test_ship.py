@@ -117,8 +117,7 @@ def mirrored_sea(sea: Sea) -> Sea:
     weather["wind_from"] *= -1.0
     weather["current_east"] = -weather["current_east"]
     weather["drift_sums"][1::2] *= -1.0  # sums over the sine of the direction
-    table = weather["drift_table"]
-    weather["drift_table"] = np.roll(table[::-1], 1, axis=0) * [1.0, -1.0, -1.0]
+    weather["drift_table"] = np.roll(weather["drift_table"][::-1], 1, axis=0) * [1.0, -1.0, -1.0]
     return dataclasses.replace(sea, waves=rows, weather=weather)
 
 
@@ -130,7 +129,7 @@ def turned_sea(sea: Sea, by: float) -> Sea:
     weather["current_north"], weather["current_east"] = current
     for pair in weather["drift_sums"].reshape(3, 2):
         pair[:] = turn(pair[0], pair[1], by)
-    steps = round(by / (2.0 * math.pi) * waves.LOAD_HEADINGS)
+    steps = round(by / math.tau * waves.LOAD_HEADINGS)
     weather["drift_table"] = np.roll(weather["drift_table"], steps, axis=0)
     return dataclasses.replace(sea, waves=rows, weather=weather)
 
@@ -196,8 +195,7 @@ def test_north_is_not_special(
 ) -> None:
     """Heading, wind, waves and current turned together turn the track, and nothing else.
 
-    By steps of the headings at which the loads of the table are known: between them they are
-    interpolated.
+    By steps of the table's headings; it is interpolated between them.
     """
     by = 2.0 * math.pi * steps / waves.LOAD_HEADINGS
     state, cmd, sea = a_run(**kwargs)  # type: ignore[arg-type]
@@ -318,11 +316,8 @@ def test_energy_is_kept_without_damping() -> None:
 def test_three_degrees_are_six_with_heave_roll_and_pitch_held(
     u: float, v: float, r: float, delta: float
 ) -> None:
-    """Inertia without bounds holds what 3-DOF holds; the other three rows must agree.
-
-    With box loads, which both have.
-    """
-    box = BOAT.without_table()
+    """Inertia without bounds holds what 3-DOF holds; the other three rows must agree."""
+    box = BOAT.without_table()  # both have its loads
     heavy = box.packed.copy()
     heavy["m_z"] = heavy["J_xx"] = heavy["J_yy"] = 1e15
     state, sea = start(u, v, r, n=15.0, delta=delta, psi=0.4), a_sea(3, box, current=0.5)
