@@ -31,9 +31,9 @@ __all__ = [
 CHANGES = SIDES + 2
 """Share of thrust of the left and right side, current to north and east."""
 
-SHARE_SD, CURRENT_FACTOR = 0.5, 2.0
+SHARE_SD, CURRENT_SD = 0.5, 1.0
 """Standard deviations of a change: of the share of its thrust that a side gives, and of the
-current, in those of the prior."""
+current, m/s."""
 
 INFLATION = 1.5
 """Variances of all parameters grow by this factor when something has changed."""
@@ -84,7 +84,7 @@ def _write_effects(xi, config, model, effects):
                 effects[side, i] += SHARE_SD * config.shares[side, i, k] * xi[k]
     if at >= 0:
         for i in range(2):
-            effects[SIDES + i, at + i] = CURRENT_FACTOR * math.sqrt(config.variance[at + i])
+            effects[SIDES + i, at + i] = CURRENT_SD
 
 
 @inlined

@@ -96,19 +96,19 @@ SHORT = next(r for r, span in enumerate(SPANS) if math.isfinite(span))
 
 SURPRISE_MAX, SURPRISE_DRIFT, SURPRISE_ALARM = 4.0, 2.2, 4.5
 """Evidence that the boat has changed is a cumulative sum (Page 1954) of what the logarithms of
-squared errors exceed their long mean by: each up to the first number, less the second. Above the
-third it has. A boat that sails as never before, as into its first zigzag, makes less."""
+squared errors exceed their long mean by: each up to the first number, less the second. At the
+third the forecasts have become worse. A boat that sails as never before, as into its first
+zigzag, makes less."""
 
-EVIDENCE_ALARM, LAGS = 12.5, (6.0, 14.0)
+EVIDENCE_ALARM, LAGS = 12.5, (2.0, 6.0, 14.0)
 """Evidence above which a change of thrust or current has come, and over how many seconds before
 the last segment it is sought."""
 
 _LAGS = np.array([round(lag / GRID) for lag in LAGS])
 
-LOOK_BACK, KNOWN, KNOWN_THRUST, SETTLED = 1, 14, 30.0, 20.0
-"""Segments before the alarm that count as after the change; segments that must have been compared,
-information that they must have on the thrust (see ``change.known_before``), and seconds since the
-last alarm, before another."""
+KNOWN, KNOWN_THRUST, SETTLED = 14, 30.0, 20.0
+"""Segments that must have been compared, information that they must have on the thrust (see
+``change.known_before``), and seconds since the last alarm, before another."""
 
 HEAD_START, FOLLOWS = 1.1, 0.5
 """Lead that the short refits begin with, in margins, and how much less of it a factor of ten in
@@ -234,31 +234,22 @@ def _may_change(row, count):
 
 @kernel
 def _test_for_change(newest, state, segments, config, model, work):
-    """Begin with the short refits where a change explains the last segments much better."""
+    """Begin with the short refits where a change explains the last segments better.
+
+    Much better, or at all where the forecasts have become worse than they used to be.
+    """
     if not _may_change(newest, state.count):
         return
-    samples, first = samples_of(config), newest - config.steps
+    samples, first, surprise = samples_of(config), newest - config.steps, state.surprise
+    enough = EVIDENCE_ALARM if surprise[0] < SURPRISE_ALARM else 0.0
     for k in range(_LAGS.shape[0]):
         since = first - _LAGS[k]
         quadratics_by_changes(since, segments.params, segments, config, model, work.change)
-        evidence = change_evidence(since, samples, segments, config, work.change)
-        if evidence > EVIDENCE_ALARM:
+        if change_evidence(since, samples, segments, config, work.change) > enough:
             _begin_after(since, first, state, segments, config, model, work)
             return
-
-
-@inlined
-def _note_surprise(first, worse, state, segments, config, model, work):
-    """Add to the evidence that the boat has changed; if it has, begin with the short refits."""
-    surprise = state.surprise
-    if not _may_change(first, state.count):
+    if surprise[0] >= SURPRISE_ALARM:
         surprise[0] = 0.0
-        return
-    surprise[0] = max(surprise[0] + worse - SURPRISE_DRIFT, 0.0)
-    if surprise[0] > SURPRISE_ALARM:
-        changed = first - LOOK_BACK * config.spacing
-        surprise[0] = 0.0
-        _begin_after(changed, first, state, segments, config, model, work)
 
 
 @kernel
@@ -276,7 +267,10 @@ def score(first, rows, state, segments, config, model, work):
             worse = min(error - errors[1, r], SURPRISE_MAX)
         for m in range(len(MEMORIES)):
             errors[m, r] += (error - errors[m, r]) / min(count[SCORED], MEMORIES[m])
-    _note_surprise(first, worse, state, segments, config, model, work)
+    surprise = state.surprise
+    surprise[0] = min(max(surprise[0] + worse - SURPRISE_DRIFT, 0.0), SURPRISE_ALARM)
+    if not _may_change(first, count):
+        surprise[0] = 0.0
 
 
 @kernel
