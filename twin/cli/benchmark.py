@@ -85,7 +85,7 @@ def benchmark_command(
         typer.Option(
             "--faults-matrix",
             help="Only sail every fault of sensors and commands that the twin knows, and print how "
-            "ukf and dsw-ukf-plus bear it. --predictors and --seeds [0-3] restrict it.",
+            "ukf and dsw-ukf-plus bear it. --predictors and --seeds [0-7] restrict it.",
         ),
     ] = False,
     scenarios: Annotated[
@@ -179,7 +179,7 @@ def benchmark_command(
         return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
-        _matrix(parse_list(given, "--predictors"), parse_seeds(seeds or "0-3"), out, jobs)
+        _matrix(parse_list(given, "--predictors"), parse_seeds(seeds or "0-7"), out, jobs)
         return
     check_backend(backend)
     asked = parse_list(predictors, "--predictors")

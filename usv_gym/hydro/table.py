@@ -104,8 +104,8 @@ class HydroTable:
     def __hash__(self) -> int:
         return hash((self.length, self.density, self.source))
 
-    def at(self, omega: Array) -> tuple[Array, Array]:
-        """Return added mass and damping (n, 6, 6) at frequencies (n,), rad/s."""
+    def at(self, omega: float | Array) -> tuple[Array, Array]:
+        """Return added mass and damping (n, 6, 6) at frequencies (n,) or one, rad/s."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         pair = (between(omega, self.omega, matrix) for matrix in (self.added_mass, self.damping))
         added_mass, damping = (np.asarray(matrix.real, dtype=float) for matrix in pair)

@@ -108,10 +108,13 @@ def _irregular(boat: Vessel, table: HydroTable) -> list[Row]:
     pairs = both(boat, table, SPECTRUM)
     return rows(
         (
-            (f"{boat.name}, {sea}, {direction}: rms {motion}, {_unit(motion)}", *sizes)
+            (
+                f"{boat.name}, {sea}, {direction}: rms {motion}, {_unit(motion)}",
+                _rms(ours, hs),
+                _rms(theirs, hs),
+            )
             for sea, hs in SEAS.items()
-            for (motion, direction), pair in pairs.items()
-            for sizes in [[_rms(amplitude, hs) for amplitude in pair]]
+            for (motion, direction), (ours, theirs) in pairs.items()
         ),
         CODE,
         0.05,

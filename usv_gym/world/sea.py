@@ -351,7 +351,7 @@ class SeaState:
         edges = np.geomspace(table.omega[0], table.omega[-1], _DRIFT_WAVES + 1)
         amplitude = np.sqrt(2.0 * np.diff(np.interp(edges, table.omega, energy)))
         # the golden section deals out directions evenly, whatever part of the waves counts
-        shares = (0.5 + 0.6180339887498949 * np.arange(_DRIFT_WAVES)) % 1.0
+        shares = (0.5 + 0.6180339887498949 * np.arange(_DRIFT_WAVES, dtype=float)) % 1.0
         return np.sqrt(edges[1:] * edges[:-1]), amplitude, self._aside(shares)
 
     def _aside(self, shares: Array) -> Array:
