@@ -41,6 +41,7 @@ __all__ = [
     "accumulate_information",
     "advance",
     "clip_velocities",
+    "drive_share",
     "filter_config",
     "filter_state",
     "filter_workspace",
@@ -61,6 +62,18 @@ STEP_MAX = 0.1
 
 INFORMATION_STEP, INFORMATION_MAX = 0.25, 1.0
 """Regressors are counted at this step, s, and stand for no more than that of a gap, s."""
+
+DRIVEN = 2.5
+"""So many times faster than nominal shafts turn and a boat sails at most, if that was never seen.
+
+Velocities held at the envelope, four nominal ones, are never plausible.
+"""
+
+EVEN = 0.6
+"""Standard deviation of a velocity in a forecast, at most, in the largest that is plausible.
+
+That of a velocity of which nothing is known but its bounds.
+"""
 
 _ROLLOUT = rollout_size()
 
@@ -284,14 +297,39 @@ def shrink_to_prior(part, x, prior, params):
 
 
 @inlined
-def is_plausible(states, fastest, nominal):
-    """Return whether velocities stay near what was ever seen, or nominal."""
+def drive_share(plan, n_nominal):
+    """Return the largest shaft speed of a plan in nominal ones, 1 to :data:`DRIVEN`."""
+    share = 1.0
+    for row in range(plan.shape[0]):
+        share = max(share, abs(plan[row, 0]) / n_nominal, abs(plan[row, 1]) / n_nominal)
+    return min(share, DRIVEN)
+
+
+@inlined
+def _plausible_speed(k, fastest, nominal, share):
+    """Return the largest of a velocity that is near what was ever seen, or ``share`` nominal."""
+    return max(1.5 * fastest[k], share * nominal[k])
+
+
+@inlined
+def is_plausible(states, fastest, nominal, share):
+    """Return whether velocities stay near what was ever seen, or ``share`` times nominal."""
     plausible = True
     for row in range(states.shape[0]):
         for k in range(3):
-            bound = max(1.5 * fastest[k], nominal[k])
+            bound = _plausible_speed(k, fastest, nominal, share)
             plausible = plausible and abs(states[row, 3 + k]) <= bound
     return plausible
+
+
+@inlined
+def _limit_deviation(cov, i, most):
+    """Scale one deviation of a covariance down, in place, to at most so much."""
+    factor = min(1.0, most / math.sqrt(max(cov[i, i], 1e-300)))
+    if factor < 1.0:
+        for k in range(cov.shape[0]):
+            cov[i, k] *= factor
+            cov[k, i] *= factor
 
 
 @inlined
@@ -299,25 +337,29 @@ def forecast_mean(plan, dt, state, config, out, work):
     """Write the states and actuators that a plan leads to, with its rows dt (s) apart.
 
     ``plan`` (K, 4) has shaft speeds in the unit of the particulars. The parameters are shrunk to
-    the prior's until the motion is plausible; ``out.params`` are those used.
+    the prior's until the motion is plausible; ``out.params`` are those used. Returned is how many
+    steps of the integration one row took, at most.
     """
     scale_plan(plan, config.n_unit, out.plan)
     start = RolloutStart(shaped(state.x, 0, (1, N_STATES)), out.params, state.act, state.wind)
     none = Waves(shaped(state.x, 0, (1, 0, 3)), 0.0)
+    steps, share = 1, drive_share(out.plan, config.n_nominal)
     for part in PRIOR_SHRINKAGE:
         shrink_to_prior(part, state.x, config.prior, out.params[0])
-        rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
-        if is_plausible(out.states[0], state.fastest, config.nominal):
+        steps = rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
+        if is_plausible(out.states[0], state.fastest, config.nominal, share):
             break
+    return steps
 
 
 @inlined
-def forecast_covariance(plan, dt, state, config, params, covs, work):
-    """Write the covariances (K, 6, 6) of the state at the ends of the rows of a plan.
+def forecast_covariance(dt, steps, state, config, out, work):
+    """Write the covariances ``out.covs`` (K, 6, 6) of the state at the ends of the rows of a plan.
 
-    ``plan`` (K, 4) has commands in the unit of the structure, rows dt (s) apart; ``params`` (p,)
-    are the parameters of the mean forecast.
+    ``out`` and ``steps`` are what :func:`forecast_mean` wrote and returned for the same rows, dt
+    (s) apart.
     """
+    plan, params, covs = out.plan, out.params[0], out.covs
     x, P, act = work.ahead
     ahead = JointState(x, P, act, state.wind)
     for i in range(x.shape[0]):
@@ -326,7 +368,10 @@ def forecast_covariance(plan, dt, state, config, params, covs, work):
             P[i, k] = state.P[i, k]
     for k in range(N_ACT):
         act[k] = state.act[k]
-    steps = max(1, math.ceil(dt / GRID - 1e-9))
+    least = max(1, math.ceil(dt / GRID - 1e-9))
+    # Euler's steps, of points that are faster than the mean
+    steps = least if steps <= least else 2 * steps
+    share = drive_share(plan, config.n_nominal)
     h = dt / steps
     _process_noise(h, state, config, work)
     for row in range(plan.shape[0]):
@@ -335,6 +380,9 @@ def forecast_covariance(plan, dt, state, config, params, covs, work):
             joint_predict(ahead, h, config, work)
             follow_all(act, plan[row], config.lags, 1.0, 0.5 * h)
             clip_velocities(x, config.envelope)
+            for k in range(3):
+                bound = _plausible_speed(k, state.fastest, config.nominal, share)
+                _limit_deviation(P, 3 + k, EVEN * bound)
         for i in range(N_STATES):
             for k in range(N_STATES):
                 covs[row, i, k] = P[i, k]
@@ -355,11 +403,7 @@ def limit_covariances(covs, start_cov, dt, envelope):
                 most = 2.0 * envelope[0] * after + math.sqrt(start_cov[i, i])
             elif i == PSI:
                 most = 2.0 * min(envelope[2] * after, math.pi) + math.sqrt(start_cov[i, i])
-            factor = min(1.0, most / math.sqrt(max(cov[i, i], 1e-300)))
-            if factor < 1.0:
-                for k in range(N_STATES):
-                    cov[i, k] *= factor
-                    cov[k, i] *= factor
+            _limit_deviation(cov, i, most)
 
 
 @kernel
@@ -377,8 +421,8 @@ def _forecast_covariance(plan, dt, memory, values, model, buffers, work):
     out = forecast_buffers(buffers, plan.shape[0], model.which.shape[1])
     state, config = filter_state(memory, model), filter_config(values, model)
     scratch = filter_workspace(work, model.which.shape[1])
-    forecast_mean(plan, dt, state, config, out, scratch.rollout)
-    forecast_covariance(out.plan, dt, state, config, out.params[0], out.covs, scratch)
+    steps = forecast_mean(plan, dt, state, config, out, scratch.rollout)
+    forecast_covariance(dt, steps, state, config, out, scratch)
 
 
 def coarse_plan(plan: Array, dt: float) -> tuple[Array, int]:

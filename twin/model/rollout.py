@@ -30,6 +30,8 @@ from twin.model.structure import (
     LENGTH,
     N_STATES,
     N_TERMS,
+    SOFT,
+    SOFT_SPEED,
     current_of,
     gather,
     rates,
@@ -66,7 +68,13 @@ LONG_STEP = 0.5
 """Rows as long as this, s, are one step of the integration where the model is slow enough."""
 
 SLOW_ENOUGH = 1.3
-"""Rate of the fastest motion times a long step, at most: where it is more, :data:`GRID` holds."""
+"""Rate of the fastest motion times a step, at most: where it is more, steps are shorter."""
+
+SHORTEST = 16.0
+"""So many steps of the integration are made in a second at most."""
+
+FASTER, START_SPEED = 1.25, 0.1
+"""Steps are chosen again where the boat is so much faster: share, and nominal speeds."""
 
 HORIZONS = np.array([1.0, 2.0, 5.0, 10.0])
 """How far ahead an observation looks, s."""
@@ -285,19 +293,21 @@ def _fastest_rate(motion, wind, hull, terms):
 
 
 @inlined
-def _steps_of(dt, wind, hull, scratch):
+def _speed(motion, hull):
+    """Return the sum of a motion's speeds, m/s; the ends of the hull turn."""
+    now = motion.now
+    return abs(now[3]) + abs(now[4]) + hull[LENGTH] * abs(now[5])
+
+
+@inlined
+def _steps_of(dt, motion, wind, hull, terms):
     """Return how many steps of the integration are one row."""
     few = max(math.ceil(dt / LONG_STEP - 1e-9), 1)
     many = max(math.ceil(dt / GRID - 1e-9), 1)
-    if few == many:
-        return many
-    terms = scratch.terms[2]
-    for d in range(scratch.motions.shape[0]):
-        motion = _motion(scratch.motions[d])
-        rate = _fastest_rate(motion, wind, hull, terms)
-        if not rate * dt <= SLOW_ENOUGH * few:
-            return many
-    return few
+    needed = _fastest_rate(motion, wind, hull, terms) * dt / SLOW_ENOUGH
+    if needed <= few:
+        return few
+    return max(many, math.ceil(min(needed, SHORTEST * dt)))
 
 
 @inlined
@@ -319,8 +329,9 @@ def rollout(start, plan, dt, config, waves, out, work):
     """Predict motions under a plan of commands; the actuators are followed once for all.
 
     Runge-Kutta of fourth order at steps of at most :data:`GRID`; of :data:`LONG_STEP` where rows
-    are as long and no motion is faster than that resolves. The velocities are held within an
-    envelope throughout, so that the worst parameters give a finite motion.
+    are as long and the first motion is no faster than that resolves. Steps are shorter where it is
+    faster still, as when a small boat gathers speed. The velocities are held within an envelope
+    throughout, so that the worst parameters give a finite motion.
 
     Parameters
     ----------
@@ -340,6 +351,11 @@ def rollout(start, plan, dt, config, waves, out, work):
         Written.
     work : array
         Scratch, as long as :func:`rollout_size` says.
+
+    Returns
+    -------
+    int
+        Steps of the integration that one row took, at most.
 
     Source: Eq (25)-(27), with Eq (27) replaced by ``usv_kernel.scalar.actuate``.
     """
@@ -361,9 +377,15 @@ def rollout(start, plan, dt, config, waves, out, work):
         motion.current[0], motion.current[1] = current_of(start.params[d], 0, hull)
         gather(config.model, start.params[d], motion.shares)
         thrust_rates(terms[2], motion.shares, motion.thrust[2])
-    steps = _steps_of(dt, wind, hull, scratch)
-    h = dt / steps
+    first = _motion(scratch.motions[0])
+    steps, most, chosen_at = 1, 1, -math.inf
     for row in range(plan.shape[0]):
+        speed = _speed(first, hull)
+        if speed > chosen_at:
+            steps = _steps_of(dt, first, wind, hull, terms[2])
+            most = max(most, steps)
+            chosen_at = FASTER * speed + START_SPEED * math.sqrt(hull[SOFT]) / SOFT_SPEED
+        h = dt / steps
         act, command = out.act[row], plan[row]
         for k in range(N_ACT):
             act[k] = out.act[row - 1, k] if row > 0 else start.act[k]
@@ -398,6 +420,7 @@ def rollout(start, plan, dt, config, waves, out, work):
         for d in range(D):
             for k in range(N_STATES):
                 out.states[d, row, k] = scratch.motions[d, k]
+    return most
 
 
 def upsample(path: Array, every: int, rows: int) -> Array:

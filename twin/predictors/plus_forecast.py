@@ -15,6 +15,7 @@ from twin.filters.linalg import cholesky
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import (
     PRIOR_SHRINKAGE,
+    drive_share,
     filter_config,
     filter_state,
     is_plausible,
@@ -52,6 +53,9 @@ FORECAST_WAVE_GAIN = 0.25
 
 START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
+
+TAMED = (1.0, 0.5, 0.5)
+"""Parts by which parameters of a draw that no boat could sail go back to the mean, in turn."""
 
 _ROLLOUT = rollout_size()
 
@@ -174,10 +178,11 @@ def plus_mean(plan, dt, memory, config, out):
     _begin(dt, memory, out)
     start = RolloutStart(out.start, out.params, state.act, state.wind)
     waves, paths = Waves(out.means, FORECAST_WAVE_GAIN), Paths(out.states, out.act)
+    share = drive_share(out.plan, given.n_nominal)
     for part in PRIOR_SHRINKAGE:
         shrink_to_prior(part, state.x, given.prior, out.params[0])
         rollout(start, out.plan, dt, given, waves, paths, out.work)
-        if is_plausible(out.states[0], state.fastest, given.nominal):
+        if is_plausible(out.states[0], state.fastest, given.nominal, share):
             break
     for row in range(plan.shape[0]):
         for k in range(3):
@@ -252,7 +257,19 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
                 out.means[d, row, k] += own.means[0, row, k]
     start = RolloutStart(out.starts, out.params, state.act, state.wind)
     paths = Paths(out.states, out.act)
-    rollout(start, own.plan, own.after[0], given, Waves(out.means, OBSERVER_GAIN), paths, out.work)
+    waves, share = Waves(out.means, OBSERVER_GAIN), drive_share(own.plan, given.n_nominal)
+    rollout(start, own.plan, own.after[0], given, waves, paths, out.work)
+    for d in range(1, D + 1):
+        member = slice(d, d + 1)
+        start = RolloutStart(out.starts[member], out.params[member], state.act, state.wind)
+        waves, paths = Waves(out.means[member], OBSERVER_GAIN), Paths(out.states[member], out.act)
+        for part in TAMED:  # the first time with steps of its own
+            if is_plausible(out.states[d], state.fastest, given.nominal, share):
+                break
+            for k in range(p):
+                own_part = part * (out.params[d, k] - central.params[0, k])
+                out.params[d, k] = central.params[0, k] + own_part
+            rollout(start, own.plan, own.after[0], given, waves, paths, out.work)
     for d in range(D):
         for k in range(N_STATES):
             out.deviations[d, 0, k] = out.shocks[d, k] if k >= 2 else 0.0

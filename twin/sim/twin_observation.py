@@ -331,12 +331,12 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         if not _is_due(note, settings.look):
             continue
         _hold(note.trusted[:], forecast.plan)
-        forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
+        steps = forecast_mean(forecast.plan, LONG_STEP, state, given, out, scratch.rollout)
         _write_variances(state.P, nav.P, settings.gps_var, note.now)
         due = note.last >= note.covs_due
         if due:
             note.covs_due = note.last + settings.period - 1e-9
-            forecast_covariance(out.plan, LONG_STEP, state, given, out.params[0], out.covs, scratch)
+            forecast_covariance(LONG_STEP, steps, state, given, out, scratch)
             for row in range(ROWS):
                 for j in range(N_STATES):
                     for k in range(N_STATES):

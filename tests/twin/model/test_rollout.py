@@ -341,6 +341,28 @@ def test_rollout_equals_an_accurate_integration(
     np.testing.assert_allclose(out_act, acts, atol=1e-5)
 
 
+@pytest.mark.parametrize("steering", ["drives", "differential"])
+@pytest.mark.parametrize("length", [0.8, 1.2, 2.0, 6.336])
+@pytest.mark.parametrize("thrust", [1.0, 2.0])
+def test_a_boat_that_gathers_speed_from_rest_is_followed(
+    steering: str, length: float, thrust: float
+) -> None:
+    """A small boat is slow at rest and fast under way: half a second is then far too long."""
+    speed, n = 2.0, 20.0 * thrust
+    structure = structure_for("mmg", steering, length=length, speed=speed, shaft_speed=20.0)
+    start = AT_REST._replace(
+        act=(0.0,) * 4, lags=(0.2, 0.1, 0.35), envelope=(8.0, 8.0, 8.0 / length)
+    )
+    plan = np.tile([1.05 * n, n, 0.05, 0.05], (20, 1))
+    coarse, _ = forecast(structure.mean, plan, 0.5, start, structure)
+    fine, _ = forecast(structure.mean, plan.repeat(25, axis=0), 0.02, start, structure)
+    fine = fine[24::25]
+    assert abs(fine[-1, 3]) > 0.7 * speed * thrust
+    np.testing.assert_allclose(coarse[:, 3:], fine[:, 3:], atol=0.05 * speed)
+    np.testing.assert_allclose(coarse[:, :2], fine[:, :2], atol=0.3)
+    np.testing.assert_allclose(coarse[:, 2], fine[:, 2], atol=0.05)
+
+
 @BOATS
 def test_rollout_continues_where_it_ended(name: str, steering: str) -> None:
     structure = structure_for(name, steering)

@@ -63,7 +63,7 @@ def estimate_instruments(
         found["accel_sd"] = scatter, f"scatter from sample to sample, and {_UPRIGHT} for tilt"
     for finding in diagnosis.findings:
         apart = finding.evidence.get("disagree", 0.0) if finding.code == "gyro-compass" else 0.0
-        if apart > found.get("gyro_sd", (0.0, ""))[0]:
+        if found.get("gyro_sd", (0.0, ""))[0] < apart < math.inf:
             found["gyro_sd"] = apart, "difference from the compass over half a second"
     gyro = measured.gyro
     if gyro is not None and abs(gyro.correlation) > 0.8:
