@@ -51,8 +51,17 @@ REST_PUSH = 0.001
 """Share of that process noise at rest with shafts stopped. A rough model is wrong by a share of its
 forces; where there are none, a boat that lies still says that there is no current."""
 
+ROUGH_SHARE = 0.3
+"""Share of the prior's damping and thrust that such a boat keeps at least. With a tenth, the drag
+of an otter hardly grew with speed, and without GPS its speed wandered."""
+
+ROUGH_MOST = 2.5, 0.6
+"""Forecasts of such a boat. Its shafts turn so many times faster than nominal at most, and it sails
+as much faster; velocities held at the envelope, four nominal ones, are never plausible. Nothing is
+known of a velocity but its bounds where its standard deviation is .6 of them."""
+
 NEAR = 3.0
-"""Square of the sigma points' distance, in standard deviations.
+"""Square of the sigma points' distance for such a boat, in standard deviations.
 
 With alpha = 1 they lie seven off. There quadratic terms feed the next step: without GPS the
 velocity of a small boat at rest jumped by half a metre a second, and its covariance had no end.
@@ -97,6 +106,11 @@ class FilterSettings:
     # share of the velocities' process noise that is left at rest: 1 where waves and wind make it,
     # less where the model's error does, which grows with the forces
     rest_push: float = 1.0
+    # at least so much of what the prior says of damping and thrust is left
+    share: float = 0.1
+    # how much faster than nominal a boat may be forecast to sail with faster shafts, at most; and
+    # the most of a velocity's standard deviation in a forecast, in the largest that is plausible
+    most: tuple[float, float] = (1.0, math.inf)
     # spread of the sigma points
     alpha: float = 1.0
     beta: float = 2.0
@@ -152,7 +166,9 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         xi0_cov=covariance,
         n_unit=structure.n_unit,
         rest_push=REST_PUSH if rough else 1.0,
-        alpha=math.sqrt(NEAR / (N_STATES + len(structure))),
+        share=ROUGH_SHARE if rough else 0.1,
+        most=ROUGH_MOST if rough else (1.0, math.inf),
+        alpha=math.sqrt(NEAR / (N_STATES + len(structure))) if rough else 1.0,
     )
 
 

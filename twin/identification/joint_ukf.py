@@ -63,18 +63,6 @@ STEP_MAX = 0.1
 INFORMATION_STEP, INFORMATION_MAX = 0.25, 1.0
 """Regressors are counted at this step, s, and stand for no more than that of a gap, s."""
 
-DRIVEN = 2.5
-"""So many times faster than nominal shafts turn and a boat sails at most, if that was never seen.
-
-Velocities held at the envelope, four nominal ones, are never plausible.
-"""
-
-EVEN = 0.6
-"""Standard deviation of a velocity in a forecast, at most, in the largest that is plausible.
-
-That of a velocity of which nothing is known but its bounds.
-"""
-
 _ROLLOUT = rollout_size()
 
 
@@ -109,6 +97,8 @@ class FilterConfig(NamedTuple):
     wave_push: float  # what it adds to the process noise, 1/s
     rest_push: float  # share of the process noise that is left at rest
     n_nominal: float  # nominal shaft speed in the unit of the structure
+    driven: float  # most that plausible speeds grow with faster shafts
+    even: float  # most of a velocity's standard deviation in a forecast, in the largest plausible
     bounds: Any  # (6, p + 1) see physical_bounds
     model: Any  # ModelTerms
 
@@ -173,10 +163,12 @@ def filter_config(values, model):
     n, at = take(values, at, (1,))
     waves, at = take(values, at, (3,))
     rest, at = take(values, at, (2,))
+    most, at = take(values, at, (2,))
     bounds, at = take(values, at, (BOUNDS, model.which.shape[1] + 1))
     return FilterConfig(
         q, q_xi, r, p0, lags, envelope, nominal, prior,
-        weights, n[0], waves[0], waves[1], waves[2], rest[0], rest[1], bounds, model,
+        weights, n[0], waves[0], waves[1], waves[2], rest[0], rest[1],
+        most[0], most[1], bounds, model,
     )  # fmt: skip
 
 
@@ -297,12 +289,12 @@ def shrink_to_prior(part, x, prior, params):
 
 
 @inlined
-def drive_share(plan, n_nominal):
-    """Return the largest shaft speed of a plan in nominal ones, 1 to :data:`DRIVEN`."""
+def drive_share(plan, n_nominal, driven):
+    """Return the largest shaft speed of a plan in nominal ones, 1 to ``driven``."""
     share = 1.0
     for row in range(plan.shape[0]):
         share = max(share, abs(plan[row, 0]) / n_nominal, abs(plan[row, 1]) / n_nominal)
-    return min(share, DRIVEN)
+    return min(share, driven)
 
 
 @inlined
@@ -343,7 +335,7 @@ def forecast_mean(plan, dt, state, config, out, work):
     scale_plan(plan, config.n_unit, out.plan)
     start = RolloutStart(shaped(state.x, 0, (1, N_STATES)), out.params, state.act, state.wind)
     none = Waves(shaped(state.x, 0, (1, 0, 3)), 0.0)
-    steps, share = 1, drive_share(out.plan, config.n_nominal)
+    steps, share = 1, drive_share(out.plan, config.n_nominal, config.driven)
     for part in PRIOR_SHRINKAGE:
         shrink_to_prior(part, state.x, config.prior, out.params[0])
         steps = rollout(start, out.plan, dt, config, none, Paths(out.states, out.act), work)
@@ -371,7 +363,7 @@ def forecast_covariance(dt, steps, state, config, out, work):
     least = max(1, math.ceil(dt / GRID - 1e-9))
     # Euler's steps, of points that are faster than the mean
     steps = least if steps <= least else 2 * steps
-    share = drive_share(plan, config.n_nominal)
+    share = drive_share(plan, config.n_nominal, config.driven)
     h = dt / steps
     _process_noise(h, state, config, work)
     for row in range(plan.shape[0]):
@@ -382,7 +374,7 @@ def forecast_covariance(dt, steps, state, config, out, work):
             clip_velocities(x, config.envelope)
             for k in range(3):
                 bound = _plausible_speed(k, state.fastest, config.nominal, share)
-                _limit_deviation(P, 3 + k, EVEN * bound)
+                _limit_deviation(P, 3 + k, config.even * bound)
         for i in range(N_STATES):
             for k in range(N_STATES):
                 covs[row, i, k] = P[i, k]
@@ -485,8 +477,9 @@ class JointUKF:
                 [settings.n_unit],
                 settings.waves,
                 [settings.rest_push, settings.n_unit * particulars.shaft_speed],
+                settings.most,
                 physical_bounds(
-                    settings.structure, settings.xi0, U, particulars.shaft_speed
+                    settings.structure, settings.xi0, U, particulars.shaft_speed, settings.share
                 ).ravel(),
             ]
         )

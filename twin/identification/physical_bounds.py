@@ -21,9 +21,6 @@ __all__ = ["BOUNDS", "keep_physical", "physical_bounds"]
 
 Array = NDArray[np.float64]
 
-SHARE = 0.1
-"""At least so much of what the prior says of damping and thrust is left."""
-
 SPEEDS = (0.5, 1.0, 1.5)
 """Speeds at which drag brakes, in nominal ones."""
 
@@ -45,7 +42,9 @@ def _terms_at(u, v, r, n, hull, terms):
     state_terms(u, v, r, 1.0, 0.0, (0.0, 0.0), hull, terms)
 
 
-def physical_bounds(structure: Structure, mean: Array, speed: float, shaft_speed: float) -> Array:
+def physical_bounds(
+    structure: Structure, mean: Array, speed: float, shaft_speed: float, share: float
+) -> Array:
     """Return rows (:data:`BOUNDS`, p + 1): p factors, and the most that their sum may be.
 
     The sum is that of factors times parameters.
@@ -58,6 +57,8 @@ def physical_bounds(structure: Structure, mean: Array, speed: float, shaft_speed
         Prior of the parameters, in SI units.
     speed, shaft_speed : float
         Nominal, m/s and rev/s.
+    share : float
+        At least so much of what the prior says of damping and thrust is left.
     """
     which, hull = structure.terms.which, structure.terms.hull
     nominal = structure.n_unit * shaft_speed
@@ -71,7 +72,7 @@ def physical_bounds(structure: Structure, mean: Array, speed: float, shaft_speed
     rows.append(factors(1.0, SMALL, 0.0, 1.0, 1) - factors(1.0, -SMALL, 0.0, 1.0, 1))
     rows.append(factors(1.0, 0.0, SMALL, 1.0, 2) - factors(1.0, 0.0, -SMALL, 1.0, 2))
     rows.append(factors(0, 0, 0, 0, 0) - factors(0, 0, 0, 1.0, 0))
-    bounds = np.array([[*row, SHARE * (row @ mean)] for row in rows])
+    bounds = np.array([[*row, share * (row @ mean)] for row in rows])
     # of a prior that itself breaks a bound nothing is asked
     bounds[bounds[:, -1] >= 0.0] = 0.0
     return bounds

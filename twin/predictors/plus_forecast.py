@@ -178,7 +178,7 @@ def plus_mean(plan, dt, memory, config, out):
     _begin(dt, memory, out)
     start = RolloutStart(out.start, out.params, state.act, state.wind)
     waves, paths = Waves(out.means, FORECAST_WAVE_GAIN), Paths(out.states, out.act)
-    share = drive_share(out.plan, given.n_nominal)
+    share = drive_share(out.plan, given.n_nominal, given.driven)
     for part in PRIOR_SHRINKAGE:
         shrink_to_prior(part, state.x, given.prior, out.params[0])
         rollout(start, out.plan, dt, given, waves, paths, out.work)
@@ -257,7 +257,8 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
                 out.means[d, row, k] += own.means[0, row, k]
     start = RolloutStart(out.starts, out.params, state.act, state.wind)
     paths = Paths(out.states, out.act)
-    waves, share = Waves(out.means, OBSERVER_GAIN), drive_share(own.plan, given.n_nominal)
+    waves = Waves(out.means, OBSERVER_GAIN)
+    share = drive_share(own.plan, given.n_nominal, given.driven)
     rollout(start, own.plan, own.after[0], given, waves, paths, out.work)
     for d in range(1, D + 1):
         member = slice(d, d + 1)

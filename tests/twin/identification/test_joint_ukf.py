@@ -57,14 +57,14 @@ def test_a_plan_of_more_thrust_may_lead_to_more_speed() -> None:
     states = np.zeros((4, 6))
     states[2, 3] = 4.0
     plan = np.zeros((4, 4))
-    assert drive_share(plan, 20.0) == 1.0
-    assert not is_plausible(states, fastest, nominal, drive_share(plan, 20.0))
+    assert drive_share(plan, 20.0, 2.5) == 1.0
+    assert not is_plausible(states, fastest, nominal, drive_share(plan, 20.0, 2.5))
     plan[1, 1] = -40.0
-    assert drive_share(plan, 20.0) == 2.0
-    assert is_plausible(states, fastest, nominal, drive_share(plan, 20.0))
+    assert drive_share(plan, 20.0, 2.5) == 2.0
+    assert is_plausible(states, fastest, nominal, drive_share(plan, 20.0, 2.5))
     plan[1, 1] = 1e9
     assert not is_plausible(
-        4.0 / 1.5 * nominal[0] * np.ones((4, 6)), fastest, nominal, drive_share(plan, 20.0)
+        4.0 / 1.5 * nominal[0] * np.ones((4, 6)), fastest, nominal, drive_share(plan, 20.0, 2.5)
     )
     states[3, 5] = np.nan
     assert not is_plausible(states, fastest, nominal, 2.0)

@@ -22,17 +22,18 @@ VESSELS = ("usv75", "otter", "wamv16", "telemetron", "kvlcc2_l7")
 def bounds_of(boat: Particulars) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the bounds of a boat, and mean and covariance of its prior."""
     given = plain_settings(boat)
-    args = given.structure, given.xi0, boat.speed, boat.shaft_speed
+    args = given.structure, given.xi0, boat.speed, boat.shaft_speed, given.share
     return physical_bounds(*args), given.xi0, given.xi0_cov
 
 
 @pytest.mark.parametrize("vessel", VESSELS)
 def test_every_bound_is_asked_and_kept_by_the_prior(vessel):
-    bounds, mean, _ = bounds_of(particulars_of(Vessel.load(vessel)))
+    boat = particulars_of(Vessel.load(vessel))
+    bounds, mean, _ = bounds_of(boat)
     assert bounds.shape == (BOUNDS, len(mean) + 1)
     values = bounds[:, :-1] @ mean
     assert (bounds[:, -1] < 0.0).all()
-    np.testing.assert_allclose(values * 0.1, bounds[:, -1], rtol=1e-12)
+    np.testing.assert_allclose(values * plain_settings(boat).share, bounds[:, -1], rtol=1e-12)
 
 
 @settings(max_examples=60, deadline=None)
