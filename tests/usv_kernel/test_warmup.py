@@ -9,6 +9,14 @@ from usv_kernel.jit import kernel
 from usv_kernel.warmup import INTERRUPTED, deferred_interrupt
 
 
+@pytest.fixture(autouse=True)
+def ctrl_c_interrupts():
+    """Handle SIGINT as at a terminal: a shell that starts tests in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def test_deferred_interrupt_waits_for_the_outermost_block(capsys):
     done = []
 
