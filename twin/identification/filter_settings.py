@@ -156,7 +156,7 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
     if rough:
         walking = walking + np.isin(structure.parameters, UNEQUAL) / UNEQUAL_TIME
     q_xi = walking * np.diag(covariance) / time
-    return FilterSettings(
+    found = FilterSettings(
         structure=structure,
         q=q**2 / (STUDY_STEP * time),
         r=r**2 * time,
@@ -165,10 +165,15 @@ def plain_settings(particulars: Particulars, model: str | None = None) -> Filter
         xi0=mean,
         xi0_cov=covariance,
         n_unit=structure.n_unit,
-        rest_push=REST_PUSH if rough else 1.0,
-        share=ROUGH_SHARE if rough else 0.1,
-        most=ROUGH_MOST if rough else (1.0, math.inf),
-        alpha=math.sqrt(NEAR / (N_STATES + len(structure))) if rough else 1.0,
+    )
+    if not rough:
+        return found
+    return dataclasses.replace(
+        found,
+        rest_push=REST_PUSH,
+        share=ROUGH_SHARE,
+        most=ROUGH_MOST,
+        alpha=math.sqrt(NEAR / (N_STATES + len(structure))),
     )
 
 

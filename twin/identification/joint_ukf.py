@@ -51,6 +51,7 @@ __all__ = [
     "information_is_due",
     "is_plausible",
     "limit_covariances",
+    "plausible_speed",
     "scale_plan",
     "shrink_to_prior",
 ]
@@ -298,7 +299,7 @@ def drive_share(plan, n_nominal, driven):
 
 
 @inlined
-def _plausible_speed(k, fastest, nominal, share):
+def plausible_speed(k, fastest, nominal, share):
     """Return the largest of a velocity that is near what was ever seen, or ``share`` nominal."""
     return max(1.5 * fastest[k], share * nominal[k])
 
@@ -309,7 +310,7 @@ def is_plausible(states, fastest, nominal, share):
     plausible = True
     for row in range(states.shape[0]):
         for k in range(3):
-            bound = _plausible_speed(k, fastest, nominal, share)
+            bound = plausible_speed(k, fastest, nominal, share)
             plausible = plausible and abs(states[row, 3 + k]) <= bound
     return plausible
 
@@ -373,7 +374,7 @@ def forecast_covariance(dt, steps, state, config, out, work):
             follow_all(act, plan[row], config.lags, 1.0, 0.5 * h)
             clip_velocities(x, config.envelope)
             for k in range(3):
-                bound = _plausible_speed(k, state.fastest, config.nominal, share)
+                bound = plausible_speed(k, state.fastest, config.nominal, share)
                 _limit_deviation(P, 3 + k, config.even * bound)
         for i in range(N_STATES):
             for k in range(N_STATES):

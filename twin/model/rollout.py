@@ -30,10 +30,9 @@ from twin.model.structure import (
     LENGTH,
     N_STATES,
     N_TERMS,
-    SOFT,
-    SOFT_SPEED,
     current_of,
     gather,
+    nominal_speed,
     rates,
     state_terms,
     through_water,
@@ -384,7 +383,7 @@ def rollout(start, plan, dt, config, waves, out, work):
         if speed > chosen_at:
             steps = _steps_of(dt, first, wind, hull, terms[2])
             most = max(most, steps)
-            chosen_at = FASTER * speed + START_SPEED * math.sqrt(hull[SOFT]) / SOFT_SPEED
+            chosen_at = FASTER * speed + START_SPEED * nominal_speed(hull)
         h = dt / steps
         act, command = out.act[row], plan[row]
         for k in range(N_ACT):

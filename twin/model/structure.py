@@ -60,6 +60,7 @@ __all__ = [
     "accelerations",
     "gather",
     "inflow",
+    "nominal_speed",
     "rates",
     "state_terms",
     "structure_of",
@@ -179,6 +180,12 @@ def through_water(velocity, heading, wind, current):
     if wind[0] != 0.0 or wind[1] != 0.0:
         over = wind[0] - north, wind[1] - east
     return (velocity[0] - ahead, velocity[1] - aside), over, (ahead, aside)
+
+
+@inlined
+def nominal_speed(hull):
+    """Return the boat's nominal speed, m/s, from the constants of its structure."""
+    return math.sqrt(hull[SOFT]) / SOFT_SPEED
 
 
 @inlined

@@ -24,9 +24,8 @@ from twin.model.structure import (
     LENGTH,
     N_STATES,
     N_TERMS,
-    SOFT,
-    SOFT_SPEED,
     ModelTerms,
+    nominal_speed,
     state_terms,
     thrust_terms,
 )
@@ -56,7 +55,7 @@ def share_slopes(model: ModelTerms) -> NDArray[Any]:
         of the thrust that this side gives.
     """
     hull, p = model.hull, model.which.shape[1]
-    speed = math.sqrt(hull[SOFT]) / SOFT_SPEED
+    speed = nominal_speed(hull)
     # shaft speeds are in nominal speeds where all terms are in use
     unit = speed if hull[FULL] > 0.0 else 1.0
     motions = list(itertools.product(_SPEEDS, _DRIFTS, _TURNS, _SHAFTS, _SHAFTS, _ANGLES))

@@ -55,7 +55,8 @@ START_WAVE = 0.3
 """Error of the observer's velocity, in standard deviations of the waves."""
 
 TAMED = (1.0, 0.5, 0.5)
-"""Parts by which parameters of a draw that no boat could sail go back to the mean, in turn."""
+"""Parts of their deviation from the mean that parameters of a wild draw keep, in turn, until a
+boat could sail it. The first is whole: that rollout has steps of its own."""
 
 _ROLLOUT = rollout_size()
 
@@ -264,12 +265,12 @@ def plus_draws(mean, mean_dt, memory, config, normal, out):
         member = slice(d, d + 1)
         start = RolloutStart(out.starts[member], out.params[member], state.act, state.wind)
         waves, paths = Waves(out.means[member], OBSERVER_GAIN), Paths(out.states[member], out.act)
-        for part in TAMED:  # the first time with steps of its own
+        for part in TAMED:
             if is_plausible(out.states[d], state.fastest, given.nominal, share):
                 break
             for k in range(p):
-                own_part = part * (out.params[d, k] - central.params[0, k])
-                out.params[d, k] = central.params[0, k] + own_part
+                kept = part * (out.params[d, k] - central.params[0, k])
+                out.params[d, k] = central.params[0, k] + kept
             rollout(start, own.plan, own.after[0], given, waves, paths, out.work)
     for d in range(D):
         for k in range(N_STATES):

@@ -20,7 +20,12 @@ from twin.identification.data_weight import (
     select_trust,
     selector_state,
 )
-from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
+from twin.identification.joint_ukf import (
+    filter_config,
+    filter_state,
+    filter_workspace,
+    plausible_speed,
+)
 from twin.identification.prediction_error import (
     ACT,
     GOOD,
@@ -343,7 +348,7 @@ def _refit(memory, config, work):
     bounds, tight = work.waves[:3], filter_state(memory.filter, model)
     nominal = filter_config(config.filter, model).nominal
     for i in range(3):
-        bounds[i] = max(1.5 * tight.fastest[i], nominal[i])
+        bounds[i] = plausible_speed(i, tight.fastest, nominal, 1.0)
     if selector.count[SCORED] >= SEGMENTS_MIN:
         place = math.exp(selector.errors[0, int(selector.count[CHOSEN])]) / given.weights[0]
         nav = as_record(memory.nav, NAVIGATION)

@@ -63,8 +63,8 @@ def estimate_instruments(
         found["accel_sd"] = scatter, f"scatter from sample to sample, and {_UPRIGHT} for tilt"
     for finding in diagnosis.findings:
         apart = finding.evidence.get("disagree", 0.0) if finding.code == "gyro-compass" else 0.0
-        if found.get("gyro_sd", (0.0, ""))[0] < apart < math.inf:
-            found["gyro_sd"] = apart, "difference from the compass over half a second"
+        if apart > found.get("gyro_sd", (0.0, ""))[0]:
+            set_noise("gyro_sd", apart, "difference from the compass over half a second")
     gyro = measured.gyro
     if gyro is not None and abs(gyro.correlation) > 0.8:
         found["gyro_bias_sd"] = max(abs(gyro.bias), 5e-4), "mean difference from the compass"
