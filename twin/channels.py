@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from usv_kernel.channels import SENSOR_CHANNELS
+from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS
 
 __all__ = [
+    "ACCEL_Z",
+    "AHRS_PITCH",
+    "AHRS_ROLL",
     "COMMANDS",
+    "GPS_VZ",
+    "GPS_Z",
+    "GYRO_X",
+    "GYRO_Y",
     "MEASUREMENTS",
+    "MOTION_AT",
     "PSI",
     "STATE",
     "TIME",
@@ -26,12 +34,15 @@ TIME = "t_s"
 COMMANDS = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
 """Columns of ``Log.cmd``: shaft speeds, rev/s, and drive angles, rad (above 0: to starboard)."""
 
-MEASUREMENTS = (*SENSOR_CHANNELS, "wind_mps", "wind_from_rad")
+MEASUREMENTS = (*SENSOR_CHANNELS, "wind_mps", "wind_from_rad", *MOTION_CHANNELS)
 """Columns of ``Log.z``: those of the sensors, speed of the true wind, and the direction that it
-comes from, clockwise from north."""
+comes from, clockwise from north; then those of a boat whose roll, pitch and heave are measured."""
 
-WIND_SPEED, WIND_FROM = range(len(SENSOR_CHANNELS), len(MEASUREMENTS))
-"""Places of the wind among them."""
+WIND_SPEED, WIND_FROM, MOTION_AT = range(len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3)
+"""Places of the wind among them, and of the first motion channel."""
+
+GYRO_X, GYRO_Y, ACCEL_Z, AHRS_ROLL, AHRS_PITCH, GPS_Z, GPS_VZ = range(MOTION_AT, len(MEASUREMENTS))
+"""Places of the motion channels."""
 
 TRUTH = ("true_x_m", "true_y_m", "true_psi_rad", "true_u_mps", "true_v_mps", "true_r_radps")
 """Columns of ``Log.truth``: the simulated state, for scoring only."""

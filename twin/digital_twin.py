@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS, STATE, TIME
+from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
 from twin.health.current import CurrentWatch
 from twin.health.history import HealthHistory
@@ -19,6 +19,9 @@ from twin.health.monitor import SensorMonitor, SensorStatus
 from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
+from twin.motion.deck_motion import DeckMotion, MotionEstimate
+from twin.motion.forecast import CHANNELS
+from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
@@ -103,6 +106,7 @@ class Twin:
             self.predictor = predictor
         else:
             self.predictor = make_predictor(predictor, particulars, seed=seed, **options)
+        self.motion = DeckMotion(particulars)
         self.monitor = SensorMonitor(particulars)
         self.health_history = HealthHistory(self.monitor)
         self.current_watch = CurrentWatch()
@@ -114,6 +118,7 @@ class Twin:
     def reset(self) -> None:
         """Return to the state before the first row."""
         self.predictor.reset()
+        self.motion.reset()
         self.monitor.reset()
         self.health_history.reset()
         self.current_watch.reset()
@@ -157,7 +162,8 @@ class Twin:
             },
         }
         health = {f"health.{name}": view for name, view in self.monitor.state_dict().items()}
-        write(path, header, arrays | kept | health)
+        motion = {f"motion.{name}": view for name, view in self.motion.state_dict().items()}
+        write(path, header, arrays | kept | health | motion)
 
     @classmethod
     def load(cls, path: str | Path, predictor: Predictor | None = None) -> Twin:
@@ -201,8 +207,10 @@ class Twin:
     ) -> Twin:
         """Return the twin of a header and its arrays."""
         about = dict(header["particulars"])
-        instruments = _floats(about.pop("instruments"))
-        particulars = Particulars.from_tables(_floats(about), instruments)
+        instruments, deck = _floats(about.pop("instruments")), _floats(about.pop("deck", {}))
+        if deck.get("point", 0) is None:
+            del deck["point"]
+        particulars = Particulars.from_tables(_floats(about), instruments, deck)
         name, seed, t = header["predictor"], header["seed"], header["t"]
         options = {
             key: unpack_option(value, arrays, particulars)
@@ -242,6 +250,7 @@ class Twin:
         )
         twin.datum = Datum(**header["datum"]) if "datum" in header else None
         twin.monitor.load_state_dict(without_prefix("health", arrays))
+        twin.motion.load_state_dict(without_prefix("motion", arrays))
         twin.begun = float(header["begun"])
         twin.t, twin.cmd = float(t), np.array(arrays["command"], dtype=np.float64)
         now = twin.predictor.estimate()
@@ -259,8 +268,9 @@ class Twin:
         ----------
         t : float
             Time, s; later than that of the row before.
-        z : array_like, shape (10,)
-            Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
+        z : array_like, shape (17,) or (10,)
+            Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing. The last
+            seven, of roll, pitch and heave, may be left out.
         cmd : array_like, shape (4,)
             Command that was in force since the row before, in the order of
             ``twin.channels.COMMANDS``.
@@ -273,6 +283,8 @@ class Twin:
         z = np.asarray(z, dtype=np.float64)
         # a copy, as the caller may reuse its array
         cmd = np.array(cmd, dtype=np.float64)
+        if z.shape == (MOTION_AT,):
+            z = np.concatenate([z, np.full(len(MEASUREMENTS) - MOTION_AT, math.nan)])
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
                 f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
@@ -290,6 +302,7 @@ class Twin:
         if math.isnan(self.t):
             self.begun = t
         predictor, monitor = self.predictor, self.monitor
+        z = self.motion.take(t, dt, z, predictor.navigation, predictor.ready)
         z, trusted = monitor.check(dt, z, cmd, predictor.navigation, predictor.ready)
         predictor.suspend_learning(monitor.commands_doubted, monitor.motion_doubted)
         predictor.update(t, dt, z, trusted)
@@ -302,10 +315,13 @@ class Twin:
     def health(self) -> dict[str, SensorStatus]:
         """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why.
 
+        Sensors of roll, pitch and heave are named only while they are in trouble.
         A GPS that is drawn away looks like a current. Where that is too large, or changes too fast,
         the GPS is doubtful.
         """
         found = self.monitor.statuses(self.begun)
+        for name, (status, age, reason) in self.motion.troubles().items():
+            found[name] = SensorStatus(status, self.t - age, reason)
         why = self.current_watch.why_doubtful(self.t, self.predictor.current())
         if found["gps"].status == "ok" and why:
             found["gps"] = SensorStatus("doubtful", self.t, why)
@@ -334,7 +350,8 @@ class Twin:
         -------
         StateTable, shape (N,)
             A structured array of the estimates at each row: time, state and parameters with their
-            standard deviations. Latitude, longitude and date are there where the log has them. It
+            standard deviations, and those of ``twin.motion.CHANNELS`` where the log shows roll,
+            pitch or heave. Latitude, longitude and date are there where the log has them. It
             has ``to_pandas()``, ``to_polars()`` and ``write(path)``. Without a table: ``for row in
             log: twin.step(*row)``. Sensors that were in doubt are in :attr:`notes`.
 
@@ -345,11 +362,14 @@ class Twin:
         """
         self.locate(log.datum)
         parameters = self.predictor.parameter_names
+        deck = np.full((len(log), 2, len(CHANNELS)), math.nan)
         shape = len(log), len(STATE) + len(parameters)
         mean, sd, ready = np.empty(shape), np.empty(shape), np.empty(len(log), dtype=np.bool_)
         for k, (t, z, cmd) in enumerate(log):
             self.step(t, z, cmd)
             ready[k] = self.predictor.write_moments(mean[k], sd[k])
+            if (now := self.motion.estimate()) is not None:
+                deck[k] = (now.roll, now.pitch, now.heave, now.deck_speed), now.sd
             if on_row is not None:
                 on_row()
         np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
@@ -360,6 +380,9 @@ class Twin:
         for group in (STATE, parameters):
             columns |= {name: means[name] for name in group}
             columns |= {f"sd_{name}": sds[name] for name in group}
+        if self.motion.active:
+            for j, kind in enumerate(("", "sd_")):
+                columns |= {f"{kind}{name}": deck[:, j, c] for c, name in enumerate(CHANNELS)}
         return StateTable.of(columns, self.datum)
 
     def locate(self, datum: Datum | None) -> None:
@@ -387,8 +410,21 @@ class Twin:
             )
 
     def estimate(self) -> Estimate:
-        """Return state and parameters with their standard deviations."""
-        return self.predictor.estimate()
+        """Return state and parameters with their standard deviations, and the attitude."""
+        estimate = self.predictor.estimate()
+        if not self.motion.active:
+            return estimate
+        return dataclasses.replace(estimate, motion=self.motion.estimate())
+
+    @property
+    def attitude(self) -> MotionEstimate | None:
+        """Roll, pitch and heave at the last row; None where nothing measures them."""
+        return self.motion.estimate()
+
+    @property
+    def sea(self) -> SeaEstimate | None:
+        """Height, period and direction of the waves; None where nothing measures the motion."""
+        return self.motion.sea()
 
     def predict(
         self, plan: str | ArrayLike = "hold", *, horizon: float = 10.0, dt: float = 0.25
@@ -409,6 +445,8 @@ class Twin:
         Returns
         -------
         Prediction
+            Its ``motion`` has the forecast of roll, pitch, heave and the vertical speed of the
+            deck, and the probability that it stays quiet, where the log shows such motion.
 
         Raises
         ------
@@ -439,8 +477,16 @@ class Twin:
             if self.monitor.commands_doubted:
                 # what the drives got is not known, but what they will get is
                 with self.predictor.drives_at(rows[0]):
-                    return self.predictor.predict(rows, dt)
-        return self.predictor.predict(rows, dt)
+                    return self._with_motion(self.predictor.predict(rows, dt))
+        return self._with_motion(self.predictor.predict(rows, dt))
+
+    def _with_motion(self, prediction: Prediction) -> Prediction:
+        """Return a prediction with that of roll, pitch and heave, if anything measures them."""
+        if not self.motion.active:
+            return prediction
+        times = prediction.t - prediction.t0
+        motion = self.motion.forecast(times, prediction.mean, prediction.start)
+        return dataclasses.replace(prediction, motion=motion)
 
 
 def _floats(table: dict[str, Any]) -> dict[str, Any]:

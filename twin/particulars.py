@@ -21,6 +21,7 @@ __all__ = [
     "DESIGNS",
     "GRAVITY",
     "STEERING",
+    "Deck",
     "Instruments",
     "Particulars",
 ]
@@ -36,6 +37,9 @@ FAST = 0.35
 
 FULL_FORM = 0.75
 """Block coefficient from which on a ship is a tanker or a bulk carrier."""
+
+FORWARD = 0.4
+"""Where the deck point lies if nothing is said: lengths forward of the origin."""
 
 LATENCY_MAX = 10.0
 """Largest age of a fix, s."""
@@ -58,8 +62,9 @@ class ParticularsError(UsvTwinError):
 def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)
-        if item.name.endswith("_arm"):
-            _check_arm(item.name, value)
+        if item.name in _TRIPLES:
+            if value is not None:
+                _check_triple(item.name, value)
             continue
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             continue
@@ -70,15 +75,22 @@ def _check_fields(record: Any, positive: tuple[str, ...]) -> None:
             raise ParticularsError(f"{item.name} = {value} must be {bound}")
 
 
-def _check_arm(name: str, value: Any) -> None:
-    numbers = isinstance(value, (tuple, list)) and len(value) == 2
+_TRIPLES = {
+    "gps_arm": "m forward, to starboard and down of the origin, such as [1.5, -0.2, -2.0]",
+    "imu_arm": "m forward, to starboard and down of the origin, such as [1.5, -0.2, -0.3]",
+    "imu_mounting": "roll, pitch and yaw of its axes in rad, such as [0.0, 0.0, 1.571]",
+    "point": "m forward, to starboard and down of the origin, such as [-1.5, 0.0, -0.5]",
+}
+"""What the fields of three numbers are."""
+
+
+def _check_triple(name: str, value: Any) -> None:
+    sizes = (3,) if name == "imu_mounting" else (2, 3)
+    numbers = isinstance(value, (tuple, list)) and len(value) in sizes
     if not numbers or not all(
         isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
     ):
-        raise ParticularsError(
-            f"{name} = {value!r} must be two finite numbers: m forward and m to starboard of the "
-            "origin, such as [1.5, -0.2]"
-        )
+        raise ParticularsError(f"{name} = {value!r} must be three finite numbers: {_TRIPLES[name]}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +115,14 @@ class Instruments:
     gps_latency : float
         Age of a fix when it arrives, s; up to 10.
     gps_arm, imu_arm : tuple of float
-        Where antenna and IMU sit: m forward and m to starboard of the origin, which is the
-        point whose position and velocity are wanted.
+        Where antenna and IMU sit: m forward, to starboard and down of the origin, which is the
+        point whose position and velocity are wanted. The last of the three may be left out.
+    imu_mounting : tuple of float
+        Roll, pitch and yaw of the axes of the IMU against those of the boat, rad.
+    ahrs_sd, ahrs_time : float
+        Roll and pitch of an AHRS, rad, and how long its error lasts, s.
+    height_sd, height_bias_sd, climb_sd : float
+        Height and vertical speed of the GNSS: white noise and drift of the height, m; m/s.
     tilt_sd, tilt_time : float
         Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them, and
         how long a tilt lasts (s). 0 for a boat that stays upright or whose IMU removes gravity.
@@ -120,8 +138,14 @@ class Instruments:
     accel_sd: float = 0.12
     accel_bias_sd: float = 0.05
     gps_latency: float = 0.1
-    gps_arm: tuple[float, float] = (0.0, 0.0)
-    imu_arm: tuple[float, float] = (0.0, 0.0)
+    gps_arm: tuple[float, ...] = (0.0, 0.0, 0.0)
+    imu_arm: tuple[float, ...] = (0.0, 0.0, 0.0)
+    imu_mounting: tuple[float, ...] = (0.0, 0.0, 0.0)
+    ahrs_sd: float = 0.005
+    ahrs_time: float = 10.0
+    height_sd: float = 0.6
+    height_bias_sd: float = 1.5
+    climb_sd: float = 0.08
     tilt_sd: float = 0.0
     tilt_time: float = 2.0
 
@@ -135,6 +159,10 @@ class Instruments:
                 "gyro_sd",
                 "accel_sd",
                 "accel_bias_sd",
+                "ahrs_sd",
+                "ahrs_time",
+                "height_sd",
+                "climb_sd",
                 "tilt_time",
             ),
         )
@@ -142,9 +170,37 @@ class Instruments:
             raise ParticularsError(
                 f"gps_latency = {self.gps_latency} must be {LATENCY_MAX:g} s or less"
             )
-        for name in ("gps_arm", "imu_arm"):
-            forward, side = getattr(self, name)
-            object.__setattr__(self, name, (float(forward), float(side)))
+        for name in ("gps_arm", "imu_arm", "imu_mounting"):
+            given = tuple(map(float, getattr(self, name)))
+            object.__setattr__(self, name, (*given, 0.0)[:3])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deck:
+    """A point of the deck, and how quiet it must be there.
+
+    Parameters
+    ----------
+    point : tuple of float, optional
+        m forward, to starboard and down of the origin; left out: .4 lengths forward.
+    max_tilt : float
+        Largest roll and pitch of a quiet deck, rad.
+    max_speed : float
+        Its largest vertical speed, m/s.
+    """
+
+    point: tuple[float, ...] | None = None
+    max_tilt: float = math.radians(3.0)
+    max_speed: float = 0.5
+
+    def __post_init__(self) -> None:
+        _check_fields(self, ("max_tilt", "max_speed"))
+        if self.point is not None:
+            object.__setattr__(self, "point", (*map(float, self.point), 0.0)[:3])
+
+    def point_of(self, length: float) -> tuple[float, ...]:
+        """Return the point on a boat of this length (m)."""
+        return (FORWARD * length, 0.0, 0.0) if self.point is None else self.point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,6 +236,8 @@ class Particulars:
         Of a catamaran, m: beam of each hull, and distance of their centre lines; 0 where unknown.
     instruments : Instruments
         Sensors on board.
+    deck : Deck
+        The place where the deck must be quiet, and what that means.
     prior : BoatPrior, optional
         What earlier runs of this boat say of its parameters. In a file: the path of what
         ``usv-twin identify --save-prior`` wrote, counted from the folder of the file.
@@ -201,6 +259,7 @@ class Particulars:
     hull_beam: float = 0.0
     spacing: float = 0.0
     instruments: Instruments = field(default_factory=Instruments)
+    deck: Deck = field(default_factory=Deck)
     prior: BoatPrior | None = None
 
     def __post_init__(self) -> None:
@@ -280,11 +339,11 @@ class Particulars:
         Parameters
         ----------
         path : str or Path
-            File with a table ``[particulars]`` and, if wished, ``[instruments]``; the keys are the
-            fields of :class:`Particulars` and :class:`Instruments`, in SI units. A file of several
-            boats has ``[[ship]]`` for each, with the patterns of its logs (``logs =
-            ["my_folder/*"]``, matched from the end of a path) and the tables ``[ship.particulars]``
-            and ``[ship.instruments]``.
+            File with a table ``[particulars]`` and, if wished, ``[instruments]`` and ``[deck]``;
+            the keys are the fields of :class:`Particulars`, :class:`Instruments` and
+            :class:`Deck`, in SI units. A file of several boats has ``[[ship]]`` for each, with the
+            patterns of its logs (``logs = ["my_folder/*"]``, matched from the end of a path) and
+            the tables ``[ship.particulars]`` and so on.
         log : str or Path, optional
             Log whose boat is wanted, in a file of several.
 
@@ -302,32 +361,33 @@ class Particulars:
         try:
             if "ship" in table:
                 table = _ship_of(table, log)
-            unknown = set(table) - {"particulars", "instruments"}
+            unknown = set(table) - {"particulars", "instruments", "deck"}
             if unknown or "particulars" not in table:
                 raise ParticularsError(
-                    "expected the tables [particulars] and, if wished, [instruments]; "
+                    "expected the tables [particulars] and, if wished, [instruments] and [deck]; "
                     f"found {', '.join(sorted(table)) or 'none'}"
                 )
             about = table["particulars"]
             if isinstance(about, dict) and isinstance(about.get("prior"), str):
                 about = {**about, "prior": BoatPrior.load(path.parent / about["prior"])}
-            return cls.from_tables(about, table.get("instruments", {}))
+            return cls.from_tables(about, table.get("instruments", {}), table.get("deck", {}))
         except (ParticularsError, BoatPriorError) as error:
             raise ParticularsError(f"{path}: {error}") from None
 
     @classmethod
-    def from_tables(cls, particulars: Any, instruments: Any) -> Particulars:
+    def from_tables(cls, particulars: Any, instruments: Any, deck: Any = None) -> Particulars:
         """Return particulars from plain tables of values by field name, in SI units.
 
         ``prior`` may be a :class:`BoatPrior` or a table of its fields. ParticularsError names key
         and remedy.
         """
         on_board = Instruments(**_known(Instruments, instruments))
+        quiet = Deck(**_known(Deck, {} if deck is None else deck))
         about = dict(_known(cls, particulars))
         prior = about.pop("prior", None)
         if prior is not None and not isinstance(prior, BoatPrior):
             prior = BoatPrior.from_table(prior)
-        return cls(**about, instruments=on_board, prior=prior)
+        return cls(**about, instruments=on_board, deck=quiet, prior=prior)
 
     @property
     def time_scale(self) -> float:
@@ -351,17 +411,21 @@ class Particulars:
         lines = ["# Main particulars for the twin, SI units.", "[particulars]"]
         for item in dataclasses.fields(self):
             hull = item.name in ("hulls", "hull_beam", "spacing")
-            if item.name not in ("instruments", "prior") and not (hull and self.hulls == 1):
+            if item.name not in ("instruments", "deck", "prior") and not (hull and self.hulls == 1):
                 value = getattr(self, item.name)
                 # A JSON string is a TOML string, quotes and all.
                 is_text = isinstance(value, str)
                 text = json.dumps(value, ensure_ascii=False) if is_text else repr(float(value))
                 lines.append(f"{item.name} = {text}")
-        lines += ["", "[instruments]"]
-        for item in dataclasses.fields(self.instruments):
-            value = getattr(self.instruments, item.name)
-            text = repr(list(value) if isinstance(value, tuple) else float(value))
-            lines.append(f"{item.name} = {text}")
+        for title, part in (("instruments", self.instruments), ("deck", self.deck)):
+            if part == Deck():
+                continue
+            lines += ["", f"[{title}]"]
+            for item in dataclasses.fields(part):
+                value = getattr(part, item.name)
+                if value is not None:
+                    text = repr(list(value) if isinstance(value, tuple) else float(value))
+                    lines.append(f"{item.name} = {text}")
         if self.prior is not None:
             lines += ["", "[particulars.prior]", self.prior.to_toml().rstrip()]
         return "\n".join(lines) + "\n"
@@ -395,11 +459,12 @@ def _known(kind: type, table: Any) -> dict[str, Any]:
     """Return the table if each key is a field of the right type and none is missing."""
     if not isinstance(table, dict):
         raise ParticularsError("expected a table of keys and values")
-    fields = {item.name: item for item in dataclasses.fields(kind) if item.name != "instruments"}
+    own = ("instruments", "deck")
+    fields = {item.name: item for item in dataclasses.fields(kind) if item.name not in own}
     for key, value in table.items():
         if key not in fields:
             raise ParticularsError(f"unknown key {key!r}; known keys: {', '.join(fields)}")
-        if key.endswith("_arm") or key == "prior":
+        if key in _TRIPLES or key == "prior":
             continue  # the class itself checks it
         text = key in ("name", "steering", "design")
         wanted = str if text else (int, float)

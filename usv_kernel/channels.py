@@ -11,6 +11,7 @@ __all__ = [
     "GPS_X",
     "GPS_Y",
     "GYRO",
+    "MOTION_CHANNELS",
     "SENSOR_CHANNELS",
 ]
 
@@ -29,3 +30,16 @@ specific force forward and to starboard."""
 
 GPS_X, GPS_Y, GPS_VX, GPS_VY, COMPASS, GYRO, ACCEL_X, ACCEL_Y = range(len(SENSOR_CHANNELS))
 """Their places in a row of measurements."""
+
+MOTION_CHANNELS = (
+    "gyro_x_radps",
+    "gyro_y_radps",
+    "accel_z_mps2",
+    "ahrs_roll_rad",
+    "ahrs_pitch_rad",
+    "gps_z_m",
+    "gps_vz_mps",
+)
+"""What shows roll, pitch and heave: the other axes of the IMU (roll rate, pitch rate, specific
+force down), roll and pitch of an AHRS, and position and velocity of the GNSS down. An upright boat
+at rest has a specific force of -9.81 m/s2 down."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
 
@@ -12,6 +14,7 @@ from usv_kernel.jit import inlined, kernel
 __all__ = [
     "actuate",
     "fma",
+    "rotation",
     "sincos",
     "wrap",
 ]
@@ -80,3 +83,15 @@ def actuate(value: float, target: float, lag: float, rate: float) -> float:
     It replaces Eq (11) and (27) of Qu et al. 2025, which can only move away from zero.
     """
     return min(max((target - value) / lag, -rate), rate)
+
+
+def rotation(angles: Sequence[float]) -> np.ndarray:
+    """Return the matrix (3, 3) that turns a vector from axes at roll, pitch and yaw (rad) back.
+
+    Source: Fossen 2021, Eq 2.31: R_z(yaw) R_y(pitch) R_x(roll).
+    """
+    (s1, s2, s3), (c1, c2, c3) = np.sin(angles), np.cos(angles)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, c1, -s1], [0.0, s1, c1]])
+    about_y = np.array([[c2, 0.0, s2], [0.0, 1.0, 0.0], [-s2, 0.0, c2]])
+    about_z = np.array([[c3, -s3, 0.0], [s3, c3, 0.0], [0.0, 0.0, 1.0]])
+    return about_z @ about_y @ about_x

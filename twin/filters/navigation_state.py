@@ -180,8 +180,8 @@ def navigation_settings(particulars: Particulars) -> Array:
             max(I.compass_bias_sd**2, VARIANCE_MIN),
             max(tilt**2, VARIANCE_MIN),
             I.tilt_time,
-            *I.gps_arm,
-            *I.imu_arm,
+            *I.gps_arm[:2],
+            *I.imu_arm[:2],
             0.5 * accel + 8.0 * math.hypot(I.accel_sd, 0.5 * tilt),
         ]
     )

@@ -66,7 +66,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     ----------
     dt : float
         Time since the row before, s.
-    z, cmd : ndarray, shapes (10,), (4,)
+    z, cmd : ndarray, shapes (17,), (4,)
         The row.
     s : ndarray, shape (6,)
         State that the predictor had after the row before.
@@ -74,7 +74,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         Whether that means anything.
     health, given : record
         ``HEALTH``, advanced in place; ``HEALTH_SETTINGS``.
-    out : ndarray, shape (10,)
+    out : ndarray, shape (17,)
         The row without the samples of excluded sensors.
     """
     health.clock += dt

@@ -135,7 +135,7 @@ class SensorMonitor:
         ----------
         dt : float
             Time since the row before, s.
-        z, cmd : ndarray, shapes (10,), (4,)
+        z, cmd : ndarray, shapes (17,), (4,)
             Measurements and commands.
         state : ndarray, shape (6,)
             What the predictor said of the boat after the row before.
@@ -144,7 +144,7 @@ class SensorMonitor:
 
         Returns
         -------
-        z, cmd : ndarray, shapes (10,), (4,)
+        z, cmd : ndarray, shapes (17,), (4,)
             The row without impossible numbers and excluded sensors, which are NaN; and its
             command, or the last one that was trusted.
         """

@@ -240,7 +240,7 @@ def health_settings(particulars: Particulars) -> Array:
             I.accel_sd,
             I.accel_bias_sd,
             GRAVITY * I.tilt_sd,
-            math.dist(I.gps_arm, I.imu_arm),
+            math.dist(I.gps_arm[:2], I.imu_arm[:2]),
             I.gps_latency,
             TURN_FREE + TURN_FACTOR * U / L,
             particulars.shaft_speed,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from twin.channels import MEASUREMENTS
+from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.columns import Array, LogError
 from twin.logs.diagnosis.findings import held, repeated
 from twin.logs.diagnosis.heading import compass_in_degrees, turn_ratio
@@ -83,7 +83,7 @@ def held_command(values: Array, given: str, table: Table) -> Array:
 
 
 def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
-    """Refuse a dead sensor and note what is missing."""
+    """Refuse a dead sensor, leave out a dead axis of roll, pitch or heave, note what is missing."""
     rows, given = len(values), table.given[name]
     valid = ~np.isnan(values)
     count = int(valid.sum())
@@ -91,6 +91,12 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
         table.notes.append(f"{given}: all {rows} cells empty, taken as never measured")
         return
     samples = values[valid]
+    if count >= ENOUGH and (samples == samples[0]).all() and name in MEASUREMENTS[MOTION_AT:]:
+        values[:] = np.nan
+        table.notes.append(
+            f"{given}: all {count} values are equal, as of a dead axis; taken as never measured"
+        )
+        return
     if count >= ENOUGH and (samples == samples[0]).all():
         last = rows - 1 - int(np.argmax(valid[::-1]))
         raise LogError(

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
+from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, TIME, TRUTH
 from twin.logs.checks import (
     check_drive,
     check_measurement,
@@ -64,6 +64,13 @@ _ALIASES = {
     "psi_deg": "compass_deg",
     "heading_deg": "compass_deg",
     "r_radps": "gyro_radps",
+    "gyro_z_radps": "gyro_radps",
+    "p_radps": "gyro_x_radps",
+    "q_radps": "gyro_y_radps",
+    "roll_rad": "ahrs_roll_rad",
+    "pitch_rad": "ahrs_pitch_rad",
+    "roll_deg": "ahrs_roll_deg",
+    "pitch_deg": "ahrs_pitch_deg",
     "wind_speed": "wind_mps",
     "wind_speed_mps": "wind_mps",
     "tws_mps": "wind_mps",
@@ -89,10 +96,11 @@ class Log:
     ----------
     t : ndarray, shape (N,)
         Time, s, strictly increasing.
-    z : ndarray, shape (N, 10)
+    z : ndarray, shape (N, 17)
         Measurements in the order of :data:`MEASUREMENTS`; NaN where a sensor gave no new
         sample. Heading and wind direction may be wrapped or run on beyond a turn: whoever
-        compares one with another angle wraps the difference.
+        compares one with another angle wraps the difference. The last seven columns, of roll, pitch
+        and heave, may be left out.
     cmd : ndarray, shape (N, 4)
         Commands in the order of :data:`COMMANDS`, each in force during the interval that
         ends at the row's time.
@@ -120,6 +128,9 @@ class Log:
         if self.truth is not None:
             shapes["truth"] = (len(TRUTH),)
         rows = np.shape(self.t)[0] if np.ndim(self.t) == 1 else -1
+        if np.shape(self.z) == (rows, MOTION_AT):
+            unknown = np.full((rows, len(MEASUREMENTS) - MOTION_AT), np.nan)
+            object.__setattr__(self, "z", np.hstack([self.z, unknown]))
         for key, tail in shapes.items():
             value = np.ascontiguousarray(getattr(self, key), dtype=np.float64)
             if value.shape != (rows, *tail):
@@ -195,7 +206,10 @@ class Log:
 
         columns = {TIME: self.t}
         columns.update(zip(COMMANDS, self.cmd.T, strict=True))
-        columns.update(zip(MEASUREMENTS, self.z.T, strict=True))
+        shown = (
+            MEASUREMENTS if np.isfinite(self.z[:, MOTION_AT:]).any() else MEASUREMENTS[:MOTION_AT]
+        )
+        columns.update(zip(shown, self.z.T, strict=False))
         if self.truth is not None:
             columns.update(zip(TRUTH, self.truth.T, strict=True))
         if self.datum is not None:
@@ -450,7 +464,10 @@ def assemble(table: Table) -> Log:
             check_drive(cmd[:, j], name, table)
 
     z = np.full((rows, len(MEASUREMENTS)), np.nan)
-    never = [name for name in MEASUREMENTS if name not in names]
+    # few logs have roll, pitch and heave: of those that have none, nothing is missing
+    motion = any(name in names for name in MEASUREMENTS[MOTION_AT:])
+    expected = MEASUREMENTS if motion else MEASUREMENTS[:MOTION_AT]
+    never = [name for name in expected if name not in names]
     if never:
         notes.append(f"{', '.join(never)}: not in the file, taken as never measured")
     for j, name in enumerate(MEASUREMENTS):

@@ -24,6 +24,10 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     speed = { from = "SOG", unit = "kn" }
     course = { from = "COG", unit = "deg" }
 
+    [attitude]                                      # roll and pitch of a quaternion
+    quaternion = ["qx", "qy", "qz", "qw"]
+    frame = "ned"
+
     [rows]                                          # of a long file: a piece, or fewer rows
     start_s = 100.0
     stop_s = 700.0
@@ -58,13 +62,16 @@ __all__ = [
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
 
-_TABLES = ("columns", "position", "velocity", "heading", "datum", "rows")
+_TABLES = ("columns", "position", "velocity", "heading", "attitude", "datum", "rows")
 
 _ENU = {
-    # angles turn the other way and begin at east; y of the body points to port
+    # angles turn the other way and begin at east; y of the body points to port, z up
     **dict.fromkeys(("compass_rad", "true_psi_rad", "wind_from_rad"), (-1.0, 0.5 * math.pi)),
     **dict.fromkeys(("gyro_radps", "true_r_radps", "accel_y_mps2", "true_v_mps"), (-1.0, 0.0)),
     **dict.fromkeys(("accel_x_mps2", "true_u_mps"), (1.0, 0.0)),
+    **dict.fromkeys(("gyro_x_radps", "ahrs_roll_rad"), (1.0, 0.0)),
+    **dict.fromkeys(("gyro_y_radps", "ahrs_pitch_rad", "accel_z_mps2"), (-1.0, 0.0)),
+    **dict.fromkeys(("gps_z_m", "gps_vz_mps"), (-1.0, 0.0)),
 }
 
 _FAR = 1e5
@@ -161,7 +168,7 @@ class _Parser:
             for name, given in self.known("[columns]", data.get("columns", {}), _COLUMNS).items()
         ]
         makers = {"position": self.position, "velocity": self.velocity, "heading": self.heading}
-        makers["datum"] = self.datum
+        makers |= {"attitude": self.attitude, "datum": self.datum}
         entries += [make(data[key]) for key, make in makers.items() if key in data]
         names = [name for entry in entries for name in entry.names]
         for name in names:
@@ -286,22 +293,39 @@ class _Parser:
         note = f"gps_vx_mps, gps_vy_mps: from speed {sources[0]} and course {sources[1]}"
         return Entry(("gps_vx_mps", "gps_vy_mps"), sources, convert, parts[0][0], note)
 
-    def heading(self, given: Any) -> Entry:
-        table = self.known("[heading]", given, ("topic", "quaternion", "frame", "offset"))
+    def quaternion(
+        self, where: str, given: Any, *more: str
+    ) -> tuple[Mapping[str, Any], tuple[str, ...], str]:
+        """Return the table, the four sources and the frame of a quaternion."""
+        table = self.known(where, given, ("topic", "quaternion", "frame", *more))
         parts = table.get("quaternion", "orientation")
         names = [f"{parts}.{axis}" for axis in "xyzw"] if isinstance(parts, str) else parts
         if not isinstance(names, list) or len(names) != 4:
-            raise self.fail("[heading] quaternion", "must be a field, or the columns [x, y, z, w]")
+            raise self.fail(f"{where} quaternion", "must be a field, or the columns [x, y, z, w]")
         frame = table.get("frame", "enu")
         if frame not in ("enu", "ned"):
-            raise self.fail("[heading] frame", f'{frame!r} must be "enu" or "ned"')
+            raise self.fail(f"{where} frame", f'{frame!r} must be "enu" or "ned"')
+        return table, tuple(map(str, names)), frame
+
+    def heading(self, given: Any) -> Entry:
+        table, sources, frame = self.quaternion("[heading]", given, "offset")
         offset = self.number("[heading] offset", table.get("offset", 0.0))
         return Entry(
             ("compass_rad",),
-            tuple(map(str, names)),
+            sources,
             _yaw(frame == "enu", offset),
             self.text("[heading]", table, "topic", ""),
             f"compass_rad: from a quaternion in {frame.upper()}",
+        )
+
+    def attitude(self, given: Any) -> Entry:
+        table, sources, frame = self.quaternion("[attitude]", given)
+        return Entry(
+            ("ahrs_roll_rad", "ahrs_pitch_rad"),
+            sources,
+            _tilt(frame == "enu"),
+            self.text("[attitude]", table, "topic", ""),
+            f"ahrs_roll_rad, ahrs_pitch_rad: from a quaternion in {frame.upper()}",
         )
 
 
@@ -382,5 +406,23 @@ def _yaw(enu: bool, offset: float) -> Callable[[Sequence[Array]], Sequence[Array
         # all zero: a driver that knows no orientation
         yaw[(x == 0.0) & (y == 0.0) & (z == 0.0) & (w == 0.0)] = np.nan
         return [np.remainder((0.5 * math.pi - yaw if enu else yaw) + offset, 2.0 * math.pi)]
+
+    return convert
+
+
+def _tilt(enu: bool) -> Callable[[Sequence[Array]], Sequence[Array]]:
+    """Return the conversion of a quaternion to roll and pitch, rad; Fossen 2021, Eq. 2.76.
+
+    In ROS the second axis points to port, so that bow down is above 0.
+    """
+
+    def convert(values: Sequence[Array]) -> list[Array]:
+        x, y, z, w = values
+        roll = np.arctan2(2.0 * (w * x + y * z), w * w - x * x - y * y + z * z)
+        length = x * x + y * y + z * z + w * w
+        sine = 2.0 * (w * y - z * x) / np.where(length > 0.0, length, np.nan)
+        pitch = np.arcsin(np.clip(sine, -1.0, 1.0))
+        roll[length == 0.0] = np.nan
+        return [roll, -pitch if enu else pitch]
 
     return convert

@@ -22,6 +22,7 @@ from twin.checkpoint import State, restore_attributes, saved_attributes
 from twin.identification.identifiability import Identifiability
 from twin.logs.datum import Datum
 from twin.logs.tables import StateTable
+from twin.motion.deck_motion import MotionEstimate, MotionForecast
 from twin.particulars import Particulars
 
 __all__ = [
@@ -50,6 +51,8 @@ class Estimate:
         Model parameters and their standard deviations; empty where there is no model.
     ready : bool
         False until a first fix and a first heading have come; the rest means nothing then.
+    motion : MotionEstimate, optional
+        Roll, pitch and heave, where the log shows them; from ``Twin.estimate`` only.
     """
 
     t: float
@@ -58,6 +61,7 @@ class Estimate:
     params: Array
     params_sd: Array
     ready: bool
+    motion: MotionEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,8 @@ class Prediction:
         Covariances of their errors.
     low, high : ndarray, shape (K, 6)
         5 % and 95 % points; left out, those of normal errors.
+    motion : MotionForecast, optional
+        Roll, pitch, heave and the vertical speed of the deck, where the log shows them.
     """
 
     t0: float
@@ -88,6 +94,7 @@ class Prediction:
     cov: Array
     low: Array = None  # type: ignore[assignment]
     high: Array = None  # type: ignore[assignment]
+    motion: MotionForecast | None = None
 
     def __post_init__(self) -> None:
         for name, side in (("low", -Z90), ("high", Z90)):
@@ -104,7 +111,7 @@ class Prediction:
 
         Its columns are ``t_s``; date, latitude and longitude where the datum has them. Then the
         means by the names of ``twin.channels.STATE``; and those with ``sd_``, ``low_`` and
-        ``high_``.
+        ``high_``. Where there is a ``motion``, those of ``twin.motion.CHANNELS`` follow.
 
         Parameters
         ----------
@@ -117,7 +124,8 @@ class Prediction:
             for kind, part in parts.items()
             for k, name in enumerate(STATE)
         }
-        return StateTable.of({TIME: self.t, **columns}, datum)
+        more = {} if self.motion is None else self.motion.columns(self.t)
+        return StateTable.of({TIME: self.t, **columns, **more}, datum)
 
     def at(self, horizons: Array) -> tuple[Array, Array]:
         """Return mean (h, 6) and covariance (h, 6, 6) at times after t0, interpolated.
@@ -257,7 +265,7 @@ class Predictor(ABC):
         ----------
         t, dt : float
             Time of the row and time since the row before, s; dt is 0 in the first row.
-        z : ndarray, shape (10,)
+        z : ndarray, shape (17,)
             Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
         cmd : ndarray, shape (4,)
             Command that was in force since the row before, in the order of

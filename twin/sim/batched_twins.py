@@ -24,6 +24,8 @@ from twin.identification.joint_ukf import (
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES
+from twin.motion.deck_motion import initial_motion
+from twin.motion.forecast import QUIET_SPANS
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.dsw_ukf_plus import PlusPredictor
@@ -40,6 +42,7 @@ from twin.predictors.ukf import (
 from twin.sim.bridge import particulars_of
 from twin.sim.oracle import simulator_options
 from twin.sim.twin_observation import (
+    ATTITUDE_OBSERVATION,
     HEALTH_OBSERVATION,
     NOTE,
     ROWS,
@@ -50,11 +53,13 @@ from twin.sim.twin_observation import (
     PlusForecast,
     UKFForecast,
     describe_flat,
+    describe_motion_flat,
+    note_attitude_flat,
     observe_plus,
     observe_ukf,
     take_row,
 )
-from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
+from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.scene import TwinOverlay
 from usv_kernel.arrays import flat_size
 from usv_kernel.errors import UsvTwinError
@@ -72,7 +77,7 @@ Array = NDArray[np.float64]
 
 _ALL = slice(None)
 
-TWIN_SETS = ("twin", "twin_params", "twin_health")
+TWIN_SETS = ("twin", "twin_params", "twin_health", "twin_attitude")
 """Names of the observation sets with a twin."""
 
 _HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size(HEALTH))
@@ -85,7 +90,8 @@ class TwinObserver(Observer):
     boat, as new. The standard deviations ahead are updated every ``band_period``, s; 0 for every
     step. ``observation`` is one of :data:`TWIN_SETS`. ``"twin_params"`` adds the parameters of the
     identified model and their standard deviations, both in units of the standard deviations that
-    they had at the start; ``"twin_health"`` adds how far each sensor is trusted.
+    they had at the start; ``"twin_health"`` adds how far each sensor is trusted, and
+    ``"twin_attitude"`` roll, pitch and heave, with six degrees of freedom.
     """
 
     def __init__(
@@ -104,6 +110,25 @@ class TwinObserver(Observer):
         self._infos |= {f"twin_health_{name}": status[:, k] for k, name in enumerate(SENSORS)}
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._observation = observation
+        self.motions = np.zeros((episodes.n, 0))
+        """What is remembered of roll, pitch and heave of each boat; nothing with dof=3."""
+        if episodes.simulation.dof == 6:
+            self._blank_motion = initial_motion()
+            self.motions = np.tile(self._blank_motion, (episodes.n, 1))
+            roll = self.notes["roll"]
+            own = ("twin_roll_rad", "twin_pitch_rad", "roll_rad", "pitch_rad")
+            self._infos |= {name: roll[:, k] for k, name in enumerate(own)}
+        if observation == "twin_attitude":
+            if episodes.simulation.dof != 6:
+                raise UsvTwinError(
+                    "observation = 'twin_attitude': a boat with dof=3 does not roll; use dof=6"
+                )
+            self.names += ATTITUDE_OBSERVATION
+            quiet = self.notes["quiet"]
+            self._infos |= {
+                f"twin_quiet_{span:g}s": quiet[:, k] for k, span in enumerate(QUIET_SPANS)
+            }
+            self._infos["twin_hs_m"] = self.notes["hs"]
         if observation == "twin_health":
             self.names += HEALTH_OBSERVATION
         elif observation == "twin_params":
@@ -130,6 +155,8 @@ class TwinObserver(Observer):
     def reset(self, i: int) -> None:
         """Let boat i begin an episode with a twin that has seen nothing yet."""
         self.notes[i] = self._fresh[0]
+        if self.motions.shape[1]:
+            self.motions[i] = self._blank_motion
         self._forget(i)
 
     def overlay(self, i: int) -> TwinOverlay | None:
@@ -157,7 +184,7 @@ class TwinObserver(Observer):
         self._observe(obs, look, rows)
         if not look:
             return
-        at = len(OBSERVATION) + len(TWIN_OBSERVATION)
+        at = len(self.episodes.observation) + len(TWIN_OBSERVATION)
         if self._observation == "twin_health":
             status = self.notes["health"]["sensors"]["status"][rows]
             obs[rows, at:] = TRUST[status.astype(np.intp)]
@@ -192,6 +219,9 @@ class SeparateTwins(TwinObserver):
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         for note, one in zip(self._notes, self.twins, strict=True):
             one.monitor.remember(note[_HEALTH])
+        for motion, one in zip(self.motions, self.twins, strict=True):
+            if motion.size:
+                one.motion.remember(motion)
         self._plan = np.zeros((ROWS, N_ACT))
 
     def _state(self, i: int) -> Array:
@@ -218,6 +248,8 @@ class SeparateTwins(TwinObserver):
             if dt >= 0.0:
                 # arrays that a twin keeps must not change with the next row
                 twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
+                if twin.motion.active:
+                    note_attitude_flat(boat, self._notes[i], twin.motion.memory)
             if not look or note["shown"] == note["last"]:
                 continue
             note["shown"] = note["last"]
@@ -231,7 +263,13 @@ class SeparateTwins(TwinObserver):
                 note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
             np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
-            describe_flat(s, boat, self._notes[i], task.points[i], task.rules, obs[i])
+            own = obs[i, len(self.episodes.observation) :]
+            describe_flat(s, boat, self._notes[i], task.points[i], task.rules, own)
+            if self._observation == "twin_attitude":
+                motion, own = twin.motion, own[len(TWIN_OBSERVATION) :]
+                describe_motion_flat(
+                    s, self._notes[i], motion.memory, motion.settings, motion.scratch, own
+                )
 
 
 class CompiledTwins(TwinObserver):
@@ -248,6 +286,8 @@ class CompiledTwins(TwinObserver):
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
         if self._single:
             twin.monitor.remember(self._notes[0, _HEALTH])
+            if self.motions.shape[1]:
+                twin.motion.remember(self.motions[0])
         own, many = predictor.memory, episodes.n
         self._blank = [array.copy() for array in own]
         self.memory = type(own)(
@@ -255,7 +295,8 @@ class CompiledTwins(TwinObserver):
         )
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
         checks = health_settings(twin.particulars)
-        self._settings = np.concatenate([[band_period, gps_var, 1.0], checks])
+        shown = float(observation == "twin_attitude")
+        self._settings = np.concatenate([[band_period, gps_var, 1.0, shown], checks])
         self._forecast = self._buffers()
         # a thread needs scratch of its own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
@@ -292,6 +333,8 @@ class CompiledTwins(TwinObserver):
         for array, memory in zip(predictor.memory, self.memory, strict=True):
             array[:] = memory[i]
         twin.monitor.memory[:] = self._notes[i, _HEALTH]
+        if self.motions.shape[1]:
+            twin.motion.memory[:] = self.motions[i]
         twin.t = predictor.t = self.notes["last"].item(i)
         twin.begun = self.notes["begun"].item(i)
         twin.cmd = self.episodes.simulation.cmd[i].copy()
@@ -327,6 +370,9 @@ class CompiledTwins(TwinObserver):
             self._notes[rows],
             self.episodes.shared,
             self._settings,
+            self.motions[rows],
+            self.first.motion.settings,
+            self.first.motion.scratch.copy() if own else self.first.motion.scratch,
         )
         memory = type(self.memory)(*(array[rows] for array in self.memory))
         scratch = predictor.work, self._forecast

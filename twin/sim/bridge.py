@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import MEASUREMENTS
+from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.log import Log
 from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import commands
@@ -41,6 +41,9 @@ TILT_SD, TILT_TIME = 0.08, 1.0
 
 CONTROL_STEP = 0.05
 """Time between the rows of a simulated run, s."""
+
+SIMULATED = [*range(len(SENSOR_CHANNELS)), *range(MOTION_AT, len(MEASUREMENTS))]
+"""Places of the simulated channels in a row of measurements: the wind is not measured."""
 
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
@@ -85,8 +88,14 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             accel_sd=math.hypot(suite.accel_white, UPRIGHT),
             accel_bias_sd=max(suite.accel_bias, 1e-3),
             gps_latency=suite.gps_latency,
-            gps_arm=suite.gps_arm[:2],
-            imu_arm=suite.imu_arm[:2],
+            gps_arm=suite.gps_arm,
+            imu_arm=suite.imu_arm,
+            imu_mounting=suite.imu_mounting,
+            ahrs_sd=max(math.hypot(suite.ahrs_white, suite.ahrs_bias), 1e-4),
+            ahrs_time=suite.ahrs_bias_time,
+            height_sd=max(suite.height_white, 0.02),
+            height_bias_sd=suite.height_bias,
+            climb_sd=max(suite.climb_white, 0.01),
             tilt_sd=TILT_SD if dof == 6 else 0.0,
             tilt_time=TILT_TIME,
         ),
@@ -96,7 +105,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
 def measurement_row(channels: Array) -> Array:
     """Return a row of ``twin.channels.MEASUREMENTS`` from the simulated sensors."""
     row = np.full(len(MEASUREMENTS), math.nan)
-    row[: len(channels)] = channels
+    row[SIMULATED] = channels
     return row
 
 
@@ -162,6 +171,6 @@ def sail(
                 before_step(float(simulation.t[0]), simulation, command[0])
             simulation.step(command)
         t[k] = simulation.t[0]
-        z[k, : len(SENSOR_CHANNELS)] = simulation.z[0]
+        z[k, SIMULATED] = simulation.z[0]
         truth[k] = simulation.state[0, TRUE_STATE]
     return Log(t=t, z=z, cmd=cmd, truth=truth, name=run.name)

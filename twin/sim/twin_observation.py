@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.channels import MEASUREMENTS, PSI, STATE, R, U, V, X, Y
+from twin.channels import MEASUREMENTS, MOTION_AT, PSI, STATE, R, U, V, X, Y
 from twin.filters.navigation_state import NAVIGATION
 from twin.health.checks import check_sensors, is_motion_doubted
 from twin.health.state import HEALTH, HEALTH_SETTINGS, SENSORS
@@ -23,6 +23,23 @@ from twin.identification.joint_ukf import (
 from twin.model.dynamics import N_ACT
 from twin.model.rollout import GRID, HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES, ModelTerms
+from twin.motion.deck_motion import (
+    MOTION,
+    MOTION_SETTINGS,
+    MOTION_WORK,
+    Z90,
+    accelerations_ahead,
+)
+from twin.motion.deck_motion import take_row as take_motion_row
+from twin.motion.forecast import HORIZONS as HORIZONS_OF_MOTION
+from twin.motion.forecast import (
+    PITCH,
+    QUIET_SPANS,
+    forecast_motion,
+    quiet_probabilities,
+)
+from twin.motion.sea_estimate import sea_of
+from twin.motion.state import ANGLE
 from twin.predictors.plus_forecast import (
     draws_of,
     mean_forecast_of,
@@ -37,7 +54,7 @@ from twin.predictors.ukf import (
     UKFWork,
     tight_step,
 )
-from usv_gym.envs.episodes import BOUND, EPISODES, OBSERVATION
+from usv_gym.envs.episodes import BOUND, EPISODES, TILT_SCALE
 from usv_gym.envs.observation import (
     COS_COURSE_ERROR,
     COS_HEADING,
@@ -61,6 +78,7 @@ from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
 __all__ = [
+    "ATTITUDE_OBSERVATION",
     "HEALTH_OBSERVATION",
     "NOTE",
     "ROWS",
@@ -72,6 +90,8 @@ __all__ = [
     "PlusForecast",
     "UKFForecast",
     "describe_flat",
+    "describe_motion_flat",
+    "note_attitude_flat",
     "observe_plus",
     "observe_ukf",
     "take_row",
@@ -98,6 +118,9 @@ TWIN_OBSERVATION = (
 HEALTH_OBSERVATION = tuple(f"health_{sensor}" for sensor in SENSORS)
 """Names of the entries that the set ``twin_health`` adds behind those."""
 
+MOTION_ROWS = tuple(1 + int(np.searchsorted(HORIZONS_OF_MOTION, h)) for h in (0.5, 1, 2, 3, 5))
+"""Rows of a forecast of roll, pitch and heave that are shown."""
+
 TRUST = np.array([0.0, 1.0, 0.5, 0.0])
 """Their values for each of ``twin.health.state.STATUSES``."""
 
@@ -122,6 +145,9 @@ NOTE = np.dtype(
         ("now", "f8", (N_STATES, N_STATES)),  # variances of the state, on the diagonal
         ("ahead", "f8", (len(HORIZONS), N_STATES)),  # states at HORIZONS
         ("covs", "f8", (len(HORIZONS), N_STATES, N_STATES)),  # their covariances
+        ("roll", "f8", 4),  # roll, pitch by the twin, and by the truth, rad
+        ("quiet", "f8", len(QUIET_SPANS)),  # probabilities of a quiet deck
+        ("hs", "f8"),  # significant height of the waves by the twin, m
         ("health", HEALTH),  # what the sensor checks remember
     ]
 )
@@ -132,10 +158,28 @@ SETTINGS = np.dtype(
         ("period", "f8"),  # the covariances ahead are updated this often, s
         ("gps_var", "f8"),  # variance of the drifting part of a fix, m2
         ("look", "f8"),  # 1 where observations are to be written
+        ("show_motion", "f8"),  # 1 where they hold roll, pitch and heave
         ("health", HEALTH_SETTINGS),  # what the sensor checks are given
     ]
 )
 """What all boats of a batch have in common."""
+
+
+ATTITUDE_OBSERVATION = (
+    *("twin_roll", "twin_pitch", "twin_roll_rate", "twin_pitch_rate"),
+    *("twin_heave", "twin_deck_speed"),
+    *(f"sd_{name}" for name in ("roll", "pitch", "heave", "deck_speed")),
+    *(
+        f"ahead_{HORIZONS_OF_MOTION[row - 1]:g}s_{part}{name}"
+        for row in MOTION_ROWS
+        for name in ("roll", "pitch", "deck_speed")
+        for part in ("", "half_width_")
+    ),
+    *(f"quiet_{span:g}s" for span in QUIET_SPANS),
+    *("sea_height", "sea_period", "cos_sea", "sin_sea"),
+)
+"""Names of the entries that the set ``twin_attitude`` adds behind those, with six degrees of
+freedom."""
 
 
 class Boats(NamedTuple):
@@ -146,6 +190,9 @@ class Boats(NamedTuple):
     notes: Any  # see NOTE
     shared: Any  # see usv_gym.envs.episodes.EPISODES
     settings: Any  # see SETTINGS
+    motions: Any  # (n, size of MOTION), or (n, 0) with three degrees of freedom
+    motion_settings: Any  # see MOTION_SETTINGS
+    motion_work: Any  # see MOTION_WORK
 
 
 class UKFForecast(NamedTuple):
@@ -200,8 +247,10 @@ def _next_row(boat, note):
     note.last = t
     for k in range(len(SENSOR_CHANNELS)):
         note.z[k] = boat.measurement[k]
-    for k in range(len(SENSOR_CHANNELS), len(MEASUREMENTS)):
+    for k in range(len(SENSOR_CHANNELS), MOTION_AT):
         note.z[k] = math.nan
+    for k in range(MOTION_AT, len(MEASUREMENTS)):
+        note.z[k] = boat.measurement[k - MOTION_AT + len(SENSOR_CHANNELS)]
     return t - last if math.isfinite(last) else 0.0
 
 
@@ -224,6 +273,103 @@ def _check_row(dt, boat, note, nav, given):
 
 
 @inlined
+def _take_motion(dt, i, boat, note, nav, boats):
+    """Take roll, pitch and heave from a row, and make it that of an upright boat."""
+    if boats.motions.shape[1] == 0:
+        return
+    memory, work = as_record(boats.motions[i], MOTION), as_record(boats.motion_work, MOTION_WORK)
+    given = as_record(boats.motion_settings, MOTION_SETTINGS)
+    state, ready = nav.n[:N_STATES], nav.begun > 0.0
+    take_motion_row(note.last, dt, note.z[:], state, ready, memory, given, work)
+    note_attitude(boat, note, memory.attitude)
+
+
+@inlined
+def note_attitude(boat, note, attitude):
+    """Note roll and pitch, by the twin and by the truth."""
+    note.roll[0], note.roll[1] = attitude.tilt[0, ANGLE], attitude.tilt[1, ANGLE]
+    note.roll[2], note.roll[3] = boat.state[fr.PHI], boat.state[fr.THETA]
+
+
+@kernel
+def note_attitude_flat(boat, note, memory):
+    """Do :func:`note_attitude` on flat memory."""
+    note_attitude(boat, as_record(note, NOTE), as_record(memory, MOTION).attitude)
+
+
+@kernel
+def describe_motion(s, note, memory, given, work, obs):
+    """Write roll, pitch and heave, their forecasts, and the sea.
+
+    Parameters
+    ----------
+    s : ndarray, shape (6,)
+        State by the twin.
+    note : record of ``NOTE``
+        Its ``ahead`` is read, ``quiet`` and ``hs`` are written.
+    memory, given, work : record
+        Of ``MOTION`` and so on.
+    obs : ndarray, shape (47,)
+        Written.
+    """
+    now, forecast, sea = memory.attitude, memory.forecast, memory.sea
+    mean, var = work.mean, work.var
+    accelerations_ahead(HORIZONS, note.ahead, s, work.ahead)
+    forecast_motion(work.ahead, now, forecast, given.forecast, work.forecast, mean, var)
+    quiet_probabilities(mean, var, forecast, given.forecast, note.quiet)
+    obs[0], obs[1] = mean[0, 0] / TILT_SCALE, mean[0, 1] / TILT_SCALE
+    obs[2], obs[3] = now.rate[0], now.rate[1]
+    obs[4], obs[5] = mean[0, 2], mean[0, 3]
+    for c in range(4):
+        scale = TILT_SCALE if c <= PITCH else 1.0
+        obs[6 + c] = math.sqrt(max(var[0, c], 0.0)) / scale
+    at = 6 + 4
+    for row in MOTION_ROWS:
+        for c in (0, 1, 3):
+            scale = TILT_SCALE if c <= PITCH else 1.0
+            obs[at] = mean[row, c] / scale
+            obs[at + 1] = Z90 * math.sqrt(max(var[row, c], 0.0)) / scale
+            at += 2
+    for k in range(len(QUIET_SPANS)):
+        obs[at + k] = note.quiet[k]
+    at += len(QUIET_SPANS)
+    hs, period, to = sea_of(sea)
+    note.hs = hs
+    known = math.isfinite(hs)
+    side, ahead = sincos(to - s[PSI] if known else 0.0)
+    obs[at] = hs if known else 0.0
+    obs[at + 1] = 0.1 * period if known else 0.0
+    obs[at + 2], obs[at + 3] = (ahead, side) if known else (0.0, 0.0)
+    for j in range(obs.shape[0]):
+        obs[j] = min(max(obs[j], -BOUND), BOUND)
+
+
+@inlined
+def _show_motion(i, s, note, boats, first, obs):
+    """Write the entries of roll, pitch and heave of a boat, if they are wanted."""
+    if as_record(boats.settings, SETTINGS).show_motion > 0.0:
+        memory, work = (
+            as_record(boats.motions[i], MOTION),
+            as_record(boats.motion_work, MOTION_WORK),
+        )
+        given = as_record(boats.motion_settings, MOTION_SETTINGS)
+        describe_motion(s, note, memory, given, work, obs[first + len(TWIN_OBSERVATION) :])
+
+
+@kernel
+def describe_motion_flat(s, note, memory, given, work, obs):
+    """Do :func:`describe_motion` on flat memory."""
+    describe_motion(
+        s,
+        as_record(note, NOTE),
+        as_record(memory, MOTION),
+        as_record(given, MOTION_SETTINGS),
+        as_record(work, MOTION_WORK),
+        obs,
+    )
+
+
+@inlined
 def _is_due(note, look):
     """Return whether a boat's part of the observation is to be written, and is not yet."""
     if look == 0.0 or note.shown == note.last:
@@ -241,12 +387,11 @@ def _hold(command, plan):
 
 
 @inlined
-def describe(s, boat, note, points, rules, obs):
-    """Write the twin's part of one boat's observation, from state ``s`` and what is noted."""
+def describe(s, boat, note, points, rules, o):
+    """Write the twin's part ``o`` of one boat's observation, from its state and what is noted."""
     errors, ahead, speed, psi = note.path_errors[:], note.ahead, rules.speed, s[PSI]
     d, c = sincos(psi)
     note.leg = follow(s[X], s[Y], psi, points, int(note.leg), rules.reach, errors)
-    o = obs[len(OBSERVATION) : len(OBSERVATION) + len(TWIN_OBSERVATION)]
     o[SURGE], o[SWAY], o[YAW_RATE] = s[U] / speed, s[V] / speed, s[R]
     o[COS_HEADING], o[SIN_HEADING] = c, d
     o[OFF_PATH], o[TO_END] = errors[CROSS_TRACK] / rules.unit, 0.1 * errors[TO_GO] / rules.unit
@@ -265,15 +410,15 @@ def describe(s, boat, note, points, rules, obs):
         o[at + _VELOCITIES + 2] = m[R]
         _spread(note.covs[j], (c, d), length, speed, o, at + _AHEAD_SD)
         at += _A_HORIZON
-    for j in range(o.shape[0]):
+    for j in range(len(TWIN_OBSERVATION)):  # more may follow
         o[j] = min(max(o[j], -BOUND), BOUND)
     note.position_error = math.hypot(s[X] - boat.state[fr.X], s[Y] - boat.state[fr.Y])
 
 
 @kernel
-def describe_flat(s, boat, note, points, rules, obs):
+def describe_flat(s, boat, note, points, rules, o):
     """Do :func:`describe` on flat memory."""
-    describe(s, boat, as_record(note, NOTE), points, rules, obs)
+    describe(s, boat, as_record(note, NOTE), points, rules, o)
 
 
 @inlined
@@ -309,13 +454,18 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
 
     The arguments are plain tuples, which numba takes from Python much faster than named ones.
     """
-    boats = Boats(boats[0], boats[1], boats[2], boats[3], boats[4])
+    rows, points, notes, shared, settings, motions, motion_settings, motion_work = boats
+    boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
     memories, work = UKFMemory(memories[0], memories[1]), UKFWork(work[0], work[1])
     which, limits, hull = config[2]
     config = UKFConfig(config[0], config[1], ModelTerms(which, limits, hull))
     forecast = UKFForecast(forecast[0], forecast[1])
     settings, model = as_record(boats.settings, SETTINGS), config.model
-    rules = as_record(boats.shared, EPISODES).rules
+    rules, first = (
+        as_record(boats.shared, EPISODES).rules,
+        as_record(boats.shared, EPISODES).entries,
+    )
+    first = int(first)
     given = filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
     out = forecast_buffers(forecast.buffers, ROWS, model.which.shape[1])
@@ -326,6 +476,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
+            _take_motion(dt, i, boat, note, nav, boats)
             _check_row(dt, boat, note, nav, settings.health)
             tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
         if not _is_due(note, settings.look):
@@ -351,7 +502,8 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
                 if due:
                     for k in range(N_STATES):
                         note.covs[h, j, k] = out.covs[row, j, k]
-        describe(state.x, boat, note, boats.points[i], rules, obs[i])
+        describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
+        _show_motion(i, state.x, note, boats, first, obs[i])
 
 
 _DRAWN_ROWS = HORIZON_ROWS + 1
@@ -360,13 +512,18 @@ _DRAWN_ROWS = HORIZON_ROWS + 1
 @kernel
 def observe_plus(boats, memories, config, work, forecast, obs):
     """Do for ``dsw-ukf-plus`` what :func:`observe_ukf` does for ``ukf``."""
-    boats = Boats(boats[0], boats[1], boats[2], boats[3], boats[4])
-    nav, tight, rows, window, selector, segments, joint = memories
-    memories = PlusMemory(nav, tight, rows, window, selector, segments, joint)
+    rows, points, notes, shared, settings, motions, motion_settings, motion_work = boats
+    boats = Boats(rows, points, notes, shared, settings, motions, motion_settings, motion_work)
+    nav, tight, kept, window, selector, segments, joint = memories
+    memories = PlusMemory(nav, tight, kept, window, selector, segments, joint)
     config, work = plus_config_of(config), plus_work_of(work)
     forecast = PlusForecast(forecast[0], forecast[1], forecast[2], forecast[3])
     settings, model = as_record(boats.settings, SETTINGS), config.model
-    rules = as_record(boats.shared, EPISODES).rules
+    rules, first = (
+        as_record(boats.shared, EPISODES).rules,
+        as_record(boats.shared, EPISODES).entries,
+    )
+    first = int(first)
     p, D = model.which.shape[1], forecast.normal[0].shape[0]
     mean = mean_forecast_of(forecast.mean, p, ROWS, WAVE_STEPS)
     draws = draws_of(forecast.draws, p, ROWS, WAVE_STEPS, D)
@@ -377,6 +534,7 @@ def observe_plus(boats, memories, config, work, forecast, obs):
         nav, state = as_record(memory.nav, NAVIGATION), filter_state(memory.filter, model)
         dt = _next_row(boat, note)
         if dt >= 0.0:
+            _take_motion(dt, i, boat, note, nav, boats)
             _check_row(dt, boat, note, nav, settings.health)
             plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
         if not _is_due(note, settings.look):
@@ -397,4 +555,5 @@ def observe_plus(boats, memories, config, work, forecast, obs):
                     for k in range(2):
                         covs[h, j, k] += nav.P[j, k]
                     covs[h, j, j] += settings.gps_var
-        describe(state.x, boat, note, boats.points[i], rules, obs[i])
+        describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
+        _show_motion(i, state.x, note, boats, first, obs[i])

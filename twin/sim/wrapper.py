@@ -20,7 +20,7 @@ from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
 from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
-from usv_gym.envs.episodes import OBSERVATION, Episodes
+from usv_gym.envs.episodes import Episodes
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError, check_options
@@ -94,8 +94,8 @@ class TwinObservation(
     seed : int
         For predictors that draw random numbers.
     observation : str
-        ``"twin"``, or with more entries ``"twin_params"`` or ``"twin_health"``; see
-        :func:`make_env`.
+        ``"twin"``, or with more entries ``"twin_params"``, ``"twin_health"`` or
+        ``"twin_attitude"``; see :func:`make_env`.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class TwinObservation(
             raise ArgumentError(
                 f"TwinObservation wraps environments over USVEnv, not {type(base).__name__}"
             )
-        if env.observation_space.shape != (len(OBSERVATION),):
+        if env.observation_space.shape != (len(base.episodes.observation),):
             raise ArgumentError(
                 "TwinObservation comes before other observations are made of it, and only once; "
                 "gym.make('USVTwin-v0', twin=None) gives an environment without a twin"
@@ -136,7 +136,9 @@ class TwinObservation(
             base.episodes, twin, particulars, band_period, seed, observation
         )
         self.twin = self._observer.first
-        self.observation_space = spaces_of(0, len(OBSERVATION) + len(self._observer.names))[1]
+        self.observation_space = spaces_of(
+            0, len(base.episodes.observation) + len(self._observer.names)
+        )[1]
         self._renderer = base.renderer
         if self._renderer:
             self._renderer.overlay, self._renderer.waits = self._observer.overlay, True
@@ -176,7 +178,8 @@ class USVTwinEnv(USVEnv):
     twin, particulars, band_period, twin_seed
         As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
     observation : str
-        ``"twin"``, ``"twin_params"`` or ``"twin_health"``; see :func:`make_env`.
+        ``"twin"``, ``"twin_params"``, ``"twin_health"`` or ``"twin_attitude"``; see
+        :func:`make_env`.
     **kwargs
         As for :class:`usv_gym.envs.env.USVEnv`.
     """
@@ -300,6 +303,11 @@ def make_env(
           deviations, both in units of the standard deviations that they had at the start;
         - ``"twin_health"``: ``"twin"``, and behind it how far the twin trusts GPS, compass, gyro,
           accelerometers and commands, one entry each: 1 ok, 0.5 doubtful, 0 excluded or absent;
+        - ``"twin_attitude"``: ``"twin"``, and behind it roll, pitch and heave, their forecasts at
+          0.5, 1, 2, 3 and 5 s with half the width of their 90 % intervals, the probabilities that
+          the deck stays quiet for 2, 3 and 5 s, and height, period and direction of the waves.
+          Angles are in units of 10 degrees, rates in rad/s, lengths in m, speeds in m/s, the period
+          in 10 s; it needs ``dof=6``;
         - ``"oracle"``: ``"raw"``, and behind it the truth, for comparison only. It is speeds, yaw
           rate, heading, errors of the path, shaft speeds and drive angles, in the units of those
           sets.

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.envs.episodes import BOUND, OBSERVATION, Episodes, Observer
+from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.envs.tasks import N_TERMS, TASK
 from usv_gym.world.simulation import Simulation
@@ -36,7 +36,7 @@ class Recorded(NamedTuple):
 
     t: float  # s
     cmd: np.ndarray  # (4,) command in force: rev/s, rad
-    z: np.ndarray  # (8,) measurement, see SENSOR_CHANNELS
+    z: np.ndarray  # (15,) measurement, see SENSOR_CHANNELS and MOTION_CHANNELS
     state: np.ndarray  # true state of the ship, see usv_gym.physics.frames
 
 
@@ -104,6 +104,17 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
 
     10 and 100 m are 4/3 and 13 lengths of a boat for which that is more.
 
+    With ``dof=6`` the sensors of roll, pitch and heave follow, and shift what comes behind:
+
+    ====== ======================================== =============
+    23-24  roll rate, pitch rate                    rad/s
+    25     specific force, down                     g
+    26-27  roll, pitch of the AHRS                  10 deg
+    28-29  GNSS position and speed, down            10 m, m/s
+    30     new sample of the AHRS                   yes
+    31     its age                                  10 s
+    ====== ======================================== =============
+
     Reward
     ------
     That of the task, see :data:`usv_gym.envs.tasks.TASKS`; ``info["reward_terms"]`` has the parts.
@@ -159,7 +170,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         self.vessel, self.seas = self.episodes.vessel, self.episodes.seas
         self.speed = self.episodes.speed
         self.observer = observer(self.episodes) if observer else None
-        self.observation_names = names_of(self.observer)
+        self.observation_names = names_of(self.episodes, self.observer)
         """What each entry of the observation is."""
         self.action_space, self.observation_space = spaces_of(
             self.episodes.width, len(self.observation_names)
@@ -272,9 +283,9 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
         return info
 
 
-def names_of(observer: Observer | None) -> tuple[str, ...]:
+def names_of(episodes: Episodes, observer: Observer | None) -> tuple[str, ...]:
     """Return what each entry of the observation is."""
-    return (*OBSERVATION, *observer.names) if observer else OBSERVATION
+    return episodes.observation + (observer.names if observer else ())
 
 
 def spaces_of(width: int, size: int) -> tuple[spaces.Box, spaces.Box]:

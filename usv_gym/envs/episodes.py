@@ -27,7 +27,7 @@ from usv_gym.envs.tasks import (
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.faults import Disturbance, FaultError, fault_records, parse_faults
+from usv_gym.world.faults import CHANNELS, Disturbance, FaultError, fault_records, parse_faults
 from usv_gym.world.sea import choice
 from usv_gym.world.simulation import (
     DONE,
@@ -52,7 +52,7 @@ from usv_kernel.channels import (
     SENSOR_CHANNELS,
 )
 from usv_kernel.errors import check_whole
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, record_size, structured
 from usv_kernel.scalar import sincos
 
@@ -60,6 +60,7 @@ __all__ = [
     "BOUND",
     "EPISODE",
     "EPISODES",
+    "MOTION_OBSERVATION",
     "OBSERVATION",
     "Episodes",
     "Observer",
@@ -74,6 +75,12 @@ OBSERVATION = (
     *("cos_next_turn", "sin_next_turn"),
 )
 """Names of the entries of the observation; scales in :class:`usv_gym.envs.env.USVEnv`."""
+
+MOTION_OBSERVATION = (
+    *("roll_rate", "pitch_rate", "accel_down", "ahrs_roll", "ahrs_pitch"),
+    *("gps_down", "speed_down", "ahrs_valid", "ahrs_age"),
+)
+"""Those that six degrees of freedom add behind them."""
 
 (
     _COS_HEADING, _SIN_HEADING, _YAW_RATE, _ACCEL_FORWARD, _ACCEL_STARBOARD,
@@ -91,14 +98,18 @@ BOUND = 10.0
 
 AGE_SCALE = 10.0
 
+TILT_SCALE = math.radians(10.0)
+
+_GYRO_X, _AHRS_ROLL, _GPS_Z = len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3, CHANNELS - 2
+
 FAULT_START = (10.0, 60.0)
 """A fault given by its name begins at random between these times, s."""
 
 EPISODE = np.dtype(
     [
         ("task", TASK),
-        ("held", float, len(SENSOR_CHANNELS)),  # last sample of each channel, its unit
-        ("age", float, 3),  # s, of the last sample of GPS, compass, IMU
+        ("held", float, CHANNELS),  # last sample of each channel, its unit
+        ("age", float, 4),  # s, of the last sample of GPS, compass, IMU, AHRS
         ("known_errors", float, len(ERRORS)),  # errors of the task as known on board
         ("idle_steps", float),  # steps to let pass, after a reset or the end of an episode
     ]
@@ -110,6 +121,7 @@ EPISODES = np.dtype(
         ("simulation", SIMULATION),
         ("rules", RULES),
         ("frames", float),  # control steps of a decision
+        ("entries", float),  # of the sensors in an observation
         ("scale", float, COMMAND_SIZE),  # command of a full action: rev/s, rad
         ("mixing", float, (COMMAND_SIZE, COMMAND_SIZE)),  # share of each action in each command
     ]
@@ -137,7 +149,7 @@ def observe(
         held[COMPASS] = z[COMPASS]
     if math.isfinite(z[GYRO]):
         age[2] = 0.0
-        for j in range(GYRO, len(SENSOR_CHANNELS)):
+        for j in range(GYRO, _GYRO_X):
             held[j] = z[j]
     leg = int(episode.task.known_leg)
     leg = follow(held[GPS_X], held[GPS_Y], held[COMPASS], points, leg, rules.reach, errors)
@@ -158,8 +170,30 @@ def observe(
     o[_TO_GO] = 0.1 * errors[TO_GO] / rules.unit
     o[_SIN_COURSE_ERROR], o[_COS_COURSE_ERROR] = sincos(errors[COURSE_ERROR])
     o[_SIN_NEXT_TURN], o[_COS_NEXT_TURN] = sincos(errors[NEXT_TURN])
-    for j in range(len(OBSERVATION)):  # more may follow
+    if config.simulation.dof == 6:
+        _observe_motion(z, held, age, fresh, dt, o[len(OBSERVATION) :])
+    for j in range(int(config.entries)):  # more may follow
         o[j] = min(max(o[j], -BOUND), BOUND)
+
+
+@inlined
+def _observe_motion(z, held, age, fresh, dt, o):
+    """Hold the last samples of roll, pitch and heave, and write their entries."""
+    age[3] += dt
+    if math.isfinite(z[_GYRO_X]):
+        for j in range(_GYRO_X, _AHRS_ROLL):
+            held[j] = z[j]
+    if math.isfinite(z[_AHRS_ROLL]):
+        age[3] = 0.0
+        for j in range(_AHRS_ROLL, _GPS_Z):
+            held[j] = z[j]
+    if math.isfinite(z[_GPS_Z]):
+        for j in range(_GPS_Z, CHANNELS):
+            held[j] = z[j]
+    o[0], o[1], o[2] = held[_GYRO_X], held[_GYRO_X + 1], held[_GYRO_X + 2] / GRAVITY
+    o[3], o[4] = held[_AHRS_ROLL] / TILT_SCALE, held[_AHRS_ROLL + 1] / TILT_SCALE
+    o[5], o[6] = held[_GPS_Z] / 10.0, held[_GPS_Z + 1]
+    o[7], o[8] = 1.0 if age[3] < fresh else 0.0, age[3] / AGE_SCALE
 
 
 @kernel
@@ -233,7 +267,7 @@ class StepCallback(Protocol):
 
 
 class Observer(ABC):
-    """Adds entries to the observations of n boats, behind :data:`OBSERVATION`.
+    """Adds entries to the observations of n boats, behind those of the sensors.
 
     Attributes
     ----------
@@ -288,6 +322,8 @@ class Episodes:
         Nominal speed, m/s.
     width : int
         Numbers in an action.
+    observation : tuple of str
+        Names of the sensors' entries in an observation.
     records : ndarray of EPISODE, shape (n,)
         What lasts of each episode.
     config, shared : record of EPISODES, ndarray
@@ -326,6 +362,8 @@ class Episodes:
         self.config, self.shared = shared[0], shared.view(float)
         self.config["simulation"], self.config["rules"] = self.simulation.config, self.task.rules
         self.config["frames"] = self.frame_skip
+        self.observation = OBSERVATION + (MOTION_OBSERVATION if config.dof == 6 else ())
+        self.config["entries"] = len(self.observation)
         self.config["scale"] = scale = np.array([n_max, n_max, *2 * (self.vessel.helm_max,)])
         self.config["mixing"][:, : self.width] = mixing
         self.nominal_action = np.linalg.pinv(mixing) @ (
@@ -371,7 +409,7 @@ class Episodes:
             Which boat.
         rng : numpy.random.Generator
             Its generator.
-        obs : ndarray, shape (23,)
+        obs : ndarray, shape (23 or more,)
             Its first observation is written there.
         """
         for_simulation, for_task = rng.spawn(2)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from usv_gym.envs.episodes import BOUND, EPISODE, EPISODES, OBSERVATION, Episodes, Observer
+from usv_gym.envs.episodes import BOUND, EPISODE, EPISODES, Episodes, Observer
 from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, NEXT_TURN, TO_GO
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
@@ -42,12 +42,13 @@ _TRUE = (
 class Stacked(Observer):
     """The sensors' entries of the seven decisions before this one, the youngest first."""
 
-    names = tuple(f"{name}_{k}_before" for k in range(1, STACK) for name in OBSERVATION)
-
     def __init__(self, episodes: Episodes) -> None:
+        own = episodes.observation
+        self.names = tuple(f"{name}_{k}_before" for k in range(1, STACK) for name in own)
+        self._entries = len(own)
         self._steps = episodes.steps
         self._seen_at = np.zeros(episodes.n)
-        self._before = np.zeros((episodes.n, STACK, len(OBSERVATION)), np.float32)
+        self._before = np.zeros((episodes.n, STACK, len(own)), np.float32)
 
     def reset(self, i: int) -> None:
         """See :class:`Observer`; the first observation fills all places."""
@@ -58,14 +59,14 @@ class Stacked(Observer):
         if not look:
             return
         seen_at, before, steps = self._seen_at[rows], self._before[rows], self._steps[rows]
-        now = obs[rows, : len(OBSERVATION)]
+        now = obs[rows, : self._entries]
         new = seen_at < 0.0
         before[new] = now[new, None]
         moved = steps != seen_at
         before[moved, 1:] = before[moved, :-1]
         before[moved, 0] = now[moved]
         seen_at[:] = steps
-        obs[rows, len(OBSERVATION) :] = before[:, 1:].reshape(len(before), -1)
+        obs[rows, self._entries :] = before[:, 1:].reshape(len(before), -1)
 
 
 @kernel
@@ -75,7 +76,7 @@ def _true_state(rows, episodes, shared, obs):
     rules = config.rules
     for i in range(rows.shape[0]):
         state, errors = as_record(rows[i], BOAT).state, as_record(episodes[i], EPISODE).task.errors
-        o = obs[i, len(OBSERVATION) :]
+        o = obs[i, int(config.entries) :]
         psi = state[fr.PSI]
         o[SURGE], o[SWAY] = state[fr.U] / rules.speed, state[fr.V] / rules.speed
         o[YAW_RATE] = state[fr.R]

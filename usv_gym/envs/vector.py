@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import names_of, spaces_of
-from usv_gym.envs.episodes import OBSERVATION, Episodes, Observer
+from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.world.simulation import BOATS_MAX
 from usv_kernel.errors import ArgumentError, UsvTwinError, check_whole
@@ -105,7 +105,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
         self._callbacks = tuple(one for one in (self.observer, self.renderer) if one is not None)
-        self.observation_names = names_of(self.observer)
+        self.observation_names = names_of(self.episodes, self.observer)
         """What each entry of an observation is."""
         self.single_action_space, self.single_observation_space = spaces_of(
             self.episodes.width, len(self.observation_names)
@@ -213,7 +213,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Reset some boats, and write their observations."""
         for i in np.flatnonzero(mask):
             one = slice(int(i), int(i) + 1)
-            self.episodes.reset(int(i), self._rng(int(i)), self._obs[i, : len(OBSERVATION)])
+            self.episodes.reset(int(i), self._rng(int(i)), self._obs[i])
             if self.observer:
                 self.observer.reset(int(i))
                 self.observer.observe(self._obs, rows=one)

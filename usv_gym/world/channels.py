@@ -1,9 +1,15 @@
-"""The bits and columns of the sensors in a measurement row of ``usv_kernel.channels``."""
+"""The bits and columns of the sensors in the rows of ``usv_kernel.channels``."""
 
 from __future__ import annotations
 
-__all__ = ["COMPASS", "COMPASS_BIT", "GPS", "GPS_BIT", "IMU", "IMU_BIT"]
+__all__ = ["AHRS_BIT", "BITS", "COMPASS", "COMPASS_BIT", "GPS", "GPS_BIT", "IMU", "IMU_BIT"]
 
 GPS, COMPASS, IMU = slice(0, 4), slice(4, 5), slice(5, 8)
 
-GPS_BIT, COMPASS_BIT, IMU_BIT = 1, 2, 4
+GPS_BIT, COMPASS_BIT, IMU_BIT, AHRS_BIT = 1, 2, 4, 8
+
+BITS = (
+    *(GPS_BIT, GPS_BIT, GPS_BIT, GPS_BIT, COMPASS_BIT, IMU_BIT, IMU_BIT, IMU_BIT),
+    *(IMU_BIT, IMU_BIT, IMU_BIT, AHRS_BIT, AHRS_BIT, GPS_BIT, GPS_BIT),
+)
+"""Bit of the sensor of each of SENSOR_CHANNELS, then of each of MOTION_CHANNELS."""

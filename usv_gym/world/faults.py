@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
-from usv_kernel.channels import SENSOR_CHANNELS
+from usv_gym.world.channels import AHRS_BIT, BITS, COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS
 from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
@@ -44,9 +44,13 @@ FAULT_KINDS = {
     "gps": GPS_BIT,
     "imu": IMU_BIT,
     "compass": COMPASS_BIT,
-    "all": GPS_BIT | COMPASS_BIT | IMU_BIT,
+    "ahrs": AHRS_BIT,
+    "all": GPS_BIT | COMPASS_BIT | IMU_BIT | AHRS_BIT,
 }
 """Which sensors each kind of fault strikes."""
+
+CHANNELS = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS)
+"""Channels that faults strike, in the order of SENSOR_CHANNELS and MOTION_CHANNELS."""
 
 LOSS, FROZEN, SPIKES = 0, 1, 2
 
@@ -65,7 +69,7 @@ FAULT = np.dtype(
         ("enter", float),  # probability that a burst begins in a step
         ("leave", float),  # probability that it ends; 0: no bursts
         ("bursting", float),  # 1 within a burst
-        ("sizes", float, len(SENSOR_CHANNELS)),  # spike of each channel, in its unit
+        ("sizes", float, CHANNELS),  # spike of each channel, in its unit
     ]
 )
 """A fault as kernels read and advance it."""
@@ -75,9 +79,12 @@ class FaultError(UsvTwinError):
     """An invalid sensor or fault; the message names it and the remedy."""
 
 
-SPIKE_SIZES = (20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0)
-"""How far a spike is off, in the unit of each of :data:`SENSOR_CHANNELS`. By judgement: far beyond
-the noise, but possible."""
+SPIKE_SIZES = (
+    *(20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0),
+    *(0.3, 0.3, 5.0, 0.3, 0.3, 20.0, 2.0),
+)
+"""How far a spike is off, in the unit of each of :data:`SENSOR_CHANNELS` and
+:data:`MOTION_CHANNELS`. By judgement: far beyond the noise, but possible."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +94,14 @@ class Disturbance(ABC):
     Parameters
     ----------
     kind : str
-        One of :data:`FAULT_KINDS`. ``all`` strikes the three at the same moments.
+        One of :data:`FAULT_KINDS`. ``all`` strikes them all at the same moments.
     effect : str
         One of :data:`EFFECTS`.
     chance : float
         Share of samples that a fault of ``spikes`` spoils.
     sizes : tuple of float
-        How far a spike is off in each of :data:`SENSOR_CHANNELS`, each with a random sign.
+        How far a spike is off in each of :data:`SENSOR_CHANNELS`, each with a random sign; those
+        of :data:`MOTION_CHANNELS` may follow.
     """
 
     kind: str
@@ -116,10 +124,12 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{self.kind} fault: the chance of a spike must lie in [0, 1], got {self.chance}"
             )
-        if np.shape(self.sizes) != (len(SENSOR_CHANNELS),) or not all(map(is_finite, self.sizes)):
+        known = ((len(SENSOR_CHANNELS),), (CHANNELS,))
+        if np.shape(self.sizes) not in known or not all(map(is_finite, self.sizes)):
             raise FaultError(
                 f"{self.kind} fault: sizes must be {len(SENSOR_CHANNELS)} finite numbers, one for "
-                f"each of usv_kernel.channels.SENSOR_CHANNELS, got {self.sizes}"
+                "each of usv_kernel.channels.SENSOR_CHANNELS, or also one for each of "
+                f"MOTION_CHANNELS, got {self.sizes}"
             )
 
     @abstractmethod
@@ -130,7 +140,8 @@ class Disturbance(ABC):
         """Return the record that :func:`measure` reads, for control steps of dt s."""
         record = np.zeros(1, FAULT)[0]
         record["bits"], record["effect"] = FAULT_KINDS[self.kind], EFFECTS[self.effect]
-        record["chance"], record["sizes"] = self.chance, self.sizes
+        sizes = (*self.sizes, *SPIKE_SIZES[len(self.sizes) :])
+        record["chance"], record["sizes"] = self.chance, sizes
         for name, value in self._timing(dt).items():
             record[name] = value
         return record
@@ -264,6 +275,8 @@ ON: tuple[Disturbance, ...] = (
     Bursts("imu", loss=0.02, mean=0.2),
     RandomFaults("imu", effect="spikes"),
     RandomFaults("imu", effect="frozen", duration=(0.5, 2.0)),
+    Bursts("ahrs", loss=0.02, mean=0.5),
+    RandomFaults("ahrs", effect="spikes"),
     RandomFaults("all", gap=(60.0, 180.0), duration=(1.0, 5.0)),
 )
 """What the text ``on`` stands for: everything that can go wrong does, again and again."""
@@ -350,7 +363,9 @@ def fault_sources(
     seen: dict[tuple[int, ...], int] = {}
     sources = []
     for fault in faults:
-        key = (fault.code, FAULT_KINDS[fault.kind], EFFECTS[fault.effect])
+        # a number that stays the same whatever other kinds there are
+        kind = FAULT_KINDS[fault.kind] % AHRS_BIT or AHRS_BIT
+        key = (fault.code, kind, EFFECTS[fault.effect])
         seen[key] = seen.get(key, -1) + 1
         sources.append(np.random.default_rng([seed, *key, seen[key]]))
     return sources
@@ -362,18 +377,23 @@ def apply_faults(
     """Return recorded measurements as they would be with faults of the sensors.
 
     ``t`` (N,) in s; starts of faults count from the first. Rows of ``z`` begin with
-    :data:`SENSOR_CHANNELS`; what follows is kept.
+    :data:`SENSOR_CHANNELS` and may end with :data:`MOTION_CHANNELS`; what else there is, is kept.
     """
     if not faults:
         return z.copy()
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
     records, out = fault_records(faults, step), z.copy()
-    last = np.full(len(SENSOR_CHANNELS), math.nan)
+    last = np.full(CHANNELS, math.nan)
+    columns = [*range(len(SENSOR_CHANNELS)), *range(-len(MOTION_CHANNELS), 0)]
+    if z.shape[1] < CHANNELS:
+        columns, last = columns[: len(SENSOR_CHANNELS)], last[: len(SENSOR_CHANNELS)]
+    samples = np.ascontiguousarray(z[:, columns])
     numbers = np.hstack(
         [source.random((len(t), FAULT_NUMBERS)) for source in fault_sources(faults, rng)]
     )
     for k in range(len(t)):
-        strike(float(t[k] - t[0]), numbers[k], records, last, out[k, : len(SENSOR_CHANNELS)])
+        strike(float(t[k] - t[0]), numbers[k], records, last, samples[k])
+    out[:, columns] = samples
     return out
 
 
@@ -381,10 +401,10 @@ def apply_faults(
 def strike(
     t: float, numbers: np.ndarray, faults: np.ndarray, last: np.ndarray, z: np.ndarray
 ) -> None:
-    """Apply the faults to the samples z (8,) of time t (s), in place; NaN: none.
+    """Apply the faults to the samples z (8,) or (15,) of time t (s), in place; NaN: none.
 
     ``numbers`` (3 F,) are uniform random numbers of this step, three for each fault. Faults (F,)
-    and ``last`` (8,), the samples handed out last, are advanced in place.
+    and ``last``, the samples handed out last, are advanced in place.
     """
     lost, frozen = 0, 0
     for i in range(faults.shape[0]):
@@ -416,10 +436,10 @@ def strike(
                 signs *= 2.0
                 up = signs >= 1.0
                 signs -= 1.0 if up else 0.0
-                if bits & (GPS_BIT if j < 4 else COMPASS_BIT if j == 4 else IMU_BIT):
+                if bits & BITS[j]:
                     z[j] += fault.sizes[j] if up else -fault.sizes[j]
     for j in range(z.shape[0]):
-        bit = GPS_BIT if j < 4 else COMPASS_BIT if j == 4 else IMU_BIT
+        bit = BITS[j]
         if lost & bit:
             z[j] = math.nan
         elif math.isfinite(z[j]):

@@ -20,6 +20,7 @@ from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
+from usv_kernel.arrays import shaped
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record, as_record, field_at, record_size, structured
@@ -104,7 +105,8 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
             mean[i] += rate[i] / config.substeps
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
-    sensors.measure(boat, config.dt, config.suite, now, faults, delay_line)
+    more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
+    sensors.measure(boat, config.dt, config.suite, now, more, faults, delay_line)
     sound = True
     for i in range(fr.STATE_SIZE):
         sound = sound and abs(boat.state[i]) < STATE_MAX
@@ -139,8 +141,11 @@ def _start(row: np.ndarray, config: Record) -> None:
     numbers, faults, delay_line = sensor_arrays(row, config)
     now = numbers[0]
     wx.advance_slow_wind(boat.weather, math.inf, now[now.size - 2], now[now.size - 1])
+    more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
     sensors.start_sensors(config.suite, now, boat.sensors)
-    sensors.measure(boat, 0.0, config.suite, now, faults, delay_line)
+    if config.dof == 6:
+        sensors.start_motion_sensors(config.suite, more, boat.sensors)
+    sensors.measure(boat, 0.0, config.suite, now, more, faults, delay_line)
 
 
 @kernel
@@ -191,8 +196,9 @@ class Simulation:
     ----------
     state : ndarray, shape (n, 16)
         True state; layout in :mod:`usv_gym.physics.frames`.
-    z : ndarray, shape (n, 8)
-        What the sensors said last; order of :data:`usv_kernel.channels.SENSOR_CHANNELS`.
+    z : ndarray, shape (n, 15)
+        What the sensors said last; order of :data:`usv_kernel.channels.SENSOR_CHANNELS` and
+        ``MOTION_CHANNELS``. The latter are NaN with three degrees of freedom.
     cmd : ndarray, shape (n, 4)
         Command of the last step.
     t : ndarray, shape (n,)
@@ -242,6 +248,8 @@ class Simulation:
             )
         fault_records(fixed, dt)  # invalid combinations fail here, not at the first reset
         max_faults = max_faults if callable(faults) else len(fixed)
+        motion_at = sensors.NOISE_SIZE + FAULT_NUMBERS * max_faults
+        motion_numbers = sensors.MOTION_NOISE_SIZE if dof == 6 else 0
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
@@ -253,12 +261,9 @@ class Simulation:
             "waves": (WAVE_ROWS, width),
             "gusts": max(example.gusts.shape for example in examples),
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
-            "numbers": (
-                self._block,
-                sensors.NOISE_SIZE + FAULT_NUMBERS * max_faults + wx.NOISE_SIZE,
-            ),
+            "numbers": (self._block, motion_at + motion_numbers + wx.NOISE_SIZE),
             "faults": (max_faults, record_size(FAULT)),
-            "delay_line": (self.suite.delay_steps(dt) + 1, 4),
+            "delay_line": (self.suite.delay_steps(dt) + 1, sensors.DELAYED),
         }
         ends = np.cumsum([record_size(BOAT), *map(math.prod, shapes.values())])
         self.rows = np.zeros((n, ends[-1]))
@@ -290,6 +295,7 @@ class Simulation:
         config["wave_components"], config["gust_components"] = width, shapes["gusts"][1]
         config["load_headings"] = shapes["loads"][0]
         config["numbers_rows"], config["numbers_width"] = shapes["numbers"]
+        config["motion_numbers_at"], config["motion_numbers"] = motion_at, motion_numbers
         config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
         self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
@@ -319,8 +325,8 @@ class Simulation:
                 )
         for i, rng in zip(boats, rngs, strict=True):
             self._not_reset.discard(i)
-            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = rng.spawn(7)
-            rng_faults, rng_sea = others
+            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = rng.spawn(8)
+            rng_faults, rng_sea, rng_motion = others
             self._fill(i, choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts))
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
@@ -330,7 +336,8 @@ class Simulation:
             self.faults[i]["start"] = math.nan
             self.faults[i, : len(faults)] = fault_records(faults, self.dt)
             sources = fault_sources(faults, rng_faults)
-            self._noise_rngs[i] = (rng_gps, rng_compass, rng_imu, rng_weather, *sources)
+            own = (rng_gps, rng_compass, rng_imu, rng_motion, rng_weather)
+            self._noise_rngs[i] = (*own, *sources)
             boat = self.boats[i]
             boat["t"] = boat["step"] = boat["noise_until"] = 0.0
             self._refill(int(i))
@@ -421,7 +428,8 @@ class Simulation:
 
     def _refill(self, i: int) -> None:
         """Draw the next block of random numbers of one boat, each source from its generator."""
-        rng_gps, rng_compass, rng_imu, rng_weather, *rngs_faults = self._noise_rngs[i]
+        rng_gps, rng_compass, rng_imu, *others = self._noise_rngs[i]
+        rng_motion, rng_weather, *rngs_faults = others
         numbers, rows = self._numbers[i], self._block
         gps = field_at(sensors.NOISE, "compass")
         imu = field_at(sensors.NOISE, "gyro")
@@ -432,5 +440,8 @@ class Simulation:
         for j, rng in enumerate(rngs_faults):
             first = faults + FAULT_NUMBERS * j
             numbers[:, first : first + FAULT_NUMBERS] = rng.random((rows, FAULT_NUMBERS))
+        motion = self.config["motion_numbers_at"], self.config["motion_numbers"]
+        if motion[1]:
+            numbers[:, motion[0] : sum(motion)] = rng_motion.standard_normal((rows, motion[1]))
         numbers[:, -wx.NOISE_SIZE :] = rng_weather.standard_normal((rows, wx.NOISE_SIZE))
         self.boats["noise_until"][i] += rows

@@ -15,10 +15,9 @@ from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.ship import WORK_ROWS
 from usv_gym.physics.waves import LOAD_ROWS, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
-from usv_gym.world.faults import FAULT
-from usv_gym.world.sensors import SENSORS, SUITE
+from usv_gym.world.faults import CHANNELS, FAULT
+from usv_gym.world.sensors import DELAYED, SENSORS, SUITE
 from usv_kernel.arrays import shaped
-from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import inlined
 from usv_kernel.records import Record, as_records
 
@@ -28,7 +27,8 @@ BOAT = np.dtype(
     [
         ("state", float, fr.STATE_SIZE),  # true state; order and units in physics.frames
         ("command", float, fr.COMMAND_SIZE),  # n_left, n_right (rev/s), delta_left, right (rad)
-        ("measurement", float, len(SENSOR_CHANNELS)),  # of the last step; NaN: no new sample
+        # of the last step, SENSOR_CHANNELS and MOTION_CHANNELS; NaN: no new sample
+        ("measurement", float, CHANNELS),
         ("sensors", SENSORS),  # biases and last samples
         ("weather", WEATHER),  # wind, current, schedule
         ("t", float),  # s, since the reset
@@ -55,6 +55,8 @@ SIMULATION = np.dtype(
         ("numbers_at", int),  # random numbers: a block of control steps, one a row
         ("numbers_rows", int),
         ("numbers_width", int),
+        ("motion_numbers_at", int),  # in a row of them, those of MOTION_NOISE, if any
+        ("motion_numbers", int),
         ("faults_at", int),
         ("fault_count", int),
         ("delay_line_at", int),
@@ -77,7 +79,7 @@ def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray,
 
 @inlined
 def sensor_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random numbers (B, W), faults (F,) and the delay line (D, 4) of a boat."""
+    """Return random numbers (B, W), faults (F,) and the delay line (D, 6) of a boat."""
     numbers = shaped(row, config.numbers_at, (config.numbers_rows, config.numbers_width))
     faults = as_records(row, config.faults_at, config.fault_count, FAULT)
-    return numbers, faults, shaped(row, config.delay_line_at, (config.delay_rows, 4))
+    return numbers, faults, shaped(row, config.delay_line_at, (config.delay_rows, DELAYED))

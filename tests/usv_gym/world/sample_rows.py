@@ -10,12 +10,14 @@ from usv_gym import SensorSuite, Vessel
 from usv_gym.world import sensors
 from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
 from usv_gym.world.faults import (
+    CHANNELS,
     FAULT_NUMBERS,
     Disturbance,
     fault_records,
     fault_sources,
 )
 from usv_gym.world.state import BOAT as BOAT_RECORD
+from usv_kernel.channels import SENSOR_CHANNELS
 
 DT = 0.05
 BOAT = Vessel.load("usv75")
@@ -30,19 +32,27 @@ def rows(
     dt: float = DT,
     faults: Sequence[Disturbance] = (),
     state: np.ndarray | None = None,
+    dof: int = 3,
 ) -> np.ndarray:
-    """Return what the sensors of a boat that stays as it is say, first row at t = 0."""
+    """Return what the sensors of a boat that stays as it is say, first row at t = 0.
+
+    With ``dof`` 6 there are those of roll, pitch and heave behind the others.
+    """
     rng = np.random.default_rng(seed)
     normals = rng.standard_normal((count, sensors.NOISE_SIZE))
     draws = [s.random((count, FAULT_NUMBERS)) for s in fault_sources(faults, rng)]
     numbers, records = np.hstack([normals, *draws]), fault_records(faults, dt)
-    packed, delay_line = suite.pack(dt), np.zeros((suite.delay_steps(dt) + 1, 4))
-    boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, 8))
+    motion = rng.standard_normal((count, sensors.MOTION_NOISE_SIZE if dof == 6 else 0))
+    channels = CHANNELS if dof == 6 else len(SENSOR_CHANNELS)
+    packed, delay_line = suite.pack(dt), np.zeros((suite.delay_steps(dt) + 1, sensors.DELAYED))
+    boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, channels))
     if state is not None:
         boat["state"] = state
     sensors.start_sensors(packed, numbers[0], boat["sensors"])
+    if dof == 6:
+        sensors.start_motion_sensors(packed, motion[0], boat["sensors"])
     for k in range(count):
         boat["t"], boat["step"] = k * dt, k
-        sensors.measure(boat, dt if k else 0.0, packed, numbers[k], records, delay_line)
-        z[k] = boat["measurement"]
+        sensors.measure(boat, dt if k else 0.0, packed, numbers[k], motion[k], records, delay_line)
+        z[k] = boat["measurement"][:channels]
     return z

@@ -1,7 +1,8 @@
 """MAVLink 2 (and 1) over UDP: messages of an autopilot as rows, and the twin's estimates back.
 
-Taken are GLOBAL_POSITION_INT (fix and velocity), ATTITUDE (heading and yaw rate) and
-SERVO_OUTPUT_RAW (commands, by :class:`Servos`). They are of one component: the first that sends
+Taken are GLOBAL_POSITION_INT (fix and velocity, with height and climb), ATTITUDE (heading, roll,
+pitch and rates), the accelerometers of HIGHRES_IMU, SCALED_IMU or RAW_IMU, and SERVO_OUTPUT_RAW
+(commands, by :class:`Servos`). They are of one component: the first that sends
 GLOBAL_POSITION_INT, or the autopilot (component 1) with ATTITUDE. While GPS_RAW_INT says that there
 is no fix, the position is no measurement but the autopilot's own dead reckoning, and counts as
 void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not
@@ -11,7 +12,10 @@ The twin answers as the onboard computer (component 191) of that system, with HE
 second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (local NED about the first fix,
 with variances). Its forecasts are TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and
 headings 2, 4, 6, 8, 10 s ahead, local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds
-ahead and standard deviations north and east, m.
+ahead and standard deviations north and east, m. Where roll and pitch are known, ATTITUDE has them,
+DEBUG_FLOAT_ARRAY ``motion`` has rows of nine numbers: seconds ahead, then roll, pitch (rad), heave
+(m, down), vertical speed of the deck (m/s, down) and their standard deviations. ``quiet`` has the
+probabilities of a deck that stays quiet for 2, 3 and 5 s.
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -29,9 +33,9 @@ from numpy.typing import NDArray
 from twin.channels import COMMANDS, MEASUREMENTS, PSI, R, U, V
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
-from twin.live.protocols.nmea import HORIZONS
+from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
 from twin.live.protocols.sockets import FeedError, needed
-from twin.particulars import Particulars
+from twin.particulars import GRAVITY, Particulars
 from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
@@ -204,8 +208,15 @@ class MavlinkFeed(Feed):
         """Yield the twin's estimates, a message in each datagram; see :meth:`Feed.encode`."""
         write, now = self._writer, self.stamp_of(estimate.t)
         latitude, longitude, north, east = self.place_of(estimate.state)
-        yield write.position(now, (latitude, longitude), (north, east), float(estimate.state[2]))
-        yield write.attitude(now, float(estimate.state[PSI]), float(estimate.state[R]))
+        heading, rate = float(estimate.state[PSI]), float(estimate.state[R])
+        motion = estimate.motion
+        down = math.nan, 0.0 if motion is None else motion.vertical_speed
+        yield write.position(now, (latitude, longitude), (north, east), heading, down)
+        if motion is None:
+            yield write.attitude(now, heading, rate)
+        else:
+            tilt, rates = (motion.roll, motion.pitch), (motion.roll_rate, motion.pitch_rate)
+            yield write.attitude(now, heading, rate, tilt, rates)
         yield write.odometry(now, estimate.state, estimate.sd)
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
@@ -216,6 +227,11 @@ class MavlinkFeed(Feed):
                 yield write.trajectory(made, mean)
                 sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :2], 0.0))
                 yield write.deviations(made, np.column_stack([horizons, sd]))
+            if (ahead := prediction.motion) is not None:
+                times = (0.0, *MOTION_HORIZONS)
+                table = np.column_stack([times, *ahead.at(times)])
+                yield write.floats(self.stamp_of(prediction.t0), b"motion", table)
+                yield write.floats(self.stamp_of(prediction.t0), b"quiet", ahead.quiet)
 
     def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
         """See :meth:`Feed.encode_health`; a STATUSTEXT, which ground stations show and speak."""
@@ -232,6 +248,9 @@ class MavlinkFeed(Feed):
         read = {
             "GLOBAL_POSITION_INT": self._position,
             "ATTITUDE": self._attitude,
+            "HIGHRES_IMU": self._imu,
+            "SCALED_IMU": self._imu,
+            "RAW_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
         }.get(kind)
@@ -253,14 +272,34 @@ class MavlinkFeed(Feed):
         values = {}
         if not self._lost and UNKNOWN_SPEED not in (item.vx, item.vy):
             values = {"gps_vx_mps": item.vx / 100.0, "gps_vy_mps": item.vy / 100.0}
+            if item.vz != UNKNOWN_SPEED:
+                values["gps_vz_mps"] = item.vz / 100.0
+        # 0 is what a sender without a height writes
+        if place is not None and item.alt != 0:
+            values["gps_z_m"] = -item.alt / 1000.0
         return Message("position", stamp, values, place, void=place is None and not values)
 
     def _attitude(self, item: Any) -> Message:
         self._boot = stamp = item.time_boot_ms / 1000.0
         yaw = item.yaw % (2.0 * math.pi) if math.isfinite(item.yaw) else item.yaw
         found = {"compass_rad": yaw, "gyro_radps": item.yawspeed}
+        found |= {"ahrs_roll_rad": item.roll, "ahrs_pitch_rad": item.pitch}
+        found |= {"gyro_x_radps": item.rollspeed, "gyro_y_radps": item.pitchspeed}
         values = {name: value for name, value in found.items() if not math.isnan(value)}
         return Message("attitude", stamp, values, void=not values)
+
+    def _imu(self, item: Any) -> Message:
+        """Return the accelerations of an IMU; that of milli-g is of the autopilot's own scale."""
+        scale = 1.0 if item.get_type() == "HIGHRES_IMU" else GRAVITY / 1000.0
+        if item.get_type() == "SCALED_IMU":
+            stamp = item.time_boot_ms / 1000.0
+        else:
+            stamp = item.time_usec / 1e6
+        timed = abs(stamp - self._boot) < NEAR
+        names = "accel_x_mps2", "accel_y_mps2", "accel_z_mps2"
+        parts = (scale * float(value) for value in (item.xacc, item.yacc, item.zacc))
+        values = {name: v for name, v in zip(names, parts, strict=True) if math.isfinite(v)}
+        return Message("imu", stamp if timed else None, values, void=not values)
 
     def _servo_outputs(self, item: Any) -> Message:
         widths = [getattr(item, f"servo{i}_raw") for i in range(1, 17)]
@@ -315,8 +354,9 @@ class MavlinkWriter:
         place: tuple[float, float] | None,
         velocity: tuple[float, float] | None,
         heading: float = math.nan,
+        down: tuple[float, float] = (math.nan, 0.0),
     ) -> bytes:
-        """Return place (degrees) and velocity over ground (m/s north, east)."""
+        """Return place (degrees), velocity over ground (m/s north, east), and both down."""
         lat = lon = UNKNOWN_PLACE
         if place is not None:
             lat, lon = (round(1e7 * value) for value in place)
@@ -326,14 +366,31 @@ class MavlinkWriter:
         course = UNKNOWN_HEADING
         if not math.isnan(heading):
             course = round(100.0 * math.degrees(heading)) % 36000
+        # 0 stands for no height
+        height = 0 if math.isnan(down[0]) else round(-1000.0 * down[0]) or 1
+        vz = UNKNOWN_SPEED if math.isnan(down[1]) else round(100.0 * down[1])
         made = self._dialect.MAVLink_global_position_int_message
-        return self._pack(made(_ms(stamp), lat, lon, 0, 0, vx, vy, 0, course))
+        return self._pack(made(_ms(stamp), lat, lon, height, 0, vx, vy, vz, course))
 
-    def attitude(self, stamp: float, heading: float, rate: float) -> bytes:
-        """Return heading, rad, and yaw rate, rad/s; NaN where it is not known."""
+    def attitude(
+        self,
+        stamp: float,
+        heading: float,
+        rate: float,
+        tilt: tuple[float, float] = (math.nan, math.nan),
+        rates: tuple[float, float] = (math.nan, math.nan),
+    ) -> bytes:
+        """Return heading, roll and pitch, rad, and rates, rad/s; NaN where it is not known."""
         yaw = math.remainder(heading, 2.0 * math.pi)
         made = self._dialect.MAVLink_attitude_message
-        return self._pack(made(_ms(stamp), 0.0, 0.0, yaw, 0.0, 0.0, rate))
+        return self._pack(made(_ms(stamp), *tilt, yaw, *rates, rate))
+
+    def imu(self, stamp: float, force: tuple[float, float, float]) -> bytes:
+        """Return the specific force forward, to starboard and down, m/s2."""
+        made = self._dialect.MAVLink_highres_imu_message
+        still = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        # bits 0 to 2 of the last field: which parts are new
+        return self._pack(made(round(1e6 * stamp), *force, *still, 7))
 
     def odometry(self, stamp: float, state: Array, sd: Array) -> bytes:
         """Return a state and its standard deviations, shapes (6,), (6,)."""
@@ -399,16 +456,20 @@ class MavlinkWriter:
 
     def deviations(self, stamp: float, table: Array) -> bytes:
         """Return seconds ahead and standard deviations north and east, shape (n, 3)."""
+        return self.floats(stamp, b"sd_pos", table)
+
+    def floats(self, stamp: float, name: bytes, table: Array) -> bytes:
+        """Return up to 58 numbers under a name."""
         data = [*table.ravel().tolist(), *[0.0] * (58 - table.size)]
         made = self._dialect.MAVLink_debug_float_array_message
-        return self._pack(made(round(1e6 * stamp), b"sd_pos", 0, data))
+        return self._pack(made(round(1e6 * stamp), name, 0, data))
 
     def row(
         self, stamp: float, z: Array, cmd: Array, place: tuple[float, float] | None
     ) -> list[bytes]:
         """Return the messages of one row of a log, a time (s) after the autopilot started.
 
-        ``z`` (10,) has NaN where there is no measurement; ``place`` is latitude and longitude of
+        ``z`` (17,) has NaN where there is no measurement; ``place`` is latitude and longitude of
         the fix, degrees.
         """
         known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
@@ -417,9 +478,15 @@ class MavlinkWriter:
         heading, rate = known["compass_rad"], known["gyro_radps"]
         made = []
         if place is not None or moves:
-            made.append(self.position(stamp, place, velocity if moves else None))
-        if not (math.isnan(heading) and math.isnan(rate)):
-            made.append(self.attitude(stamp, heading, rate))
+            down = known["gps_z_m"], known["gps_vz_mps"]
+            made.append(self.position(stamp, place, velocity if moves else None, down=down))
+        tilt = known["ahrs_roll_rad"], known["ahrs_pitch_rad"]
+        rates = known["gyro_x_radps"], known["gyro_y_radps"]
+        if not all(map(math.isnan, (heading, rate, *tilt, *rates))):
+            made.append(self.attitude(stamp, heading, rate, tilt, rates))
+        force = known["accel_x_mps2"], known["accel_y_mps2"], known["accel_z_mps2"]
+        if not math.isnan(force[2]):
+            made.append(self.imu(stamp, force))
         if self.servos is not None:
             message = self._dialect.MAVLink_servo_output_raw_message
             micros = round(1e3 * round(1e3 * stamp)) % int(WRAP)

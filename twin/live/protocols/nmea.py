@@ -1,7 +1,9 @@
 r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as sentences.
 
 Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
-RPM and RSA (commands). GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give the time.
+RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers of these names. The
+height of a GGA counts as well. GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give
+the time.
 
 =========  ====================================================================================
 RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
@@ -9,9 +11,10 @@ RSA        rudder angle, degrees, above 0 to starboard; the first is starboard o
 ``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
 =========  ====================================================================================
 
-HDT, ROT, RPM and RSA hold no time. They have that of the sentence before them in the same datagram
-(ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's clock. A TAG
-block in whole seconds is the time of the first sentence of its kind in that second alone.
+HDT, ROT, RPM, RSA and XDR hold no time. They have that of the sentence before them in the same
+datagram (ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's
+clock. A TAG block in whole seconds is the time of the first sentence of its kind in that second
+alone.
 
 What goes back has the talker U9, as NMEA 0183 leaves U0 to U9 to users. It is GGA of quality 6
 (estimated), RMC of mode E, HDT, ROT, and for now (0 s) and each of :data:`HORIZONS` ::
@@ -20,7 +23,15 @@ What goes back has the talker U9, as NMEA 0183 leaves U0 to U9 to users. It is G
 
 with the time of prediction, the horizon (s), latitude, longitude and heading (degrees). Standard
 deviations north and east (m, at most 999.99) and their correlation follow. Each sentence is at most
-82 characters long, as the standard asks. Where a sensor's status changes, one more goes out ::
+82 characters long, as the standard asks. Where roll and pitch are known, PASHR has them and the
+heave. Then these go out, the first for now and each of :data:`MOTION_HORIZONS` ::
+
+    $PUTWM,hhmmss.sss,h.h,roll,pitch,heave,speed,sd,sd,sd,sd*hh<CR><LF>
+    $PUTWQ,hhmmss.sss,p.pp,p.pp,p.pp*hh<CR><LF>
+
+with roll and pitch (degrees), heave (m, down), vertical speed of the deck point (m/s, down), and
+their standard deviations. The other has the probabilities of a deck that stays quiet for 2, 3 and
+5 s. Where a sensor's status changes, one more goes out ::
 
     $PUTWH,hhmmss.sss,gps,excluded*hh<CR><LF>
 
@@ -42,29 +53,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS, R
+from twin.channels import COMMANDS, R
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
+from twin.live.protocols.nmea_writer import DAY, KNOT, NmeaWriter
 from twin.live.protocols.sockets import FeedError, needed
 from twin.predictors.base import Estimate, Prediction
 
 __all__ = [
     "HORIZONS",
     "NmeaFeed",
-    "NmeaWriter",
 ]
 
 Array = NDArray[np.float64]
-
-DAY = 86400.0
-
-KNOT = 1852.0 / 3600.0
 
 OWN = "U9"
 """Talker of what the twin says."""
 
 HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
 """Horizons of the prediction that goes back, s."""
+
+MOTION_HORIZONS = (0.5, 1.0, 2.0, 3.0, 5.0)
+"""Those of roll, pitch and heave."""
 
 LENGTH_MAX = 1024
 """Longest line that counts as a sentence, characters."""
@@ -121,6 +131,13 @@ class NmeaFeed(Feed):
             write.hdt(float(estimate.state[2])),
             write.rot(float(estimate.state[R])),
         ]
+        if estimate.motion is not None:
+            now = estimate.motion
+            lines.append(
+                write.attitude(
+                    stamp, float(estimate.state[2]), (now.roll, now.pitch), now.heave, now.sd[:2]
+                )
+            )
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
             horizons = [0.0, *(h for h in HORIZONS if h <= end)]
@@ -128,6 +145,11 @@ class NmeaFeed(Feed):
             for after, state, cov in zip(horizons, *prediction.at(np.array(horizons)), strict=True):
                 place = self.place_of(state)[:2]
                 lines.append(write.predicted(made, after, place, float(state[2]), cov[:2, :2]))
+        if prediction is not None and prediction.motion is not None:
+            motion, made = prediction.motion, self.stamp_of(prediction.t0)
+            times = 0.0, *MOTION_HORIZONS
+            lines += map(write.motion, [made] * len(times), times, *motion.at(times))
+            lines.append(write.quiet(made, motion.quiet))
         yield "".join(lines).encode()
 
     def encode_health(self, stamp: float, sensor: str, status: SensorStatus) -> bytes:
@@ -171,6 +193,8 @@ class NmeaFeed(Feed):
                 return "broken"
             sentence = self._parser.parse(line, check=True)
             if isinstance(sentence, self._parser.ProprietarySentence):
+                if line.startswith("$PASHR,"):
+                    return _ashr(line[1:].partition("*")[0].split(","))
                 return "own" if line.startswith("$PUTW") else "unknown"
             if getattr(sentence, "talker", "") == OWN:
                 return "own"
@@ -243,7 +267,11 @@ def _angle(text: str, side: str, sides: str, digits: int) -> float | None:
 
 def _time(sentence: Any) -> float | None:
     """Return the time of day of a sentence, s."""
-    text = sentence.data[0] if sentence.data else ""
+    return _stamp(sentence.data[0] if sentence.data else "")
+
+
+def _stamp(text: str) -> float | None:
+    """Return the time of day of ``hhmmss.sss``, s."""
     if not text:
         return None
     if not re.fullmatch(r"([01][0-9]|2[0-3])[0-5][0-9]([0-5][0-9]|60)(\.[0-9]*)?", text):
@@ -265,7 +293,9 @@ def _place(sentence: Any) -> tuple[float, float] | None:
 def _gga(sentence: Any) -> Message:
     quality = _number(sentence.data[5])
     place = None if quality is None or int(quality) in NO_FIX else _place(sentence)
-    return Message("GGA", _time(sentence), fix=place, void=place is None)
+    height = None if place is None else _number(sentence.data[8])
+    values = {} if height is None else {"gps_z_m": -height}
+    return Message("GGA", _time(sentence), values, place, void=place is None)
 
 
 def _rmc(sentence: Any) -> Message:
@@ -324,6 +354,36 @@ def _rsa(sentence: Any) -> Message:
     return Message("RSA", values=values, void=not values)
 
 
+def _tilt(angles: Sequence[float | None]) -> dict[str, float]:
+    """Return roll and pitch of degrees, without those that are not there."""
+    values: dict[str, float] = {}
+    for name, angle in zip(("ahrs_roll_rad", "ahrs_pitch_rad"), angles, strict=True):
+        if angle is not None:
+            if abs(angle) > 90.0:
+                raise FeedError(f"{angle}: no roll or pitch")
+            values[name] = math.radians(angle)
+    return values
+
+
+def _ashr(fields: Sequence[str]) -> Message:
+    """Return roll and pitch of a PASHR: name, time, heading, T, roll, pitch, and more."""
+    values = _tilt([_number(fields[4]), _number(fields[5])])
+    return Message("PASHR", _stamp(fields[1]), values, void=not values)
+
+
+def _xdr(sentence: Any) -> Message:
+    """Return roll and pitch of transducers: type A, angle, D, name; again and again."""
+    found: dict[str, float | None] = {"ROLL": None, "PITCH": None}
+    fields = sentence.data
+    for kind, value, unit, name in zip(*(fields[j::4] for j in range(4)), strict=False):
+        word = name.upper().replace("PTCH", "PITCH")
+        for wanted in found:
+            if kind == "A" and unit == "D" and wanted in word:
+                found[wanted] = _number(value)
+    values = _tilt([found["ROLL"], found["PITCH"]])
+    return Message("XDR", values=values, void=not values)
+
+
 def _zda(sentence: Any) -> Message:
     stamp = _time(sentence)
     return Message("ZDA", stamp, void=stamp is None)
@@ -336,164 +396,6 @@ _READERS = {
     "ROT": _rot,
     "RPM": _rpm,
     "RSA": _rsa,
+    "XDR": _xdr,
     "ZDA": _zda,
 }
-
-
-class NmeaWriter:
-    """Sentences of a talker.
-
-    Parameters
-    ----------
-    talker : str
-        Two letters.
-    tag : bool
-        Whether :meth:`row` puts a TAG block with the time before each sentence.
-    """
-
-    def __init__(self, talker: str, *, tag: bool = False) -> None:
-        self._pynmea2 = needed("pynmea2")
-        self.talker, self.tag = talker, tag
-
-    def line(self, kind: str, *fields: str) -> str:
-        """Return a sentence with its checksum."""
-        made = self._pynmea2.TalkerSentence(self.talker, kind, fields)
-        return str(made.render(newline="\r\n"))
-
-    def gga(self, stamp: float, latitude: float, longitude: float, quality: int) -> str:
-        """Return a fix; ``stamp`` is the time of day, s."""
-        place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
-        satellites = ("", "") if quality == 6 else ("12", "0.8")
-        return self.line(
-            "GGA",
-            _clock(stamp),
-            *place[0],
-            *place[1],
-            f"{quality}",
-            *satellites,
-            "",
-            "M",
-            "",
-            "M",
-            "",
-            "",
-        )
-
-    def rmc(
-        self,
-        stamp: float,
-        day: date,
-        place: tuple[float, float] | None,
-        north: float | None,
-        east: float | None,
-        mode: str,
-    ) -> str:
-        """Return velocity over ground, m/s, with place and date."""
-        sides: tuple[str, ...] = ("", "", "", "")
-        if place is not None:
-            sides = (*_text(place[0], "NS", 2, 7), *_text(place[1], "EW", 3, 7))
-        motion = ("", "")
-        if north is not None and east is not None:
-            speed = f"{math.hypot(north, east) / KNOT:.4f}"
-            course = round(math.degrees(math.atan2(east, north)) % 360.0, 3) % 360.0
-            motion = speed, f"{course:.3f}"
-        return self.line("RMC", _clock(stamp), "A", *sides, *motion, f"{day:%d%m%y}", "", "", mode)
-
-    def hdt(self, heading: float) -> str:
-        """Return a true heading, given in rad."""
-        return self.line("HDT", f"{round(math.degrees(heading) % 360.0, 4) % 360.0:.4f}", "T")
-
-    def rot(self, rate: float) -> str:
-        """Return a rate of turn, given in rad/s."""
-        return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
-
-    def predicted(
-        self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
-    ) -> str:
-        """Return a point of a prediction; see the head of this module.
-
-        Parameters
-        ----------
-        stamp, after : float
-            Time of day at which it was made, and the horizon, s.
-        place : tuple of float
-            Latitude and longitude, degrees.
-        heading : float
-            Rad.
-        cov : ndarray, shape (2, 2)
-            Covariance of north and east, m2.
-        """
-        sd = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
-        both = float(sd[0] * sd[1])
-        correlation = min(max(float(cov[0, 1]) / both, -1.0), 1.0) if both > 0.0 else 0.0
-        fields = (
-            *("P", _clock(stamp), f"{after:.1f}"),
-            *_text(place[0], "NS", 2, 5),
-            *_text(place[1], "EW", 3, 5),
-            f"{round(math.degrees(heading) % 360.0, 1) % 360.0:.1f}",
-            *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
-            f"{correlation:.2f}",
-        )
-        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
-
-    def health(self, stamp: float, sensor: str, status: str) -> str:
-        """Return the new status of a sensor; see the head of this module."""
-        fields = ("H", _clock(stamp), sensor, status)
-        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
-
-    def row(
-        self, when: float, z: Array, cmd: Array, place: tuple[float, float] | None
-    ) -> list[str]:
-        """Return the sentences of one row of a log, the time of the row (ZDA) first.
-
-        Parameters
-        ----------
-        when : float
-            UNIX time, s.
-        z, cmd : ndarray, shapes (10,), (4,)
-            Measurements, NaN where there is none, and commands.
-        place : tuple of float or None
-            Latitude and longitude of the fix, degrees.
-        """
-        moment = datetime.fromtimestamp(round(when, 3), timezone.utc)
-        stamp = when % DAY
-        known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
-        north, east = known["gps_vx_mps"], known["gps_vy_mps"]
-        moves = not (math.isnan(north) or math.isnan(east))
-        lines = [self.line("ZDA", _clock(stamp), *f"{moment:%d %m %Y}".split(), "00", "00")]
-        if place is not None:
-            lines.append(self.gga(stamp, *place, quality=4))
-        if moves:
-            lines.append(self.rmc(stamp, moment.date(), place, north, east, mode="A"))
-        if not math.isnan(known["compass_rad"]):
-            lines.append(self.hdt(known["compass_rad"]))
-        if not math.isnan(known["gyro_radps"]):
-            lines.append(self.rot(known["gyro_radps"]))
-        left, right, *angles = cmd.tolist()
-        lines += [
-            self.line("RPM", "S", number, f"{60.0 * speed:.4f}", "", "A")
-            for number, speed in (("1", right), ("2", left))
-        ]
-        port, starboard = (f"{math.degrees(angle):.4f}" for angle in angles)
-        lines.append(self.line("RSA", starboard, "A", port, "A"))
-        if self.tag:
-            block = f"c:{round(1000.0 * when)}"
-            check = self._pynmea2.NMEASentence.checksum(block)
-            lines = [f"\\{block}*{check:02X}\\{line}" for line in lines]
-        return lines
-
-
-def _clock(stamp: float) -> str:
-    """Return a time of day, s, as ``hhmmss.sss``."""
-    ms = round(1000.0 * stamp) % 86400000
-    minutes, ms = divmod(ms, 60000)
-    return f"{minutes // 60:02d}{minutes % 60:02d}{ms // 1000:02d}.{ms % 1000:03d}"
-
-
-def _text(angle: float, sides: str, digits: int, decimals: int) -> Sequence[str]:
-    """Return an angle, degrees, as ``ddmm.mmm`` and its side."""
-    unit = 10**decimals
-    degrees, rest = divmod(round(abs(angle) * 60.0 * unit), 60 * unit)
-    minutes, part = divmod(rest, unit)
-    text = f"{degrees:0{digits}d}{minutes:02d}.{part:0{decimals}d}"
-    return text, sides[0] if angle >= 0.0 else sides[1]

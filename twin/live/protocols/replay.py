@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from twin.live.protocols.feed import WAIT
 from twin.live.protocols.mavlink import MavlinkWriter, Servos
-from twin.live.protocols.nmea import NmeaWriter
+from twin.live.protocols.nmea_writer import NmeaWriter
 from twin.live.protocols.sockets import FeedError, open_socket
 from twin.logs.datum import Plane
 from twin.logs.log import Log

@@ -251,7 +251,7 @@ class TwinMonitor:
         # of the antenna, when the fix was taken
         u, v = u - r * how.gps_arm[1], v + r * how.gps_arm[0]
         velocity = np.array([u * c - v * s, u * s + v * c])
-        arm = np.array([[c, -s], [s, c]]) @ how.gps_arm
+        arm = np.array([[c, -s], [s, c]]) @ how.gps_arm[:2]
         place = np.array([x, y]) + arm + (t - self.t - how.gps_latency) * velocity
         # the drifting part of the error is in the fixes and in the estimate
         var = np.maximum(now.sd[:2] ** 2 - how.gps_bias_sd**2, 0.0) + how.gps_sd**2

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from tests.twin.live.wire import Wire, estimate_of, free_port
 from twin.live.protocols.feed import BYTES_MAX, Message, _Clock
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
-from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.nmea_writer import NmeaWriter
 from twin.live.protocols.sockets import FeedError, open_socket, parse_address
 from twin.logs.datum import Plane
 from twin.particulars import Particulars

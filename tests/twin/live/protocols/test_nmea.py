@@ -9,7 +9,8 @@ import pytest
 
 from tests.twin.live.wire import Wire, estimate_of
 from twin.health.monitor import SensorStatus
-from twin.live.protocols.nmea import NmeaFeed, NmeaWriter
+from twin.live.protocols.nmea import NmeaFeed
+from twin.live.protocols.nmea_writer import NmeaWriter
 from twin.particulars import Particulars
 
 pynmea2 = pytest.importorskip("pynmea2", reason="needs pynmea2: pip install 'usv-twin[view]'")

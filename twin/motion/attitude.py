@@ -1,0 +1,445 @@
+"""Roll, pitch and heave from a three-axis IMU, an AHRS and GNSS, whichever there are.
+
+The gyros are integrated, and held to the AHRS and to gravity. Gravity shows once the boat's own
+horizontal accelerations are taken out of the accelerometers. Vertical acceleration is integrated
+twice, and held to the vertical speed and height of the GNSS.
+
+Source: Fossen 2021, Sec. 14.3 (observers for attitude and position, with biases).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from twin.channels import ACCEL_Z, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT
+from twin.motion.state import (
+    ACCEL_TIME,
+    AHRS_ERROR,
+    AHRS_WHITE,
+    ANGLE,
+    CLIMB,
+    CORNER,
+    CORNER_RANGE,
+    GRAVITY_ERROR,
+    GYRO_TIME,
+    HEAVE,
+    HEIGHT_ERROR,
+    HEIGHT_TIME,
+    LIFT_BIAS,
+    MEMORY,
+    N_TILT,
+    RATE_BIAS,
+    RING,
+    SLOW_HEAVE,
+    WAVE_ACCEL,
+    WAVE_LEAK,
+    WAVE_TIME,
+    WAVE_WINDOW,
+)
+from twin.particulars import GRAVITY
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
+from usv_kernel.jit import inlined, kernel
+from usv_kernel.scalar import sincos
+
+__all__ = ["is_measured", "take_attitude", "turn_upright"]
+
+RATE_SD = 0.3
+"""Angular rate of a boat whose gyro is silent, rad/s."""
+
+LIFT_SD = 2.0
+"""Vertical acceleration of a boat whose accelerometer is silent, m/s2."""
+
+UNKNOWN_ACCEL = 1.0
+"""Horizontal acceleration of a boat whose velocity is not known, m/s2."""
+
+GATE = 6.0
+"""Samples that are more standard deviations away are refused ..."""
+
+PATIENCE = 40.0
+"""... but no more than these in a row."""
+
+LIMITS = (10.0, 10.0, 100.0, 1.4, 1.4, 1e6, 50.0)
+"""Sizes that no valid sample of the motion channels reaches: rad/s, m/s2, rad, m, m/s."""
+
+FORCE_MAX = 100.0
+"""The same of the other accelerometers, m/s2."""
+
+GAP = 1.0
+"""A longer time between rows is a gap, s: the filters begin again."""
+
+HELD = 0.2
+"""A missing sample of the IMU is bridged by the last one for this long, s."""
+
+START_SD = 0.2
+"""Roll and pitch of a boat of which nothing is known, rad."""
+
+
+@kernel
+def is_measured(z: Any) -> bool:
+    """Return whether a row has a sample of a motion channel."""
+    found = False
+    for k in range(MOTION_AT, z.shape[0]):
+        found = found or math.isfinite(z[k])
+    return found
+
+
+@inlined
+def _correct(x, P, H, error, var, gate):
+    """Correct a state (4,) by one number whose measurement is H x; return whether it is used."""
+    n = x.shape[0]
+    total, PH = var, (0.0, 0.0, 0.0, 0.0)
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for j in range(n):
+        a += P[0, j] * H[j]
+        b += P[1, j] * H[j]
+        c += P[2, j] * H[j]
+        d += P[3, j] * H[j]
+    total += H[0] * a + H[1] * b + H[2] * c + H[3] * d
+    if error * error > gate * gate * total:
+        return False
+    PH = a, b, c, d
+    for i in range(n):
+        x[i] += PH[i] * error / total
+    for i in range(n):
+        for j in range(n):
+            P[i, j] -= PH[i] * PH[j] / total
+    return True
+
+
+@inlined
+def _propagate(P, F, n):
+    """Write F P F' to P (4, 4), for F that is the identity but for its first two rows.
+
+    ``F`` holds three numbers: of P[0, 1], of P[0, 2] and of P[1, 2].
+    """
+    a, b, c = F
+    for j in range(n):
+        P[0, j] += a * P[1, j] + b * P[2, j]
+        P[1, j] += c * P[2, j]
+    for i in range(n):
+        P[i, 0] += a * P[i, 1] + b * P[i, 2]
+        P[i, 1] += c * P[i, 2]
+
+
+@inlined
+def _fade(x, P, i, time, dt, sd):
+    """Let a first-order Gauss-Markov state fade, and grow its variance."""
+    stay = math.exp(-dt / time)
+    x[i] *= stay
+    for j in range(x.shape[0]):
+        P[i, j] *= stay
+        P[j, i] *= stay
+    P[i, i] += (1.0 - stay * stay) * sd * sd
+
+
+@inlined
+def _start(memory, given):
+    """Begin with a level boat at rest, of which nothing is known."""
+    for k in range(2):
+        memory.tilt[k, :] = 0.0
+        memory.P[k, :, :] = 0.0
+        memory.P[k, ANGLE, ANGLE] = START_SD**2
+        memory.P[k, RATE_BIAS, RATE_BIAS] = given.gyro_bias**2
+        memory.P[k, AHRS_ERROR, AHRS_ERROR] = given.ahrs**2
+        memory.P[k, GRAVITY_ERROR, GRAVITY_ERROR] = (given.accel_bias / GRAVITY) ** 2
+    memory.vertical[:] = 0.0
+    memory.P_vertical[:, :] = 0.0
+    memory.P_vertical[HEAVE, HEAVE] = 1.0
+    memory.P_vertical[CLIMB, CLIMB] = 1.0
+    memory.P_vertical[LIFT_BIAS, LIFT_BIAS] = given.accel_bias**2 + given.accel**2
+    memory.P_vertical[HEIGHT_ERROR, HEIGHT_ERROR] = 1e4
+    memory.rate[:] = 0.0
+    memory.turning[:] = 0.0
+    memory.force[0], memory.force[1], memory.force[2] = 0.0, 0.0, -GRAVITY
+    memory.lift = memory.wave_speed = 0.0
+    memory.wave_power[:] = 0.0
+    memory.velocity[:] = math.nan
+    memory.rows = 0.0
+
+
+@inlined
+def _fresh(z, dt, memory, k):
+    """Return whether motion channel k has a new and plausible sample, and note its age."""
+    value = z[MOTION_AT + k]
+    # the same bits again are no new sample: the instrument is slower than the log, or hangs
+    new = math.isfinite(value) and value != memory.last[k] and abs(value) < LIMITS[k]
+    memory.ages[k] = 0.0 if new else memory.ages[k] + dt
+    if math.isfinite(value):
+        memory.last[k] = value
+    return new
+
+
+@inlined
+def _note_planar(z, memory):
+    """Note whether the axes of the IMU that every log has are new."""
+    new = True
+    for k in range(3):
+        value, limit = z[GYRO + k], LIMITS[0] if k == 0 else FORCE_MAX
+        new = new and value != memory.planar[k] and abs(value) < limit
+        if math.isfinite(value):
+            memory.planar[k] = value
+    memory.planar_new = 1.0 if new else 0.0
+
+
+@inlined
+def _trusted(used, memory, k):
+    """Count refused samples of a channel; return whether one is to be taken whatever it says."""
+    memory.refused[k] = 0.0 if used else memory.refused[k] + 1.0
+    return memory.refused[k] > PATIENCE
+
+
+@inlined
+def _remember(t, memory):
+    """Note attitude and vertical speed for fixes that come late."""
+    row = memory.ring[int(memory.rows) % RING]
+    row[0], row[1], row[2], row[3] = (
+        t,
+        memory.tilt[0, ANGLE],
+        memory.tilt[1, ANGLE],
+        memory.vertical[CLIMB],
+    )
+    memory.rows += 1.0
+
+
+@inlined
+def _place_of(t, memory):
+    """Return the place in the ring of the newest row that is not later than a time."""
+    newest, kept = int(memory.rows) - 1, min(int(memory.rows), RING)
+    back = 0
+    while back < kept - 1 and memory.ring[(newest - back) % RING, 0] > t + 1e-6:
+        back += 1
+    return (newest - back) % RING
+
+
+@inlined
+def _turned(m, a, b, c, i):
+    """Return entry i of a matrix times a vector."""
+    return m[i, 0] * a + m[i, 1] * b + m[i, 2] * c
+
+
+@kernel
+def take_attitude(t, dt, z, velocity, memory, given):
+    """Take a row: estimate roll, pitch, their rates, heave and vertical speed.
+
+    Parameters
+    ----------
+    t, dt : float
+        Time, and time since the row before, s.
+    z : ndarray, shape (17,)
+        In the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
+    velocity : ndarray, shape (2,)
+        Speed forward and to starboard, as the twin has it, m/s; NaN where it has none.
+    memory : record of ``ATTITUDE``
+        Advanced in place.
+    given : record of ``ATTITUDE_SETTINGS``
+        Errors and places of the sensors.
+    """
+    if memory.rows == 0.0 or not 0.0 < dt <= GAP:
+        _start(memory, given)
+    dt = min(max(dt, 0.0), GAP)
+    has_p, has_q = _fresh(z, dt, memory, 0), _fresh(z, dt, memory, 1)
+    has_lift = _fresh(z, dt, memory, 2)
+    _note_planar(z, memory)
+    _integrate(dt, z, (has_p, has_q, has_lift), memory, given)
+    for k in range(2):
+        if _fresh(z, dt, memory, 3 + k):
+            x, P = memory.tilt[k], memory.P[k]
+            error = z[AHRS_ROLL + k] - x[ANGLE] - x[AHRS_ERROR]
+            gate = math.inf if memory.refused[3 + k] > PATIENCE or memory.rows == 0.0 else GATE
+            var = (AHRS_WHITE * given.ahrs) ** 2
+            used = _correct(x, P, (1.0, 0.0, 1.0, 0.0), error, var, gate)
+            _trusted(used, memory, 3 + k)
+    _hold_to_gravity(dt, z, velocity, memory, given)
+    _rise(dt, has_lift, memory, given)
+    _hold_to_fix(t, dt, z, memory, given)
+    _remember(t, memory)
+
+
+@inlined
+def _integrate(dt, z, has, memory, given):
+    """Turn the boat by the mean of the rates of this row and the one before."""
+    has_p, has_q, has_lift = has
+    before, rate, M = memory.rate, memory.rate, given.mounting
+    has_r = abs(z[GYRO]) < LIMITS[0]
+    old = before[0], before[1], before[2]
+    # missing axes: the last rate for a while, then none
+    raw = (
+        z[GYRO_X] if has_p else old[0] + memory.tilt[0, RATE_BIAS],
+        z[GYRO_Y] if has_q else old[1] + memory.tilt[1, RATE_BIAS],
+        z[GYRO] if has_r else old[2],
+    )
+    p = _turned(M, raw[0], raw[1], raw[2], 0) - memory.tilt[0, RATE_BIAS]
+    q = _turned(M, raw[0], raw[1], raw[2], 1) - memory.tilt[1, RATE_BIAS]
+    r = _turned(M, raw[0], raw[1], raw[2], 2)
+    lost_p, lost_q = memory.ages[0] > HELD, memory.ages[1] > HELD
+    p, q = 0.0 if lost_p else p, 0.0 if lost_q else q
+    rate[0], rate[1], rate[2] = p, q, r
+    if memory.rows == 0.0:
+        old = p, q, r
+    if dt > 0.0:
+        for i in range(3):
+            memory.turning[i] = (rate[i] - old[i]) / dt
+    p, q, r = 0.5 * (p + old[0]), 0.5 * (q + old[1]), 0.5 * (r + old[2])
+    phi, theta = memory.tilt[0, ANGLE], memory.tilt[1, ANGLE]
+    roll_rate, pitch_rate = _angle_rates(phi, theta, p, q, r)
+    half = 0.5 * dt
+    roll_rate, pitch_rate = _angle_rates(phi + half * roll_rate, theta + half * pitch_rate, p, q, r)
+    memory.tilt[0, ANGLE] = min(max(phi + dt * roll_rate, -1.5), 1.5)
+    memory.tilt[1, ANGLE] = min(max(theta + dt * pitch_rate, -1.5), 1.5)
+    for k in range(2):
+        x, P = memory.tilt[k], memory.P[k]
+        _propagate(P, (-dt, 0.0, 0.0), N_TILT)
+        sd = RATE_SD if (lost_p if k == 0 else lost_q) else given.gyro
+        P[ANGLE, ANGLE] += (sd * dt) ** 2 if sd == given.gyro else sd * sd * dt
+        _fade(x, P, RATE_BIAS, GYRO_TIME, dt, given.gyro_bias)
+        _fade(x, P, AHRS_ERROR, given.ahrs_time, dt, given.ahrs)
+        _fade(x, P, GRAVITY_ERROR, ACCEL_TIME, dt, given.accel_bias / GRAVITY)
+    _move_force(z, has_lift, memory, given)
+
+
+@inlined
+def _angle_rates(phi, theta, p, q, r):
+    """Return the time derivatives of roll and pitch (Fossen 2021, Eq 2.39)."""
+    s, c = sincos(phi)
+    d, e = sincos(theta)
+    return p + (q * s + r * c) * d / e, q * c - r * s
+
+
+@inlined
+def _arm_force(rate, turning, arm):
+    """Return the specific force that turning adds at a place on the boat."""
+    a, b, c = arm[0], arm[1], arm[2]
+    p, q, r = rate[0], rate[1], rate[2]
+    u, v, w = q * c - r * b, r * a - p * c, p * b - q * a
+    return (
+        turning[1] * c - turning[2] * b + q * w - r * v,
+        turning[2] * a - turning[0] * c + r * u - p * w,
+        turning[0] * b - turning[1] * a + p * v - q * u,
+    )
+
+
+@inlined
+def _move_force(z, has_lift, memory, given):
+    """Note the specific force of the origin, in the boat's axes."""
+    force, M = memory.force, given.mounting
+    if memory.planar_new > 0.0 and (has_lift or memory.ages[2] > HELD):
+        x, y, low = _arm_force(memory.rate, memory.turning, given.imu_arm)
+        a, b, c = z[ACCEL_X], z[ACCEL_Y], z[ACCEL_Z] if has_lift else -GRAVITY
+        force[0] = _turned(M, a, b, c, 0) - x
+        force[1] = _turned(M, a, b, c, 1) - y
+        force[2] = _turned(M, a, b, c, 2) - low
+
+
+@inlined
+def _hold_to_gravity(dt, z, velocity, memory, given):
+    """Correct roll and pitch by gravity, with the twin's own accelerations taken out."""
+    before, u, v = memory.velocity, velocity[0], velocity[1]
+    if memory.planar_new > 0.0 and dt > 0.0:
+        f, r, phi, theta = memory.force, memory.rate[2], memory.tilt[0], memory.tilt[1]
+        known = math.isfinite(u) and math.isfinite(v) and math.isfinite(before[0])
+        ahead = (u - before[0]) / dt - v * r if known else 0.0
+        side = (v - before[1]) / dt + u * r if known else 0.0
+        cos = math.cos(theta[ANGLE])
+        sin_roll = min(max((side - f[1]) / (GRAVITY * cos), -0.9), 0.9)
+        sin_pitch = min(max((f[0] - ahead) / GRAVITY, -0.9), 0.9)
+        # what lasts for seconds counts as often as it is new
+        accel = WAVE_ACCEL if known else UNKNOWN_ACCEL
+        var = (accel / GRAVITY) ** 2 * 2.0 * WAVE_TIME / dt
+        H = 1.0, 0.0, 0.0, 1.0
+        error = math.asin(sin_roll) - phi[ANGLE] - phi[GRAVITY_ERROR]
+        _correct(phi, memory.P[0], H, error, var, GATE)
+        error = math.asin(sin_pitch) - theta[ANGLE] - theta[GRAVITY_ERROR]
+        _correct(theta, memory.P[1], H, error, var, GATE)
+    before[0], before[1] = u, v
+
+
+@inlined
+def _rise(dt, has_lift, memory, given):
+    """Integrate the vertical acceleration to vertical speed and heave."""
+    x, P, f = memory.vertical, memory.P_vertical, memory.force
+    s, c = sincos(memory.tilt[0, ANGLE])
+    d, e = sincos(memory.tilt[1, ANGLE])
+    lift = e * (s * f[1] + c * f[2]) - d * f[0] + GRAVITY - x[LIFT_BIAS]
+    lost = memory.ages[2] > HELD
+    lift = 0.0 if lost else lift
+    memory.lift = lift
+    power, share = memory.wave_power, min(dt / WAVE_WINDOW, 1.0)
+    memory.wave_speed += dt * (lift - memory.wave_speed / WAVE_LEAK)
+    power[0] += share * (memory.wave_speed**2 - power[0])
+    power[1] += share * (lift * lift - power[1])
+    x[HEAVE] += dt * x[CLIMB] + 0.5 * dt * dt * lift
+    x[CLIMB] += dt * lift
+    _propagate(P, (dt, -0.5 * dt * dt, -dt), 4)
+    density = LIFT_SD**2 * 0.5 if lost else given.accel**2 * dt
+    P[CLIMB, CLIMB] += density * dt
+    _fade(x, P, LIFT_BIAS, ACCEL_TIME, dt, math.hypot(given.accel_bias, 0.1 * given.accel))
+    _fade(x, P, HEIGHT_ERROR, HEIGHT_TIME, dt, given.height_bias)
+    _fade(x, P, HEAVE, MEMORY, dt, SLOW_HEAVE)
+
+
+@inlined
+def _hold_to_fix(t, dt, z, memory, given):
+    """Correct the vertical motion by GNSS; without it, by heave that is small in the mean."""
+    x, P = memory.vertical, memory.P_vertical
+    has_z, has_vz = _fresh(z, dt, memory, 5), _fresh(z, dt, memory, 6)
+    a, b, c = given.gps_arm[0], given.gps_arm[1], given.gps_arm[2]
+    if memory.rows == 0.0:
+        return
+    # this row is not in the ring yet: without latency the newest one stands for it
+    old = memory.ring[_place_of(t - given.latency, memory)]
+    if has_vz:
+        p, q = memory.rate[0], memory.rate[1]
+        arm = p * b - q * a
+        error = z[GPS_VZ] - old[3] - arm
+        gate = math.inf if memory.refused[6] > PATIENCE else GATE
+        used = _correct(x, P, (0.0, 1.0, 0.0, 0.0), error, given.climb**2, gate)
+        _trusted(used, memory, 6)
+    if has_z:
+        arm = c * math.cos(old[1]) * math.cos(old[2]) - a * math.sin(old[2]) + b * math.sin(old[1])
+        error = z[GPS_Z] - arm - x[HEAVE] - x[HEIGHT_ERROR] + given.latency * x[CLIMB]
+        gate = math.inf if memory.refused[5] > PATIENCE else GATE
+        used = _correct(x, P, (1.0, 0.0, 0.0, 1.0), error, given.height**2, gate)
+        _trusted(used, memory, 5)
+    if memory.ages[6] > 2.0 and dt > 0.0:
+        power = memory.wave_power
+        corner = CORNER * math.sqrt(power[1] / max(power[0], 1e-12))
+        corner = min(max(corner, CORNER_RANGE[0]), CORNER_RANGE[1])
+        var = given.accel**2 / corner**4
+        _correct(x, P, (1.0, 0.0, 0.0, 0.0), -x[HEAVE], var, math.inf)
+
+
+@kernel
+def turn_upright(heading, memory, given, z):
+    """Write to a row (17,) what its sensors would say on an upright boat.
+
+    Accelerations become horizontal, the yaw rate that of the heading, and the antenna stands
+    above its place. ``heading`` is in rad.
+    """
+    phi, theta = memory.tilt[0, ANGLE], memory.tilt[1, ANGLE]
+    s, c = sincos(phi)
+    d, e = sincos(theta)
+    p, q, r = memory.rate[0], memory.rate[1], memory.rate[2]
+    # samples that repeat themselves stay as they are: whoever checks them must see it
+    if memory.planar_new > 0.0:
+        turn = (q * s + r * c) / e
+        f, arm = memory.force, given.imu_arm
+        low = s * f[1] + c * f[2]
+        ahead, side = e * f[0] + d * low, c * f[1] - s * f[2]
+        # what turning adds at the IMU of an upright boat
+        z[GYRO] = turn
+        z[ACCEL_X] = ahead - memory.turning[2] * arm[1] - turn * turn * arm[0]
+        z[ACCEL_Y] = side + memory.turning[2] * arm[0] - turn * turn * arm[1]
+    a, b, down = given.gps_arm[0], given.gps_arm[1], given.gps_arm[2]
+    if down != 0.0 and math.isfinite(heading):
+        # of the antenna against its place on an upright boat, forward and to starboard
+        low = s * b + c * down
+        ahead, side = e * a + d * low - a, c * b - s * down - b
+        rise = q * down * c, -p * down * c
+        h, g = sincos(heading)
+        if math.isfinite(z[GPS_X]) and math.isfinite(z[GPS_Y]):
+            z[GPS_X] -= g * ahead - h * side
+            z[GPS_Y] -= h * ahead + g * side
+        if math.isfinite(z[GPS_VX]) and math.isfinite(z[GPS_VY]):
+            z[GPS_VX] -= g * rise[0] - h * rise[1]
+            z[GPS_VY] -= h * rise[0] + g * rise[1]

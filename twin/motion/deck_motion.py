@@ -1,0 +1,481 @@
+"""Roll, pitch and heave of one boat, as users see them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from twin.channels import PSI, R, U, V
+from twin.checkpoint import COUNT, FLAG, Field, State, StateError, check_fields, fill, record_views
+from twin.motion.attitude import is_measured, take_attitude, turn_upright
+from twin.motion.forecast import (
+    CHANNELS,
+    FORECAST,
+    FORECAST_SETTINGS,
+    FORECAST_WORK,
+    HORIZONS,
+    N_CHANNELS,
+    QUIET_SPANS,
+    error_now,
+    forecast_motion,
+    forecast_settings,
+    initial_forecast,
+    quiet_probabilities,
+    take_motion,
+)
+from twin.motion.sea_estimate import SEA_MOMENTS, SeaEstimate, estimate_sea, take_sea
+from twin.motion.state import (
+    ANGLE,
+    ATTITUDE,
+    ATTITUDE_SETTINGS,
+    CLIMB,
+    HEAVE,
+    attitude_settings,
+    initial_attitude,
+)
+from twin.particulars import GRAVITY, Particulars
+from usv_kernel.channels import MOTION_CHANNELS
+from usv_kernel.jit import kernel
+from usv_kernel.records import as_record, field_at, record_size
+
+__all__ = [
+    "MOTION",
+    "MOTION_SETTINGS",
+    "MOTION_WORK",
+    "DeckMotion",
+    "MotionEstimate",
+    "MotionForecast",
+    "accelerations_ahead",
+    "initial_motion",
+    "motion_settings",
+    "take_row",
+]
+
+Array = NDArray[np.float64]
+
+Z90 = 1.6448536269514722
+"""Half the width of the middle 90 % of a normal distribution, standard deviations."""
+
+MOTION = np.dtype([("attitude", ATTITUDE), ("forecast", FORECAST), ("sea", SEA_MOMENTS)])
+"""All that is remembered of a boat's roll, pitch and heave."""
+
+MOTION_SETTINGS = np.dtype([("attitude", ATTITUDE_SETTINGS), ("forecast", FORECAST_SETTINGS)])
+
+MOTION_WORK = np.dtype(
+    [
+        ("forecast", FORECAST_WORK),
+        ("velocity", "f8", 2),
+        ("ahead", "f8", (1 + len(HORIZONS), 2)),
+        ("mean", "f8", (1 + len(HORIZONS), N_CHANNELS)),
+        ("var", "f8", (1 + len(HORIZONS), N_CHANNELS)),
+        ("quiet", "f8", len(QUIET_SPANS)),
+    ]
+)
+"""Scratch; one serves many boats."""
+
+BRIDGED = 1.0
+"""A channel that is silent for longer is reported, s."""
+
+_REFUSED = 10.0
+
+
+def initial_motion() -> Array:
+    """Return the memory of a boat before its first row: :data:`MOTION` as flat float64."""
+    sea = np.zeros(record_size(SEA_MOMENTS))
+    return np.concatenate([initial_attitude(), initial_forecast(), sea])
+
+
+def motion_settings(particulars: Particulars) -> Array:
+    """Return :data:`MOTION_SETTINGS` of a boat as flat float64."""
+    return np.concatenate([attitude_settings(particulars), forecast_settings(particulars)])
+
+
+@kernel
+def take_row(t, dt, z, state, ready, memory, given, work):
+    """Take a row, and turn its measurements into those of an upright boat.
+
+    Parameters
+    ----------
+    t, dt : float
+        Time, and time since the row before, s.
+    z : ndarray, shape (17,)
+        In the order of ``twin.channels.MEASUREMENTS``; written to.
+    state : ndarray, shape (6,)
+        What the twin said of the boat after the row before.
+    ready : bool
+        Whether that means anything.
+    memory, given, work : record
+        ``MOTION``, ``MOTION_SETTINGS`` and ``MOTION_WORK``.
+    """
+    velocity = work.velocity
+    velocity[0], velocity[1] = (state[U], state[V]) if ready else (math.nan, math.nan)
+    heading = state[PSI] if ready else math.nan
+    take_attitude(t, dt, z, velocity, memory.attitude, given.attitude)
+    take_motion(t, velocity, memory.attitude, memory.forecast, given.forecast, work.forecast)
+    take_sea(dt, heading, velocity, memory.attitude, memory.sea)
+    turn_upright(heading, memory.attitude, given.attitude, z)
+
+
+@kernel
+def accelerations_ahead(times, states, start, ahead):
+    """Write the accelerations of a forecast to starboard and forward, in units of gravity.
+
+    Parameters
+    ----------
+    times : ndarray, shape (K,)
+        Times of the forecast states after now, s, rising.
+    states : ndarray, shape (K, 6)
+        In the order of ``twin.channels.STATE``.
+    start : ndarray, shape (6,)
+        State now.
+    ahead : ndarray, shape (1 + 21, 2)
+        Written: now and at ``HORIZONS``.
+    """
+    k = 0
+    for h in range(ahead.shape[0]):
+        at = HORIZONS[h - 1] if h > 0 else 0.0
+        while k < times.shape[0] - 1 and times[k] < at - 1e-9:
+            k += 1
+        t1, t0 = times[k], times[k - 1] if k > 0 else 0.0
+        share = min(max((at - t0) / (t1 - t0), 0.0), 1.0)
+        u0, r0 = (states[k - 1, U], states[k - 1, R]) if k > 0 else (start[U], start[R])
+        u, r = u0 + share * (states[k, U] - u0), r0 + share * (states[k, R] - r0)
+        ahead[h, 0] = u * r / GRAVITY
+        ahead[h, 1] = (states[k, U] - u0) / (t1 - t0) / GRAVITY
+
+
+@kernel
+def _take(t, dt, z, state, ready, memory, given, work):
+    """Do :func:`take_row` on flat memory."""
+    records = as_record(memory, MOTION), as_record(given, MOTION_SETTINGS)
+    take_row(t, dt, z, state, ready, records[0], records[1], as_record(work, MOTION_WORK))
+
+
+@kernel
+def _forecast(times, states, start, memory, given, work):
+    """Write means, variances and probabilities to the scratch."""
+    own, of, scratch = (
+        as_record(memory, MOTION),
+        as_record(given, MOTION_SETTINGS),
+        as_record(work, MOTION_WORK),
+    )
+    mean, var = scratch.mean, scratch.var
+    accelerations_ahead(times, states, start, scratch.ahead)
+    forecast_motion(
+        scratch.ahead, own.attitude, own.forecast, of.forecast, scratch.forecast, mean, var
+    )
+    quiet_probabilities(mean, var, own.forecast, of.forecast, scratch.quiet)
+
+
+@kernel
+def _errors(memory, given, out):
+    """Write the variances of the estimates of the channels."""
+    own, of = as_record(memory, MOTION), as_record(given, MOTION_SETTINGS)
+    for c in range(N_CHANNELS):
+        out[c] = error_now(c, own.attitude, own.forecast, of.forecast)
+
+
+@dataclass(frozen=True)
+class MotionEstimate:
+    """Attitude and vertical motion of a boat at its last row.
+
+    Parameters
+    ----------
+    t : float
+        Time, s.
+    roll, pitch : float
+        rad; above 0: starboard side down, bow up.
+    roll_rate, pitch_rate : float
+        Body rates, rad/s.
+    heave, vertical_speed : float
+        Of the origin, m and m/s, down; heave is counted from its mean.
+    deck_speed : float
+        Vertical speed of the deck point of the particulars, m/s, down.
+    sd : ndarray, shape (4,)
+        Standard deviations of roll, pitch, heave and deck speed.
+    """
+
+    t: float
+    roll: float
+    pitch: float
+    roll_rate: float
+    pitch_rate: float
+    heave: float
+    vertical_speed: float
+    deck_speed: float
+    sd: Array
+
+    def heave_at(self, point: ArrayLike) -> float:
+        """Return the heave of a point of the deck (m forward, to starboard, down), m."""
+        a, b, c = map(float, np.asarray(point, dtype=np.float64))
+        s, g = math.sin(self.roll), math.cos(self.roll)
+        tilted = math.cos(self.pitch) * (b * s + c * g) - a * math.sin(self.pitch)
+        return self.heave + tilted - c
+
+    def vertical_speed_at(self, point: ArrayLike, yaw_rate: float = 0.0) -> float:
+        """Return the vertical speed of a point of the deck, m/s, down.
+
+        Parameters
+        ----------
+        point : array_like, shape (3,)
+            m forward, to starboard and down of the origin.
+        yaw_rate : float
+            Of the boat, rad/s; it matters where the boat is heeled far.
+        """
+        rates = np.array([self.roll_rate, self.pitch_rate, yaw_rate])
+        x, y, z = np.cross(rates, np.asarray(point, dtype=np.float64))
+        s, g = math.sin(self.roll), math.cos(self.roll)
+        turned = math.cos(self.pitch) * (s * y + g * z) - math.sin(self.pitch) * x
+        return self.vertical_speed + float(turned)
+
+
+@dataclass(frozen=True)
+class MotionForecast:
+    """Forecast of roll, pitch, heave and the vertical speed of the deck point.
+
+    Parameters
+    ----------
+    t0 : float
+        Time at which it was made, s.
+    t : ndarray, shape (22,)
+        Times of the rows, s: now, and then ``twin.motion.HORIZONS`` ahead.
+    mean, sd : ndarray, shape (22, 4)
+        In the order of ``twin.motion.CHANNELS``.
+    quiet : ndarray, shape (3,)
+        Probabilities that roll, pitch and deck speed stay within the limits of the particulars for
+        the next 2, 3 and 5 s.
+    """
+
+    t0: float
+    t: Array
+    mean: Array
+    sd: Array
+    quiet: Array
+
+    @property
+    def low(self) -> Array:
+        """5 % points, shape (22, 4)."""
+        return self.mean - Z90 * self.sd
+
+    @property
+    def high(self) -> Array:
+        """95 % points, shape (22, 4)."""
+        return self.mean + Z90 * self.sd
+
+    def at(self, horizons: ArrayLike) -> tuple[Array, Array]:
+        """Return means and standard deviations, each (h, 4), at times after t0 (h,), s.
+
+        Between the rows they are interpolated; after the last one they stay.
+        """
+        after = self.t - self.t0
+        times = np.clip(np.asarray(horizons, dtype=np.float64), 0.0, after[-1])
+        sd = np.stack([np.interp(times, after, column) for column in self.sd.T], axis=1)
+        return CubicSpline(after, self.mean)(times), sd
+
+    def columns(self, t: Array) -> dict[str, Array]:
+        """Return columns by name at times (N,): means, then ``sd_``, ``low_`` and ``high_``."""
+        mean, sd = self.at(t - self.t0)
+        parts = {"": mean, "sd_": sd, "low_": mean - Z90 * sd, "high_": mean + Z90 * sd}
+        return {
+            f"{kind}{name}": part[:, k]
+            for kind, part in parts.items()
+            for k, name in enumerate(CHANNELS)
+        }
+
+
+class DeckMotion:
+    """Estimates and forecasts roll, pitch and heave of a boat, row by row.
+
+    Parameters
+    ----------
+    particulars : Particulars
+        The boat, its instruments and its deck.
+
+    Attributes
+    ----------
+    memory : ndarray
+        All that is remembered, in the layout of :data:`MOTION`.
+    record : record
+        The same by name: a view.
+    """
+
+    def __init__(self, particulars: Particulars) -> None:
+        self.settings = motion_settings(particulars)
+        self.scratch = np.zeros(record_size(MOTION_WORK))
+        self.remember(initial_motion())
+
+    def remember(self, memory: Array) -> None:
+        """Remember in this memory from now on; see :attr:`memory`."""
+        self.memory, self.record = memory, memory.view(MOTION)[0]
+        self.work = self.scratch.view(MOTION_WORK)[0]
+
+    def __getstate__(self) -> dict[str, Array]:
+        """Return what copies are made of: a copied record would be no view."""
+        return {"settings": self.settings, "work": self.scratch, "memory": self.memory}
+
+    def __setstate__(self, state: dict[str, Array]) -> None:
+        """Become a copy."""
+        self.settings, self.scratch = state["settings"], state["work"]
+        self.remember(state["memory"])
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.memory[:] = initial_motion()
+
+    @property
+    def active(self) -> bool:
+        """Whether a row had a sample of one of ``usv_kernel.channels.MOTION_CHANNELS``."""
+        return bool(self.record["attitude"]["rows"] > 0.0)
+
+    def take(self, t: float, dt: float, z: Array, state: Array, ready: bool) -> Array:
+        """Take a row, and return it as it would be on an upright boat.
+
+        Parameters
+        ----------
+        t, dt : float
+            Time, and time since the row before, s.
+        z : ndarray, shape (17,)
+            In the order of ``twin.channels.MEASUREMENTS``; left as it is.
+        state : ndarray, shape (6,)
+            What the twin said of the boat after the row before.
+        ready : bool
+            Whether that means anything.
+        """
+        if not (self.active or is_measured(z)):
+            return z
+        z = z.copy()
+        _take(
+            t, dt, z, np.ascontiguousarray(state), ready, self.memory, self.settings, self.scratch
+        )
+        return z
+
+    def estimate(self) -> MotionEstimate | None:
+        """Return attitude and vertical motion at the last row; None where nothing measures them."""
+        if not self.active:
+            return None
+        now, memory = self.record["attitude"], self.record["forecast"]
+        (roll, pitch), vertical = now["tilt"][:, ANGLE].tolist(), now["vertical"]
+        variance = np.empty(N_CHANNELS)
+        _errors(self.memory, self.settings, variance)
+        return MotionEstimate(
+            t=float(memory["t_before"]),
+            roll=roll,
+            pitch=pitch,
+            roll_rate=float(now["rate"][0]),
+            pitch_rate=float(now["rate"][1]),
+            heave=float(vertical[HEAVE]),
+            vertical_speed=float(vertical[CLIMB]),
+            deck_speed=float(memory["before"][-1]),
+            sd=np.sqrt(np.maximum(variance, 0.0)),
+        )
+
+    def forecast(self, times: Array, states: Array, start: Array) -> MotionForecast | None:
+        """Return the forecast; None where nothing measures roll, pitch and heave.
+
+        Parameters
+        ----------
+        times : ndarray, shape (K,)
+            Times after now of the forecast states, s.
+        states : ndarray, shape (K, 6)
+            The twin's forecast of the horizontal motion: the boat heels when it turns.
+        start : ndarray, shape (6,)
+            Its state now.
+        """
+        if not self.active:
+            return None
+        times, states, start = map(np.ascontiguousarray, (times, states, start))
+        _forecast(times, states, start, self.memory, self.settings, self.scratch)
+        t0 = float(self.record["forecast"]["t_before"])
+        return MotionForecast(
+            t0=t0,
+            t=t0 + np.concatenate([[0.0], HORIZONS]),
+            mean=self.work["mean"].copy(),
+            sd=np.sqrt(np.maximum(self.work["var"], 0.0)),
+            quiet=self.work["quiet"].copy(),
+        )
+
+    def sea(self) -> SeaEstimate | None:
+        """Return the waves as the motion shows them; None where nothing measures it."""
+        if not self.active:
+            return None
+        return estimate_sea(self.memory[field_at(MOTION, "sea") :])
+
+    def troubles(self) -> dict[str, tuple[str, float, str]]:
+        """Return status, age (s) and reason, in words, of each motion channel in doubt.
+
+        Channels that never had a sample are not named: a boat need not have them.
+        """
+        now = self.record["attitude"]
+        found: dict[str, tuple[str, float, str]] = {}
+        for k, name in enumerate(MOTION_CHANNELS):
+            age, refused = float(now["ages"][k]), float(now["refused"][k])
+            if not math.isfinite(now["last"][k]):
+                continue
+            if age > BRIDGED:
+                why = f"{name} has been silent or unchanged for {age:.1f} s; the others bridge it"
+                found[name] = "excluded", age, why
+            elif refused > _REFUSED:
+                found[name] = "doubtful", 0.0, f"{name} contradicts the other sensors"
+        return found
+
+    def views(self) -> dict[str, Array]:
+        """Return what is remembered, by field."""
+        found: dict[str, Array] = {}
+        for part, kind in (("attitude", ATTITUDE), ("forecast", FORECAST), ("sea", SEA_MOMENTS)):
+            begin = field_at(MOTION, part)
+            piece = self.memory[begin : begin + record_size(kind)]
+            found |= {f"{part}.{name}": view for name, view in record_views(piece, kind).items()}
+        return found
+
+    def state_dict(self) -> State:
+        """Return all that is remembered, as fields by name; nothing before the first sample."""
+        return {name: view.copy() for name, view in self.views().items()} if self.active else {}
+
+    def load_state_dict(self, state: State) -> None:
+        """Take over what :meth:`state_dict` returned.
+
+        Raises
+        ------
+        StateError
+            Names the field that is missing or damaged.
+        """
+        if not state:
+            self.reset()
+            return
+        check_fields(state, self.views(), FIELDS)
+        fill(self.views(), state)
+        memory = self.record["forecast"]
+        newest = memory["begun"] + memory["rows"] * self.settings_base
+        if not abs(newest - memory["t_before"]) <= 2.0:
+            raise StateError(
+                "field 'forecast.rows' does not fit the times beside it; use an earlier copy of "
+                "the file"
+            )
+
+    @property
+    def settings_base(self) -> float:
+        """Time between the rows of the ring, s."""
+        return float(self.settings.view(MOTION_SETTINGS)[0]["forecast"]["base"])
+
+
+_GAPS = Field(nan=True)
+
+_POSITIVE = Field(low=0.0)
+
+FIELDS = {
+    **dict.fromkeys(
+        ("attitude.velocity", "attitude.last", "attitude.planar", "forecast.speed"), _GAPS
+    ),
+    **dict.fromkeys(("attitude.rows", "forecast.rows", "forecast.n_errors"), COUNT),
+    **dict.fromkeys(("attitude.ages", "forecast.verifications"), _POSITIVE),
+    "forecast.is_fit": FLAG,
+    "attitude.tilt": Field(low=-10.0, high=10.0),
+    "attitude.P": Field(covariance=True),
+    "attitude.P_vertical": Field(covariance=True),
+    "forecast.weight": Field(low=1e-9),
+}
+"""What the fields of a saved state may hold."""

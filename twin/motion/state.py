@@ -1,0 +1,140 @@
+"""What the attitude filters remember of one boat, and what they are given."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.particulars import Particulars
+from usv_kernel.records import record_size
+from usv_kernel.scalar import rotation
+
+__all__ = [
+    "AHRS_ERROR",
+    "ANGLE",
+    "ATTITUDE",
+    "ATTITUDE_SETTINGS",
+    "CLIMB",
+    "CORNER",
+    "CORNER_RANGE",
+    "GRAVITY_ERROR",
+    "HEAVE",
+    "HEIGHT_ERROR",
+    "LIFT_BIAS",
+    "NEVER",
+    "N_TILT",
+    "N_VERTICAL",
+    "RATE_BIAS",
+    "RING",
+    "SLOW_HEAVE",
+    "attitude_settings",
+    "initial_attitude",
+]
+
+Array = NDArray[np.float64]
+
+ANGLE, RATE_BIAS, AHRS_ERROR, GRAVITY_ERROR = range(4)
+"""State of a tilt filter: roll or pitch (rad), bias of its gyro (rad/s), errors of the AHRS and of
+the angle that the accelerometers show (rad)."""
+
+N_TILT = 4
+
+HEAVE, CLIMB, LIFT_BIAS, HEIGHT_ERROR = range(4)
+"""State of the vertical filter: heave (m) and vertical speed (m/s), both down; bias of the vertical
+acceleration (m/s2), and error of the GNSS height (m)."""
+
+N_VERTICAL = 4
+
+RING = 64
+"""Rows that are kept for fixes that come late."""
+
+GYRO_TIME, ACCEL_TIME, HEIGHT_TIME = 300.0, 110.0, 400.0
+"""Time constants of the biases of gyros, accelerometers and GNSS height, s."""
+
+AHRS_WHITE = 0.1
+"""White part of the error of an AHRS, as a share of the whole."""
+
+NEVER = 1e9
+"""Age of a sample that has not come yet, s."""
+
+WAVE_ACCEL, WAVE_TIME = 0.3, 0.5
+"""Horizontal acceleration in waves that velocities do not show (m/s2), and how long it lasts, s."""
+
+CORNER, CORNER_RANGE = 0.2, (0.15, 0.6)
+"""Without GNSS, heave that is slower than this part of the frequency of the waves is left out, and
+its range, rad/s."""
+
+WAVE_WINDOW, WAVE_LEAK = 60.0, 4.0
+"""Times over which that frequency is found, and in which a speed is forgotten for it, s."""
+
+MEMORY, SLOW_HEAVE = 15.0, 0.035
+"""Time in which a constant heave is forgotten (s), as heave is counted from its mean, and standard
+deviation of heave that changes more slowly than that (m)."""
+
+ATTITUDE = np.dtype(
+    [
+        ("tilt", "f8", (2, N_TILT)),  # roll filter and pitch filter, see ANGLE
+        ("P", "f8", (2, N_TILT, N_TILT)),  # their covariances
+        ("vertical", "f8", N_VERTICAL),  # see HEAVE
+        ("P_vertical", "f8", (N_VERTICAL, N_VERTICAL)),
+        ("rate", "f8", 3),  # body rates of the last row without biases, rad/s
+        ("turning", "f8", 3),  # their time derivatives, rad/s2
+        ("force", "f8", 3),  # specific force of the origin in the last row, m/s2
+        ("lift", "f8"),  # vertical acceleration of the last row, down, m/s2
+        ("wave_speed", "f8"),  # its leaky integral, m/s
+        ("wave_power", "f8", 2),  # mean squares of that and of the acceleration
+        ("velocity", "f8", 2),  # horizontal velocity of the row before, m/s; NaN before the first
+        ("ages", "f8", 7),  # time since the last new sample of each motion channel, s
+        ("last", "f8", 7),  # that sample; NaN before the first
+        ("refused", "f8", 7),  # runs of refused samples
+        ("planar", "f8", 3),  # last yaw rate, specific force forward and to starboard
+        ("planar_new", "f8"),  # 1 where those of this row are new
+        ("rows", "f8"),  # rows taken
+        ("ring", "f8", (RING, 4)),  # time, roll, pitch, vertical speed of past rows
+    ]
+)
+"""One boat. All are float64, so that it fits into flat memory."""
+
+ATTITUDE_SETTINGS = np.dtype(
+    [
+        # standard deviations
+        ("gyro", "f8"),  # white, rad/s per sample
+        ("gyro_bias", "f8"),  # rad/s
+        ("accel", "f8"),  # white, m/s2 per sample
+        ("accel_bias", "f8"),  # m/s2
+        ("ahrs", "f8"),  # rad
+        ("ahrs_time", "f8"),  # s, how long its error lasts
+        ("height", "f8"),  # white, m
+        ("height_bias", "f8"),  # m
+        ("climb", "f8"),  # white, m/s
+        ("latency", "f8"),  # s, age of a fix
+        ("imu_arm", "f8", 3),  # m forward, to starboard, down
+        ("gps_arm", "f8", 3),
+        ("mounting", "f8", (3, 3)),  # turns a vector of the IMU into the boat's axes
+    ]
+)
+
+
+def initial_attitude() -> Array:
+    """Return the memory of a boat before its first row: :data:`ATTITUDE` as flat float64."""
+    memory = np.zeros(record_size(ATTITUDE))
+    record = memory.view(ATTITUDE)[0]
+    for name in ("velocity", "last", "planar"):
+        record[name] = np.nan
+    record["ages"] = NEVER
+    return memory
+
+
+def attitude_settings(particulars: Particulars) -> Array:
+    """Return :data:`ATTITUDE_SETTINGS` of a boat as flat float64."""
+    board = particulars.instruments
+    memory = np.zeros(record_size(ATTITUDE_SETTINGS))
+    record = memory.view(ATTITUDE_SETTINGS)[0]
+    record["gyro"], record["gyro_bias"] = board.gyro_sd, board.gyro_bias_sd
+    record["accel"], record["accel_bias"] = board.accel_sd, board.accel_bias_sd
+    record["ahrs"], record["ahrs_time"] = board.ahrs_sd, board.ahrs_time
+    record["height"], record["height_bias"] = board.height_sd, board.height_bias_sd
+    record["climb"], record["latency"] = board.climb_sd, board.gps_latency
+    record["imu_arm"], record["gps_arm"] = board.imu_arm, board.gps_arm
+    record["mounting"] = rotation(board.imu_mounting)
+    return memory
