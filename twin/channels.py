@@ -18,6 +18,7 @@ __all__ = [
     "PSI",
     "STATE",
     "TIME",
+    "TRUE_MOTION",
     "TRUTH",
     "WIND_FROM",
     "WIND_SPEED",
@@ -46,6 +47,13 @@ GYRO_X, GYRO_Y, ACCEL_Z, AHRS_ROLL, AHRS_PITCH, GPS_Z, GPS_VZ = range(MOTION_AT,
 
 TRUTH = ("true_x_m", "true_y_m", "true_psi_rad", "true_u_mps", "true_v_mps", "true_r_radps")
 """Columns of ``Log.truth``: the simulated state, for scoring only."""
+
+TRUE_MOTION = (
+    *("true_z_m", "true_roll_rad", "true_pitch_rad"),
+    *("true_w_mps", "true_p_radps", "true_q_radps"),
+)
+"""Columns of ``Log.true_motion``: place down, roll, pitch, and the body's speed down, roll rate and
+pitch rate."""
 
 STATE = ("x_m", "y_m", "psi_rad", "u_mps", "v_mps", "r_radps")
 """Columns of a state: north, east, heading, speed forward, to starboard, yaw rate."""

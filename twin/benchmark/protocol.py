@@ -21,7 +21,7 @@ from twin.particulars import ParticularsError
 from twin.predictors.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
-from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
+from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
@@ -51,6 +51,9 @@ _BOATS = 1029
 """Second seed of a boat, so that it does not share the random numbers of its sea."""
 
 TYPICAL = "typical"
+
+ROLLING_COMPONENTS = 1000
+"""Components of the waves with six degrees of freedom."""
 
 
 class BenchmarkError(UsvTwinError):
@@ -119,6 +122,7 @@ class Settings:
     hs: float = 0.5
     wind: float = 4.5
     wind_from_deg: float = 135.0
+    spreading: float | None = None  # exponent of short-crested waves; None: long-crested
     logs: tuple[str, ...] = ()  # recorded runs to score
     # particulars of the recorded boat; None for the TOML file beside the log
     ship: str | None = None
@@ -130,9 +134,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in self.scenarios:
-            if name not in MANOEUVRES:
+            if name not in SCENARIOS:
                 raise ManoeuvreError(
-                    f"no scenario is called {name!r}; known: {', '.join(MANOEUVRES)}"
+                    f"no scenario is called {name!r}; known: {', '.join(SCENARIOS)}"
                 )
         for name in self.predictors:
             predictor_class(name)
@@ -180,7 +184,13 @@ class Settings:
     def sea(self, name: str = "") -> SeaState:
         """Return a sea state by name with the settings' direction, or the settings' own."""
         sea = SEA_STATES.get(name, SeaState(hs=self.hs, wind=self.wind))
-        return sea.replace(wind_from=math.radians(self.wind_from_deg))
+        # a boat that rolls can learn a hundred lines of a spectrum, as no real sea has them
+        components = ROLLING_COMPONENTS if self.dof == 6 else sea.components
+        return sea.replace(
+            wind_from=math.radians(self.wind_from_deg),
+            spreading=self.spreading,
+            components=components,
+        )
 
     def boat(self, seed: int) -> Vessel:
         """Return the boat of a seed."""

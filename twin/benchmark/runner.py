@@ -31,6 +31,13 @@ from twin.benchmark.metrics import (
     summarise,
     trends,
 )
+from twin.benchmark.motion_scores import (
+    MotionScore,
+    MotionTruth,
+    motion_rows,
+    motion_table,
+    quiet_rows,
+)
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
 from twin.digital_twin import Twin, known_plan
@@ -144,11 +151,14 @@ def run_unit(
     run = run or load_run(settings, unit)
     seen, identify = run.seen, run.identify
     reference = Reference(run.reference)
+    moves = run.reference.true_motion is not None
+    motion_truth = MotionTruth(run.reference, run.particulars, identify) if moves else None
     twin = _new_twin(settings, unit, run)
     dt = min(max(seen.dt, 0.02), 0.25)
     end = float(seen.t[-1]) - HORIZONS[-1]
     next_origin, next_second = identify, float(seen.t[0])
     scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
+    motions: dict[str, list[MotionScore]] = {plan: [] for plan in settings.plans}
     starts: list[float] = []
     skipped = 0
     examples: list[Prediction] = []
@@ -177,6 +187,8 @@ def run_unit(
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
             prediction = twin.predict(commands, dt=dt)
             scores[plan].append(score(prediction, truth, STUDY_HORIZONS))
+            if motion_truth is not None and prediction.motion is not None:
+                motions[plan].append(motion_truth.score(prediction.motion))
             if not all(math.isfinite(part.sum()) for part in scores[plan][-1]):
                 raise BenchmarkError(
                     f"{unit.predictor}: its prediction at t = {t:.2f} s is not finite"
@@ -200,6 +212,10 @@ def run_unit(
         "repairs": list(run.reference.notes),
         "datum": None if run.reference.datum is None else run.reference.datum.to_json(),
     }
+    if motion_truth is not None:
+        result["motion"] = {
+            plan: motion_table(parts, motion_truth.sd) for plan, parts in motions.items() if parts
+        }
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         result["history"] = {
@@ -419,6 +435,8 @@ def collect(
             if result["unit"]["log"]
         },
         "rows": list(rows_of(ordered)),
+        "motion": list(motion_rows(ordered)),
+        "quiet": list(quiet_rows(ordered)),
         "summary": summarise(runs),
         "paired": compare(runs, against or AGAINST),
         "recorded": recorded_table(ordered, against or recorded_against(settings)),

@@ -20,7 +20,7 @@ from twin.cli.common import (
 )
 from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
-from usv_gym.manoeuvring.manoeuvres import MANOEUVRES
+from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
@@ -28,7 +28,7 @@ from usv_gym.world.sensors import GRADES, SensorSuite
 
 
 def simulate_command(
-    manoeuvre: Annotated[str, typer.Argument(help=f"One of: {', '.join(MANOEUVRES)}.")] = "turn",
+    manoeuvre: Annotated[str, typer.Argument(help=f"One of: {', '.join(SCENARIOS)}.")] = "turn",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Log to write. [<manoeuvre>_<seed>.csv]")
     ] = None,

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, TIME, TRUTH
+from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, TIME, TRUE_MOTION, TRUTH
 from twin.logs.checks import (
     check_drive,
     check_measurement,
@@ -48,7 +48,7 @@ __all__ = [
     "recorded_runs",
 ]
 
-_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *SINGLE, *OTHER_UNITS, *DATUM)
+_KNOWN = (TIME, *COMMANDS, *MEASUREMENTS, *TRUTH, *TRUE_MOTION, *SINGLE, *OTHER_UNITS, *DATUM)
 
 # Names that other projects use, and that no spelling distance would find.
 _ALIASES = {
@@ -112,6 +112,8 @@ class Log:
         What was missing, converted or repaired when the log was read.
     datum : Datum or None
         Latitude, longitude and date of its origin, where they are known.
+    true_motion : ndarray, shape (N, 6), or None
+        True heave, roll and pitch in the order of :data:`TRUE_MOTION`, where they are known.
     """
 
     t: Array
@@ -121,12 +123,15 @@ class Log:
     name: str = "log"
     notes: tuple[str, ...] = ()
     datum: Datum | None = None
+    true_motion: Array | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays of a wrong shape, of infinite values, or of a time that stands still."""
         shapes = {"t": (), "z": (len(MEASUREMENTS),), "cmd": (len(COMMANDS),)}
         if self.truth is not None:
             shapes["truth"] = (len(TRUTH),)
+        if self.true_motion is not None:
+            shapes["true_motion"] = (len(TRUE_MOTION),)
         rows = np.shape(self.t)[0] if np.ndim(self.t) == 1 else -1
         if np.shape(self.z) == (rows, MOTION_AT):
             unknown = np.full((rows, len(MEASUREMENTS) - MOTION_AT), np.nan)
@@ -178,14 +183,18 @@ class Log:
         """
         first, last = np.searchsorted(self.t, (t0, t1))
         rows = slice(int(first), max(int(first), int(last)))
-        truth = None if self.truth is None else self.truth[rows]
         return dataclasses.replace(
-            self, t=self.t[rows], z=self.z[rows], cmd=self.cmd[rows], truth=truth
+            self,
+            t=self.t[rows],
+            z=self.z[rows],
+            cmd=self.cmd[rows],
+            truth=None if self.truth is None else self.truth[rows],
+            true_motion=None if self.true_motion is None else self.true_motion[rows],
         )
 
     def without_truth(self) -> Log:
         """Return the same run as the boat itself would have recorded it."""
-        return dataclasses.replace(self, truth=None)
+        return dataclasses.replace(self, truth=None, true_motion=None)
 
     def write(self, path: str | Path) -> None:
         """Write the log as CSV, compressed if the name ends in ``.gz``, or as ``.parquet``.
@@ -212,6 +221,8 @@ class Log:
         columns.update(zip(shown, self.z.T, strict=False))
         if self.truth is not None:
             columns.update(zip(TRUTH, self.truth.T, strict=True))
+        if self.true_motion is not None:
+            columns.update(zip(TRUE_MOTION, self.true_motion.T, strict=True))
         if self.datum is not None:
             columns.update(self.datum.columns(len(self)))
         frame = pl.DataFrame(columns).fill_nan(None)
@@ -238,9 +249,9 @@ class Log:
             ``.parquet`` with the same columns; or a bag: a folder with ``metadata.yaml``, or
             a file ``.mcap`` or ``.db3``. Required: ``t_s``, the :data:`COMMANDS`,
             ``gps_x_m``, ``gps_y_m`` and ``compass_rad``. The other :data:`MEASUREMENTS` may
-            be absent (never measured), and so may the :data:`TRUTH`. ``n_rps`` and
-            ``delta_rad`` are those of a ship with one propeller, one rudder, and stand for
-            both sides. Degrees and rpm are converted where the name says so:
+            be absent (never measured), and so may the :data:`TRUTH` and :data:`TRUE_MOTION`.
+            ``n_rps`` and ``delta_rad`` are those of a ship with one propeller, one rudder, and
+            stand for both sides. Degrees and rpm are converted where the name says so:
             ``delta_left_deg``, ``compass_deg``, ``gyro_degps``, ``n_left_rpm`` and so on
             instead of the SI column. Any other column is left out, with a note.
         mapping : str or Path, optional
@@ -490,6 +501,12 @@ def assemble(table: Table) -> Log:
         absent = [name for name in TRUTH if name not in names]
         if absent:
             notes.append(f"{', '.join(absent)}: not in the file, this part of the truth is unknown")
+    motion_truth = None
+    if any(name in names for name in TRUE_MOTION):
+        unknown = np.full(rows, np.nan)
+        motion_truth = np.stack(
+            [column(name) if name in names else unknown for name in TRUE_MOTION], axis=1
+        )
     datum = Datum.from_columns(names, table.source)
     if table.epoch is None and _UNIX[0] <= t[0] < _UNIX[1]:
         table.epoch = 0.0
@@ -502,7 +519,7 @@ def assemble(table: Table) -> Log:
     if plane is not None or table.epoch is not None or datum is not None:
         epoch = table.epoch if given.epoch is None else given.epoch
         datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
-    return Log(t, z, cmd, truth, table.name, tuple(notes), datum)
+    return Log(t, z, cmd, truth, table.name, tuple(notes), datum, motion_truth)
 
 
 def _merge_equal_times(table: Table) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.motion.state import ANGLE, CLIMB, HEAVE, RATE_BIAS
+from twin.motion.state import MEMORY as MEMORY_OF_HEAVE
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import record_size
@@ -138,6 +139,12 @@ QUIET_SPANS = (2.0, 3.0, 5.0)
 N_QUIET = int(np.searchsorted(HORIZONS, QUIET_SPANS[-1])) + 1
 """Horizons within them."""
 
+ERROR_TIMES = (10.0, 10.0, MEMORY_OF_HEAVE, 1.0)
+"""How long an error of the estimate of each channel lasts, s."""
+
+STAYS = np.exp(-HORIZONS / np.array(ERROR_TIMES)[:, None]).ravel()
+"""Share of such an error that is left at each horizon."""
+
 QUIET_CHANNELS = (ROLL, PITCH, DECK_SPEED)
 
 _STEPS = round(LAST / (TICK * BASE))
@@ -158,6 +165,7 @@ FORECAST = np.dtype(
         ("coefficients", "f8", (N_TERMS, TARGETS)),  # of the fit; first those of 1
         ("means", "f8", TARGETS),  # of the targets at the fit
         ("fit_var", "f8", TARGETS),  # variances of its errors
+        ("fit_worth", "f8", TARGETS),  # share of the variance that it explains
         ("is_fit", "f8"),  # 1 once there is a fit
         ("made", "f8", (_STEPS, TARGETS)),  # forecasts of past ticks, deviations from the means
         ("made_at", "f8", (_STEPS, 2)),  # number of their tick, 1 where there was a fit
@@ -166,6 +174,7 @@ FORECAST = np.dtype(
         ("verifications", "f8"),  # how many ticks these stand for
         ("errors", "f8", (ERRORS, 3, N_QUIET)),  # of QUIET_CHANNELS
         ("n_errors", "f8"),
+        ("noise", "f8", N_CHANNELS),  # variances of the estimates of the channels
         ("moments", "f8", (3, N_CHANNELS)),  # mean, mean square, and seconds of each channel
         ("smooth", "f8", (2, 2)),  # mean angles and mean accelerations / g, of roll and pitch
         ("speed", "f8"),  # forward, of the row before, m/s
@@ -347,7 +356,8 @@ def _fit(memory, work):
             out[j] = (row[j] / total - m * first[j] / total) * scale[i + 1]
     for j in range(TARGETS):
         m = first[j] / total
-        memory.means[j] = m
+        # heave is counted from its mean: another one is an error of the estimate
+        memory.means[j] = 0.0 if j // N_HORIZONS == HEAVE_CHANNEL else m
         memory.fit_var[j] = max(memory.squares[j] / total - m * m, 0.0)
     for i in range(n):
         d, pivot = 1.0 / math.sqrt(max(U[i, i], 1e-12)), U[i]
@@ -384,7 +394,10 @@ def _fit(memory, work):
     samples = total * total / memory.weights[1]
     used = min(FIT_SHARE * n / samples, 0.75)
     for k in range(TARGETS):
-        memory.fit_var[k] = max(memory.fit_var[k], 0.0) / (1.0 - used)
+        m = first[k] / total
+        whole = max(memory.squares[k] / total - m * m, 1e-12)
+        memory.fit_var[k] = min(max(memory.fit_var[k], 0.0) / (1.0 - used), whole)
+        memory.fit_worth[k] = 1.0 - memory.fit_var[k] / whole
     memory.is_fit = 1.0
 
 
@@ -426,21 +439,27 @@ def _verify(tick, memory, targets, period):
 
 @inlined
 def _skill(memory, k):
-    """Return the share of a forecast deviation to believe, from the verified ones."""
-    worth = memory.verified[1, k] / max(memory.verified[0, k], 1e-12)
+    """Return the share of a forecast deviation to believe, from the verified ones.
+
+    Forecast and what came after hold the same error of the estimate, which is no skill.
+    """
+    shared = STAYS[k] * memory.noise[k // N_HORIZONS]
+    worth = (memory.verified[1, k] - shared) / max(memory.verified[0, k], 1e-12)
     # until enough are verified, the fit itself counts
     n = memory.verifications
-    worth = (n * worth + TRUST_TICKS) / (n + TRUST_TICKS)
+    worth = (n * worth + TRUST_TICKS * memory.fit_worth[k]) / (n + TRUST_TICKS)
     return min(max(worth, 0.0), 1.0)
 
 
 @inlined
 def _variance(memory, k):
-    """Return the variance of the errors of a forecast."""
-    n, s = memory.verifications, _skill(memory, k)
+    """Return the variance of the errors of a forecast, against the truth."""
+    n, s, noise = memory.verifications, _skill(memory, k), memory.noise[k // N_HORIZONS]
     a, c, b = memory.verified[0, k], memory.verified[1, k], memory.verified[2, k]
     seen = max(b - 2.0 * s * c + s * s * a, 0.0)
-    return (n * seen + TRUST_TICKS * memory.fit_var[k]) / (n + TRUST_TICKS)
+    var = (n * seen + TRUST_TICKS * memory.fit_var[k]) / (n + TRUST_TICKS)
+    # against estimates, whose errors are in both
+    return max(var + (2.0 * s * STAYS[k] - 1.0) * noise, 0.5 * noise)
 
 
 @inlined
@@ -496,6 +515,8 @@ def take_motion(t, velocity, attitude, memory, given, work):
     _learn_heel(dt, velocity, attitude, memory)
     now = work.now
     _signals(attitude, given, velocity, memory, now)
+    for c in range(N_CHANNELS):
+        memory.noise[c] = error_now(c, attitude, memory, given)
     base = given.base
     if attitude.rows <= 1.0 or not math.isfinite(memory.t_before):
         # a start or a gap: the past has no link to what comes
@@ -561,7 +582,7 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
         _write_features(row, int(given.lag), memory, work.features)
         _apply(memory, work.features, work.targets)
     for c in range(N_CHANNELS):
-        now = error_now(c, attitude, memory, given)
+        now = memory.noise[c]
         mean[0, c] = (
             attitude.tilt[c, ANGLE]
             if c <= PITCH
@@ -579,7 +600,7 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
             k = c * N_HORIZONS + h
             if ready:
                 mean[1 + h, c] = memory.means[k] + _skill(memory, k) * work.targets[k]
-                var[1 + h, c] = _variance(memory, k) + now
+                var[1 + h, c] = _variance(memory, k)
             else:
                 mean[1 + h, c] = m
                 var[1 + h, c] = spread + now

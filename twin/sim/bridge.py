@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.log import Log
 from twin.particulars import DESIGNS, Instruments, Particulars
-from usv_gym.manoeuvring.manoeuvres import commands
+from usv_gym.manoeuvring.manoeuvres import HEADINGS, commands, hold_heading
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import SENSOR_CHANNELS
+from usv_kernel.channels import COMPASS, SENSOR_CHANNELS
 
 __all__ = [
     "CONTROL_STEP",
     "TRUE_STATE",
+    "VERTICAL",
     "measurement_row",
     "particulars_of",
     "prepare",
@@ -47,6 +48,9 @@ SIMULATED = [*range(len(SENSOR_CHANNELS)), *range(MOTION_AT, len(MEASUREMENTS))]
 
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
+
+VERTICAL = (fr.Z, fr.PHI, fr.THETA, fr.W, fr.P, fr.Q)
+"""Those that it keeps of the vertical motion."""
 
 
 def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 3) -> Particulars:
@@ -115,6 +119,7 @@ class PreparedRun(NamedTuple):
     simulation: Simulation
     commands: Array  # (N, 4)
     name: str
+    heading: float | None = None  # that an autopilot holds instead of the commands, rad
 
 
 def simulate(
@@ -130,8 +135,9 @@ def simulate(
 ) -> Log:
     """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
-    ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, or the commands (N, 4) of
-    the control steps. ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
+    ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, one of its ``HEADINGS``
+    (an autopilot holds it by compass and gyro), or the commands (N, 4) of the control steps.
+    ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
     """
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
     return sail(prepare(simulation, manoeuvre, duration, seed))
@@ -149,6 +155,11 @@ def prepare(
     if not isinstance(manoeuvre, str):
         return PreparedRun(simulation, manoeuvre, f"own_{seed}")
     times = np.arange(max(round(duration / CONTROL_STEP), 1)) * CONTROL_STEP
+    if manoeuvre in HEADINGS:
+        sea = simulation.seas[0]
+        to = sea.wind_from + math.pi if sea.wave_to is None else sea.wave_to
+        given = np.zeros((len(times), 4))
+        return PreparedRun(simulation, given, f"{manoeuvre}_{seed}", to + HEADINGS[manoeuvre])
     given = commands(manoeuvre, times, simulation.vessel, helm_rng)
     return PreparedRun(simulation, given, f"{manoeuvre}_{seed}")
 
@@ -164,13 +175,21 @@ def sail(
     simulation, N = run.simulation, len(run.commands)
     t, cmd = np.empty(N + 1), np.concatenate([simulation.cmd, run.commands])
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
+    motion, held = np.empty((N + 1, len(VERTICAL))), np.zeros(2)
     for k in range(N + 1):
         if k:
+            if run.heading is not None:
+                for j in range(2):
+                    held[j] = (
+                        held[j] if math.isnan(z[k - 1, COMPASS + j]) else z[k - 1, COMPASS + j]
+                    )
+                cmd[k] = hold_heading(simulation.vessel, run.heading, *held)
             command = cmd[k : k + 1].copy()
             if before_step is not None:
                 before_step(float(simulation.t[0]), simulation, command[0])
             simulation.step(command)
         t[k] = simulation.t[0]
         z[k, SIMULATED] = simulation.z[0]
-        truth[k] = simulation.state[0, TRUE_STATE]
-    return Log(t=t, z=z, cmd=cmd, truth=truth, name=run.name)
+        truth[k], motion[k] = simulation.state[0, TRUE_STATE], simulation.state[0, VERTICAL]
+    known = motion if simulation.dof == 6 else None
+    return Log(t=t, z=z, cmd=cmd, truth=truth, name=run.name, true_motion=known)

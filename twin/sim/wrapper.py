@@ -17,7 +17,7 @@ from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
-from twin.sim.bridge import TRUE_STATE, measurement_row, particulars_of
+from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import Episodes
@@ -386,6 +386,11 @@ def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
         cmd=np.array([row.cmd for row in rows]),
         z=np.array([measurement_row(row.z) for row in rows]),
         truth=np.array([row.state[list(TRUE_STATE)] for row in rows]),
+        true_motion=(
+            np.array([row.state[list(VERTICAL)] for row in rows])
+            if base.simulation.dof == 6
+            else None
+        ),
         name=f"{base.vessel.name}_episode",
     )
     if path is not None:

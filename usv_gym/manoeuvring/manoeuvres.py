@@ -11,9 +11,12 @@ from usv_gym.vessel.vessel import Vessel
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
+    "HEADINGS",
     "MANOEUVRES",
+    "SCENARIOS",
     "ManoeuvreError",
     "commands",
+    "hold_heading",
 ]
 
 
@@ -72,6 +75,34 @@ MANOEUVRES: dict[
     "random": _random,
 }
 """Name -> function of time that gives relative shaft speed and drive angle (rad)."""
+
+
+HEADINGS = {f"heading{angle}": math.radians(angle) for angle in range(0, 181, 45)}
+"""Straight runs by heading hold, and their angle to where the waves go: 0 is a following sea,
+90 a beam sea from port, 180 a head sea."""
+
+SCENARIOS = (*MANOEUVRES, *HEADINGS)
+"""All that a run can be."""
+
+HOLD_GAIN, HOLD_RATE = 0.8, 0.8
+"""Drive angle for a heading error, and for a turning of a length in the time to sail it."""
+
+
+def hold_heading(
+    vessel: Vessel, heading: float, compass: float, gyro: float, limit: float = ANGLE
+) -> np.ndarray:
+    """Return the command (4,) of an autopilot that holds a heading at the manoeuvring speed.
+
+    ``heading`` and ``compass`` are in rad, ``gyro`` in rad/s, ``limit`` is the largest drive
+    angle, rad.
+    """
+    error = math.remainder(heading - compass, 2.0 * math.pi)
+    full = vessel.values["shaft_speed_manoeuvring"]
+    time = vessel.values["length_waterline"] / vessel.straight_speed(full)
+    angle = HOLD_GAIN * error - HOLD_RATE * time * gyro
+    angle = min(max(angle, -limit), limit)
+    command: np.ndarray = vessel.command(np.array([full]), np.array([angle]))[0]
+    return command
 
 
 def commands(

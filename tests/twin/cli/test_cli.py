@@ -23,7 +23,8 @@ import usv_gym
 from twin import Log, Twin, recorded_runs
 from twin.benchmark.metrics import METRICS
 from twin.channels import STATE
-from twin.cli.benchmark import match_files, print_results
+from twin.cli.benchmark import match_files
+from twin.cli.benchmark_tables import print_results
 from twin.cli.common import console, parse_seeds
 from twin.cli.logs.identify import LEGEND
 from twin.cli.main import COMMANDS, app, expand_files

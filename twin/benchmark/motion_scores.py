@@ -1,0 +1,190 @@
+"""Scores of forecasts of roll, pitch, heave and deck speed, and of quiet spells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from twin.benchmark.protocol import UNIT_KEY
+from twin.benchmark.scores import crps
+from twin.logs.log import Log
+from twin.motion import QUIET_SPANS, MotionForecast
+from twin.particulars import Particulars
+from twin.predictors.base import Z90
+
+__all__ = [
+    "MOTION_CHANNELS",
+    "MOTION_HORIZONS",
+    "MotionScore",
+    "MotionTruth",
+    "auc",
+    "motion_rows",
+    "motion_table",
+    "quiet_rows",
+]
+
+Array = NDArray[np.float64]
+
+MOTION_CHANNELS = ("roll", "pitch", "heave", "deck_speed")
+"""rad, rad, m and m/s; the last two are positive down."""
+
+MOTION_HORIZONS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
+"""Times ahead, s."""
+
+
+class MotionScore(NamedTuple):
+    """One forecast beside the truth."""
+
+    error: Array  # (h, 4)
+    held: Array  # (h, 4): error of the estimate now, held
+    truth: Array  # (h, 4)
+    crps: Array  # (h, 4)
+    covered: NDArray[np.bool_]  # (h, 4): whether the 90 % intervals cover
+    quiet: Array  # (3,): probabilities
+    was_quiet: NDArray[np.bool_]  # (3,)
+    margin: float  # how far the deck is within its limits now: below 0, beyond them
+
+
+class MotionTruth:
+    """True motion of a simulated run."""
+
+    def __init__(self, log: Log, particulars: Particulars, begin: float) -> None:
+        """``begin`` (s) is the start of what is scored: heave is counted from its mean there."""
+        assert log.true_motion is not None
+        assert log.truth is not None
+        z, roll, pitch, w, p, q = log.true_motion.T
+        u, v, r = log.truth[:, 3:6].T
+        a, b, c = particulars.deck.point_of(particulars.length)
+        ahead, side, down = u + q * c - r * b, v + r * a - p * c, w + p * b - q * a
+        turned = np.sin(roll) * side + np.cos(roll) * down
+        speed = np.cos(pitch) * turned - np.sin(pitch) * ahead
+        self.t = log.t
+        self.values = np.stack([roll, pitch, z - z[log.t >= begin].mean(), speed], axis=1)
+        self.sd = self.values[log.t >= begin].std(axis=0)
+        deck = particulars.deck
+        limits = np.array([deck.max_tilt, deck.max_tilt, deck.max_speed])
+        self._margin = 1.0 - (np.abs(self.values[:, [0, 1, 3]]) / limits).max(axis=1)
+
+    def at(self, times: Array) -> Array:
+        """Return the channels (h, 4) at times (h,), s, linearly between samples."""
+        columns = [np.interp(times, self.t, column) for column in self.values.T]
+        return np.stack(columns, axis=1)
+
+    def score(self, forecast: MotionForecast) -> MotionScore:
+        """Compare a forecast with the truth."""
+        after = np.array(MOTION_HORIZONS)
+        mean, sd = forecast.at(after)
+        truth = self.at(forecast.t0 + after)
+        rows = [
+            slice(*np.searchsorted(self.t, (forecast.t0 - 1e-6, forecast.t0 + span + 1e-6)))
+            for span in QUIET_SPANS
+        ]
+        return MotionScore(
+            error=mean - truth,
+            held=forecast.mean[0] - truth,
+            truth=truth,
+            crps=crps(truth - mean, sd, sd),
+            covered=np.abs(mean - truth) <= Z90 * sd,
+            quiet=forecast.quiet,
+            was_quiet=np.array([bool((self._margin[row] > 0.0).all()) for row in rows]),
+            margin=float(np.interp(forecast.t0, self.t, self._margin)),
+        )
+
+
+def auc(score: Array, happened: NDArray[np.bool_]) -> float:
+    """Return the area under the ROC curve: the chance that a score ranks yes above no.
+
+    ``score`` and ``happened`` have shape (n,); NaN where all or none happened.
+    """
+    yes, no = int(happened.sum()), int((~happened).sum())
+    if not yes or not no:
+        return math.nan
+    return (float(rankdata(score)[happened].sum()) - yes * (yes + 1) / 2.0) / (yes * no)
+
+
+def motion_table(parts: Sequence[MotionScore], sd: Array) -> dict[str, Any]:
+    """Return the scores of one run; ``sd`` (4,) are the standard deviations of the true motion.
+
+    By channel, at :data:`MOTION_HORIZONS`: ``rmse``, ``sd``, ``skill`` (RMSE over sd: 1 is that of
+    the mean), ``held`` (the same of the present value), ``crps`` and ``coverage90``. By span of
+    ``twin.motion.QUIET_SPANS``: the forecast probabilities, what happened, and the margin now.
+    """
+    error, held, _, crps_of, covered, quiet, was_quiet, margin = map(
+        np.array, zip(*parts, strict=True)
+    )
+    rmse, rmse_held = (np.sqrt(np.mean(part**2, axis=0)) for part in (error, held))
+    scale = np.maximum(sd, 1e-9)
+    return {
+        "n": len(parts),
+        "channels": {
+            channel: {
+                "rmse": rmse[:, c].tolist(),
+                "sd": float(sd[c]),
+                "skill": (rmse[:, c] / scale[c]).tolist(),
+                "held": (rmse_held[:, c] / scale[c]).tolist(),
+                "crps": crps_of[:, :, c].mean(axis=0).tolist(),
+                "coverage90": covered[:, :, c].mean(axis=0).tolist(),
+            }
+            for c, channel in enumerate(MOTION_CHANNELS)
+        },
+        "quiet": {
+            "probability": quiet.T.tolist(),
+            "happened": was_quiet.T.tolist(),
+            "margin": margin.tolist(),
+        },
+    }
+
+
+def motion_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the scores of each run, predictor, plan, channel and horizon."""
+    for result in results:
+        for plan, table in result.get("motion", {}).items():
+            for channel, values in table["channels"].items():
+                for j, horizon in enumerate(MOTION_HORIZONS):
+                    yield {
+                        **{key: result["unit"][key] for key in UNIT_KEY},
+                        "plan": plan,
+                        "channel": channel,
+                        "horizon_s": horizon,
+                        "sd": values["sd"],
+                        **{m: values[m][j] for m in ("rmse", "skill", "held", "crps")},
+                        "coverage90": values["coverage90"][j],
+                        "n": table["n"],
+                    }
+
+
+def quiet_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the scores of the probability of a quiet deck, pooled over the runs of a cell.
+
+    ``brier`` and ``brier_skill`` against the share of quiet spells in the cell (climatology),
+    ``auc``, and ``auc_now`` of the simple baseline: how far the deck is within its limits now. A
+    skill needs spells of both kinds.
+    """
+    cells: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    keys = tuple(key for key in UNIT_KEY if key != "seed")
+    for result in results:
+        for plan, table in result.get("motion", {}).items():
+            key = (*(result["unit"][name] for name in keys), plan)
+            cells.setdefault(key, []).append(table["quiet"])
+    for key, parts in cells.items():
+        margin = np.concatenate([part["margin"] for part in parts])
+        for j, span in enumerate(QUIET_SPANS):
+            p = np.concatenate([part["probability"][j] for part in parts])
+            happened = np.concatenate([part["happened"][j] for part in parts]).astype(bool)
+            base, brier = float(happened.mean()), float(np.mean((p - happened) ** 2))
+            both = 0.0 < base < 1.0
+            yield {
+                **dict(zip((*keys, "plan"), key, strict=True)),
+                "span_s": span,
+                "base_rate": base,
+                "brier": brier,
+                "brier_skill": 1.0 - brier / (base * (1.0 - base)) if both else None,
+                "auc": auc(p, happened) if both else None,
+                "auc_now": auc(margin, happened) if both else None,
+                "n": len(p),
+            }

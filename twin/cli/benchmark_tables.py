@@ -1,0 +1,245 @@
+"""Tables that ``usv-twin benchmark`` prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from twin.benchmark.protocol import FULL_CASES
+from twin.cli.common import console, explain, new_table, note, short
+from twin.predictors.registry import DEFAULT
+
+__all__ = ["print_results"]
+
+Row = Mapping[str, Any]
+
+Cells = dict[tuple[str, str, str], dict[str, dict[str, Row]]]
+"""Rows of a summary by (scenario, case, plan), predictor and metric."""
+
+MAX_BLOCKS = 8
+"""Up to this many runs and cases are shown in full, more in an overview."""
+
+HEADS = {
+    "mae": "MAE",
+    "mae_median": "med.",
+    "mse": "MSE",
+    "crps": "CRPS",
+    "normalised": "norm.",
+    "skill": "skill",
+    "J": "J",
+    "E": "E",
+    "start_error": "start",
+    "coverage90": "cov.",
+}
+"""Columns of the tables by metric."""
+
+
+def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
+    """Print a table for each run and case, and the notes.
+
+    Parameters
+    ----------
+    results : dict
+        Content of ``results.json``.
+    missing : sequence of str
+        Predictors that could not run here.
+    """
+    cells: Cells = {}
+    for item in results["summary"]:
+        case = item.get("case", item["fault"])
+        block = cells.setdefault((item["scenario"], case, item["plan"]), {})
+        block.setdefault(item["predictor"], {})[item["metric"]] = item
+    if len(cells) > MAX_BLOCKS:
+        _print_overview(cells)
+    else:
+        _print_blocks(cells, missing)
+        _print_paired(results.get("paired", []))
+    _print_recorded(results.get("recorded", []))
+    _print_motion(results.get("motion", []), results.get("quiet", []))
+    for name, log in results.get("logs", {}).items():
+        parts = []
+        if log["repairs"]:
+            parts.append(f"{len(log['repairs'])} notes and repairs (results.json)")
+        if log["skipped"]:
+            parts.append(f"{log['skipped']} predictions not scored, in gaps")
+        if parts:
+            note(f"{name}: {', '.join(parts)}")
+    for line in results["notes"]:
+        note(line)
+    explain(
+        "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
+        "2, 5 and 10 s. Units are mixed. Below the MAE: its 95 % interval over seeds. med.: its "
+        "median. CRPS: the same of the whole distribution. norm. (error over the true change) and "
+        "skill (1 - error / error of raw persistence): means over channels and horizons. "
+        "J: MAE over that of the oracle, mean of u, v, r, heading and displacement over every "
+        "half second up to 10 s. E is J - 1. start: error of the estimated position at the time "
+        "of the prediction, m. cov.: share of errors inside the 90 % prediction intervals. "
+        "results.json and the report have all intervals and medians, and errors, CRPS and "
+        "coverage by channel and horizon."
+    )
+
+
+def _print_overview(cells: Cells) -> None:
+    """Print one number for each run, case and predictor: E with the oracle, else MAE."""
+    predictors = list(dict.fromkeys(name for block in cells.values() for name in block))
+    excess = all("E" in metrics for block in cells.values() for metrics in block.values())
+    metric, title = ("E", "E, excess over the oracle") if excess else ("mae", "MAE")
+    name_width = max(map(len, predictors))
+    for plan in dict.fromkeys(key[2] for key in cells):
+        columns = [key for key in cells if key[2] == plan]
+        widest = max(len(word) for key in columns for word in key[:2]) + 1
+        many = max(1, (console.width - name_width - 2) // max(widest, 7))
+        for first in range(0, len(columns), many):
+            shown = columns[first : first + many]
+            heads = ("\n".join(key[:2]) for key in shown)
+            table = new_table(f"{title}, plan {plan}", "predictor", *heads, left=("predictor",))
+            for name in predictors:
+                values = (cells[key].get(name, {}).get(metric) for key in shown)
+                texts = ("-" if item is None else short(item["value"], 3) for item in values)
+                table.add_row(name, *texts)
+            console.print(table)
+
+
+def _print_blocks(cells: Cells, missing: Sequence[str]) -> None:
+    """Print a table of all metrics for each run and case."""
+    there = {metric for block in cells.values() for metrics in block.values() for metric in metrics}
+    heads = {metric: head for metric, head in HEADS.items() if metric in there}
+    for (scenario, case, plan), block in cells.items():
+        loss = "no loss" if case == "none" else f"loss {case}"
+        if case in FULL_CASES:
+            loss = f"case {case}"
+        table = _predictor_table(f"{scenario}, {loss}, plan {plan}", *heads.values(), padding=0)
+        for predictor, metrics in block.items():
+            table.add_row(predictor, *(_cell(metrics.get(metric), metric) for metric in heads))
+        for predictor in missing:
+            table.add_row(predictor, "left out", *["-"] * (len(heads) - 1))
+        console.print(table)
+
+
+def _predictor_table(title: str, *heads: str, **style: Any) -> Table:
+    """Return a table with a line for each predictor."""
+    return new_table(title, "predictor", *heads, left=("predictor",), **style)
+
+
+def _cell(item: Row | None, metric: str) -> str:
+    """Return one value, and for the MAE its interval: more does not fit into 80 columns."""
+    if item is None:
+        return "-"
+    text = short(item["value"], 2 if metric in ("mae_median", "start_error", "coverage90") else 3)
+    if metric == "mae" and item["low"] is not None:
+        text += f"\n{short(item['low'], 2)}..{short(item['high'], 2)}"
+    return text
+
+
+def _print_paired(rows: Sequence[Row]) -> None:
+    """Print how each predictor compares with the reference on the same seeds."""
+    if not rows:
+        return
+    names = ("scenario", "case", "plan", "predictor")
+    heads = (*names, "change", "interval", "better")
+    title = f"MAE against {rows[0]['against']}, %, the same seeds"
+    table = new_table(title, *heads, left=names)
+    table.columns[0].no_wrap = False
+    for row in rows:
+        table.add_row(
+            *(row[name] for name in names),
+            f"{row['change_percent']:+.1f}",
+            "-" if row["low"] is None else f"{row['low']:+.1f}..{row['high']:+.1f}",
+            f"{row['wins']} of {row['seeds']}",
+        )
+    console.print(table)
+
+
+def _print_recorded(rows: Sequence[Row]) -> None:
+    """Print the RMSE after 10 s over that of raw persistence, for each folder of runs."""
+    blocks: Cells = {}
+    for row in rows:
+        block = blocks.setdefault((row["folder"], row["fault"], row["plan"]), {})
+        block.setdefault(row["predictor"], {})[row["channel"]] = row
+    heads = ("displace-\nment", "geom.\nmean", "%", "heading", "geom.\nmean", "%")
+    for (folder, fault, plan), block in blocks.items():
+        most = max(row["runs"] for channels in block.values() for row in channels.values())
+        loss = "" if fault == "none" else f", loss {fault}"
+        table = _predictor_table(
+            f"{folder}, {most} run{'s' * (most > 1)}{loss}, plan {plan}: RMSE after 10 s "
+            "over that of raw persistence",
+            *heads,
+        )
+        for predictor, channels in block.items():
+            texts: list[str] = []
+            for channel in ("displacement", "psi"):
+                row = channels[channel]
+                texts += [short(row["ratio"], 3), short(row["geometric"], 3), _change(row)]
+            table.add_row(predictor, *texts)
+        console.print(table)
+    against = next((row["against"] for row in rows if "against" in row), None)
+    if against is not None:
+        explain(
+            f"%: change of the mean ratio against {against} on the same runs, with its 95 % "
+            "bootstrap interval over runs"
+        )
+
+
+def _print_motion(rows: Sequence[Row], quiet: Sequence[Row]) -> None:
+    """Print what the forecasts of roll, pitch and heave are worth, and of a quiet deck."""
+    if not rows:
+        return
+    # they differ little with the predictor, whose part is the turn ahead
+    predictor = (
+        DEFAULT if any(row["predictor"] == DEFAULT for row in rows) else rows[0]["predictor"]
+    )
+    own = [row for row in rows if row["predictor"] == predictor]
+    horizons = sorted({row["horizon_s"] for row in own})
+    for plan in dict.fromkeys(row["plan"] for row in own):
+        cells: dict[tuple[str, str], dict[float, list[Row]]] = {}
+        for row in own:
+            if row["plan"] == plan:
+                cell = cells.setdefault((row["scenario"], row["channel"]), {})
+                cell.setdefault(row["horizon_s"], []).append(row)
+        heads = ("scenario", "channel", "sd", *(f"{h:g} s" for h in horizons))
+        title = (
+            f"RMSE over sd; below it that of the present value, held; truth inside the 90 % "
+            f"interval. Plan {plan}, {predictor}"
+        )
+        table = new_table(title, *heads, left=("scenario", "channel"), padding=0)
+        for (scenario, channel), found in cells.items():
+            sd = np.median([row["sd"] for row in found[horizons[0]]])
+            unit = 180.0 / math.pi if channel in ("roll", "pitch") else 1.0
+            texts = []
+            for horizon in horizons:
+                skill, held, inside = (
+                    float(np.median([row[name] for row in found[horizon]]))
+                    for name in ("skill", "held", "coverage90")
+                )
+                texts.append(f"{skill:.2f}\n{held:.2f}\n{100.0 * inside:.0f} %")
+            table.add_row(scenario, channel, short(unit * sd, 2), *texts)
+        console.print(table)
+    heads = ("scenario", "case", "plan", "span", "share", "Brier skill", "AUC", "AUC now")
+    table = new_table(f"quiet deck, {predictor}", *heads, left=heads[:3])
+    for row in quiet:
+        if row["predictor"] == predictor:
+            names = ("brier_skill", "auc", "auc_now")
+            values = ("-" if row[name] is None else short(row[name], 2) for name in names)
+            where = (row["scenario"], row["case"], row["plan"], f"{row['span_s']:g} s")
+            table.add_row(*where, short(row["base_rate"], 2), *values)
+    console.print(table)
+    explain(
+        "Roll and pitch: sd in degrees; heave in m, deck_speed in m/s. 1 is the error of the mean. "
+        "Medians over seeds. Quiet: roll, pitch and deck speed within the limits of the "
+        "particulars for the whole span; share: how often that was so. Brier skill: 0 is that of "
+        "the share. AUC now: of how far the deck is within its limits at present."
+    )
+
+
+def _change(row: Row) -> str:
+    """Return a change against the reference with its interval, in %."""
+    if "change_percent" not in row:
+        return "-"
+    text = f"{row['change_percent']:+.0f}"
+    if row["change_low"] is not None:
+        text += f"\n{row['change_low']:+.0f}..{row['change_high']:+.0f}"
+    return text
