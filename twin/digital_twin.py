@@ -20,7 +20,7 @@ from twin.logs.datum import Datum
 from twin.logs.log import Log
 from twin.logs.tables import StateTable
 from twin.motion.deck_motion import DeckMotion, MotionEstimate
-from twin.motion.forecast import CHANNELS
+from twin.motion.forecast_state import CHANNELS
 from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor

@@ -42,7 +42,6 @@ class MotionScore(NamedTuple):
 
     error: Array  # (h, 4)
     held: Array  # (h, 4): error of the estimate now, held
-    truth: Array  # (h, 4)
     crps: Array  # (h, 4)
     covered: NDArray[np.bool_]  # (h, 4): whether the 90 % intervals cover
     quiet: Array  # (3,): probabilities
@@ -87,7 +86,6 @@ class MotionTruth:
         return MotionScore(
             error=mean - truth,
             held=forecast.mean[0] - truth,
-            truth=truth,
             crps=crps(truth - mean, sd, sd),
             covered=np.abs(mean - truth) <= Z90 * sd,
             quiet=forecast.quiet,
@@ -114,10 +112,8 @@ def motion_table(parts: Sequence[MotionScore], sd: Array) -> dict[str, Any]:
     the mean), ``held`` (the same of the present value), ``crps`` and ``coverage90``. By span of
     ``twin.motion.QUIET_SPANS``: the forecast probabilities, what happened, and the margin now.
     """
-    error, held, _, crps_of, covered, quiet, was_quiet, margin = map(
-        np.array, zip(*parts, strict=True)
-    )
-    rmse, rmse_held = (np.sqrt(np.mean(part**2, axis=0)) for part in (error, held))
+    of = MotionScore(*map(np.array, zip(*parts, strict=True)))  # type: ignore[arg-type]
+    rmse, rmse_held = (np.sqrt(np.mean(part**2, axis=0)) for part in (of.error, of.held))
     scale = np.maximum(sd, 1e-9)
     return {
         "n": len(parts),
@@ -127,15 +123,15 @@ def motion_table(parts: Sequence[MotionScore], sd: Array) -> dict[str, Any]:
                 "sd": float(sd[c]),
                 "skill": (rmse[:, c] / scale[c]).tolist(),
                 "held": (rmse_held[:, c] / scale[c]).tolist(),
-                "crps": crps_of[:, :, c].mean(axis=0).tolist(),
-                "coverage90": covered[:, :, c].mean(axis=0).tolist(),
+                "crps": of.crps[:, :, c].mean(axis=0).tolist(),
+                "coverage90": of.covered[:, :, c].mean(axis=0).tolist(),
             }
             for c, channel in enumerate(MOTION_CHANNELS)
         },
         "quiet": {
-            "probability": quiet.T.tolist(),
-            "happened": was_quiet.T.tolist(),
-            "margin": margin.tolist(),
+            "probability": of.quiet.T.tolist(),
+            "happened": of.was_quiet.T.tolist(),
+            "margin": np.asarray(of.margin).tolist(),
         },
     }
 

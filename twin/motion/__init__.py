@@ -4,7 +4,7 @@ May be imported from: ``twin.predictors`` and what lies above it. It runs on boa
 """
 
 from twin.motion.deck_motion import DeckMotion, MotionEstimate, MotionForecast
-from twin.motion.forecast import CHANNELS, HORIZONS, QUIET_SPANS
+from twin.motion.forecast_state import CHANNELS, HORIZONS, QUIET_SPANS
 from twin.motion.sea_estimate import SeaEstimate
 
 __all__ = [

@@ -56,7 +56,7 @@ UNKNOWN_ACCEL = 1.0
 GATE = 6.0
 """Samples that are more standard deviations away are refused ..."""
 
-PATIENCE = 40.0
+REFUSALS_MAX = 40.0
 """... but no more than these in a row."""
 
 LIMITS = (10.0, 10.0, 100.0, 1.4, 1.4, 1e6, 50.0)
@@ -186,7 +186,7 @@ def _note_planar(z, memory):
 def _trusted(used, memory, k):
     """Count refused samples of a channel; return whether one is to be taken whatever it says."""
     memory.refused[k] = 0.0 if used else memory.refused[k] + 1.0
-    return memory.refused[k] > PATIENCE
+    return memory.refused[k] > REFUSALS_MAX
 
 
 @inlined
@@ -210,6 +210,22 @@ def _place_of(t, memory):
     while back < kept - 1 and memory.ring[(newest - back) % RING, 0] > t + 1e-6:
         back += 1
     return (newest - back) % RING
+
+
+@inlined
+def _when(t, now, memory):
+    """Return the row of the ring at or before a time, and the vertical speed at it.
+
+    The row of ``now`` is not in the ring yet.
+    """
+    place = _place_of(t, memory)
+    old, newest = memory.ring[place], int(memory.rows) - 1
+    after, speed = now, memory.vertical[CLIMB]
+    if place != newest % RING:
+        later = memory.ring[(place + 1) % RING]
+        after, speed = later[0], later[3]
+    share = (t - old[0]) / (after - old[0]) if after > old[0] else 1.0
+    return old, old[3] + min(max(share, 0.0), 1.0) * (speed - old[3])
 
 
 @inlined
@@ -246,7 +262,7 @@ def take_attitude(t, dt, z, velocity, memory, given):
         if _fresh(z, dt, memory, 3 + k):
             x, P = memory.tilt[k], memory.P[k]
             error = z[AHRS_ROLL + k] - x[ANGLE] - x[AHRS_ERROR]
-            gate = math.inf if memory.refused[3 + k] > PATIENCE or memory.rows == 0.0 else GATE
+            gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
             var = (AHRS_WHITE * given.ahrs) ** 2
             used = _correct(x, P, (1.0, 0.0, 1.0, 0.0), error, var, gate)
             _trusted(used, memory, 3 + k)
@@ -386,19 +402,18 @@ def _hold_to_fix(t, dt, z, memory, given):
     a, b, c = given.gps_arm[0], given.gps_arm[1], given.gps_arm[2]
     if memory.rows == 0.0:
         return
-    # this row is not in the ring yet: without latency the newest one stands for it
-    old = memory.ring[_place_of(t - given.latency, memory)]
+    old, speed = _when(t - given.latency, t, memory)
     if has_vz:
         p, q = memory.rate[0], memory.rate[1]
         arm = p * b - q * a
-        error = z[GPS_VZ] - old[3] - arm
-        gate = math.inf if memory.refused[6] > PATIENCE else GATE
+        error = z[GPS_VZ] - speed - arm
+        gate = math.inf if memory.refused[6] > REFUSALS_MAX else GATE
         used = _correct(x, P, (0.0, 1.0, 0.0, 0.0), error, given.climb**2, gate)
         _trusted(used, memory, 6)
     if has_z:
         arm = c * math.cos(old[1]) * math.cos(old[2]) - a * math.sin(old[2]) + b * math.sin(old[1])
         error = z[GPS_Z] - arm - x[HEAVE] - x[HEIGHT_ERROR] + given.latency * x[CLIMB]
-        gate = math.inf if memory.refused[5] > PATIENCE else GATE
+        gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE
         used = _correct(x, P, (1.0, 0.0, 0.0, 1.0), error, given.height**2, gate)
         _trusted(used, memory, 5)
     if memory.ages[6] > 2.0 and dt > 0.0:

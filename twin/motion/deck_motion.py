@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 from twin.channels import PSI, R, U, V
 from twin.checkpoint import COUNT, FLAG, Field, State, StateError, check_fields, fill, record_views
 from twin.motion.attitude import is_measured, take_attitude, turn_upright
-from twin.motion.forecast import (
+from twin.motion.forecast import forecast_motion, quiet_probabilities
+from twin.motion.forecast_state import (
     CHANNELS,
     FORECAST,
     FORECAST_SETTINGS,
@@ -20,13 +21,10 @@ from twin.motion.forecast import (
     HORIZONS,
     N_CHANNELS,
     QUIET_SPANS,
-    error_now,
-    forecast_motion,
     forecast_settings,
     initial_forecast,
-    quiet_probabilities,
-    take_motion,
 )
+from twin.motion.learning import error_now, take_motion
 from twin.motion.sea_estimate import SEA_MOMENTS, SeaEstimate, estimate_sea, take_sea
 from twin.motion.state import (
     ANGLE,

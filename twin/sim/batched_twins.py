@@ -25,7 +25,7 @@ from twin.model.dynamics import N_ACT
 from twin.model.rollout import HORIZON_ROWS, HORIZONS, LONG_STEP
 from twin.model.structure import N_STATES
 from twin.motion.deck_motion import initial_motion
-from twin.motion.forecast import QUIET_SPANS
+from twin.motion.forecast_state import QUIET_SPANS
 from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.dsw_ukf_plus import PlusPredictor

@@ -31,13 +31,9 @@ from twin.motion.deck_motion import (
     accelerations_ahead,
 )
 from twin.motion.deck_motion import take_row as take_motion_row
-from twin.motion.forecast import HORIZONS as HORIZONS_OF_MOTION
-from twin.motion.forecast import (
-    PITCH,
-    QUIET_SPANS,
-    forecast_motion,
-    quiet_probabilities,
-)
+from twin.motion.forecast import forecast_motion, quiet_probabilities
+from twin.motion.forecast_state import HORIZONS as HORIZONS_OF_MOTION
+from twin.motion.forecast_state import PITCH, QUIET_SPANS
 from twin.motion.sea_estimate import sea_of
 from twin.motion.state import ANGLE
 from twin.predictors.plus_forecast import (
