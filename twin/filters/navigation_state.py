@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import STATE
+from twin.channels import MEASUREMENTS, STATE
 from twin.checkpoint import FLAG, Field
 from twin.particulars import GRAVITY, Particulars
 
@@ -188,10 +188,12 @@ def navigation_settings(particulars: Particulars) -> Array:
 
 
 def sample_limits(particulars: Particulars) -> Array:
-    """Return the sizes (10,), in the order of a measurement row, that no valid sample reaches."""
+    """Return the sizes (17,), in the order of a measurement row, that no valid sample reaches."""
     fastest = SPEED_LIMIT * particulars.speed
     inertial = TURN_LIMIT, ACCEL_LIMIT, ACCEL_LIMIT
-    return np.array([REACH, REACH, fastest, fastest, ROUNDS, *inertial, WIND_LIMIT, ROUNDS])
+    level = [REACH, REACH, fastest, fastest, ROUNDS, *inertial, WIND_LIMIT, ROUNDS]
+    # roll, pitch and heave are no business of these filters
+    return np.array([*level, *[math.inf] * (len(MEASUREMENTS) - len(level))])
 
 
 def initial_navigation(settings: Array) -> Array:

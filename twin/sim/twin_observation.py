@@ -330,8 +330,8 @@ def describe_motion(s, note, memory, given, work, obs):
         obs[at + k] = note.quiet[k]
     at += len(QUIET_SPANS)
     hs, period, to = sea_of(sea)
-    note.hs = hs
     known = math.isfinite(hs)
+    note.hs = hs if known else 0.0
     side, ahead = sincos(to - s[PSI] if known else 0.0)
     obs[at] = hs if known else 0.0
     obs[at + 1] = 0.1 * period if known else 0.0

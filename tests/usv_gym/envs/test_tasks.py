@@ -228,11 +228,23 @@ def test_a_sea_that_was_drawn_is_that_sea():
 # ------------------------------------------------- observation sets
 
 
+def dof_of(observation):
+    """Return the degrees of freedom that an observation set needs."""
+    return 6 if observation == "twin_attitude" else 3
+
+
 @pytest.mark.filterwarnings("ignore:.*render.*")
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("observation", OBSERVATIONS)
 def test_both_checkers_accept_every_task_and_observation_set(task, observation):
-    env = make_env(task=task, observation=observation, twin="ukf", frame_skip=5, faults="gps10")
+    env = make_env(
+        task=task,
+        observation=observation,
+        twin="ukf",
+        frame_skip=5,
+        faults="gps10",
+        dof=dof_of(observation),
+    )
     assert len(env.observation_names) == env.observation_space.shape[0]
     assert len(set(env.observation_names)) == len(env.observation_names)
     check_env(env, skip_render_check=True)
@@ -335,7 +347,7 @@ def test_batches_are_single_environments_with_decisions_of_several_steps(observa
     """Gymnasium's own vector over single environments, through ends, faults and drawn seas."""
     options = {
         **{"observation": observation, "twin": "ukf", "frame_skip": 10, "sea": "calm|3"},
-        **{"faults": "none|gps3@2", "max_episode_steps": 30},
+        **{"faults": "none|gps3@2", "max_episode_steps": 30, "dof": dof_of(observation)},
     }
     native = gym.make_vec("USVTwin-v0", num_envs=3, autoreset_mode=mode, **options)
     single = gym.vector.SyncVectorEnv(

@@ -8,7 +8,7 @@ import numpy as np
 
 from usv_gym import SensorSuite, Vessel
 from usv_gym.world import sensors
-from usv_gym.world.channels import COMPASS_BIT, GPS_BIT, IMU_BIT
+from usv_gym.world.channels import BITS
 from usv_gym.world.faults import (
     CHANNELS,
     FAULT_NUMBERS,
@@ -22,7 +22,8 @@ from usv_kernel.channels import SENSOR_CHANNELS
 DT = 0.05
 BOAT = Vessel.load("usv75")
 N = BOAT.values["shaft_speed_manoeuvring"]
-BIT = np.array([GPS_BIT] * 4 + [COMPASS_BIT] + [IMU_BIT] * 3)
+BIT = np.array(BITS)
+LEVEL_BIT = BIT[: len(SENSOR_CHANNELS)]
 
 
 def rows(

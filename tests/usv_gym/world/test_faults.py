@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.usv_gym.world.sample_rows import BIT, BOAT, DT, N, rows
+from tests.usv_gym.world.sample_rows import BIT, BOAT, DT, LEVEL_BIT, N, rows
 from twin.sim.wrapper import make_env
 from usv_gym import Bursts, Fault, RandomFaults, SeaState, SensorSuite
 from usv_gym.envs.env import USVEnv
@@ -34,7 +34,7 @@ from usv_kernel.channels import GYRO
 def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return measurements without and with a fault, all sensors at each step."""
     suite = dataclasses.replace(SensorSuite(), gps_latency=0.0)
-    return rows(suite, count, seed), rows(suite, count, seed, faults=[fault])
+    return rows(suite, count, seed, dof=6), rows(suite, count, seed, faults=[fault], dof=6)
 
 
 @pytest.mark.parametrize("kind", FAULT_KINDS)
@@ -55,7 +55,7 @@ def test_a_fault_strikes_its_sensors_in_its_time_and_nothing_else(kind: str, eff
 
 
 def test_spikes_come_with_their_chance_and_either_sign() -> None:
-    sizes = (30.0, 31.0, 3.0, 4.0, 1.0, 0.2, 6.0, 7.0)
+    sizes = (30.0, 31.0, 3.0, 4.0, 1.0, 0.2, 6.0, 7.0, 0.3, 0.4, 8.0, 0.5, 0.6, 32.0, 5.0)
     fault = Fault("all", 0.0, 1e4, effect="spikes", chance=0.2, sizes=sizes)
     clean, z = struck(fault, 20_000)
     off = z - clean
@@ -85,7 +85,7 @@ def test_bursts_have_their_share_and_length(loss: float, mean: float) -> None:
     t, z = DT * np.arange(count), np.zeros((count, 8))
     out = apply_faults(t, z, [Bursts("gps", loss, mean)], np.random.default_rng(5))
     gone = np.isnan(out[:, 0])
-    np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (BIT == GPS_BIT))
+    np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (LEVEL_BIT == GPS_BIT))
     r = DT / mean
     p = r * loss / (1.0 - loss)
     # a two-state chain: memory 1 - p - r gives the share its spread; bursts are geometric
@@ -103,7 +103,7 @@ def test_random_faults_keep_their_gaps_and_lengths() -> None:
     fault = RandomFaults("imu", gap=(2.0, 6.0), duration=(1.0, 3.0), start=10.0)
     out = apply_faults(t, z, [fault], np.random.default_rng(6))
     gone = np.isnan(out[:, GYRO])
-    np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (BIT == IMU_BIT))
+    np.testing.assert_array_equal(np.isnan(out), gone[:, None] & (LEVEL_BIT == IMU_BIT))
     assert not gone[: round(12.0 / DT)].any()
     for value, (low, high) in ((spans(gone), fault.duration), (spans(~gone), fault.gap)):
         seconds = DT * value
@@ -161,12 +161,12 @@ STEPS = 2 * BLOCK_STEPS[0] + 50
 def sailed(faults: Sequence[Disturbance], seed: int = 3, steps: int = STEPS) -> np.ndarray:
     """Return the measurements of a boat in sea state 2."""
     sim = Simulation(1, BOAT, SeaState.named("2"), faults=faults)
-    z = np.empty((steps + 1, 8))
+    z = np.empty((steps + 1, len(LEVEL_BIT)))
     sim.reset([0], [np.random.default_rng(seed)])
     for k in range(steps + 1):
         if k:
             sim.step(np.array([[N, N, 0.2, 0.2]]))
-        z[k] = sim.z[0]
+        z[k] = sim.z[0, : len(LEVEL_BIT)]
     return z
 
 
@@ -195,7 +195,9 @@ def test_each_of_many_faulty_boats_is_a_boat_alone() -> None:
             z.append(many.z.copy())
         both = np.stack(z, axis=1)
         for i, seed in enumerate((3, 4)):
-            np.testing.assert_array_equal(both[i], sailed(QUICK, seed, 400))
+            np.testing.assert_array_equal(
+                both[i, :, : len(LEVEL_BIT)], sailed(QUICK, seed, 400)
+            )
 
 
 @pytest.mark.parametrize("when", [Bursts, RandomFaults, Fault])
@@ -204,7 +206,7 @@ def test_a_fault_leaves_the_other_sensors_as_they_were(kind: str, when: type[Dis
     extra = when(kind, 5.0, 20.0) if when is Fault else when(kind)  # type: ignore[call-arg]
     others = tuple(fault for fault in QUICK if FAULT_KINDS[fault.kind] & FAULT_KINDS[kind] == 0)
     struck, z = sailed((extra, *others)), sailed(others)
-    mine = (FAULT_KINDS[kind] & BIT) != 0
+    mine = (FAULT_KINDS[kind] & LEVEL_BIT) != 0
     # the same noise, and the same bursts, spikes and windows of the other faults
     np.testing.assert_array_equal(struck[:, ~mine], z[:, ~mine])
     kept = np.isfinite(struck)
@@ -335,7 +337,7 @@ def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
 
 
 def test_unknown_kinds_and_impossible_faults_are_refused() -> None:
-    with pytest.raises(FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, all"):
+    with pytest.raises(FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, ahrs, all"):
         parse_faults("radar10", 0.0)
     for start, duration in ((0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)):
         with pytest.raises(FaultError, match="gps fault: start and duration"):

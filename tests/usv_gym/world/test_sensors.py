@@ -26,12 +26,22 @@ from usv_gym.world.state import BOAT as BOAT_RECORD
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_X, GYRO, SENSOR_CHANNELS
 
 
+MOTION = np.zeros(sensors.MOTION_NOISE_SIZE)
+
+FORCE = [ACCEL_X, ACCEL_Y, len(SENSOR_CHANNELS) + 2]
+"""Places of the three accelerometers ..."""
+
+RATE = [len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 1, GYRO]
+"""... and of the three gyros."""
+
+
 def sample(suite: SensorSuite, state: np.ndarray, rate: np.ndarray, dt: float = DT) -> np.ndarray:
-    """Return one row of sensors without noise."""
+    """Return one row of sensors without noise, with those of roll, pitch and heave."""
     boat = np.zeros(1, BOAT_RECORD)[0]
     boat["state"], boat["mean_rate"], boat["t"], boat["step"] = state, rate, 1.0, 20
-    numbers, delay_line = np.zeros(sensors.NOISE_SIZE), np.zeros((1, 4))
-    sensors.measure(boat, dt, suite.pack(dt), numbers, fault_records((), dt), delay_line)
+    numbers, delay_line = np.zeros(sensors.NOISE_SIZE), np.zeros((1, sensors.DELAYED))
+    faults = fault_records((), dt)
+    sensors.measure(boat, dt, suite.pack(dt), numbers, MOTION, faults, delay_line)
     return boat["measurement"].copy()
 
 
@@ -133,7 +143,7 @@ def test_accelerometer_is_the_turned_derivative_of_the_ground_velocity() -> None
         middle = 0.5 * (before[fr.PSI] + after[fr.PSI])
         force = fr.to_body(*((velocity[1] - velocity[0]) / dt), middle)
         # the mean over the step, to dt^2 / 12 times second derivatives below 10 m/s4
-        np.testing.assert_allclose(sim.z[0, ACCEL_X:], force, atol=1e-4, err_msg=f"step {k}")
+        np.testing.assert_allclose(sim.z[0, ACCEL_X : ACCEL_Y + 1], force, atol=1e-4, err_msg=f"step {k}")
 
 
 def test_gps_is_late() -> None:
@@ -275,21 +285,90 @@ def test_rotation_and_back_is_the_identity(
     ("phi", "theta", "force"),
     [
         # bow up by 30 degrees: half of g forward; starboard down by 30 degrees: half to port
-        (0.0, 30.0, (0.5, 0.0)),
-        (30.0, 0.0, (0.0, -0.5)),
-        (-90.0, 0.0, (0.0, 1.0)),
+        (0.0, 30.0, (0.5, 0.0, -0.86602540)),
+        (30.0, 0.0, (0.0, -0.5, -0.86602540)),
+        (-90.0, 0.0, (0.0, 1.0, 0.0)),
         # both: sin 30 and -cos 30 sin 45 = -.6124
-        (45.0, 30.0, (0.5, -0.61237244)),
+        (45.0, 30.0, (0.5, -0.61237244, -0.61237244)),
     ],
 )
 def test_gravity_leaks_through_roll_and_pitch(
-    phi: float, theta: float, force: tuple[float, float]
+    phi: float, theta: float, force: tuple[float, float, float]
 ) -> None:
     state = np.zeros(fr.STATE_SIZE)
     state[fr.PHI], state[fr.THETA], state[fr.PSI] = math.radians(phi), math.radians(theta), 1.0
     z = sample(SensorSuite.perfect(), state, np.zeros(fr.STATE_SIZE))
-    np.testing.assert_allclose(z[ACCEL_X:] / GRAVITY, force, atol=1e-8)  # eight digits are given
+    np.testing.assert_allclose(z[FORCE] / GRAVITY, force, atol=1e-8)  # eight digits are given
     assert (z[COMPASS], z[GYRO]) == (1.0, 0.0)  # the compass is tilt-compensated
+    np.testing.assert_array_equal(z[-4:-2], state[[fr.PHI, fr.THETA]])  # and so is the AHRS
+
+
+def test_an_imu_mounted_askew_measures_along_its_own_axes() -> None:
+    """One turned by a quarter to starboard has its first axis there, and its second aft."""
+    state, rate = ride(3.0), np.zeros(fr.STATE_SIZE)
+    quarter = only(imu_mounting=(0.0, 0.0, 0.5 * math.pi))
+    straight, askew = sample(only(), state, rate), sample(quarter, state, rate)
+    for axes in (FORCE, RATE):
+        x, y, z = straight[axes]
+        np.testing.assert_allclose(askew[axes], (y, -x, z), atol=1e-12)
+    other = sample(only(imu_mounting=(0.3, -0.2, 2.0)), state, rate)
+    np.testing.assert_allclose(
+        turn(0.3, -0.2, 2.0) @ other[FORCE], straight[FORCE], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "channels"),
+    [
+        ("ahrs_bias", (11, 12)),
+        ("ahrs_white", (11, 12)),
+        ("height_bias", (13,)),
+        ("height_white", (13,)),
+        ("climb_white", (14,)),
+        ("gyro_bias", (5, 8, 9)),
+        ("accel_white", (6, 7, 10)),
+    ],
+)
+def test_errors_of_roll_pitch_and_heave_have_their_size(
+    name: str, channels: tuple[int, ...]
+) -> None:
+    """Each error strikes its channels alone, each axis by numbers of its own."""
+    times = {f"{name}_time": 2.0} if name.endswith("bias") else {}
+    z = rows(only(**{name: 0.3}, **times), 20_000, dt=0.5, dof=6)
+    z[:, 10] += GRAVITY
+    for j in range(z.shape[1]):
+        if j not in channels:
+            assert np.all(z[:, j] == 0.0)
+        else:
+            assert z[:, j].std() == pytest.approx(0.3, rel=0.05)
+    seen = np.corrcoef(z[:, list(channels)].T).reshape(len(channels), len(channels))
+    assert np.abs(seen - np.eye(len(channels))).max() < 0.06
+
+
+def test_an_ahrs_has_its_rate_and_may_be_missing() -> None:
+    z = rows(SensorSuite(ahrs_rate=5.0), 100, dof=6)
+    assert np.isfinite(z[:, 11]).sum() == 25
+    assert np.isnan(rows(SensorSuite(ahrs_rate=0.0), 100, dof=6)[:, 11:13]).all()
+
+
+def test_height_and_climb_come_with_the_fix_and_as_late() -> None:
+    sim = Simulation(1, BOAT, SeaState.named("3"), suite=only(gps_latency=0.2), dof=6)
+    sim.reset([0], [np.random.default_rng(0)])
+    down = [sim.state[0, fr.Z]]
+    for _ in range(100):
+        sim.step(np.array([[N, N, 0.2, 0.1]]))
+        down.append(sim.state[0, fr.Z])
+        assert np.isfinite(sim.z[0, 13]) == np.isfinite(sim.z[0, GPS_X])
+    assert sim.z[0, 13] == down[-5]
+    # and its speed is its derivative
+    assert sim.z[0, 14] == pytest.approx((down[-4] - down[-6]) / (2.0 * DT), abs=0.05)
+
+
+def test_a_boat_that_does_not_roll_has_no_sensors_of_it() -> None:
+    sim = Simulation(1, BOAT, SeaState.named("2"))
+    sim.reset([0], [np.random.default_rng(0)])
+    sim.step(np.array([[N, N, 0.0, 0.0]]))
+    assert np.isnan(sim.z[0, len(SENSOR_CHANNELS) :]).all()
 
 
 SIZE = np.array([3.0, 2.0, 0.4, 0.3, 0.2, 0.6])
@@ -336,8 +415,8 @@ def test_the_imu_feels_the_second_derivative_of_its_place_less_gravity(
         attitude = turn(*ride(middle)[fr.PHI : fr.PSI + 1])
         force = attitude.T @ (moved - (0.0, 0.0, GRAVITY))
         # h^2 / 12 of fourth and dt^2 / 24 of third derivatives, both below 200 here
-        np.testing.assert_allclose(z[ACCEL_X:], force[:2], atol=3e-5, err_msg=f"t = {t}")
-        assert z[GYRO] == state[fr.R]
+        np.testing.assert_allclose(z[FORCE], force, atol=3e-5, err_msg=f"t = {t}")
+        np.testing.assert_array_equal(z[RATE], state[fr.P : fr.R + 1])
 
 
 @pytest.mark.parametrize("arm", [(0.0, 0.0, 0.0), (1.5, -0.4, -2.0)])
@@ -359,7 +438,7 @@ def test_a_twin_hears_of_lever_arms() -> None:
     far = particulars_of(
         BOAT, SensorSuite(gps_arm=(3.0, 4.0, -12.0), imu_arm=(2.0, 0.0, 0.0))
     ).instruments
-    assert far == dataclasses.replace(near, gps_arm=(3.0, 4.0), imu_arm=(2.0, 0.0))
+    assert far == dataclasses.replace(near, gps_arm=(3.0, 4.0, -12.0), imu_arm=(2.0, 0.0, 0.0))
 
 
 # ------------------------------------------------- faults
