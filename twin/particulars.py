@@ -381,6 +381,9 @@ class Particulars:
         ``prior`` may be a :class:`BoatPrior` or a table of its fields. ParticularsError names key
         and remedy.
         """
+        if isinstance(particulars, dict) and "deck" in particulars:
+            particulars = dict(particulars)
+            deck = particulars.pop("deck")
         on_board = Instruments(**_known(Instruments, instruments))
         quiet = Deck(**_known(Deck, {} if deck is None else deck))
         about = dict(_known(cls, particulars))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from twin.particulars import DESIGNS, STEERING, Instruments, Particulars, ParticularsError
+from twin.particulars import DESIGNS, STEERING, Deck, Instruments, Particulars, ParticularsError
 
 BOAT = Particulars(
     name="boat", length=7.5, beam=2.5, draft=0.4, mass=2300.0, speed=5.0, shaft_speed=17.0
@@ -48,8 +48,12 @@ def test_load_fills_in_what_is_left_out(tmp_path: Path) -> None:
     assert Particulars.load(path) == dataclasses.replace(BOAT, instruments=Instruments(gps_sd=2.0))
 
 
-MAY_BE_ZERO = ("gps_bias_sd", "compass_bias_sd", "gyro_bias_sd", "gps_latency", "tilt_sd")
+MAY_BE_ZERO = (
+    *("gps_bias_sd", "compass_bias_sd", "gyro_bias_sd", "gps_latency", "tilt_sd"),
+    "height_bias_sd",
+)
 ARMS = ("gps_arm", "imu_arm")
+TRIPLES = (*ARMS, "imu_mounting")
 place = st.floats(allow_nan=False, allow_infinity=False)
 above_zero = st.floats(min_value=1e-300, allow_infinity=False)
 zero_or_more = st.floats(min_value=0.0, allow_infinity=False)
@@ -61,8 +65,8 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
     instruments = Instruments(
         **{
             item.name: data.draw(
-                st.tuples(place, place)
-                if item.name.endswith("_arm")
+                st.tuples(place, place, place)
+                if item.name in TRIPLES
                 else st.floats(0.0, 10.0)
                 if item.name == "gps_latency"
                 else zero_or_more
@@ -76,6 +80,11 @@ def test_round_trip_gives_equal_particulars(tmp_path: Path, data: st.DataObject)
         name=data.draw(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)),
         steering=data.draw(st.sampled_from(STEERING)),
         instruments=instruments,
+        deck=Deck(
+            point=data.draw(st.none() | st.tuples(place, place, place)),
+            max_tilt=data.draw(above_zero),
+            max_speed=data.draw(above_zero),
+        ),
         **{name: data.draw(above_zero) for name in POSITIVE},
     )
     if boat.steering == "drives" and not boat.tanker:
@@ -104,12 +113,25 @@ def test_a_class_that_the_other_particulars_contradict_is_refused():
         dataclasses.replace(BOAT, design=None)
 
 
-@pytest.mark.parametrize("name", ARMS)
+def test_an_arm_may_leave_out_how_far_down_it_is() -> None:
+    assert Instruments(gps_arm=(1.0, 2.0)).gps_arm == (1.0, 2.0, 0.0)
+
+
+def test_a_deck_point_lies_forward_if_nothing_is_said() -> None:
+    assert Deck().point_of(5.0) == (2.0, 0.0, 0.0)
+    assert Deck(point=(1.0, 0.5)).point_of(5.0) == (1.0, 0.5, 0.0)
+    with pytest.raises(ParticularsError, match="max_tilt = 0"):
+        Deck(max_tilt=0.0)
+    with pytest.raises(ParticularsError, match="point = .* must be three finite numbers"):
+        Deck(point=(1.0, math.nan, 0.0))
+
+
+@pytest.mark.parametrize("name", TRIPLES)
 @pytest.mark.parametrize(
-    "value", [(1.0,), (1.0, 2.0, 3.0), 1.0, (1.0, math.nan), (True, 0.0), "ab"]
+    "value", [(1.0,), (1.0, 2.0, 3.0, 4.0), 1.0, (1.0, math.nan), (True, 0.0), "ab"]
 )
 def test_impossible_arms_are_refused(name: str, value: Any) -> None:
-    with pytest.raises(ParticularsError, match=f"^{name} = .* must be two finite numbers"):
+    with pytest.raises(ParticularsError, match=f"^{name} = .* must be three finite numbers"):
         Instruments(**{name: value})
 
 
@@ -119,7 +141,7 @@ def test_too_large_latency_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [item.name for item in dataclasses.fields(Instruments) if item.name not in ARMS]
+    "name", [item.name for item in dataclasses.fields(Instruments) if item.name not in TRIPLES]
 )
 def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
     with pytest.raises(ParticularsError, match=f"^{name} = -1.0 must be"):
@@ -157,7 +179,7 @@ def test_impossible_values_of_an_instrument_are_refused(name: str) -> None:
         (
             "shaft_speed = 17.0",
             "shaft_speed = 17.0\n[instruments]\ngps_arm = [1]",
-            "gps_arm = [1] must be two finite numbers",
+            "gps_arm = [1] must be three finite numbers",
         ),
     ],
 )

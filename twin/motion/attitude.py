@@ -71,6 +71,10 @@ GAP = 1.0
 HELD = 0.2
 """A missing sample of the IMU is bridged by the last one for this long, s."""
 
+FRESH, SURE_SD = 1.0, 0.1
+"""Only with samples of so many s, and standard deviations below these (rad), are roll and pitch
+taken out of the other sensors."""
+
 START_SD = 0.2
 """Roll and pitch of a boat of which nothing is known, rad."""
 
@@ -424,6 +428,16 @@ def _hold_to_fix(t, dt, z, memory, given):
         _correct(x, P, (1.0, 0.0, 0.0, 0.0), -x[HEAVE], var, math.inf)
 
 
+@inlined
+def _is_sure(memory):
+    """Return whether roll and pitch are known well enough, and from samples of now."""
+    ages, P = memory.ages, memory.P
+    by_rate = ages[0] < FRESH and ages[1] < FRESH
+    by_angle = ages[3] < FRESH and ages[4] < FRESH
+    var = max(P[0, ANGLE, ANGLE], P[1, ANGLE, ANGLE])
+    return (by_rate or by_angle) and var < SURE_SD**2
+
+
 @kernel
 def turn_upright(heading, memory, given, z):
     """Write to a row (17,) what its sensors would say on an upright boat.
@@ -431,6 +445,8 @@ def turn_upright(heading, memory, given, z):
     Accelerations become horizontal, the yaw rate that of the heading, and the antenna stands
     above its place. ``heading`` is in rad.
     """
+    if not _is_sure(memory):
+        return
     phi, theta = memory.tilt[0, ANGLE], memory.tilt[1, ANGLE]
     s, c = sincos(phi)
     d, e = sincos(theta)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,6 +80,8 @@ BRIDGED = 1.0
 """A channel that is silent for longer is reported, s."""
 
 _REFUSED = 10.0
+
+_ROWS = field_at(MOTION, "attitude") + field_at(ATTITUDE, "rows")
 
 
 def initial_motion() -> Array:
@@ -295,39 +298,50 @@ class DeckMotion:
 
     Attributes
     ----------
-    memory : ndarray
-        All that is remembered, in the layout of :data:`MOTION`.
-    record : record
-        The same by name: a view.
+    settings : ndarray
+        :data:`MOTION_SETTINGS` of the boat.
+    memory, scratch : ndarray
+        All that is remembered, in the layout of :data:`MOTION`, and :data:`MOTION_WORK`. They are
+        made when they are first needed: most logs do not show such motion.
     """
 
     def __init__(self, particulars: Particulars) -> None:
         self.settings = motion_settings(particulars)
-        self.scratch = np.zeros(record_size(MOTION_WORK))
-        self.remember(initial_motion())
+        self._memory: Array | None = None
+        self._scratch: Array | None = None
+
+    @property
+    def memory(self) -> Array:
+        """See the class."""
+        if self._memory is None:
+            self._memory = initial_motion()
+        return self._memory
+
+    @property
+    def scratch(self) -> Array:
+        """See the class."""
+        if self._scratch is None:
+            self._scratch = np.zeros(record_size(MOTION_WORK))
+        return self._scratch
 
     def remember(self, memory: Array) -> None:
         """Remember in this memory from now on; see :attr:`memory`."""
-        self.memory, self.record = memory, memory.view(MOTION)[0]
-        self.work = self.scratch.view(MOTION_WORK)[0]
+        self._memory = memory
 
-    def __getstate__(self) -> dict[str, Array]:
-        """Return what copies are made of: a copied record would be no view."""
-        return {"settings": self.settings, "work": self.scratch, "memory": self.memory}
-
-    def __setstate__(self, state: dict[str, Array]) -> None:
-        """Become a copy."""
-        self.settings, self.scratch = state["settings"], state["work"]
-        self.remember(state["memory"])
+    @property
+    def record(self) -> Any:
+        """The memory by name: a view."""
+        return self.memory.view(MOTION)[0]
 
     def reset(self) -> None:
         """Forget everything."""
-        self.memory[:] = initial_motion()
+        if self._memory is not None:
+            self._memory[:] = initial_motion()
 
     @property
     def active(self) -> bool:
         """Whether a row had a sample of one of ``usv_kernel.channels.MOTION_CHANNELS``."""
-        return bool(self.record["attitude"]["rows"] > 0.0)
+        return self._memory is not None and bool(self._memory[_ROWS] > 0.0)
 
     def take(self, t: float, dt: float, z: Array, state: Array, ready: bool) -> Array:
         """Take a row, and return it as it would be on an upright boat.
@@ -388,12 +402,13 @@ class DeckMotion:
         times, states, start = map(np.ascontiguousarray, (times, states, start))
         _forecast(times, states, start, self.memory, self.settings, self.scratch)
         t0 = float(self.record["forecast"]["t_before"])
+        work = self.scratch.view(MOTION_WORK)[0]
         return MotionForecast(
             t0=t0,
             t=t0 + np.concatenate([[0.0], HORIZONS]),
-            mean=self.work["mean"].copy(),
-            sd=np.sqrt(np.maximum(self.work["var"], 0.0)),
-            quiet=self.work["quiet"].copy(),
+            mean=work["mean"].copy(),
+            sd=np.sqrt(np.maximum(work["var"], 0.0)),
+            quiet=work["quiet"].copy(),
         )
 
     def sea(self) -> SeaEstimate | None:
@@ -447,17 +462,13 @@ class DeckMotion:
         check_fields(state, self.views(), FIELDS)
         fill(self.views(), state)
         memory = self.record["forecast"]
-        newest = memory["begun"] + memory["rows"] * self.settings_base
+        base = self.settings.view(MOTION_SETTINGS)[0]["forecast"]["base"]
+        newest = memory["begun"] + memory["rows"] * base
         if not abs(newest - memory["t_before"]) <= 2.0:
             raise StateError(
                 "field 'forecast.rows' does not fit the times beside it; use an earlier copy of "
                 "the file"
             )
-
-    @property
-    def settings_base(self) -> float:
-        """Time between the rows of the ring, s."""
-        return float(self.settings.view(MOTION_SETTINGS)[0]["forecast"]["base"])
 
 
 _GAPS = Field(nan=True)

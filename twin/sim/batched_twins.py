@@ -298,6 +298,8 @@ class CompiledTwins(TwinObserver):
         shown = float(observation == "twin_attitude")
         self._settings = np.concatenate([[band_period, gps_var, 1.0, shown], checks])
         self._forecast = self._buffers()
+        rolls = self.motions.shape[1] > 0
+        self._motion_work = twin.motion.scratch if rolls else np.zeros(0)
         # a thread needs scratch of its own
         self._all = [self._arguments(rows, own=True) for rows in episodes.blocks]
 
@@ -372,7 +374,7 @@ class CompiledTwins(TwinObserver):
             self._settings,
             self.motions[rows],
             self.first.motion.settings,
-            self.first.motion.scratch.copy() if own else self.first.motion.scratch,
+            self._motion_work.copy() if own else self._motion_work,
         )
         memory = type(self.memory)(*(array[rows] for array in self.memory))
         scratch = predictor.work, self._forecast

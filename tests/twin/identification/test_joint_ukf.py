@@ -25,7 +25,7 @@ def at_rest(name: str, seconds: float = 60.0, seed: int = 0) -> Twin:
     twin, rng = Twin(SMALL, name), np.random.default_rng(seed)
     command = np.array([-1.5, 2.1, 0.0, 0.0])
     for k in range(round(10.0 * seconds)):
-        z = np.full(10, np.nan)
+        z = np.full(17, np.nan)
         z[:2] = rng.normal(0.0, 0.1, 2)
         z[2:4] = rng.normal(0.0, 0.05, 2)
         z[4:6] = rng.normal(0.0, 0.01, 2)

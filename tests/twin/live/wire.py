@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from twin.live.protocols.feed import Feed
 from twin.live.protocols.replay import Datagram, Stream, schedule
 from twin.logs.log import Log, recorded_runs
+from twin.motion import HORIZONS, MotionEstimate, MotionForecast
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction
 
@@ -84,6 +86,17 @@ def estimate_of(t: float) -> tuple[Estimate, Prediction]:
     cov = np.eye(6) * (1.0 + after[:, None, None]) ** 2
     cov[:, 0, 1] = cov[:, 1, 0] = 0.5 * cov[:, 0, 0]
     return estimate, Prediction(t, s, np.eye(6), t + after, mean, cov)
+
+
+def with_motion(estimate: Estimate, prediction: Prediction) -> tuple[Estimate, Prediction]:
+    """Return the same with roll, pitch and heave, and their forecast."""
+    now = MotionEstimate(estimate.t, 0.1, -0.05, 0.01, -0.02, 0.2, 0.25, 0.3, np.full(4, 0.01))
+    times = estimate.t + np.concatenate([[0.0], HORIZONS])
+    mean = np.tile([0.1, -0.05, 0.2, 0.3], (len(times), 1))
+    motion = MotionForecast(
+        estimate.t, times, mean, np.full_like(mean, 0.02), np.array([0.9, 0.8, 0.6])
+    )
+    return replace(estimate, motion=now), replace(prediction, motion=motion)
 
 
 @contextlib.contextmanager

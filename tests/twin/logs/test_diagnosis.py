@@ -205,7 +205,7 @@ FAULTS: dict[str, tuple[Fault, Collection[str], Collection[int]]] = {
     "fixes frozen for 20 s": (frozen(40.0, 60.0, X, Y, VX, VY), {"fix-frozen"}, IN_WAVES),
     "stale rows": (stale, {"stale-rows"}, (0, 1, 2, 3, 4, 9, 10, 14, 16)),
     "a step of 20 m": (
-        lambda t, z, cmd: (t, z + np.outer(t > 50.0, [14.0] * 2 + [0.0] * 8), cmd),
+        lambda t, z, cmd: (t, z + np.outer(t > 50.0, [14.0] * 2 + [0.0] * (z.shape[1] - 2)), cmd),
         {"fix-steps"},
         (0, 1, 4, 5, 7, 9, 13, 14, 16),
     ),

@@ -160,7 +160,7 @@ def test_without_truth_keeps_the_rest() -> None:
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 10\)"),
+        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 17\)"),
         ({"cmd": np.zeros((ROWS - 1, 4))}, "cmd has the shape"),
         ({"t": np.zeros((ROWS, 1))}, r"t has the shape \(40, 1\), expected \(N,\)"),
         ({"truth": np.zeros((ROWS, 3))}, "truth has the shape"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.twin.logs.reading import refused
-from twin.channels import MEASUREMENTS, TRUTH
+from twin.channels import MEASUREMENTS, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED
 from twin.logs.log import Log, recorded_runs
 from twin.particulars import Particulars
@@ -123,5 +123,5 @@ def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
 
 
 def test_names_of_the_columns_do_not_clash() -> None:
-    names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH)
-    assert len(set(names)) == len(names) == 1 + 4 + 10 + 6
+    names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH, *TRUE_MOTION)
+    assert len(set(names)) == len(names) == 1 + 4 + 17 + 6 + 6

@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests.twin.logs.foreign import (
     ALL_ROWS,
@@ -26,7 +27,7 @@ from tests.twin.logs.foreign import (
     written,
 )
 from twin import Twin
-from twin.channels import COMMANDS, MEASUREMENTS
+from twin.channels import AHRS_PITCH, AHRS_ROLL, COMMANDS, MEASUREMENTS
 from twin.logs import readers as table
 from twin.logs.columns import LogError
 from twin.logs.log import Log, sibling_path
@@ -164,6 +165,25 @@ def test_quaternion_becomes_heading(tmp_path: Path) -> None:
     mapping = written(tmp_path / "m.toml", "[heading]\nquaternion = ['qx', 'qy', 'qz', 'qw']")
     heading = Log.read(tmp_path / "a.csv", mapping).z[:, 4]
     np.testing.assert_allclose(heading, np.mod(log.z[:, 4], 2.0 * math.pi), atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["ned", "enu"])
+def test_quaternion_becomes_roll_and_pitch(tmp_path: Path, frame: str) -> None:
+    """In ROS, the body's second axis points to port and its third up: pitch changes its sign."""
+    log = run()
+    n = len(log)
+    roll, pitch = 0.3 * np.sin(0.1 * np.arange(n)), 0.2 * np.cos(0.07 * np.arange(n))
+    sign = -1.0 if frame == "enu" else 1.0
+    turn = Rotation.from_euler("ZYX", np.stack([log.z[:, 4], sign * pitch, roll], axis=1))
+    log.write(tmp_path / "a.csv")
+    parts = dict(zip(("qx", "qy", "qz", "qw"), 2.0 * turn.as_quat().T, strict=True))
+    pl.read_csv(tmp_path / "a.csv").with_columns(
+        **{name: pl.Series(values) for name, values in parts.items()}
+    ).write_csv(tmp_path / "a.csv")
+    text = f"[attitude]\nquaternion = ['qx', 'qy', 'qz', 'qw']\nframe = '{frame}'"
+    z = Log.read(tmp_path / "a.csv", written(tmp_path / "m.toml", text)).z
+    np.testing.assert_allclose(z[:, AHRS_ROLL], roll, atol=1e-12)
+    np.testing.assert_allclose(z[:, AHRS_PITCH], pitch, atol=1e-12)
 
 
 def test_rows_are_cut_and_thinned(tmp_path: Path) -> None:

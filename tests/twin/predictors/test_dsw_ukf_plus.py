@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from twin.channels import WIND_FROM, WIND_SPEED
 from twin.filters.navigation_state import NAVIGATION
 from twin.identification.joint_ukf import filter_config, filter_state, filter_workspace
 from twin.identification.prediction_error import (
@@ -137,7 +138,7 @@ def observed(dt, memory, config, work):
 @pytest.mark.parametrize("dt", [0.05, 0.07, 0.25, 0.4])
 def test_window_is_the_navigation_on_the_grid(boat: Particulars, zigzag: Log, dt: float) -> None:
     log = thinned(zigzag, np.arange(0.0, 50.0, dt))
-    log.z[:, 8:] = [5.0, 0.7]
+    log.z[:, WIND_SPEED : WIND_FROM + 1] = [5.0, 0.7]
     predictor = PlusPredictor(boat, period=1e9)  # no refit but an empty one at the start
     t, n, acts, slow_ = [], [], [], []
 

@@ -195,9 +195,7 @@ def test_each_of_many_faulty_boats_is_a_boat_alone() -> None:
             z.append(many.z.copy())
         both = np.stack(z, axis=1)
         for i, seed in enumerate((3, 4)):
-            np.testing.assert_array_equal(
-                both[i, :, : len(LEVEL_BIT)], sailed(QUICK, seed, 400)
-            )
+            np.testing.assert_array_equal(both[i, :, : len(LEVEL_BIT)], sailed(QUICK, seed, 400))
 
 
 @pytest.mark.parametrize("when", [Bursts, RandomFaults, Fault])
@@ -337,7 +335,9 @@ def test_any_text_is_faults_or_a_clear_error(text: str) -> None:
 
 
 def test_unknown_kinds_and_impossible_faults_are_refused() -> None:
-    with pytest.raises(FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, ahrs, all"):
+    with pytest.raises(
+        FaultError, match=r"'radar10': no .* 'radar'; use gps, imu, compass, ahrs, all"
+    ):
         parse_faults("radar10", 0.0)
     for start, duration in ((0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)):
         with pytest.raises(FaultError, match="gps fault: start and duration"):

@@ -25,7 +25,6 @@ from usv_gym.world.simulation import Simulation
 from usv_gym.world.state import BOAT as BOAT_RECORD
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, COMPASS, GPS_X, GYRO, SENSOR_CHANNELS
 
-
 MOTION = np.zeros(sensors.MOTION_NOISE_SIZE)
 
 FORCE = [ACCEL_X, ACCEL_Y, len(SENSOR_CHANNELS) + 2]
@@ -143,7 +142,9 @@ def test_accelerometer_is_the_turned_derivative_of_the_ground_velocity() -> None
         middle = 0.5 * (before[fr.PSI] + after[fr.PSI])
         force = fr.to_body(*((velocity[1] - velocity[0]) / dt), middle)
         # the mean over the step, to dt^2 / 12 times second derivatives below 10 m/s4
-        np.testing.assert_allclose(sim.z[0, ACCEL_X : ACCEL_Y + 1], force, atol=1e-4, err_msg=f"step {k}")
+        np.testing.assert_allclose(
+            sim.z[0, ACCEL_X : ACCEL_Y + 1], force, atol=1e-4, err_msg=f"step {k}"
+        )
 
 
 def test_gps_is_late() -> None:
@@ -312,9 +313,7 @@ def test_an_imu_mounted_askew_measures_along_its_own_axes() -> None:
         x, y, z = straight[axes]
         np.testing.assert_allclose(askew[axes], (y, -x, z), atol=1e-12)
     other = sample(only(imu_mounting=(0.3, -0.2, 2.0)), state, rate)
-    np.testing.assert_allclose(
-        turn(0.3, -0.2, 2.0) @ other[FORCE], straight[FORCE], atol=1e-12
-    )
+    np.testing.assert_allclose(turn(0.3, -0.2, 2.0) @ other[FORCE], straight[FORCE], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,11 @@ LIMITS = {
     "gps_vy_mps": 500.0,
     "compass_rad": 8.0,
     "gyro_radps": 50.0,
+    **dict.fromkeys(("gyro_x_radps", "gyro_y_radps"), 50.0),
+    **dict.fromkeys(("accel_x_mps2", "accel_y_mps2", "accel_z_mps2"), 1000.0),
+    **dict.fromkeys(("ahrs_roll_rad", "ahrs_pitch_rad"), 8.0),
+    "gps_z_m": 1e5,
+    "gps_vz_mps": 500.0,
     **dict.fromkeys(COMMANDS[:2], 2000.0),
     **dict.fromkeys(COMMANDS[2:], 0.5 * math.pi + 1e-6),
 }

@@ -354,7 +354,7 @@ class MavlinkWriter:
         place: tuple[float, float] | None,
         velocity: tuple[float, float] | None,
         heading: float = math.nan,
-        down: tuple[float, float] = (math.nan, 0.0),
+        down: tuple[float, float] = (math.nan, math.nan),
     ) -> bytes:
         """Return place (degrees), velocity over ground (m/s north, east), and both down."""
         lat = lon = UNKNOWN_PLACE

@@ -239,7 +239,7 @@ PACKETS = st.one_of(
         st.tuples(st.floats(-400, 400), st.floats(-400, 400)),
     ),
     st.builds(
-        lambda t, n: LINK.row(t, np.full(10, np.nan), np.array([n, n, 0.1, 0.1]), None)[0],
+        lambda t, n: LINK.row(t, np.full(17, np.nan), np.array([n, n, 0.1, 0.1]), None)[0],
         TIMES,
         st.floats(-100.0, 100.0),
     ),

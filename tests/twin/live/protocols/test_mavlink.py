@@ -6,10 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, estimate_of
+from tests.twin.live.wire import Wire, estimate_of, with_motion
+from twin.channels import (
+    ACCEL_Z,
+    AHRS_PITCH,
+    AHRS_ROLL,
+    GPS_VZ,
+    GPS_Z,
+    GYRO_X,
+    GYRO_Y,
+)
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.live.protocols.sockets import FeedError
 from twin.particulars import Particulars
+from usv_kernel.channels import ACCEL_X, ACCEL_Y
 
 common = pytest.importorskip(
     "pymavlink.dialects.v20.common", reason="needs pymavlink: pip install 'usv-twin[view]'"
@@ -184,3 +194,57 @@ def test_a_short_prediction_goes_back_as_far_as_it_reaches(wire: Wire) -> None:
     found = [m for d in wire.feed.encode(estimate, short) for m in parser.parse_buffer(d)]
     points = next(m for m in found if m.get_type() == "TRAJECTORY_REPRESENTATION_WAYPOINTS")
     assert points.valid_points == 2 and math.isnan(points.pos_x[2])
+
+
+def test_roll_pitch_and_climb_are_read(wire: Wire) -> None:
+    write = MavlinkWriter()
+    wire.tell(
+        write.position(7.0, (59.5, 10.5), (1.0, -2.0), down=(-3.5, 0.25)),
+        write.attitude(7.0, -0.5, 0.1, (0.2, -0.1), (0.03, -0.04)),
+        write.imu(7.0, (0.5, -0.25, -9.75)),
+    )
+    z = wire.take(after=1.0)[0][1]
+    assert z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] == pytest.approx([0.5, -0.25, -9.75])
+    assert z[[GYRO_X, GYRO_Y]] == pytest.approx([0.03, -0.04])
+    assert z[[AHRS_ROLL, AHRS_PITCH]] == pytest.approx([0.2, -0.1])
+    assert z[[GPS_Z, GPS_VZ]] == pytest.approx([-3.5, 0.25])
+
+
+@pytest.mark.parametrize("kind", ["RAW_IMU", "SCALED_IMU"])
+def test_accelerations_in_milli_g_are_read(wire: Wire, kind: str) -> None:
+    numbers = (100, -200, -1000, 0, 0, 0, 0, 0, 0)
+    if kind == "RAW_IMU":
+        made = common.MAVLink_raw_imu_message(7_000_000, *numbers)
+    else:
+        made = common.MAVLink_scaled_imu_message(7000, *numbers)
+    wire.tell(MavlinkWriter().attitude(7.0, 0.0, 0.0), other(made))
+    z = wire.take(after=1.0)[0][1]
+    assert z[[ACCEL_X, ACCEL_Y, ACCEL_Z]] == pytest.approx([0.981, -1.962, -9.81])
+
+
+def test_a_row_without_roll_and_pitch_says_nothing_of_them(wire: Wire) -> None:
+    z = np.full(17, np.nan)
+    z[:6] = 0.0
+    for message in MavlinkWriter(servos=Servos.of(BOAT)).row(7.0, z, np.zeros(4), (59.5, 10.5)):
+        wire.tell(message)
+    assert np.isnan(wire.take(after=1.0)[0][1][6:]).all()
+
+
+def test_the_attitude_goes_back_with_its_forecast(wire: Wire) -> None:
+    write = MavlinkWriter()
+    wire.tell(write.position(7.0, (59.5, 10.5), (1.0, -2.0)), write.attitude(7.0, 0.0, 0.0))
+    wire.take(after=1.0)
+    parser = common.MAVLink(None)
+    found = [
+        message
+        for data in wire.feed.encode(*with_motion(*estimate_of(0.0)))
+        for message in parser.parse_buffer(data)
+    ]
+    (attitude,) = [one for one in found if one.get_type() == "ATTITUDE"]
+    assert (attitude.roll, attitude.pitch) == pytest.approx((0.1, -0.05))
+    assert (attitude.rollspeed, attitude.pitchspeed) == pytest.approx((0.01, -0.02))
+    arrays = {one.name: one.data for one in found if one.get_type() == "DEBUG_FLOAT_ARRAY"}
+    rows = np.array(arrays["motion"][:54]).reshape(6, 9)
+    assert rows[:, 0] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 5.0])
+    assert rows[0, 1:5] == pytest.approx([0.1, -0.05, 0.2, 0.3])
+    assert arrays["quiet"][:3] == pytest.approx([0.9, 0.8, 0.6])

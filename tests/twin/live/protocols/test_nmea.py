@@ -7,7 +7,8 @@ from datetime import datetime, timezone
 import numpy as np
 import pytest
 
-from tests.twin.live.wire import Wire, estimate_of
+from tests.twin.live.wire import Wire, estimate_of, with_motion
+from twin.channels import AHRS_PITCH, AHRS_ROLL, GPS_Z
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.nmea_writer import NmeaWriter
@@ -147,7 +148,7 @@ def test_gga_and_rmc_of_an_epoch_are_one_fix_with_tag_blocks_too(wire: Wire) -> 
 
 def test_estimates_go_back(wire: Wire) -> None:
     writer = NmeaWriter("GP")
-    z, cmd = np.full(10, np.nan), np.zeros(4)
+    z, cmd = np.full(17, np.nan), np.zeros(4)
     z[:6] = 0.0
     for t in (0.0, 20.0):  # over midnight, into the first of March
         lines = writer.row(START + t, z, cmd, (-59.5, -179.9999))
@@ -208,3 +209,55 @@ def test_wide_intervals_keep_a_sentence_within_the_standard() -> None:
     )
     assert len(text) <= 82 and ",999.99,999.99," in text and ",6000.00000,S," in text
     assert ",0.0," in text
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "PASHR,120000.000,090.00,T,-05.000,+02.500,+0.10,0.03,0.03,0.1,1,1",
+        "YXXDR,A,-5.0,D,ROLL,A,2.5,D,PTCH,C,20.0,C,AIR",
+    ],
+    ids=["PASHR", "XDR"],
+)
+def test_roll_and_pitch_are_read(wire: Wire, body: str) -> None:
+    wire.tell(line(body))
+    z = row(wire)
+    assert np.degrees(z[[AHRS_ROLL, AHRS_PITCH]]) == pytest.approx([-5.0, 2.5])
+    assert wire.balance()["used"] == 1
+
+
+def test_a_tilt_that_no_boat_has_is_broken(wire: Wire) -> None:
+    wire.tell(line("PASHR,120000.000,090.00,T,-95.000,+02.500,,,,,1,1"))
+    assert wire.balance()["broken"] == 1
+
+
+def test_the_height_of_a_fix_is_read(wire: Wire) -> None:
+    wire.tell(line(GGA))
+    assert row(wire)[GPS_Z] == -2.0
+
+
+def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
+    writer = NmeaWriter("GP")
+    z, cmd = np.full(17, np.nan), np.zeros(4)
+    z[:6], z[AHRS_ROLL], z[AHRS_PITCH] = 0.0, 0.1, -0.05
+    wire.tell("".join(writer.row(START, z, cmd, (59.5, 10.5))).encode())
+    seen = wire.take(after=1.0)[0][1]
+    # in the fourth decimal of a degree
+    assert seen[[AHRS_ROLL, AHRS_PITCH]] == pytest.approx([0.1, -0.05], abs=1e-6)
+    estimate, prediction = with_motion(*estimate_of(20.0))
+    (data,) = wire.feed.encode(estimate, prediction)
+    lines = data.decode().splitlines(keepends=True)
+    assert all(len(text) <= 82 and text.endswith("\r\n") for text in lines)
+    (tilt,) = [text.split(",") for text in lines if text.startswith("$PASHR")]
+    assert [float(value) for value in tilt[4:7]] == pytest.approx(
+        [math.degrees(0.1), math.degrees(-0.05), -0.2], abs=0.01
+    )
+    ahead = [text.partition("*")[0].split(",") for text in lines if text.startswith("$PUTWM")]
+    assert [float(text[2]) for text in ahead] == [0.0, 0.5, 1.0, 2.0, 3.0, 5.0]
+    assert [float(value) for value in ahead[0][3:7]] == pytest.approx(
+        [math.degrees(0.1), math.degrees(-0.05), 0.2, 0.3], abs=0.01
+    )
+    (quiet,) = [text.partition("*")[0].split(",")[2:] for text in lines if "PUTWQ" in text]
+    assert quiet == ["0.90", "0.80", "0.60"]
+    wire.tell(data)
+    assert wire.balance()["own"] == len(lines)

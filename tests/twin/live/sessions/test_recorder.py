@@ -136,7 +136,7 @@ def test_the_memory_of_a_recording_does_not_grow(tmp_path):
     session = SimulatedSession(setup, tmp_path)
     session.record(True)
     for _row in range(2000):
-        session._keep(0.0, np.zeros(10), np.zeros(4), np.zeros(6))
+        session._keep(0.0, np.zeros(17), np.zeros(4), np.zeros(6))
         session._flush()
     session.recorder._due = 0.0
     session._flush()

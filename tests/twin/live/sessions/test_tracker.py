@@ -104,7 +104,7 @@ def test_curves_stay_short_however_long_the_run():
     seen = monitor("persistence")
     for k in range(5 * HISTORY_ROWS):
         t = 0.5 * k
-        z = np.full(10, math.nan)
+        z = np.full(17, math.nan)
         z[:5] = 2.0 * t, 0.0, 2.0, 0.0, 0.0
         seen.step(t, z, np.array([20.0, 20.0, 0.0, 0.0]))
     curves = seen.history()
@@ -116,7 +116,7 @@ def test_curves_stay_short_however_long_the_run():
 
 def test_before_a_first_fix_there_is_no_prediction():
     seen = monitor()
-    seen.step(0.0, np.full(10, math.nan), np.zeros(4))
+    seen.step(0.0, np.full(17, math.nan), np.zeros(4))
     assert seen.predict() is None
     assert seen.gps_age == math.inf and seen.gps_lost
     assert len(seen.track) == 0
