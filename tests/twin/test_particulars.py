@@ -122,7 +122,7 @@ def test_a_deck_point_lies_forward_if_nothing_is_said() -> None:
     assert Deck(point=(1.0, 0.5)).point_of(5.0) == (1.0, 0.5, 0.0)
     with pytest.raises(ParticularsError, match="max_tilt = 0"):
         Deck(max_tilt=0.0)
-    with pytest.raises(ParticularsError, match="point = .* must be three finite numbers"):
+    with pytest.raises(ParticularsError, match=r"point = .* must be three finite numbers"):
         Deck(point=(1.0, math.nan, 0.0))
 
 

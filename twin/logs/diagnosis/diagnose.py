@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import Array
+from twin.logs.diagnosis.attitude import check_attitude
 from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
@@ -190,6 +191,7 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
         measured = measure(clean)
         found += check_position(recording) + check_heading(clean)
         found += check_imu(measured.imu, clean, particulars)
+        found += check_attitude(clean, particulars)
         found += check_commands(clean, particulars) + check_forces(clean)
     first: dict[str, Finding] = {}
     for finding in found:

@@ -1,0 +1,137 @@
+"""Faults of the sensors of roll, pitch and heave are named; sound ones are not blamed."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from twin import Log
+from twin.channels import (
+    ACCEL_Z,
+    AHRS_PITCH,
+    AHRS_ROLL,
+    GPS_VZ,
+    GPS_Z,
+    GYRO_X,
+    GYRO_Y,
+    MOTION_AT,
+)
+from twin.logs.diagnosis.diagnose import diagnose
+from twin.logs.diagnosis.findings import Recording
+from twin.sim.bridge import particulars_of, simulate
+from usv_gym import SensorSuite, Vessel
+from usv_gym.world.sea import SeaState
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
+from usv_kernel.scalar import rotation
+
+OWN = {
+    *("axis-dead", "accel-unit", "accel-gravity", "accel-up", "accel-swapped", "imu-askew"),
+    *("ahrs-unit", "gyro-swapped", "tilt-sign", "tilt-unit", "climb-sign"),
+}
+
+
+@functools.cache
+def run(scenario: str, vessel: str = "usv75", sea: str = "2", seed: int = 0) -> Log:
+    state = SeaState.named(sea)
+    boat = Vessel.load(vessel)
+    return simulate(scenario, vessel=boat, sea=state, duration=90, seed=seed, dof=6)
+
+
+def codes(log: Log, z: np.ndarray) -> set[str]:
+    recording = Recording(log.t, z, log.cmd, log.t)
+    return {finding.code for finding in diagnose(recording).findings} & OWN
+
+
+def scaled(factor: float, *columns: int) -> Callable[[np.ndarray], None]:
+    def change(z: np.ndarray) -> None:
+        z[:, list(columns)] *= factor
+
+    return change
+
+
+def swapped(a: int, b: int) -> Callable[[np.ndarray], None]:
+    def change(z: np.ndarray) -> None:
+        z[:, [a, b]] = z[:, [b, a]]
+
+    return change
+
+
+def askew(*angles: float) -> Callable[[np.ndarray], None]:
+    def change(z: np.ndarray) -> None:
+        for columns in ([ACCEL_X, ACCEL_Y, ACCEL_Z], [GYRO_X, GYRO_Y, GYRO]):
+            z[:, columns] = z[:, columns] @ rotation(angles)
+
+    return change
+
+
+def without_gravity(z: np.ndarray) -> None:
+    z[:, ACCEL_Z] += 9.81
+
+
+def dead(column: int) -> Callable[[np.ndarray], None]:
+    def change(z: np.ndarray) -> None:
+        z[:, column] = 0.125
+
+    return change
+
+
+FAULTS = {
+    "g": (scaled(1 / 9.81, ACCEL_X, ACCEL_Y, ACCEL_Z), "accel-unit"),
+    "no gravity": (without_gravity, "accel-gravity"),
+    "z up": (scaled(-1.0, ACCEL_Z), "accel-up"),
+    "x and z swapped": (swapped(ACCEL_X, ACCEL_Z), "accel-swapped"),
+    "askew": (askew(0.25, 0.0, 0.0), "imu-askew"),
+    "askew ahead": (askew(0.0, -0.2, 0.3), "imu-askew"),
+    "angles in degrees": (scaled(180 / math.pi, AHRS_ROLL, AHRS_PITCH), "ahrs-unit"),
+    "gyros swapped": (swapped(GYRO_X, GYRO_Y), "gyro-swapped"),
+    "roll reversed": (scaled(-1.0, AHRS_ROLL), "tilt-sign"),
+    "pitch rate reversed": (scaled(-1.0, GYRO_Y), "tilt-sign"),
+    "rates in degrees": (scaled(180 / math.pi, GYRO_X, GYRO_Y), "tilt-unit"),
+    "height up": (scaled(-1.0, GPS_Z, GPS_VZ), "climb-sign"),
+    "dead roll gyro": (dead(GYRO_X), "axis-dead"),
+}
+
+
+@pytest.mark.parametrize("scenario", ["heading135", "zigzag"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_named_and_no_other(scenario: str, fault: str) -> None:
+    change, code = FAULTS[fault]
+    log = run(scenario)
+    z = log.z.copy()
+    change(z)
+    assert codes(log, z) == {code}
+
+
+@pytest.mark.parametrize("vessel", ["usv75", "otter", "wamv16", "telemetron"])
+@pytest.mark.parametrize("scenario", ["heading0", "heading90", "turn"])
+@pytest.mark.parametrize("sea", ["0", "3"])
+def test_sound_sensors_are_not_blamed(vessel: str, scenario: str, sea: str) -> None:
+    log = run(scenario, vessel, sea, 1)
+    assert codes(log, log.z) == set()
+
+
+def test_a_stated_mounting_is_no_fault() -> None:
+    suite = SensorSuite(imu_mounting=(0.3, 0.1, -0.5))
+    boat = Vessel.load("usv75")
+    log = simulate(
+        "heading135", vessel=boat, sea=SeaState.named("2"), duration=90, seed=0, dof=6, suite=suite
+    )
+    recording = Recording(log.t, log.z, log.cmd, log.t)
+    stated = diagnose(recording, particulars_of(boat, suite, 6))
+    assert "imu-askew" not in {finding.code for finding in stated.findings}
+    found = {finding.code: finding for finding in diagnose(recording).findings}
+    evidence = found["imu-askew"].evidence
+    # the boat's own heel and trim are within 2 degrees
+    assert evidence["roll_rad"] == pytest.approx(0.3, abs=0.05)
+    assert evidence["pitch_rad"] == pytest.approx(0.1, abs=0.05)
+
+
+def test_a_log_without_them_has_no_finding() -> None:
+    log = run("zigzag")
+    z = log.z.copy()
+    z[:, MOTION_AT:] = np.nan
+    assert codes(log, z) == set()

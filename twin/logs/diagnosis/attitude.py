@@ -1,0 +1,242 @@
+"""Sensors of roll, pitch and heave against gravity and each other: units, signs, axes, mounting."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.logs.columns import Array
+from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
+from twin.logs.diagnosis.signals import ENOUGH, sampled
+from twin.particulars import GRAVITY, Particulars
+from usv_kernel.scalar import rotation
+
+__all__ = ["check_attitude"]
+
+_ASKEW = math.radians(6.0)
+"""A boat may heel and trim by less in the mean; more is how the IMU is mounted."""
+
+_AXIS = math.radians(50.0)
+"""With gravity further off the third axis, another one points down."""
+
+_G_UNIT = 0.8, 1.25
+"""Mean specific force in units of gravity is between these, times 1 for g."""
+
+_CLEAR = 0.6
+"""From this correlation on two signals belong together."""
+
+_STEEP = math.radians(75.0)
+"""No boat sails on with such a roll; these are degrees."""
+
+_BETTER = 0.02
+"""The other gyro fits better if its correlation is larger by this."""
+
+_TURNING = 0.05
+"""Yaw rate of a boat that sails straight on, rad/s."""
+
+_SMOOTH = 0.3
+"""Changes are compared over so many seconds."""
+
+_STILL = 0.003
+"""Rates below, rad/s, and speeds, m/s, tell nothing."""
+
+_FORCE = "accel_x_mps2", "accel_y_mps2", "accel_z_mps2"
+
+
+def check_attitude(recording: Recording, particulars: Particulars | None = None) -> list[Finding]:
+    """Return what is wrong with the sensors of roll, pitch and heave.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log.
+    particulars : Particulars, optional
+        State how the IMU is known to be mounted.
+    """
+    found = _dead_axes(recording)
+    mounting = (0.0, 0.0, 0.0) if particulars is None else particulars.instruments.imu_mounting
+    found += _check_gravity(recording, rotation(mounting))
+    for angle, gyro, other in (
+        ("ahrs_roll_rad", "gyro_x_radps", "gyro_y_radps"),
+        ("ahrs_pitch_rad", "gyro_y_radps", "gyro_x_radps"),
+    ):
+        found += _check_angle(recording, angle)
+        if not found:  # a wrong unit of the one is no fault of the other
+            found += _check_rate(recording, angle, gyro, other)
+    return found + _check_height(recording)
+
+
+def _dead_axes(recording: Recording) -> list[Finding]:
+    """Return findings about axes that never change."""
+    found = []
+    for j in range(MOTION_AT, len(MEASUREMENTS)):
+        values = recording.z[:, j]
+        values = values[np.isfinite(values)]
+        if len(values) >= ENOUGH and (values == values[0]).all():
+            name = recording.called(MEASUREMENTS[j])
+            what = f"{name}: all {len(values)} values are {values[0]:g}, as of a dead axis"
+            remedy = "leave its cells empty; the twin does without it"
+            found.append(Finding(WARNING, "axis-dead", what, remedy, {"value": float(values[0])}))
+    return found
+
+
+def _check_gravity(recording: Recording, mounting: Array) -> list[Finding]:
+    """Return what the mean of the accelerometers says of their unit, axes and mounting."""
+    t, force = recording.samples(*_FORCE)
+    if len(t) < 5 * ENOUGH:
+        return []
+    rough = float(np.linalg.norm(np.median(force, axis=0)))
+    unit = GRAVITY if _G_UNIT[0] < rough < _G_UNIT[1] else 1.0
+    force = force @ mounting.T
+    around, straight = _way_round(recording, t)
+    force[:, 1] -= around / unit
+    if straight.sum() < max(5 * ENOUGH, 0.1 * len(t)):
+        return []
+    mean = np.median(force[straight], axis=0)
+    size = float(np.linalg.norm(mean))
+    spread = float(np.sqrt(np.mean(np.sum((force[straight] - mean) ** 2, axis=1))))
+    names, evidence = recording.called(*_FORCE), {"x": mean[0], "y": mean[1], "z": mean[2]}
+    if _G_UNIT[0] < size < _G_UNIT[1] and spread < 0.5 * size:
+        what = f"{names}: {size:.2f} in the mean: these are g"
+        return [Finding(ERROR, "accel-unit", what, 'state unit = "g" in a mapping file', evidence)]
+    if not _G_UNIT[0] < size / GRAVITY < _G_UNIT[1]:
+        what = f"{names}: {size:.3g} m/s2 in the mean, where gravity is {GRAVITY}"
+        remedy = "give the specific force as the IMU measures it, with gravity"
+        return [Finding(ERROR, "accel-gravity", what, remedy, evidence)]
+    if mean[2] > size * math.cos(_AXIS):
+        what = f"{names}: {mean[2]:.2f} m/s2 down: the third axis points up"
+        remedy = 'an upright boat has -9.81 there; state frame = "enu" or scale = -1.0 in a mapping'
+        return [Finding(ERROR, "accel-up", what, remedy, evidence)]
+    tilt = math.acos(min(max(-float(mean[2]) / size, -1.0), 1.0))
+    if tilt > _AXIS:
+        axis = "xyz"[int(np.argmax(np.abs(mean)))]
+        what = f"{names}: gravity lies along {axis}: the axes are swapped, or the IMU is turned"
+        remedy = "x is forward, y to starboard, z down; exchange the columns, or state imu_mounting"
+        return [Finding(ERROR, "accel-swapped", what, remedy, evidence)]
+    if tilt > _ASKEW:
+        roll = math.atan2(-mean[1], -mean[2])
+        pitch = math.asin(min(max(float(mean[0]) / size, -1.0), 1.0))
+        what = (
+            f"{names}: gravity is {math.degrees(tilt):.0f} degrees off their third axis: the IMU "
+            "is mounted askew, or the boat lies so"
+        )
+        remedy = (
+            f"if it is the IMU, state imu_mounting = [{roll:.3f}, {pitch:.3f}, 0.0] in "
+            "[instruments] of the particulars"
+        )
+        evidence |= {"roll_rad": roll, "pitch_rad": pitch}
+        return [Finding(WARNING, "imu-askew", what, remedy, evidence)]
+    return []
+
+
+def _check_angle(recording: Recording, name: str) -> list[Finding]:
+    """Return whether an angle of the AHRS is in degrees."""
+    angle = recording.samples(name)[1][:, 0]
+    if len(angle) < ENOUGH or float(np.quantile(np.abs(angle), 0.9)) < _STEEP:
+        return []
+    given = recording.called(name)
+    what = f"{given}: up to {np.abs(angle).max():.3g} rad; these are degrees"
+    remedy = f"name the column {name.replace('_rad', '_deg')}"
+    return [Finding(ERROR, "ahrs-unit", what, remedy, {"most": float(np.abs(angle).max())})]
+
+
+def _way_round(recording: Recording, at: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the acceleration to starboard of a turn, m/s2, and where it is known well enough.
+
+    Without velocities it is known to be small where the boat hardly turns.
+    """
+    t_rate, rate = recording.samples("gyro_radps")
+    if len(t_rate) < ENOUGH:
+        return np.zeros(len(at)), np.ones(len(at), dtype=np.bool_)
+    turning = sampled(t_rate, rate[:, 0], at)
+    t, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    if len(t) < ENOUGH:
+        return np.zeros(len(at)), np.abs(turning) < _TURNING
+    around = turning * sampled(t, np.linalg.norm(velocity, axis=1), at)
+    known = np.isfinite(around)
+    return np.where(known, around, 0.0), known
+
+
+class _Fit(NamedTuple):
+    """How one signal goes with another."""
+
+    correlation: float
+    slope: float
+
+
+def _fit(x: Array, y: Array) -> _Fit:
+    """Return correlation, and the slope of y on x."""
+    ok = np.isfinite(x) & np.isfinite(y)
+    x, y = x[ok] - x[ok].mean(), y[ok] - y[ok].mean()
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    if len(x) < 5 * ENOUGH or min(xx, yy) <= 0.0:
+        return _Fit(0.0, math.nan)
+    return _Fit(xy / math.sqrt(xx * yy), xy / xx)
+
+
+def _change(t: Array, values: Array) -> tuple[Array, Array]:
+    """Return times and rates of change over :data:`_SMOOTH`."""
+    before = sampled(t, values, t - _SMOOTH)
+    return t - 0.5 * _SMOOTH, (values - before) / _SMOOTH
+
+
+def _mean(t: Array, values: Array, at: Array) -> Array:
+    """Return means over :data:`_SMOOTH` about some times."""
+    whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
+    ends = (sampled(t, whole, at + sign * 0.5 * _SMOOTH) for sign in (1.0, -1.0))
+    return np.asarray((next(ends) - next(ends)) / _SMOOTH)
+
+
+def _check_rate(recording: Recording, angle: str, gyro: str, other: str) -> list[Finding]:
+    """Return how a gyro goes with the change of its angle: sign, unit, and the other axis."""
+    t, values = recording.samples(angle)
+    if len(t) < 5 * ENOUGH:
+        return []
+    times, change = _change(t, values[:, 0])
+    if float(np.nanstd(change)) < _STILL:
+        return []
+    fits = []
+    for name in (gyro, other):
+        t_rate, rate = recording.samples(name)
+        if len(t_rate) < 5 * ENOUGH or float(rate.std()) < _STILL:
+            return []
+        fits.append(_fit(change, _mean(t_rate, rate[:, 0], times)))
+    own, cross = fits
+    names, evidence = recording.called(angle, gyro), {"correlation": own.correlation}
+    if abs(cross.correlation) > max(_CLEAR, abs(own.correlation) + _BETTER):
+        what = f"{recording.called(gyro, other)}: roll and pitch rate are swapped"
+        return [Finding(ERROR, "gyro-swapped", what, "exchange the two columns", evidence)]
+    if abs(own.correlation) < _CLEAR:
+        return []
+    evidence["slope"] = own.slope
+    if own.slope < 0.0:
+        what = f"{names}: the gyro turns against the angle: one of them has the wrong sign"
+        remedy = "roll is above 0 with starboard down, pitch with the bow up; so are their rates"
+        return [Finding(ERROR, "tilt-sign", what, remedy, evidence)]
+    if 30.0 < own.slope < 110.0 or 30.0 < 1.0 / own.slope < 110.0:
+        wrong = gyro if own.slope > 1.0 else angle
+        what = f"{recording.called(wrong)}: {max(own.slope, 1.0 / own.slope):.3g} times too large"
+        wanted = wrong.replace("_radps", "_degps").replace("_rad", "_deg")
+        return [Finding(ERROR, "tilt-unit", what, f"name the column {wanted}", evidence)]
+    return []
+
+
+def _check_height(recording: Recording) -> list[Finding]:
+    """Return whether height and vertical speed of the GNSS point the same way, and down."""
+    t, speed = recording.samples("gps_vz_mps")
+    t_force, force = recording.samples(*_FORCE)
+    if len(t) < 5 * ENOUGH or len(t_force) < 5 * ENOUGH or float(speed.std()) < 10.0 * _STILL:
+        return []
+    times, change = _change(t, speed[:, 0])
+    lift = np.linalg.norm(force, axis=1)
+    # an upright boat that is pushed down weighs less
+    fit = _fit(change, -_mean(t_force, lift - lift.mean(), times))
+    if fit.correlation > -_CLEAR:
+        return []
+    what = f"{recording.called('gps_vz_mps')}: against the accelerometers: it points up"
+    remedy = 'it is above 0 downwards; state frame = "enu" or scale = -1.0, also for gps_z_m'
+    return [Finding(ERROR, "climb-sign", what, remedy, {"correlation": fit.correlation})]
