@@ -25,7 +25,7 @@ from twin.motion.forecast_state import (
     forecast_settings,
     initial_forecast,
 )
-from twin.motion.learning import error_now, take_motion
+from twin.motion.learning import error_now, leak_variance, take_motion
 from twin.motion.sea_estimate import SEA_MOMENTS, SeaEstimate, estimate_sea, take_sea
 from twin.motion.state import (
     ANGLE,
@@ -177,7 +177,8 @@ def _errors(memory, given, out):
     """Write the variances of the estimates of the channels."""
     own, of = as_record(memory, MOTION), as_record(given, MOTION_SETTINGS)
     for c in range(N_CHANNELS):
-        out[c] = error_now(c, own.attitude, own.forecast, of.forecast)
+        leak = leak_variance(c, own.attitude, own.forecast)
+        out[c] = error_now(c, own.attitude, of.forecast) + leak
 
 
 @dataclass(frozen=True)

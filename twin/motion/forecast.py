@@ -29,7 +29,7 @@ from twin.motion.forecast_state import (
     STAYS,
     TRUST_TICKS,
 )
-from twin.motion.learning import apply_fit, skill, write_features
+from twin.motion.learning import apply_fit, leak_variance, skill, write_features
 from twin.motion.state import ANGLE, HEAVE
 from usv_kernel.jit import inlined, kernel
 
@@ -75,7 +75,8 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
             if c == HEAVE_CHANNEL
             else memory.before[7]
         )
-        var[0, c] = now
+        leak = leak_variance(c, attitude, memory)
+        var[0, c] = now + leak
         seconds = memory.moments[2, c]
         m = memory.moments[0, c]
         spread = max(memory.moments[1, c] - m * m, 0.0)
@@ -85,10 +86,10 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
             k = c * N_HORIZONS + h
             if ready:
                 mean[1 + h, c] = memory.means[k] + skill(memory, k) * work.targets[k]
-                var[1 + h, c] = _variance(memory, k)
+                var[1 + h, c] = _variance(memory, k) + leak
             else:
                 mean[1 + h, c] = m
-                var[1 + h, c] = spread + now
+                var[1 + h, c] = spread + now + leak
             if c <= PITCH:
                 mean[1 + h, c] += memory.heel[c] * ahead[1 + h, c]
 

@@ -9,10 +9,13 @@ from __future__ import annotations
 import math
 
 from twin.motion.forecast_state import (
+    CLIMB_LEAK,
+    DECK_SPEED,
     ERROR_PERIOD,
     ERRORS,
     FIT_SHARE,
     HEAVE_CHANNEL,
+    HEAVE_LEAK,
     HEEL,
     HEEL_MEMORY,
     HEEL_NOISE,
@@ -28,6 +31,7 @@ from twin.motion.forecast_state import (
     N_HORIZONS,
     N_QUIET,
     N_TERMS,
+    NO_FIX,
     PENALTY,
     PITCH,
     PLACES,
@@ -47,7 +51,7 @@ from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos
 
-__all__ = ["apply_fit", "error_now", "skill", "take_motion", "write_features"]
+__all__ = ["apply_fit", "error_now", "leak_variance", "skill", "take_motion", "write_features"]
 
 
 @inlined
@@ -323,7 +327,7 @@ def take_motion(t, velocity, attitude, memory, given, work):
     now = work.now
     _signals(attitude, given, velocity, memory, now)
     for c in range(N_CHANNELS):
-        memory.noise[c] = error_now(c, attitude, memory, given)
+        memory.noise[c] = error_now(c, attitude, given)
     base = given.base
     if attitude.rows <= 1.0 or not math.isfinite(memory.t_before):
         # a start or a gap: the past has no link to what comes
@@ -354,16 +358,27 @@ def take_motion(t, velocity, attitude, memory, given, work):
 
 
 @inlined
-def error_now(c, attitude, memory, given):
-    """Return the variance of the estimate of a channel."""
+def leak_variance(c, attitude, memory):
+    """Return the variance of what the vertical filter takes from the waves themselves.
+
+    It leaves out slow motion and shifts the rest in time, much more so without GNSS.
+    """
+    heave, climb = memory.moments[1, HEAVE_CHANNEL], memory.moments[1, DECK_SPEED]
+    alone = attitude.ages[6] > NO_FIX
+    if c == HEAVE_CHANNEL:
+        share = HEAVE_LEAK[1] if alone else HEAVE_LEAK[0]
+        return share * share * heave
+    return CLIMB_LEAK**2 * climb if c == DECK_SPEED and alone else 0.0
+
+
+@inlined
+def error_now(c, attitude, given):
+    """Return the variance of the drifting error of the estimate of a channel."""
     if c <= PITCH:
         return attitude.P[c, ANGLE, ANGLE]
     climb = attitude.P_vertical[CLIMB, CLIMB]
     if c == HEAVE_CHANNEL:
-        # what the high pass leaves out or adds, beside the filter's own variance
-        heave = memory.moments[1, HEAVE_CHANNEL]
-        leak = 0.4 if attitude.ages[6] > 2.0 else 0.05
-        return attitude.P_vertical[HEAVE, HEAVE] + leak * leak * heave
+        return attitude.P_vertical[HEAVE, HEAVE]
     a, b = given.deck[0], given.deck[1]
     rate = (a * a + b * b) * attitude.P[0, RATE_BIAS, RATE_BIAS]
     return climb + rate
