@@ -7,12 +7,13 @@ from twin.checkpoint import StateError
 from twin.digital_twin import Twin, TwinError, known_plan
 from twin.logs.columns import LogError
 from twin.logs.log import Log, recorded_runs
-from twin.particulars import Instruments, Particulars
+from twin.particulars import Deck, Instruments, Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor
 from twin.predictors.registry import PREDICTORS, make_predictor
 
 __all__ = [
     "PREDICTORS",
+    "Deck",
     "Estimate",
     "Instruments",
     "Log",

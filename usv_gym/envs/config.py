@@ -21,6 +21,9 @@ __all__ = ["EnvConfig"]
 FRAME_SKIP_MAX = 10_000
 """Most steps that an action is held for."""
 
+PENALTY_MAX = 1e3
+"""Largest weight of a reward's term."""
+
 DEGREES_MAX = 3600.0
 """Largest angle that may be given, degrees."""
 
@@ -49,6 +52,10 @@ class EnvConfig:
         texts, as in ``"none|gps10|gps30"``, each episode draws one.
     task : str
         One of :data:`usv_gym.envs.tasks.TASKS`.
+    motion_penalty : float, optional
+        Weight of the reward's term ``motion``, with ``dof=6``: minus the square of the roll over 10
+        degrees, and that of the vertical acceleration of the deck point over 2 m/s2. Left out, it
+        is that of the task: 0, but for ``"seakeeping"``.
     actions : str
         ``"common"`` or ``"units"``.
     frame_skip : int
@@ -69,6 +76,7 @@ class EnvConfig:
     suite: SensorSuite | str | None = None
     faults: str | Sequence[Disturbance] = "none"
     task: str = "path"
+    motion_penalty: float | None = None
     actions: str = "common"
     frame_skip: int = 1
     dof: int = 3
@@ -81,6 +89,8 @@ class EnvConfig:
         check_whole("frame_skip", self.frame_skip, 1, FRAME_SKIP_MAX)
         if self.wind_from_deg is not None:
             check_number("wind_from_deg", self.wind_from_deg, -DEGREES_MAX, DEGREES_MAX)
+        if self.motion_penalty is not None:
+            check_number("motion_penalty", self.motion_penalty, 0.0, PENALTY_MAX)
         substeps_of(self.dt, self.dt_physics)
 
     @classmethod

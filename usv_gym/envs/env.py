@@ -275,7 +275,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             "leg": int(progress[_LEG]),
             "is_success": progress[_SUCCESS] != 0.0,
             "capsized": progress[_CAPSIZED] != 0.0,
-            "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_TERMS_END], strict=True)),
+            "reward_terms": dict(zip(self.task.terms, progress[_TERMS:_TERMS_END], strict=False)),
         }
         if self.observer:
             for name, values in self.observer.infos().items():

@@ -20,6 +20,7 @@ from usv_gym.envs.tasks import (
     RULES,
     TASK,
     TO_GO,
+    TaskError,
     follow,
     make_task,
     score_step,
@@ -241,7 +242,8 @@ def _step(
         if first:
             episode.task.terms[:] = 0.0
             episode.task.reward = 0.0
-        score_step(boat.state, action, before, points[i], config.rules, episode.task)
+        path, rules = points[i], config.rules
+        score_step(boat.state, boat.mean_rate, action, before, path, rules, episode.task)
         observe(boat, episode, points[i], config, obs[i])
         for j in range(width):
             before[j] = action[j]
@@ -350,7 +352,13 @@ class Episodes:
         self._countdown = tuple(reversed(range(self.frame_skip)))
         n_manoeuvring, n_max = limits["shaft_speed_manoeuvring"], limits["shaft_speed_service"]
         self.speed = self.vessel.straight_speed(n_manoeuvring)
-        self.task = make_task(config.task, n, self.speed, limits["length_waterline"])
+        length, motion = limits["length_waterline"], config.motion_penalty
+        self.task = make_task(config.task, n, self.speed, length, motion)
+        if config.dof != 6 and self.task.rules["motion"] > 0.0:
+            raise TaskError(
+                f"task = {config.task!r} with motion_penalty = {motion}: a boat with dof=3 does "
+                "not roll; use dof=6"
+            )
         self.memory = np.zeros((n, record_size(EPISODE)))
         """State of each episode, as kernels take it."""
         self.records = structured(self.memory, EPISODE)

@@ -155,7 +155,7 @@ class Renderer:
             wind_from=math.atan2(-east, -north),
             hs=4.0 * gain * math.sqrt(0.5 * energy.sum()),
             wave_to=math.atan2(to_east, to_north),
-            rewards=dict(zip(task.terms, terms, strict=True)) if goal else {},
+            rewards=dict(zip(task.terms, terms, strict=False)) if goal else {},
             heeling=sim.dof == 6,
             overlay=self.overlay(i) if self.overlay else None,
         )

@@ -20,6 +20,7 @@ __all__ = [
     "FreeManoeuvre",
     "LawnMower",
     "PathFollowing",
+    "Seakeeping",
     "StationKeeping",
     "Task",
     "TaskError",
@@ -33,11 +34,25 @@ ERRORS = ("cross_track_m", "to_go_m", "course_error_rad", "next_turn_rad")
 CROSS_TRACK, TO_GO, COURSE_ERROR, NEXT_TURN = range(len(ERRORS))
 """Places of the errors."""
 
-N_TERMS = 4
+N_TERMS = 5
+
+MOTION = "motion"
+"""Name of the fifth part of a reward: minus what roll and vertical acceleration cost."""
+
+ROLL_UNIT, LIFT_UNIT, MOTION_MOST = math.radians(10.0), 2.0, 4.0
+"""Roll (rad) and vertical acceleration of the deck point (m/s2) that cost 1 each, by their squares,
+and the most that a step costs, before the weight."""
+
+DECK = 0.4
+"""The deck point, in lengths forward of the origin."""
 
 FAILURE = 500.0
 """What it costs to leave the area or to capsize: as much as some 12 s far from the path. So an
 agent that looks ahead for less than that never fails on purpose."""
+
+
+SEAKEEPING_TIME = 110.0
+"""Time to sail the path of the task ``seakeeping`` at the nominal speed, s."""
 
 
 class TaskError(UsvTwinError):
@@ -109,6 +124,9 @@ RULES = np.dtype(
         ("speed", float),  # m/s, nominal speed
         ("area", float),  # m, distance that ends the episode
         ("unit", float),  # m, distance off the path that counts as 1
+        ("loose", float),  # how much less a distance off the path costs
+        ("motion", float),  # weight of roll and vertical acceleration
+        ("deck", float),  # m, the deck point forward of the origin
     ]
 )
 """What is common to the tasks of all boats."""
@@ -117,6 +135,7 @@ RULES = np.dtype(
 @kernel
 def score_step(
     state: np.ndarray,
+    rate: np.ndarray,
     action: np.ndarray,
     before: np.ndarray,
     points: np.ndarray,
@@ -125,8 +144,9 @@ def score_step(
 ) -> None:
     """Write errors and end of one step of one boat, and add its reward terms, from the truth.
 
-    ``action`` and ``before`` (A,) are those of this step and the step before. All of the task's
-    record is written but ``known_leg``.
+    ``rate`` (16,) is the mean time derivative of ``state`` over the step. ``action`` and ``before``
+    (A,) are those of this step and the step before. All of the task's record is written but
+    ``known_leg``.
     """
     errors = task.errors
     leg = follow(
@@ -146,7 +166,7 @@ def score_step(
         along = state[fr.U] * math.cos(angle) + state[fr.V] * math.sin(angle)
         # too fast costs as much as too slow by the same amount
         first = 1.0 - abs(along / rules.speed - 1.0)
-        second = -min(abs(errors[CROSS_TRACK]) / rules.unit, 2.0)
+        second = -min(abs(errors[CROSS_TRACK]) / (rules.unit * rules.loose), 2.0)
         reached = leg + 2 == points.shape[0] and errors[TO_GO] < rules.reach
         far = abs(errors[CROSS_TRACK]) > rules.area
         over = reached or far
@@ -164,6 +184,14 @@ def score_step(
     task.terms[2] += third
     task.terms[3] += fourth
     task.reward += first + second + third + fourth
+    if rules.motion > 0.0:
+        # of the deck point, along the mast
+        lift = rate[fr.W] + state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
+        lift -= rules.deck * (rate[fr.Q] - state[fr.P] * state[fr.R])
+        rough = (state[fr.PHI] / ROLL_UNIT) ** 2 + (lift / LIFT_UNIT) ** 2
+        fifth = -rules.motion * min(rough, MOTION_MOST)
+        task.terms[4] += fifth
+        task.reward += fifth
     task.success = 1.0 if reached and not capsized else 0.0
     if over:
         task.terminated = 1.0
@@ -180,6 +208,8 @@ class Task:
         Nominal speed of the boat, m/s.
     length : float
         Length of the boat, m.
+    motion : float, optional
+        Weight of roll and vertical acceleration in the reward; that of the class if left out.
 
     Attributes
     ----------
@@ -195,20 +225,28 @@ class Task:
     """
 
     kind = NOTHING
-    terms: tuple[str, str, str, str] = ("progress", "cross_track", "effort", "failure")
-    """Names of the parts of the reward."""
+    terms: tuple[str, ...] = ("progress", "cross_track", "effort", "failure")
+    """Names of the parts of the reward; ``motion`` follows where it has a weight."""
+    motion = 0.0
+    """Weight of roll and vertical acceleration, unless another one is given."""
+    loose = 1.0
+    """How much less than usual a distance off the path costs."""
     legs = 1
     reach = 2.0
     """Distance at which a way point counts as reached, in lengths of the boat."""
     area = 5.0
     """Distance that ends the episode, in units."""
 
-    def __init__(self, n: int, speed: float, length: float) -> None:
+    def __init__(self, n: int, speed: float, length: float, motion: float | None = None) -> None:
         self.length, self.unit = length, max(10.0, 4.0 / 3.0 * length)
         self.rules = np.zeros(1, RULES)[0]
         self.rules["kind"], self.rules["speed"] = self.kind, speed
         self.rules["reach"], self.rules["area"] = self.reach * length, self.area * self.unit
-        self.rules["unit"] = self.unit
+        self.rules["unit"], self.rules["loose"] = self.unit, self.loose
+        self.rules["motion"] = self.motion if motion is None else motion
+        self.rules["deck"] = DECK * length
+        if self.rules["motion"] > 0.0:
+            self.terms = (*self.terms, MOTION)
         self.points = np.zeros((n, self.legs + 1, 2))
         self.records = np.zeros(n, TASK)
 
@@ -299,6 +337,26 @@ class LawnMower(PathFollowing):
         return _chain(courses, self.length * lengths)
 
 
+class Seakeeping(PathFollowing):
+    """Keep a mean course and speed for 110 s, and the boat quiet, with ``dof=6``.
+
+    The course is drawn within 60 degrees of the first heading. ``progress``, ``effort`` and
+    ``failure`` are those of a path, and ``cross_track`` is a third of it: there is room to choose
+    a better heading or speed for a while. ``motion`` is minus 0.5 times the square of the roll over
+    10 degrees, plus that of the vertical acceleration of the deck point over 2 m/s2, at most 4
+    together. The deck point lies 0.4 lengths forward.
+    """
+
+    legs = 1
+    motion = 0.5
+    loose = 3.0
+    area = 10.0
+
+    def _path(self, rng: np.random.Generator) -> np.ndarray:
+        course = np.radians(rng.uniform(-60.0, 60.0, 1))
+        return _chain(course, np.array([SEAKEEPING_TIME * self.rules["speed"]]))
+
+
 class StationKeeping(Task):
     """Go to a point 4 to 8 lengths away, ahead or to one side, and stay there.
 
@@ -330,14 +388,17 @@ TASKS: dict[str, type[Task]] = {
     "lawnmower": LawnMower,
     "waypoints": WayPoints,
     "station": StationKeeping,
+    "seakeeping": Seakeeping,
     "free": FreeManoeuvre,
 }
 """Name to task."""
 
 
-def make_task(name: str, n: int, speed: float, length: float) -> Task:
-    """Return the task of that name for n boats; TaskError lists the names that there are."""
-    try:
-        return TASKS[name](n, speed, length)
-    except (KeyError, TypeError):
-        raise TaskError(f"no task is called {name!r}; known: {', '.join(TASKS)}") from None
+def make_task(name: str, n: int, speed: float, length: float, motion: float | None = None) -> Task:
+    """Return the task of that name for n boats; TaskError lists the names that there are.
+
+    ``motion`` is the weight of roll and vertical acceleration, that of the task if left out.
+    """
+    if not isinstance(name, str) or name not in TASKS:
+        raise TaskError(f"no task is called {name!r}; known: {', '.join(TASKS)}")
+    return TASKS[name](n, speed, length, motion)

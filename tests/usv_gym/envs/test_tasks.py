@@ -19,6 +19,7 @@ from twin.sim.wrapper import OBSERVATIONS, TwinObservation, make_env, make_vecto
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
+from usv_gym.physics import frames as fr
 from usv_kernel.errors import ArgumentError
 
 RATED = ("path", "curves", "lawnmower", "waypoints")
@@ -228,9 +229,9 @@ def test_a_sea_that_was_drawn_is_that_sea():
 # ------------------------------------------------- observation sets
 
 
-def dof_of(observation):
-    """Return the degrees of freedom that an observation set needs."""
-    return 6 if observation == "twin_attitude" else 3
+def dof_of(observation="raw", task="path"):
+    """Return the degrees of freedom that an observation set or a task needs."""
+    return 6 if observation == "twin_attitude" or task == "seakeeping" else 3
 
 
 @pytest.mark.filterwarnings("ignore:.*render.*")
@@ -243,7 +244,7 @@ def test_both_checkers_accept_every_task_and_observation_set(task, observation):
         twin="ukf",
         frame_skip=5,
         faults="gps10",
-        dof=dof_of(observation),
+        dof=dof_of(observation, task),
     )
     assert len(env.observation_names) == env.observation_space.shape[0]
     assert len(set(env.observation_names)) == len(env.observation_names)
@@ -409,3 +410,49 @@ def test_a_million_random_steps_in_a_storm_with_every_fault_are_numbers():
         obs, reward, *_ = envs.step(rng.uniform(-1.0, 1.0, (100, 2)))
         assert np.isfinite(obs).all() and np.isfinite(reward).all()
         assert (np.abs(obs) <= 10.0).all()
+
+
+# ------------------------------------------------- motion of the boat
+
+
+def test_motion_costs_by_roll_and_by_the_acceleration_of_the_deck():
+    env = make_env(twin=None, dof=6, sea="3", motion_penalty=0.25)
+    env.reset(seed=1)
+    deck, before = 0.4 * env.vessel.values["length_waterline"], None
+    for _ in range(100):
+        *_, info = env.step(np.array([0.6, 0.3]))
+        state, rate = env.simulation.state[0], env.simulation.boats["mean_rate"][0]
+        assert list(info["reward_terms"])[-1] == "motion"
+        # the deck point's own acceleration along the mast, by its velocity
+        w = state[fr.W] - deck * state[fr.Q]
+        if before is not None:
+            turning = state[fr.V] * state[fr.P] - state[fr.U] * state[fr.Q]
+            turning += deck * state[fr.P] * state[fr.R]
+            lift = (w - before) / 0.05 + turning
+            rough = (state[fr.PHI] / math.radians(10.0)) ** 2 + (lift / 2.0) ** 2
+            assert info["reward_terms"]["motion"] == pytest.approx(
+                -0.25 * min(rough, 4.0), rel=1e-6, abs=1e-9
+            )
+            assert rate[fr.W] - deck * rate[fr.Q] == pytest.approx((w - before) / 0.05)
+        before = w
+    plain = make_env(twin=None, dof=6, sea="3")
+    plain.reset(seed=1)
+    assert "motion" not in plain.step(np.array([0.6, 0.3]))[-1]["reward_terms"]
+
+
+def test_seakeeping_wants_a_boat_that_rolls_and_leaves_room_beside_the_course():
+    with pytest.raises(TaskError, match="use dof=6"):
+        make_env(twin=None, task="seakeeping")
+    with pytest.raises(TaskError, match=r"motion_penalty = 0\.5.*use dof=6"):
+        make_env(twin=None, motion_penalty=0.5)
+    env = make_env(twin=None, task="seakeeping", dof=6, sea="0")
+    for seed in range(3):
+        env.reset(seed=seed)
+        start, end = env.task.points[0]
+        assert np.hypot(*(end - start)) == pytest.approx(110.0 * env.speed)
+        assert abs(math.atan2(end[1], end[0])) <= math.radians(60.0)
+    # in a third of the unit to the side, a boat pays a third of what it does on a path
+    env.step(env.episodes.nominal_action)
+    env.simulation.state[0, [fr.X, fr.Y]] = 10.0 * np.array([-end[1], end[0]]) / np.hypot(*end)
+    terms = env.step(env.episodes.nominal_action)[-1]["reward_terms"]
+    assert terms["cross_track"] == pytest.approx(-1.0 / 3.0, abs=0.02)

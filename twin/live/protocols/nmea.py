@@ -45,6 +45,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import date, datetime, timezone
@@ -76,6 +77,9 @@ HORIZONS = (2.0, 4.0, 6.0, 8.0, 10.0)
 MOTION_HORIZONS = (0.5, 1.0, 2.0, 3.0, 5.0)
 """Those of roll, pitch and heave."""
 
+SAID = 64
+"""So many of our own sentences without a talker are known again."""
+
 LENGTH_MAX = 1024
 """Longest line that counts as a sentence, characters."""
 
@@ -102,6 +106,8 @@ class NmeaFeed(Feed):
         self._writer = NmeaWriter(OWN)
         self._rest = ""
         self._seconds: dict[str, float] = {}
+        # a PASHR has no talker: what we said is known by its words
+        self._said: deque[str] = deque(maxlen=SAID)
         self._epoch = math.nan, math.nan
         self._date: tuple[date, float] | None = None
         super().__init__(*args, **options)
@@ -133,11 +139,9 @@ class NmeaFeed(Feed):
         ]
         if estimate.motion is not None:
             now = estimate.motion
-            lines.append(
-                write.attitude(
-                    stamp, float(estimate.state[2]), (now.roll, now.pitch), now.heave, now.sd[:2]
-                )
-            )
+            heading, tilt = float(estimate.state[2]), (now.roll, now.pitch)
+            lines.append(write.attitude(stamp, heading, tilt, now.heave, now.sd[:2]))
+            self._said.append(lines[-1].strip())
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
             horizons = [0.0, *(h for h in HORIZONS if h <= end)]
@@ -193,6 +197,8 @@ class NmeaFeed(Feed):
                 return "broken"
             sentence = self._parser.parse(line, check=True)
             if isinstance(sentence, self._parser.ProprietarySentence):
+                if line in self._said:
+                    return "own"
                 if line.startswith("$PASHR,"):
                     return _ashr(line[1:].partition("*")[0].split(","))
                 return "own" if line.startswith("$PUTW") else "unknown"
