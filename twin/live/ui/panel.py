@@ -20,8 +20,8 @@ from twin.live.sessions.feed import FeedSession
 from twin.live.sessions.log import LogSession
 from twin.live.sessions.session import Session, Snapshot
 from twin.live.sessions.simulated import SimulatedSession
-from twin.live.sessions.tracker import History
-from twin.live.ui.scene import BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
+from twin.live.ui.scene import BLUE, GREEN, PALE, PURPLE, RED
+from twin.motion import QUIET_SPANS, MotionForecast
 from usv_gym.envs.scene import SDS
 from usv_gym.physics import frames as fr
 from usv_gym.physics import waves as wv
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Controls",
-    "Curves",
     "controls_of",
 ]
 
@@ -50,17 +49,11 @@ THROTTLE_STEP, HELM_STEP = 0.1, 2.0
 LOSS = 10.0
 """A short loss of GPS, s."""
 
-HEIGHT, LOW = 150, 126
-"""Heights of a curve, and of one under a selection, pixels: three of a kind fit into 720."""
-
-SHOWN = 300.0
-"""Of a run that goes on for ever, the curves show the last s."""
-
 ALARM = re.compile("LOST|DOUBTFUL|EXCLUDED")
 """What stands out among the words of the instruments."""
 
-LEFT, RIGHT = 290, 350
-"""Widths of controls and curves, pixels."""
+LEFT = 290
+"""Width of the controls, pixels."""
 
 
 class Controls(ABC):
@@ -336,6 +329,8 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
         lines["turn rate (twin)"] = f"{math.degrees(r):+.1f} deg/s"
         sd = math.sqrt(max(float(np.linalg.eigvalsh(overlay.covs[-1])[-1]), 0.0))
         lines[f"interval at {overlay.horizons[-1]:.0f} s"] = f"+/- {SDS * sd:.1f} m"
+    if now.prediction is not None and now.prediction.motion is not None:
+        lines |= deck_lines(now.prediction.motion)
     if now.silence > 0.0:
         lines = {"feed": f"LOST, nothing heard for {now.silence:.0f} s", **lines}
     if isinstance(session, SimulatedSession):
@@ -371,6 +366,17 @@ def said(now: Snapshot, session: Session) -> dict[str, str]:
     for k, note in enumerate(now.notes):
         lines["messages" if k == 0 else " " * k] = note
     return lines | outcome(session)
+
+
+def deck_lines(motion: MotionForecast) -> dict[str, str]:
+    """Return how the deck moves by the twin, and how likely it stays quiet."""
+    roll, pitch, heave = motion.mean[0, :3]
+    spans = ", ".join(f"{span:g}" for span in QUIET_SPANS)
+    return {
+        "roll, pitch (twin)": f"{math.degrees(roll):+.1f}, {math.degrees(pitch):+.1f} deg",
+        "heave (twin)": f"{heave:+.2f} m down",
+        f"quiet for {spans} s": ", ".join(f"{100.0 * p:.0f}" for p in motion.quiet) + " %",
+    }
 
 
 def outcome(session: Session) -> dict[str, str]:
@@ -459,123 +465,3 @@ def key(path: bool) -> str:
         for colour, name in entries
     )
     return f"<div style='font-size:11px;line-height:1.35;margin:0 6px 4px'>{items}</div>"
-
-
-class Curves:
-    """The panel on the right: how well the twin does, and what it makes of the boat."""
-
-    def __init__(self, server: viser.ViserServer, session: Session) -> None:
-        self.gui, self.session = server.gui, session
-        self.panel = server.gui.add_panel()
-        with self.panel.add_tab("Prediction"):
-            self.error = self._curve(
-                "error after 10 s (m)",
-                ("twin", RED, ()),
-                ("velocity and turn rate held", GREY, (6.0, 4.0)),
-            )
-            self.window = self._curve("window of the identifier (s)", ("window", BLUE, ()))
-            self.nis = self._curve(
-                "normalised innovations squared (1)",
-                ("GPS place", PURPLE, ()),
-                ("GPS velocity", ORANGE, (6.0, 4.0)),
-                ("ideal", GREY, (2.0, 3.0)),
-            )
-        self.blocks = session.monitor.twin.predictor.parameter_blocks
-        names = session.monitor.twin.predictor.parameter_names
-        units = session.monitor.twin.predictor.parameter_units
-        self.parameters: list[tuple[Any, Any]] = []
-        with self.panel.add_tab("Parameters"):
-            if not self.blocks:
-                self.gui.add_markdown("This predictor has no model, and identifies no parameters.")
-            for block, (first, last) in self.blocks.items():
-                choice = self.gui.add_dropdown(block, names[first:last])
-                curve = self._curve(
-                    f"{names[first]} ({units[first]})",
-                    ("estimate", RED, ()),
-                    (f"- {SDS:g} sd", RED, (3.0, 3.0)),
-                    (f"+ {SDS:g} sd", RED, (3.0, 3.0)),
-                    under_choice=True,
-                )
-                self.parameters.append((choice, curve))
-        with self.panel.add_tab("Help"):
-            self.gui.add_html(small(*HELP))
-        self.names, self.units = names, units
-        self.panel.dock_right()
-        self.panel.set_width(RIGHT)
-
-    def remove(self) -> None:
-        """Take the panel away, for that of another twin."""
-        self.panel.remove()
-
-    def show(self) -> None:
-        """Draw the curves up to now."""
-        seen = self.session.history()
-        if not isinstance(self.session, LogSession):
-            seen = seen.since(SHOWN)
-        if len(seen.t) < 2:  # nothing yet, or back at the begin of a log
-            nothing = np.full(2, math.nan)
-            none = np.full((2, len(self.names)), math.nan)
-            five = (nothing, nothing, nothing, nothing, nothing)
-            seen = History(np.arange(2.0), *five, none, none)
-        self._draw(self.error, seen.t, seen.error, seen.error_hold)
-        self.window.visible = bool(np.isfinite(seen.window[-1]))
-        self._draw(self.window, seen.t, seen.window)
-        ideal = np.where(np.isfinite(seen.nis_place), 1.0, math.nan)
-        self._draw(self.nis, seen.t, seen.nis_place, seen.nis_velocity, ideal)
-        for choice, curve in self.parameters:
-            column = self.names.index(choice.value)
-            title = f"{choice.value} ({self.units[column]})"
-            if curve.title != title:
-                curve.title = title
-                curve.axes = axes(title)
-            self._draw(curve, seen.t, *interval(seen, column))
-
-    def _curve(
-        self, title: str, *series: tuple[str, Any, tuple[float, ...]], under_choice: bool = False
-    ) -> Any:
-        lines: list[dict[str, Any]] = [{"label": "time (s)"}]
-        lines += [
-            {"label": label, "stroke": f"rgb{colour}", "width": 2, "dash": dash, "spanGaps": False}
-            for label, colour, dash in series
-        ]
-        nothing = np.array([0.0, 1.0])
-        return self.gui.add_uplot(
-            (nothing, *(np.zeros(2) for _ in series)),
-            tuple(lines),
-            title=title,
-            scales={"x": {"time": False, "auto": True}, "y": {"auto": True}},
-            axes=axes(title),
-            legend={"show": len(series) > 1 and not under_choice, "live": False},
-            height=LOW if under_choice else HEIGHT,
-            padding=(8, 22, 0, 0),
-        )
-
-    @staticmethod
-    def _draw(handle: Any, t: Array, *values: Array) -> None:
-        """Draw what is known; of nothing, an empty plot."""
-        rows = np.isfinite(np.stack(values)).any(axis=0)
-        # the browser cannot draw NaN: gaps of a curve are interpolated
-        handle.data = (t[rows], *(padded(value[rows]) for value in values))
-
-
-def padded(values: Array) -> Array:
-    """Return a curve with its gaps drawn through; one of nothing stays at 1, which is ideal."""
-    known = np.isfinite(values)
-    if not known.any():
-        return np.ones(len(values))
-    return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
-
-
-def axes(title: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the axes of a curve over time."""
-    unit = title[title.rindex("(") + 1 : title.rindex(")")]
-    return (
-        {"label": "time (s)", "labelSize": 18, "size": 30},
-        {"label": unit, "labelSize": 18, "size": 48},
-    )
-
-
-def interval(seen: History, column: int) -> tuple[Array, Array, Array]:
-    """Return a parameter and the ends of its interval, each (n,)."""
-    middle, off = seen.params[:, column], SDS * seen.params_sd[:, column]
-    return middle, middle - off, middle + off

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.live.sessions.session import Snapshot
+from twin.motion import MotionForecast
 from usv_gym.envs.scene import SDS, TwinOverlay, ellipses
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.geometry import Boat
@@ -181,7 +182,8 @@ class SceneView:
         self.lost.visible = bool(losses) and math.isfinite(now.gps_age)
         self.lost.text = ", ".join(losses)
         self.lost.position = (*place.tolist(), -1.0 * self.length)
-        self._show_overlay(now.overlay, height)
+        motion = None if now.prediction is None else now.prediction.motion
+        self._show_overlay(now.overlay, motion, height)
         self._draw(self.track, now.track, height)
         self._draw(self.ahead, now.ahead, height, 0.075)
         self._draw(self.path, nearest(now.path, place), height)
@@ -236,16 +238,25 @@ class SceneView:
             else:
                 handle.wxyz = attitude(self.spin[part.unit], 0.0, 0.0)
 
-    def _show_overlay(self, overlay: TwinOverlay | None, height: Callable[[Array], Array]) -> None:
+    def _show_overlay(
+        self,
+        overlay: TwinOverlay | None,
+        motion: MotionForecast | None,
+        height: Callable[[Array], Array],
+    ) -> None:
         for handle in (self.ghost, self.ribbon, self.forecast, self.end):
             handle.visible = overlay is not None
         if overlay is None:
             return
         x, y, psi = overlay.state[:3]
-        # twins have no heave: the boat is drawn at the local water level
-        lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
-        self.ghost.position = (float(x), float(y), -lift)
-        self.ghost.wxyz = attitude(0.0, 0.0, float(psi))
+        if motion is None:
+            # a twin without heave is drawn at the local water level
+            lift = float(height(np.array([[x, y]]))[0]) if self.hull.visible else 0.0
+            roll, pitch, heave = 0.0, 0.0, -lift
+        else:
+            roll, pitch, heave = motion.mean[0, :3].tolist()
+        self.ghost.position = (float(x), float(y), heave)
+        self.ghost.wxyz = attitude(roll, pitch, float(psi))
         places, covs = overlay.interpolate(STEPS)[1:]
         left, right = borders(places, covs).transpose(1, 0, 2)[:, :, None]
         net = left + np.linspace(0.0, 1.0, ACROSS + 1)[:, None] * (right - left)

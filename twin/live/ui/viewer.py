@@ -9,7 +9,8 @@ from typing import Any
 
 from twin.live.sessions.session import Session, Snapshot
 from twin.live.ui.access import Access, check_host
-from twin.live.ui.panel import Curves, controls_of
+from twin.live.ui.curves import Curves
+from twin.live.ui.panel import controls_of
 from twin.live.ui.scene import SceneView
 from twin.live.ui.server import start_server
 from usv_gym.vessel.geometry import Boat, Form, boat_of
