@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from twin.benchmark.figures import (
     TRENDS,
     RunFigure,
+    deck_figure,
     error_figure,
     parameter_figure,
     prediction_figure,
@@ -30,8 +31,10 @@ from twin.benchmark.figures.data import (
     run_label,
     text_of,
 )
+from twin.benchmark.figures.deck import SHOWN_AHEAD
 from twin.benchmark.figures.style import Styles
 from twin.benchmark.svg import FONTS, sheet_of, standalone, svg_of
+from twin.predictors.registry import DEFAULT
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
@@ -424,6 +427,15 @@ def _run(run: RunFigure, results: Row, pictures: _Pictures, styles: Styles) -> d
         )
         fig = prediction_figure(run, start, styles, reference)
         shown.append(pictures.add(fig, f"{stem}_prediction{k}", caption))
+    decked = [name for name, figure in run.predictors.items() if figure.deck is not None]
+    if decked:
+        name = DEFAULT if DEFAULT in decked else decked[0]
+        if (deck := deck_figure(run, name)) is not None:
+            caption = (
+                f"Roll, pitch, heave and the vertical speed of the deck point, and what the twin "
+                f"with {name} forecast {SHOWN_AHEAD:g} s before."
+            )
+            shown.append(pictures.add(deck, f"{stem}_deck", caption))
     begin: float | None = number_of(results.get("settings") or {}, "identify_s")
     if not reference.is_truth and starts:
         begin = starts[0]  # recorded runs are shorter or longer than simulated ones

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark.figures.data import PredictorFigure, RunFigure
+from twin.benchmark.figures.deck import SHOWN_AHEAD
 from twin.benchmark.metrics import (
     channel_table,
     compare,
@@ -73,6 +74,9 @@ Array = NDArray[np.float64]
 
 AGAINST = "ukf"
 """Default reference of the paired comparison."""
+
+DRAWN_EVERY = 5
+"""Of so many rows one has its forecast of the deck drawn."""
 
 AGAINST_RECORDED = "var"
 """The reference on recorded runs, where it takes part."""
@@ -162,6 +166,8 @@ def run_unit(
     starts: list[float] = []
     skipped = 0
     examples: list[Prediction] = []
+    ahead: list[tuple[float, Array, Array]] = []
+    prediction: Prediction | None = None
     history: list[_Parameters] = []
     example_at = (identify, identify + settings.fault_after_s + 5.0)
     for row, (t, z, cmd) in enumerate(seen):
@@ -171,6 +177,13 @@ def run_unit(
             next_second += 1.0
             estimate = twin.estimate()
             history.append(_Parameters(t, estimate.params.tolist(), estimate.params_sd.tolist()))
+        if pictures and motion_truth and prediction and row % DRAWN_EVERY == 0:
+            drawn = twin.motion.forecast(
+                prediction.t - prediction.t0, prediction.mean, prediction.start
+            )
+            if drawn is not None:
+                mean, sd = drawn.at([SHOWN_AHEAD])
+                ahead.append((t + SHOWN_AHEAD, mean[0], sd[0]))
         if t < next_origin - 1e-9 or t > end + 1e-9:
             continue
         while next_origin <= t + 1e-9:
@@ -218,6 +231,12 @@ def run_unit(
         }
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
+        if motion_truth is not None and ahead:
+            times, means, sds = map(np.array, zip(*ahead, strict=True))
+            result["deck"] = {
+                **{"t": times.tolist(), "mean": means.tolist(), "sd": sds.tolist()},
+                "truth": motion_truth.at(times).tolist(),
+            }
         result["history"] = {
             **{name: [getattr(row, name) for row in history] for name in _Parameters._fields},
             "names": twin.predictor.parameter_names,
@@ -226,6 +245,12 @@ def run_unit(
         }
     keep(result_file(folder, unit), [digest(settings, unit), pictures], result)
     return result
+
+
+def _deck_of(result: dict[str, Any]) -> DeckHistory | None:
+    """Return the forecasts of the deck's motion that a result kept for a picture."""
+    kept = result.get("deck")
+    return None if kept is None else DeckHistory(**{k: np.array(v) for k, v in kept.items()})
 
 
 def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
@@ -516,6 +541,7 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
             t=np.array(history["t"]),
             params=np.array(history["params"]),
             params_sd=np.array(history["params_sd"]),
+            deck=_deck_of(result),
             names=tuple(history["names"]),
             units=tuple(history["units"]),
             blocks={motion: (first, last) for motion, (first, last) in history["blocks"].items()},

@@ -4,7 +4,8 @@ Nothing here computes a result. matplotlib is imported when the first picture is
 through pyplot: neither an import nor a picture changes anything for the caller.
 """
 
-from twin.benchmark.figures.data import PredictorFigure, RunFigure
+from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
+from twin.benchmark.figures.deck import deck_figure
 from twin.benchmark.figures.errors import error_figure
 from twin.benchmark.figures.history import parameter_figure, prediction_figure
 from twin.benchmark.figures.style import predictor_styles
@@ -13,8 +14,10 @@ from twin.benchmark.figures.trends import TRENDS, trend_figure
 
 __all__ = [
     "TRENDS",
+    "DeckHistory",
     "PredictorFigure",
     "RunFigure",
+    "deck_figure",
     "error_figure",
     "parameter_figure",
     "picture_of_log",

@@ -16,6 +16,7 @@ from twin.predictors.base import Prediction
 from usv_kernel.channels import COMPASS, GPS_VX, GPS_VY, GYRO
 
 __all__ = [
+    "DeckHistory",
     "PredictorFigure",
     "Reference",
     "RunFigure",
@@ -32,6 +33,16 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class DeckHistory:
+    """Forecasts of roll, pitch, heave and deck speed for each moment, and the truth."""
+
+    t: Array  # (K,): times that were forecast, s
+    mean: Array  # (K, 4): rad, rad, m, m/s
+    sd: Array
+    truth: Array
+
+
+@dataclass(frozen=True)
 class PredictorFigure:
     """What the pictures show of one predictor on one run."""
 
@@ -45,6 +56,7 @@ class PredictorFigure:
     units: tuple[str, ...] = ()
     # first and last + 1 parameter of the equation of each motion
     blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
+    deck: DeckHistory | None = None  # with six degrees of freedom
 
 
 @dataclass(frozen=True)
