@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.benchmark.figures.data import PredictorFigure, RunFigure
+from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
 from twin.benchmark.figures.deck import SHOWN_AHEAD
 from twin.benchmark.metrics import (
     channel_table,
@@ -249,8 +249,8 @@ def run_unit(
 
 def _deck_of(result: dict[str, Any]) -> DeckHistory | None:
     """Return the forecasts of the deck's motion that a result kept for a picture."""
-    kept = result.get("deck")
-    return None if kept is None else DeckHistory(**{k: np.array(v) for k, v in kept.items()})
+    deck = result.get("deck")
+    return None if deck is None else DeckHistory(**{k: np.array(v) for k, v in deck.items()})
 
 
 def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
