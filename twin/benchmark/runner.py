@@ -177,7 +177,8 @@ def run_unit(
             next_second += 1.0
             estimate = twin.estimate()
             history.append(_Parameters(t, estimate.params.tolist(), estimate.params_sd.tolist()))
-        if pictures and motion_truth and prediction and row % DRAWN_EVERY == 0:
+        drawable = motion_truth and prediction and t + SHOWN_AHEAD <= seen.t[-1]
+        if pictures and drawable and prediction and row % DRAWN_EVERY == 0:
             drawn = twin.motion.forecast(
                 prediction.t - prediction.t0, prediction.mean, prediction.start
             )

@@ -213,6 +213,8 @@ def _print_inspection(found: Inspection) -> None:
         roots = f"{found.course['first_real']:.3g}, {found.course['second_real']:.3g} 1/s"
         stable = "stable" if found.course["first_real"] < 0.0 else "unstable"
         facts.add_row("straight course at service speed", f"{stable} ({roots})")
+    for sea, trial in found.seaway.items():
+        facts.add_row(f"sea {sea}: largest tilt deg", f"{trial['largest_tilt_deg']:.4g}")
     console.print(facts)
     heads = ("shaft rev/s", "speed m/s", "kn", "Froude", "thrust N")
     speeds = new_table("straight ahead in calm water", *heads, padding=(0, 1))

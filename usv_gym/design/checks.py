@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from usv_gym.design import regressions as reg
+from usv_gym.design.seaway import sail_in_sea
 from usv_gym.physics import GRAVITY, KNOT, ship
 from usv_gym.physics import frames as fr
 from usv_gym.physics.hull import hull_forces
@@ -19,6 +20,7 @@ from usv_gym.vessel.geometry import hull_of
 from usv_gym.vessel.hydrostatics import Hydrostatics
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel, VesselError, course_eigenvalues, jacobian, state_at
+from usv_gym.world.sea import SeaState
 
 __all__ = [
     "Finding",
@@ -35,6 +37,12 @@ RK4_LIMIT = 2.5
 
 CAPSIZED = math.radians(70.0)
 """Heel at which a hull counts as capsized, rad."""
+
+SEAS = ("2", "3", "4")
+"""Seas in which a vessel is tried."""
+
+HIGHEST = 0.5
+"""Highest waves in which it is tried, in lengths: no boat stands much more."""
 
 LEVEL = 0.5
 """Trim up to which a mesh counts as level, degrees."""
@@ -67,6 +75,8 @@ class Inspection:
     course: dict[str, float] = field(default_factory=dict)
     # turning circle at the manoeuvring shaft speed and full helm
     turn: dict[str, float] = field(default_factory=dict)
+    # by sea state: largest angle of the mast from upright, headings on which it capsizes
+    seaway: dict[str, dict[str, float]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)  # errors first
 
     @property
@@ -256,6 +266,7 @@ def inspect(vessel: Vessel) -> Inspection:
         _motion_rules,
         _speed_rules,
         _steering_rules,
+        _seaway_rules,
     ):
         found.findings += rule(vessel, found)
     found.findings.sort(key=lambda finding: not finding.error)
@@ -446,6 +457,31 @@ def _runaway_rules(vessel: Vessel, found: Inspection) -> Findings:
     except VesselError as error:
         if found.speeds:  # else it is the error of the speeds
             yield Finding(True, str(error))
+
+
+def _seaway_rules(vessel: Vessel, found: Inspection) -> Findings:
+    if found.errors:
+        return
+    for name in SEAS:
+        sea = SeaState.named(name)
+        if sea.hs > HIGHEST * vessel.values["length_waterline"]:
+            return
+        try:
+            trial = sail_in_sea(vessel, sea)
+        except VesselError:
+            return  # the error of the motion says it
+        found.seaway[name] = {
+            "largest_tilt_deg": math.degrees(trial.tilt),
+            "capsized": float(len(trial.capsized)),
+        }
+        if trial.capsized:
+            headings = ", ".join(f"{angle:g}" for angle in trial.capsized)
+            yield Finding(
+                False,
+                f"In sea state {name} it capsizes within a minute, with the waves at {headings} "
+                "degrees to its heading (0: from astern).",
+            )
+            return
 
 
 def _steering_rules(vessel: Vessel, found: Inspection) -> Findings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from usv_gym.design.seaway import warning_of
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.tasks import (
     COURSE_ERROR,
@@ -63,6 +65,7 @@ __all__ = [
     "EPISODES",
     "MOTION_OBSERVATION",
     "OBSERVATION",
+    "CapsizeWarning",
     "Episodes",
     "Observer",
 ]
@@ -130,6 +133,10 @@ EPISODES = np.dtype(
 """What all episodes share, and never changes."""
 
 _ALL = slice(None)
+
+
+class CapsizeWarning(UserWarning):
+    """The vessel will capsize in this sea, as far as a minute of it shows."""
 
 
 @kernel
@@ -347,6 +354,10 @@ class Episodes:
             dt=config.dt,
             dt_physics=config.dt_physics,
         )
+        if config.dof == 6:
+            for sea in self.seas:
+                if (found := warning_of(self.vessel, sea)) is not None:
+                    warnings.warn(found, CapsizeWarning, stacklevel=2)
         limits = self.vessel.values
         self.n, self.frame_skip = n, int(config.frame_skip)
         self._countdown = tuple(reversed(range(self.frame_skip)))
