@@ -11,6 +11,7 @@ import pytest
 
 from twin.benchmark import runner as bench
 from twin.benchmark import scores
+from twin.benchmark.figures import deck_figure
 from twin.benchmark.metrics import METRICS, summarise
 from twin.benchmark.protocol import (
     FULL,
@@ -499,3 +500,36 @@ def test_an_error_is_reported_and_the_rest_is_scored(tmp_path, monkeypatch):
     assert "broken.csv" in text["broken", "persistence"]
     scored = {unit.scenario for unit, result in found.items() if isinstance(result, dict)}
     assert scored == {"zigzag", "boat1_usv_circle"}
+
+
+def test_a_rolling_boat_is_scored_in_roll_pitch_and_heave(tmp_path):
+    settings = Settings(
+        scenarios=("heading135",),
+        faults=("none",),
+        seeds=(0,),
+        predictors=("ukf",),
+        plans=("known",),
+        duration_s=100.0,
+        dof=6,
+        spreading=4.0,
+    )
+    assert settings.sea().components == 1000
+    done = dict(bench.runs(settings, tmp_path))
+    results = bench.collect(settings, done, "test")
+    rows = {(row["channel"], row["horizon_s"]): row for row in results["motion"]}
+    assert {channel for channel, _ in rows} == {"roll", "pitch", "heave", "deck_speed"}
+    assert [h for channel, h in rows if channel == "roll"] == [0.5, 1.0, 2.0, 3.0, 5.0, 10.0]
+    assert rows["roll", 0.5]["skill"] < 0.5 < rows["roll", 0.5]["held"]
+    assert all(row["rmse"] == pytest.approx(row["skill"] * row["sd"]) for row in rows.values())
+    assert [row["span_s"] for row in results["quiet"]] == [2.0, 3.0, 5.0]
+    (figure,) = bench.run_figures(settings, done)
+    deck = figure.predictors["ukf"].deck
+    assert deck.t[-1] <= 100.0
+    assert np.corrcoef(deck.mean[:, 0], deck.truth[:, 0])[0, 1] > 0.5
+    assert deck_figure(figure, "ukf") is not None
+
+
+def test_a_boat_that_does_not_roll_has_no_such_scores(small):
+    results = small[1]
+    assert results["motion"] == []
+    assert results["quiet"] == []
