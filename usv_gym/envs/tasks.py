@@ -230,7 +230,7 @@ class Task:
     motion = 0.0
     """Weight of roll and vertical acceleration, unless another one is given."""
     loose = 1.0
-    """How much less than usual a distance off the path costs."""
+    """How much less a distance off the path costs."""
     legs = 1
     reach = 2.0
     """Distance at which a way point counts as reached, in lengths of the boat."""
@@ -341,7 +341,7 @@ class Seakeeping(PathFollowing):
     """Keep a mean course and speed for 110 s, and the boat quiet, with ``dof=6``.
 
     The course is drawn within 60 degrees of the first heading. ``progress``, ``effort`` and
-    ``failure`` are those of a path, and ``cross_track`` is a third of it: there is room to choose
+    ``failure`` are those of a path, and ``cross_track`` is a third of it: the boat may choose
     a better heading or speed for a while. ``motion`` is minus 0.5 times the square of the roll over
     10 degrees, plus that of the vertical acceleration of the deck point over 2 m/s2, at most 4
     together. The deck point lies 0.4 lengths forward.
