@@ -440,7 +440,7 @@ def test_motion_costs_by_roll_and_by_the_acceleration_of_the_deck():
     assert "motion" not in plain.step(np.array([0.6, 0.3]))[-1]["reward_terms"]
 
 
-def test_seakeeping_wants_a_boat_that_rolls_and_is_lenient_beside_the_course():
+def test_seakeeping_wants_a_boat_that_rolls_and_is_lenient_off_the_course():
     with pytest.raises(TaskError, match="use dof=6"):
         make_env(twin=None, task="seakeeping")
     with pytest.raises(TaskError, match=r"motion_penalty = 0\.5.*use dof=6"):
