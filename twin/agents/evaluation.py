@@ -57,8 +57,10 @@ def make_envs(
     """Make n boats for an agent, as ``gym.make_vec("USVTwin-v0", ...)`` with its options ``env``.
 
     An action is held for ``frame_skip`` steps of 0.05 s; an episode has ``max_episode_steps`` such
-    decisions. ``twin`` counts where the observation has one.
+    decisions. ``twin`` counts where the observation has one. The task ``seakeeping`` has ``dof=6``.
     """
+    if env.get("task") == "seakeeping":
+        env = {"dof": 6, **env}
     envs: Any = gym.make_vec(
         "USVTwin-v0",
         num_envs=n,
