@@ -119,6 +119,7 @@ def propose(path: str | Path, order: str = "") -> Proposal:
         _components(columns, found, t, fix)
     heading = _heading(columns, found, t, fix)
     _gyro(columns, found, t, heading)
+    _motion(columns, found)
     _plain(columns, found)
     _commands(columns, found)
     _pulses(columns, found)
@@ -447,6 +448,31 @@ def _gyro(
         found.questions.append(f"{name}: does not turn as the heading does; is it the yaw rate?")
     given = "" if unit in ("", "radps") else unit
     _add(found, "columns", _entry("gyro_radps", columns.take(name), given, more, why))
+
+
+def _motion(columns: _Columns, found: Proposal) -> None:
+    """Find roll, pitch and heave; ``usv-twin log check`` tells whether signs and axes are right."""
+    for target, meaning in (("ahrs_roll_rad", "roll"), ("ahrs_pitch_rad", "pitch")):
+        name = _pick(columns, meaning)
+        if name is not None:
+            steep = np.abs(_known(columns.numbers[name])).max(initial=0.0) > 0.5 * math.pi
+            unit = "deg" if steep else unit_of(name, ("deg", "rad"))
+            _add(found, "columns", _entry(target, columns.take(name), "deg" * (unit == "deg")))
+    for target, meaning in (("gyro_x_radps", "gyro_x"), ("gyro_y_radps", "gyro_y")):
+        name = _pick(columns, meaning)
+        if name is not None:
+            _add(found, "columns", _entry(target, columns.take(name), unit_of(name, ("degps",))))
+    name = _pick(columns, "accel_z")
+    if name is not None:
+        up = float(np.median(_known(columns.numbers[name]))) > 0.0
+        more, why = ("scale = -1.0", "it points up") if up else ("", "")
+        line = _entry("accel_z_mps2", columns.take(name), unit_of(name, ("g",)), more, why)
+        _add(found, "columns", line)
+    for target, meaning in (("gps_z_m", "height"), ("gps_vz_mps", "climb")):
+        name = _pick(columns, meaning)
+        if name is not None:
+            line = _entry(target, columns.take(name), "", "scale = -1.0", "down is above 0")
+            _add(found, "columns", line)
 
 
 def _plain(columns: _Columns, found: Proposal) -> None:

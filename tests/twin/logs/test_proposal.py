@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from twin.channels import ACCEL_Z, AHRS_PITCH, AHRS_ROLL, GPS_Z, GYRO_X, GYRO_Y
 from twin.cli.main import app
 from twin.logs.columns import LogError
 from twin.logs.dates import date_formats
@@ -19,6 +20,7 @@ from twin.logs.proposal import propose
 from twin.sim.bridge import simulate
 from usv_gym import SeaState, Vessel
 from usv_gym.world.sensors import SensorSuite
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
 
 START = datetime(2024, 5, 13, 9, 30, tzinfo=timezone(timedelta(hours=2)))
 LATITUDE, LONGITUDE = 59.43, 10.47
@@ -316,3 +318,50 @@ def test_sides_of_shaft_speeds_are_no_yaw_rate(tmp_path: Path) -> None:
     assert 'n_left_rps = { from = "rpm_l", unit = "rpm" }' in lines
     assert 'n_right_rps = { from = "rpm_r", unit = "rpm" }' in lines
     assert not any(line.startswith("gyro") for line in lines)
+
+
+def test_roll_pitch_and_heave_are_proposed(tmp_path: Path) -> None:
+    """Degrees, g, a height that counts up and a third axis that points up."""
+    log = simulate(
+        "zigzag",
+        vessel=Vessel.load("usv75"),
+        sea=SeaState(hs=0.5, wind=3.0),
+        duration=60.0,
+        seed=1,
+        dof=6,
+        suite=SensorSuite(gps_white=0.05, gps_bias=0.0, gps_latency=0.0),
+    )
+    z = log.z
+    columns = {
+        "time": log.t,
+        "x": z[:, 0],
+        "y": z[:, 1],
+        "altitude": 40.0 - z[:, GPS_Z],
+        "heading_deg": np.degrees(z[:, 4]) % 360.0,
+        "gx_dps": np.degrees(z[:, GYRO_X]),
+        "gy_dps": np.degrees(z[:, GYRO_Y]),
+        "gz_dps": np.degrees(z[:, GYRO]),
+        "ax_g": z[:, ACCEL_X] / 9.80665,
+        "ay_g": z[:, ACCEL_Y] / 9.80665,
+        "az_g": -z[:, ACCEL_Z] / 9.80665,
+        "roll": np.degrees(z[:, AHRS_ROLL]),
+        "pitch": np.degrees(z[:, AHRS_PITCH]),
+        "rpm_left": 60.0 * log.cmd[:, 0],
+        "rpm_right": 60.0 * log.cmd[:, 1],
+        "rudder": np.degrees(log.cmd[:, 2]),
+    }
+    path = tmp_path / "boat.csv"
+    np.savetxt(
+        path,
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
+    mapping = tmp_path / "boat.mapping.toml"
+    mapping.write_text(propose(path).text("boat.csv"), encoding="utf-8")
+    seen = Log.read(path, mapping).z
+    for column in (GYRO_X, GYRO_Y, GYRO, ACCEL_X, ACCEL_Y, ACCEL_Z, AHRS_ROLL, AHRS_PITCH):
+        np.testing.assert_allclose(seen[:, column], z[:, column], atol=1e-9)
+    fixes = np.isfinite(seen[:, GPS_Z])
+    np.testing.assert_allclose(seen[fixes, GPS_Z], z[fixes, GPS_Z] - 40.0, atol=1e-9)
