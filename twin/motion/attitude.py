@@ -91,15 +91,13 @@ def is_measured(z: Any) -> bool:
 @inlined
 def _correct(x, P, H, error, var, gate):
     """Correct a state (4,) by one number whose measurement is H x; return whether it is used."""
-    n = x.shape[0]
-    total, PH = var, (0.0, 0.0, 0.0, 0.0)
-    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    n, a, b, c, d = x.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         a += P[0, j] * H[j]
         b += P[1, j] * H[j]
         c += P[2, j] * H[j]
         d += P[3, j] * H[j]
-    total += H[0] * a + H[1] * b + H[2] * c + H[3] * d
+    total = var + H[0] * a + H[1] * b + H[2] * c + H[3] * d
     if error * error > gate * gate * total:
         return False
     PH = a, b, c, d
@@ -187,10 +185,9 @@ def _note_planar(z, memory):
 
 
 @inlined
-def _trusted(used, memory, k):
-    """Count refused samples of a channel; return whether one is to be taken whatever it says."""
+def _count_refused(used, memory, k):
+    """Count refused samples of a channel, one after the other."""
     memory.refused[k] = 0.0 if used else memory.refused[k] + 1.0
-    return memory.refused[k] > REFUSALS_MAX
 
 
 @inlined
@@ -269,7 +266,7 @@ def take_attitude(t, dt, z, velocity, memory, given):
             gate = math.inf if memory.refused[3 + k] > REFUSALS_MAX or memory.rows == 0.0 else GATE
             var = (AHRS_WHITE * given.ahrs) ** 2
             used = _correct(x, P, (1.0, 0.0, 1.0, 0.0), error, var, gate)
-            _trusted(used, memory, 3 + k)
+            _count_refused(used, memory, 3 + k)
     _hold_to_gravity(dt, z, velocity, memory, given)
     _rise(dt, has_lift, memory, given)
     _hold_to_fix(t, dt, z, memory, given)
@@ -413,13 +410,13 @@ def _hold_to_fix(t, dt, z, memory, given):
         error = z[GPS_VZ] - speed - arm
         gate = math.inf if memory.refused[6] > REFUSALS_MAX else GATE
         used = _correct(x, P, (0.0, 1.0, 0.0, 0.0), error, given.climb**2, gate)
-        _trusted(used, memory, 6)
+        _count_refused(used, memory, 6)
     if has_z:
         arm = c * math.cos(old[1]) * math.cos(old[2]) - a * math.sin(old[2]) + b * math.sin(old[1])
         error = z[GPS_Z] - arm - x[HEAVE] - x[HEIGHT_ERROR] + given.latency * x[CLIMB]
         gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE
         used = _correct(x, P, (1.0, 0.0, 0.0, 1.0), error, given.height**2, gate)
-        _trusted(used, memory, 5)
+        _count_refused(used, memory, 5)
     if memory.ages[6] > 2.0 and dt > 0.0:
         power = memory.wave_power
         corner = CORNER * math.sqrt(power[1] / max(power[0], 1e-12))
