@@ -228,10 +228,12 @@ def _print_motion(rows: Sequence[Row], quiet: Sequence[Row]) -> None:
             table.add_row(*where, short(row["base_rate"], 2), *values)
     console.print(table)
     explain(
-        "Roll and pitch: sd in degrees; heave in m, deck_speed in m/s. 1 is the error of the mean. "
-        "Medians over seeds. Quiet: roll, pitch and deck speed within the limits of the "
-        "particulars for the whole span; share: how often that was so. Brier skill: 0 is that of "
-        "the share. AUC now: of how far the deck is within its limits at present."
+        f"The twins of all predictors forecast this alike, but for the turn ahead; shown is "
+        f"that of {predictor}. Roll and pitch: sd in degrees; heave in m, deck_speed in m/s. "
+        "1 is the error of the mean. Medians over seeds. Quiet: roll, pitch and deck speed "
+        "within the limits of the particulars for the whole span; share: how often that was so. "
+        "Brier skill: 0 is that of the share. AUC now: of how far the deck is within its limits "
+        "at present."
     )
 
 

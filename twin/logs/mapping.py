@@ -49,7 +49,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUTH
+from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
 from twin.logs.datum import FIXES, Datum, Plane
 from usv_kernel.files import read_toml
@@ -60,7 +60,7 @@ __all__ = [
     "layout_of",
 ]
 
-_COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH)
+_COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH, *TRUE_MOTION)
 
 _TABLES = ("columns", "position", "velocity", "heading", "attitude", "datum", "rows")
 

@@ -81,6 +81,9 @@ BRIDGED = 1.0
 
 _REFUSED = 10.0
 
+READY = 5
+"""Compared forecasts after which intervals and probabilities can be taken at their word."""
+
 _ROWS = field_at(MOTION, "attitude") + field_at(ATTITUDE, "rows")
 
 
@@ -250,6 +253,9 @@ class MotionForecast:
     quiet : ndarray, shape (3,)
         Probabilities that roll, pitch and deck speed stay within the limits of the particulars for
         the next 2, 3 and 5 s.
+    ready : bool
+        Whether past forecasts have been compared with what came. Before, about a minute after the
+        start, means and probabilities say little.
     """
 
     t0: float
@@ -257,6 +263,7 @@ class MotionForecast:
     mean: Array
     sd: Array
     quiet: Array
+    ready: bool = True
 
     @property
     def low(self) -> Array:
@@ -410,6 +417,7 @@ class DeckMotion:
             mean=work["mean"].copy(),
             sd=np.sqrt(np.maximum(work["var"], 0.0)),
             quiet=work["quiet"].copy(),
+            ready=bool(self.record["forecast"]["n_errors"] >= READY),
         )
 
     def sea(self) -> SeaEstimate | None:

@@ -28,6 +28,7 @@ from twin.motion.forecast_state import (
     QUIET_SPANS,
     STAYS,
     TRUST_TICKS,
+    UNSURE,
 )
 from twin.motion.learning import apply_fit, leak_variance, skill, write_features
 from twin.motion.state import ANGLE, HEAVE
@@ -99,7 +100,8 @@ def quiet_probabilities(mean, var, memory, given, out):
     """Write the probabilities that the deck stays within its limits for :data:`QUIET_SPANS`.
 
     The errors of past forecasts are laid on the present one. The share of them with which all
-    channels stay within their limits is the probability.
+    channels stay within their limits is the probability. Before there are any, and where a channel
+    is hardly measured, it comes from the variances.
 
     Parameters
     ----------
@@ -111,6 +113,10 @@ def quiet_probabilities(mean, var, memory, given, out):
         Written.
     """
     count = min(int(memory.n_errors), ERRORS)
+    for c in range(3):
+        channel, limit = QUIET_CHANNELS[c], given.limits[c]
+        if var[0, channel] > (UNSURE * limit) ** 2:
+            count = 0  # errors against estimates that are worth little
     for s in range(len(QUIET_SPANS)):
         last = 0
         while last < N_QUIET and HORIZONS[last] <= QUIET_SPANS[s] + 1e-9:

@@ -116,6 +116,9 @@ ERRORS = 64
 ERROR_PERIOD = 1.6
 """... and the time between them, s."""
 
+UNSURE = 0.5
+"""A channel whose present standard deviation is this share of its limit is hardly measured."""
+
 QUIET_SPANS = (2.0, 3.0, 5.0)
 """Times for which the deck may stay quiet, s."""
 

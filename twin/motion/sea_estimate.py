@@ -40,11 +40,11 @@ class SeaEstimate(NamedTuple):
 
     hs: float
     """Significant height, m: four standard deviations of the heave. Waves shorter than the boat
-    hardly lift it, and are missing."""
+    hardly lift it, and are missing; so are, by up to half, those that it sails along with."""
     period: float
     """Mean period of the waves, s, by their slopes; not that of their encounter with the boat."""
     to: float
-    """Mean direction that they go to, rad clockwise from north."""
+    """Mean direction that they go to, rad clockwise from north, whatever the heading."""
 
 
 @kernel

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from twin.channels import MEASUREMENTS, MOTION_AT
 from twin.logs.log import Log
 from twin.particulars import DESIGNS, Instruments, Particulars
-from usv_gym.manoeuvring.manoeuvres import HEADINGS, commands, hold_heading
+from usv_gym.manoeuvring.manoeuvres import (
+    HEADINGS,
+    SCENARIOS,
+    ManoeuvreError,
+    commands,
+    hold_heading,
+)
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
@@ -150,6 +156,8 @@ def prepare(
 
     The arguments are those of :func:`simulate`.
     """
+    if isinstance(manoeuvre, str) and manoeuvre not in SCENARIOS:
+        raise ManoeuvreError(f"no manoeuvre is called {manoeuvre!r}; known: {', '.join(SCENARIOS)}")
     sea_rng, helm_rng = np.random.default_rng(seed).spawn(2)
     simulation.reset([0], [sea_rng])
     if not isinstance(manoeuvre, str):

@@ -366,10 +366,8 @@ class Episodes:
         length, motion = limits["length_waterline"], config.motion_penalty
         self.task = make_task(config.task, n, self.speed, length, motion)
         if config.dof != 6 and self.task.rules["motion"] > 0.0:
-            raise TaskError(
-                f"task = {config.task!r} with motion_penalty = {motion}: a boat with dof=3 does "
-                "not roll; use dof=6"
-            )
+            what = f"task = {config.task!r}" if motion is None else f"motion_penalty = {motion}"
+            raise TaskError(f"{what}: a boat with dof=3 does not roll; use dof=6")
         self.memory = np.zeros((n, record_size(EPISODE)))
         """State of each episode, as kernels take it."""
         self.records = structured(self.memory, EPISODE)

@@ -90,6 +90,10 @@ FAULTS = {
     "gyros swapped": (swapped(GYRO_X, GYRO_Y), "gyro-swapped"),
     "roll reversed": (scaled(-1.0, AHRS_ROLL), "tilt-sign"),
     "pitch rate reversed": (scaled(-1.0, GYRO_Y), "tilt-sign"),
+    "roll and its rate reversed": (scaled(-1.0, AHRS_ROLL, GYRO_X), "tilt-sign"),
+    "pitch and its rate reversed": (scaled(-1.0, AHRS_PITCH, GYRO_Y), "tilt-sign"),
+    "accelerations to port": (scaled(-1.0, ACCEL_Y), "tilt-sign"),
+    "only z in g": (scaled(1 / 9.81, ACCEL_Z), "accel-gravity"),
     "rates in degrees": (scaled(180 / math.pi, GYRO_X, GYRO_Y), "tilt-unit"),
     "height up": (scaled(-1.0, GPS_Z, GPS_VZ), "climb-sign"),
     "dead roll gyro": (dead(GYRO_X), "axis-dead"),
@@ -128,6 +132,16 @@ def test_a_stated_mounting_is_no_fault() -> None:
     # the boat's own heel and trim are within 2 degrees
     assert evidence["roll_rad"] == pytest.approx(0.3, abs=0.05)
     assert evidence["pitch_rad"] == pytest.approx(0.1, abs=0.05)
+
+
+@pytest.mark.parametrize("scenario", ["heading135", "zigzag"])
+def test_waves_are_no_latency_and_no_bias_of_the_gyro(scenario: str) -> None:
+    """Roll and pitch are taken out before the other sensors are compared."""
+    log = run(scenario, "usv75", "3", 2)
+    measured = diagnose(Recording(log.t, log.z, log.cmd, log.t)).measured
+    assert measured.gyro is not None
+    assert abs(measured.gyro.bias) < 1e-3
+    assert measured.imu is None or abs(measured.imu.latency - 0.1) < 0.1
 
 
 def test_a_log_without_them_has_no_finding() -> None:

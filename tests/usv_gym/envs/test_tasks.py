@@ -441,9 +441,9 @@ def test_motion_costs_by_roll_and_by_the_acceleration_of_the_deck():
 
 
 def test_seakeeping_wants_a_boat_that_rolls_and_is_lenient_off_the_course():
-    with pytest.raises(TaskError, match="use dof=6"):
+    with pytest.raises(TaskError, match=r"task = 'seakeeping': .* use dof=6"):
         make_env(twin=None, task="seakeeping")
-    with pytest.raises(TaskError, match=r"motion_penalty = 0\.5.*use dof=6"):
+    with pytest.raises(TaskError, match=r"motion_penalty = 0\.5: .*use dof=6"):
         make_env(twin=None, motion_penalty=0.5)
     env = make_env(twin=None, task="seakeeping", dof=6, sea="0")
     for seed in range(3):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from twin.logs.diagnosis.signals import ENOUGH, sampled
 from twin.particulars import GRAVITY, Particulars
 from usv_kernel.scalar import rotation
 
-__all__ = ["check_attitude"]
+__all__ = ["check_attitude", "upright"]
 
 _ASKEW = math.radians(6.0)
 """A boat may heel and trim by less in the mean; more is how the IMU is mounted."""
@@ -28,6 +29,12 @@ _G_UNIT = 0.8, 1.25
 
 _CLEAR = 0.6
 """From this correlation on two signals belong together."""
+
+_OPPOSED = 0.5
+"""From this correlation on, with the other sign, the AHRS and gravity contradict each other."""
+
+_SLIGHT = math.radians(0.4)
+"""Angles of less are no larger than the errors of an AHRS."""
 
 _STEEP = math.radians(75.0)
 """No boat sails on with such a roll; these are degrees."""
@@ -67,7 +74,35 @@ def check_attitude(recording: Recording, particulars: Particulars | None = None)
         found += _check_angle(recording, angle)
         if not found:  # a wrong unit of the one is no fault of the other
             found += _check_rate(recording, angle, gyro, other)
+    if not any(finding.severity == ERROR for finding in found):
+        signs = _check_signs(recording)
+        if signs:  # a wrong sign looks like a mounting
+            found = [finding for finding in found if finding.code != "imu-askew"]
+        found += signs
     return found + _check_height(recording)
+
+
+def upright(recording: Recording) -> Recording:
+    """Return a recording with yaw rate and accelerations as on a boat that does not roll or pitch.
+
+    The angles are those of the AHRS. Where they or the other axes of the IMU are missing,
+    nothing changes.
+    """
+    t, angle = recording.samples("ahrs_roll_rad", "ahrs_pitch_rad")
+    names = ("gyro_x_radps", "gyro_y_radps", "gyro_radps", *_FORCE)
+    columns = [MEASUREMENTS.index(name) for name in names]
+    imu = recording.z[:, columns]
+    if len(t) < 5 * ENOUGH or not (np.isfinite(imu).sum(axis=0) >= 5 * ENOUGH).all():
+        return recording
+    roll, pitch = sampled(t, angle, recording.t).T
+    q, r = imu[:, 1], imu[:, 2]
+    x, y, low = imu[:, 3:].T
+    down = y * np.sin(roll) + low * np.cos(roll)
+    z = recording.z.copy()
+    z[:, columns[2]] = (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
+    z[:, columns[3]] = x * np.cos(pitch) + down * np.sin(pitch)
+    z[:, columns[4]] = y * np.cos(roll) - low * np.sin(roll)
+    return replace(recording, z=z)
 
 
 def _dead_axes(recording: Recording) -> list[Finding]:
@@ -105,7 +140,7 @@ def _check_gravity(recording: Recording, mounting: Array) -> list[Finding]:
         return [Finding(ERROR, "accel-unit", what, 'state unit = "g" in a mapping file', evidence)]
     if not _G_UNIT[0] < size / GRAVITY < _G_UNIT[1]:
         what = f"{names}: {size:.3g} m/s2 in the mean, where gravity is {GRAVITY}"
-        remedy = "give the specific force as the IMU measures it, with gravity"
+        remedy = "give the specific force as the IMU measures it, with gravity, all axes in m/s2"
         return [Finding(ERROR, "accel-gravity", what, remedy, evidence)]
     if mean[2] > size * math.cos(_AXIS):
         what = f"{names}: {mean[2]:.2f} m/s2 down: the third axis points up"
@@ -181,7 +216,7 @@ def _fit(x: Array, y: Array) -> _Fit:
 def _change(t: Array, values: Array) -> tuple[Array, Array]:
     """Return times and rates of change over :data:`_SMOOTH`."""
     before = sampled(t, values, t - _SMOOTH)
-    return t - 0.5 * _SMOOTH, (values - before) / _SMOOTH
+    return t - 0.5 * _SMOOTH, np.asarray((values - before) / _SMOOTH)
 
 
 def _mean(t: Array, values: Array, at: Array) -> Array:
@@ -208,8 +243,12 @@ def _check_rate(recording: Recording, angle: str, gyro: str, other: str) -> list
     own, cross = fits
     names, evidence = recording.called(angle, gyro), {"correlation": own.correlation}
     if abs(cross.correlation) > max(_CLEAR, abs(own.correlation) + _BETTER):
-        what = f"{recording.called(gyro, other)}: roll and pitch rate are swapped"
-        return [Finding(ERROR, "gyro-swapped", what, "exchange the two columns", evidence)]
+        what = f"{recording.called(gyro, other)}: each goes with the angle of the other"
+        remedy = (
+            "roll and pitch of gyros or AHRS are swapped, or the IMU is turned about its third "
+            "axis: exchange the columns, or state imu_mounting"
+        )
+        return [Finding(ERROR, "gyro-swapped", what, remedy, evidence)]
     if abs(own.correlation) < _CLEAR:
         return []
     evidence["slope"] = own.slope
@@ -223,6 +262,48 @@ def _check_rate(recording: Recording, angle: str, gyro: str, other: str) -> list
         wanted = wrong.replace("_radps", "_degps").replace("_rad", "_deg")
         return [Finding(ERROR, "tilt-unit", what, f"name the column {wanted}", evidence)]
     return []
+
+
+def _apart_from(known: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return two signals without what goes with a known one."""
+    ok = np.isfinite(known) & np.isfinite(x) & np.isfinite(y)
+    base = np.column_stack([known[ok], np.ones(int(ok.sum()))])
+    both = np.column_stack([x[ok], y[ok]])
+    rest = both - base @ np.linalg.lstsq(base, both, rcond=None)[0]
+    return rest[:, 0], rest[:, 1]
+
+
+def _check_signs(recording: Recording) -> list[Finding]:
+    """Return whether gravity, apart from the boat's own accelerations, agrees with the AHRS."""
+    t, force = recording.samples(*_FORCE)
+    t_fix, velocity = recording.samples("gps_vx_mps", "gps_vy_mps")
+    t_psi, compass = recording.samples("compass_rad")
+    if min(len(t), len(t_fix), len(t_psi)) < 5 * ENOUGH:
+        return []
+    times, change = _change(t_fix, velocity)
+    psi = sampled(t_psi, np.unwrap(compass[:, 0]), times)
+    c, s = np.cos(psi), np.sin(psi)
+    own = change[:, 0] * c + change[:, 1] * s, change[:, 1] * c - change[:, 0] * s
+    found = []
+    for k, angle, side in ((0, "ahrs_roll_rad", 1), (1, "ahrs_pitch_rad", 0)):
+        t_angle, values = recording.samples(angle)
+        if len(t_angle) < 5 * ENOUGH:
+            continue
+        felt = _mean(t, force[:, side], times)
+        tilt = _mean(t_angle, values[:, 0], times) * (-1.0 if k == 0 else 1.0)
+        tilt, felt = _apart_from(own[side], tilt, felt)
+        fit = _fit(tilt, felt)
+        if fit.correlation > -_OPPOSED or float(tilt.std()) < _SLIGHT:
+            continue
+        gyro = ("gyro_x_radps", "gyro_y_radps")[k]
+        names = recording.called(angle, gyro)
+        what = f"{names}: against gravity in {recording.called(_FORCE[side])}"
+        remedy = (
+            "roll is above 0 with starboard down, pitch with the bow up; turn the sign of angle "
+            "and rate, or of the accelerometer"
+        )
+        found.append(Finding(ERROR, "tilt-sign", what, remedy, {"correlation": fit.correlation}))
+    return found[:1]
 
 
 def _check_height(recording: Recording) -> list[Finding]:

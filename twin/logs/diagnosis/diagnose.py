@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.logs.columns import Array
-from twin.logs.diagnosis.attitude import check_attitude
+from twin.logs.diagnosis.attitude import check_attitude, upright
 from twin.logs.diagnosis.commands import Effect, check_commands, yaw_effects
 from twin.logs.diagnosis.findings import ERROR, SEVERITIES, WARNING, Finding, Recording
 from twin.logs.diagnosis.forces import check_forces
@@ -188,10 +188,12 @@ def diagnose(recording: Recording, particulars: Particulars | None = None) -> Di
     found = _cells(recording) + check_timing(recording)
     clean = without_jumps(recording)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        measured = measure(clean)
-        found += check_position(recording) + check_heading(clean)
-        found += check_imu(measured.imu, clean, particulars)
-        found += check_attitude(clean, particulars)
+        tilt = check_attitude(clean, particulars)
+        # roll and pitch that are sound are taken out of the other sensors
+        level = clean if any(finding.severity == ERROR for finding in tilt) else upright(clean)
+        measured = measure(level)
+        found += check_position(recording) + check_heading(level) + tilt
+        found += check_imu(measured.imu, level, particulars)
         found += check_commands(clean, particulars) + check_forces(clean)
     first: dict[str, Finding] = {}
     for finding in found:
