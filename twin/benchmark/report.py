@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from twin.benchmark.figures import (
     TRENDS,
     RunFigure,
@@ -143,6 +145,7 @@ def write_report(
         **_introduction(results, runs),
         "trends": _trends(results, pictures, styles),
         "recorded": _recorded_grids(results.get("recorded") or []),
+        "motion": _motion_grids(results),
         "cases": cases,
         "metrics": [METRICS[m] for m in METRICS if any(m in case["metrics"] for case in cases)],
         "settings": results.get("settings") or {},
@@ -385,6 +388,54 @@ def _recorded_grids(rows: Sequence[Row]) -> dict[str, Grid]:
         many = "1 run" if most == 1 else f"{most} runs"
         grids[f"{key[0]}, {many}, fault {key[1]}, plan {key[2]}"] = Grid(heads, lines)
     return grids
+
+
+def _motion_grids(results: Row) -> dict[str, Grid]:
+    """Return what the forecasts of roll, pitch, heave and a quiet deck were worth, by title."""
+    names = [text_of(row, "predictor") for row in results.get("motion") or []]
+    if not names:
+        return {}
+    # they differ little with the predictor, whose part is the turn ahead
+    name = DEFAULT if DEFAULT in names else names[0]
+    motion, quiet = (
+        [row for row in results.get(part) or [] if row["predictor"] == name]
+        for part in ("motion", "quiet")
+    )
+    return {
+        f"Roll, pitch, heave and vertical speed, {name}": _skill_grid(motion),
+        f"Quiet deck, {name}": _quiet_grid(quiet),
+    }
+
+
+def _skill_grid(rows: Sequence[Row]) -> Grid:
+    """Return medians over runs by scenario, plan, channel and horizon."""
+    where = ("scenario", "plan", "channel")
+    horizons = sorted({number_of(row, "horizon_s") for row in rows})
+    lines = []
+    for keys, block in _grouped(rows, lambda row: tuple(row[key] for key in where)).items():
+        line = [*map(Cell, keys)]
+        for horizon in horizons:
+            skill, held, inside = (
+                float(np.median([number_of(r, key) for r in block if r["horizon_s"] == horizon]))
+                for key in ("skill", "held", "coverage90")
+            )
+            line.append(Cell(number(skill), (number(held), f"{100.0 * inside:.0f} %")))
+        lines.append(line)
+    return Grid([*where, *(f"{horizon:g} s" for horizon in horizons)], lines)
+
+
+def _quiet_grid(rows: Sequence[Row]) -> Grid:
+    """Return how well a quiet deck was foreseen, by scenario, case, plan and span."""
+    where, values = ("scenario", "case", "plan"), ("base_rate", "brier_skill", "auc", "auc_now")
+    lines = [
+        [
+            *(Cell(text_of(row, key)) for key in where),
+            Cell(f"{row['span_s']:g} s"),
+            *(Cell(number(number_of(row, key))) for key in values),
+        ]
+        for row in rows
+    ]
+    return Grid([*where, "span", "share", "Brier skill", "AUC", "AUC now"], lines)
 
 
 # pictures

@@ -26,9 +26,13 @@ from usv_gym.world.faults import FAULTS_HELP, parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES, SensorSuite
 
+MANOEUVRE_HELP = (
+    f"One of: {', '.join(SCENARIOS)}. headingN holds a course at N degrees to where the waves go."
+)
+
 
 def simulate_command(
-    manoeuvre: Annotated[str, typer.Argument(help=f"One of: {', '.join(SCENARIOS)}.")] = "turn",
+    manoeuvre: Annotated[str, typer.Argument(help=MANOEUVRE_HELP)] = "turn",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Log to write. [<manoeuvre>_<seed>.csv]")
     ] = None,
@@ -59,6 +63,8 @@ def simulate_command(
     for fault in parsed:
         if getattr(fault, "start", 0.0) >= duration:
             note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
+        if fault.kind == "ahrs" and dof == 3:
+            note("a boat with --dof 3 has no AHRS: its fault changes nothing; see --dof 6")
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     log = simulate(
         manoeuvre,

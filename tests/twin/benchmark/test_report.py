@@ -347,6 +347,21 @@ def test_pairs_and_coverage_are_shown(tmp_path):
     assert text.count("<td>89/80</td>") == 2
 
 
+def test_forecasts_of_roll_and_of_a_quiet_deck_are_shown(tmp_path):
+    here = {"scenario": "turn", "case": "none", "predictor": "ukf", "plan": "known"}
+    motion = [
+        {**here, "seed": k, "channel": "roll", "horizon_s": h, "sd": 0.1}
+        | {"skill": 0.125 * h + 0.01 * k, "held": 1.5, "coverage90": 0.885}
+        for k in range(3)
+        for h in (1.0, 2.0)
+    ]
+    quiet = {**here, "span_s": 2.0, "base_rate": 0.375, "auc": None, "auc_now": 0.6875}
+    found = results(motion=motion, quiet=[{**quiet, "brier_skill": -0.25}])
+    text = page(write_report(tmp_path, found, []))
+    assert "<td>0.135<br><small>1.50</small><br><small>88 %</small></td><td>0.260<br>" in text
+    assert "<td>2 s</td><td>0.375</td><td>-0.250</td><td>-</td><td>0.688</td>" in text
+
+
 def test_an_interval_may_be_wider_on_one_side():
     log = sail()
     prediction = predicted(log, 5.0)

@@ -184,6 +184,19 @@ def test_predict_prints_intervals_and_writes_them(folder):
     run("predict", folder / "run.csv", "--plan", plan)
 
 
+def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
+    log = tmp_path / "deck.csv"
+    run("simulate", "heading135", "--dof", "6", "--duration", "60", "--sea", "3", "-o", log)
+    out = run("predict", log).stdout
+    table = out.partition("roll deg")[2]
+    rows = {line.split()[0] for line in table.splitlines() if " +-" in line}
+    assert rows == {"0", "1", "2", "3", "5", "10"}
+    assert re.search(r"quiet deck for the next: 2 s \d+%, 3 s \d+%, 5 s \d+%", out)
+    assert re.search(r"sea: significant height \d\.\d\d m, mean period", out)
+    out = run("simulate", "turn", "--faults", "ahrs5@3", "--duration", "9", "-o", log)
+    assert "has no AHRS" in out.stdout.replace("\n", " ") + out.stderr.replace("\n", " ")
+
+
 def test_predict_reads_the_recorded_run():
     out = run("predict", recorded_runs()["boat1_usv_circle"], "--at", "100")
     assert "boat1 USV" in out.stdout
@@ -432,7 +445,8 @@ def test_a_new_vessel_is_checked_and_simulated(empty):
 
 def test_vessel_check_reports_errors_and_warnings(tmp_path):
     good = run("vessel", "check", "kvlcc2_l7")
-    assert "0 error(s), 2 warning(s)" in good.stdout
+    assert "In sea state 4 it capsizes" in good.stdout.replace("\n", " ")
+    assert "0 error(s), 3 warning(s)" in good.stdout
     assert run("vessel", "check", "kvlcc2_l7", "--strict", check=1).stdout == good.stdout
     bad, box = tmp_path / "bad.toml", USV75.replace('hydro = "usv75.nc"\n', "")
     bad.write_text(box.replace("A_wp = { value = 13.41", "A_wp = { value = 18"))

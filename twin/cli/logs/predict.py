@@ -20,6 +20,7 @@ from twin.cli.common import (
     ShipOption,
     console,
     new_table,
+    note,
     open_log,
     print_health,
     row_progress,
@@ -29,8 +30,15 @@ from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.logs.readers import Clock, CsvFile
 from twin.logs.tables import check_export
+from twin.motion import QUIET_SPANS, MotionForecast, SeaEstimate
+from twin.motion.deck_motion import Z90
 from twin.predictors.base import Prediction
 from twin.predictors.registry import DEFAULT
+
+MOTION_HEADS = ("roll deg", "pitch deg", "heave m", "down m/s")
+
+MOTION_SCALE = np.array([180.0 / math.pi, 180.0 / math.pi, 1.0, 1.0])
+"""From SI units to those of :data:`MOTION_HEADS`."""
 
 
 def predict_command(
@@ -95,6 +103,8 @@ def predict_command(
         commands = known_plan(run, row, horizon, dt)
     prediction = twin.predict("hold" if commands is None else commands, horizon=horizon, dt=dt)
     _print_prediction(prediction, predictor, plan, run)
+    if prediction.motion is not None:
+        _print_motion(prediction.motion, twin.sea)
     if out is not None:
         about = {"boat": twin.particulars.name, "log": run.name, "predictor": predictor}
         prediction.table(twin.datum).write(out, **about, plan=plan, from_t_s=prediction.t0)
@@ -139,3 +149,27 @@ def _print_prediction(prediction: Prediction, predictor: str, plan: str, log: Lo
         cells = (f"{m:.2f}\n+{u:.2f}\n-{d:.2f}" for m, u, d in zip(*rows, strict=True))
         table.add_row(f"{horizon:g}", *cells)
     console.print(table)
+
+
+def _print_motion(motion: MotionForecast, sea: SeaEstimate | None) -> None:
+    after = [0.0, 1.0, 2.0, 3.0, 5.0, float(motion.t[-1] - motion.t0)]
+    mean, sd = motion.at(after)
+    title = (
+        "roll, pitch and heave (each with half of its 90 % interval; vertical speed at the deck)"
+    )
+    table = new_table(title, "after s", *MOTION_HEADS)
+    for time, *rows in zip(after, mean * MOTION_SCALE, Z90 * sd * MOTION_SCALE, strict=True):
+        table.add_row(f"{time:g}", *(f"{m:.2f} +-{s:.2f}" for m, s in zip(*rows, strict=True)))
+    console.print(table)
+    chances = ", ".join(
+        f"{span:g} s {chance:.0%}" for span, chance in zip(QUIET_SPANS, motion.quiet, strict=True)
+    )
+    console.print(f"quiet deck for the next: {chances}", highlight=False)
+    if not motion.ready:
+        note("the forecast of roll, pitch and heave is still learning: it says little yet")
+    if sea is not None and np.isfinite(sea).all():
+        console.print(
+            f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
+            f"waves going to {math.degrees(sea.to) % 360.0:.0f} deg",
+            highlight=False,
+        )
