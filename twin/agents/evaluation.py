@@ -94,7 +94,7 @@ def evaluate(
     -------
     list of dict
         ``agent, sea, faults, seed, return, length_s, success, failed`` (off the path or
-        capsized), ``cross_track_m``, ``off_path_m`` and ``off_path_outage_m``.
+        capsized), ``cross_track_m``, ``off_path_m``, ``off_path_outage_m`` and ``motion``.
 
         ``cross_track_m`` is the mean distance from the path until the episode's end; of station
         keeping, from the point. ``off_path_m`` is the same over all decisions of an episode. Those
@@ -102,6 +102,9 @@ def evaluate(
         advantage. Those after a success do not count. ``off_path_outage_m`` is the same from the
         start of the loss of GPS to 20 s after it. It is None without a loss, or where the goal was
         reached before.
+
+        ``motion`` is the mean square of the roll over 10 degrees plus that of the deck's vertical
+        acceleration over 2 m/s2. It is None where the reward has no such term.
     """
     seeds = [int(seed) for seed in seeds]
     if not seeds:
@@ -124,12 +127,15 @@ def evaluate(
         alive = np.ones(len(seeds), dtype=np.bool_)
         success, failed = ~alive, ~alive
         returns, lengths = np.zeros(len(seeds)), np.zeros(len(seeds))
-        off = np.full((max_episode_steps, len(seeds)), np.nan)
-        for row in off:
+        off, rough = np.full((2, max_episode_steps, len(seeds)), np.nan)
+        weight = float(envs.task.rules["motion"]) * frame_skip
+        for row, rolled in zip(off, rough, strict=True):
             obs, rewards, terminated, truncated, infos = envs.step(agent.act(obs))
             returns[alive] += rewards[alive]
             lengths[alive] = infos["t_s"][alive]
             row[alive] = np.hypot(errors[alive, 0], along * errors[alive, 1])
+            if weight > 0.0:
+                rolled[alive] = -infos["reward_terms"]["motion"][alive] / weight
             ends = alive & (terminated | truncated)
             success |= ends & infos["is_success"]
             failed |= ends & terminated & ~infos["is_success"]
@@ -142,6 +148,7 @@ def evaluate(
     sailed = _mean(off)
     off[np.isnan(off) & failed] = envs.task.rules["area"]
     during = (first <= times) & (times <= last + AFTER_OUTAGE)
+    motion = _mean(rough)
     whole, lost = _mean(off), _mean(np.where(during, off, np.nan))
     return [
         {
@@ -150,6 +157,7 @@ def evaluate(
             **{"success": bool(success[i]), "failed": bool(failed[i])},
             **{"cross_track_m": float(sailed[i]), "off_path_m": float(whole[i])},
             "off_path_outage_m": None if np.isnan(lost[i]) else float(lost[i]),
+            "motion": None if np.isnan(motion[i]) else float(motion[i]),
         }
         for i, seed in enumerate(seeds)
     ]

@@ -57,6 +57,7 @@ METRICS = {
     "off_path_m": "distance off the path, m",
     "off_path_outage_m": "distance off the path while the GPS is gone and 20 s after, m",
     "return": "return",
+    "motion": "motion, squares of roll over 10 degrees and of vertical acceleration over 2 m/s2",
 }
 
 REPLICATES = 2000
@@ -264,7 +265,7 @@ class _Scores:
         runs = [rows for piece, rows in self.rows.items() if _name(piece) == agent]
         picked = [
             [
-                [row[metric] for row in rows if row["sea"] == sea and row["faults"] == faults]
+                [row.get(metric) for row in rows if row["sea"] == sea and row["faults"] == faults]
                 for rows in runs
             ]
             for sea in seas
@@ -368,7 +369,7 @@ class _Scores:
                         {
                             **{"agent": _name(piece), "seed": piece[2]},
                             **{"sea": sea, "faults": faults},
-                            **{name: [_short(row[name]) for row in own] for name in METRICS},
+                            **{name: [_short(row.get(name)) for row in own] for name in METRICS},
                             "failed": [int(row["failed"]) for row in own],
                         }
                     )

@@ -142,3 +142,19 @@ def test_no_seeds_are_refused():
 def test_means_leave_out_what_is_missing():
     values = np.array([[1.0, np.nan], [3.0, np.nan]])
     np.testing.assert_array_equal(evaluation._mean(values), [2.0, np.nan])
+
+
+def test_motion_is_that_of_the_reward():
+    agent = Fixed(0.7, 0.1)
+    (row,) = evaluate(agent, seeds=(5,), task="seakeeping", max_episode_steps=20, sea="3")
+    env = gym.make(
+        "USVTwin-v0",
+        **{"observation": "raw", "sea": "3", "task": "seakeeping", "dof": 6, "twin": None},
+        **{"frame_skip": 10, "max_episode_steps": 20},
+    )
+    env.reset(seed=5)
+    terms = [env.step(np.array([0.7, 0.1]))[4]["reward_terms"]["motion"] for _ in range(20)]
+    assert row["motion"] == pytest.approx(-np.mean(terms) / (0.5 * 10))
+    assert 0.01 < row["motion"] < 4.0
+    (without,) = evaluate(agent, seeds=(5,), max_episode_steps=5)
+    assert without["motion"] is None

@@ -104,6 +104,10 @@ def made(levels, settings=TINY):
     return done
 
 
+def test_each_observation_has_a_colour():
+    assert set(study_report.COLOURS) == set(OBSERVATIONS)
+
+
 def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     levels = {"raw": (2.0, 6.0), "twin": (2.0, 3.0), "oracle": (2.0, 2.0), "idle": (9.0, 9.0)}
     results = study.collect(TINY, made(levels), "a command")
