@@ -154,12 +154,22 @@ def motion_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                     }
 
 
+def _reliability(p: Array, happened: NDArray[np.bool_]) -> list[list[float]]:
+    """Return mean probability, share and number of each tenth of probability that occurs."""
+    tenth = np.minimum((10.0 * p).astype(np.int64), 9)
+    return [
+        [float(p[tenth == k].mean()), float(happened[tenth == k].mean()), int((tenth == k).sum())]
+        for k in np.unique(tenth)
+    ]
+
+
 def quiet_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     """Yield the scores of the probability of a quiet deck, pooled over the runs of a cell.
 
     ``brier`` and ``brier_skill`` against the share of quiet spells in the cell (climatology),
     ``auc``, and ``auc_now`` of the simple baseline: how far the deck is within its limits now. A
-    skill needs spells of both kinds.
+    skill needs spells of both kinds. ``reliability`` has, for each tenth of probability that was
+    given, its mean, the share of spells that were quiet, and their number.
     """
     cells: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     keys = tuple(key for key in UNIT_KEY if key != "seed")
@@ -182,5 +192,6 @@ def quiet_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                 "brier_skill": 1.0 - brier / (base * (1.0 - base)) if both else None,
                 "auc": auc(p, happened) if both else None,
                 "auc_now": auc(margin, happened) if both else None,
+                "reliability": _reliability(p, happened),
                 "n": len(p),
             }

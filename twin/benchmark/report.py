@@ -23,6 +23,7 @@ from twin.benchmark.figures import (
     parameter_figure,
     prediction_figure,
     predictor_styles,
+    reliability_figure,
     track_figure,
     trend_figure,
 )
@@ -146,6 +147,7 @@ def write_report(
         "trends": _trends(results, pictures, styles),
         "recorded": _recorded_grids(results.get("recorded") or []),
         "motion": _motion_grids(results),
+        "reliability": _reliability(results, pictures),
         "cases": cases,
         "metrics": [METRICS[m] for m in METRICS if any(m in case["metrics"] for case in cases)],
         "settings": results.get("settings") or {},
@@ -390,20 +392,28 @@ def _recorded_grids(rows: Sequence[Row]) -> dict[str, Grid]:
     return grids
 
 
+def _motion_rows(results: Row) -> dict[str, list[Row]]:
+    """Return the rows of roll, pitch, heave and a quiet deck, of one predictor's twin.
+
+    The predictors differ little here: their part is the turn ahead.
+    """
+    names = [text_of(row, "predictor") for row in results.get("motion") or []]
+    name = DEFAULT if DEFAULT in names else names[0] if names else ""
+    return {
+        part: [row for row in results.get(part) or [] if row["predictor"] == name]
+        for part in ("motion", "quiet")
+    }
+
+
 def _motion_grids(results: Row) -> dict[str, Grid]:
     """Return what the forecasts of roll, pitch, heave and a quiet deck were worth, by title."""
-    names = [text_of(row, "predictor") for row in results.get("motion") or []]
-    if not names:
+    rows = _motion_rows(results)
+    if not rows["motion"]:
         return {}
-    # they differ little with the predictor, whose part is the turn ahead
-    name = DEFAULT if DEFAULT in names else names[0]
-    motion, quiet = (
-        [row for row in results.get(part) or [] if row["predictor"] == name]
-        for part in ("motion", "quiet")
-    )
+    name = text_of(rows["motion"][0], "predictor")
     return {
-        f"Roll, pitch, heave and vertical speed, {name}": _skill_grid(motion),
-        f"Quiet deck, {name}": _quiet_grid(quiet),
+        f"Roll, pitch, heave and vertical speed, {name}": _skill_grid(rows["motion"]),
+        f"Quiet deck, {name}": _quiet_grid(rows["quiet"]),
     }
 
 
@@ -439,6 +449,18 @@ def _quiet_grid(rows: Sequence[Row]) -> Grid:
 
 
 # pictures
+def _reliability(results: Row, pictures: _Pictures) -> list[Picture]:
+    """Return the picture of the probabilities of a quiet deck."""
+    fig = reliability_figure(_motion_rows(results)["quiet"])
+    if fig is None:
+        return []
+    caption = (
+        "How often the deck stayed quiet, of all times that such a probability was given: pooled "
+        "over scenarios, seeds and plans. Dots below the line: it was promised too often."
+    )
+    return [pictures.add(fig, "quiet_reliability", caption)]
+
+
 def _trends(results: Row, pictures: _Pictures, styles: Styles) -> list[Picture]:
     """Return the pictures of the error against what changes from case to case."""
     rows = results.get("trends") or []

@@ -113,3 +113,5 @@ def test_rows_name_channel_horizon_and_pool_the_quiet_spells() -> None:
     base = spans[0]["base_rate"]
     assert spans[0]["n"] == 2 * len(starts)
     assert spans[0]["brier"] == pytest.approx(base * 0.49 + (1.0 - base) * 0.09)
+    ((given, share, number),) = spans[0]["reliability"]
+    assert (given, share, number) == (pytest.approx(0.3), base, 2 * len(starts))

@@ -205,6 +205,8 @@ def test_every_axis_has_its_unit():
         figures.prediction_figure(several, 5.0, styles, seen),
         figures.error_figure("turn", found["rows"], predictor_styles(("persistence", "ukf"))),
     ]
+    spans = [{"span_s": span, "reliability": [[0.25, 0.3, 99]]} for span in (2.0, 3.0)]
+    drawn.append(figures.reliability_figure(spans))
     drawn += [
         figures.parameter_figure(several, "ukf", motion, styles, 5.0) for motion in MODEL.blocks
     ]
@@ -356,10 +358,15 @@ def test_forecasts_of_roll_and_of_a_quiet_deck_are_shown(tmp_path):
         for h in (1.0, 2.0)
     ]
     quiet = {**here, "span_s": 2.0, "base_rate": 0.375, "auc": None, "auc_now": 0.6875}
+    quiet["reliability"] = [[0.05, 0.1, 40], [0.62, 0.5, 30], [0.85, 1.0, 3]]
     found = results(motion=motion, quiet=[{**quiet, "brier_skill": -0.25}])
     text = page(write_report(tmp_path, found, []))
     assert "<td>0.135<br><small>1.50</small><br><small>88 %</small></td><td>0.260<br>" in text
     assert "<td>2 s</td><td>0.375</td><td>-0.250</td><td>-</td><td>0.688</td>" in text
+    assert (tmp_path / "pictures" / "quiet_reliability.svg").is_file()
+    picture = figures.reliability_figure([quiet, quiet])
+    curve = picture.axes[0].lines[1].get_xydata()
+    assert curve == pytest.approx(np.array([[5.0, 10.0], [62.0, 50.0]]))  # three are too few
 
 
 def test_an_interval_may_be_wider_on_one_side():

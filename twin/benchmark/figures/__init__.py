@@ -5,7 +5,7 @@ through pyplot: neither an import nor a picture changes anything for the caller.
 """
 
 from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
-from twin.benchmark.figures.deck import deck_figure
+from twin.benchmark.figures.deck import deck_figure, reliability_figure
 from twin.benchmark.figures.errors import error_figure
 from twin.benchmark.figures.history import parameter_figure, prediction_figure
 from twin.benchmark.figures.style import predictor_styles
@@ -23,6 +23,7 @@ __all__ = [
     "picture_of_log",
     "prediction_figure",
     "predictor_styles",
+    "reliability_figure",
     "track_figure",
     "trend_figure",
 ]
