@@ -21,6 +21,7 @@ from rich.table import Table
 from twin.digital_twin import Twin, TwinError
 from twin.logs.log import Log
 from twin.model.structure import MODELS
+from twin.motion import SeaEstimate
 from twin.parallel import BACKENDS
 from twin.predictors.own_prior import prior_note
 from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
@@ -135,6 +136,11 @@ STATE_HEADS = ("north m", "east m", "heading deg", "surge m/s", "sway m/s", "yaw
 STATE_SCALE = np.array([1.0, 1.0, 180.0 / math.pi, 1.0, 1.0, 180.0 / math.pi])
 """From SI units to those of :data:`STATE_HEADS`."""
 
+MOTION_HEADS = ("roll deg", "pitch deg", "heave m", "down m/s")
+
+MOTION_SCALE = np.array([180.0 / math.pi, 180.0 / math.pi, 1.0, 1.0])
+"""From SI units to those of :data:`MOTION_HEADS`; the last is the vertical speed of the deck."""
+
 
 # logs and twins
 def open_log(
@@ -200,6 +206,16 @@ def _load_twin(path: Path, predictor: str | None, ship: str | None, model: str |
 def note(text: str) -> None:
     """Print what a user should know."""
     console.print(f"note: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def print_sea(sea: SeaEstimate | None) -> None:
+    """Print what a twin makes of the waves, once it knows."""
+    if sea is not None and np.isfinite(sea).all():
+        console.print(
+            f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
+            f"waves going to {math.degrees(sea.to) % 360.0:.0f} deg",
+            highlight=False,
+        )
 
 
 def print_health(twin: Twin) -> None:

@@ -193,6 +193,14 @@ def test_predict_prints_roll_pitch_and_a_quiet_deck(tmp_path):
     assert rows == {"0", "1", "2", "3", "5", "10"}
     assert re.search(r"quiet deck for the next: 2 s \d+%, 3 s \d+%, 5 s \d+%", out)
     assert re.search(r"sea: significant height \d\.\d\d m, mean period", out)
+    kept = tmp_path / "last.json"
+    out = run("identify", log, "-p", "ukf", "--json", kept).stdout
+    assert "roll deg" in out and "waves going to" in out
+    last = json.loads(kept.read_text())
+    true = Log.read(log).true_motion[-1]
+    most = 4.0 * last["motion_sd"]["roll_rad"]
+    assert last["motion"]["roll_rad"] == pytest.approx(true[1], abs=most)
+    assert 0.3 < last["sea"]["hs_m"] < 3.0
     out = run("simulate", "turn", "--faults", "ahrs5@3", "--duration", "9", "-o", log)
     assert "has no AHRS" in out.stdout.replace("\n", " ") + out.stderr.replace("\n", " ")
 

@@ -14,6 +14,8 @@ import typer
 from twin.benchmark.trust import TrustMeter, Verdict, worst_of
 from twin.channels import STATE
 from twin.cli.common import (
+    MOTION_HEADS,
+    MOTION_SCALE,
     STATE_HEADS,
     STATE_SCALE,
     MappingOption,
@@ -26,6 +28,7 @@ from twin.cli.common import (
     note,
     open_log,
     print_health,
+    print_sea,
     row_progress,
     write_json,
     write_text,
@@ -36,6 +39,7 @@ from twin.identification.identifiability import Finding, Identifiability
 from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.logs.tables import check_export
+from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
 from twin.predictors.registry import DEFAULT, PREDICTORS
@@ -160,6 +164,7 @@ def identify_command(
     if not last.ready:
         raise LogError(f"{log}: no fix and heading came together, so there is nothing to say")
     _print_state(last, predictor, run)
+    print_sea(twin.sea)
     if len(last.params):
         _print_parameters(prior, last, twin)
     else:
@@ -260,9 +265,26 @@ def _estimate_json(estimate: Estimate, twin: Twin, predictor: str) -> dict[str, 
         "state_sd": dict(zip(STATE, estimate.sd.tolist(), strict=True)),
         "parameters": dict(zip(names, estimate.params.tolist(), strict=True)),
         "parameters_sd": dict(zip(names, estimate.params_sd.tolist(), strict=True)),
+        **_motion_json(estimate, twin),
         "health": {name: status._asdict() for name, status in twin.health.items()},
         "health_notes": list(twin.notes),
         "identifiability": None if seen is None else seen.to_json(),
+    }
+
+
+def _motion_json(estimate: Estimate, twin: Twin) -> dict[str, Any]:
+    """Return roll, pitch, heave and the sea, where the log shows them."""
+    if estimate.motion is None:
+        return {}
+    motion, sea = estimate.motion, twin.sea
+    values = (motion.roll, motion.pitch, motion.heave, motion.deck_speed)
+    waves = None
+    if sea is not None and all(map(math.isfinite, sea)):
+        waves = dict(zip(("hs_m", "period_s", "to_rad"), sea, strict=True))
+    return {
+        "motion": dict(zip(CHANNELS, values, strict=True)),
+        "motion_sd": dict(zip(CHANNELS, motion.sd.tolist(), strict=True)),
+        "sea": waves,
     }
 
 
@@ -274,6 +296,13 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
     table.add_row("value", *(f"{v:.3f}" for v in state * STATE_SCALE))
     table.add_row("sd", *(f"{v:.3f}" for v in estimate.sd * STATE_SCALE))
     console.print(table)
+    motion = estimate.motion
+    if motion is not None:
+        table = new_table("roll, pitch, heave, vertical speed of the deck", "", *MOTION_HEADS)
+        values = (motion.roll, motion.pitch, motion.heave, motion.deck_speed) * MOTION_SCALE
+        table.add_row("value", *(f"{v:.3f}" for v in values))
+        table.add_row("sd", *(f"{v:.3f}" for v in motion.sd * MOTION_SCALE))
+        console.print(table)
 
 
 def _print_parameters(prior: Estimate, last: Estimate, twin: Twin) -> None:

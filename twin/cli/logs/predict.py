@@ -11,6 +11,8 @@ import typer
 
 from twin.channels import COMMANDS, TIME
 from twin.cli.common import (
+    MOTION_HEADS,
+    MOTION_SCALE,
     STATE_HEADS,
     STATE_SCALE,
     LogArgument,
@@ -23,6 +25,7 @@ from twin.cli.common import (
     note,
     open_log,
     print_health,
+    print_sea,
     row_progress,
 )
 from twin.digital_twin import TwinError, known_plan
@@ -34,11 +37,6 @@ from twin.motion import QUIET_SPANS, MotionForecast, SeaEstimate
 from twin.motion.deck_motion import Z90
 from twin.predictors.base import Prediction
 from twin.predictors.registry import DEFAULT
-
-MOTION_HEADS = ("roll deg", "pitch deg", "heave m", "down m/s")
-
-MOTION_SCALE = np.array([180.0 / math.pi, 180.0 / math.pi, 1.0, 1.0])
-"""From SI units to those of :data:`MOTION_HEADS`."""
 
 
 def predict_command(
@@ -167,9 +165,4 @@ def _print_motion(motion: MotionForecast, sea: SeaEstimate | None) -> None:
     console.print(f"quiet deck for the next: {chances}", highlight=False)
     if not motion.ready:
         note("the forecast of roll, pitch and heave is still learning: it says little yet")
-    if sea is not None and np.isfinite(sea).all():
-        console.print(
-            f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
-            f"waves going to {math.degrees(sea.to) % 360.0:.0f} deg",
-            highlight=False,
-        )
+    print_sea(sea)
