@@ -6,6 +6,7 @@ import gc
 import heapq
 import math
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import islice
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from twin.channels import COMMANDS, MEASUREMENTS
 from twin.digital_twin import Twin, TwinError, known_plan
 from twin.sim.bridge import particulars_of, simulate
-from usv_gym.envs.episodes import BOUND
+from usv_gym.envs.episodes import BOUND, CapsizeWarning
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.sea import SEA_STATES, SeaState
 
@@ -267,9 +268,17 @@ def soak_environments(
     for k, (vessel, sea, dof) in enumerate(kinds):
         wanted = -(-(steps - done) // (len(kinds) - k))
         each = max(-(-wanted // BOATS), 1)
-        env = gym.make_vec(
-            "USVTwin-v0", num_envs=BOATS, twin=None, vessel=vessel, sea=sea, dof=dof, faults="on"
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CapsizeWarning)  # here boats may
+            env = gym.make_vec(
+                "USVTwin-v0",
+                num_envs=BOATS,
+                vessel=vessel,
+                sea=sea,
+                dof=dof,
+                faults="on",
+                twin=None,
+            )
         crashes = not_finite = 0
         env.reset(seed=int(rng.integers(2**31)))
         memory = resident_memory()

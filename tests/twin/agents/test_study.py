@@ -104,10 +104,6 @@ def made(levels, settings=TINY):
     return done
 
 
-def test_each_observation_has_a_colour():
-    assert set(study_report.COLOURS) == set(OBSERVATIONS)
-
-
 def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     levels = {"raw": (2.0, 6.0), "twin": (2.0, 3.0), "oracle": (2.0, 2.0), "idle": (9.0, 9.0)}
     results = study.collect(TINY, made(levels), "a command")
@@ -133,7 +129,6 @@ def test_the_share_of_the_gap_and_where_the_twin_does_not_help():
     assert {row["verdict"] for row in results["helps"]} == {"harms"}
 
 
-@pytest.mark.slow
 def test_every_observation_set_has_a_colour_of_its_own():
     assert set(study_report.COLOURS) == set(OBSERVATIONS)
     assert len(set(study_report.COLOURS.values())) == len(OBSERVATIONS)
