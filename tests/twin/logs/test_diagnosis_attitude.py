@@ -86,6 +86,7 @@ FAULTS = {
     "x and z swapped": (swapped(ACCEL_X, ACCEL_Z), "accel-swapped"),
     "askew": (askew(0.25, 0.0, 0.0), "imu-askew"),
     "askew ahead": (askew(0.0, -0.2, 0.3), "imu-askew"),
+    "turned": (askew(0.0, 0.0, -0.2), "imu-askew"),
     "angles in degrees": (scaled(180 / math.pi, AHRS_ROLL, AHRS_PITCH), "ahrs-unit"),
     "gyros swapped": (swapped(GYRO_X, GYRO_Y), "gyro-swapped"),
     "roll reversed": (scaled(-1.0, AHRS_ROLL), "tilt-sign"),
@@ -149,3 +150,15 @@ def test_a_log_without_them_has_no_finding() -> None:
     z = log.z.copy()
     z[:, MOTION_AT:] = np.nan
     assert codes(log, z) == set()
+
+
+def test_an_imu_turned_about_its_third_axis_is_measured() -> None:
+    boat, suite = Vessel.load("usv75"), SensorSuite(imu_mounting=(0.0, 0.0, 0.3))
+    log = simulate(
+        "heading135", vessel=boat, sea=SeaState.named("2"), duration=90, seed=0, dof=6, suite=suite
+    )
+    recording = Recording(log.t, log.z, log.cmd, log.t)
+    (found,) = [f for f in diagnose(recording).findings if f.code == "imu-askew"]
+    assert found.evidence["yaw_rad"] == pytest.approx(0.3, abs=0.02)
+    stated = diagnose(recording, particulars_of(boat, suite, 6))
+    assert "imu-askew" not in {finding.code for finding in stated.findings}

@@ -30,6 +30,9 @@ _G_UNIT = 0.8, 1.25
 _CLEAR = 0.6
 """From this correlation on two signals belong together."""
 
+_SAME = 0.9
+"""From this correlation on two sensors measure the same motion."""
+
 _OPPOSED = 0.5
 """From this correlation on, with the other sign, the AHRS and gravity contradict each other."""
 
@@ -78,7 +81,7 @@ def check_attitude(recording: Recording, particulars: Particulars | None = None)
         signs = _check_signs(recording)
         if signs:  # a wrong sign looks like a mounting
             found = [finding for finding in found if finding.code != "imu-askew"]
-        found += signs
+        found += signs or ([] if found else _check_turned(recording, rotation(mounting)))
     return found + _check_height(recording)
 
 
@@ -304,6 +307,34 @@ def _check_signs(recording: Recording) -> list[Finding]:
         )
         found.append(Finding(ERROR, "tilt-sign", what, remedy, {"correlation": fit.correlation}))
     return found[:1]
+
+
+def _check_turned(recording: Recording, mounting: Array) -> list[Finding]:
+    """Return whether the gyros are turned about the third axis, against the angles of the AHRS."""
+    t, angles = recording.samples("ahrs_roll_rad", "ahrs_pitch_rad")
+    t_rate, rates = recording.samples("gyro_x_radps", "gyro_y_radps", "gyro_radps")
+    if min(len(t), len(t_rate)) < 5 * ENOUGH:
+        return []
+    (times, roll), (_, pitch) = (_change(t, column) for column in angles.T)
+    felt = [_mean(t_rate, column, times) for column in (rates @ mounting.T).T[:2]]
+    both = np.column_stack([roll, pitch, *felt])
+    both = both[np.isfinite(both).all(axis=1)]
+    if len(both) < 5 * ENOUGH:
+        return []
+    roll, pitch, p, q = (both - both.mean(axis=0)).T
+    shown, measured = roll + 1j * pitch, p + 1j * q  # a turn of the axes is a factor
+    factor = complex(np.vdot(measured, shown))
+    size = float(np.linalg.norm(measured) * np.linalg.norm(shown))
+    yaw = math.atan2(factor.imag, factor.real)
+    if abs(factor) < _SAME * size or size == 0.0 or abs(yaw) < _ASKEW:
+        return []
+    names = recording.called("gyro_x_radps", "gyro_y_radps")
+    what = f"{names}: turned by {math.degrees(yaw):.0f} degrees about the third axis of the AHRS"
+    remedy = (
+        f"if it is how the IMU is mounted, state imu_mounting = [0.0, 0.0, {yaw:.3f}] in "
+        "[instruments] of the particulars, or add it to the third angle there"
+    )
+    return [Finding(WARNING, "imu-askew", what, remedy, {"yaw_rad": yaw})]
 
 
 def _check_height(recording: Recording) -> list[Finding]:
