@@ -80,8 +80,9 @@ def markdown(results: Mapping[str, Any]) -> str:
             for agent in dict.fromkeys(key[2] for key in cells):
                 found = [cells.get((metric, sea, agent, name)) for name in shown]
                 lines.append(_row([agent, *(_text(cell, "iqm", metric) for cell in found)]))
-    lines += ["", "## Share of the gap from raw to oracle that is closed", ""]
-    lines += _row(["agent", "by", *outages]), _row(["---"] * (len(outages) + 2))
+    if results["gaps"]:
+        lines += ["", "## Share of the gap from raw to oracle that is closed", ""]
+        lines += _row(["agent", "by", *outages]), _row(["---"] * (len(outages) + 2))
     gaps = {(gap["agent"], gap["metric"], gap["faults"]): gap for gap in results["gaps"]}
     for agent, metric in dict.fromkeys(key[:2] for key in gaps):
         found = [gaps.get((agent, metric, name)) for name in outages]
