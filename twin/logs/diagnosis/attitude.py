@@ -209,9 +209,11 @@ class _Fit(NamedTuple):
 def _fit(x: Array, y: Array) -> _Fit:
     """Return correlation, and the slope of y on x."""
     ok = np.isfinite(x) & np.isfinite(y)
+    if ok.sum() < 5 * ENOUGH:
+        return _Fit(0.0, math.nan)
     x, y = x[ok] - x[ok].mean(), y[ok] - y[ok].mean()
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if len(x) < 5 * ENOUGH or min(xx, yy) <= 0.0:
+    if min(xx, yy) <= 0.0:
         return _Fit(0.0, math.nan)
     return _Fit(xy / math.sqrt(xx * yy), xy / xx)
 
@@ -292,10 +294,10 @@ def _check_signs(recording: Recording) -> list[Finding]:
         t_angle, values = recording.samples(angle)
         if len(t_angle) < 5 * ENOUGH:
             continue
-        felt = _mean(t, force[:, side], times)
+        measured = _mean(t, force[:, side], times)
         tilt = _mean(t_angle, values[:, 0], times) * (-1.0 if k == 0 else 1.0)
-        tilt, felt = _apart_from(own[side], tilt, felt)
-        fit = _fit(tilt, felt)
+        tilt, measured = _apart_from(own[side], tilt, measured)
+        fit = _fit(tilt, measured)
         if fit.correlation > -_OPPOSED or float(tilt.std()) < _SLIGHT:
             continue
         gyro = ("gyro_x_radps", "gyro_y_radps")[k]
@@ -315,9 +317,9 @@ def _check_turned(recording: Recording, mounting: Array) -> list[Finding]:
     t_rate, rates = recording.samples("gyro_x_radps", "gyro_y_radps", "gyro_radps")
     if min(len(t), len(t_rate)) < 5 * ENOUGH:
         return []
-    (times, roll), (_, pitch) = (_change(t, column) for column in angles.T)
-    felt = [_mean(t_rate, column, times) for column in (rates @ mounting.T).T[:2]]
-    both = np.column_stack([roll, pitch, *felt])
+    times, change = _change(t, angles)
+    rates = np.column_stack([_mean(t_rate, column, times) for column in (rates @ mounting.T).T[:2]])
+    both = np.column_stack([change, rates])
     both = both[np.isfinite(both).all(axis=1)]
     if len(both) < 5 * ENOUGH:
         return []
@@ -326,7 +328,8 @@ def _check_turned(recording: Recording, mounting: Array) -> list[Finding]:
     factor = complex(np.vdot(measured, shown))
     size = float(np.linalg.norm(measured) * np.linalg.norm(shown))
     yaw = math.atan2(factor.imag, factor.real)
-    if abs(factor) < _SAME * size or size == 0.0 or abs(yaw) < _ASKEW:
+    same = 0.0 < size < math.inf and math.hypot(factor.real, factor.imag) >= _SAME * size
+    if not same or abs(yaw) < _ASKEW:
         return []
     names = recording.called("gyro_x_radps", "gyro_y_radps")
     what = f"{names}: turned by {math.degrees(yaw):.0f} degrees about the third axis of the AHRS"
