@@ -369,7 +369,7 @@ class Twin:
             self.step(t, z, cmd)
             ready[k] = self.predictor.write_moments(mean[k], sd[k])
             if (now := self.motion.estimate()) is not None:
-                deck[k] = (now.roll, now.pitch, now.heave, now.deck_speed), now.sd
+                deck[k] = now.mean, now.sd
             if on_row is not None:
                 on_row()
         np.sqrt(np.maximum(sd, 0.0, out=sd), out=sd)
@@ -411,10 +411,9 @@ class Twin:
 
     def estimate(self) -> Estimate:
         """Return state and parameters with their standard deviations, and the attitude."""
+        motion = self.motion.estimate()
         estimate = self.predictor.estimate()
-        if not self.motion.active:
-            return estimate
-        return dataclasses.replace(estimate, motion=self.motion.estimate())
+        return estimate if motion is None else dataclasses.replace(estimate, motion=motion)
 
     @property
     def attitude(self) -> MotionEstimate | None:

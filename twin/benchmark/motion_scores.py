@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from twin.logs.log import Log
 from twin.motion import QUIET_SPANS, MotionForecast
 from twin.particulars import Particulars
 from twin.predictors.base import Z90
+from twin.predictors.registry import DEFAULT
 
 __all__ = [
     "MOTION_CHANNELS",
@@ -23,9 +24,11 @@ __all__ = [
     "MotionScore",
     "MotionTruth",
     "auc",
+    "median_scores",
     "motion_rows",
     "motion_table",
     "quiet_rows",
+    "shown_motion",
 ]
 
 Array = NDArray[np.float64]
@@ -152,6 +155,28 @@ def motion_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                         "coverage90": values["coverage90"][j],
                         "n": table["n"],
                     }
+
+
+def shown_motion(results: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the rows ``motion`` and ``quiet`` of the predictor whose twin is shown.
+
+    The predictors differ little here: their part is the turn ahead.
+    """
+    names = [row["predictor"] for row in results.get("motion") or []]
+    name = DEFAULT if DEFAULT in names else names[0] if names else ""
+    return {
+        part: [row for row in results.get(part) or [] if row["predictor"] == name]
+        for part in ("motion", "quiet")
+    }
+
+
+def median_scores(rows: Sequence[Mapping[str, Any]], horizon: float) -> tuple[float, float, float]:
+    """Return the medians over rows of one horizon (s) of ``skill``, ``held`` and ``coverage90``."""
+    here = [row for row in rows if row["horizon_s"] == horizon]
+    skill, held, inside = (
+        float(np.median([row[name] for row in here])) for name in ("skill", "held", "coverage90")
+    )
+    return skill, held, inside
 
 
 def _reliability(p: Array, happened: NDArray[np.bool_]) -> list[list[float]]:

@@ -13,8 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from twin.benchmark.figures import (
     TRENDS,
     RunFigure,
@@ -36,6 +34,7 @@ from twin.benchmark.figures.data import (
 )
 from twin.benchmark.figures.deck import SHOWN_AHEAD
 from twin.benchmark.figures.style import Styles
+from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.svg import FONTS, sheet_of, standalone, svg_of
 from twin.predictors.registry import DEFAULT
 from usv_kernel.files import write_whole
@@ -392,22 +391,9 @@ def _recorded_grids(rows: Sequence[Row]) -> dict[str, Grid]:
     return grids
 
 
-def _motion_rows(results: Row) -> dict[str, list[Row]]:
-    """Return the rows of roll, pitch, heave and a quiet deck, of one predictor's twin.
-
-    The predictors differ little here: their part is the turn ahead.
-    """
-    names = [text_of(row, "predictor") for row in results.get("motion") or []]
-    name = DEFAULT if DEFAULT in names else names[0] if names else ""
-    return {
-        part: [row for row in results.get(part) or [] if row["predictor"] == name]
-        for part in ("motion", "quiet")
-    }
-
-
 def _motion_grids(results: Row) -> dict[str, Grid]:
     """Return what the forecasts of roll, pitch, heave and a quiet deck were worth, by title."""
-    rows = _motion_rows(results)
+    rows = shown_motion(results)
     if not rows["motion"]:
         return {}
     name = text_of(rows["motion"][0], "predictor")
@@ -425,10 +411,7 @@ def _skill_grid(rows: Sequence[Row]) -> Grid:
     for keys, block in _grouped(rows, lambda row: tuple(row[key] for key in where)).items():
         line = [*map(Cell, keys)]
         for horizon in horizons:
-            skill, held, inside = (
-                float(np.median([number_of(r, key) for r in block if r["horizon_s"] == horizon]))
-                for key in ("skill", "held", "coverage90")
-            )
+            skill, held, inside = median_scores(block, horizon)
             line.append(Cell(number(skill), (number(held), f"{100.0 * inside:.0f} %")))
         lines.append(line)
     return Grid([*where, *(f"{horizon:g} s" for horizon in horizons)], lines)
@@ -451,7 +434,7 @@ def _quiet_grid(rows: Sequence[Row]) -> Grid:
 # pictures
 def _reliability(results: Row, pictures: _Pictures) -> list[Picture]:
     """Return the picture of the probabilities of a quiet deck."""
-    fig = reliability_figure(_motion_rows(results)["quiet"])
+    fig = reliability_figure(shown_motion(results)["quiet"])
     if fig is None:
         return []
     caption = (

@@ -177,8 +177,8 @@ def run_unit(
             next_second += 1.0
             estimate = twin.estimate()
             history.append(_Parameters(t, estimate.params.tolist(), estimate.params_sd.tolist()))
-        drawable = motion_truth and prediction and t + SHOWN_AHEAD <= seen.t[-1]
-        if pictures and drawable and prediction and row % DRAWN_EVERY == 0:
+        shown = pictures and row % DRAWN_EVERY == 0 and t + SHOWN_AHEAD <= seen.t[-1]
+        if shown and motion_truth is not None and prediction is not None:
             drawn = twin.motion.forecast(
                 prediction.t - prediction.t0, prediction.mean, prediction.start
             )

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.protocol import FULL_CASES
 from twin.cli.common import console, explain, new_table, note, short
-from twin.predictors.registry import DEFAULT
 
 __all__ = ["print_results"]
 
@@ -59,7 +59,7 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
         _print_blocks(cells, missing)
         _print_paired(results.get("paired", []))
     _print_recorded(results.get("recorded", []))
-    _print_motion(results.get("motion", []), results.get("quiet", []))
+    _print_motion(**shown_motion(results))
     for name, log in results.get("logs", {}).items():
         parts = []
         if log["repairs"]:
@@ -184,22 +184,17 @@ def _print_recorded(rows: Sequence[Row]) -> None:
         )
 
 
-def _print_motion(rows: Sequence[Row], quiet: Sequence[Row]) -> None:
+def _print_motion(motion: Sequence[Row], quiet: Sequence[Row]) -> None:
     """Print what the forecasts of roll, pitch and heave are worth, and of a quiet deck."""
-    if not rows:
+    if not motion:
         return
-    # they differ little with the predictor, whose part is the turn ahead
-    predictor = (
-        DEFAULT if any(row["predictor"] == DEFAULT for row in rows) else rows[0]["predictor"]
-    )
-    own = [row for row in rows if row["predictor"] == predictor]
-    horizons = sorted({row["horizon_s"] for row in own})
-    for plan in dict.fromkeys(row["plan"] for row in own):
-        cells: dict[tuple[str, str], dict[float, list[Row]]] = {}
-        for row in own:
+    predictor = motion[0]["predictor"]
+    horizons = sorted({row["horizon_s"] for row in motion})
+    for plan in dict.fromkeys(row["plan"] for row in motion):
+        cells: dict[tuple[str, str], list[Row]] = {}
+        for row in motion:
             if row["plan"] == plan:
-                cell = cells.setdefault((row["scenario"], row["channel"]), {})
-                cell.setdefault(row["horizon_s"], []).append(row)
+                cells.setdefault((row["scenario"], row["channel"]), []).append(row)
         heads = ("scenario", "channel", "sd", *(f"{h:g} s" for h in horizons))
         title = (
             f"RMSE over sd; below it that of the present value, held; truth inside the 90 % "
@@ -207,25 +202,21 @@ def _print_motion(rows: Sequence[Row], quiet: Sequence[Row]) -> None:
         )
         table = new_table(title, *heads, left=("scenario", "channel"), padding=0)
         for (scenario, channel), found in cells.items():
-            sd = np.median([row["sd"] for row in found[horizons[0]]])
+            sd = np.median([row["sd"] for row in found])
             unit = 180.0 / math.pi if channel in ("roll", "pitch") else 1.0
             texts = []
             for horizon in horizons:
-                skill, held, inside = (
-                    float(np.median([row[name] for row in found[horizon]]))
-                    for name in ("skill", "held", "coverage90")
-                )
+                skill, held, inside = median_scores(found, horizon)
                 texts.append(f"{skill:.2f}\n{held:.2f}\n{100.0 * inside:.0f} %")
             table.add_row(scenario, channel, short(unit * sd, 2), *texts)
         console.print(table)
     heads = ("scenario", "case", "plan", "span", "share", "Brier skill", "AUC", "AUC now")
     table = new_table(f"quiet deck, {predictor}", *heads, left=heads[:3])
     for row in quiet:
-        if row["predictor"] == predictor:
-            names = ("brier_skill", "auc", "auc_now")
-            values = ("-" if row[name] is None else short(row[name], 2) for name in names)
-            where = (row["scenario"], row["case"], row["plan"], f"{row['span_s']:g} s")
-            table.add_row(*where, short(row["base_rate"], 2), *values)
+        names = ("brier_skill", "auc", "auc_now")
+        values = ("-" if row[name] is None else short(row[name], 2) for name in names)
+        where = (row["scenario"], row["case"], row["plan"], f"{row['span_s']:g} s")
+        table.add_row(*where, short(row["base_rate"], 2), *values)
     console.print(table)
     explain(
         f"The twins of all predictors forecast this alike, but for the turn ahead; shown is "

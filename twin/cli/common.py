@@ -210,7 +210,7 @@ def note(text: str) -> None:
 
 def print_sea(sea: SeaEstimate | None) -> None:
     """Print what a twin makes of the waves, once it knows."""
-    if sea is not None and np.isfinite(sea).all():
+    if sea is not None and sea.known:
         console.print(
             f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
             f"waves going to {math.degrees(sea.to) % 360.0:.0f} deg",

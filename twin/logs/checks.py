@@ -91,13 +91,14 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
         table.notes.append(f"{given}: all {rows} cells empty, taken as never measured")
         return
     samples = values[valid]
-    if count >= ENOUGH and (samples == samples[0]).all() and name in MEASUREMENTS[MOTION_AT:]:
+    dead = count >= ENOUGH and (samples == samples[0]).all()
+    if dead and name in MEASUREMENTS[MOTION_AT:]:
         values[:] = np.nan
         table.notes.append(
             f"{given}: all {count} values are equal, as of a dead axis; taken as never measured"
         )
         return
-    if count >= ENOUGH and (samples == samples[0]).all():
+    if dead:
         last = rows - 1 - int(np.argmax(valid[::-1]))
         raise LogError(
             f"{table.source}: column {given}, {table.line(int(np.argmax(valid)))} to "

@@ -29,6 +29,7 @@ from twin.motion.state import (
     LIFT_BIAS,
     MEMORY,
     N_TILT,
+    NO_FIX,
     RATE_BIAS,
     RING,
     SLOW_HEAVE,
@@ -417,7 +418,7 @@ def _hold_to_fix(t, dt, z, memory, given):
         gate = math.inf if memory.refused[5] > REFUSALS_MAX else GATE
         used = _correct(x, P, (1.0, 0.0, 0.0, 1.0), error, given.height**2, gate)
         _count_refused(used, memory, 5)
-    if memory.ages[6] > 2.0 and dt > 0.0:
+    if memory.ages[6] > NO_FIX and dt > 0.0:
         power = memory.wave_power
         corner = CORNER * math.sqrt(power[1] / max(power[0], 1e-12))
         corner = min(max(corner, CORNER_RANGE[0]), CORNER_RANGE[1])

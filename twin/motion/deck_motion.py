@@ -214,6 +214,11 @@ class MotionEstimate:
     deck_speed: float
     sd: Array
 
+    @property
+    def mean(self) -> Array:
+        """Roll, pitch, heave and deck speed, shape (4,), beside ``sd``."""
+        return np.array([self.roll, self.pitch, self.heave, self.deck_speed])
+
     def heave_at(self, point: ArrayLike) -> float:
         """Return the heave of a point of the deck (m forward, to starboard, down), m."""
         a, b, c = map(float, np.asarray(point, dtype=np.float64))

@@ -131,9 +131,6 @@ ERROR_TIMES = (10.0, 10.0, MEMORY_OF_HEAVE, 1.0)
 STAYS = np.exp(-HORIZONS / np.array(ERROR_TIMES)[:, None]).ravel()
 """Share of such an error that is left at each horizon."""
 
-NO_FIX = 2.0
-"""Without a vertical speed of the GNSS for so long, heave comes from the IMU alone, s."""
-
 HEAVE_LEAK, CLIMB_LEAK = (0.05, 0.6), 0.15
 """Share of the heave that the filter leaves out or shifts, with GNSS and without; the same of the
 vertical speed without."""

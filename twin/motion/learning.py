@@ -31,7 +31,6 @@ from twin.motion.forecast_state import (
     N_HORIZONS,
     N_QUIET,
     N_TERMS,
-    NO_FIX,
     PENALTY,
     PITCH,
     PLACES,
@@ -46,7 +45,7 @@ from twin.motion.forecast_state import (
     TRUST_TICKS,
     VERIFIED,
 )
-from twin.motion.state import ANGLE, CLIMB, HEAVE, RATE_BIAS
+from twin.motion.state import ANGLE, CLIMB, HEAVE, NO_FIX, RATE_BIAS
 from twin.particulars import GRAVITY
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.scalar import sincos

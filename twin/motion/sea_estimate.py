@@ -46,6 +46,11 @@ class SeaEstimate(NamedTuple):
     to: float
     """Mean direction that they go to, rad clockwise from north, whatever the heading."""
 
+    @property
+    def known(self) -> bool:
+        """Whether there is an estimate yet."""
+        return math.isfinite(self.hs)
+
 
 @kernel
 def take_sea(dt, heading, velocity, attitude, memory):

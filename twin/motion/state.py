@@ -60,6 +60,9 @@ NEVER = 1e9
 WAVE_ACCEL, WAVE_TIME = 0.3, 0.5
 """Horizontal acceleration in waves that velocities do not show (m/s2), and how long it lasts, s."""
 
+NO_FIX = 2.0
+"""Without a vertical speed of the GNSS for so long, heave comes from the IMU alone, s."""
+
 CORNER, CORNER_RANGE = 0.2, (0.15, 0.6)
 """Without GNSS, heave that is slower than this part of the frequency of the waves is left out, and
 its range, rad/s."""

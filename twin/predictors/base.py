@@ -22,19 +22,17 @@ from twin.checkpoint import State, restore_attributes, saved_attributes
 from twin.identification.identifiability import Identifiability
 from twin.logs.datum import Datum
 from twin.logs.tables import StateTable
-from twin.motion.deck_motion import MotionEstimate, MotionForecast
+from twin.motion.deck_motion import Z90, MotionEstimate, MotionForecast
 from twin.particulars import Particulars
 
 __all__ = [
+    "Z90",
     "Estimate",
     "Prediction",
     "Predictor",
 ]
 
 Array = NDArray[Any]
-
-Z90 = 1.6448536269514722
-"""Half the width of the middle 90 % of a normal distribution, standard deviations."""
 
 
 @dataclass(frozen=True)

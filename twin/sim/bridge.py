@@ -15,9 +15,9 @@ from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import (
     HEADINGS,
     SCENARIOS,
+    HeadingHold,
     ManoeuvreError,
     commands,
-    hold_heading,
 )
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
@@ -25,7 +25,7 @@ from usv_gym.world.faults import Disturbance
 from usv_gym.world.sea import SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import Simulation
-from usv_kernel.channels import COMPASS, SENSOR_CHANNELS
+from usv_kernel.channels import COMPASS, GYRO, SENSOR_CHANNELS
 
 __all__ = [
     "CONTROL_STEP",
@@ -164,10 +164,9 @@ def prepare(
         return PreparedRun(simulation, manoeuvre, f"own_{seed}")
     times = np.arange(max(round(duration / CONTROL_STEP), 1)) * CONTROL_STEP
     if manoeuvre in HEADINGS:
-        sea = simulation.seas[0]
-        to = sea.wind_from + math.pi if sea.wave_to is None else sea.wave_to
         given = np.zeros((len(times), 4))
-        return PreparedRun(simulation, given, f"{manoeuvre}_{seed}", to + HEADINGS[manoeuvre])
+        heading = simulation.seas[0].waves_to + HEADINGS[manoeuvre]
+        return PreparedRun(simulation, given, f"{manoeuvre}_{seed}", heading)
     given = commands(manoeuvre, times, simulation.vessel, helm_rng)
     return PreparedRun(simulation, given, f"{manoeuvre}_{seed}")
 
@@ -184,14 +183,13 @@ def sail(
     t, cmd = np.empty(N + 1), np.concatenate([simulation.cmd, run.commands])
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     motion, held = np.empty((N + 1, len(VERTICAL))), np.zeros(2)
+    autopilot = None if run.heading is None else HeadingHold(simulation.vessel)
     for k in range(N + 1):
         if k:
-            if run.heading is not None:
-                for j in range(2):
-                    held[j] = (
-                        held[j] if math.isnan(z[k - 1, COMPASS + j]) else z[k - 1, COMPASS + j]
-                    )
-                cmd[k] = hold_heading(simulation.vessel, run.heading, *held)
+            if autopilot is not None and run.heading is not None:
+                sample = z[k - 1, [COMPASS, GYRO]]
+                held = np.where(np.isnan(sample), held, sample)
+                cmd[k] = autopilot.command(run.heading, *held)
             command = cmd[k : k + 1].copy()
             if before_step is not None:
                 before_step(float(simulation.t[0]), simulation, command[0])

@@ -33,7 +33,7 @@ from twin.motion.deck_motion import (
 from twin.motion.deck_motion import take_row as take_motion_row
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import HORIZONS as HORIZONS_OF_MOTION
-from twin.motion.forecast_state import PITCH, QUIET_SPANS
+from twin.motion.forecast_state import PITCH, QUIET_CHANNELS, QUIET_SPANS
 from twin.motion.sea_estimate import sea_of
 from twin.motion.state import ANGLE
 from twin.predictors.plus_forecast import (
@@ -321,7 +321,7 @@ def describe_motion(s, note, memory, given, work, obs):
         obs[6 + c] = math.sqrt(max(var[0, c], 0.0)) / scale
     at = 6 + 4
     for row in MOTION_ROWS:
-        for c in (0, 1, 3):
+        for c in QUIET_CHANNELS:
             scale = TILT_SCALE if c <= PITCH else 1.0
             obs[at] = mean[row, c] / scale
             obs[at + 1] = Z90 * math.sqrt(max(var[row, c], 0.0)) / scale
@@ -457,11 +457,8 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
     config = UKFConfig(config[0], config[1], ModelTerms(which, limits, hull))
     forecast = UKFForecast(forecast[0], forecast[1])
     settings, model = as_record(boats.settings, SETTINGS), config.model
-    rules, first = (
-        as_record(boats.shared, EPISODES).rules,
-        as_record(boats.shared, EPISODES).entries,
-    )
-    first = int(first)
+    shared = as_record(boats.shared, EPISODES)
+    rules, first = shared.rules, int(shared.entries)
     given = filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
     out = forecast_buffers(forecast.buffers, ROWS, model.which.shape[1])
@@ -515,11 +512,8 @@ def observe_plus(boats, memories, config, work, forecast, obs):
     config, work = plus_config_of(config), plus_work_of(work)
     forecast = PlusForecast(forecast[0], forecast[1], forecast[2], forecast[3])
     settings, model = as_record(boats.settings, SETTINGS), config.model
-    rules, first = (
-        as_record(boats.shared, EPISODES).rules,
-        as_record(boats.shared, EPISODES).entries,
-    )
-    first = int(first)
+    shared = as_record(boats.shared, EPISODES)
+    rules, first = shared.rules, int(shared.entries)
     p, D = model.which.shape[1], forecast.normal[0].shape[0]
     mean = mean_forecast_of(forecast.mean, p, ROWS, WAVE_STEPS)
     draws = draws_of(forecast.draws, p, ROWS, WAVE_STEPS, D)

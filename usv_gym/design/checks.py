@@ -475,12 +475,8 @@ def _seaway_rules(vessel: Vessel, found: Inspection) -> Findings:
             "capsized": float(len(trial.capsized)),
         }
         if trial.capsized:
-            headings = ", ".join(f"{angle:g}" for angle in trial.capsized)
-            yield Finding(
-                False,
-                f"In sea state {name} it capsizes within a minute, with the waves at {headings} "
-                "degrees to its heading (0: from astern).",
-            )
+            what = f"In sea state {name} it capsizes within a minute, {trial.where}."
+            yield Finding(False, what)
             return
 
 

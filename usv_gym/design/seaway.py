@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usv_gym.manoeuvring.manoeuvres import HeadingHold
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.sea import SeaState
@@ -32,9 +33,6 @@ CAPSIZED = math.radians(60.0)
 SENSE = 1e6
 """Entries of a state beyond it make no sense, SI units."""
 
-HELM = math.radians(20.0)
-"""Largest drive angle of the heading hold, rad."""
-
 
 class SeaTrial(NamedTuple):
     """What became of a vessel in a sea."""
@@ -43,6 +41,12 @@ class SeaTrial(NamedTuple):
     """Largest angle of the mast from upright, rad."""
     capsized: tuple[float, ...]
     """Headings on which it capsized, degrees to where the waves go."""
+
+    @property
+    def where(self) -> str:
+        """On which headings it capsized, in words."""
+        headings = ", ".join(f"{angle:g}" for angle in self.capsized)
+        return f"with the waves at {headings} degrees to its heading (0: from astern)"
 
 
 def sail_in_sea(vessel: Vessel, sea: SeaState) -> SeaTrial:
@@ -74,17 +78,13 @@ def _sail(key: _Key, sea: SeaState) -> SeaTrial:
     n = len(angles)
     simulation = Simulation(n, vessel, sea, dof=6, dt=DT)
     simulation.reset(range(n), [np.random.default_rng([k]) for k in range(n)])
-    to = sea.wind_from + math.pi if sea.wave_to is None else sea.wave_to
-    simulation.state[:, fr.PSI] = heading = to + angles
-    shaft = vessel.values["shaft_speed_manoeuvring"]
-    time = vessel.values["length_waterline"] / vessel.straight_speed(shaft)
+    simulation.state[:, fr.PSI] = heading = sea.waves_to + angles
+    autopilot = HeadingHold(vessel)
     largest, over = np.zeros(n), np.zeros(n, dtype=np.bool_)
     for _ in range(round(DURATION / DT)):
         state = simulation.state
-        error = np.remainder(heading - state[:, fr.PSI] + math.pi, 2.0 * math.pi) - math.pi
-        helm = np.clip(0.8 * error - 0.8 * time * state[:, fr.R], -HELM, HELM)
         try:
-            simulation.step(vessel.command(np.full(n, shaft), helm))
+            simulation.step(autopilot.command(heading, state[:, fr.PSI], state[:, fr.R]))
         except RunawayError:
             over |= ~(np.abs(simulation.state) < SENSE).all(axis=1)
             break
@@ -104,8 +104,7 @@ def warning_of(vessel: Vessel, sea: SeaState) -> str | None:
     trial = sail_in_sea(vessel, sea)
     if not trial.capsized:
         return None
-    headings = ", ".join(f"{angle:g}" for angle in trial.capsized)
     return (
-        f"{vessel.name} capsizes in waves of {sea.hs:g} m within a minute, with the waves at "
-        f"{headings} degrees to its heading (0: from astern); take a calmer sea or another vessel"
+        f"{vessel.name} capsizes in waves of {sea.hs:g} m within a minute, {trial.where}; "
+        "take a calmer sea or another vessel"
     )

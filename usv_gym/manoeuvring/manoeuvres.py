@@ -14,9 +14,9 @@ __all__ = [
     "HEADINGS",
     "MANOEUVRES",
     "SCENARIOS",
+    "HeadingHold",
     "ManoeuvreError",
     "commands",
-    "hold_heading",
 ]
 
 
@@ -88,21 +88,30 @@ HOLD_GAIN, HOLD_RATE = 0.8, 0.8
 """Drive angle for a heading error, and for a turning of a length in the time to sail it."""
 
 
-def hold_heading(
-    vessel: Vessel, heading: float, compass: float, gyro: float, limit: float = ANGLE
-) -> np.ndarray:
-    """Return the command (4,) of an autopilot that holds a heading at the manoeuvring speed.
+class HeadingHold:
+    """An autopilot that holds a heading at the manoeuvring speed, for one boat or many.
 
-    ``heading`` and ``compass`` are in rad, ``gyro`` in rad/s, ``limit`` is the largest drive
-    angle, rad.
+    Parameters
+    ----------
+    vessel : Vessel
+        What it steers.
     """
-    error = math.remainder(heading - compass, 2.0 * math.pi)
-    full = vessel.values["shaft_speed_manoeuvring"]
-    time = vessel.values["length_waterline"] / vessel.straight_speed(full)
-    angle = HOLD_GAIN * error - HOLD_RATE * time * gyro
-    angle = min(max(angle, -limit), limit)
-    command: np.ndarray = vessel.command(np.array([full]), np.array([angle]))[0]
-    return command
+
+    def __init__(self, vessel: Vessel) -> None:
+        self.vessel = vessel
+        self.shaft = vessel.values["shaft_speed_manoeuvring"]
+        time = vessel.values["length_waterline"] / vessel.straight_speed(self.shaft)
+        self._rate = HOLD_RATE * time
+
+    def command(
+        self, heading: np.ndarray | float, compass: np.ndarray | float, gyro: np.ndarray | float
+    ) -> np.ndarray:
+        """Return the command (..., 4) for heading and compass, rad, and gyro, rad/s."""
+        turn = 2.0 * math.pi
+        error = np.asarray(heading - compass)
+        error = error - turn * np.rint(error / turn)
+        angle = np.clip(HOLD_GAIN * error - self._rate * gyro, -ANGLE, ANGLE)
+        return self.vessel.command(self.shaft, angle)
 
 
 def commands(

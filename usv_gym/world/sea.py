@@ -323,15 +323,15 @@ class SeaState:
             weather["wind_from"][i] = self._wind_from(keyframe)
         if self.hs > 0.0:
             omega, amplitude, aside = self._drift_waves
-            weather["drift_sums"] = drift_sums(vessel, omega, amplitude, self._to + aside)
-            drift = drift_table(vessel, omega, amplitude, self._to + aside)
+            weather["drift_sums"] = drift_sums(vessel, omega, amplitude, self.waves_to + aside)
+            drift = drift_table(vessel, omega, amplitude, self.waves_to + aside)
             if drift is not None:
                 weather["drift_table"], weather["drift_tabled"] = drift, 1.0
         components, gusts = self._waves(vessel, rng_waves), self._gusts(rng_gusts)
         return Sea(waves=components, gusts=gusts, weather=weather, vessel=vessel)
 
     @property
-    def _to(self) -> float:
+    def waves_to(self) -> float:
         """Mean direction that the waves go to, rad."""
         if self.wave_to is not None:
             return self.wave_to
@@ -397,7 +397,7 @@ class SeaState:
         if self.spreading is not None:
             # one direction at random in each of M bins of equal energy, dealt to the frequencies
             aside = self._aside((rng.permutation(M) + rng.random(M)) / M)
-        to = self._to
+        to = self.waves_to
         north = math.cos(to) * np.cos(aside) - math.sin(to) * np.sin(aside)
         east = math.sin(to) * np.cos(aside) + math.cos(to) * np.sin(aside)
         return wave_rows(vessel, omega, amplitude, north, east, phase)

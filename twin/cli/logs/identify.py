@@ -277,12 +277,11 @@ def _motion_json(estimate: Estimate, twin: Twin) -> dict[str, Any]:
     if estimate.motion is None:
         return {}
     motion, sea = estimate.motion, twin.sea
-    values = (motion.roll, motion.pitch, motion.heave, motion.deck_speed)
     waves = None
-    if sea is not None and all(map(math.isfinite, sea)):
+    if sea is not None and sea.known:
         waves = dict(zip(("hs_m", "period_s", "to_rad"), sea, strict=True))
     return {
-        "motion": dict(zip(CHANNELS, values, strict=True)),
+        "motion": dict(zip(CHANNELS, motion.mean.tolist(), strict=True)),
         "motion_sd": dict(zip(CHANNELS, motion.sd.tolist(), strict=True)),
         "sea": waves,
     }
@@ -299,8 +298,7 @@ def _print_state(estimate: Estimate, predictor: str, log: Log) -> None:
     motion = estimate.motion
     if motion is not None:
         table = new_table("roll, pitch, heave, vertical speed of the deck", "", *MOTION_HEADS)
-        values = (motion.roll, motion.pitch, motion.heave, motion.deck_speed) * MOTION_SCALE
-        table.add_row("value", *(f"{v:.3f}" for v in values))
+        table.add_row("value", *(f"{v:.3f}" for v in motion.mean * MOTION_SCALE))
         table.add_row("sd", *(f"{v:.3f}" for v in motion.sd * MOTION_SCALE))
         console.print(table)
 

@@ -34,8 +34,7 @@ from twin.logs.log import Log
 from twin.logs.readers import Clock, CsvFile
 from twin.logs.tables import check_export
 from twin.motion import QUIET_SPANS, MotionForecast, SeaEstimate
-from twin.motion.deck_motion import Z90
-from twin.predictors.base import Prediction
+from twin.predictors.base import Z90, Prediction
 from twin.predictors.registry import DEFAULT
 
 

@@ -45,6 +45,11 @@ class NmeaWriter:
         made = self._pynmea2.TalkerSentence(self.talker, kind, fields)
         return str(made.render(newline="\r\n"))
 
+    def proprietary(self, maker: str, *fields: str) -> str:
+        """Return a sentence of a maker's own, with its checksum."""
+        made = self._pynmea2.ProprietarySentence(maker, fields)
+        return str(made.render(newline="\r\n"))
+
     def gga(self, stamp: float, latitude: float, longitude: float, quality: int) -> str:
         """Return a fix; ``stamp`` is the time of day, s."""
         place = _text(latitude, "NS", 2, 7), _text(longitude, "EW", 3, 7)
@@ -111,19 +116,19 @@ class NmeaWriter:
             *[""] * (2 - len(sd)),
             *("", "1"),
         )
-        return str(self._pynmea2.ProprietarySentence("A", fields).render(newline="\r\n"))
+        return self.proprietary("A", *fields)
 
     def motion(self, stamp: float, after: float, mean: Array, sd: Array) -> str:
         """Return a forecast (4,) of roll, pitch, heave and deck speed, with deviations (4,)."""
         values = [*np.degrees(mean[:2]), *mean[2:], *np.degrees(sd[:2]), *sd[2:]]
         texts = [f"{min(max(value, -999.0), 999.0):.2f}" for value in values]
         fields = ("M", _clock(stamp), f"{after:.1f}", *texts)
-        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
+        return self.proprietary("UTW", *fields)
 
     def quiet(self, stamp: float, probabilities: Array) -> str:
         """Return the probabilities (3,) of a quiet deck."""
         fields = ("Q", _clock(stamp), *(f"{value:.2f}" for value in probabilities))
-        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
+        return self.proprietary("UTW", *fields)
 
     def predicted(
         self, stamp: float, after: float, place: tuple[float, float], heading: float, cov: Array
@@ -152,12 +157,12 @@ class NmeaWriter:
             *(f"{min(value, 999.99):.2f}" for value in sd.tolist()),
             f"{correlation:.2f}",
         )
-        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
+        return self.proprietary("UTW", *fields)
 
     def health(self, stamp: float, sensor: str, status: str) -> str:
         """Return the new status of a sensor; see the head of this module."""
         fields = ("H", _clock(stamp), sensor, status)
-        return str(self._pynmea2.ProprietarySentence("UTW", fields).render(newline="\r\n"))
+        return self.proprietary("UTW", *fields)
 
     def row(
         self, when: float, z: Array, cmd: Array, place: tuple[float, float] | None
