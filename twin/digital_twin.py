@@ -23,7 +23,7 @@ from twin.motion.deck_motion import DeckMotion, MotionEstimate
 from twin.motion.forecast_state import CHANNELS
 from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
-from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.base import Estimate, Prediction, Predictor, check_forecast
 from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
 from twin.predictors.saved_options import pack_option, unpack_option
 from usv_kernel.errors import UsvTwinError
@@ -451,6 +451,8 @@ class Twin:
         ------
         TwinError
             Names what is wrong with the plan, and the remedy.
+        ForecastError
+            The predictor answered with NaN or infinity; names it, the step and the channel.
         """
         if not (math.isfinite(dt) and dt > 0.0 and math.isfinite(horizon) and horizon > 0.0):
             raise TwinError(f"horizon = {horizon} and dt = {dt} must be finite and above 0")
@@ -480,11 +482,14 @@ class Twin:
         return self._with_motion(self.predictor.predict(rows, dt))
 
     def _with_motion(self, prediction: Prediction) -> Prediction:
-        """Return a prediction with that of roll, pitch and heave, if anything measures them."""
+        """Return a finite prediction with that of roll, pitch and heave, if measured."""
+        name = self.name or type(self.predictor).__name__
+        after = prediction.t - prediction.t0
+        for states in (prediction.mean, prediction.cov):
+            check_forecast(name, prediction.t0, after, states)
         if not self.motion.active:
             return prediction
-        times = prediction.t - prediction.t0
-        motion = self.motion.forecast(times, prediction.mean, prediction.start)
+        motion = self.motion.forecast(after, prediction.mean, prediction.start)
         return dataclasses.replace(prediction, motion=motion)
 
 

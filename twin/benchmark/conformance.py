@@ -21,10 +21,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.benchmark.publish.sources import declared_files
+from twin.benchmark.publish.user_code import (
+    FileRead,
+    lines_reading_later_rows,
+    own_files,
+    place_of_error,
+    place_of_import,
+    place_of_method,
+    watched_files,
+)
 from twin.checkpoint import StateError
 from twin.digital_twin import Twin, known_plan
 from twin.logs.log import Log
-from twin.predictors.base import Prediction
+from twin.predictors.base import ForecastError, Prediction
+from twin.predictors.baselines import HistoryPredictor
 from twin.predictors.registry import PredictorError, make_predictor, predictor_class
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
@@ -53,8 +64,15 @@ PSD = 1e-7
 """Tolerance on negative eigenvalues of a correlation matrix: rounding errors."""
 
 
+FORECASTING = ("forecast", "forecast_from_last", "path", "predict", "mean")
+"""Methods that a forecast may come from, those that users write first."""
+
+
 class BrokenError(UsvTwinError):
-    """A violation of the contract."""
+    """A violation of the contract; ``methods`` may have caused it, the likeliest first."""
+
+    methods: tuple[str, ...] = ()
+    place = ""
 
 
 class NotSupportedError(UsvTwinError):
@@ -68,14 +86,16 @@ class Finding:
     name: str
     passed: bool | None
     text: str
+    place: str = ""  # file and line of the predictor's own code that failed, where they are known
 
 
 class _Trial:
     """A predictor by name, a run for it, and its answers at row :data:`ROWS`."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, opened: Sequence[FileRead]) -> None:
+        self.name, self.opened = name, opened
         self.kind = predictor_class(name)
+        self.files = own_files(self.kind)
         vessel, sea = Vessel.load("usv75"), SeaState(hs=0.5, wind=4.5)
         self.log = simulate("zigzag", vessel=vessel, sea=sea, duration=40.0, seed=7)
         self.particulars = particulars_of(vessel)
@@ -120,18 +140,21 @@ class _Trial:
             self._expected = self.answers(self.after())
         return self._expected
 
-    def compare(self, twin: Twin, after: str) -> None:
+    def compare(self, twin: Twin, after: str, *methods: str) -> None:
         """Refuse other answers than those of an undisturbed twin."""
         for mine, other in zip(self.expected, self.answers(twin), strict=True):
             if not np.array_equal(mine, other, equal_nan=True):
                 error = np.abs(mine - other).max() if mine.shape == other.shape else math.nan
-                raise BrokenError(f"other answers {after}: they differ by up to {error:.3g}")
+                text = f"other answers {after}: they differ by up to {error:.3g}"
+                _require(False, text, *methods)
 
 
-def _require(good: bool, text: str) -> None:
-    """Raise where something is false."""
+def _require(good: bool, text: str, *methods: str) -> None:
+    """Raise where something is false that one of some methods may have caused."""
     if not good:
-        raise BrokenError(text)
+        error = BrokenError(text)
+        error.methods = methods
+        raise error
 
 
 def _require_valid(prediction: Prediction, rows: int, where: str) -> None:
@@ -140,22 +163,24 @@ def _require_valid(prediction: Prediction, rows: int, where: str) -> None:
     shapes |= {"cov": (rows, 6, 6), "low": (rows, 6), "high": (rows, 6)}
     for name, shape in shapes.items():
         value = np.asarray(getattr(prediction, name))
-        _require(value.shape == shape, f"{where}: {name} has shape {value.shape}, not {shape}")
-        _require(bool(np.isfinite(value).all()), f"{where}: {name} is not finite")
+        other = f"{where}: {name} has shape {value.shape}, not {shape}"
+        _require(value.shape == shape, other, *FORECASTING)
+        _require(bool(np.isfinite(value).all()), f"{where}: {name} is not finite", *FORECASTING)
     after = np.diff(np.concatenate([[prediction.t0], prediction.t]))
-    _require(bool((after > 0.0).all()), f"{where}: its times do not increase from t0")
+    _require(bool((after > 0.0).all()), f"{where}: its times do not increase from t0", "predict")
     for cov in (prediction.start_cov[None], prediction.cov):
         # of correlations, so that units and sizes do not matter
         sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 1e-300))
         unit = cov / sd[:, :, None] / sd[:, None, :]
         even = bool(np.allclose(unit, unit.transpose(0, 2, 1), rtol=0.0, atol=1e-9))
-        _require(even, f"{where}: a covariance is not symmetric")
+        _require(even, f"{where}: a covariance is not symmetric", "predict")
         least = float(np.linalg.eigvalsh(unit).min())
-        _require(least > -PSD, f"{where}: a covariance has the eigenvalue {least:.3g} (of 1)")
+        negative = f"{where}: a covariance has the eigenvalue {least:.3g} (of 1)"
+        _require(least > -PSD, negative, "predict")
     tolerance = 1e-9 * (1.0 + np.abs(prediction.mean))
     ordered = prediction.low <= prediction.mean + tolerance
     ordered &= prediction.mean <= prediction.high + tolerance
-    _require(bool(ordered.all()), f"{where}: low <= mean <= high does not hold")
+    _require(bool(ordered.all()), f"{where}: low <= mean <= high does not hold", "predict")
 
 
 def _check_class(trial: _Trial) -> str:
@@ -173,6 +198,7 @@ def _check_class(trial: _Trial) -> str:
     _require(
         predictor.particulars == trial.particulars,
         "does not keep its particulars; call super().__init__(particulars, seed=seed)",
+        "__init__",
     )
     return f"{trial.kind.__module__}:{trial.kind.__qualname__}; tuning: {trial.kind.tuning}"
 
@@ -232,7 +258,58 @@ def _check_causality(trial: _Trial) -> str:
         trial.log, z=z, cmd=cmd, truth=np.full((len(trial.log), 6), 1e6), name="poisoned"
     )
     trial.compare(trial.after(poisoned), "where later rows are nonsense")
+    whole = trial.after(rows=len(trial.log))
+    whole.predict("hold")
+    trial.compare(trial.after(), "of one made after another of its class has seen the whole run")
     return f"{rest} later rows and the truth replaced by nonsense: the same bits"
+
+
+def _check_origins(trial: _Trial) -> str:
+    """Forecasts from rows of a history, as for its own past errors, use no later ones."""
+    predictor = trial.after().predictor
+    if not isinstance(predictor, HistoryPredictor):
+        return "keeps no history of forecasts"
+    calls: list[tuple[Array, Array, Array]] = []
+
+    def forecast(rows: Array, origins: Array, plans: Array) -> Array:
+        # of a copy: what an earlier call has fitted would hide what this one uses
+        one = copy.deepcopy(predictor)
+        one._rows = list(rows.copy())
+        return np.array(one.forecast(rows.copy(), origins.copy(), plans.copy()))
+
+    def noted(rows: Array, origins: Array, plans: Array) -> Array:
+        calls.append((rows.copy(), origins.copy(), plans.copy()))
+        return forecast(rows, origins, plans)
+
+    other = copy.deepcopy(predictor)
+    other.forecast = noted  # type: ignore[method-assign]
+    other.predict(trial.plan.copy(), PLAN_DT)
+    rng, count = np.random.default_rng(1), 0
+    for rows, origins, plans in calls:
+        clean = forecast(rows, origins, plans)
+        for k, origin in enumerate(origins):
+            if origin + 1 == len(rows):
+                continue
+            changed, later = rows.copy(), len(rows) - origin - 1
+            # rows of the same run in a wrong order, so that they are plausible
+            changed[origin + 1 :] = rows[rng.integers(0, len(rows), later)]
+            changed[origin + 1 :] += 0.1 * rng.normal(size=(later, rows.shape[1]))
+            commands = plans.copy()
+            commands[k + 1 :] = commands[k + 1 :, ::-1]
+            found = forecast(changed, origins, commands)[k]
+            if not np.allclose(found, clean[k], rtol=1e-9, atol=1e-9):
+                lines = lines_reading_later_rows(
+                    copy.deepcopy(predictor).forecast, rows, int(origin), plans[k], trial.files
+                )
+                error = BrokenError(
+                    f"forecast() from row {origin} changes by up to "
+                    f"{np.abs(found - clean[k]).max():.3g} with the rows after it, of {len(rows)}; "
+                    "use rows[: origin + 1] alone for each origin"
+                )
+                error.place, error.methods = "; ".join(lines), ("forecast",)
+                raise error
+            count += 1
+    return f"{count} origins, with other rows after each: the same forecasts"
 
 
 def _check_determinism(trial: _Trial) -> str:
@@ -267,12 +344,14 @@ def _check_arrays(trial: _Trial) -> str:
         z[:], cmd[:] = log.z[k], log.cmd[k]
         twin.predictor.update(float(log.t[k]), float(log.t[k] - log.t[k - 1]) if k else 0.0, z, cmd)
         kept = np.array_equal(z, log.z[k], equal_nan=True) and np.array_equal(cmd, log.cmd[k])
-        _require(kept, "update() writes to the row it is given")
+        _require(kept, "update() writes to the row it is given", "update")
         z[:], cmd[:] = 1e6, 1e6
     twin.t, twin.cmd = float(log.t[ROWS - 1]), log.cmd[ROWS - 1].copy()
     plan = trial.plan.copy()
     twin.predictor.predict(plan, PLAN_DT)
-    _require(np.array_equal(plan, trial.plan), "predict() writes to the plan it is given")
+    _require(
+        np.array_equal(plan, trial.plan), "predict() writes to the plan it is given", *FORECASTING
+    )
     trial.compare(twin, "after the arrays of a row are overwritten")
     return "rows and plan as before; rows overwritten afterwards: the same bits"
 
@@ -284,7 +363,7 @@ def _check_reset(trial: _Trial) -> str:
     twin.predict("hold")
     twin.reset()
     trial.step(twin, trial.log, 0, ROWS)
-    trial.compare(twin, "after reset()")
+    trial.compare(twin, "after reset()", "reset")
     return "other rows, then reset: the same bits as a new one"
 
 
@@ -364,11 +443,28 @@ def _check_time(trial: _Trial) -> str:
     return text
 
 
+def _check_files(trial: _Trial) -> str:
+    """Every file that the predictor's own code reads is declared."""
+    declared = declared_files(trial.kind)
+    known = {path.resolve() for path in declared.values()}
+    for read in trial.opened:
+        place = read.place(trial.files) if read.path not in known else ""
+        if place:
+            error = BrokenError(
+                f"reads {read.path.name}; name it in the class attribute files, or results are "
+                "reused after it has changed"
+            )
+            error.place = place
+            raise error
+    return f"declared: {', '.join(declared) or 'none'}; read: no others"
+
+
 CHECKS: dict[str, Callable[[_Trial], str]] = {
     "class and constructor": _check_class,
     "before and without data": _check_without_data,
     "shapes, times, covariances, intervals": _check_shapes,
     "no future, no truth": _check_causality,
+    "no rows after an origin": _check_origins,
     "same seed, same answer": _check_determinism,
     "no side effects": _check_no_side_effects,
     "arguments untouched": _check_arrays,
@@ -377,6 +473,7 @@ CHECKS: dict[str, Callable[[_Trial], str]] = {
     "save and load": _check_saving,
     "copies": _check_copies,
     "time": _check_time,
+    "files": _check_files,
 }
 """The checks by name, in this order."""
 
@@ -393,24 +490,40 @@ def check(name: str, checks: Sequence[str] = tuple(CHECKS)) -> list[Finding]:
     >>> all(item.passed for item in check("persistence", ["reset", "arguments untouched"]))
     True
     """
-    try:
-        trial = _Trial(name)
-    except (PredictorError, ImportError) as error:
-        return [Finding("class and constructor", False, str(error))]
-    found: list[Finding] = []
-    for item in checks:
-        found.append(_found(item, trial))
-        if CHECKS[item] is _check_class and not found[-1].passed:
-            break
+    with watched_files(__file__) as opened:
+        try:
+            trial = _Trial(name, opened)
+        except (PredictorError, ImportError) as error:
+            place = place_of_import(error)
+            return [Finding("class and constructor", False, str(error), place)]
+        found: list[Finding] = []
+        causes: dict[str, str] = {}
+        for item in checks:
+            found.append(_found(item, trial, causes))
+            if CHECKS[item] is _check_class and not found[-1].passed:
+                break
     return found
 
 
-def _found(item: str, trial: _Trial) -> Finding:
+def _found(item: str, trial: _Trial, causes: dict[str, str]) -> Finding:
+    """Run one check; ``causes`` are those of earlier ones, each of which is explained once."""
     try:
         return Finding(item, True, CHECKS[item](trial))
-    except BrokenError as error:
-        return Finding(item, False, str(error))
     except NotSupportedError as error:
         return Finding(item, None, f"not supported: {error}")
     except Exception as error:  # of a user's predictor
-        return Finding(item, False, f"raises {type(error).__name__}: {error}")
+        text, place = str(error), place_of_error(error, trial.files)
+        methods: tuple[str, ...] = ()
+        if isinstance(error, BrokenError):
+            methods, place = error.methods, error.place or place
+        elif isinstance(error, ForecastError):
+            methods = FORECASTING
+        else:
+            text = f"raises {type(error).__name__}: {error}"
+        place = place or place_of_method(trial.kind, *methods)
+        # one line of the user's may fail many checks, with other numbers in each message
+        cause = f"{type(error).__name__} {place}" if place else text
+        if cause in causes:
+            return Finding(item, False, f"the same as in {causes[cause]!r}")
+        causes[cause] = item
+        return Finding(item, False, text, place)

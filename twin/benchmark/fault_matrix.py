@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark.sensor_faults import SENSOR_FAULTS, inject, simulate_with
+from twin.benchmark.publish.sources import predictor_digest
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.sim.bridge import particulars_of
@@ -153,7 +154,8 @@ def fault_runs(
 
     Finished runs are kept in ``file`` (JSON). The same program does not sail them again.
     """
-    key = [running_program(), manoeuvre, vessel]
+    foreign = {name: text for name in sorted(predictors) if (text := predictor_digest(name))}
+    key = [running_program(), manoeuvre, vessel, *([foreign] if foreign else [])]
     results = [FaultRun(*item) for item in kept(file, key) or ()]
     done = {(item.predictor, item.fault, item.seed) for item in results}
     units = [(p, f, s) for p in predictors for f in faults for s in seeds]

@@ -10,11 +10,10 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import inspect
 import json
 import math
 import urllib.parse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,13 +39,14 @@ from twin.benchmark.motion_scores import (
     quiet_rows,
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
+from twin.benchmark.publish.sources import predictor_digest, versions
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
-from twin.predictors.base import Prediction
+from twin.predictors.base import ForecastError, Prediction
 from twin.predictors.registry import predictor_class
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
@@ -199,13 +199,19 @@ def run_unit(
         known = known_plan(seen, row, HORIZONS[-1], dt)
         for plan in settings.plans:
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
-            prediction = twin.predict(commands, dt=dt)
+            try:
+                prediction = twin.predict(commands, dt=dt)
+            except ForecastError as error:
+                raise BenchmarkError(
+                    f"{unit.predictor}, run {unit.run}, plan {plan}, origin t = {t:.2f} s: {error}"
+                ) from error
             scores[plan].append(score(prediction, truth, STUDY_HORIZONS))
             if motion_truth is not None and prediction.motion is not None:
                 motions[plan].append(motion_truth.score(prediction.motion))
             if not all(math.isfinite(part.sum()) for part in scores[plan][-1]):
                 raise BenchmarkError(
-                    f"{unit.predictor}: its prediction at t = {t:.2f} s is not finite"
+                    f"{unit.predictor}, run {unit.run}, plan {plan}: its start or intervals at "
+                    f"t = {t:.2f} s are not finite"
                 )
             if plan == settings.plans[0]:
                 starts.append(float(np.hypot(*(prediction.start[:2] - truth[0, :2]))))
@@ -290,15 +296,21 @@ def _write_log(log: Log, particulars: Particulars, path: Path) -> None:
 
 
 def digest(settings: Settings, unit: Unit) -> str:
-    """Return a hash of all that a result depends on: programs, settings, unit and recorded file."""
+    """Return a hash of all that a result depends on.
+
+    That is programs and their versions, settings, unit, the sources and files of the predictor, and
+    the recorded file. Files count by name and content, not by folder.
+    """
     asked = dataclasses.asdict(settings)
     for key in ("scenarios", "faults", "cases", "seeds", "predictors", "logs"):
         del asked[key]
-    text = json.dumps(
-        [__version__, running_program(), asked, dataclasses.asdict(unit)], sort_keys=True
-    )
-    value = hashlib.sha256(text.encode())
-    value.update(_foreign_source(unit.predictor))
+    for key in ("vessel", "ship", "mapping"):
+        if asked[key] is not None:
+            asked[key] = Path(asked[key]).name
+    asked_of = {**dataclasses.asdict(unit), "log": Path(unit.log).name}
+    program = [__version__, running_program(), versions(unit.predictor)]
+    value = hashlib.sha256(json.dumps([*program, asked, asked_of], sort_keys=True).encode())
+    value.update(predictor_digest(unit.predictor).encode())
     ship = settings.ship if unit.log else settings.vessel
     read = list(files_of(unit.log, settings.mapping)) if unit.log else []
     if unit.log and settings.ship is None:
@@ -311,18 +323,6 @@ def digest(settings: Settings, unit: Unit) -> str:
                 while piece := file.read(1 << 20):
                     value.update(piece)
     return value.hexdigest()
-
-
-@functools.cache
-def _foreign_source(predictor: str) -> bytes:
-    """Return the source of a predictor from outside of this package."""
-    kind = predictor_class(predictor)
-    if kind.__module__.split(".")[0] == __name__.split(".")[0]:
-        return b""
-    try:
-        return Path(inspect.getfile(kind)).read_bytes()
-    except (OSError, TypeError):
-        return repr(kind).encode()
 
 
 def result_file(folder: Path, unit: Unit) -> Path:
@@ -340,15 +340,18 @@ def finished(
     if not path.exists():
         return None
     result: dict[str, Any] | None = kept(path, [digest(settings, unit), pictures])
-    return result
+    # an equal file may lie in another folder now
+    return None if result is None else {**result, "unit": dataclasses.asdict(unit)}
 
 
-def all_finished(settings: Settings, folder: Path) -> bool:
-    """Return whether nothing is left to do."""
-    return all(
-        finished(settings, unit, folder, pictures=wants_pictures(settings, unit)) is not None
-        for unit in units(settings)
-    )
+def reusable(settings: Settings, folder: Path) -> dict[Unit, dict[str, Any]]:
+    """Return the results of earlier work that nothing has changed since."""
+    found = {}
+    for unit in units(settings):
+        result = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
+        if result is not None:
+            found[unit] = result
+    return found
 
 
 def wants_pictures(settings: Settings, unit: Unit) -> bool:
@@ -366,22 +369,28 @@ MAX_DRAWN_LOGS = 3
 
 
 def runs(
-    settings: Settings, folder: Path, *, jobs: int = 1, backend: str = "loky"
+    settings: Settings,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    backend: str = "loky",
+    done: Mapping[Unit, dict[str, Any]] | None = None,
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
     A worker takes a run, which is simulated or read once, with all its predictors; where there
     are fewer runs than workers, single predictors. The results do not depend on ``jobs`` and
     ``backend`` (one of ``twin.parallel.BACKENDS``). After an error (a log that cannot be read, say)
-    the rest goes on.
+    the rest goes on. ``done`` are the results to reuse, if not those of :func:`reusable`; none
+    computes all again.
     """
     todo: dict[str, list[Unit]] = {}
+    done = reusable(settings, folder) if done is None else done
     for unit in units(settings):
-        done = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
-        if done is None:
-            todo.setdefault(unit.run, []).append(unit)
+        if unit in done:
+            yield unit, done[unit]
         else:
-            yield unit, done
+            todo.setdefault(unit.run, []).append(unit)
     if not todo:
         return
     tasks = list(todo.values())
@@ -442,6 +451,7 @@ def collect(
     simulated = [row for row in runs if row["sea"]]
     return {
         "version": __version__,
+        "program": {"sources": running_program(), **versions()},
         "command": command,
         "notes": list(notes),
         "settings": {
@@ -449,7 +459,8 @@ def collect(
             "logs": [Path(path).name for path in settings.logs],
         },
         "predictors": {
-            name: {"tuning": predictor_class(name).tuning} for name in settings.predictors
+            name: {"tuning": predictor_class(name).tuning, "sources": predictor_digest(name)}
+            for name in settings.predictors
         },
         "logs": {
             result["unit"]["scenario"]: {

@@ -153,6 +153,12 @@ def benchmark_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of results.")] = Path(
         "benchmark"
     ),
+    fresh: Annotated[
+        bool,
+        typer.Option(
+            "--fresh", help="Compute every result again, also those that nothing has changed."
+        ),
+    ] = False,
     jobs: JobsOption = CPUS,
     backend: BackendOption = "loky",
 ) -> None:
@@ -228,7 +234,7 @@ def benchmark_command(
     for line in notes:
         note(line)
     out.mkdir(parents=True, exist_ok=True)
-    done, failed = _run_all(settings, out, jobs, backend)
+    done, failed = _run_all(settings, out, jobs, backend, fresh)
     not_scored = tuple(
         f"not scored: {reason if run in reason else f'{run}: {reason}'}"
         for run, reason in {**missing, **failed}.items()
@@ -313,6 +319,9 @@ def _check(name: str) -> None:
     for item in found:
         table.add_row(marks[item.passed], item.name, item.text)
     console.print(table)
+    for item in found:
+        if item.place:  # in one piece, for editors that open it
+            errors.print(f"{item.name}: {item.place}", style="red", soft_wrap=True)
     broken = sum(item.passed is False for item in found)
     console.print(f"{len(found)} checks, {broken} failed")
     if broken:
@@ -357,18 +366,21 @@ class _Failures(dict[str, str]):
 
 
 def _run_all(
-    settings: Settings, out: Path, jobs: int, backend: str
+    settings: Settings, out: Path, jobs: int, backend: str, fresh: bool
 ) -> tuple[dict[Unit, dict[str, Any]], _Failures]:
     """Do all work under a progress bar; Ctrl-C ends it early."""
     done: dict[Unit, dict[str, Any]] = {}
     failed = _Failures()
     with contextlib.suppress(KeyboardInterrupt):
-        if not runner.all_finished(settings, out):
+        work = units(settings)
+        reused = {} if fresh else runner.reusable(settings, out)
+        console.print(f"{len(reused)} of {len(work)} results reused")
+        if len(reused) < len(work):
             runner.warm_up(settings)
         # one estimate over many runs, as each comes with all its predictors at a time
         with progress_bar(TimeRemainingColumn(), speed_estimate_period=600.0) as progress:
-            bar = progress.add_task("benchmark", total=len(units(settings)))
-            for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend):
+            bar = progress.add_task("benchmark", total=len(work))
+            for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
                 if isinstance(result, Exception):
                     failed.add(unit, result)
                 else:

@@ -24,15 +24,55 @@ from twin.logs.datum import Datum
 from twin.logs.tables import StateTable
 from twin.motion.deck_motion import Z90, MotionEstimate, MotionForecast
 from twin.particulars import Particulars
+from usv_kernel.errors import UsvTwinError
 
 __all__ = [
     "Z90",
     "Estimate",
+    "ForecastError",
     "Prediction",
     "Predictor",
+    "check_forecast",
 ]
 
 Array = NDArray[Any]
+
+
+class ForecastError(UsvTwinError):
+    """A forecast with NaN or infinity; the message names predictor, origin, step and channel."""
+
+
+def check_forecast(predictor: str, t0: float, after: Array, states: Array) -> None:
+    """Refuse forecast states that are not finite.
+
+    Parameters
+    ----------
+    predictor : str
+        Name, for the message.
+    t0 : float
+        Time at which the forecast was made, s.
+    after : ndarray, shape (K,)
+        Times of its steps after t0, s.
+    states : ndarray, shape (K, 6) or (K, 6, 6)
+        States of each step, or covariances.
+
+    Raises
+    ------
+    ForecastError
+        Names predictor, origin, step and channel.
+    """
+    if np.isfinite(states).all():
+        return
+    # the first step, and in it the first entry
+    step, channel = (int(part) for part in np.argwhere(~np.isfinite(states))[0][:2])
+    what = "covariance" if states.ndim == 3 else "forecast"
+    entries = np.ravel(states[step, channel])
+    value = entries[~np.isfinite(entries)][0]
+    raise ForecastError(
+        f"{predictor}: its {what} made at t = {t0:.2f} s is not finite: {STATE[channel]} is "
+        f"{value} at step {step + 1} of {len(states)}, {after[step]:g} s ahead; every step must "
+        "have a number"
+    )
 
 
 @dataclass(frozen=True)
@@ -187,6 +227,10 @@ class Predictor(ABC):
     """Whether the class takes the simulator's ``vessel``, ``sea`` and ``dof``."""
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
+    files: ClassVar[tuple[str, ...]] = ()
+    """Files that the class reads, such as weights; a folder stands for all in it. Paths count from
+    the folder of the class's module. A kept result of a benchmark is not reused once one changes.
+    A subclass names its own; those of its bases count too."""
     constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
     """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
     A subclass names its own; those of its bases count too."""

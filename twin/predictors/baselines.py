@@ -13,7 +13,13 @@ from twin.channels import PSI, R, U, V, X, Y
 from twin.checkpoint import ANY, COUNT, GAPS, Field, State, StateError, restore_attributes
 from twin.filters.navigation_ekf import Navigator
 from twin.particulars import Particulars
-from twin.predictors.base import Estimate, Prediction, Predictor
+from twin.predictors.base import (
+    Estimate,
+    ForecastError,
+    Prediction,
+    Predictor,
+    check_forecast,
+)
 
 __all__ = [
     "HistoryPredictor",
@@ -152,7 +158,7 @@ class HistoryPredictor(Predictor):
         Returns
         -------
         ndarray, shape (B, K, 6)
-            States at the ends of the steps.
+            States at the ends of the steps; always finite.
         """
 
     def extra_columns(self, dt: float) -> Array:
@@ -160,7 +166,10 @@ class HistoryPredictor(Predictor):
         return self._extra
 
     def path(self, plan: Array, dt: float) -> Array:
-        """Return the predicted states (K, 6) under a plan; see :meth:`Predictor.predict`."""
+        """Return the predicted states (K, 6) under a plan; see :meth:`Predictor.predict`.
+
+        ForecastError: :meth:`forecast` returned another shape, NaN or infinity.
+        """
         after = dt * np.arange(1, len(plan) + 1)
         K = math.ceil(after[-1] / GRID - 1e-9)
         # the plan on the grid: the command in force in the middle of each grid step
@@ -168,8 +177,10 @@ class HistoryPredictor(Predictor):
         grid_plan = plan[np.minimum((middle / dt).astype(int), len(plan) - 1)]
         start = self.navigator.state
         rows = np.array([*self._rows, np.concatenate([start, self._cmd, self._extra])])
-        path = self.forecast_from_last(rows, grid_plan)
-        path = np.concatenate([start[None], np.nan_to_num(path)])
+        path = np.asarray(self.forecast_from_last(rows, grid_plan))
+        self._check_shape(path, (K, 6))
+        check_forecast(type(self).__name__, self.t, GRID * np.arange(1, K + 1), path)
+        path = np.concatenate([start[None], path])
         times = GRID * np.arange(K + 1)
         return np.stack([np.interp(after, times, path[:, j]) for j in range(6)], axis=1)
 
@@ -260,14 +271,36 @@ class HistoryPredictor(Predictor):
         rows = np.array(self._rows[kept]).reshape(-1, len(self._last))
         origins = np.arange(round(5.0 / GRID), len(rows) - K, second)
         if len(origins) < 5:
-            U, L = self.particulars.speed, self.particulars.length
-            rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
-            return np.outer(np.sqrt(GRID * np.arange(1, K + 1)), rate)
+            return self._first_errors(K)
         ahead = origins[:, None] + np.arange(1, K + 1)
-        error = self.forecast(rows, origins, rows[ahead, COMMANDED]) - rows[ahead, STATES]
-        self._errors = np.sqrt(np.mean(np.nan_to_num(error) ** 2, axis=0))
+        paths = np.asarray(self.forecast(rows, origins, rows[ahead, COMMANDED]))
+        self._check_shape(paths, (len(origins), K, 6))
+        finite = np.isfinite(paths).all(axis=(1, 2))
+        if not finite.all() and np.isfinite(rows).all():
+            k = int(np.argmin(finite))
+            origin = self.t - (len(self._rows) - kept.start - 1 - origins[k]) * GRID
+            check_forecast(type(self).__name__, origin, GRID * np.arange(1, K + 1), paths[k])
+        errors = paths - rows[ahead, STATES]
+        # forecasts from a history with gaps may have none
+        errors = errors[np.isfinite(errors).all(axis=(1, 2))]
+        if not len(errors):
+            return self._first_errors(K)
+        self._errors = np.sqrt(np.mean(errors**2, axis=0))
         self._errors_at = count
         return self._errors
+
+    def _first_errors(self, steps: int) -> Array:
+        """Return the errors (steps, 6) that are assumed before there are forecasts to compare."""
+        U, L = self.particulars.speed, self.particulars.length
+        rate = np.array([0.3 * U, 0.3 * U, 0.3 * U / L, 0.1 * U, 0.1 * U, 0.3 * U / L])
+        return np.outer(np.sqrt(GRID * np.arange(1, steps + 1)), rate)
+
+    def _check_shape(self, states: Array, shape: tuple[int, ...]) -> None:
+        """Refuse forecasts of another shape."""
+        if states.shape != shape:
+            raise ForecastError(
+                f"{type(self).__name__}: its forecast has shape {states.shape}; it must be {shape}"
+            )
 
 
 class Persistence(HistoryPredictor):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -179,6 +180,50 @@ class Fails(Plain):
         raise RuntimeError("no")
 
 
+class NotANumber(Persistence):
+    def forecast_from_last(self, rows, plan):
+        path = super().forecast_from_last(rows, plan)
+        path[-1, 3] = np.nan
+        return path
+
+
+class FitsAll(Persistence):
+    """Holds a speed that is fitted to all rows, also to those after an origin."""
+
+    model = None
+
+    def reset(self):
+        super().reset()
+        self.model = None
+
+    def forecast(self, rows, origins, plans):
+        if self.model is None:
+            self.model = rows[:, 3:6].mean(axis=0)
+        out = super().forecast(rows, origins, plans)
+        out[..., 3:] = self.model
+        return out
+
+
+class FitsKept(FitsAll):
+    """The same with its own list of rows."""
+
+    def forecast(self, rows, origins, plans):
+        out = Persistence.forecast(self, rows, origins, plans)
+        out[..., 3:] = np.mean(self._rows, axis=0)[3:6]
+        return out
+
+
+class Remembering(Plain):
+    """Answers with what an earlier one of its class has seen at later times."""
+
+    seen_at: ClassVar[dict] = {}
+
+    def update(self, t, dt, z, cmd):
+        super().update(t, dt, z, cmd)
+        self.seen_at[round(t, 3)] = float(np.nan_to_num(z[0]))
+        self.now[2] = self.seen_at.get(round(t + 5.0, 3), 0.0)
+
+
 class Bare(Plain):
     def __init__(self, particulars):
         super().__init__(particulars)
@@ -199,6 +244,10 @@ BROKEN = [
     (Inside, "shapes, times, covariances, intervals", "low <= mean <= high"),
     (Fails, "time", "raises RuntimeError: no"),
     (Bare, "class and constructor", "seed"),
+    (NotANumber, "shapes, times, covariances, intervals", "u_mps is nan at step"),
+    (FitsAll, "no rows after an origin", "use rows[: origin + 1] alone"),
+    (FitsKept, "no rows after an origin", "use rows[: origin + 1] alone"),
+    (Remembering, "no future, no truth", "another of its class has seen the whole run"),
 ]
 
 
@@ -208,6 +257,52 @@ def test_a_violation_is_found(kind, name, words, monkeypatch):
     (found,) = check("broken", [name])
     assert found.passed is False
     assert words in found.text
+
+
+PLACES = [
+    (NotANumber, "shapes, times, covariances, intervals", "def forecast_from_last("),
+    (FitsAll, "no rows after an origin", "self.model = rows[:, 3:6].mean(axis=0)"),
+    (FitsKept, "no rows after an origin", "Persistence.forecast(self, rows, origins, plans)"),
+    (Fails, "time", 'in predict: raise RuntimeError("no")'),
+    (Writes, "arguments untouched", "def update(self, t, dt, z, cmd):"),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "line"), PLACES)
+def test_a_violation_has_its_line(kind, name, line, monkeypatch):
+    monkeypatch.setitem(PREDICTORS, "broken", kind)
+    (found,) = check("broken", [name])
+    assert "test_conformance.py:" in found.place and line in found.place
+
+
+def test_a_cause_is_explained_once(monkeypatch):
+    monkeypatch.setitem(PREDICTORS, "broken", NotANumber)
+    failed = [item for item in check("broken") if item.passed is False]
+    first, *others = failed
+    assert len(others) > 5 and first.place
+    assert all(item.text == f"the same as in {first.name!r}" for item in others)
+    assert not any(item.place for item in others)
+
+
+def test_a_file_that_is_read_but_not_declared_is_found(own):
+    (own / "gain.txt").write_text("0.5")
+    (own / "weighing.py").write_text(
+        "from pathlib import Path\n"
+        "from twin.predictors.baselines import Persistence\n"
+        "class Mine(Persistence):\n"
+        "    def reset(self):\n"
+        "        super().reset()\n"
+        "        self.gain = float(Path(__file__).with_name('gain.txt').read_text())\n"
+        "class Declared(Mine):\n"
+        "    files = ('gain.txt',)\n"
+    )
+    (found,) = check("weighing:Mine", ["files"])
+    assert found.passed
+    found = check("weighing:Mine", ["reset", "files"])[1]
+    assert found.passed is False and "gain.txt" in found.text
+    assert "weighing.py:6" in found.place
+    found = check("weighing:Declared", ["reset", "files"])[1]
+    assert found.passed and "gain.txt" in found.text
 
 
 def test_a_minimal_predictor_keeps_the_contract(monkeypatch):
@@ -264,7 +359,7 @@ def test_entry_points_join_the_registry(own):
 @pytest.mark.parametrize(
     ("name", "code", "word"),
     [
-        ("some_body:Mine", 0, "12 checks, 0 failed"),
+        ("some_body:Mine", 0, "14 checks, 0 failed"),
         ("some_body:NoCovariance", 1, "eigenvalue"),
         ("some_body:Nobody", 1, "FAIL"),
     ],

@@ -533,3 +533,47 @@ def test_a_boat_that_does_not_roll_has_no_such_scores(small):
     results = small[1]
     assert results["motion"] == []
     assert results["quiet"] == []
+
+
+class Gaps(Persistence):
+    def forecast_from_last(self, rows, plan):
+        path = super().forecast_from_last(rows, plan)
+        if self.t > 35.0:
+            path[7, 5] = np.nan
+        return path
+
+
+class PastGaps(Persistence):
+    def forecast(self, rows, origins, plans):
+        out = super().forecast(rows, origins, plans)
+        out[-1, 0, 0] = np.inf
+        return out
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (Gaps, ["origin t = 36.00 s", "r_radps is nan at step 8 of 40, 2 s ahead"]),
+        (PastGaps, ["origin t = 30.00 s", "x_m is inf at step 1 of 40, 0.25 s ahead"]),
+    ],
+)
+def test_a_forecast_with_nan_is_an_error_that_says_where(tmp_path, monkeypatch, kind, words):
+    monkeypatch.setitem(PREDICTORS, "gaps", kind)
+    settings = dataclasses.replace(
+        SMALL, predictors=("gaps",), faults=("none",), seeds=(0,), plans=("known",)
+    )
+    ((unit, error),) = bench.runs(settings, tmp_path)
+    assert isinstance(error, BenchmarkError)
+    for word in ("gaps, run zigzag_none_0, plan known", kind.__name__, *words):
+        assert word in str(error)
+    assert not bench.result_file(tmp_path, unit).exists()
+
+
+def test_results_name_the_program_and_fresh_ones_reuse_nothing(small, tmp_path, monkeypatch):
+    folder, results = small
+    assert results["program"]["sources"] == bench.running_program()
+    assert results["predictors"]["ukf"]["sources"] == ""
+    ran = []
+    monkeypatch.setattr(bench, "run_unit", lambda settings, unit, *_, **__: ran.append(unit))
+    dict(bench.runs(SMALL, folder, done={}))
+    assert set(ran) == set(units(SMALL))
