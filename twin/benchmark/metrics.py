@@ -15,7 +15,9 @@ from twin.benchmark.protocol import HORIZONS, TYPICAL, UNIT_KEY
 from twin.benchmark.scores import CHANNELS, STUDY_CHANNELS
 
 __all__ = [
+    "BASELINE",
     "METRICS",
+    "ORACLE",
     "channel_table",
     "compare",
     "recorded_table",

@@ -35,7 +35,7 @@ from twin.benchmark.figures.data import (
 from twin.benchmark.figures.deck import SHOWN_AHEAD
 from twin.benchmark.figures.style import Styles
 from twin.benchmark.motion_scores import median_scores, shown_motion
-from twin.benchmark.svg import FONTS, sheet_of, standalone, svg_of
+from twin.benchmark.svg import FONTS, pdf_of, sheet_of, standalone, svg_of
 from twin.predictors.registry import DEFAULT
 from usv_kernel.files import write_whole
 
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "number",
     "write_report",
 ]
 
@@ -124,19 +125,22 @@ def write_report(
     results: dict[str, Any],
     runs: list[RunFigure],
     drawn: Callable[[str], None] | None = None,
+    *,
+    pdf: bool = False,
 ) -> list[Path]:
     """Write ``report.html`` and ``pictures/*.svg``; return what was written, the report first.
 
     ``results`` is the content of ``results.json``: ``version``, ``command``, ``settings``, ``rows``
     and ``summary``; ``notes``, a list of lines such as on predictors left out, is optional.
-    ``drawn`` is called with the file name of each picture.
+    ``drawn`` is called with the file name of each picture. ``pdf`` writes each as PDF, too.
     """
     out = Path(out)
     folder = out / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
-    for stale in folder.glob("*.[ps][nv]g"):
-        stale.unlink()
-    pictures = _Pictures(folder, drawn)
+    for stale in folder.iterdir():
+        if stale.suffix in (".png", ".svg", ".pdf"):
+            stale.unlink()
+    pictures = _Pictures(folder, drawn, pdf)
     rows = [*(results.get("rows") or []), *(results.get("summary") or [])]
     names = dict.fromkeys(text_of(row, "predictor") for row in rows)
     styles = predictor_styles({**names, **{name: None for run in runs for name in run.predictors}})
@@ -183,8 +187,8 @@ def _template() -> Template:
 class _Pictures:
     """Writes each picture to its file and returns it for the page."""
 
-    def __init__(self, folder: Path, drawn: Callable[[str], None] | None) -> None:
-        self.folder, self.drawn = folder, drawn
+    def __init__(self, folder: Path, drawn: Callable[[str], None] | None, pdf: bool) -> None:
+        self.folder, self.drawn, self.pdf = folder, drawn, pdf
         self.written: list[Path] = []
         self.styles: dict[str, str] = {}
 
@@ -198,6 +202,8 @@ class _Pictures:
             path, number = self.folder / f"{stem}_{number}.svg", number + 1
         svg = svg_of(fig, f"p{len(self.written)}", caption, self.styles)
         write_whole(path, standalone(svg, self.styles).encode())
+        if self.pdf:
+            write_whole(path.with_suffix(".pdf"), pdf_of(fig))
         self.written.append(path)
         if self.drawn:
             self.drawn(path.name)

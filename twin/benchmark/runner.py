@@ -340,7 +340,7 @@ def finished(
     if not path.exists():
         return None
     result: dict[str, Any] | None = kept(path, [digest(settings, unit), pictures])
-    # an equal file may lie in another folder now
+    # an equal log may lie in another folder now
     return None if result is None else {**result, "unit": dataclasses.asdict(unit)}
 
 
@@ -453,6 +453,7 @@ def collect(
         "version": __version__,
         "program": {"sources": running_program(), **versions()},
         "command": command,
+        "against": against,
         "notes": list(notes),
         "settings": {
             **dataclasses.asdict(settings),

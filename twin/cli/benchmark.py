@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import TimeRemainingColumn
@@ -55,6 +55,9 @@ from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP
 from usv_kernel.files import write_whole
 
+if TYPE_CHECKING:
+    from twin.benchmark.conformance import Finding
+
 
 def benchmark_command(
     full: Annotated[
@@ -73,6 +76,18 @@ def benchmark_command(
             "all predictors. Exit code 1: it does not."
         ),
     ] = None,
+    submit_check: Annotated[
+        Path | None,
+        typer.Option(
+            help="Only verify a folder of results: program, predictors, settings, tables, and a "
+            "sample computed again. --log names recorded runs that it scores. Exit code 1: it "
+            "does not hold."
+        ),
+    ] = None,
+    sample: Annotated[
+        int,
+        typer.Option(help="With --submit-check: results computed again of each predictor.", min=0),
+    ] = 1,
     faults_matrix: Annotated[
         bool,
         typer.Option(
@@ -153,6 +168,16 @@ def benchmark_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of results.")] = Path(
         "benchmark"
     ),
+    latex: Annotated[
+        Path | None,
+        typer.Option(help="Write the tables as LaTeX: means with intervals, the best in bold."),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Write every mean with its interval as CSV.")
+    ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Write each picture as PDF, too, beside the SVG.")
+    ] = False,
     fresh: Annotated[
         bool,
         typer.Option(
@@ -179,6 +204,9 @@ def benchmark_command(
     """
     if check is not None:
         _check(check)
+        return
+    if submit_check is not None:
+        _submit_check(submit_check, log or [], sample)
         return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
@@ -242,6 +270,7 @@ def benchmark_command(
     command = shlex.join(["usv-twin", *sys.argv[1:]])
     console.print(f"scoring {len(done)} results")
     results = runner.collect(settings, done, command, notes + not_scored, against)
+    _write_tables(results, latex, csv)
     if full:  # hundreds of thousands of rows: a table of their own
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
@@ -267,8 +296,17 @@ def benchmark_command(
         def drawn(name: str) -> None:
             progress.update(bar, advance=1, description=name)
 
-        written = write_report(out, results, figures, drawn)
+        written = write_report(out, results, figures, drawn, pdf=pdf)
     console.print(f"{out / 'results.json'}, {written[0]}")
+
+
+def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
+    """Write the tables for a paper, as far as they are asked for."""
+    from twin.benchmark.publish.tables import csv_text, latex_text
+
+    for path, text_of in ((latex, latex_text), (csv, csv_text)):
+        if path is not None:
+            write_text(path, text_of(results))
 
 
 def _parse_cases(text: str | None) -> tuple[Case, ...]:
@@ -310,11 +348,34 @@ def _check(name: str) -> None:
     """Print whether a predictor keeps the contract; exit code 1 if it does not."""
     from twin.benchmark.conformance import check
 
-    heads = ("", "check", "result")
-    table = new_table(f"contract of {name}", *heads, left=heads)
-    table.columns[-1].no_wrap = False
     with status("checking"):
         found = check(name)
+    _print_findings(f"contract of {name}", found)
+
+
+def _submit_check(folder: Path, logs: list[Path], sample: int) -> None:
+    """Print whether a folder of results holds; exit code 1 if it does not."""
+    from twin.benchmark.publish.submission import check_submission
+
+    files = [file for given in logs for file in match_files(given)]
+    with progress_bar(transient=True) as progress:
+        bar = progress.add_task("checking", total=None)
+        found = list(
+            check_submission(
+                folder,
+                logs=files,
+                sample=sample,
+                started=lambda text: progress.update(bar, advance=1, description=text),
+            )
+        )
+    _print_findings(f"results in {folder}", found)
+
+
+def _print_findings(title: str, found: Sequence[Finding]) -> None:
+    """Print findings, and the lines of code that failed; exit code 1 if one has failed."""
+    heads = ("", "check", "result")
+    table = new_table(title, *heads, left=heads)
+    table.columns[-1].no_wrap = False
     marks = {True: "pass", False: "FAIL", None: "skip"}
     for item in found:
         table.add_row(marks[item.passed], item.name, item.text)
@@ -374,7 +435,8 @@ def _run_all(
     with contextlib.suppress(KeyboardInterrupt):
         work = units(settings)
         reused = {} if fresh else runner.reusable(settings, out)
-        console.print(f"{len(reused)} of {len(work)} results reused")
+        # not on the standard output, which begins with the results
+        errors.print(f"{len(reused)} of {len(work)} results reused", highlight=False)
         if len(reused) < len(work):
             runner.warm_up(settings)
         # one estimate over many runs, as each comes with all its predictors at a time

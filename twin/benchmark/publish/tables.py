@@ -1,0 +1,237 @@
+"""Tables of a benchmark for papers: LaTeX with intervals and the best in bold, and CSV."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from twin.benchmark.metrics import BASELINE, ORACLE
+from twin.benchmark.report import number
+
+__all__ = [
+    "csv_text",
+    "latex_text",
+]
+
+Row = Mapping[str, Any]
+
+CELL = ("scenario", "case", "plan")
+
+DEGREES = 180.0 / math.pi
+
+COLUMNS = {
+    "displacement_10s": ("position (m)", 1.0),
+    "psi_10s": (r"heading ($^\circ$)", DEGREES),
+    "mae": ("MAE", 1.0),
+    "mse": ("MSE", 1.0),
+    "J": ("$J$", 1.0),
+    "coverage90": (r"coverage (\%)", 100.0),
+}
+"""Columns of the LaTeX tables by metric: heading, and factor from the results' unit."""
+
+UNITS = {"start_error": "m", "displacement_10s": "m", "psi_10s": "rad"}
+"""Units of the metrics that have one."""
+
+IDEAL = {"coverage90": 0.9}
+"""Metrics whose best value is neither the smallest nor the largest."""
+
+LARGEST = ("skill",)
+
+CSV_COLUMNS = (
+    *("scenario", "case", "fault", "sea", "grade", "plan", "predictor", "metric", "unit"),
+    *("value", "low", "high", "median", "runs", "best"),
+)
+"""Columns of the CSV table; ``low`` and ``high`` are the 95 % interval."""
+
+
+def _groups(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Return rows with the same values of some keys together, in their order."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row.get(key, "") for key in keys), []).append(row)
+    return groups
+
+
+def _best(metric: str, rows: Sequence[Row], factor: float = 1.0) -> str | None:
+    """Return the best value as it is printed; None if nothing is compared.
+
+    The oracle knows the true boat and takes no part.
+    """
+    values = [factor * row["value"] for row in rows if row["predictor"] != ORACLE]
+    values = [value for value in values if math.isfinite(value)]
+    if len(values) < 2:
+        return None
+    if metric in IDEAL:
+        return number(min(values, key=lambda value: abs(value - factor * IDEAL[metric])))
+    return number(max(values) if metric in LARGEST else min(values))
+
+
+def _is_best(row: Row, best: str | None, factor: float = 1.0) -> bool:
+    return row["predictor"] != ORACLE and number(factor * row["value"]) == best
+
+
+def _recorded(results: Row) -> list[dict[str, Any]]:
+    """Return the ratios to persistence of the recorded runs, as rows like those of the summary."""
+    return [
+        {
+            **{key: row[key] for key in ("fault", "plan", "predictor", "runs")},
+            **{"scenario": row["folder"], "case": row["fault"]},
+            "metric": f"rmse_{row['channel']}_10s_over_{BASELINE}",
+            **{key: row[key] for key in ("low", "high")},
+            "value": row["ratio"],
+        }
+        for row in results.get("recorded") or []
+        if row.get("ratio") is not None
+    ]
+
+
+def _runs(results: Row) -> Counter[tuple[Any, ...]]:
+    """Return how many runs each cell of the summary is the mean of."""
+    keys = (*CELL, "predictor")
+    return Counter(tuple(row[key] for key in keys) for row in results.get("runs") or [])
+
+
+def csv_text(results: Row) -> str:
+    """Return every value of the summary, and of the recorded runs, as one CSV table.
+
+    Parameters
+    ----------
+    results : dict
+        What :func:`twin.benchmark.runner.collect` returns.
+
+    Returns
+    -------
+    str
+        With the columns :data:`CSV_COLUMNS`; ``best`` marks the best of the rows of a run, case,
+        plan and metric to three digits, the oracle left out.
+    """
+    import polars as pl
+
+    count, table = _runs(results), []
+    rows = [*(results.get("summary") or []), *_recorded(results)]
+    for block in _groups(rows, *CELL, "metric").values():
+        best = _best(block[0]["metric"], block)
+        for row in block:
+            own = tuple(row.get(key, "") for key in (*CELL, "predictor"))
+            more = {
+                "unit": UNITS.get(row["metric"], ""),
+                "runs": row.get("runs", count[own]),
+                "best": best is not None and _is_best(row, best),
+            }
+            table.append([{**row, **more}.get(name) for name in CSV_COLUMNS])
+    buffer = io.BytesIO()
+    pl.DataFrame(table, schema=list(CSV_COLUMNS), orient="row", infer_schema_length=None).write_csv(
+        buffer
+    )
+    return buffer.getvalue().decode()
+
+
+def latex_text(results: Row) -> str:
+    """Return a LaTeX table for each run and case, and one for each folder of recorded runs.
+
+    They need the package ``booktabs``. Below each mean stands its 95 % interval over seeds; the
+    best value of a column is bold, the oracle left out.
+
+    Parameters
+    ----------
+    results : dict
+        What :func:`twin.benchmark.runner.collect` returns.
+    """
+    program = (results.get("program") or {}).get("sources", "")
+    tables = [
+        f"% usv-twin {results.get('version', '')}, sources {program}\n"
+        f"% {_one_line(results.get('command', ''))}\n"
+        "% needs \\usepackage{booktabs}\n"
+    ]
+    count = _runs(results)
+    summary = results.get("summary") or []
+    for (scenario, case, plan), rows in _groups(summary, *CELL).items():
+        runs = max(count[scenario, case, plan, row["predictor"]] for row in rows)
+        over = f"mean over {runs} seeds" if runs > 1 else "one run"
+        has = "each with its 95\\,\\% interval; " if any(r["low"] is not None for r in rows) else ""
+        loss = "" if case == "none" else f", case {_escaped(case)}"
+        caption = (
+            f"{_escaped(scenario)}{loss}, future commands {_escaped(plan)}: errors of position "
+            f"and heading after 10\\,s, pooled MAE and MSE, {over}, {has}best in bold."
+        )
+        names = {row["predictor"] for row in rows}
+        if ORACLE in names:
+            caption += " The oracle knows the true boat and takes no part."
+        metrics = {m: head for m, head in COLUMNS.items() if any(r["metric"] == m for r in rows)}
+        tables.append(_latex_table(rows, metrics, caption, f"{scenario}-{case}-{plan}"))
+    for (folder, fault, plan), rows in _groups(
+        _recorded(results), "scenario", "fault", "plan"
+    ).items():
+        runs = max(row["runs"] for row in rows)
+        loss = "" if fault == "none" else f", loss {_escaped(fault)}"
+        caption = (
+            f"Recorded runs of {_escaped(folder)}{loss}, future commands {_escaped(plan)}: RMSE "
+            f"after 10\\,s over that of persistence, mean over {runs} "
+            f"run{'s' if runs > 1 else ''}, best in bold."
+        )
+        channels = {row["metric"]: row["metric"].split("_")[1] for row in rows}
+        heads = {m: ({"psi": "heading"}.get(name, name), 1.0) for m, name in channels.items()}
+        tables.append(_latex_table(rows, heads, caption, f"{folder}-{fault}-{plan}"))
+    return "\n".join(tables)
+
+
+def _latex_table(
+    rows: Sequence[Row], metrics: Mapping[str, tuple[str, float]], caption: str, label: str
+) -> str:
+    """Return one LaTeX table with a line for each predictor."""
+    by_metric = _groups(rows, "metric")
+    best = {m: _best(m, by_metric[m,], factor) for m, (_name, factor) in metrics.items()}
+    lines = []
+    for (predictor,), own in _groups(rows, "predictor").items():
+        values, intervals = [], []
+        found = {row["metric"]: row for row in own}
+        for metric, (_head, factor) in metrics.items():
+            row = found.get(metric)
+            if row is None:
+                values.append("--")
+                intervals.append("")
+                continue
+            text = number(factor * row["value"])
+            bold = best[metric] is not None and _is_best(row, best[metric], factor)
+            values.append(rf"\textbf{{{text}}}" if bold else text)
+            low, high = row.get("low"), row.get("high")
+            between = ""
+            if low is not None and high is not None:
+                ends = f"[{number(factor * low)}, {number(factor * high)}]"
+                between = rf"{{\scriptsize {ends}}}"
+            intervals.append(between)
+        lines.append(rf"{_escaped(predictor)} & {' & '.join(values)} \\")
+        if any(intervals):
+            lines.append(rf" & {' & '.join(intervals)} \\")
+    heads = " & ".join(head for head, _factor in metrics.values())
+    body = "\n".join(lines)
+    return (
+        "\\begin{table}\n\\centering\n\\small\n"
+        f"\\caption{{{caption}}}\n\\label{{tab:{_label(label)}}}\n"
+        f"\\begin{{tabular}}{{l{'r' * len(metrics)}}}\n\\toprule\n"
+        f"predictor & {heads} \\\\\n\\midrule\n{body}\n\\bottomrule\n"
+        "\\end{tabular}\n\\end{table}\n"
+    )
+
+
+_SPECIAL = {
+    **{mark: f"\\{mark}" for mark in "&%$#_{}"},
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+}
+
+
+def _escaped(text: str) -> str:
+    """Return text with the marks that mean something to LaTeX written out."""
+    return "".join(_SPECIAL.get(mark, mark) for mark in text)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _label(text: str) -> str:
+    """Return text as the name of a table."""
+    return "".join(mark if mark.isalnum() or mark in "-." else "-" for mark in text)
