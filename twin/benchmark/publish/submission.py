@@ -210,10 +210,10 @@ def _check_tables(
     rows = folder / "rows.csv.gz"
     if "rows" not in results and rows.is_file():
         try:
-            text = gzip.decompress(rows.read_bytes())
+            content = gzip.decompress(rows.read_bytes())
         except (OSError, EOFError, ValueError):
-            text = b""
-        if text != gzip.decompress(compressed_csv(made["rows"])):
+            content = b""
+        if content != gzip.decompress(compressed_csv(made["rows"])):
             return Finding("tables", False, f"{rows} is not what the results give")
     parts = [
         name
