@@ -187,6 +187,8 @@ class Predictor(ABC):
     """Whether the class takes the simulator's ``vessel``, ``sea`` and ``dof``."""
     tuning: ClassVar[str] = "not stated"
     """What was searched for its settings, in one line: the benchmark prints it."""
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
+    """Named groups of options, for names such as ``dsw-ukf:printed``."""
     constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
     """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
     A subclass names its own; those of its bases count too."""

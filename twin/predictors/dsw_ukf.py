@@ -19,7 +19,8 @@ Source: Qu et al. 2025, sections 3.2.2 and 3.2.3.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -309,6 +310,10 @@ class DSWPredictor(ModelPredictor):
     """
 
     tuning = "about 65 configurations in the study"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "printed": {"adapt": "literal", "adapts": "QR", "feedback": False, "window": "dynamic"}
+    }
+    """``dsw-ukf:printed``: Eq 52 on Q and R, fusion without feedback, the window of Algorithm 1."""
 
     def __init__(
         self,
