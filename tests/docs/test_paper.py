@@ -32,8 +32,8 @@ def numbers(word: str) -> set[int]:
     """Return what is named as ``Eq 1-3, 7``, or with Figures or Tables in the place of Eq."""
     found = set()
     for line in LINES:
-        for text in re.findall(rf"{word} ([\d–, and]+)", line[0]):
-            for first, last in re.findall(r"(\d+)(?:–(\d+))?", text):
+        for text in re.findall(rf"{word} ([\d\u2013, and]+)", line[0]):
+            for first, last in re.findall(r"(\d+)(?:\u2013(\d+))?", text):
                 found |= set(range(int(first), int(last or first) + 1))
     return found
 

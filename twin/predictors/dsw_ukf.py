@@ -266,7 +266,7 @@ class DSWPredictor(ModelPredictor):
     of the innovation covariance, the surge speed as the motion, and the wind if the log has it. A
     proxy for the wave height comes from the lateral acceleration (``WaveProxy``). So each row is
     used about W/stride times more. This is one reading: the text does not say what is done with the
-    window. On our boat and on others it does not beat the plain filter. After false numbers
+    window. On our boat and on others it does not beat the filter without it. After false numbers
     (spikes, frozen fixes) it is metres off for half a minute and more.
 
     Two rules never act as they are printed. With R = I over six states the trace is above P_max =
@@ -288,7 +288,7 @@ class DSWPredictor(ModelPredictor):
         paper's 210 iterations of its 80 s.
     w_min, w_max : int
         Bounds of W, rows. The paper gives w = 15. That w_r stays within w, which the rule of the
-        lateral acceleration implies, is ours (Eq 40 alone would give some 40 rows).
+        lateral acceleration implies, is ours (Eq 40 alone has no bound).
     period : str
         Form of Eq 36, one of ``dynamic_window.PERIOD_FORMS``; by default
         Algorithm 1's.
