@@ -119,11 +119,12 @@ def _order(rows: Sequence[PaperRow], found: Sequence[Contest]) -> str:
         and (contest.high < 0.0 or contest.low > 0.0)
         for contest in found
     )
+    order = f"DSW-UKF before UKF{' before LSTM' if with_lstm else ''}"
+    verdict = _verdict(sum(map(all, pairs)) / len(pairs))
     return (
-        f"The order of Table 4 (DSW-UKF before UKF{' before LSTM' if with_lstm else ''}) "
-        f"{_verdict(sum(map(all, pairs)) / len(pairs))}: it holds in {' and '.join(counts)}. Of all "
-        f"{len(pairs)}, DSW-UKF is before UKF in {first}{lstm}; the window alone, all else "
-        f"equal, changes the MAE by {min(changes):+.0f} to {max(changes):+.0f} %, in {sure} of "
+        f"The order of Table 4 ({order}) {verdict}: it holds in {' and '.join(counts)}. Of all "
+        f"{len(pairs)}, DSW-UKF is before UKF in {first}{lstm}; the window alone, all else equal, "
+        f"changes the MAE by {min(changes):+.0f} to {max(changes):+.0f} %, in {sure} of "
         f"{len(found)} cases with a 95 % interval without zero."
     )
 
