@@ -24,7 +24,7 @@ from twin.motion.forecast_state import CHANNELS
 from twin.motion.sea_estimate import SeaEstimate
 from twin.particulars import Particulars
 from twin.predictors.base import Estimate, Prediction, Predictor, check_forecast
-from twin.predictors.registry import DEFAULT, PREDICTORS, make_predictor
+from twin.predictors.registry import DEFAULT, PREDICTORS, base_name, make_predictor
 from twin.predictors.saved_options import pack_option, unpack_option
 from usv_kernel.errors import UsvTwinError
 
@@ -56,7 +56,8 @@ class Twin:
     particulars : Particulars
         The boat and its instruments.
     predictor : str or Predictor
-        A name in ``twin.PREDICTORS``, or a predictor object.
+        A name in ``twin.PREDICTORS``, options behind a colon (``"ukf:model=mmg"``), or a
+        predictor object.
     seed : int
         Of predictors that draw random numbers.
     **options
@@ -228,7 +229,7 @@ class Twin:
                 f"was saved with a predictor given as an object (of class {header['class']}); give "
                 "a new one: Twin.load(path, predictor=...)"
             )
-        elif name not in PREDICTORS:
+        elif base_name(name) not in PREDICTORS:
             raise StateError(
                 f"was saved with the predictor {name!r}, which is not known here; known: "
                 f"{', '.join(PREDICTORS)}; give one of its class: Twin.load(path, predictor=...)"

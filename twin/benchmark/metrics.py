@@ -20,6 +20,7 @@ __all__ = [
     "ORACLE",
     "channel_table",
     "compare",
+    "mean_interval",
     "recorded_table",
     "rows_of",
     "run_rows",
@@ -78,6 +79,12 @@ def _interval(means: Array, seeds: int) -> tuple[float | None, float | None]:
         return None, None
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float | None, float | None]:
+    """Return the mean over seeds and its 95 % bootstrap interval; None for under three seeds."""
+    array = np.asarray(values, dtype=np.float64)
+    return float(array.mean()), *_interval(_resampled(array), len(array))
 
 
 KEY = (*UNIT_KEY, "plan")

@@ -18,7 +18,16 @@ import numpy as np
 from twin.digital_twin import PLANS
 from twin.model.structure import MODELS, StructureError
 from twin.particulars import ParticularsError
-from twin.predictors.registry import EXTRAS, PREDICTORS, PredictorError, predictor_class
+from twin.predictors.registry import (
+    EXTRAS,
+    PREDICTORS,
+    PredictorError,
+    base_name,
+    make_predictor,
+    options_of,
+    predictor_class,
+)
+from twin.sim.bridge import particulars_of
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
@@ -139,7 +148,9 @@ class Settings:
                     f"no scenario is called {name!r}; known: {', '.join(SCENARIOS)}"
                 )
         for name in self.predictors:
-            predictor_class(name)
+            # the values of options are checked by the class
+            if options_of(name) and not predictor_class(name).needs_simulator:
+                make_predictor(name, particulars_of(Vessel.load(self.vessel)))
         if self.model is not None and self.model not in MODELS:
             raise StructureError(
                 f"no model structure is called {self.model!r}; known: {', '.join(MODELS)}"
@@ -240,7 +251,7 @@ def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the predictors that can run here, and a line on each that cannot."""
     usable, notes = [], []
     for name in names:
-        module, extra = EXTRAS.get(name, (None, ""))
+        module, extra = EXTRAS.get(base_name(name), (None, ""))
         if module is None or find_spec(module) is not None:
             usable.append(name)
         else:

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "number",
+    "page_template",
     "write_report",
 ]
 
@@ -162,15 +163,17 @@ def write_report(
         },
         "runs": [_run(run, results, pictures, styles) for run in runs],
     }
-    page = _template().render(**sections, fonts=FONTS, sheet=sheet_of(pictures.styles, "svg "))
+    page = page_template("report.html.jinja").render(
+        **sections, fonts=FONTS, sheet=sheet_of(pictures.styles, "svg ")
+    )
     report = out / "report.html"
     write_whole(report, page.encode())
     return [report, *pictures.written]
 
 
 @functools.cache
-def _template() -> Template:
-    """Return the page's template."""
+def page_template(name: str) -> Template:
+    """Return the template of a page; ``name`` is a file in or below this folder."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -181,7 +184,7 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     environment.filters["setting"] = _setting
-    return environment.get_template("report.html.jinja")
+    return environment.get_template(name)
 
 
 class _Pictures:

@@ -47,7 +47,7 @@ from twin.logs.log import Log, files_of, recorded_runs, sibling_path
 from twin.parallel import results_of
 from twin.particulars import Particulars
 from twin.predictors.base import ForecastError, Prediction
-from twin.predictors.registry import predictor_class
+from twin.predictors.registry import options_of, predictor_class
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log, read_run
@@ -95,6 +95,10 @@ def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
 def _recorded_identify_s(log: Log) -> float:
     """Return the time before the first prediction of a recorded run, s."""
     return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
+
+
+NAME_MAX = 180
+"""Longest name of a result file without its ending, characters; file systems take 255."""
 
 
 class _Parameters(NamedTuple):
@@ -271,6 +275,9 @@ def _new_twin(settings: Settings, unit: Unit, run: Run) -> Twin:
     if kind.trains:
         # in time for the first prediction, whose history begins with the first late fix
         options["train_at"] = run.identify - float(run.seen.t[0]) - 0.5
+    # what stands in the name is closer to the predictor than what holds for all
+    for named in options_of(unit.predictor):
+        options.pop(named, None)
     return Twin(run.particulars, unit.predictor, seed=unit.seed, **options)
 
 
@@ -329,6 +336,8 @@ def result_file(folder: Path, unit: Unit) -> Path:
     """Return the file that holds the result of one piece of work."""
     # reversible: no two runs share a file
     name = urllib.parse.quote(f"{unit.run}_{unit.predictor}", safe="+")
+    if len(name) > NAME_MAX:  # many options
+        name = f"{name[: NAME_MAX - 20]}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
     return folder / "runs" / f"{name}.json"
 
 

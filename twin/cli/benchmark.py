@@ -28,6 +28,7 @@ from twin.benchmark.protocol import (
 from twin.cli.benchmark_tables import print_results
 from twin.cli.common import (
     CPUS,
+    OPTIONS_EXAMPLE,
     BackendOption,
     DofOption,
     JobsOption,
@@ -38,6 +39,7 @@ from twin.cli.common import (
     new_table,
     note,
     parse_list,
+    parse_predictors,
     parse_seeds,
     progress_bar,
     status,
@@ -116,7 +118,8 @@ def benchmark_command(
     predictors: Annotated[
         str,
         typer.Option(
-            help=f"Comma-separated, of: {', '.join(PREDICTORS)}; or module:Class of your own."
+            help=f"Comma-separated, of: {', '.join(PREDICTORS)}; or module:Class of your own. "
+            f"With options as {OPTIONS_EXAMPLE}."
         ),
     ] = ",".join(PREDICTORS),
     plans: Annotated[
@@ -210,10 +213,10 @@ def benchmark_command(
         return
     if faults_matrix:
         given = "ukf,dsw-ukf-plus" if predictors == ",".join(PREDICTORS) else predictors
-        _matrix(parse_list(given, "--predictors"), parse_seeds(seeds or "0-7"), out, jobs)
+        _matrix(parse_predictors(given), parse_seeds(seeds or "0-7"), out, jobs)
         return
     check_backend(backend)
-    asked = parse_list(predictors, "--predictors")
+    asked = parse_predictors(predictors)
     names, notes = available(asked)
     if not names:
         raise PredictorError("; ".join(notes))

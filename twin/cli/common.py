@@ -23,6 +23,7 @@ from twin.logs.log import Log
 from twin.model.structure import MODELS
 from twin.motion import SeaEstimate
 from twin.parallel import BACKENDS
+from twin.predictors.named_options import split_names
 from twin.predictors.own_prior import prior_note
 from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
@@ -68,8 +69,16 @@ def report_user_errors(command: Command) -> Command:
 
 LogArgument = Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")]
 
+OPTIONS_EXAMPLE = "dsw-ukf:window=off,w_min=20"
+"""How options stand in a predictor's name."""
+
 PredictorOption = Annotated[
-    str, typer.Option("--predictor", "-p", help=f"One of: {', '.join(PREDICTORS)}.")
+    str,
+    typer.Option(
+        "--predictor",
+        "-p",
+        help=f"One of: {', '.join(PREDICTORS)}; with options as {OPTIONS_EXAMPLE}.",
+    ),
 ]
 
 ModelOption = Annotated[
@@ -315,6 +324,14 @@ def parse_list(text: str, option: str) -> tuple[str, ...]:
     if not items:
         raise OptionError(f"{option}: name at least one")
     return items
+
+
+def parse_predictors(text: str, option: str = "--predictors") -> tuple[str, ...]:
+    """Return predictors of a comma-separated list, each once, with options behind a colon."""
+    names = tuple(dict.fromkeys(split_names(text)))
+    if not names:
+        raise OptionError(f"{option}: name at least one")
+    return names
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from twin.cli.common import (
     console,
     new_table,
     note,
-    parse_list,
+    parse_predictors,
     progress_bar,
     stopped,
     three_digits,
@@ -41,7 +41,7 @@ def soak_command(
     from twin.live.soak import soak_feed
 
     found: dict[str, list[dict[str, Any]]] = {"environments": [], "garbage": [], "feed": []}
-    names = parse_list(predictors, "--predictors")
+    names = parse_predictors(predictors)
     try:
         with progress_bar() as bar:
             counting = functools.partial(_counting, bar)

@@ -72,7 +72,7 @@ def validate_command(
 
 def _sections(study: Study) -> list[Section]:
     """Compute all sections of the page with a progress bar."""
-    from twin.benchmark.paper_checks import twin_numbers
+    from twin.benchmark.paper.checks import twin_numbers
     from usv_gym.validation.sections import SECTIONS
 
     every = {**SECTIONS, "twin": twin_numbers}

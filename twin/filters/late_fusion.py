@@ -13,9 +13,9 @@ Decisions that the paper leaves open, all of them ours:
   without end and its weight in Eq 42 goes to zero. The fused value and its covariance are therefore
   written back into it, but only in rows that bring a GPS sample. A prediction of the GPS filter is
   no new information. ``feedback=False`` shows the scheme as printed.
-- GPS latency is not compensated, as published: a fix counts as being of its row's time.
+- GPS latency is not compensated, as in the paper: a fix counts as being of its row's time.
 - The two estimates share their past once there is feedback, so that the fused covariance is
-  too small. The formula is kept as published.
+  too small. The formula is kept as printed.
 - Noise that no data sheet states scales by Froude's law with the length of the boat.
 - A fix that is farther off than :data:`LOST` restarts both filters. False numbers may have driven
   one away, and its covariance does not know.

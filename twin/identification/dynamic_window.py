@@ -37,6 +37,7 @@ __all__ = [
     "adjustment_period",
     "environment_index",
     "nonlinearity_index",
+    "variable_part",
 ]
 
 Array = NDArray[np.float64]
@@ -119,6 +120,20 @@ def adjustment_period(trace_P: float, *, form: str = "continuous") -> float:
     return BASE_PERIOD / (1.0 + trace / TRACE_LIMIT)  # Eq 36
 
 
+def variable_part(V: float, S: float, base: int, cap: int) -> int:
+    """Return the variable part w_r of the window, samples, from its two indices.
+
+    ``V`` is :func:`environment_index`, ``S`` :func:`nonlinearity_index`; ``base`` the fixed part
+    w, ``cap`` the largest w_r, samples.
+
+    Source: Qu et al. 2025, Eq 40, and the rule for calm water in the text below it.
+    """
+    if V < CALM_ENVIRONMENT and S < CALM_NONLINEARITY:
+        return 0
+    share = GAMMA_ENVIRONMENT * V + GAMMA_NONLINEARITY * S
+    return int(min(max(math.floor(base * min(share, 1e6) + 0.5), 0), cap))
+
+
 class WaveProxy:
     """Running RMS of the wave-frequency acceleration: what a boat knows of the wave height.
 
@@ -196,8 +211,8 @@ class DynamicWindow:
     base : int
         Fixed part w, samples; also the length at the start.
     cap : int, optional
-        Largest variable part w_r, samples; by default ``base``. As printed, Eq 40 gives
-        some 40 samples even in calm water, but the doubling rule implies w_r <= w.
+        Largest variable part w_r, samples; by default ``base``, as the doubling rule implies.
+        Eq 40 alone has no bound: S grows with W, and the window to any cap.
     period : str
         Form of Eq 36, one of :data:`PERIOD_FORMS`.
 
@@ -316,12 +331,7 @@ class DynamicWindow:
         else:
             self.lambda_max = math.nan
             self.S = 1.0
-        env, nonlin = self.V, self.S
-        if env < CALM_ENVIRONMENT and nonlin < CALM_NONLINEARITY:
-            self.w_r = 0
-            return
-        share = GAMMA_ENVIRONMENT * env + GAMMA_NONLINEARITY * nonlin  # Eq 40
-        self.w_r = int(min(max(math.floor(self.base * min(share, 1e6) + 0.5), 0), self.cap))
+        self.w_r = variable_part(self.V, self.S, self.base, self.cap)
 
 
 def _floats(values: ArrayLike) -> Array:

@@ -231,6 +231,8 @@ class Predictor(ABC):
     """Files that the class reads, such as weights; a folder stands for all in it. Paths count from
     the folder of the class's module. A kept result of a benchmark is not reused once one changes.
     A subclass names its own; those of its bases count too."""
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
+    """Named groups of options, for names such as ``dsw-ukf:printed``."""
     constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
     """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
     A subclass names its own; those of its bases count too."""

@@ -19,7 +19,8 @@ Source: Qu et al. 2025, sections 3.2.2 and 3.2.3.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -265,7 +266,7 @@ class DSWPredictor(ModelPredictor):
     of the innovation covariance, the surge speed as the motion, and the wind if the log has it. A
     proxy for the wave height comes from the lateral acceleration (``WaveProxy``). So each row is
     used about W/stride times more. This is one reading: the text does not say what is done with the
-    window. On our boat and on others it does not beat the plain filter. After false numbers
+    window. On our boat and on others it does not beat the filter without it. After false numbers
     (spikes, frozen fixes) it is metres off for half a minute and more.
 
     Two rules never act as they are printed. With R = I over six states the trace is above P_max =
@@ -287,7 +288,7 @@ class DSWPredictor(ModelPredictor):
         paper's 210 iterations of its 80 s.
     w_min, w_max : int
         Bounds of W, rows. The paper gives w = 15. That w_r stays within w, which the rule of the
-        lateral acceleration implies, is ours (Eq 40 alone would give some 40 rows).
+        lateral acceleration implies, is ours (Eq 40 alone has no bound).
     period : str
         Form of Eq 36, one of ``dynamic_window.PERIOD_FORMS``; by default
         Algorithm 1's.
@@ -309,6 +310,10 @@ class DSWPredictor(ModelPredictor):
     """
 
     tuning = "about 65 configurations in the study"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "printed": {"adapt": "literal", "adapts": "QR", "feedback": False, "window": "dynamic"}
+    }
+    """``dsw-ukf:printed``: Eq 52 on Q and R, fusion without feedback, the window of Algorithm 1."""
 
     def __init__(
         self,

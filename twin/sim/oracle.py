@@ -18,7 +18,7 @@ from twin.filters.navigation_ekf import GAP_MAX
 from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.predictors.baselines import COMMANDED, GRID, HistoryPredictor
-from twin.predictors.registry import PredictorError, predictor_class
+from twin.predictors.registry import PredictorError, options_of, predictor_class
 from twin.sim.bridge import TRUE_STATE, particulars_of
 from usv_gym.physics import frames as fr
 from usv_gym.physics import ship
@@ -126,10 +126,14 @@ def check_simulator(predictor: str, log: Log, particulars: Particulars) -> None:
 
 
 def simulator_options(predictor: str, vessel: Vessel, sea: SeaState, dof: int) -> dict[str, Any]:
-    """Return what a predictor is given of the simulator; nothing, unless it asks for it."""
+    """Return what a predictor is given of the simulator; nothing, unless it asks for it.
+
+    What its name holds stays as it is.
+    """
     if not predictor_class(predictor).needs_simulator:
         return {}
-    return {"vessel": vessel, "sea": sea, "dof": dof}
+    given = {"vessel": vessel, "sea": sea, "dof": dof}
+    return {key: value for key, value in given.items() if key not in options_of(predictor)}
 
 
 class Oracle(HistoryPredictor):

@@ -173,7 +173,7 @@ def test_heading_is_unwrapped() -> None:
 
 
 def test_latency_is_not_compensated() -> None:
-    # as published: the position lags by about speed times latency
+    # as in the paper: the position lags by about speed times latency
     instruments = Instruments(gps_sd=0.01, gps_bias_sd=0.0, gps_latency=0.5)
     s, z = measured(np.random.default_rng(2), 400, instruments)
     out = run(LateFusion(instruments, LENGTH), z)

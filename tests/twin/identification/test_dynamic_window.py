@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.benchmark.paper_checks import henon, logistic
+from twin.benchmark.paper.checks import henon, logistic
 from twin.identification.dynamic_window import (
     NOISE_FORMS,
     PERIOD_FORMS,

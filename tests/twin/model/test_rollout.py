@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from twin.benchmark import paper_checks
-from twin.benchmark.paper_checks import RATED, paper_run
+from twin.benchmark.paper import published
+from twin.benchmark.paper.checks import RATED, paper_run
 from twin.filters import ukf
 from twin.model import actuators, augmented, dynamics, rollout
 from twin.model.structure import MODELS, N_TERMS, Structure, accelerations
@@ -211,7 +211,7 @@ def test_points_go_where_single_steps_go_and_the_slope_is_the_derivative(
 
 
 @pytest.mark.parametrize(
-    ("table", "speed"), [(paper_checks.PAPER_TABLE_2, 5.58), (paper_checks.PAPER_TABLE_3, 7.76)]
+    ("table", "speed"), [(published.PAPER_TABLE_2, 5.58), (published.PAPER_TABLE_3, 7.76)]
 )
 def test_straight_speed_of_the_paper_models(table: np.ndarray, speed: float) -> None:
     act = np.array([RATED, RATED, 0.0, 0.0])
@@ -226,7 +226,7 @@ def test_straight_speed_of_the_paper_models(table: np.ndarray, speed: float) -> 
 
 @pytest.mark.parametrize(("angle_deg", "escape"), [(20.0, 7.3), (0.0, 12.9)])
 def test_table_2_escapes_to_infinity(angle_deg: float, escape: float) -> None:
-    end, state = paper_run(paper_checks.PAPER_TABLE_2, math.radians(angle_deg), 30.0)
+    end, state = paper_run(published.PAPER_TABLE_2, math.radians(angle_deg), 30.0)
     assert end == pytest.approx(escape, abs=0.2)
     assert np.hypot(state[3], state[4]) == pytest.approx(1000.0, rel=1e-3)
 
@@ -235,7 +235,7 @@ def test_table_2_escapes_to_infinity(angle_deg: float, escape: float) -> None:
     ("angle_deg", "u", "r_degps"), [(20.0, 10.35, 4.26), (-20.0, 11.51, -2.23)]
 )
 def test_table_3_turns(angle_deg: float, u: float, r_degps: float) -> None:
-    _, state = paper_run(paper_checks.PAPER_TABLE_3, math.radians(angle_deg), 300.0)
+    _, state = paper_run(published.PAPER_TABLE_3, math.radians(angle_deg), 300.0)
     assert state[3] == pytest.approx(u, rel=0.01)
     assert math.degrees(state[5]) == pytest.approx(r_degps, rel=0.01)
 
@@ -461,7 +461,7 @@ def test_rollout_of_an_explosive_set_stays_in_the_envelope(
     structure = dynamics.model_of(boat, name)
     xi = scale * np.random.default_rng(seed).normal(size=len(structure))
     if scale == 1.0 and (name, steering) == ("paper", "drives"):
-        xi = paper_checks.PAPER_TABLE_2
+        xi = published.PAPER_TABLE_2
     plan = np.tile([RATED, RATED, 0.35, 0.35], (300, 1))
     start = Start(envelope=(12.0, 11.0, 1.5))
     out, out_act = forecast(xi, plan, start=start, structure=structure, wind=WINDY)

@@ -77,7 +77,7 @@ def test_estimate_recovers_after_losses(name, zigzag, boat):
         twin.step(t + 1.0 + 0.05 * (k - 600), zigzag.z[k], zigzag.cmd[k])
     error = np.abs(twin.estimate().state - zigzag.truth[1199])
     assert np.isfinite(error).all()
-    if name != "dsw-ukf":  # as published it refuses no number, and forgets slowly
+    if name != "dsw-ukf":  # as in the paper it refuses no number, and forgets slowly
         assert (error[[0, 1, 3]] < [10.0, 10.0, 1.0]).all()
 
 

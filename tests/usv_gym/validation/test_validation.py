@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from twin.benchmark.paper_checks import twin_numbers
+from twin.benchmark.paper.checks import twin_numbers
 from twin.cli.main import app
 from usv_gym.validation import sections
 from usv_gym.validation.page import FOLDER, PAGE, compare, failures, render, to_json

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from twin.benchmark.paper.published import PAPER_TABLE_2, PAPER_TABLE_3, TABLE_4
 from twin.channels import R, U, V
 from twin.filters.ukf import scaled_weights
 from twin.identification.lyapunov import rosenstein
@@ -15,37 +16,14 @@ from twin.model.structure import N_TERMS, structure_of
 from usv_gym.validation.study import DEGREE, SEPARATE, Array, Row, Section, Study, rows
 
 __all__ = [
-    "PAPER_TABLE_2",
-    "PAPER_TABLE_3",
+    "RATED",
+    "paper_run",
+    "twin_numbers",
 ]
-
-# fmt: off
-PAPER_TABLE_2 = np.array([
-    -0.01933487, -0.13319095, 0.47497131, 0.02046881, 0.00750947, 0.00750947, 0.14275839,
-    -0.13801318, -0.10806983, -0.34930751, 0.17874066, 0.05575388, 0.58329755, 0.13710593,
-    -0.07592142, -0.01698518, 0.03176391, -0.17702271, -0.04692461, 0.17730327, 0.07858179,
-    0.11225423, 0.08986971, 0.00568659, 0.00568859,
-])
-"""Table 2, from a 20 degree turn, in the order of the structure ``paper``; it is unstable."""
-
-PAPER_TABLE_3 = np.array([
-    -0.01520207, 0.87067625, 0.85951994, -0.09341181, 0.01141719, 0.01141719, -0.01204963,
-    -0.07585661, -0.53618141, -0.32916798, 0.30233231, 0.13383581, 0.32354393, 0.01002316,
-    0.00686091, -0.00045943, 0.04981479, -0.29850031, -0.06855151, -0.06284036, -0.09460934,
-    0.14198421, 0.10663989, 0.00136872, 0.00107281,
-])
-"""Table 3, from a 20/-20 degree zigzag; it speeds up in turns."""
-# fmt: on
 
 RATED = 380.0 / 60.0
 
 PAPER = structure_of("paper", 1.0, 1.0, 1.0)
-
-PAPER_MAE = {
-    "turn": ((0.1592, 0.2292), (0.1721, 0.2331), (0.1944, 0.2542)),
-    "zigzag": ((0.1733, 0.1837), (0.1855, 0.1894), (0.2792, 0.2952)),
-}
-"""Table 4 of the paper: MAE and MSE of DSW-UKF, UKF and LSTM."""
 
 
 def logistic(n: int, start: float = 0.4) -> Array:
@@ -123,8 +101,8 @@ def twin_numbers(study: Study) -> Section:
         found += rows(steady, SEPARATE, 0.01)
     reported = [
         (f"paper's Table 4, {scenario}: {metric} of {method}", None, want)
-        for scenario, triples in PAPER_MAE.items()
-        for method, pair in zip(("DSW-UKF", "UKF", "LSTM"), triples, strict=True)
+        for scenario, triples in TABLE_4.items()
+        for method, pair in triples.items()
         for metric, want in zip(("MAE", "MSE"), pair, strict=True)
     ]
     found += rows(reported, "Qu et al. 2025")

@@ -1,0 +1,192 @@
+"""Options in the names of predictors: read, checked, and kept wherever a name goes."""
+
+import inspect
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym  # noqa: F401 - registers the environment
+from twin import Twin, make_predictor
+from twin.benchmark.conformance import check
+from twin.benchmark.protocol import Settings, Unit, available
+from twin.benchmark.runner import result_file, run_unit
+from twin.cli.common import OptionError, parse_predictors
+from twin.predictors.named_options import OptionTextError, parse_options, split_name, split_names
+from twin.predictors.registry import (
+    EXTRAS,
+    PREDICTORS,
+    PredictorError,
+    base_name,
+    options_of,
+    predictor_class,
+)
+from twin.sim.oracle import simulator_options
+from usv_kernel.errors import ArgumentError, UsvTwinError
+
+PRINTED = {"adapt": "literal", "adapts": "QR", "feedback": False, "window": "dynamic"}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("dsw-ukf", {}),
+        ("dsw-ukf:window=off,adapt=literal", {"window": "off", "adapt": "literal"}),
+        ("dsw-ukf: window = off , stride = 3", {"window": "off", "stride": 3}),
+        ("dsw-ukf:feedback=no,x0=0.2,n_unit=none", {"feedback": False, "x0": 0.2, "n_unit": None}),
+        ("dsw-ukf:n_unit=1", {"n_unit": 1.0}),
+        ("dsw-ukf:printed", PRINTED),
+        ("dsw-ukf:printed,window=off", {**PRINTED, "window": "off"}),
+        ("ukf:model=mmg", {"model": "mmg"}),
+        ("dsw-ukf-plus:draws=20,period=2", {"draws": 20, "period": 2.0}),
+    ],
+)
+def test_options_in_a_name_have_the_types_of_the_class(name, options):
+    found = options_of(name)
+    assert found == options
+    assert {key: type(value) for key, value in found.items()} == {
+        key: type(value) for key, value in options.items()
+    }
+    assert predictor_class(name) is predictor_class(base_name(name))
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "words"),
+    [
+        ("dsw-ukf:windw=off", ArgumentError, r"no option 'windw' \(did you mean 'window'\?\); its"),
+        (
+            "dsw-ukf:printd",
+            OptionTextError,
+            r"'printd' .*did you mean 'printed'.*options: model, f",
+        ),
+        ("ukf:printed", OptionTextError, "its options: model, settings; it has no preset"),
+        ("dsw-ukf:", OptionTextError, "'' is no option as key=value"),
+        ("dsw-ukf:window=off,printed", OptionTextError, "presets, which stand first: printed"),
+        ("dsw-ukf:window=off,window=fixed", OptionTextError, "window is given twice"),
+        ("dsw-ukf:feedback=maybe", OptionTextError, "'maybe' must be one of true, on, yes, false"),
+        ("dsw-ukf:stride=2.5", OptionTextError, r"stride = '2.5' must be a whole number"),
+        ("dsw-ukf:adapt_gain=nan", OptionTextError, "adapt_gain = 'nan' must be a number"),
+        ("dsw-ukf:window=", OptionTextError, "is empty; write a value"),
+        ("ukf:settings=3", OptionTextError, "FilterSettings.* has no text; hand it to"),
+        ("ukf:seed=3", ArgumentError, "no option 'seed'"),
+        ("dsw:window=off", PredictorError, r"no predictor is called 'dsw' \(did you mean"),
+        ("persistence:model=mmg", ArgumentError, "no option 'model'"),
+    ],
+)
+def test_wrong_options_in_a_name_say_what_is_legal(name, error, words):
+    with pytest.raises(error, match=words):
+        predictor_class(name)
+
+
+def test_wrong_values_name_the_legal_ones_and_the_predictor(boat):
+    with pytest.raises(PredictorError, match=r"'dsw-ukf:window=of'.* use one of dynamic, fixed, o"):
+        make_predictor("dsw-ukf:window=of", boat)
+    with pytest.raises(PredictorError, match=r"'ukf:model=nope'.*mmg"):
+        make_predictor("ukf:model=nope", boat)
+    with pytest.raises(PredictorError, match="model stands in its name, and is given beside it"):
+        make_predictor("ukf:model=mmg", boat, model="paper")
+    with pytest.raises(PredictorError, match="use one of dynamic, fixed, off"):
+        Settings(predictors=("dsw-ukf:window=of",))
+
+
+def test_names_of_modules_take_options_after_the_class():
+    assert split_name("a.b:Mine", PREDICTORS) == ("a.b:Mine", None)
+    assert split_name("a.b:Mine:gain=2", PREDICTORS) == ("a.b:Mine", "gain=2")
+    name = "twin.predictors.dsw_ukf:DSWPredictor:printed,window=off"
+    assert options_of(name) == {**PRINTED, "window": "off"}
+
+
+def test_options_without_a_type_are_read_as_what_they_look_like():
+    def function(a, b: "int | float" = 2, **more):
+        return a, b, more
+
+    arguments = list(inspect.signature(function).parameters.values())
+    found = parse_options("it", "a=on,b=2.5,c=7,d=x", {}, arguments)
+    assert found == {"a": True, "b": 2.5, "c": 7, "d": "x"}
+
+
+def test_lists_keep_options_with_the_predictor_before_them():
+    text = "ukf, dsw-ukf:window=off,adapt=literal,lstm,mod:Mine:a=1,b=2,ukf,dsw-ukf:printed"
+    assert parse_predictors(text) == (
+        "ukf",
+        "dsw-ukf:window=off,adapt=literal",
+        "lstm",
+        "mod:Mine:a=1,b=2",
+        "dsw-ukf:printed",
+    )
+    with pytest.raises(OptionTextError, match=r"model=mmg: .* write ukf:model=mmg"):
+        split_names("ukf,model=mmg")
+    with pytest.raises(OptionError, match="--predictors: name at least one"):
+        parse_predictors(" , ")
+
+
+def test_saved_twins_keep_the_options_of_their_name(boat, zigzag, tmp_path):
+    name = "dsw-ukf:printed,window=off"
+    twin = Twin(boat, name)
+    twin.run(zigzag.slice(0.0, 3.0))
+    twin.save(tmp_path / "boat.twin")
+    again = Twin.load(tmp_path / "boat.twin")
+    assert again.name == name and again.predictor.use == "off" and again.predictor.adapt != "off"
+    rest = zigzag.slice(3.0, 5.0)
+    twin.run(rest), again.run(rest)
+    np.testing.assert_array_equal(twin.predict("hold").mean, again.predict("hold").mean)
+    given = Twin(boat, "dsw-ukf", **options_of(name))
+    given.run(zigzag.slice(0.0, 5.0))
+    np.testing.assert_array_equal(twin.predict("hold").mean, given.predict("hold").mean)
+
+
+def test_benchmark_scores_and_keeps_variants_apart(tmp_path):
+    names = ("persistence", "dsw-ukf:window=off", "dsw-ukf")
+    settings = Settings(
+        scenarios=("turn",), faults=("none",), seeds=(0,), predictors=names, plans=("known",),
+        identify_s=6.0, duration_s=18.0,
+    )  # fmt: skip
+    files, errors = set(), []
+    for name in names[1:]:
+        unit = Unit("turn", "none", 0, name)
+        result = run_unit(settings, unit, tmp_path, pictures=False)
+        file = result_file(tmp_path, unit)
+        assert json.loads(file.read_text())["content"]["unit"]["predictor"] == name
+        files.add(file)
+        errors.append(json.dumps(result["plans"]["known"]))
+    assert len(files) == 2 and errors[0] != errors[1]
+    long = "dsw-ukf:" + ",".join(f"x0=0.{k}" for k in range(100))
+    other = result_file(tmp_path, Unit("turn", "none", 0, long + "1"))
+    assert len(other.name) < 255
+    assert other != result_file(tmp_path, Unit("turn", "none", 0, long))
+
+
+def test_extras_and_the_oracle_see_the_name_without_options(monkeypatch):
+    monkeypatch.setitem(EXTRAS, "ukf", ("no_such_module", "lstm"))
+    assert available(("ukf:model=mmg", "dsw-ukf")) == (
+        ("dsw-ukf",),
+        available(("ukf:model=mmg",))[1],
+    )
+    assert set(simulator_options("oracle:dof=3", None, None, 6)) == {"vessel", "sea"}
+
+
+def test_variants_keep_the_contract_of_predictors():
+    failed = [item for item in check("dsw-ukf:window=fixed,w_min=20") if item.passed is False]
+    assert failed == []
+    with pytest.raises(UsvTwinError, match="no option 'wmin'"):
+        check("dsw-ukf:wmin=3")
+
+
+@pytest.mark.parametrize("name", ["ukf:model=paper", "dsw-ukf:window=off"])
+def test_vector_environment_equals_single_ones_with_options_in_the_name(name):
+    many = gym.make_vec("USVTwin-v0", num_envs=2, twin=name)
+    alone = [gym.make("USVTwin-v0", twin=name) for _ in range(2)]
+    obs, _ = many.reset(seed=[3, 4])
+    one = [env.reset(seed=3 + i)[0] for i, env in enumerate(alone)]
+    np.testing.assert_array_equal(obs, one)
+    action = np.array([[0.8, 0.2], [0.5, -0.4]], dtype=np.float32)
+    for _ in range(20):
+        obs = many.step(action)[0]
+        one = [env.step(action[i])[0] for i, env in enumerate(alone)]
+    np.testing.assert_array_equal(obs, one)
+    assert many.twin(1).name == name
+    for env in (many, *alone):
+        env.close()
+    with pytest.raises(UsvTwinError, match="no option"):
+        gym.make("USVTwin-v0", twin="ukf:nope=1")
