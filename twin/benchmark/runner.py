@@ -41,6 +41,9 @@ from twin.benchmark.motion_scores import (
 )
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
+from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
+from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
+from twin.benchmark.verdict.summary import verdict_rows
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
@@ -121,8 +124,9 @@ def load_run(settings: Settings, unit: Unit) -> Run:
     if unit.log:
         log, particulars = read_run(unit.log, settings.ship, settings.mapping)
         identify = _recorded_identify_s(log)
+        identify += float(log.t[0])
         seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
-        return Run(seen.without_truth(), log, particulars, float(log.t[0]) + identify, ())
+        return Run(seen.without_truth(), log, particulars, identify, ())
     vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
     suite = SensorSuite.grade(unit.grade) if unit.grade else None
     start = fault_start(settings, settings.identify_s)
@@ -159,7 +163,13 @@ def run_unit(
     motion_truth = MotionTruth(run.reference, run.particulars, identify) if moves else None
     twin = _new_twin(settings, unit, run)
     dt = min(max(seen.dt, 0.02), 0.25)
-    end = float(seen.t[-1]) - HORIZONS[-1]
+    last_command = commands_end(run.reference)
+    end = last_command - HORIZONS[-1]
+    lost = gps_windows(parse_faults(unit.fault, fault_start(settings, identify)))
+    loss_ends = losses_to_score(seen.t, lost, reference)
+    ended: list[dict[str, float]] = []
+    held = RecordedPersistence(run.reference, reference, unit.log) if unit.log else None
+    held_errors: list[Array] = []
     next_origin, next_second = identify, float(seen.t[0])
     scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
     motions: dict[str, list[MotionScore]] = {plan: [] for plan in settings.plans}
@@ -173,6 +183,8 @@ def run_unit(
     for row, (t, z, cmd) in enumerate(seen):
         # copies: through the base of a view, a predictor could see the future
         twin.step(t, z.copy(), cmd.copy())
+        if row in loss_ends:
+            ended.append(score_loss_end(twin.estimate(), loss_ends[row], reference))
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
             estimate = twin.estimate()
@@ -196,6 +208,8 @@ def run_unit(
         truth = reference.at(times)
         if not np.isfinite(truth).all():
             raise BenchmarkError(f"{run.reference.name}: its truth has gaps")
+        if held is not None:
+            held_errors.append(held.squared_errors(truth[[0, -1]][:, :3], times[[0, -1]]))
         known = known_plan(seen, row, HORIZONS[-1], dt)
         for plan in settings.plans:
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
@@ -216,16 +230,24 @@ def run_unit(
         gaps = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
         raise BenchmarkError(
             f"{unit.log or unit.run}: too short to be scored: predictions begin at "
-            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{gaps}"
+            f"{identify:.0f} s and need {HORIZONS[-1]:g} s of commands after them, and the last "
+            f"command is at {last_command:.0f} s{gaps}"
         )
     result: dict[str, Any] = {
         "unit": dataclasses.asdict(unit),
         "plans": {plan: table_of(parts) for plan, parts in scores.items()},
         "start_error": float(np.mean(starts)),
         "skipped": skipped,
+        "loss_ends": ended,
         "repairs": list(run.reference.notes),
         "datum": None if run.reference.datum is None else run.reference.datum.to_json(),
     }
+    if held_errors:
+        displacement, psi = np.mean(held_errors, axis=0).tolist()
+        result["held_mse"] = {"displacement": displacement, "psi": psi}
+        # forecasts that would reach past the last recorded command
+        past = np.floor(float(seen.t[-1]) - HORIZONS[-1] - max(end, identify))
+        result["past_commands"] = {"end_s": last_command, "left_out": max(int(past), 0)}
     if motion_truth is not None:
         result["motion"] = {
             plan: motion_table(parts, motion_truth.sd) for plan, parts in motions.items() if parts
@@ -455,6 +477,7 @@ def collect(
             result["unit"]["scenario"]: {
                 "repairs": result["repairs"],
                 "skipped": result["skipped"],
+                **result.get("past_commands", {}),
                 "datum": result.get("datum"),
             }
             for result in ordered
@@ -466,6 +489,8 @@ def collect(
         "summary": summarise(runs),
         "paired": compare(runs, against or AGAINST),
         "recorded": recorded_table(ordered, against or recorded_against(settings)),
+        "verdict": verdict_rows(simulated, settings),
+        "losses": loss_rows(ordered),
         "trends": trends(simulated, settings.sea_name),
         "channels": channel_table(ordered),
         "horizons_s": list(STUDY_HORIZONS),
