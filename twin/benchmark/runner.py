@@ -52,6 +52,7 @@ from twin.particulars import Particulars
 from twin.predictors.base import Prediction
 from twin.predictors.registry import predictor_class
 from twin.sim.bridge import particulars_of, simulate
+from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log, read_run
 from usv_gym.world.channels import GPS_BIT
@@ -392,32 +393,43 @@ def runs(
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
-    A worker takes a run, which is simulated or read once, with all its predictors; where there
-    are fewer runs than workers, single predictors. The results do not depend on ``jobs`` and
-    ``backend`` (one of ``twin.parallel.BACKENDS``). After an error (a log that cannot be read, say)
-    the rest goes on.
+    A worker takes the runs of a boat that differ by faults alone: they are equal up to the fault,
+    and what a net learned or answered on the one serves the others. Where there are fewer boats
+    than workers, it takes a run, which is simulated or read once, or single predictors. The
+    results do not depend on ``jobs`` and ``backend`` (one of ``twin.parallel.BACKENDS``). After an
+    error (a log that cannot be read, say) the rest goes on.
     """
-    todo: dict[str, list[Unit]] = {}
+    todo: dict[tuple[str, ...], dict[str, list[Unit]]] = {}
     for unit in units(settings):
         done = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
         if done is None:
-            todo.setdefault(unit.run, []).append(unit)
+            alike = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
+            todo.setdefault(alike, {}).setdefault(unit.run, []).append(unit)
         else:
             yield unit, done
     if not todo:
         return
-    tasks = list(todo.values())
+    tasks = [list(alike.values()) for alike in todo.values()]
     if len(tasks) < jobs:
-        tasks = [[unit] for task in tasks for unit in task]
+        tasks = [[run] for task in tasks for run in task]
+    if len(tasks) < jobs:
+        tasks = [[[unit]] for task in tasks for unit in task[0]]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
     for result in results_of(calls, jobs=jobs, backend=backend):
         yield from result[1]
 
 
 def _attempt(
+    settings: Settings, task: Sequence[Sequence[Unit]], folder: Path
+) -> list[tuple[Unit, dict[str, Any] | Exception]]:
+    """Score the predictors of some runs; an error of one does not stop the others."""
+    return [found for run in task for found in _attempt_run(settings, run, folder)]
+
+
+def _attempt_run(
     settings: Settings, task: Sequence[Unit], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of one run; an error of one does not stop the others."""
+    """Score the predictors of one run."""
     try:
         run = load_run(settings, task[0])
         if not task[0].log:
@@ -519,16 +531,13 @@ def default_logs() -> tuple[str, ...]:
     return tuple(str(path) for path in recorded_runs().values())
 
 
-def warm_up(settings: Settings) -> None:
+def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
-    vessel, sea = settings.boat(0), settings.sea()
-    log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
-    for name in settings.predictors:
-        twin = Twin(
-            particulars_of(vessel), name, **simulator_options(name, vessel, sea, settings.dof)
-        )
-        twin.run(log)
-        twin.predict("hold")
+    compile_kernels(
+        *(settings.boat(0), settings.sea(), settings.predictors, settings.dof),
+        jobs=jobs,
+        backend=backend,
+    )
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ __all__ = [
     "sheet_of",
     "standalone",
     "svg_of",
+    "with_styles",
 ]
 
 FONTS = "Verdana, 'DejaVu Sans', Roboto, 'Helvetica Neue', Arial, sans-serif"
@@ -60,6 +61,16 @@ def svg_of(fig: Figure, prefix: str, label: str, styles: dict[str, str]) -> str:
         {"viewBox": f"0 0 {width:g} {height:g}", "role": "img", "aria-label": label},
     )
     return ET.tostring(root, encoding="unicode", short_empty_elements=True)
+
+
+def with_styles(svg: str, own: Sequence[str], styles: dict[str, str]) -> str:
+    """Return a picture whose classes are those of a page.
+
+    ``own`` are its styles, of the classes s0, s1 and so on; ``styles`` the page's classes by
+    style, to which they are added.
+    """
+    names = [styles.setdefault(style, f"s{len(styles)}") for style in own]
+    return re.sub(r'class="s(\d+)"', lambda match: f'class="{names[int(match[1])]}"', svg)
 
 
 def sheet_of(styles: Mapping[str, str], inside: str = "") -> str:

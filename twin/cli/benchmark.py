@@ -267,7 +267,7 @@ def benchmark_command(
         def drawn(name: str) -> None:
             progress.update(bar, advance=1, description=name)
 
-        written = write_report(out, results, figures, drawn)
+        written = write_report(out, results, figures, drawn, jobs)
     more = "" if verbose else "; --verbose prints all tables"
     console.print(f"report: {written[0]}; numbers: {out / 'results.json'}{more}", soft_wrap=True)
 
@@ -371,7 +371,7 @@ def _run_all(
     failed = _Failures()
     with contextlib.suppress(KeyboardInterrupt):
         if not runner.all_finished(settings, out):
-            runner.warm_up(settings)
+            runner.warm_up(settings, jobs=jobs, backend=backend)
         # one estimate over many runs, as each comes with all its predictors at a time
         columns = TimeRemainingColumn()
         with progress_bar(columns, transient=True, speed_estimate_period=600.0) as progress:

@@ -153,7 +153,7 @@ def recorded_blocks(results: Row) -> dict[str, dict[str, dict[str, Row]]]:
     ends of losses; it is empty without a loss.
     """
     rows = results.get("recorded") or []
-    ends = {(row["folder"], row["fault"], row["predictor"]): row for row in results["losses"]}
+    ends = {(row["folder"], row["fault"], row["predictor"]): row for row in results.get("losses") or []}
     blocks: dict[str, dict[str, dict[str, Row]]] = {}
     for row in rows:
         if row["plan"] != rows[0]["plan"]:
