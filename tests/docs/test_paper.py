@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from twin.benchmark.paper.rows import PaperRow
-from twin.benchmark.report import number
+from twin.benchmark.verdict.tables import number
 from twin.predictors.registry import predictor_class
 
 ROOT = Path(__file__).resolve().parents[2]

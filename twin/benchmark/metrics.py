@@ -20,8 +20,10 @@ __all__ = [
     "ORACLE",
     "channel_table",
     "compare",
+    "interval_of",
     "mean_interval",
     "recorded_table",
+    "resampled",
     "rows_of",
     "run_rows",
     "summarise",
@@ -67,13 +69,13 @@ def rows_of(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                         }
 
 
-def _resampled(values: Array) -> Array:
+def resampled(values: Array) -> Array:
     """Return 2000 bootstrap means over seeds, with the same resampling for every row."""
     n = len(values)
     return values[np.random.default_rng(0).integers(0, n, (2000, n))].mean(axis=1)
 
 
-def _interval(means: Array, seeds: int) -> tuple[float | None, float | None]:
+def interval_of(means: Array, seeds: int) -> tuple[float | None, float | None]:
     """Return the 95 % interval of bootstrap values; none for fewer than three seeds."""
     if seeds < 3:
         return None, None
@@ -84,7 +86,7 @@ def _interval(means: Array, seeds: int) -> tuple[float | None, float | None]:
 def mean_interval(values: Sequence[float]) -> tuple[float, float | None, float | None]:
     """Return the mean over seeds and its 95 % bootstrap interval; None for under three seeds."""
     array = np.asarray(values, dtype=np.float64)
-    return float(array.mean()), *_interval(_resampled(array), len(array))
+    return float(array.mean()), *interval_of(resampled(array), len(array))
 
 
 KEY = (*UNIT_KEY, "plan")
@@ -199,7 +201,7 @@ def _summary_of(
     median = float(np.median(values))
     if metric == "mae_median":
         return {"value": median, "low": None, "high": None, "median": median}
-    means, value = _resampled(values), float(values.mean())
+    means, value = resampled(values), float(values.mean())
     if source in ("J", "E"):
         keys = [tuple(row[key] for key in KEY) for row in members]
         oracles = [_key_of(key, ORACLE) for key in keys]
@@ -208,9 +210,9 @@ def _summary_of(
         if metric in ("J", "E"):
             own, oracle = (np.array([errors[key] for key in each]) for each in (keys, oracles))
             less = 1.0 if metric == "E" else 0.0
-            means = _mae_over_oracle(_resampled(own), _resampled(oracle)) - less
+            means = _mae_over_oracle(resampled(own), resampled(oracle)) - less
             value = float(_mae_over_oracle(own.mean(axis=0), oracle.mean(axis=0))) - less
-    low, high = _interval(means, len(values))
+    low, high = interval_of(means, len(values))
     return {"value": value, "low": low, "high": high, "median": median}
 
 
@@ -233,8 +235,8 @@ def compare(runs: Sequence[dict[str, Any]], against: str) -> list[dict[str, Any]
         if cell[-2] == against or not pairs:
             continue
         own, other = np.array(pairs).T
-        ratio = _resampled(own) / _resampled(other)
-        low, high = _interval(100.0 * (ratio - 1.0), len(own))
+        ratio = resampled(own) / resampled(other)
+        low, high = interval_of(100.0 * (ratio - 1.0), len(own))
         rows.append(
             {
                 **dict(zip(_CELL, cell, strict=True)),
@@ -318,7 +320,7 @@ def trends(runs: Sequence[dict[str, Any]], sea: str) -> list[dict[str, Any]]:
                 means = np.array(
                     [np.mean([row[metric] for row in seeds[seed]]) for seed in sorted(seeds)]
                 )
-                low, high = _interval(_resampled(means), len(means))
+                low, high = interval_of(resampled(means), len(means))
                 rows.append(
                     {
                         "axis": axis,
@@ -341,8 +343,13 @@ def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict
     ``ratio`` is its mean over runs, with a 95 % bootstrap interval, ``geometric`` its geometric
     mean. ``change_percent`` compares the mean ratio with that of ``against`` on the same runs,
     with its paired interval. Simulated runs are left out.
+
+    That persistence keeps the velocities of the twin's own navigation. ``ratio_recorded`` is to
+    persistence of the recorded u, v and r: the ratio of the mean errors. ``rmse`` is the mean
+    error itself, m or rad, ``error`` the same in m or degrees.
     """
     cells: dict[tuple[str, ...], dict[str, float]] = {}
+    held: dict[tuple[str, ...], dict[str, float]] = {}
     for result in results:
         unit = result["unit"]
         if unit["log"]:
@@ -352,36 +359,55 @@ def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict
                     rmse = math.sqrt(table["channels"][channel]["mse"][-1])
                     key = (folder, unit["fault"], plan, channel, unit["predictor"])
                     cells.setdefault(key, {})[unit["scenario"]] = rmse
+                    if "held_mse" in result:
+                        recorded = math.sqrt(result["held_mse"][channel])
+                        held.setdefault(key, {})[unit["scenario"]] = recorded
     rows: list[dict[str, Any]] = []
     for where, own in cells.items():
-        base = cells.get((*where[:-1], BASELINE), {})
-        names = sorted(name for name in own if base.get(name, 0.0) > 0.0)
-        if not names:
-            continue
-        ratio = np.array([own[name] / base[name] for name in names])
-        low, high = _interval(_resampled(ratio), len(ratio))
+        rmse = float(np.mean(list(own.values())))
         row = {
             **dict(zip(("folder", "fault", "plan", "channel", "predictor"), where, strict=True)),
-            "runs": len(names),
-            "rmse": float(np.mean([own[name] for name in names])),
-            "ratio": float(ratio.mean()),
-            "low": low,
-            "high": high,
-            "geometric": float(np.exp(np.log(np.maximum(ratio, 1e-12)).mean())),
+            "runs": len(own),
+            "rmse": rmse,
+            "error": math.degrees(rmse) if where[3] == "psi" else rmse,
         }
-        other = cells.get((*where[:-1], against), {})
-        both = [k for k, name in enumerate(names) if name in other]
-        if both and where[-1] != against:
-            mine = ratio[both]
-            theirs = np.array([other[names[k]] / base[names[k]] for k in both])
-            change = 100.0 * (_resampled(mine) / _resampled(theirs) - 1.0)
-            low, high = _interval(change, len(both))
-            row |= {
-                "against": against,
-                "wins": int((mine < theirs).sum()),
-                "change_percent": 100.0 * float(mine.mean() / theirs.mean() - 1.0),
-                "change_low": low,
-                "change_high": high,
-            }
-        rows.append(row)
+        rival = float(np.mean(list(held.get(where, {}).values() or [0.0])))
+        if rival > 0.0:
+            row["ratio_recorded"] = rmse / rival
+        base = cells.get((*where[:-1], BASELINE), {})
+        other = cells.get((*where[:-1], against), {}) if where[-1] != against else {}
+        found = _ratios(own, base, other)
+        if "change_percent" in found:
+            found = {**found, "against": against}
+        rows.append({**row, **found})
     return rows
+
+
+def _ratios(
+    own: Mapping[str, float], base: Mapping[str, float], other: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return errors by run over those of persistence, and their change against a reference."""
+    names = sorted(name for name in own if base.get(name, 0.0) > 0.0)
+    if not names:
+        return {}
+    ratio = np.array([own[name] / base[name] for name in names])
+    low, high = interval_of(resampled(ratio), len(ratio))
+    found: dict[str, Any] = {
+        "ratio": float(ratio.mean()),
+        "low": low,
+        "high": high,
+        "geometric": float(np.exp(np.log(np.maximum(ratio, 1e-12)).mean())),
+    }
+    both = [k for k, name in enumerate(names) if name in other]
+    if both:
+        mine = ratio[both]
+        theirs = np.array([other[names[k]] / base[names[k]] for k in both])
+        change = 100.0 * (resampled(mine) / resampled(theirs) - 1.0)
+        low, high = interval_of(change, len(both))
+        found |= {
+            "wins": int((mine < theirs).sum()),
+            "change_percent": 100.0 * float(mine.mean() / theirs.mean() - 1.0),
+            "change_low": low,
+            "change_high": high,
+        }
+    return found

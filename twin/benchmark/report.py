@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import functools
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from twin.benchmark.figures import (
     TRENDS,
@@ -24,6 +23,7 @@ from twin.benchmark.figures import (
     reliability_figure,
     track_figure,
     trend_figure,
+    verdict_figure,
 )
 from twin.benchmark.figures.data import (
     example_times,
@@ -33,19 +33,27 @@ from twin.benchmark.figures.data import (
     text_of,
 )
 from twin.benchmark.figures.deck import SHOWN_AHEAD
+from twin.benchmark.figures.drawing import Picture, Pictures
 from twin.benchmark.figures.style import Styles
 from twin.benchmark.motion_scores import median_scores, shown_motion
-from twin.benchmark.svg import FONTS, pdf_of, sheet_of, standalone, svg_of
+from twin.benchmark.svg import FONTS, sheet_of
+from twin.benchmark.verdict.summary import sentence_of
+from twin.benchmark.verdict.tables import (
+    Cell,
+    Grid,
+    interval_text,
+    losses_grid,
+    number,
+    recorded_verdict_grids,
+    verdict_grid,
+)
 from twin.predictors.registry import DEFAULT
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
     from jinja2 import Template
-    from markupsafe import Markup
-    from matplotlib.figure import Figure
 
 __all__ = [
-    "number",
     "page_template",
     "write_report",
 ]
@@ -99,33 +107,12 @@ MAX_CASES = 8
 """Of more cases than these, each is folded away."""
 
 
-class Cell(NamedTuple):
-    """A cell of a table, with smaller lines below its text."""
-
-    text: str
-    small: tuple[str, ...] = ()
-    bold: bool = False
-
-
-class Grid(NamedTuple):
-    """A table: heads of the columns, and cells by row, of which the first is the row's name."""
-
-    heads: list[str]
-    rows: list[list[Cell]]
-
-
-class Picture(NamedTuple):
-    """A picture as an SVG element, with its caption."""
-
-    svg: Markup
-    caption: str
-
-
 def write_report(
     out: Path,
     results: dict[str, Any],
     runs: list[RunFigure],
     drawn: Callable[[str], None] | None = None,
+    jobs: int = 1,
     *,
     pdf: bool = False,
 ) -> list[Path]:
@@ -133,7 +120,8 @@ def write_report(
 
     ``results`` is the content of ``results.json``: ``version``, ``command``, ``settings``, ``rows``
     and ``summary``; ``notes``, a list of lines such as on predictors left out, is optional.
-    ``drawn`` is called with the file name of each picture. ``pdf`` writes each as PDF, too.
+    ``drawn`` is called with the file name of each picture. ``jobs`` processes draw; the files do
+    not depend on their number. ``pdf`` writes each picture as PDF, too.
     """
     out = Path(out)
     folder = out / "pictures"
@@ -141,15 +129,24 @@ def write_report(
     for stale in folder.iterdir():
         if stale.suffix in (".png", ".svg", ".pdf"):
             stale.unlink()
-    pictures = _Pictures(folder, drawn, pdf)
+    pictures = Pictures(folder, drawn, pdf=pdf)
     rows = [*(results.get("rows") or []), *(results.get("summary") or [])]
     names = dict.fromkeys(text_of(row, "predictor") for row in rows)
     styles = predictor_styles({**names, **{name: None for run in runs for name in run.predictors}})
+    shown_first = _track_shown_first(runs)
+    head = {
+        "sentence": sentence_of(results.get("verdict") or []),
+        "verdict": verdict_grid(results.get("verdict") or []),
+        "first": _first_pictures(results, shown_first, pictures, styles),
+        "recorded_verdict": recorded_verdict_grids(results),
+    }
     cases = _cases(results, pictures, styles)
     sections = {
+        **head,
         **_introduction(results, runs),
         "trends": _trends(results, pictures, styles),
         "recorded": _recorded_grids(results.get("recorded") or []),
+        "losses": losses_grid(results.get("losses") or []),
         "motion": _motion_grids(results),
         "reliability": _reliability(results, pictures),
         "cases": cases,
@@ -161,8 +158,9 @@ def write_report(
             for name, item in (results.get("predictors") or {}).items()
             if isinstance(item, Mapping) and "tuning" in item
         },
-        "runs": [_run(run, results, pictures, styles) for run in runs],
+        "runs": [_run(run, results, pictures, styles, run is shown_first) for run in runs],
     }
+    pictures.draw(jobs)
     page = page_template("report.html.jinja").render(
         **sections, fonts=FONTS, sheet=sheet_of(pictures.styles, "svg ")
     )
@@ -185,32 +183,6 @@ def page_template(name: str) -> Template:
     )
     environment.filters["setting"] = _setting
     return environment.get_template(name)
-
-
-class _Pictures:
-    """Writes each picture to its file and returns it for the page."""
-
-    def __init__(self, folder: Path, drawn: Callable[[str], None] | None, pdf: bool) -> None:
-        self.folder, self.drawn, self.pdf = folder, drawn, pdf
-        self.written: list[Path] = []
-        self.styles: dict[str, str] = {}
-
-    def add(self, fig: Figure, name: str, caption: str) -> Picture:
-        """Return a picture for the page, and keep its file."""
-        from markupsafe import Markup
-
-        stem = re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("._") or "picture"
-        path, number = self.folder / f"{stem}.svg", 2
-        while path in self.written:
-            path, number = self.folder / f"{stem}_{number}.svg", number + 1
-        svg = svg_of(fig, f"p{len(self.written)}", caption, self.styles)
-        write_whole(path, standalone(svg, self.styles).encode())
-        if self.pdf:
-            write_whole(path.with_suffix(".pdf"), pdf_of(fig))
-        self.written.append(path)
-        if self.drawn:
-            self.drawn(path.name)
-        return Picture(Markup(svg), caption)
 
 
 def _introduction(results: Row, runs: Sequence[RunFigure]) -> dict[str, Any]:
@@ -236,7 +208,7 @@ def _case_of(row: Row) -> str:
     return text_of(row, "case") or text_of(row, "fault")
 
 
-def _cases(results: Row, pictures: _Pictures, styles: Styles) -> list[dict[str, Any]]:
+def _cases(results: Row, pictures: Pictures, styles: Styles) -> list[dict[str, Any]]:
     """Return tables, and a picture of the errors, for each scenario and case."""
     parts = {
         part: _grouped(
@@ -251,7 +223,7 @@ def _cases(results: Row, pictures: _Pictures, styles: Styles) -> list[dict[str, 
         title = f"{scenario}, {case}" if case != "none" else f"{scenario}, no fault"
         fold = len(keys) > MAX_CASES
         picture = None
-        if not fold and (fig := error_figure(title, here["rows"], styles)) is not None:
+        if not fold:
             seeds = len({number_of(row, "seed") for row in here["rows"]})
             caption = (
                 "Error growth: mean absolute error of position and heading against the horizon, "
@@ -259,7 +231,8 @@ def _cases(results: Row, pictures: _Pictures, styles: Styles) -> list[dict[str, 
                 "the other predictors, with the first plan. An arrow head marks a curve that "
                 "leaves the picture; the table counts it in full."
             )
-            picture = pictures.add(fig, f"{scenario}_{case}_error", caption)
+            draw = functools.partial(error_figure, title, here["rows"], styles)
+            picture = pictures.add(draw, f"{scenario}_{case}_error", caption)
         cases.append(
             {
                 "title": title,
@@ -305,7 +278,7 @@ def _summary_grid(summary: Sequence[Row]) -> Grid | None:
         cells = [Cell(predictor), *([Cell(plan)] if plans else [])]
         for metric in metrics:
             entry = row.get(metric, {})
-            text, small = number(number_of(entry, "value")), _interval(entry)
+            text, small = number(number_of(entry, "value")), interval_text(entry)
             if small and "mae" not in metric:
                 small += (f"median {number(number_of(entry, 'median'))}",)
             cells.append(Cell(text, small, text == best[metric]))
@@ -324,12 +297,6 @@ def _best(metric: str, entries: Sequence[Row]) -> str | None:
     if metric == "coverage90":
         return number(min(values, key=lambda value: abs(value - 0.9)))
     return number(min(values))
-
-
-def _interval(row: Row, low: str = "low", high: str = "high") -> tuple[str, ...]:
-    """Return an interval for a cell; nothing where there is none."""
-    a, b = number_of(row, low), number_of(row, high)
-    return () if math.isnan(a) or math.isnan(b) else (f"[{number(a)}, {number(b)}]",)
 
 
 def _paired_grid(rows: Sequence[Row]) -> Grid | None:
@@ -389,9 +356,9 @@ def _recorded_grids(rows: Sequence[Row]) -> dict[str, Grid]:
             for channel in ("displacement", "psi"):
                 row = by_channel[channel]
                 change = number_of(row, "change_percent")
-                cells.append(Cell(number(number_of(row, "ratio")), _interval(row)))
+                cells.append(Cell(number(number_of(row, "ratio")), interval_text(row)))
                 cells.append(Cell(number(number_of(row, "geometric"))))
-                between = _interval(row, "change_low", "change_high")
+                between = interval_text(row, "change_low", "change_high")
                 cells.append(Cell("-" if math.isnan(change) else f"{change:+.0f} %", between))
             lines.append(cells)
         most = max(int(number_of(row, "runs")) for row in block)
@@ -441,19 +408,46 @@ def _quiet_grid(rows: Sequence[Row]) -> Grid:
 
 
 # pictures
-def _reliability(results: Row, pictures: _Pictures) -> list[Picture]:
+def _track_shown_first(runs: Sequence[RunFigure]) -> RunFigure | None:
+    """Return the run whose track stands at the top: one with a loss, of a zigzag if there is."""
+
+    def order(run: RunFigure) -> tuple[bool, bool]:
+        return not run.lost, run.scenario != "zigzag"
+
+    return min(runs, key=order, default=None)
+
+
+def _first_pictures(
+    results: Row, run: RunFigure | None, pictures: Pictures, styles: Styles
+) -> list[Picture]:
+    """Return the bars and the track at the top of the page."""
+    shown = []
+    if rows := results.get("verdict"):
+        caption = (
+            "Mean absolute errors after 10 s, with 95 % bootstrap intervals over boats. Where an "
+            "arrow head cuts a bar, its number counts. oracle is the true ship in the mean wind."
+        )
+        draw = functools.partial(verdict_figure, rows, styles)
+        shown.append(pictures.add(draw, "verdict", caption))
+    if run is not None:
+        shown.append(_track(run, pictures, styles))
+    return shown
+
+
+def _reliability(results: Row, pictures: Pictures) -> list[Picture]:
     """Return the picture of the probabilities of a quiet deck."""
-    fig = reliability_figure(shown_motion(results)["quiet"])
-    if fig is None:
+    quiet = shown_motion(results)["quiet"]
+    if not quiet:
         return []
     caption = (
         "How often the deck stayed quiet, of all times that such a probability was given: pooled "
         "over scenarios, seeds and plans. Dots below the line: it was promised too often."
     )
-    return [pictures.add(fig, "quiet_reliability", caption)]
+    draw = functools.partial(reliability_figure, quiet)
+    return [pictures.add(draw, "quiet_reliability", caption)]
 
 
-def _trends(results: Row, pictures: _Pictures, styles: Styles) -> list[Picture]:
+def _trends(results: Row, pictures: Pictures, styles: Styles) -> list[Picture]:
     """Return the pictures of the error against what changes from case to case."""
     rows = results.get("trends") or []
     plan = text_of(rows[0], "plan") if rows else ""
@@ -465,14 +459,34 @@ def _trends(results: Row, pictures: _Pictures, styles: Styles) -> list[Picture]:
                 f"{title}, future commands {plan}: mean over scenarios and boats, with "
                 "95 % bootstrap intervals over boats. The vertical axis is logarithmic."
             )
-            shown.append(pictures.add(trend_figure(axis, here, styles), f"trend_{axis}", caption))
+            draw = functools.partial(trend_figure, axis, here, styles)
+            shown.append(pictures.add(draw, f"trend_{axis}", caption))
     return shown
 
 
-def _run(run: RunFigure, results: Row, pictures: _Pictures, styles: Styles) -> dict[str, Any]:
-    """Return the pictures of one run."""
+def _track(run: RunFigure, pictures: Pictures, styles: Styles) -> Picture:
+    """Return the picture of the track of one run."""
+    truth = reference_of(run.log).is_truth
+    compared = "truth" if truth else "measurements (the truth is unknown)"
+    caption = (
+        f"{run_label(run)}: track, and predicted tracks over 10 s from each example (numbered). "
+        f"Axes follow the {compared}; a prediction may leave them."
+    ) + ("" if run.log.datum is None else f" Origin: {run.log.datum}.")
+    draw = functools.partial(track_figure, run, styles)
+    return pictures.add(draw, f"{_stem(run)}_track", caption[0].upper() + caption[1:])
+
+
+def _stem(run: RunFigure) -> str:
+    """Return how the names of the pictures of a run begin."""
+    return f"{run.scenario}_{run.fault}_seed{run.seed}"
+
+
+def _run(
+    run: RunFigure, results: Row, pictures: Pictures, styles: Styles, track_shown: bool
+) -> dict[str, Any]:
+    """Return the pictures of one run; its track may stand at the top of the page."""
     reference = reference_of(run.log)
-    stem = f"{run.scenario}_{run.fault}_seed{run.seed}"
+    stem = _stem(run)
     compared = "truth" if reference.is_truth else "measurements (the truth is unknown)"
     first = PAPER.get(run.scenario)
     label = run_label(run)
@@ -480,27 +494,23 @@ def _run(run: RunFigure, results: Row, pictures: _Pictures, styles: Styles) -> d
     if first is not None:
         title = f"{label[0].upper()}{label[1:]}: compare the paper's Figures {first}-{first + 3}"
     starts = example_times(run)
-    caption = (
-        "Track, and predicted tracks over 10 s from each example (numbered). Axes follow the "
-        f"{compared}; a prediction may leave them."
-    ) + ("" if run.log.datum is None else f" Origin: {run.log.datum}.")
-    shown = [pictures.add(track_figure(run, styles), f"{stem}_track", caption)]
+    shown = [] if track_shown else [_track(run, pictures, styles)]
     for k, start in enumerate(starts, 1):
         caption = (
             f"{_compare(first, 3)}10 s motion prediction against the {compared}, made at "
             f"t = {round(start, 1):g} s. An arrow head marks what leaves its panel."
         )
-        fig = prediction_figure(run, start, styles, reference)
-        shown.append(pictures.add(fig, f"{stem}_prediction{k}", caption))
+        draw = functools.partial(prediction_figure, run, start, styles, reference)
+        shown.append(pictures.add(draw, f"{stem}_prediction{k}", caption))
     decked = [name for name, figure in run.predictors.items() if figure.deck is not None]
     if decked:
         name = DEFAULT if DEFAULT in decked else decked[0]
-        if (deck := deck_figure(run, name)) is not None:
-            caption = (
-                f"Roll, pitch, heave and the vertical speed of the deck point, and what the twin "
-                f"with {name} forecast {SHOWN_AHEAD:g} s before."
-            )
-            shown.append(pictures.add(deck, f"{stem}_deck", caption))
+        caption = (
+            f"Roll, pitch, heave and the vertical speed of the deck point, and what the twin "
+            f"with {name} forecast {SHOWN_AHEAD:g} s before."
+        )
+        draw = functools.partial(deck_figure, run, name)
+        shown.append(pictures.add(draw, f"{stem}_deck", caption))
     begin: float | None = number_of(results.get("settings") or {}, "identify_s")
     if not reference.is_truth and starts:
         begin = starts[0]  # recorded runs are shorter or longer than simulated ones
@@ -513,7 +523,7 @@ def _run(run: RunFigure, results: Row, pictures: _Pictures, styles: Styles) -> d
     for name in sorted(models, key=lambda name: name != METHOD):
         parameters[name] = [
             pictures.add(
-                parameter_figure(run, name, motion, styles, begin),
+                functools.partial(parameter_figure, run, name, motion, styles, begin),
                 f"{stem}_{name}_{motion}",
                 f"{_compare(first, k)}identification of the {motion} parameters by {name}. "
                 "Early transients may leave the picture.",
@@ -536,21 +546,6 @@ def _compare(first: int | None, place: int) -> str:
 
 
 # texts
-def number(value: float) -> str:
-    """Return a number with three digits, and a dash for NaN."""
-    if math.isnan(value):
-        return "-"
-    if math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    size = abs(value)
-    if size >= 1e5:
-        return f"{value:.1e}"
-    for bound, digits in ((100.0, 0), (10.0, 1), (1.0, 2), (1e-3, 3)):
-        if size >= bound:
-            return f"{value:.{digits}f}"
-    return f"{value + 0.0:.2g}"
-
-
 def _setting(value: Any) -> str:
     """Return a value of the settings."""
     if isinstance(value, (list, tuple)):

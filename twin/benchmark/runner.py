@@ -41,6 +41,9 @@ from twin.benchmark.motion_scores import (
 from twin.benchmark.protocol import HORIZONS, BenchmarkError, Settings, Unit, units
 from twin.benchmark.publish.sources import predictor_digest, versions
 from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table_of
+from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
+from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
+from twin.benchmark.verdict.summary import verdict_rows
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
@@ -49,6 +52,7 @@ from twin.particulars import Particulars
 from twin.predictors.base import ForecastError, Prediction
 from twin.predictors.registry import options_of, predictor_class
 from twin.sim.bridge import particulars_of, simulate
+from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log, read_run
 from usv_gym.world.channels import GPS_BIT
@@ -125,8 +129,9 @@ def load_run(settings: Settings, unit: Unit) -> Run:
     if unit.log:
         log, particulars = read_run(unit.log, settings.ship, settings.mapping)
         identify = _recorded_identify_s(log)
+        identify += float(log.t[0])
         seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
-        return Run(seen.without_truth(), log, particulars, float(log.t[0]) + identify, ())
+        return Run(seen.without_truth(), log, particulars, identify, ())
     vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
     suite = SensorSuite.grade(unit.grade) if unit.grade else None
     start = fault_start(settings, settings.identify_s)
@@ -163,7 +168,13 @@ def run_unit(
     motion_truth = MotionTruth(run.reference, run.particulars, identify) if moves else None
     twin = _new_twin(settings, unit, run)
     dt = min(max(seen.dt, 0.02), 0.25)
-    end = float(seen.t[-1]) - HORIZONS[-1]
+    last_command = commands_end(run.reference)
+    end = last_command - HORIZONS[-1]
+    lost = gps_windows(parse_faults(unit.fault, fault_start(settings, identify)))
+    loss_ends = losses_to_score(seen.t, lost, reference)
+    ended: list[dict[str, float]] = []
+    held = RecordedPersistence(run.reference, reference, unit.log) if unit.log else None
+    held_errors: list[Array] = []
     next_origin, next_second = identify, float(seen.t[0])
     scores: dict[str, list[Score]] = {plan: [] for plan in settings.plans}
     motions: dict[str, list[MotionScore]] = {plan: [] for plan in settings.plans}
@@ -177,6 +188,8 @@ def run_unit(
     for row, (t, z, cmd) in enumerate(seen):
         # copies: through the base of a view, a predictor could see the future
         twin.step(t, z.copy(), cmd.copy())
+        if row in loss_ends:
+            ended.append(score_loss_end(twin.estimate(), loss_ends[row], reference))
         if pictures and t >= next_second - 1e-9:
             next_second += 1.0
             estimate = twin.estimate()
@@ -200,6 +213,8 @@ def run_unit(
         truth = reference.at(times)
         if not np.isfinite(truth).all():
             raise BenchmarkError(f"{run.reference.name}: its truth has gaps")
+        if held is not None:
+            held_errors.append(held.squared_errors(truth[[0, -1]][:, :3], times[[0, -1]]))
         known = known_plan(seen, row, HORIZONS[-1], dt)
         for plan in settings.plans:
             commands = known if plan == "known" else np.repeat(cmd[None], len(known), axis=0)
@@ -226,16 +241,24 @@ def run_unit(
         gaps = f"; {skipped} lie in gaps of positions or headings" if skipped else ""
         raise BenchmarkError(
             f"{unit.log or unit.run}: too short to be scored: predictions begin at "
-            f"{identify:.0f} s and need {HORIZONS[-1]:g} s after them{gaps}"
+            f"{identify:.0f} s and need {HORIZONS[-1]:g} s of commands after them, and the last "
+            f"command is at {last_command:.0f} s{gaps}"
         )
     result: dict[str, Any] = {
         "unit": dataclasses.asdict(unit),
         "plans": {plan: table_of(parts) for plan, parts in scores.items()},
         "start_error": float(np.mean(starts)),
         "skipped": skipped,
+        "loss_ends": ended,
         "repairs": list(run.reference.notes),
         "datum": None if run.reference.datum is None else run.reference.datum.to_json(),
     }
+    if held_errors:
+        displacement, psi = np.mean(held_errors, axis=0).tolist()
+        result["held_mse"] = {"displacement": displacement, "psi": psi}
+        # forecasts that would reach past the last recorded command
+        past = np.floor(float(seen.t[-1]) - HORIZONS[-1] - max(end, identify))
+        result["past_commands"] = {"end_s": last_command, "left_out": max(int(past), 0)}
     if motion_truth is not None:
         result["motion"] = {
             plan: motion_table(parts, motion_truth.sd) for plan, parts in motions.items() if parts
@@ -387,33 +410,44 @@ def runs(
 ) -> Iterator[tuple[Unit, dict[str, Any] | Exception]]:
     """Do all work that is not done yet, and yield each result, or why there is none, as it comes.
 
-    A worker takes a run, which is simulated or read once, with all its predictors; where there
-    are fewer runs than workers, single predictors. The results do not depend on ``jobs`` and
-    ``backend`` (one of ``twin.parallel.BACKENDS``). After an error (a log that cannot be read, say)
-    the rest goes on. ``done`` are the results to reuse, if not those of :func:`reusable`; none
-    computes all again.
+    A worker takes the runs of a boat that differ by faults alone: they are equal up to the fault,
+    and what a net learned or answered on the one serves the others. Where there are fewer boats
+    than workers, it takes a run, which is simulated or read once, or single predictors. The
+    results do not depend on ``jobs`` and ``backend`` (one of ``twin.parallel.BACKENDS``). After an
+    error (a log that cannot be read, say) the rest goes on. ``done`` are the results to reuse, if
+    not those of :func:`reusable`; none computes all again.
     """
-    todo: dict[str, list[Unit]] = {}
+    todo: dict[tuple[str, ...], dict[str, list[Unit]]] = {}
     done = reusable(settings, folder) if done is None else done
     for unit in units(settings):
         if unit in done:
             yield unit, done[unit]
         else:
-            todo.setdefault(unit.run, []).append(unit)
+            alike = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
+            todo.setdefault(alike, {}).setdefault(unit.run, []).append(unit)
     if not todo:
         return
-    tasks = list(todo.values())
+    tasks = [list(alike.values()) for alike in todo.values()]
     if len(tasks) < jobs:
-        tasks = [[unit] for task in tasks for unit in task]
+        tasks = [[run] for task in tasks for run in task]
+    if len(tasks) < jobs:
+        tasks = [[[unit]] for task in tasks for unit in task[0]]
     calls = [functools.partial(_attempt, settings, task, folder) for task in tasks]
     for result in results_of(calls, jobs=jobs, backend=backend):
         yield from result[1]
 
 
 def _attempt(
+    settings: Settings, task: Sequence[Sequence[Unit]], folder: Path
+) -> list[tuple[Unit, dict[str, Any] | Exception]]:
+    """Score the predictors of some runs; an error of one does not stop the others."""
+    return [found for run in task for found in _attempt_run(settings, run, folder)]
+
+
+def _attempt_run(
     settings: Settings, task: Sequence[Unit], folder: Path
 ) -> list[tuple[Unit, dict[str, Any] | Exception]]:
-    """Score the predictors of one run; an error of one does not stop the others."""
+    """Score the predictors of one run."""
     try:
         run = load_run(settings, task[0])
         if not task[0].log:
@@ -476,6 +510,7 @@ def collect(
             result["unit"]["scenario"]: {
                 "repairs": result["repairs"],
                 "skipped": result["skipped"],
+                **result.get("past_commands", {}),
                 "datum": result.get("datum"),
             }
             for result in ordered
@@ -487,6 +522,8 @@ def collect(
         "summary": summarise(runs),
         "paired": compare(runs, against or AGAINST),
         "recorded": recorded_table(ordered, against or recorded_against(settings)),
+        "verdict": verdict_rows(simulated, settings),
+        "losses": loss_rows(ordered),
         "trends": trends(simulated, settings.sea_name),
         "channels": channel_table(ordered),
         "horizons_s": list(STUDY_HORIZONS),
@@ -515,16 +552,13 @@ def default_logs() -> tuple[str, ...]:
     return tuple(str(path) for path in recorded_runs().values())
 
 
-def warm_up(settings: Settings) -> None:
+def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
-    vessel, sea = settings.boat(0), settings.sea()
-    log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
-    for name in settings.predictors:
-        twin = Twin(
-            particulars_of(vessel), name, **simulator_options(name, vessel, sea, settings.dof)
-        )
-        twin.run(log)
-        twin.predict("hold")
+    compile_kernels(
+        *(settings.boat(0), settings.sea(), settings.predictors, settings.dof),
+        jobs=jobs,
+        backend=backend,
+    )
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +24,7 @@ __all__ = [
     "sheet_of",
     "standalone",
     "svg_of",
+    "with_styles",
 ]
 
 FONTS = "Verdana, 'DejaVu Sans', Roboto, 'Helvetica Neue', Arial, sans-serif"
@@ -71,6 +72,16 @@ def pdf_of(fig: Figure) -> bytes:
     with matplotlib.rc_context({"pdf.fonttype": 42}):
         fig.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
+
+
+def with_styles(svg: str, own: Sequence[str], styles: dict[str, str]) -> str:
+    """Return a picture whose classes are those of a page.
+
+    ``own`` are its styles, of the classes s0, s1 and so on; ``styles`` the page's classes by
+    style, to which they are added.
+    """
+    names = [styles.setdefault(style, f"s{len(styles)}") for style in own]
+    return re.sub(r'class="s(\d+)"', lambda match: f'class="{names[int(match[1])]}"', svg)
 
 
 def sheet_of(styles: Mapping[str, str], inside: str = "") -> str:

@@ -25,7 +25,7 @@ from twin.benchmark.protocol import (
     left_out,
     units,
 )
-from twin.cli.benchmark_tables import print_results
+from twin.cli.benchmark_tables import print_results, print_verdict
 from twin.cli.common import (
     CPUS,
     OPTIONS_EXAMPLE,
@@ -189,6 +189,9 @@ def benchmark_command(
     ] = False,
     jobs: JobsOption = CPUS,
     backend: BackendOption = "loky",
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print all tables that the report has.")
+    ] = False,
 ) -> None:
     """Compare predictors on the same runs, with and without a loss of GPS.
 
@@ -201,6 +204,9 @@ def benchmark_command(
     --full: the full protocol. With --log: recorded runs, scored against later measurements.
     Archives that twin.logs.datasets knows are read as downloaded. A file that cannot be read is
     reported, and the others are scored.
+
+    Prints a verdict: errors after 10 s in metres and degrees, with and without the loss, and over
+    those of persistence, best first. --verbose prints all tables; the report has them too.
 
     Writes results.json, report.html, the pictures, and every run as a log for identify and
     predict. Ctrl-C keeps what is finished; the same command continues from there.
@@ -262,8 +268,8 @@ def benchmark_command(
         )
     Vessel.load(vessel)
     notes += left_out(settings)
-    for line in notes:
-        note(line)
+    for line in notes:  # the verdict comes first on the standard output
+        errors.print(f"note: {line}", style="yellow", highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
     done, failed = _run_all(settings, out, jobs, backend, fresh)
     not_scored = tuple(
@@ -271,14 +277,15 @@ def benchmark_command(
         for run, reason in {**missing, **failed}.items()
     )
     command = shlex.join(["usv-twin", *sys.argv[1:]])
-    console.print(f"scoring {len(done)} results")
     results = runner.collect(settings, done, command, notes + not_scored, against)
     _write_tables(results, latex, csv)
     if full:  # hundreds of thousands of rows: a table of their own
         write_whole(out / "rows.csv.gz", compressed_csv(results.pop("rows")))
         del results["runs"], results["motion"]
     write_text(out / "results.json", results_text(results))
-    print_results({**results, "notes": notes}, [name for name in asked if name not in names])
+    print_verdict({**results, "notes": notes})
+    if verbose:
+        print_results(results, [name for name in asked if name not in names])
     for line in not_scored:
         errors.print(line, style="red", highlight=False, soft_wrap=True)
     work = units(settings)
@@ -292,15 +299,15 @@ def benchmark_command(
     from twin.benchmark.report import write_report
 
     figures = runner.run_figures(settings, done)
-    console.print(f"drawing {out / 'pictures'}: errors, and {len(figures)} run(s) in detail")
     with progress_bar(transient=True) as progress:
         bar = progress.add_task("drawing", total=None)
 
         def drawn(name: str) -> None:
             progress.update(bar, advance=1, description=name)
 
-        written = write_report(out, results, figures, drawn, pdf=pdf)
-    console.print(f"{out / 'results.json'}, {written[0]}")
+        written = write_report(out, results, figures, drawn, jobs, pdf=pdf)
+    more = "" if verbose else "; --verbose prints all tables"
+    console.print(f"report: {written[0]}; numbers: {out / 'results.json'}{more}", soft_wrap=True)
 
 
 def _write_tables(results: dict[str, Any], latex: Path | None, csv: Path | None) -> None:
@@ -441,9 +448,10 @@ def _run_all(
         # not on the standard output, which begins with the results
         errors.print(f"{len(reused)} of {len(work)} results reused", highlight=False)
         if len(reused) < len(work):
-            runner.warm_up(settings)
+            runner.warm_up(settings, jobs=jobs, backend=backend)
         # one estimate over many runs, as each comes with all its predictors at a time
-        with progress_bar(TimeRemainingColumn(), speed_estimate_period=600.0) as progress:
+        columns = TimeRemainingColumn()
+        with progress_bar(columns, transient=True, speed_estimate_period=600.0) as progress:
             bar = progress.add_task("benchmark", total=len(work))
             for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
                 if isinstance(result, Exception):

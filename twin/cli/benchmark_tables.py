@@ -11,9 +11,10 @@ from rich.table import Table
 
 from twin.benchmark.motion_scores import median_scores, shown_motion
 from twin.benchmark.protocol import FULL_CASES
+from twin.benchmark.verdict.summary import ORACLE, best_first, recorded_blocks, sentence_of
 from twin.cli.common import console, explain, new_table, note, short
 
-__all__ = ["print_results"]
+__all__ = ["print_results", "print_verdict"]
 
 Row = Mapping[str, Any]
 
@@ -38,8 +39,114 @@ HEADS = {
 """Columns of the tables by metric."""
 
 
+def print_verdict(results: dict[str, Any]) -> None:
+    """Print the verdict on simulated runs, that on recorded ones, and the notes.
+
+    ``results`` is the content of ``results.json``.
+    """
+    if results["verdict"]:
+        _print_simulated(results["verdict"])
+    _print_recorded_verdict(results)
+    for name, log in results.get("logs", {}).items():
+        parts = []
+        if log["repairs"]:
+            parts.append(f"{len(log['repairs'])} notes and repairs (results.json)")
+        if log["skipped"]:
+            parts.append(f"{log['skipped']} predictions not scored, in gaps")
+        if log.get("left_out"):
+            parts.append(
+                f"{log['left_out']} predictions not scored, past the last recorded command at "
+                f"t = {log['end_s']:.1f} s"
+            )
+        if parts:
+            note(f"{name}: {', '.join(parts)}")
+    for line in results["notes"]:
+        note(line)
+
+
+def _print_simulated(rows: Sequence[Row]) -> None:
+    """Print one sentence, and a line for each predictor."""
+    console.print(sentence_of(rows), highlight=False, soft_wrap=True)
+    blocks: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        blocks.setdefault(row["predictor"], {})[row["loss"]] = row
+    every = rows[0] if rows[0]["loss"] == "all" else next(r for r in rows if r["loss"] == "all")
+    names = {"none": "no loss", "any": "with a loss", "all": "all"}
+    losses = [loss for loss in ("none", "any") if any(loss in block for block in blocks.values())]
+    lost = [case for row in rows if row["loss"] == "any" for case in row["cases"]]
+    if len(set(lost)) == 1:
+        names["any"] = lost[0]
+    elif lost:
+        names["any"] = "loss"
+    if "any" in losses:
+        names["none"] = "none"
+    heads = [
+        (first if k == 0 else "\n") + f"\n{names[loss]}"
+        for first in ("position\nm", "heading\ndeg", "ratio to\npersist.")
+        for k, loss in enumerate(losses)
+    ]
+    runs = every["runs"]
+    table = _predictor_table(
+        f"Mean error after 10 s, {runs} run{'s' * (runs > 1)}, best first",
+        *heads,
+        "\n\nMAE",
+        "\n\nMSE",
+        padding=0,
+    )
+    for name, block in blocks.items():
+        if name == ORACLE:
+            table.add_section()
+        texts = [
+            "-" if block.get(loss, {}).get(key) is None else short(block[loss][key], digits)
+            for key, digits in (("position_m", 2), ("heading_deg", 2), ("ratio", 3))
+            for loss in losses
+        ]
+        table.add_row(name, *texts, short(block["all"]["mae"], 3), short(block["all"]["mse"], 3))
+    console.print(table)
+    explain(
+        "Mean absolute errors, mean over scenarios and boats. Ratio: that of position and that of "
+        "heading, mean of both. MAE and MSE as in the paper's Table 4: pooled over "
+        "u, v, r, position and heading at 1, 2, 5 and 10 s, units mixed."
+        + (" oracle is the true ship in the mean wind, no predictor." if ORACLE in blocks else "")
+    )
+
+
+def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
+    """Print errors of recorded runs in metres and degrees, and over persistence of two kinds."""
+    blocks = recorded_blocks(results)
+    for title, block in blocks.items():
+        ends = any(line["loss"] for line in block.values())
+        ratio = ("ratio\nto p.\ntwin", "\n\nrec.")
+        heads = ("position\n\nm", *ratio, "heading\n\ndeg", *ratio)
+        heads += ("end of\nloss\noff m", "\n\nsaid") * ends
+        table = _predictor_table(title, *heads)
+        for name in best_first(block):
+            texts = []
+            for channel in ("displacement", "psi"):
+                row = block[name][channel]
+                texts.append(short(row["error"], 3 if channel == "displacement" else 2))
+                texts += [_optional(row.get(key), 2) for key in ("ratio", "ratio_recorded")]
+            if ends:
+                loss = block[name]["loss"]
+                texts += [_optional(loss.get(key), 2) for key in ("error_m", "said_m")]
+            table.add_row(name, *texts)
+        console.print(table)
+    if blocks:
+        explain(
+            "Root mean square errors after 10 s, mean over runs, best first. Ratio to persistence, "
+            "twin: mean of the ratios of runs, persistence from the twin's own navigation; rec.: "
+            "ratio of the mean errors, persistence of the recorded u, v and r. End of loss: error "
+            "of the estimated position, m, and the radius said to hold 90 %; medians."
+        )
+
+
+def _optional(value: float | None, digits: int) -> str:
+    """Return a number, or a dash where there is none."""
+    return "-" if value is None else short(value, digits)
+
+
 def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
-    """Print a table for each run and case, and the notes.
+    """Print a table for each run and case.
 
     Parameters
     ----------
@@ -60,16 +167,7 @@ def print_results(results: dict[str, Any], missing: Sequence[str]) -> None:
         _print_paired(results.get("paired", []))
     _print_recorded(results.get("recorded", []))
     _print_motion(**shown_motion(results))
-    for name, log in results.get("logs", {}).items():
-        parts = []
-        if log["repairs"]:
-            parts.append(f"{len(log['repairs'])} notes and repairs (results.json)")
-        if log["skipped"]:
-            parts.append(f"{log['skipped']} predictions not scored, in gaps")
-        if parts:
-            note(f"{name}: {', '.join(parts)}")
-    for line in results["notes"]:
-        note(line)
+    _print_losses(results.get("losses", []))
     explain(
         "MAE and MSE as in the paper's Table 4: pooled over u, v, r, position and heading at 1, "
         "2, 5 and 10 s. Units are mixed. Below the MAE: its 95 % interval over seeds. med.: its "
@@ -173,7 +271,8 @@ def _print_recorded(rows: Sequence[Row]) -> None:
             texts: list[str] = []
             for channel in ("displacement", "psi"):
                 row = channels[channel]
-                texts += [short(row["ratio"], 3), short(row["geometric"], 3), _change(row)]
+                texts += [_optional(row.get(key), 3) for key in ("ratio", "geometric")]
+                texts.append(_change(row))
             table.add_row(predictor, *texts)
         console.print(table)
     against = next((row["against"] for row in rows if "against" in row), None)
@@ -182,6 +281,25 @@ def _print_recorded(rows: Sequence[Row]) -> None:
             f"%: change of the mean ratio against {against} on the same runs, with its 95 % "
             "bootstrap interval over runs"
         )
+
+
+def _print_losses(rows: Sequence[Row]) -> None:
+    """Print how far off the estimated position is at the end of a loss, and how far it says."""
+    if not rows:
+        return
+    names = ("run", "loss", "predictor")
+    title = "Estimated position at the end of a loss of GPS"
+    heads = (*names, "losses", "off m", "worst", "said m", "held")
+    table = new_table(title, *heads, left=names)
+    for row in rows:
+        table.add_row(
+            *(row["scenario"] or row["folder"], row["case"], row["predictor"]),
+            str(row["losses"]),
+            *(short(row[key], 2) for key in ("error_m", "worst_m", "said_m")),
+            f"{100.0 * row['held']:.0f} %",
+        )
+    console.print(table)
+    explain("Medians; said: the radius that is to hold 90 %; held: the share that it did hold.")
 
 
 def _print_motion(motion: Sequence[Row], quiet: Sequence[Row]) -> None:

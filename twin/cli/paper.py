@@ -26,7 +26,7 @@ from twin.benchmark.paper.findings import contests, findings
 from twin.benchmark.paper.page import PaperResults, write_page
 from twin.benchmark.paper.rows import PaperRow, paper_rows
 from twin.benchmark.protocol import BenchmarkError, Settings, Unit, available, units
-from twin.benchmark.report import number
+from twin.benchmark.verdict.tables import number
 from twin.cli.common import (
     CPUS,
     JobsOption,

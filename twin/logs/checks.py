@@ -25,10 +25,14 @@ __all__ = [
     "drop_jumps",
     "drop_repeats",
     "held_command",
+    "stream_end",
 ]
 
 _WHOLE_TURN = 0.35
 """A step this near to whole turns is one of unwrapping, rad."""
+
+_STOPPED = 1.0
+"""Commands that are absent for longer may have stopped, s."""
 
 _LOST = 0.1
 """Largest share of jumping fixes that may be errors of a receiver."""
@@ -80,6 +84,22 @@ def held_command(values: Array, given: str, table: Table) -> Array:
         f"{given}: {empty.sum()} of {len(values)} cells empty, the last command held"
     )
     return held(values)
+
+
+def stream_end(t: Array, commands: Array, notes: list[str]) -> float:
+    """Return when commands (m, N) stop for good before the log does, s; infinite if they do not.
+
+    A log may hold each command until it changes. So the cells at the end must be empty for longer
+    than :data:`_STOPPED` s, and for twice as long as any before.
+    """
+    given = t[~np.isnan(commands).any(axis=0)]
+    if not len(given) or given[-1] == t[-1]:
+        return math.inf
+    longest = float(np.max(np.diff(given), initial=0.0))
+    if t[-1] - given[-1] <= max(_STOPPED, 2.0 * longest):
+        return math.inf
+    notes.append(f"no command after t = {given[-1]:.1f} s, the last one held")
+    return float(given[-1])
 
 
 def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:

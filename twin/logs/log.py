@@ -26,6 +26,7 @@ from twin.logs.checks import (
     drop_jumps,
     drop_repeats,
     held_command,
+    stream_end,
 )
 from twin.logs.columns import OTHER_UNITS, REQUIRED, SINGLE, Array, Entry, LogError
 from twin.logs.datum import DATUM, FIXES, Datum, Plane
@@ -114,6 +115,8 @@ class Log:
         Latitude, longitude and date of its origin, where they are known.
     true_motion : ndarray, shape (N, 6), or None
         True heave, roll and pitch in the order of :data:`TRUE_MOTION`, where they are known.
+    commands_end : float
+        Time at which the stream of commands stops, s; infinite where it lasts as long as the log.
     """
 
     t: Array
@@ -124,6 +127,7 @@ class Log:
     notes: tuple[str, ...] = ()
     datum: Datum | None = None
     true_motion: Array | None = None
+    commands_end: float = math.inf
 
     def __post_init__(self) -> None:
         """Refuse arrays of a wrong shape, of infinite values, or of a time that stands still."""
@@ -469,6 +473,7 @@ def assemble(table: Table) -> Log:
     t = checked_time(column(TIME), table)
     rows = len(t)
     cmd = np.empty((rows, len(COMMANDS)))
+    commands_end = stream_end(t, np.stack([column(name) for name in COMMANDS]), notes)
     for j, name in enumerate(COMMANDS):
         cmd[:, j] = held_command(column(name), table.given[name], table)
         if name.endswith("_rad"):
@@ -519,7 +524,7 @@ def assemble(table: Table) -> Log:
     if plane is not None or table.epoch is not None or datum is not None:
         epoch = table.epoch if given.epoch is None else given.epoch
         datum = Datum(**({} if plane is None else vars(plane)), epoch=epoch)
-    return Log(t, z, cmd, truth, table.name, tuple(notes), datum, motion_truth)
+    return Log(t, z, cmd, truth, table.name, tuple(notes), datum, motion_truth, commands_end)
 
 
 def _merge_equal_times(table: Table) -> None:

@@ -24,11 +24,13 @@ from twin.benchmark.paper.findings import FORMS, Contest
 from twin.benchmark.paper.published import FIGURES, PREDICTION_FIGURES, TABLES
 from twin.benchmark.paper.rows import PaperRow
 from twin.benchmark.protocol import Unit
-from twin.benchmark.report import Cell, Grid, Picture, number, page_template
+from twin.benchmark.report import page_template
 from twin.benchmark.svg import FONTS, sheet_of, svg_of
+from twin.benchmark.verdict.tables import Cell, Grid, number
 from usv_kernel.files import write_whole
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 __all__ = [
@@ -53,6 +55,13 @@ class PaperResults(NamedTuple):
     command: str
 
 
+class _Picture(NamedTuple):
+    """A picture with its caption."""
+
+    svg: Markup
+    caption: str
+
+
 class _Gallery:
     """Pictures as parts of the page."""
 
@@ -60,13 +69,13 @@ class _Gallery:
         self.styles: dict[str, str] = {}
         self._count = 0
 
-    def picture(self, fig: Figure, caption: str) -> Picture:
+    def picture(self, fig: Figure, caption: str) -> _Picture:
         """Return a picture for the page."""
         from markupsafe import Markup
 
         svg = svg_of(fig, f"p{self._count}", caption, self.styles)
         self._count += 1
-        return Picture(Markup(svg), caption)
+        return _Picture(Markup(svg), caption)
 
 
 def write_page(path: Path, results: PaperResults) -> Path:

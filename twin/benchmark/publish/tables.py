@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twin.benchmark.metrics import BASELINE, ORACLE
-from twin.benchmark.report import number
+from twin.benchmark.verdict.tables import number
 
 __all__ = [
     "csv_text",

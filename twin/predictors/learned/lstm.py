@@ -27,6 +27,7 @@ from twin.predictors.baselines import (
     hold_velocity,
 )
 from twin.predictors.learned.features import fill_forward, thrust_features
+from twin.predictors.learned.memo import Memo
 
 __all__ = [
     "LSTMPredictor",
@@ -39,6 +40,12 @@ Array = NDArray[np.float64]
 
 INPUT_MAX = 6.0
 """Bound of a scaled input: the net is not asked to extrapolate further beyond its data."""
+
+_SETTINGS = ("warm", "ahead", "hidden", "epochs", "rate", "decay", "noise", "dropout")
+"""Attributes of :class:`LSTMPredictor` that a training depends on."""
+
+_TRAINED = Memo(16)
+"""Nets of the last trainings."""
 
 REMEDY = "{} needs torch: python -m pip install torch (the extra [lstm] of usv-twin)"
 
@@ -293,7 +300,14 @@ class LSTMPredictor(HistoryPredictor):
             w_out=np.zeros((H, 3)),
             b_out=np.zeros(3),
         )
-        return self._fit(net, net.scaled(nu[:, :-1], cmd), nu[:, self.warm + 1 :], rng)
+        inputs, target = net.scaled(nu[:, :-1], cmd), nu[:, self.warm + 1 :]
+        settings = {name: getattr(self, name) for name in _SETTINGS}
+        key = Memo.key([*vars(net).values(), inputs, target], settings, rng.bit_generator.state)
+        there, trained = _TRAINED.find(key)
+        if not there:
+            trained = self._fit(net, inputs, target, rng)
+            _TRAINED.keep(key, trained)
+        return trained  # type: ignore[no-any-return]
 
     def _fit(
         self, net: _Net, inputs: Array, target: Array, rng: np.random.Generator
