@@ -229,7 +229,7 @@ def _metric_grid(rows: Sequence[PaperRow], tables: Sequence[str]) -> Grid | None
 # pictures
 def _windows(
     results: PaperResults, gallery: _Gallery, styles: Any, identified: float
-) -> list[Picture]:
+) -> list[_Picture]:
     """Return the windows over time of the first seed of each scenario."""
     shown: dict[tuple[str, int], dict[str, Trace]] = {}
     for unit in sorted(results.traced, key=lambda unit: unit.seed):
