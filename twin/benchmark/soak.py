@@ -102,7 +102,7 @@ def resident_memory() -> float:
 
 
 def garbage_rows(rng: np.random.Generator, begin: float) -> Iterator[tuple[float, Array, Array]]:
-    """Yield time (s), measurements (17,) and commands (4,) of rows without sense, for ever.
+    """Yield time (s), measurements (19,) and commands (4,) of rows without sense, for ever.
 
     Values are any bits of a double, extremes, or plausible numbers; cells are missing; stamps stand
     still, go back, or jump by up to an hour.

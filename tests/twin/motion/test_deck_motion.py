@@ -94,7 +94,7 @@ def test_forecasts_in_a_turn_are_no_worse_than_the_mean() -> None:
 def still_boat(values: np.ndarray) -> np.ndarray:
     """Return rows of a boat that stays level but for the rates and heave of a signal."""
     z = np.full((len(values), len(MEASUREMENTS)), np.nan)
-    z[:, MOTION_AT:] = values
+    z[:, MOTION_AT:MOTION_END] = values
     return z
 
 

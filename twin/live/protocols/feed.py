@@ -300,7 +300,7 @@ class Feed(ABC):
         return tuple(notes)
 
     def take(self) -> list[tuple[float, Array, Array]]:
-        """Return the rows that are complete, oldest first: time, measurements (17,), commands (4,).
+        """Return the rows that are complete, oldest first: time, measurements (19,), commands (4,).
 
         Times in s strictly increase over the life of the feed; measurements are in the order of
         ``twin.logs.log.MEASUREMENTS``, NaN where there is none.

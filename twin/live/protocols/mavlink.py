@@ -469,7 +469,7 @@ class MavlinkWriter:
     ) -> list[bytes]:
         """Return the messages of one row of a log, a time (s) after the autopilot started.
 
-        ``z`` (17,) has NaN where there is no measurement; ``place`` is latitude and longitude of
+        ``z`` (19,) has NaN where there is no measurement; ``place`` is latitude and longitude of
         the fix, degrees.
         """
         known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))

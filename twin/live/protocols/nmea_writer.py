@@ -173,7 +173,7 @@ class NmeaWriter:
         ----------
         when : float
             UNIX time, s.
-        z, cmd : ndarray, shapes (17,), (4,)
+        z, cmd : ndarray, shapes (19,), (4,)
             Measurements, NaN where there is none, and commands.
         place : tuple of float or None
             Latitude and longitude of the fix, degrees.
