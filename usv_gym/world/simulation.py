@@ -56,7 +56,7 @@ STATE_MAX = 1e9
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS = 512, 128
+BLOCK_STEPS = 512, 120
 """Control steps of random numbers drawn at a time: for one boat, and for each of many."""
 
 
