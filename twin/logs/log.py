@@ -483,7 +483,7 @@ def assemble(table: Table) -> Log:
             check_drive(cmd[:, j], name, table)
 
     z = np.full((rows, len(MEASUREMENTS)), np.nan)
-    expected = MEASUREMENTS[:MOTION_AT]
+    expected: tuple[str, ...] = MEASUREMENTS[:MOTION_AT]
     for part in RARE:
         if any(name in names for name in MEASUREMENTS[part]):
             expected += MEASUREMENTS[part]

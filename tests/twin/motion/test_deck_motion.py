@@ -13,7 +13,16 @@ from hypothesis import strategies as st
 
 from twin import Log, StateError, Twin
 from twin.benchmark.motion_scores import MOTION_HORIZONS, MotionScore, MotionTruth, motion_table
-from twin.channels import AHRS_PITCH, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, MEASUREMENTS, MOTION_AT, MOTION_END
+from twin.channels import (
+    AHRS_PITCH,
+    AHRS_ROLL,
+    GPS_VZ,
+    GPS_Z,
+    GYRO_X,
+    MEASUREMENTS,
+    MOTION_AT,
+    MOTION_END,
+)
 from twin.motion import CHANNELS, HORIZONS, QUIET_SPANS, DeckMotion, MotionForecast
 from twin.particulars import Deck
 from twin.sim.bridge import particulars_of, simulate

@@ -3,8 +3,8 @@ r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as
 Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
 RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers of these names. MWV
 with the reference R is the apparent wind, MWD the true one; an MWV with the reference T is not
-followed. The height of a GGA counts as well. GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give
-the time.
+followed. The height of a GGA counts as well. GGA and RMC of the same epoch are one fix. ZDA and TAG
+blocks give the time.
 
 =========  ====================================================================================
 RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
@@ -12,8 +12,8 @@ RSA        rudder angle, degrees, above 0 to starboard; the first is starboard o
 ``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
 =========  ====================================================================================
 
-HDT, ROT, RPM, RSA, XDR, MWV and MWD hold no time. They have that of the sentence before them in the same
-datagram (ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's
+HDT, ROT, RPM, RSA, XDR, MWV and MWD hold no time. They have that of the sentence before them in the
+same datagram (ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's
 clock. A TAG block in whole seconds is the time of the first sentence of its kind in that second
 alone.
 
