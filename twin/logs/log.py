@@ -486,7 +486,7 @@ def assemble(table: Table) -> Log:
     expected: tuple[str, ...] = MEASUREMENTS[:MOTION_AT]
     for part in RARE:
         if any(name in names for name in MEASUREMENTS[part]):
-            expected += MEASUREMENTS[part]
+            expected = (*expected, *MEASUREMENTS[part])
     never = [name for name in expected if name not in names]
     if never:
         notes.append(f"{', '.join(never)}: not in the file, taken as never measured")

@@ -109,7 +109,7 @@ def changing_sea(
             t,
             _at(parsed["hs"], t),
             _at(parsed["wind"], t),
-            _at(parsed["wind_from"], t, turning=True),
+            _at(parsed["wind_from"], t, turning=True) % _TURN,
         )
         for t in times
     ]
