@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS
+from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 
 __all__ = [
     "ACCEL_Z",
     "AHRS_PITCH",
     "AHRS_ROLL",
+    "APPARENT_FROM",
+    "APPARENT_SPEED",
     "COMMANDS",
     "GPS_VZ",
     "GPS_Z",
@@ -15,6 +17,7 @@ __all__ = [
     "GYRO_Y",
     "MEASUREMENTS",
     "MOTION_AT",
+    "MOTION_END",
     "PSI",
     "STATE",
     "TIME",
@@ -35,15 +38,25 @@ TIME = "t_s"
 COMMANDS = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
 """Columns of ``Log.cmd``: shaft speeds, rev/s, and drive angles, rad (above 0: to starboard)."""
 
-MEASUREMENTS = (*SENSOR_CHANNELS, "wind_mps", "wind_from_rad", *MOTION_CHANNELS)
+MEASUREMENTS = (
+    *(*SENSOR_CHANNELS, "wind_mps", "wind_from_rad"),
+    *(*MOTION_CHANNELS, *WIND_CHANNELS),
+)
 """Columns of ``Log.z``: those of the sensors, speed of the true wind, and the direction that it
-comes from, clockwise from north; then those of a boat whose roll, pitch and heave are measured."""
+comes from, clockwise from north; then those of a boat whose roll, pitch and heave are measured;
+then those of an anemometer on board."""
 
 WIND_SPEED, WIND_FROM, MOTION_AT = range(len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3)
 """Places of the wind among them, and of the first motion channel."""
 
-GYRO_X, GYRO_Y, ACCEL_Z, AHRS_ROLL, AHRS_PITCH, GPS_Z, GPS_VZ = range(MOTION_AT, len(MEASUREMENTS))
+MOTION_END = MOTION_AT + len(MOTION_CHANNELS)
+"""The place after the last of them."""
+
+GYRO_X, GYRO_Y, ACCEL_Z, AHRS_ROLL, AHRS_PITCH, GPS_Z, GPS_VZ = range(MOTION_AT, MOTION_END)
 """Places of the motion channels."""
+
+APPARENT_SPEED, APPARENT_FROM = range(MOTION_END, len(MEASUREMENTS))
+"""Places of the apparent wind."""
 
 TRUTH = ("true_x_m", "true_y_m", "true_psi_rad", "true_u_mps", "true_v_mps", "true_r_radps")
 """Columns of ``Log.truth``: the simulated state, for scoring only."""

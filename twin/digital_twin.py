@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, STATE, TIME
+from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, STATE, TIME
 from twin.checkpoint import GAPS, HUGE, StateError, check_fields, read, without_prefix, write
 from twin.health.current import CurrentWatch
 from twin.health.history import HealthHistory
@@ -269,9 +269,9 @@ class Twin:
         ----------
         t : float
             Time, s; later than that of the row before.
-        z : array_like, shape (17,) or (10,)
+        z : array_like, shape (19,), (17,) or (10,)
             Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing. The last
-            seven, of roll, pitch and heave, may be left out.
+            two, of the apparent wind, may be left out, and the seven of roll, pitch and heave.
         cmd : array_like, shape (4,)
             Command that was in force since the row before, in the order of
             ``twin.channels.COMMANDS``.
@@ -284,8 +284,8 @@ class Twin:
         z = np.asarray(z, dtype=np.float64)
         # a copy, as the caller may reuse its array
         cmd = np.array(cmd, dtype=np.float64)
-        if z.shape == (MOTION_AT,):
-            z = np.concatenate([z, np.full(len(MEASUREMENTS) - MOTION_AT, math.nan)])
+        if z.shape in ((MOTION_AT,), (MOTION_END,)):
+            z = np.concatenate([z, np.full(len(MEASUREMENTS) - len(z), math.nan)])
         if z.shape != (len(MEASUREMENTS),) or cmd.shape != (len(COMMANDS),):
             raise TwinError(
                 f"z has shape {z.shape} and cmd {cmd.shape}; they must be "
@@ -316,13 +316,16 @@ class Twin:
     def health(self) -> dict[str, SensorStatus]:
         """Status of each sensor by its name: ok, doubtful, excluded or absent; since when; why.
 
-        Sensors of roll, pitch and heave are named only while they are in trouble.
+        Those of roll, pitch, heave and wind are named only while they are in trouble.
         A GPS that is drawn away looks like a current. Where that is too large, or changes too fast,
         the GPS is doubtful.
         """
         found = self.monitor.statuses(self.begun)
         for name, (status, age, reason) in self.motion.troubles().items():
             found[name] = SensorStatus(status, self.t - age, reason)
+        wind = self.monitor.wind_status(self.begun)
+        if wind.why:
+            found["wind"] = wind
         why = self.current_watch.why_doubtful(self.t, self.predictor.current())
         if found["gps"].status == "ok" and why:
             found["gps"] = SensorStatus("doubtful", self.t, why)

@@ -126,6 +126,8 @@ class Instruments:
     tilt_sd, tilt_time : float
         Typical roll and pitch (rad) of a boat whose accelerometers measure gravity with them, and
         how long a tilt lasts (s). 0 for a boat that stays upright or whose IMU removes gravity.
+    wind_height : float
+        Height of the anemometer above the sea, m.
     """
 
     gps_sd: float = 0.4
@@ -148,6 +150,7 @@ class Instruments:
     climb_sd: float = 0.08
     tilt_sd: float = 0.0
     tilt_time: float = 2.0
+    wind_height: float = 10.0
 
     def __post_init__(self) -> None:
         _check_fields(
@@ -164,6 +167,7 @@ class Instruments:
                 "height_sd",
                 "climb_sd",
                 "tilt_time",
+                "wind_height",
             ),
         )
         if self.gps_latency > LATENCY_MAX:

@@ -13,6 +13,7 @@ __all__ = [
     "GYRO",
     "MOTION_CHANNELS",
     "SENSOR_CHANNELS",
+    "WIND_CHANNELS",
 ]
 
 SENSOR_CHANNELS = (
@@ -43,3 +44,7 @@ MOTION_CHANNELS = (
 """What shows roll, pitch and heave: the other axes of the IMU (roll rate, pitch rate, specific
 force down), roll and pitch of an AHRS, and position and velocity of the GNSS down. An upright boat
 at rest has a specific force of -9.81 m/s2 down."""
+
+WIND_CHANNELS = ("apparent_wind_mps", "apparent_wind_rad")
+"""What an anemometer on the boat says: speed of the apparent wind, and the direction that it comes
+from, clockwise from the bow."""

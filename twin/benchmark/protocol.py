@@ -33,7 +33,8 @@ from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import parse_faults
-from usv_gym.world.sea import SEA_STATES, SeaState
+from usv_gym.world.schedule import changing_sea, parse_values
+from usv_gym.world.sea import SEA_STATES, SeaKeyframe, SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_kernel.errors import UsvTwinError
 
@@ -48,6 +49,7 @@ __all__ = [
     "Unit",
     "available",
     "left_out",
+    "sea_settings",
     "units",
 ]
 
@@ -98,6 +100,8 @@ FULL_CASES = {
         # 30 % of the time, 5 s each, from the first second on
         Case("bursts", "gps-bursts30x5"),
         *(Case(f"sea{sea}", sea=sea) for sea in ("0", "1", "3", "4")),  # 2 is the base's
+        # seas that change while forecasts are made
+        *(Case(sea, sea=sea) for sea in ("squall", "building")),
         *(Case(grade, grade=grade) for grade in ("consumer", "best")),
     )
 }
@@ -131,6 +135,8 @@ class Settings:
     hs: float = 0.5
     wind: float = 4.5
     wind_from_deg: float = 135.0
+    # keyframes (time, hs, wind, wind_from in rad) of a sea that changes, in place of all three
+    schedule: tuple[tuple[float, ...], ...] = ()
     spreading: float | None = None  # exponent of short-crested waves; None: long-crested
     logs: tuple[str, ...] = ()  # recorded runs to score
     # particulars of the recorded boat; None for the TOML file beside the log
@@ -187,6 +193,8 @@ class Settings:
     @property
     def sea_name(self) -> str:
         """Name of the settings' own sea state."""
+        if self.schedule:
+            return "changing"
         for name, sea in SEA_STATES.items():
             if (sea.hs, sea.wind) == (self.hs, self.wind) and name.isdigit():
                 return name
@@ -194,11 +202,15 @@ class Settings:
 
     def sea(self, name: str = "") -> SeaState:
         """Return a sea state by name with the settings' direction, or the settings' own."""
-        sea = SEA_STATES.get(name, SeaState(hs=self.hs, wind=self.wind))
+        own = SeaState(hs=self.hs, wind=self.wind)
+        if self.schedule:
+            own = SeaState(schedule=tuple(SeaKeyframe(*one) for one in self.schedule))
+        sea = SEA_STATES.get(name, own)
         # a boat that rolls can learn a hundred lines of a spectrum, as no real sea has them
         components = ROLLING_COMPONENTS if self.dof == 6 else sea.components
+        if not self.schedule or name in SEA_STATES:
+            sea = sea.turned(math.radians(self.wind_from_deg))
         return sea.replace(
-            wind_from=math.radians(self.wind_from_deg),
             spreading=self.spreading,
             components=components,
         )
@@ -245,6 +257,17 @@ class Unit:
 
 UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
 """Fields of a :class:`Unit` that identify its rows, in the order of the results."""
+
+
+def sea_settings(hs: str | None, wind: str | None, wind_from_deg: str | None) -> dict[str, Any]:
+    """Return the settings of a sea that options describe, see ``usv_gym.world.schedule``."""
+    given = {"hs": hs, "wind": wind, "wind_from_deg": wind_from_deg}
+    parsed = {name: parse_values(v, name) for name, v in given.items() if v is not None}
+    first = {name: values[0][1] for name, values in parsed.items()}
+    if all(len(values) == 1 for values in parsed.values()):
+        return first
+    state = changing_sea(SeaState(), hs, wind, wind_from_deg)
+    return first | {"schedule": tuple(tuple(one) for one in state.schedule)}
 
 
 def available(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -23,6 +23,7 @@ from twin.benchmark.protocol import (
     Unit,
     available,
     left_out,
+    sea_settings,
     units,
 )
 from twin.cli.benchmark_tables import print_results, print_verdict
@@ -31,9 +32,12 @@ from twin.cli.common import (
     OPTIONS_EXAMPLE,
     BackendOption,
     DofOption,
+    HsOption,
     JobsOption,
     MappingOption,
     ModelOption,
+    WindFromOption,
+    WindOption,
     console,
     errors,
     new_table,
@@ -147,11 +151,9 @@ def benchmark_command(
     ] = SPREAD,
     dof: DofOption = 3,
     model: ModelOption = None,
-    hs: Annotated[float, typer.Option(help="Significant wave height, m.")] = 0.5,
-    wind: Annotated[float, typer.Option(help="Mean wind speed at 10 m, m/s.")] = 4.5,
-    wind_from: Annotated[
-        float, typer.Option(help="Direction the wind comes from, degrees from north.")
-    ] = 135.0,
+    hs: HsOption = "0.5",
+    wind: WindOption = "4.5",
+    wind_from: WindFromOption = "135",
     spreading: Annotated[
         float | None,
         typer.Option(help="Exponent s of short-crested waves. [long-crested]", min=0.0),
@@ -254,9 +256,7 @@ def benchmark_command(
         spread=spread,
         dof=dof,
         model=model,
-        hs=hs,
-        wind=wind,
-        wind_from_deg=wind_from,
+        **sea_settings(hs, wind, wind_from),
         spreading=spreading,
         mapping=str(mapping) if recorded and mapping else None,
         **options,

@@ -28,6 +28,7 @@ from twin.predictors.own_prior import prior_note
 from twin.predictors.registry import DEFAULT, PREDICTORS, predictor_class
 from twin.sim.oracle import check_simulator
 from twin.sim.recorded import particulars_for_log
+from usv_gym.world.schedule import SCHEDULE_HELP
 from usv_kernel.cache import cached
 from usv_kernel.errors import UsvTwinError, did_you_mean
 from usv_kernel.files import write_whole
@@ -111,12 +112,15 @@ DofOption = Annotated[
     int, typer.Option(help="Degrees of freedom of the ship: 3, or 6 with heave, roll, pitch.")
 ]
 
-HsOption = Annotated[float | None, typer.Option(help="Significant wave height, m.")]
+HsOption = Annotated[str | None, typer.Option(help=f"Significant wave height, m. {SCHEDULE_HELP}")]
 
-WindOption = Annotated[float | None, typer.Option(help="Mean wind speed at 10 m, m/s.")]
+WindOption = Annotated[
+    str | None, typer.Option(help=f"Mean wind speed at 10 m, m/s. {SCHEDULE_HELP}")
+]
 
 WindFromOption = Annotated[
-    float | None, typer.Option(help="Direction the wind comes from, degrees from north.")
+    str | None,
+    typer.Option(help=f"Direction the wind comes from, degrees from north. {SCHEDULE_HELP}"),
 ]
 
 ShaftMaxOption = Annotated[

@@ -15,7 +15,6 @@ from twin.cli.common import (
     WindOption,
     console,
     note,
-    radians,
     write_text,
 )
 from twin.logs.log import sibling_path
@@ -23,6 +22,7 @@ from twin.sim.bridge import particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
+from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES, SensorSuite
 
@@ -58,13 +58,15 @@ def simulate_command(
     from twin.benchmark.figures import picture_of_log
 
     boat = Vessel.load(vessel)
-    state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=radians(wind_from))
+    state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
     suite, parsed = SensorSuite.grade(sensors), parse_faults(faults, fault_start)
     for fault in parsed:
         if getattr(fault, "start", 0.0) >= duration:
             note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
         if fault.kind == "ahrs" and dof == 3:
             note("a boat with --dof 3 has no AHRS: its fault changes nothing; see --dof 6")
+        if fault.kind == "wind" and not suite.has_anemometer:
+            note("these sensors have no anemometer: its fault changes nothing; see --sensors best")
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     log = simulate(
         manoeuvre,

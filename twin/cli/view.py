@@ -12,10 +12,13 @@ import typer
 
 from twin.cli.common import (
     DofOption,
+    HsOption,
     MappingOption,
     PredictorOption,
     ShaftMaxOption,
     SteerMaxOption,
+    WindFromOption,
+    WindOption,
     console,
     note,
     radians,
@@ -35,6 +38,7 @@ from twin.sim.recorded import particulars_for_log
 from usv_gym.manoeuvring.manoeuvres import MANOEUVRES, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel, VesselError, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
+from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES
 
@@ -81,6 +85,9 @@ def view_command(
         ),
     ] = "known",
     sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "2",
+    hs: HsOption = None,
+    wind: WindOption = None,
+    wind_from: WindFromOption = None,
     dof: DofOption = 6,
     sensors: Annotated[str, typer.Option(help=f"One of: {', '.join(GRADES)}.")] = "typical",
     faults: Annotated[str, typer.Option(help=f"Faults of sensors: {FAULTS_HELP}.")] = "none",
@@ -162,7 +169,7 @@ def view_command(
             )
         setup = SimulationSetup(
             vessel=boat,
-            sea=SeaState.named(sea),
+            sea=changing_sea(SeaState.named(sea), hs, wind, wind_from),
             predictor=predictor,
             sensors=sensors,
             seed=seed,

@@ -264,7 +264,7 @@ class LateFusion:
     def update(self, dt: float, z: ArrayLike) -> Array:
         """Take one row of measurements; return the state (6,), heading unwrapped, always finite.
 
-        ``dt`` is the time since the row before, s; 0 or more, unused in the first row. ``z`` (17,)
+        ``dt`` is the time since the row before, s; 0 or more, unused in the first row. ``z`` (19,)
         are GPS x, y (m), GPS velocity north and east (m/s), compass (rad), gyro (rad/s),
         accelerometer x and y (m/s2). The wind speed (m/s) is unused. What is not finite counts as
         missing. UsvTwinError: dt is negative or not finite, or z has another shape.

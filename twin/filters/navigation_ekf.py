@@ -344,7 +344,7 @@ def navigate(nav, dt, z, model, settings, work):
         :data:`NAVIGATION`, advanced in place.
     dt : float
         Time since the row before, s; 0 or more.
-    z : ndarray, shape (17,)
+    z : ndarray, shape (19,)
         Measurement row in the order of ``twin.logs.log.MEASUREMENTS``; NaN is missing.
     model : ndarray, shape (7,)
         Accelerations u', v' (m/s2), r' (rad/s2) for where the IMU is missing, and their use. 1: a
@@ -534,7 +534,7 @@ class Navigator:
         ----------
         dt : float
             Time since the row before, s.
-        z : array_like, shape (17,)
+        z : array_like, shape (19,)
             Measurement row.
 
         Returns

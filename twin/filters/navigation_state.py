@@ -188,7 +188,7 @@ def navigation_settings(particulars: Particulars) -> Array:
 
 
 def sample_limits(particulars: Particulars) -> Array:
-    """Return the sizes (17,), in the order of a measurement row, that no valid sample reaches."""
+    """Return the sizes (19,), in the order of a measurement row, that no valid sample reaches."""
     fastest = SPEED_LIMIT * particulars.speed
     inertial = TURN_LIMIT, ACCEL_LIMIT, ACCEL_LIMIT
     level = [REACH, REACH, fastest, fastest, ROUNDS, *inertial, WIND_LIMIT, ROUNDS]

@@ -30,6 +30,7 @@ from twin.health.state import (
     NO_ANSWER,
 )
 from twin.health.velocity import check_velocity
+from twin.health.wind import check_wind
 from usv_kernel.jit import inlined, kernel
 
 __all__ = ["check_sensors", "is_motion_doubted"]
@@ -66,7 +67,7 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     ----------
     dt : float
         Time since the row before, s.
-    z, cmd : ndarray, shapes (17,), (4,)
+    z, cmd : ndarray, shapes (19,), (4,)
         The row.
     s : ndarray, shape (6,)
         State that the predictor had after the row before.
@@ -74,8 +75,8 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
         Whether that means anything.
     health, given : record
         ``HEALTH``, advanced in place; ``HEALTH_SETTINGS``.
-    out : ndarray, shape (17,)
-        The row without the samples of excluded sensors.
+    out : ndarray, shape (19,)
+        The row without the samples of excluded sensors, and with the true wind of an anemometer.
     """
     health.clock += dt
     possible = _take_state(s, health, given)
@@ -95,3 +96,4 @@ def check_sensors(dt, z, cmd, s, ready, health, given, out):
     health.commands_doubted = 1.0 if command.status == EXCLUDED or fresh else 0.0
     note_absence(dt, health)
     leave_out(health, out)
+    check_wind(dt, out, state, usable, health, given)

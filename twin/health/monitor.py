@@ -135,7 +135,7 @@ class SensorMonitor:
         ----------
         dt : float
             Time since the row before, s.
-        z, cmd : ndarray, shapes (17,), (4,)
+        z, cmd : ndarray, shapes (19,), (4,)
             Measurements and commands.
         state : ndarray, shape (6,)
             What the predictor said of the boat after the row before.
@@ -144,7 +144,7 @@ class SensorMonitor:
 
         Returns
         -------
-        z, cmd : ndarray, shapes (17,), (4,)
+        z, cmd : ndarray, shapes (19,), (4,)
             The row without impossible numbers and excluded sensors, which are NaN; and its
             command, or the last one that was trusted.
         """
@@ -159,6 +159,15 @@ class SensorMonitor:
     def statuses(self, begin: float) -> dict[str, SensorStatus]:
         """Return the status of each sensor; ``begin`` is the time of the first row, s."""
         return statuses_of(self.record, begin)
+
+    def wind_status(self, begin: float) -> SensorStatus:
+        """Return the status of the anemometer; ``begin`` is the time of the first row, s."""
+        wind = self.record["wind"]
+        reason, since = REASONS[int(wind["reason"])], begin + float(wind["since"])
+        status = STATUSES[int(wind["status"])]
+        if status == "absent" and wind["known"] > 0.0:
+            return SensorStatus(status, since, "wind is not measured any more; its mean is used")
+        return SensorStatus(status, since, f"wind {reason}" if reason else "")
 
     def views(self) -> dict[str, Array]:
         """Return what is remembered, by field; parts of a record are ``field.part``."""
@@ -182,8 +191,14 @@ class SensorMonitor:
         StateError
             Names the field that is missing or damaged.
         """
-        check_fields(state, self.views(), FIELDS)
-        fill(self.views(), state)
+        views = self.views()
+        if not any(name.startswith("wind.") for name in state):
+            # saved before there were anemometers: nothing is known of the wind
+            blank = SensorMonitor.__new__(SensorMonitor)
+            blank.remember(initial_health())
+            state = blank.state_dict() | state
+        check_fields(state, views, FIELDS)
+        fill(views, state)
 
 
 _POSITIVE = Field(low=0.0)
@@ -193,6 +208,9 @@ FIELDS = {
     # indices of names
     "sensors.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
     "sensors.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
+    "wind.status": Field(low=0, high=len(STATUSES) - 1, integer=True),
+    "wind.reason": Field(low=0, high=len(REASONS) - 1, integer=True),
+    **dict.fromkeys(("wind.silent", "wind.age", "wind.known", "wind.changing"), Field(low=0.0)),
     "hypothesis": Field(low=0, high=HYPOTHESES - 1, integer=True),
     # what is divided by
     **dict.fromkeys(

@@ -89,6 +89,23 @@ CHECK = np.dtype(
 )
 """What is remembered of a sensor."""
 
+WIND_CHECK = np.dtype(
+    [
+        ("status", "f8"),  # one of STATUSES
+        ("reason", "f8"),  # one of REASONS
+        ("since", "f8"),  # time at which it became so, s
+        ("silent", "f8"),  # time since the last sample, s
+        ("age", "f8"),  # time since the last sample that was used, s
+        ("last", "f8", 2),  # last apparent wind, m/s and rad
+        ("repeated", "f8", 2),  # how long speed and direction have been the same, s
+        ("changing", "f8"),  # how long they have changed while excluded, s
+        ("known", "f8"),  # time that the mean wind is the mean of, s; 0: nothing is known
+        ("velocity", "f8", 2),  # true wind, smoothed: velocity of the air north and east, m/s
+        ("mean", "f8", 2),  # its mean, m/s
+    ]
+)
+"""What is remembered of an anemometer, and of the wind."""
+
 COMMAND_TERMS = 6
 """Parameters of the model of yaw rate or surge."""
 
@@ -191,6 +208,7 @@ HEALTH = np.dtype(
         ("distinct", "f8", HYPOTHESES),  # how far a hypothesis differs from the one in force
         ("evidence", "f8", HYPOTHESES),  # sums of log-likelihood ratios to the one in force
         ("hypothesis", "f8"),  # the one in force
+        ("wind", WIND_CHECK),
     ]
 )
 """What the checks remember of a boat."""
@@ -215,6 +233,7 @@ HEALTH_SETTINGS = np.dtype(
         ("shaft_speed", "f8"),  # nominal, rev/s
         ("lag", "f8"),  # of shafts and drives, s
         ("sides", "f8"),  # 1 for a boat with a thruster on each side, else 0
+        ("wind_gain", "f8"),  # wind 10 m above the sea over that at the anemometer
     ]
 )
 """What the checks are given of a boat and its instruments."""
@@ -222,6 +241,12 @@ HEALTH_SETTINGS = np.dtype(
 
 TURN_FREE, TURN_FACTOR = 1.0, 2.0
 """No boat turns faster than this (rad/s) and so many nominal speeds over its length."""
+
+
+REFERENCE_HEIGHT, PROFILE = 10.0, 0.11
+"""The wind of the model is that of this height, m; exponent of the wind's profile over open sea.
+
+Source: Hsu, Meindl and Gilhousen 1994."""
 
 
 def health_settings(particulars: Particulars) -> Array:
@@ -246,6 +271,7 @@ def health_settings(particulars: Particulars) -> Array:
             particulars.shaft_speed,
             max(particulars.shaft_lag, particulars.steer_lag),
             particulars.steering != "rudder",
+            (REFERENCE_HEIGHT / I.wind_height) ** PROFILE,
         ]
     )
 

@@ -129,7 +129,7 @@ def check_measurement(t: Array, values: Array, name: str, table: Table) -> None:
         table.notes.append(
             f"{given}: {rows - count} of {rows} cells empty ({_longest_gap(t, valid)})"
         )
-    if name in ("compass_rad", "wind_from_rad"):
+    if name in ("compass_rad", "wind_from_rad", "apparent_wind_rad"):
         _check_angle(values, name, table)
 
 

@@ -48,6 +48,8 @@ NAMES = {
     "channel": r"rcou|rcout|servo|pwm|chan|channel|chan\d+|ch\d+",
     "wind_speed": r"tws|windspeed",
     "wind_from": r"twd|winddirection|winddir|windfrom",
+    "apparent_speed": r"aws|apparentwindspeed|relativewindspeed",
+    "apparent_from": r"awa|apparentwindangle|relativewindangle",
 }
 """Words in the names of columns, by what they mean."""
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, TIME, TRUE_MOTION, TRUTH
+from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, TIME, TRUE_MOTION, TRUTH
 from twin.logs.checks import (
     check_drive,
     check_measurement,
@@ -82,11 +82,19 @@ _ALIASES = {
     "wind_direction_deg": "wind_from_deg",
     "wind_dir_deg": "wind_from_deg",
     "twd_deg": "wind_from_deg",
+    "aws_mps": "apparent_wind_mps",
+    "awa_rad": "apparent_wind_rad",
+    "awa_deg": "apparent_wind_deg",
 }
 
 
 _UNIX = 1e9, 4e9
 """Times between these are seconds since 1970: September 2001 to 2096."""
+
+
+RARE = slice(MOTION_AT, MOTION_END), slice(MOTION_END, len(MEASUREMENTS))
+"""Columns that few logs have, of roll, pitch and heave, and of the apparent wind: where a log has
+none of a group, nothing is missing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +105,11 @@ class Log:
     ----------
     t : ndarray, shape (N,)
         Time, s, strictly increasing.
-    z : ndarray, shape (N, 17)
+    z : ndarray, shape (N, 19)
         Measurements in the order of :data:`MEASUREMENTS`; NaN where a sensor gave no new
         sample. Heading and wind direction may be wrapped or run on beyond a turn: whoever
-        compares one with another angle wraps the difference. The last seven columns, of roll, pitch
-        and heave, may be left out.
+        compares one with another angle wraps the difference. The last two columns, of the apparent
+        wind, may be left out, and so may the seven of roll, pitch and heave before them.
     cmd : ndarray, shape (N, 4)
         Commands in the order of :data:`COMMANDS`, each in force during the interval that
         ends at the row's time.
@@ -137,8 +145,8 @@ class Log:
         if self.true_motion is not None:
             shapes["true_motion"] = (len(TRUE_MOTION),)
         rows = np.shape(self.t)[0] if np.ndim(self.t) == 1 else -1
-        if np.shape(self.z) == (rows, MOTION_AT):
-            unknown = np.full((rows, len(MEASUREMENTS) - MOTION_AT), np.nan)
+        if np.shape(self.z) in ((rows, MOTION_AT), (rows, MOTION_END)):
+            unknown = np.full((rows, len(MEASUREMENTS) - np.shape(self.z)[1]), np.nan)
             object.__setattr__(self, "z", np.hstack([self.z, unknown]))
         for key, tail in shapes.items():
             value = np.ascontiguousarray(getattr(self, key), dtype=np.float64)
@@ -219,10 +227,10 @@ class Log:
 
         columns = {TIME: self.t}
         columns.update(zip(COMMANDS, self.cmd.T, strict=True))
-        shown = (
-            MEASUREMENTS if np.isfinite(self.z[:, MOTION_AT:]).any() else MEASUREMENTS[:MOTION_AT]
-        )
-        columns.update(zip(shown, self.z.T, strict=False))
+        columns.update(zip(MEASUREMENTS[:MOTION_AT], self.z.T, strict=False))
+        for part in RARE:
+            if np.isfinite(self.z[:, part]).any():
+                columns.update(zip(MEASUREMENTS[part], self.z[:, part].T, strict=True))
         if self.truth is not None:
             columns.update(zip(TRUTH, self.truth.T, strict=True))
         if self.true_motion is not None:
@@ -480,9 +488,10 @@ def assemble(table: Table) -> Log:
             check_drive(cmd[:, j], name, table)
 
     z = np.full((rows, len(MEASUREMENTS)), np.nan)
-    # few logs have roll, pitch and heave: of those that have none, nothing is missing
-    motion = any(name in names for name in MEASUREMENTS[MOTION_AT:])
-    expected = MEASUREMENTS if motion else MEASUREMENTS[:MOTION_AT]
+    expected: tuple[str, ...] = MEASUREMENTS[:MOTION_AT]
+    for part in RARE:
+        if any(name in names for name in MEASUREMENTS[part]):
+            expected = (*expected, *MEASUREMENTS[part])
     never = [name for name in expected if name not in names]
     if never:
         notes.append(f"{', '.join(never)}: not in the file, taken as never measured")

@@ -481,15 +481,20 @@ def _plain(columns: _Columns, found: Proposal) -> None:
         ("accel_x_mps2", "accel_x", ("g",)),
         ("accel_y_mps2", "accel_y", ("g",)),
         ("wind_mps", "wind_speed", ("kn", "kmph")),
+        ("apparent_wind_mps", "apparent_speed", ("kn", "kmph")),
     ):
         name = _pick(columns, meaning)
         if name is not None:
             _add(found, "columns", _entry(target, columns.take(name), unit_of(name, units)))
-    name = _pick(columns, "wind_from")
-    if name is not None:
-        unit = _angle_unit(name, columns.numbers[name])
-        line = _entry("wind_from_rad", columns.take(name), "deg" if unit == "deg" else "")
-        _add(found, "columns", line)
+    for target, meaning in (
+        ("wind_from_rad", "wind_from"),
+        ("apparent_wind_rad", "apparent_from"),
+    ):
+        name = _pick(columns, meaning)
+        if name is not None:
+            unit = _angle_unit(name, columns.numbers[name])
+            line = _entry(target, columns.take(name), "deg" if unit == "deg" else "")
+            _add(found, "columns", line)
 
 
 def _commands(columns: _Columns, found: Proposal) -> None:

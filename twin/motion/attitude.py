@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twin.channels import ACCEL_Z, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT
+from twin.channels import ACCEL_Z, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, GYRO_Y, MOTION_AT, MOTION_END
 from twin.motion.state import (
     ACCEL_TIME,
     AHRS_ERROR,
@@ -84,7 +84,7 @@ START_SD = 0.2
 def is_measured(z: Any) -> bool:
     """Return whether a row has a sample of a motion channel."""
     found = False
-    for k in range(MOTION_AT, z.shape[0]):
+    for k in range(MOTION_AT, MOTION_END):
         found = found or math.isfinite(z[k])
     return found
 
@@ -244,7 +244,7 @@ def take_attitude(t, dt, z, velocity, memory, given):
     ----------
     t, dt : float
         Time, and time since the row before, s.
-    z : ndarray, shape (17,)
+    z : ndarray, shape (19,)
         In the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
     velocity : ndarray, shape (2,)
         Speed forward and to starboard, as the twin has it, m/s; NaN where it has none.
@@ -438,7 +438,7 @@ def _is_sure(memory):
 
 @kernel
 def turn_upright(heading, memory, given, z):
-    """Write to a row (17,) what its sensors would say on an upright boat.
+    """Write to a row (19,) what its sensors would say on an upright boat.
 
     Accelerations become horizontal, the yaw rate that of the heading, and the antenna stands
     above its place. ``heading`` is in rad.

@@ -106,7 +106,7 @@ def take_row(t, dt, z, state, ready, memory, given, work):
     ----------
     t, dt : float
         Time, and time since the row before, s.
-    z : ndarray, shape (17,)
+    z : ndarray, shape (19,)
         In the order of ``twin.channels.MEASUREMENTS``; written to.
     state : ndarray, shape (6,)
         What the twin said of the boat after the row before.
@@ -363,7 +363,7 @@ class DeckMotion:
         ----------
         t, dt : float
             Time, and time since the row before, s.
-        z : ndarray, shape (17,)
+        z : ndarray, shape (19,)
             In the order of ``twin.channels.MEASUREMENTS``; left as it is.
         state : ndarray, shape (6,)
             What the twin said of the boat after the row before.

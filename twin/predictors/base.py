@@ -309,7 +309,7 @@ class Predictor(ABC):
         ----------
         t, dt : float
             Time of the row and time since the row before, s; dt is 0 in the first row.
-        z : ndarray, shape (17,)
+        z : ndarray, shape (19,)
             Measurements in the order of ``twin.channels.MEASUREMENTS``; NaN is missing.
         cmd : ndarray, shape (4,)
             Command that was in force since the row before, in the order of

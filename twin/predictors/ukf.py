@@ -328,7 +328,7 @@ def _update(dt, z, cmd, memory, config, work):
 
 @inlined
 def update_wind(z, wind):
-    """Take the velocity of the true wind (m/s) from a row (17,), if both parts are there."""
+    """Take the velocity of the true wind (m/s) from a row (19,), if both parts are there."""
     if 0.0 <= z[WIND_SPEED] < WIND_LIMIT and math.isfinite(z[WIND_FROM]):
         wind[0], wind[1] = (
             -z[WIND_SPEED] * math.cos(z[WIND_FROM]),

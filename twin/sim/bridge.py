@@ -50,7 +50,7 @@ CONTROL_STEP = 0.05
 """Time between the rows of a simulated run, s."""
 
 SIMULATED = [*range(len(SENSOR_CHANNELS)), *range(MOTION_AT, len(MEASUREMENTS))]
-"""Places of the simulated channels in a row of measurements: the wind is not measured."""
+"""Places of the simulated channels in a row of measurements: no sensor shows the true wind."""
 
 TRUE_STATE = (fr.X, fr.Y, fr.PSI, fr.U, fr.V, fr.R)
 """Entries of the ship's state that a log keeps as the truth."""
@@ -108,6 +108,7 @@ def particulars_of(vessel: Vessel, suite: SensorSuite | None = None, dof: int = 
             climb_sd=max(suite.climb_white, 0.01),
             tilt_sd=TILT_SD if dof == 6 else 0.0,
             tilt_time=TILT_TIME,
+            **({"wind_height": suite.wind_height} if suite.has_anemometer else {}),
         ),
     )
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
-from usv_gym.world.sea import SeaState
+from usv_gym.world.sea import SeaKeyframe, SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import substeps_of
 from usv_kernel.errors import UsvTwinError, check_number, check_options, check_whole
@@ -42,6 +42,10 @@ class EnvConfig:
     hs, wind, wind_from_deg : float, optional
         Change the sea state's wave height (m), wind speed (m/s) and where the wind comes
         from (degrees).
+    schedule : sequence of SeaKeyframe, optional
+        Moments (time, hs, wind) or (time, hs, wind, wind_from), between which wave height and wind
+        change: see :class:`usv_gym.world.sea.SeaState`. Times are those of the episode, s;
+        ``wind_from`` is in rad. It replaces ``hs`` and ``wind``.
     suite : SensorSuite or str, optional
         Errors and rates of the sensors, or one of :data:`usv_gym.world.sensors.GRADES`
         (``"typical"``, ``"best"``, ``"consumer"``, ``"perfect"``).
@@ -73,6 +77,7 @@ class EnvConfig:
     hs: float | None = None
     wind: float | None = None
     wind_from_deg: float | None = None
+    schedule: Sequence[SeaKeyframe] | None = None
     suite: SensorSuite | str | None = None
     faults: str | Sequence[Disturbance] = "none"
     task: str = "path"
@@ -115,7 +120,10 @@ class EnvConfig:
         """Return the sea states, with wave height and wind as asked for."""
         angle = self.wind_from_deg
         wind_from = None if angle is None else math.radians(angle % 360.0)
+        schedule = None if self.schedule is None else SeaState(schedule=self.schedule).schedule
         return tuple(
-            state.replace(hs=self.hs, wind=self.wind, wind_from=wind_from)
+            state.replace(
+                hs=self.hs, wind=self.wind, wind_from=wind_from, schedule=schedule or None
+            )
             for state in SeaState.any_of(self.sea)
         )

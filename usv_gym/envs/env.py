@@ -36,7 +36,7 @@ class Recorded(NamedTuple):
 
     t: float  # s
     cmd: np.ndarray  # (4,) command in force: rev/s, rad
-    z: np.ndarray  # (15,) measurement, see SENSOR_CHANNELS and MOTION_CHANNELS
+    z: np.ndarray  # (17,) measurement, see usv_kernel.channels
     state: np.ndarray  # true state of the ship, see usv_gym.physics.frames
 
 
@@ -114,6 +114,16 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
     30     new sample of the AHRS                   yes
     31     its age                                  10 s
     ====== ======================================== =============
+
+    Sensors with an anemometer (``suite="best"``, or ``wind_rate`` of a ``SensorSuite`` above 0) add
+    four more behind those, ``wind_ahead`` to ``wind_age``:
+
+    = ================================================ =============
+    0 apparent wind from ahead                         10 m/s
+    1 and from starboard                               10 m/s
+    2 new sample of the anemometer                     yes
+    3 its age                                          10 s
+    = ================================================ =============
 
     Reward
     ------

@@ -32,6 +32,7 @@ from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import CHANNELS, Disturbance, FaultError, fault_records, parse_faults
 from usv_gym.world.sea import choice
+from usv_gym.world.sensors import WIND_AT
 from usv_gym.world.simulation import (
     DONE,
     NO_NUMBERS,
@@ -65,6 +66,7 @@ __all__ = [
     "EPISODES",
     "MOTION_OBSERVATION",
     "OBSERVATION",
+    "WIND_OBSERVATION",
     "CapsizeWarning",
     "Episodes",
     "Observer",
@@ -86,6 +88,9 @@ MOTION_OBSERVATION = (
 )
 """Those that six degrees of freedom add behind them."""
 
+WIND_OBSERVATION = ("wind_ahead", "wind_starboard", "wind_valid", "wind_age")
+"""Those that an anemometer adds behind these."""
+
 (
     _COS_HEADING, _SIN_HEADING, _YAW_RATE, _ACCEL_FORWARD, _ACCEL_STARBOARD,
     _SPEED_FORWARD, _SPEED_STARBOARD,
@@ -104,7 +109,10 @@ AGE_SCALE = 10.0
 
 TILT_SCALE = math.radians(10.0)
 
-_GYRO_X, _AHRS_ROLL, _GPS_Z = len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3, CHANNELS - 2
+WIND_SCALE = 10.0
+"""Unit of the apparent wind, m/s."""
+
+_GYRO_X, _AHRS_ROLL, _GPS_Z = len(SENSOR_CHANNELS), len(SENSOR_CHANNELS) + 3, WIND_AT - 2
 
 FAULT_START = (10.0, 60.0)
 """A fault given by its name begins at random between these times, s."""
@@ -113,7 +121,7 @@ EPISODE = np.dtype(
     [
         ("task", TASK),
         ("held", float, CHANNELS),  # last sample of each channel, its unit
-        ("age", float, 4),  # s, of the last sample of GPS, compass, IMU, AHRS
+        ("age", float, 5),  # s, of the last sample of GPS, compass, IMU, AHRS, anemometer
         ("known_errors", float, len(ERRORS)),  # errors of the task as known on board
         ("idle_steps", float),  # steps to let pass, after a reset or the end of an episode
     ]
@@ -126,6 +134,7 @@ EPISODES = np.dtype(
         ("rules", RULES),
         ("frames", float),  # control steps of a decision
         ("entries", float),  # of the sensors in an observation
+        ("wind_at", float),  # the first of them that an anemometer adds; 0: there is none
         ("scale", float, COMMAND_SIZE),  # command of a full action: rev/s, rad
         ("mixing", float, (COMMAND_SIZE, COMMAND_SIZE)),  # share of each action in each command
     ]
@@ -180,6 +189,8 @@ def observe(
     o[_SIN_NEXT_TURN], o[_COS_NEXT_TURN] = sincos(errors[NEXT_TURN])
     if config.simulation.dof == 6:
         _observe_motion(z, held, age, fresh, dt, o[len(OBSERVATION) :])
+    if config.wind_at > 0.0:
+        _observe_wind(z, held, age, fresh, dt, o[int(config.wind_at) :])
     for j in range(int(config.entries)):  # more may follow
         o[j] = min(max(o[j], -BOUND), BOUND)
 
@@ -196,12 +207,24 @@ def _observe_motion(z, held, age, fresh, dt, o):
         for j in range(_AHRS_ROLL, _GPS_Z):
             held[j] = z[j]
     if math.isfinite(z[_GPS_Z]):
-        for j in range(_GPS_Z, CHANNELS):
+        for j in range(_GPS_Z, WIND_AT):
             held[j] = z[j]
     o[0], o[1], o[2] = held[_GYRO_X], held[_GYRO_X + 1], held[_GYRO_X + 2] / GRAVITY
     o[3], o[4] = held[_AHRS_ROLL] / TILT_SCALE, held[_AHRS_ROLL + 1] / TILT_SCALE
     o[5], o[6] = held[_GPS_Z] / 10.0, held[_GPS_Z + 1]
     o[7], o[8] = 1.0 if age[3] < fresh else 0.0, age[3] / AGE_SCALE
+
+
+@inlined
+def _observe_wind(z, held, age, fresh, dt, o):
+    """Hold the last sample of the apparent wind, and write its entries: where it comes from."""
+    age[4] += dt
+    if math.isfinite(z[WIND_AT]):
+        age[4] = 0.0
+        held[WIND_AT], held[WIND_AT + 1] = z[WIND_AT], z[WIND_AT + 1]
+    side, ahead = sincos(held[WIND_AT + 1])
+    o[0], o[1] = held[WIND_AT] * ahead / WIND_SCALE, held[WIND_AT] * side / WIND_SCALE
+    o[2], o[3] = 1.0 if age[4] < fresh else 0.0, age[4] / AGE_SCALE
 
 
 @kernel
@@ -380,6 +403,9 @@ class Episodes:
         self.config["simulation"], self.config["rules"] = self.simulation.config, self.task.rules
         self.config["frames"] = self.frame_skip
         self.observation = OBSERVATION + (MOTION_OBSERVATION if config.dof == 6 else ())
+        if self.simulation.suite.has_anemometer:
+            self.config["wind_at"] = len(self.observation)
+            self.observation += WIND_OBSERVATION
         self.config["entries"] = len(self.observation)
         self.config["scale"] = scale = np.array([n_max, n_max, *2 * (self.vessel.helm_max,)])
         self.config["mixing"][:, : self.width] = mixing

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from usv_gym.world.channels import AHRS_BIT, BITS, COMPASS_BIT, GPS_BIT, IMU_BIT
-from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS
+from usv_gym.world.channels import AHRS_BIT, BITS, COMPASS_BIT, GPS_BIT, IMU_BIT, WIND_BIT
+from usv_kernel.channels import MOTION_CHANNELS, SENSOR_CHANNELS, WIND_CHANNELS
 from usv_kernel.errors import UsvTwinError, is_finite
 from usv_kernel.jit import kernel
 from usv_kernel.records import Record
@@ -45,12 +45,13 @@ FAULT_KINDS = {
     "imu": IMU_BIT,
     "compass": COMPASS_BIT,
     "ahrs": AHRS_BIT,
-    "all": GPS_BIT | COMPASS_BIT | IMU_BIT | AHRS_BIT,
+    "all": GPS_BIT | COMPASS_BIT | IMU_BIT | AHRS_BIT | WIND_BIT,
+    "wind": WIND_BIT,
 }
-"""Which sensors each kind of fault strikes."""
+"""Which sensors each kind of fault strikes; wind is the anemometer."""
 
-CHANNELS = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS)
-"""Channels that faults strike, in the order of SENSOR_CHANNELS and MOTION_CHANNELS."""
+CHANNELS = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS) + len(WIND_CHANNELS)
+"""Channels that faults strike, in the order of SENSOR_CHANNELS, MOTION_CHANNELS, WIND_CHANNELS."""
 
 LOSS, FROZEN, SPIKES = 0, 1, 2
 
@@ -82,9 +83,10 @@ class FaultError(UsvTwinError):
 SPIKE_SIZES = (
     *(20.0, 20.0, 2.0, 2.0, 0.5, 0.3, 5.0, 5.0),
     *(0.3, 0.3, 5.0, 0.3, 0.3, 20.0, 2.0),
+    *(10.0, 1.0),
 )
-"""How far a spike is off, in the unit of each of :data:`SENSOR_CHANNELS` and
-:data:`MOTION_CHANNELS`. By judgement: far beyond the noise, but possible."""
+"""How far a spike is off, in the unit of each of :data:`SENSOR_CHANNELS`, :data:`MOTION_CHANNELS`
+and :data:`WIND_CHANNELS`. By judgement: far beyond the noise, but possible."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class Disturbance(ABC):
         Share of samples that a fault of ``spikes`` spoils.
     sizes : tuple of float
         How far a spike is off in each of :data:`SENSOR_CHANNELS`, each with a random sign; those
-        of :data:`MOTION_CHANNELS` may follow.
+        of :data:`MOTION_CHANNELS`, and then of :data:`WIND_CHANNELS`, may follow.
     """
 
     kind: str
@@ -124,12 +126,13 @@ class Disturbance(ABC):
             raise FaultError(
                 f"{self.kind} fault: the chance of a spike must lie in [0, 1], got {self.chance}"
             )
-        known = ((len(SENSOR_CHANNELS),), (CHANNELS,))
+        upright = len(SENSOR_CHANNELS)
+        known = ((upright,), (upright + len(MOTION_CHANNELS),), (CHANNELS,))
         if np.shape(self.sizes) not in known or not all(map(is_finite, self.sizes)):
             raise FaultError(
                 f"{self.kind} fault: sizes must be {len(SENSOR_CHANNELS)} finite numbers, one for "
                 "each of usv_kernel.channels.SENSOR_CHANNELS, or also one for each of "
-                f"MOTION_CHANNELS, got {self.sizes}"
+                f"MOTION_CHANNELS, and of WIND_CHANNELS, got {self.sizes}"
             )
 
     @abstractmethod
@@ -277,6 +280,9 @@ ON: tuple[Disturbance, ...] = (
     RandomFaults("imu", effect="frozen", duration=(0.5, 2.0)),
     Bursts("ahrs", loss=0.02, mean=0.5),
     RandomFaults("ahrs", effect="spikes"),
+    Bursts("wind", loss=0.05, mean=2.0),
+    RandomFaults("wind", effect="spikes"),
+    RandomFaults("wind", effect="frozen"),
     RandomFaults("all", gap=(60.0, 180.0), duration=(1.0, 5.0)),
 )
 """What the text ``on`` stands for: everything that can go wrong does, again and again."""
@@ -364,7 +370,8 @@ def fault_sources(
     sources = []
     for fault in faults:
         # a number that stays the same whatever other kinds there are
-        kind = FAULT_KINDS[fault.kind] % AHRS_BIT or AHRS_BIT
+        bits = FAULT_KINDS[fault.kind]
+        kind = bits if bits in (AHRS_BIT, WIND_BIT) else bits % AHRS_BIT
         key = (fault.code, kind, EFFECTS[fault.effect])
         seen[key] = seen.get(key, -1) + 1
         sources.append(np.random.default_rng([seed, *key, seen[key]]))
@@ -372,21 +379,26 @@ def fault_sources(
 
 
 def apply_faults(
-    t: np.ndarray, z: np.ndarray, faults: Sequence[Disturbance], rng: np.random.Generator
+    t: np.ndarray,
+    z: np.ndarray,
+    faults: Sequence[Disturbance],
+    rng: np.random.Generator,
+    columns: Sequence[int] | None = None,
 ) -> np.ndarray:
     """Return recorded measurements as they would be with faults of the sensors.
 
-    ``t`` (N,) in s; starts of faults count from the first. Rows of ``z`` begin with
-    :data:`SENSOR_CHANNELS` and may end with :data:`MOTION_CHANNELS`; what else there is, is kept.
+    ``t`` (N,) in s; starts of faults count from the first. ``columns`` are the places of
+    :data:`SENSOR_CHANNELS`, :data:`MOTION_CHANNELS` and :data:`WIND_CHANNELS` in the rows of ``z``.
+    If left out, rows begin with the first and may end with the others. What else there is, is kept.
     """
     if not faults:
         return z.copy()
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
     records, out = fault_records(faults, step), z.copy()
-    last = np.full(CHANNELS, math.nan)
-    columns = [*range(len(SENSOR_CHANNELS)), *range(-len(MOTION_CHANNELS), 0)]
-    if z.shape[1] < CHANNELS:
-        columns, last = columns[: len(SENSOR_CHANNELS)], last[: len(SENSOR_CHANNELS)]
+    if columns is None:
+        behind = CHANNELS - len(SENSOR_CHANNELS) if z.shape[1] >= CHANNELS else 0
+        columns = [*range(len(SENSOR_CHANNELS)), *range(-behind, 0)]
+    last = np.full(len(columns), math.nan)
     samples = np.ascontiguousarray(z[:, columns])
     numbers = np.hstack(
         [source.random((len(t), FAULT_NUMBERS)) for source in fault_sources(faults, rng)]
@@ -401,7 +413,7 @@ def apply_faults(
 def strike(
     t: float, numbers: np.ndarray, faults: np.ndarray, last: np.ndarray, z: np.ndarray
 ) -> None:
-    """Apply the faults to the samples z (8,) or (15,) of time t (s), in place; NaN: none.
+    """Apply the faults to the samples z (8,) or (17,) of time t (s), in place; NaN: none.
 
     ``numbers`` (3 F,) are uniform random numbers of this step, three for each fault. Faults (F,)
     and ``last``, the samples handed out last, are advanced in place.

@@ -279,6 +279,15 @@ class SeaState:
             given = {"hs": 0.0, "wind": 0.0} | given
         return dataclasses.replace(self, **given)
 
+    def turned(self, wind_from: float) -> SeaState:
+        """Return the sea state with all its wind turned, to come from ``wind_from`` (rad)."""
+        turn = wind_from - self.wind_from
+        schedule = [
+            one if one.wind_from is None else one._replace(wind_from=(one.wind_from + turn) % _TURN)
+            for one in self.schedule
+        ]
+        return self.replace(wind_from=wind_from, schedule=schedule or None)
+
     def wave_spectrum(self) -> Spectrum:
         """Return the spectrum of the waves as a fine table (on a schedule: of the highest).
 
@@ -435,7 +444,18 @@ SEA_STATES: dict[str, SeaState] = {
     "4": SeaState(hs=2.5, wind=10.6),
     "5": SeaState(hs=4.0, wind=13.3),
     "6": SeaState(hs=6.0, wind=16.3),
+    # sea 2, with 10 m/s more wind for 20 s that veers by 40 degrees; and on its way to sea 3
+    "squall": SeaState(
+        schedule=(
+            SeaKeyframe(85.0, 0.5, 4.5),
+            SeaKeyframe(90.0, 0.5, 14.5, math.radians(175.0)),
+            SeaKeyframe(105.0, 0.5, 14.5, math.radians(175.0)),
+            SeaKeyframe(110.0, 0.5, 4.5),
+        )
+    ),
+    "building": SeaState(schedule=(SeaKeyframe(40.0, 0.5, 4.5), SeaKeyframe(100.0, 1.25, 7.5))),
 }
+"""Sea states by name; the last two change as time goes on, see :class:`SeaKeyframe`."""
 
 
 def choice(options: Sequence[_T], rng: np.random.Generator) -> _T:

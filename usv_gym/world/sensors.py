@@ -1,4 +1,4 @@
-"""GPS, IMU, compass and AHRS: noisy, biased, late, tilted with the boat, and sometimes lost."""
+"""Sensors of a boat: noisy, biased, late, tilted with the boat, and sometimes lost."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from usv_gym.physics import GRAVITY
 from usv_gym.physics import frames as fr
 from usv_gym.world.faults import CHANNELS, FaultError, strike
+from usv_gym.world.sampling import drift, is_due
 from usv_kernel.channels import (
     ACCEL_X,
     ACCEL_Y,
@@ -21,6 +22,7 @@ from usv_kernel.channels import (
     GPS_X,
     GPS_Y,
     GYRO,
+    MOTION_CHANNELS,
     SENSOR_CHANNELS,
 )
 from usv_kernel.errors import is_finite
@@ -36,6 +38,7 @@ __all__ = [
     "NOISE_SIZE",
     "SENSORS",
     "SUITE",
+    "WIND_AT",
     "SensorSuite",
     "measure",
     "start_motion_sensors",
@@ -58,6 +61,9 @@ NOISE = np.dtype(
 """Random numbers of one control step; those of the faults follow."""
 
 NOISE_SIZE = record_size(NOISE)
+
+WIND_AT = len(SENSOR_CHANNELS) + len(MOTION_CHANNELS)
+"""Place of the first of WIND_CHANNELS in a row of measurements."""
 
 MOTION_NOISE = np.dtype(
     [
@@ -90,6 +96,9 @@ SENSORS = np.dtype(
         ("accel_z_bias", float),  # m/s2
         ("ahrs_bias", float, 2),  # rad, roll and pitch
         ("height_bias", float),  # m
+        ("wind_bias", float),  # m/s
+        ("wind_from_bias", float),  # rad
+        ("wind", float, 2),  # apparent wind of this step before any fault, m/s and rad
         ("last", float, CHANNELS),  # last sample of each channel, NaN before the first
     ]
 )
@@ -106,6 +115,8 @@ SUITE = np.dtype(
         ("ahrs_white", float),  # rad
         ("height_white", float),  # m
         ("climb_white", float),  # m/s
+        ("wind_white", float),  # m/s
+        ("wind_from_white", float),  # rad
         # standard deviations of the biases, in the same units, and their decay in a step
         ("gps_bias", float),
         ("compass_bias", float),
@@ -113,17 +124,22 @@ SUITE = np.dtype(
         ("accel_bias", float),
         ("ahrs_bias", float),
         ("height_bias", float),
+        ("wind_bias", float),
+        ("wind_from_bias", float),
         ("gps_decay", float),
         ("compass_decay", float),
         ("gyro_decay", float),
         ("accel_decay", float),
         ("ahrs_decay", float),
         ("height_decay", float),
+        ("wind_decay", float),
         # share of control steps with a new sample
         ("gps_share", float),
         ("compass_share", float),
         ("imu_share", float),
         ("ahrs_share", float),
+        ("wind_share", float),
+        ("wind_height", float),  # m above the origin
         ("gps_arm", float, 3),  # m forward, to starboard, down from the origin
         ("imu_arm", float, 3),
         ("imu_mounting", float, (3, 3)),  # turns a vector of the boat into the axes of the IMU
@@ -141,7 +157,13 @@ ARM_MAX = 1000.0
 """Largest distance of a sensor from the origin, m."""
 
 LATENCY_MAX = 10.0
-"""Largest age of a fix, s."""
+"""Largest age of a fix or of a sample of the wind, s."""
+
+HEIGHT_RANGE = 0.1, ARM_MAX
+"""Range of the height of an anemometer, m."""
+
+OPTIONAL = ("ahrs_rate", "wind_rate")
+"""Rates that may be 0: there is no such sensor."""
 
 
 _TRIPLES = {
@@ -189,6 +211,11 @@ class SensorSuite:
         seconds. Rate 0: there is none.
     height_white, height_bias, height_bias_time, climb_white : float
         Height (m, s) and vertical speed (m/s) of each fix, with six degrees of freedom.
+    wind_white, wind_bias, wind_from_white, wind_from_bias, wind_bias_time : float
+        Speed (m/s) and direction (rad) of the apparent wind, and the time (s) of both biases.
+    wind_rate, wind_latency, wind_height : float
+        Samples per second (Hz) and their age (s) of an anemometer on a mast, and its height above
+        the origin, m. Rate 0, the default: there is none, as on most boats of this size.
     """
 
     gps_white: float = 0.4
@@ -219,6 +246,14 @@ class SensorSuite:
     height_bias: float = 1.5
     height_bias_time: float = 400.0
     climb_white: float = 0.08
+    wind_white: float = 0.2
+    wind_bias: float = 0.3
+    wind_from_white: float = math.radians(2.0)
+    wind_from_bias: float = math.radians(3.0)
+    wind_bias_time: float = 300.0
+    wind_rate: float = 0.0
+    wind_latency: float = 0.25
+    wind_height: float = 3.0
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -227,23 +262,30 @@ class SensorSuite:
                 _check_triple(item.name, value)
                 continue
             low, high = TIME_RANGE if item.name.endswith(("_time", "_rate")) else ERROR_RANGE
-            low = 0.0 if item.name == "ahrs_rate" else low
+            low = 0.0 if item.name in OPTIONAL else low
+            if item.name == "wind_height":
+                low, high = HEIGHT_RANGE
             if not is_finite(value) or not low <= value <= high:
                 raise FaultError(
                     f"sensor {item.name} = {value!r}: must be a number from {low:g} to {high:g}"
                 )
-        if self.gps_latency > LATENCY_MAX:
-            raise FaultError(
-                f"sensor gps_latency = {self.gps_latency:g} s: must be {LATENCY_MAX:g} s or less"
-            )
+        for name in ("gps_latency", "wind_latency"):
+            if getattr(self, name) > LATENCY_MAX:
+                raise FaultError(
+                    f"sensor {name} = {getattr(self, name):g} s: must be {LATENCY_MAX:g} s or less"
+                )
 
     @classmethod
     def perfect(cls) -> SensorSuite:
-        """Return sensors without any error or delay, one sample with each control step."""
+        """Return sensors without any error or delay, one sample with each control step.
+
+        There is no anemometer among them.
+        """
+        kept = (*_TRIPLES, "wind_rate", "wind_height")
         values = {
             item.name: 1e6 if item.name.endswith("_rate") else 0.0
             for item in dataclasses.fields(cls)
-            if not item.name.endswith("_time") and item.name not in _TRIPLES
+            if not item.name.endswith("_time") and item.name not in kept
         }
         return cls(**values)  # type: ignore[arg-type]
 
@@ -255,7 +297,8 @@ class SensorSuite:
         ----------
         name : str
             ``typical``: the defaults, 1.1 m of position error (one standard deviation) and
-            a magnetometer. ``best``: .73 m, and IMU and heading of an MTi-300 class unit.
+            a magnetometer. ``best``: .73 m, IMU and heading of an MTi-300 class unit, and an
+            ultrasonic anemometer.
             ``consumer``: 2.7 m and sensors of a phone.
             ``perfect``: see :meth:`perfect`.
 
@@ -296,6 +339,15 @@ class SensorSuite:
         """Return the latency of the GPS in control steps."""
         return round(self.gps_latency / dt)
 
+    @property
+    def has_anemometer(self) -> bool:
+        """Whether the apparent wind is measured."""
+        return self.wind_rate > 0.0
+
+    def wind_rows(self, dt: float) -> int:
+        """Return the rows of the delay line of an anemometer; 0 where there is none."""
+        return round(self.wind_latency / dt) + 1 if self.has_anemometer else 0
+
 
 GRADES = {
     # GPS of ship_and_sea.md; IMU and heading of an MTi-300 class data sheet. .01 deg/s/sqrt(Hz) and
@@ -314,6 +366,12 @@ GRADES = {
         height_white=0.3,
         height_bias=1.0,
         climb_white=0.05,
+        # data sheet of a two-axis ultrasonic anemometer: 2 % at 12 m/s, 2 deg, 4 Hz
+        wind_white=0.1,
+        wind_bias=0.2,
+        wind_from_white=math.radians(1.0),
+        wind_from_bias=math.radians(2.0),
+        wind_rate=4.0,
     ),
     # a phone under open sky is within 4.9 m (van Diggelen and Enge 2015); the rest by judgement,
     # two to three times the typical
@@ -358,6 +416,7 @@ def start_sensors(suite: Record, numbers: np.ndarray, sensors: Record) -> None:
     sensors.gyro_bias = suite.gyro_bias * noise.gyro_bias
     sensors.accel_bias[0] = suite.accel_bias * noise.accel_bias[0]
     sensors.accel_bias[1] = suite.accel_bias * noise.accel_bias[1]
+    sensors.wind[:] = math.nan
     sensors.last[:] = math.nan
 
 
@@ -373,19 +432,6 @@ def start_motion_sensors(suite: Record, numbers: np.ndarray, sensors: Record) ->
         sensors.ahrs_bias[i] = suite.ahrs_bias * noise.ahrs_bias[i]
     sensors.accel_z_bias = suite.accel_bias * noise.accel_bias
     sensors.height_bias = suite.height_bias * noise.height_bias
-
-
-@kernel
-def _drift(value: float, sd: float, decay: float, normal: float) -> float:
-    """Return a first-order Gauss-Markov bias one step later."""
-    return decay * value + sd * math.sqrt(1.0 - decay * decay) * normal
-
-
-@kernel
-def _due(count: int, share: float) -> bool:
-    """Return whether a sample falls on this control step, ``share`` of them having one."""
-    # 1e-9: tolerance for rounding where count * share is a whole number
-    return share >= 1.0 or math.floor(count * share + 1e-9) > math.floor((count - 1) * share + 1e-9)
 
 
 @inlined
@@ -435,12 +481,12 @@ def measure(
     if count > 0:
         gps, accel = sensors.gps_bias, sensors.accel_bias
         for i in range(2):
-            gps[i] = _drift(gps[i], suite.gps_bias, suite.gps_decay, noise.gps_bias[i])
-            accel[i] = _drift(accel[i], suite.accel_bias, suite.accel_decay, noise.accel_bias[i])
-        sensors.compass_bias = _drift(
+            gps[i] = drift(gps[i], suite.gps_bias, suite.gps_decay, noise.gps_bias[i])
+            accel[i] = drift(accel[i], suite.accel_bias, suite.accel_decay, noise.accel_bias[i])
+        sensors.compass_bias = drift(
             sensors.compass_bias, suite.compass_bias, suite.compass_decay, noise.compass_bias
         )
-        sensors.gyro_bias = _drift(
+        sensors.gyro_bias = drift(
             sensors.gyro_bias, suite.gyro_bias, suite.gyro_decay, noise.gyro_bias
         )
     phi, theta, psi = state[fr.PHI], state[fr.THETA], state[fr.PSI]
@@ -463,16 +509,16 @@ def measure(
     for i in range(z.shape[0]):
         z[i] = math.nan
     # a receiver with latency gives nothing until its first fix is old enough
-    has_fix = count >= delay and _due(count - delay, suite.gps_share)
+    has_fix = count >= delay and is_due(count - delay, suite.gps_share)
     old = delay_line[(count - delay) % delay_line.shape[0]]
     if has_fix:
         z[GPS_X] = old[GPS_X] + sensors.gps_bias[0] + suite.gps_white * noise.gps[0]
         z[GPS_Y] = old[GPS_Y] + sensors.gps_bias[1] + suite.gps_white * noise.gps[1]
         z[GPS_VX] = old[GPS_VX] + suite.doppler_white * noise.gps[2]
         z[GPS_VY] = old[GPS_VY] + suite.doppler_white * noise.gps[3]
-    if _due(count, suite.compass_share):
+    if is_due(count, suite.compass_share):
         z[COMPASS] = psi + sensors.compass_bias + suite.compass_white * noise.compass
-    has_imu, mounting = _due(count, suite.imu_share), suite.imu_mounting
+    has_imu, mounting = is_due(count, suite.imu_share), suite.imu_mounting
     rate = p, q, r
     force = 0.0, 0.0, 0.0
     if has_imu:
@@ -505,6 +551,9 @@ def measure(
         z[ACCEL_Y] += suite.accel_white * noise.accel[1]
     if motion_numbers.shape[0] > 0:
         _measure_motion(boat, suite, motion_numbers, (rate, force), (has_imu, has_fix), old)
+    if suite.wind_share > 0.0:
+        for i in range(2):
+            z[WIND_AT + i] = sensors.wind[i]
     if faults.shape[0] > 0:
         strike(boat.t, numbers[NOISE_SIZE:], faults, sensors.last, boat.measurement)
 
@@ -523,12 +572,12 @@ def _measure_motion(boat, suite, numbers, imu, due, fix):
     gyro, ahrs = sensors.gyro_xy_bias, sensors.ahrs_bias
     if count > 0:
         for i in range(2):
-            gyro[i] = _drift(gyro[i], suite.gyro_bias, suite.gyro_decay, noise.gyro_bias[i])
-            ahrs[i] = _drift(ahrs[i], suite.ahrs_bias, suite.ahrs_decay, noise.ahrs_bias[i])
-        sensors.accel_z_bias = _drift(
+            gyro[i] = drift(gyro[i], suite.gyro_bias, suite.gyro_decay, noise.gyro_bias[i])
+            ahrs[i] = drift(ahrs[i], suite.ahrs_bias, suite.ahrs_decay, noise.ahrs_bias[i])
+        sensors.accel_z_bias = drift(
             sensors.accel_z_bias, suite.accel_bias, suite.accel_decay, noise.accel_bias
         )
-        sensors.height_bias = _drift(
+        sensors.height_bias = drift(
             sensors.height_bias, suite.height_bias, suite.height_decay, noise.height_bias
         )
     if has_imu:
@@ -536,7 +585,7 @@ def _measure_motion(boat, suite, numbers, imu, due, fix):
             z[i] = _mounted(mounting, p, q, r, i) + gyro[i] + suite.gyro_white * noise.gyro[i]
         z[2] = _mounted(mounting, f_x, f_y, f_z, 2) + sensors.accel_z_bias
         z[2] += suite.accel_white * noise.accel
-    if suite.ahrs_share > 0.0 and _due(count, suite.ahrs_share):
+    if suite.ahrs_share > 0.0 and is_due(count, suite.ahrs_share):
         z[3] = boat.state[fr.PHI] + ahrs[0] + suite.ahrs_white * noise.ahrs[0]
         z[4] = boat.state[fr.THETA] + ahrs[1] + suite.ahrs_white * noise.ahrs[1]
     if has_fix:

@@ -14,7 +14,7 @@ from usv_gym.physics import weather as wx
 from usv_gym.physics.waves import LOAD_HEADINGS, LOAD_ROWS, WAVE_ROWS, factor_workspace
 from usv_gym.vessel.runaway import check_motion
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world import sensors
+from usv_gym.world import anemometer, sensors
 from usv_gym.world.faults import FAULT, FAULT_NUMBERS, Disturbance, fault_records, fault_sources
 from usv_gym.world.realisation import Sea, load_rows
 from usv_gym.world.sea import SeaState, choice
@@ -22,7 +22,7 @@ from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.state import BOAT, SIMULATION, sea_arrays, sensor_arrays
 from usv_kernel.arrays import shaped
 from usv_kernel.errors import UsvTwinError, check_number, check_whole
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import Record, as_record, field_at, record_size, structured
 from usv_kernel.simd import padded
 
@@ -56,7 +56,7 @@ STATE_MAX = 1e9
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS = 512, 128
+BLOCK_STEPS = 512, 120
 """Control steps of random numbers drawn at a time: for one boat, and for each of many."""
 
 
@@ -91,7 +91,7 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     boat = as_record(row, BOAT)
     waves, gusts, loads = sea_arrays(row, config)
     sea = ship.Sea(waves, gusts, boat.weather, factors, loads)
-    numbers, faults, delay_line = sensor_arrays(row, config)
+    numbers, faults, delay_line, wind_line = sensor_arrays(row, config)
     vessel = ship.Ship(config.vessel, config.dof)
     h = config.dt / config.substeps
     step = int(boat.step) + 1
@@ -106,11 +106,21 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
     more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
+    _feel_wind(boat, config, now, gusts, wind_line)
     sensors.measure(boat, config.dt, config.suite, now, more, faults, delay_line)
     sound = True
     for i in range(fr.STATE_SIZE):
         sound = sound and abs(boat.state[i]) < STATE_MAX
     return sound
+
+
+@inlined
+def _feel_wind(boat, config, numbers, gusts, line):
+    """Let the anemometer measure, if there is one."""
+    if config.wind_numbers > 0:
+        air = wx.air_velocity(boat.t, gusts, boat.weather)
+        own = shaped(numbers, config.wind_numbers_at, (config.wind_numbers,))
+        anemometer.measure_wind(boat, air, config.suite, own, line)
 
 
 @kernel
@@ -138,13 +148,18 @@ def _advance_all(rows: np.ndarray, shared: np.ndarray, factors: np.ndarray) -> i
 def _start(row: np.ndarray, config: Record) -> None:
     """Draw the slow wind of a boat, and let its sensors begin."""
     boat = as_record(row, BOAT)
-    numbers, faults, delay_line = sensor_arrays(row, config)
+    numbers, faults, delay_line, wind_line = sensor_arrays(row, config)
     now = numbers[0]
     wx.advance_slow_wind(boat.weather, math.inf, now[now.size - 2], now[now.size - 1])
     more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
     sensors.start_sensors(config.suite, now, boat.sensors)
     if config.dof == 6:
         sensors.start_motion_sensors(config.suite, more, boat.sensors)
+    if config.wind_numbers > 0:
+        own = shaped(now, config.wind_numbers_at, (config.wind_numbers,))
+        anemometer.start_wind(config.suite, own, boat.sensors)
+    gusts = shaped(row, config.gusts_at, (3, config.gust_components))
+    _feel_wind(boat, config, now, gusts, wind_line)
     sensors.measure(boat, 0.0, config.suite, now, more, faults, delay_line)
 
 
@@ -196,9 +211,10 @@ class Simulation:
     ----------
     state : ndarray, shape (n, 16)
         True state; layout in :mod:`usv_gym.physics.frames`.
-    z : ndarray, shape (n, 15)
-        What the sensors said last; order of :data:`usv_kernel.channels.SENSOR_CHANNELS` and
-        ``MOTION_CHANNELS``. The latter are NaN with three degrees of freedom.
+    z : ndarray, shape (n, 17)
+        What the sensors said last; order of :data:`usv_kernel.channels.SENSOR_CHANNELS`,
+        ``MOTION_CHANNELS`` and ``WIND_CHANNELS``. Those of the motion are NaN with three degrees of
+        freedom, those of the wind without an anemometer.
     cmd : ndarray, shape (n, 4)
         Command of the last step.
     t : ndarray, shape (n,)
@@ -250,6 +266,7 @@ class Simulation:
         max_faults = max_faults if callable(faults) else len(fixed)
         motion_at = sensors.NOISE_SIZE + FAULT_NUMBERS * max_faults
         motion_numbers = sensors.MOTION_NOISE_SIZE if dof == 6 else 0
+        wind_numbers = anemometer.WIND_NOISE_SIZE if suite.has_anemometer else 0
         self._given_faults = faults if callable(faults) else fixed
         quiet = np.random.default_rng(0)
         seas = (*self.seas, SeaState(hs=1.0, wind=1.0)) if changing else self.seas
@@ -261,9 +278,10 @@ class Simulation:
             "waves": (WAVE_ROWS, width),
             "gusts": max(example.gusts.shape for example in examples),
             "loads": (LOAD_HEADINGS if tabled else 0, LOAD_ROWS, width),
-            "numbers": (self._block, motion_at + motion_numbers + wx.NOISE_SIZE),
+            "numbers": (self._block, motion_at + motion_numbers + wind_numbers + wx.NOISE_SIZE),
             "faults": (max_faults, record_size(FAULT)),
             "delay_line": (self.suite.delay_steps(dt) + 1, sensors.DELAYED),
+            "wind_line": (suite.wind_rows(dt), anemometer.WIND_ROWS),
         }
         ends = np.cumsum([record_size(BOAT), *map(math.prod, shapes.values())])
         self.rows = np.zeros((n, ends[-1]))
@@ -276,6 +294,7 @@ class Simulation:
         self.waves, self.gusts = parts["waves"], parts["gusts"]
         self._loads = parts["loads"]
         self._numbers, self._delay_lines = parts["numbers"], parts["delay_line"]
+        self._wind_lines = parts["wind_line"]
         self.faults = parts["faults"].view(FAULT)[..., 0]
         self.boats = structured(self.rows, BOAT)
         self.state, self.cmd = self.boats["state"], self.boats["command"]
@@ -296,6 +315,8 @@ class Simulation:
         config["load_headings"] = shapes["loads"][0]
         config["numbers_rows"], config["numbers_width"] = shapes["numbers"]
         config["motion_numbers_at"], config["motion_numbers"] = motion_at, motion_numbers
+        config["wind_numbers_at"] = motion_at + motion_numbers
+        config["wind_numbers"], config["wind_rows"] = wind_numbers, shapes["wind_line"][0]
         config["fault_count"], config["delay_rows"] = max_faults, shapes["delay_line"][0]
         self.config, self.shared = config, shared.view(float)
         self.factors = factor_workspace(shapes["waves"][1])
@@ -308,8 +329,8 @@ class Simulation:
         """Put some boats back to the start: straight ahead, at the manoeuvring speed.
 
         With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
-        gusts, GPS, compass, IMU and faults each get a child of the boat's generator. So switching
-        one off leaves the others as they were.
+        gusts, GPS, compass, IMU, anemometer and faults each get a child of the boat's generator. So
+        switching one off leaves the others as they were.
         """
         n_start = self.vessel.values["shaft_speed_manoeuvring"]
         boats, rngs = list(boats), list(rngs)
@@ -325,8 +346,10 @@ class Simulation:
                 )
         for i, rng in zip(boats, rngs, strict=True):
             self._not_reset.discard(i)
-            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = rng.spawn(8)
-            rng_faults, rng_sea, rng_motion = others
+            # a last child for the anemometer: without one, nothing else is drawn
+            children = rng.spawn(8 + self.suite.has_anemometer)
+            rng_waves, rng_gusts, rng_gps, rng_compass, rng_imu, *others = children
+            rng_faults, rng_sea, rng_motion, *rngs_wind = others
             self._fill(i, choice(self.seas, rng_sea).realise(self.vessel, rng_waves, rng_gusts))
             # a child: with or without gusts, the slow wind is the same
             (rng_weather,) = rng_gusts.spawn(1)
@@ -337,7 +360,7 @@ class Simulation:
             self.faults[i, : len(faults)] = fault_records(faults, self.dt)
             sources = fault_sources(faults, rng_faults)
             own = (rng_gps, rng_compass, rng_imu, rng_motion, rng_weather)
-            self._noise_rngs[i] = (*own, *sources)
+            self._noise_rngs[i] = (*own, *rngs_wind, *sources)
             boat = self.boats[i]
             boat["t"] = boat["step"] = boat["noise_until"] = 0.0
             self._refill(int(i))
@@ -349,7 +372,7 @@ class Simulation:
             if self.dof == 6:
                 _float(self.rows[i], self.config, self.factors)
             boat["mean_rate"] = boat["work"] = 0.0
-            self._delay_lines[i] = 0.0
+            self._delay_lines[i] = self._wind_lines[i] = 0.0
             _start(self.rows[i], self.config)
 
     def change_sea(
@@ -430,6 +453,9 @@ class Simulation:
         """Draw the next block of random numbers of one boat, each source from its generator."""
         rng_gps, rng_compass, rng_imu, *others = self._noise_rngs[i]
         rng_motion, rng_weather, *rngs_faults = others
+        wind = self.config["wind_numbers_at"], self.config["wind_numbers"]
+        if wind[1]:
+            rng_wind, *rngs_faults = rngs_faults
         numbers, rows = self._numbers[i], self._block
         gps = field_at(sensors.NOISE, "compass")
         imu = field_at(sensors.NOISE, "gyro")
@@ -443,5 +469,7 @@ class Simulation:
         motion = self.config["motion_numbers_at"], self.config["motion_numbers"]
         if motion[1]:
             numbers[:, motion[0] : sum(motion)] = rng_motion.standard_normal((rows, motion[1]))
+        if wind[1]:
+            numbers[:, wind[0] : sum(wind)] = rng_wind.standard_normal((rows, wind[1]))
         numbers[:, -wx.NOISE_SIZE :] = rng_weather.standard_normal((rows, wx.NOISE_SIZE))
         self.boats["noise_until"][i] += rows

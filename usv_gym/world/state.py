@@ -1,7 +1,7 @@
 """What lasts of one simulated boat, and what all boats of a simulation share.
 
 A boat is one flat row of float64: a record of :data:`BOAT`, then waves, gusts, loads, random
-numbers, faults and the delay line of the GPS. Their sizes depend on sea, faults and delay. One
+numbers, faults and the delay lines of the sensors. Their sizes depend on sea, faults and delay. One
 array a call keeps the kernels quick; :func:`sea_arrays` and :func:`sensor_arrays` give its parts
 names.
 """
@@ -15,6 +15,7 @@ from usv_gym.physics.parameters import PARAMETERS
 from usv_gym.physics.ship import WORK_ROWS
 from usv_gym.physics.waves import LOAD_ROWS, WAVE_ROWS
 from usv_gym.physics.weather import WEATHER
+from usv_gym.world.anemometer import WIND_ROWS
 from usv_gym.world.faults import CHANNELS, FAULT
 from usv_gym.world.sensors import DELAYED, SENSORS, SUITE
 from usv_kernel.arrays import shaped
@@ -27,7 +28,7 @@ BOAT = np.dtype(
     [
         ("state", float, fr.STATE_SIZE),  # true state; order and units in physics.frames
         ("command", float, fr.COMMAND_SIZE),  # n_left, n_right (rev/s), delta_left, right (rad)
-        # of the last step, SENSOR_CHANNELS and MOTION_CHANNELS; NaN: no new sample
+        # of the last step, SENSOR_CHANNELS, MOTION_CHANNELS, WIND_CHANNELS; NaN: no new sample
         ("measurement", float, CHANNELS),
         ("sensors", SENSORS),  # biases and last samples
         ("weather", WEATHER),  # wind, current, schedule
@@ -57,10 +58,14 @@ SIMULATION = np.dtype(
         ("numbers_width", int),
         ("motion_numbers_at", int),  # in a row of them, those of MOTION_NOISE, if any
         ("motion_numbers", int),
+        ("wind_numbers_at", int),  # those of WIND_NOISE, if any
+        ("wind_numbers", int),
         ("faults_at", int),
         ("fault_count", int),
         ("delay_line_at", int),
         ("delay_rows", int),
+        ("wind_line_at", int),  # the delay line of the anemometer
+        ("wind_rows", int),
         ("vessel", PARAMETERS),
         ("suite", SUITE),
     ]
@@ -78,8 +83,12 @@ def sea_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray,
 
 
 @inlined
-def sensor_arrays(row: np.ndarray, config: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return random numbers (B, W), faults (F,) and the delay line (D, 6) of a boat."""
+def sensor_arrays(
+    row: np.ndarray, config: Record
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return random numbers (B, W), faults (F,), delay lines of GPS (D, 6) and wind (K, 2)."""
     numbers = shaped(row, config.numbers_at, (config.numbers_rows, config.numbers_width))
     faults = as_records(row, config.faults_at, config.fault_count, FAULT)
-    return numbers, faults, shaped(row, config.delay_line_at, (config.delay_rows, DELAYED))
+    delay_line = shaped(row, config.delay_line_at, (config.delay_rows, DELAYED))
+    wind_line = shaped(row, config.wind_line_at, (config.wind_rows, WIND_ROWS))
+    return numbers, faults, delay_line, wind_line

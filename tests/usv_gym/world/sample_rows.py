@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from usv_gym import SensorSuite, Vessel
-from usv_gym.world import sensors
+from usv_gym.world import anemometer, sensors
 from usv_gym.world.channels import BITS
 from usv_gym.world.faults import (
     CHANNELS,
@@ -37,14 +37,19 @@ def rows(
 ) -> np.ndarray:
     """Return what the sensors of a boat that stays as it is say, first row at t = 0.
 
-    With ``dof`` 6 there are those of roll, pitch and heave behind the others.
+    With ``dof`` 6 there are those of roll, pitch and heave behind the others, and those of an
+    anemometer, if the suite has one: 5 m/s of wind blow to the north, 4 to the east.
     """
     rng = np.random.default_rng(seed)
     normals = rng.standard_normal((count, sensors.NOISE_SIZE))
     draws = [s.random((count, FAULT_NUMBERS)) for s in fault_sources(faults, rng)]
     numbers, records = np.hstack([normals, *draws]), fault_records(faults, dt)
     motion = rng.standard_normal((count, sensors.MOTION_NOISE_SIZE if dof == 6 else 0))
-    channels = CHANNELS if dof == 6 else len(SENSOR_CHANNELS)
+    channels = sensors.WIND_AT if dof == 6 else len(SENSOR_CHANNELS)
+    if suite.has_anemometer:
+        channels = CHANNELS
+    wind = np.random.default_rng([seed, 1]).standard_normal((count, anemometer.WIND_NOISE_SIZE))
+    line = np.zeros((suite.wind_rows(dt), anemometer.WIND_ROWS))
     packed, delay_line = suite.pack(dt), np.zeros((suite.delay_steps(dt) + 1, sensors.DELAYED))
     boat, z = np.zeros(1, BOAT_RECORD)[0], np.zeros((count, channels))
     if state is not None:
@@ -52,8 +57,12 @@ def rows(
     sensors.start_sensors(packed, numbers[0], boat["sensors"])
     if dof == 6:
         sensors.start_motion_sensors(packed, motion[0], boat["sensors"])
+    if suite.has_anemometer:
+        anemometer.start_wind(packed, wind[0], boat["sensors"])
     for k in range(count):
         boat["t"], boat["step"] = k * dt, k
+        if suite.has_anemometer:
+            anemometer.measure_wind(boat, (5.0, 4.0), packed, wind[k], line)
         sensors.measure(boat, dt if k else 0.0, packed, numbers[k], motion[k], records, delay_line)
         z[k] = boat["measurement"][:channels]
     return z

@@ -33,7 +33,7 @@ from usv_kernel.channels import GYRO
 
 def struck(fault: Disturbance, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return measurements without and with a fault, all sensors at each step."""
-    suite = dataclasses.replace(SensorSuite(), gps_latency=0.0)
+    suite = dataclasses.replace(SensorSuite(), gps_latency=0.0, wind_latency=0.0, wind_rate=20.0)
     return rows(suite, count, seed, dof=6), rows(suite, count, seed, faults=[fault], dof=6)
 
 

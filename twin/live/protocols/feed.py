@@ -92,6 +92,8 @@ LIMITS = {
     **dict.fromkeys(("gyro_x_radps", "gyro_y_radps"), 50.0),
     **dict.fromkeys(("accel_x_mps2", "accel_y_mps2", "accel_z_mps2"), 1000.0),
     **dict.fromkeys(("ahrs_roll_rad", "ahrs_pitch_rad"), 8.0),
+    **dict.fromkeys(("wind_mps", "apparent_wind_mps"), 200.0),
+    **dict.fromkeys(("wind_from_rad", "apparent_wind_rad"), 8.0),
     "gps_z_m": 1e5,
     "gps_vz_mps": 500.0,
     **dict.fromkeys(COMMANDS[:2], 2000.0),
@@ -300,7 +302,7 @@ class Feed(ABC):
         return tuple(notes)
 
     def take(self) -> list[tuple[float, Array, Array]]:
-        """Return the rows that are complete, oldest first: time, measurements (17,), commands (4,).
+        """Return the rows that are complete, oldest first: time, measurements (19,), commands (4,).
 
         Times in s strictly increase over the life of the feed; measurements are in the order of
         ``twin.logs.log.MEASUREMENTS``, NaN where there is none.

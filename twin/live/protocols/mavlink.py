@@ -2,11 +2,11 @@
 
 Taken are GLOBAL_POSITION_INT (fix and velocity, with height and climb), ATTITUDE (heading, roll,
 pitch and rates), the accelerometers of HIGHRES_IMU, SCALED_IMU or RAW_IMU, and SERVO_OUTPUT_RAW
-(commands, by :class:`Servos`). They are of one component: the first that sends
-GLOBAL_POSITION_INT, or the autopilot (component 1) with ATTITUDE. While GPS_RAW_INT says that there
-is no fix, the position is no measurement but the autopilot's own dead reckoning, and counts as
-void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, mean that it is not
-known.
+(commands, by :class:`Servos`). WIND_COV and ArduPilot's WIND are the true wind. They are of one
+component: the first that sends GLOBAL_POSITION_INT, or the autopilot (component 1) with ATTITUDE.
+While GPS_RAW_INT says that there is no fix, the position is no measurement but the autopilot's own
+dead reckoning, and counts as void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in
+ATTITUDE, mean that it is not known.
 
 The twin answers as the onboard computer (component 191) of that system, with HEARTBEAT once a
 second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (local NED about the first fix,
@@ -253,6 +253,8 @@ class MavlinkFeed(Feed):
             "RAW_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
+            "WIND_COV": self._wind_cov,
+            "WIND": self._wind,
         }.get(kind)
         # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
@@ -310,6 +312,24 @@ class MavlinkFeed(Feed):
         values = self.servos.commands(widths) if item.port == 0 else {}
         return Message("servos", stamp if timed else None, values, void=not values)
 
+    def _wind_cov(self, item: Any) -> Message:
+        """Return the true wind, given as the velocity of the air."""
+        stamp = item.time_usec / 1e6
+        timed = abs(stamp - self._boot) < NEAR
+        speed = math.hypot(item.wind_x, item.wind_y)
+        values = {}
+        if math.isfinite(speed):
+            values = {"wind_mps": speed, "wind_from_rad": math.atan2(-item.wind_y, -item.wind_x)}
+        return Message("wind", stamp if timed else None, values, void=not values)
+
+    def _wind(self, item: Any) -> Message:
+        """Return the true wind of ArduPilot, by the direction that it comes from, degrees."""
+        values = {}
+        if math.isfinite(item.direction) and 0.0 <= item.speed < math.inf:
+            turned = math.remainder(math.radians(item.direction), 2.0 * math.pi)
+            values = {"wind_mps": item.speed, "wind_from_rad": turned}
+        return Message("wind", None, values, void=not values)
+
     def _receiver(self, item: Any) -> Message:
         # 0: no receiver, 1: no fix
         self._lost = item.fix_type < 2
@@ -320,7 +340,7 @@ class MavlinkWriter:
     """Messages of a component, each as a datagram; ``servos`` are for :meth:`row`."""
 
     def __init__(self, system: int = 1, component: int = 1, servos: Servos | None = None) -> None:
-        self._dialect = needed("pymavlink.dialects.v20.common")
+        self._dialect = needed("pymavlink.dialects.v20.ardupilotmega")  # the common set, and WIND
         self._link = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         self.servos = servos
 
@@ -391,6 +411,15 @@ class MavlinkWriter:
         still = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         # bits 0 to 2 of the last field: which parts are new
         return self._pack(made(round(1e6 * stamp), *force, *still, 7))
+
+    def wind(self, stamp: float, known: dict[str, float]) -> list[bytes]:
+        """Return the true wind of measurements by name; no message holds the apparent one."""
+        speed, angle = known["wind_mps"], known["wind_from_rad"]
+        if math.isnan(speed) or math.isnan(angle):
+            return []
+        made = self._dialect.MAVLink_wind_cov_message
+        air = -speed * math.cos(angle), -speed * math.sin(angle), 0.0
+        return [self._pack(made(round(1e6 * stamp), *air, *[math.nan] * 5))]
 
     def odometry(self, stamp: float, state: Array, sd: Array) -> bytes:
         """Return a state and its standard deviations, shapes (6,), (6,)."""
@@ -469,10 +498,11 @@ class MavlinkWriter:
     ) -> list[bytes]:
         """Return the messages of one row of a log, a time (s) after the autopilot started.
 
-        ``z`` (17,) has NaN where there is no measurement; ``place`` is latitude and longitude of
+        ``z`` (19,) has NaN where there is no measurement; ``place`` is latitude and longitude of
         the fix, degrees.
         """
-        known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
+        known = dict.fromkeys(MEASUREMENTS, math.nan)
+        known |= zip(MEASUREMENTS, z.tolist(), strict=False)
         velocity = known["gps_vx_mps"], known["gps_vy_mps"]
         moves = not any(map(math.isnan, velocity))
         heading, rate = known["compass_rad"], known["gyro_radps"]
@@ -487,6 +517,7 @@ class MavlinkWriter:
         force = known["accel_x_mps2"], known["accel_y_mps2"], known["accel_z_mps2"]
         if not math.isnan(force[2]):
             made.append(self.imu(stamp, force))
+        made += self.wind(stamp, known)
         if self.servos is not None:
             message = self._dialect.MAVLink_servo_output_raw_message
             micros = round(1e3 * round(1e3 * stamp)) % int(WRAP)

@@ -1,9 +1,10 @@
 r"""NMEA 0183 over UDP: sentences of a boat as rows, and the twin's estimates as sentences.
 
 Taken are, of any talker, GGA and RMC (fix and velocity), HDT (true heading), ROT (rate of turn),
-RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers of these names. The
-height of a GGA counts as well. GGA and RMC of the same epoch are one fix. ZDA and TAG blocks give
-the time.
+RPM and RSA (commands), and for roll and pitch PASHR, or XDR with transducers of these names. MWV
+with the reference R is the apparent wind, MWD the true one; an MWV with the reference T is not
+followed. The height of a GGA counts as well. GGA and RMC of the same epoch are one fix. ZDA and TAG
+blocks give the time.
 
 =========  ====================================================================================
 RPM        rev/min of shaft or engine; its number is 0: single, even: port, odd: starboard
@@ -11,8 +12,8 @@ RSA        rudder angle, degrees, above 0 to starboard; the first is starboard o
 ``\c:...``  TAG block with UNIX time, s or ms: the time of the sentence, before its own
 =========  ====================================================================================
 
-HDT, ROT, RPM, RSA and XDR hold no time. They have that of the sentence before them in the same
-datagram (ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's
+HDT, ROT, RPM, RSA, XDR, MWV and MWD hold no time. They have that of the sentence before them in the
+same datagram (ZDA, GGA, RMC, a TAG block). Without one, it is that of their arrival by the sender's
 clock. A TAG block in whole seconds is the time of the first sentence of its kind in that second
 alone.
 
@@ -88,6 +89,9 @@ NO_FIX = {0: "none", 6: "estimated"}
 
 NO_MODE = ("N", "E")
 """... and modes of RMC."""
+
+SPEED_UNITS = {"M": 1.0, "N": KNOT, "K": 1.0 / 3.6, "S": 0.44704}
+"""Units of a wind speed: m/s, knots, km/h, and statute miles an hour."""
 
 _LINES = re.compile(r"[\r\n]+|(?<!\\)(?=[$!])")
 
@@ -208,6 +212,8 @@ class NmeaFeed(Feed):
             if read is None:
                 return "unknown"
             message = read(sentence)
+            if isinstance(message, str):
+                return message
             if sentence.sentence_type in ("RMC", "ZDA"):
                 self._tell_date(sentence)
         except self._parser.SentenceTypeError:
@@ -390,6 +396,33 @@ def _xdr(sentence: Any) -> Message:
     return Message("XDR", values=values, void=not values)
 
 
+def _mwv(sentence: Any) -> Message | str:
+    """Return the apparent wind; that of the reference T holds the motion of the boat already."""
+    if sentence.reference != "R":
+        return "unknown"
+    angle, speed = _number(sentence.wind_angle), _number(sentence.wind_speed)
+    if angle is None or speed is None or sentence.status != "A":
+        return Message("MWV", void=True)
+    unit = SPEED_UNITS.get(sentence.wind_speed_units)
+    if unit is None or speed < 0.0 or not 0.0 <= angle <= 360.0:
+        raise FeedError("no wind")
+    turned = math.remainder(math.radians(angle), 2.0 * math.pi)
+    values = {"apparent_wind_mps": unit * speed, "apparent_wind_rad": turned}
+    return Message("MWV", values=values)
+
+
+def _mwd(sentence: Any) -> Message:
+    """Return the true wind, by its direction from true north."""
+    angle, speed = _number(sentence.direction_true), _number(sentence.wind_speed_meters)
+    if speed is None and (knots := _number(sentence.wind_speed_knots)) is not None:
+        speed = KNOT * knots
+    if angle is None or speed is None:
+        return Message("MWD", void=True)
+    if speed < 0.0 or not 0.0 <= angle <= 360.0:
+        raise FeedError("no wind")
+    return Message("MWD", values={"wind_mps": speed, "wind_from_rad": math.radians(angle % 360.0)})
+
+
 def _zda(sentence: Any) -> Message:
     stamp = _time(sentence)
     return Message("ZDA", stamp, void=stamp is None)
@@ -403,5 +436,7 @@ _READERS = {
     "RPM": _rpm,
     "RSA": _rsa,
     "XDR": _xdr,
+    "MWV": _mwv,
+    "MWD": _mwd,
     "ZDA": _zda,
 }

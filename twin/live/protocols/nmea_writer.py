@@ -97,6 +97,20 @@ class NmeaWriter:
         """Return a rate of turn, given in rad/s."""
         return self.line("ROT", f"{60.0 * math.degrees(rate):.4f}", "A")
 
+    def wind(self, known: dict[str, float]) -> list[str]:
+        """Return what measurements by name hold of the apparent and of the true wind."""
+        lines = []
+        speed, angle = known["apparent_wind_mps"], known["apparent_wind_rad"]
+        if not (math.isnan(speed) or math.isnan(angle)):
+            degrees = round(math.degrees(angle) % 360.0, 2) % 360.0
+            lines.append(self.line("MWV", f"{degrees:.2f}", "R", f"{speed:.3f}", "M", "A"))
+        speed, angle = known["wind_mps"], known["wind_from_rad"]
+        if not (math.isnan(speed) or math.isnan(angle)):
+            degrees = round(math.degrees(angle) % 360.0, 2) % 360.0
+            knots, metres = f"{speed / KNOT:.3f}", f"{speed:.3f}"
+            lines.append(self.line("MWD", f"{degrees:.2f}", "T", "", "M", knots, "N", metres, "M"))
+        return lines
+
     def attitude(
         self,
         stamp: float,
@@ -173,14 +187,15 @@ class NmeaWriter:
         ----------
         when : float
             UNIX time, s.
-        z, cmd : ndarray, shapes (17,), (4,)
+        z, cmd : ndarray, shapes (19,), (4,)
             Measurements, NaN where there is none, and commands.
         place : tuple of float or None
             Latitude and longitude of the fix, degrees.
         """
         moment = datetime.fromtimestamp(round(when, 3), timezone.utc)
         stamp = when % DAY
-        known = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
+        known = dict.fromkeys(MEASUREMENTS, math.nan)
+        known |= zip(MEASUREMENTS, z.tolist(), strict=False)
         north, east = known["gps_vx_mps"], known["gps_vy_mps"]
         moves = not (math.isnan(north) or math.isnan(east))
         lines = [self.line("ZDA", _clock(stamp), *f"{moment:%d %m %Y}".split(), "00", "00")]
@@ -195,6 +210,7 @@ class NmeaWriter:
         tilt = known["ahrs_roll_rad"], known["ahrs_pitch_rad"]
         if not any(map(math.isnan, tilt)):
             lines.append(self.attitude(stamp, math.nan, tilt))
+        lines += self.wind(known)
         left, right, *angles = cmd.tolist()
         lines += [
             self.line("RPM", "S", number, f"{60.0 * speed:.4f}", "", "A")

@@ -63,7 +63,7 @@ class Recorder:
             raise
 
     def add(self, t: float, z: Array, cmd: Array, truth: Array, datum: Datum | None) -> None:
-        """Take a row: time (s), measurements (17,), commands (4,) and true state (6,)."""
+        """Take a row: time (s), measurements (19,), commands (4,) and true state (6,)."""
         place = (datum.latitude, datum.longitude, datum.epoch) if datum else (None, None, None)
         values = [t, *cmd.tolist(), *z.tolist(), *(truth.tolist() if self._with_truth else ())]
         cells = ("" if one is None or one != one else repr(one) for one in (*values, *place))

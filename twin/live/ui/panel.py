@@ -157,7 +157,9 @@ class SimulatedControls(Controls):
         setup = session.setup
         with self.gui.add_folder("Weather", expand_by_default=False):
             known = next((name for name, sea in SEA_STATES.items() if sea == setup.sea), "as given")
-            names = tuple(name for name in SEA_STATES if name != "calm")
+            names = tuple(
+                name for name, sea in SEA_STATES.items() if name != "calm" and not sea.schedule
+            )
             self.sea = self.gui.add_dropdown(
                 "sea state",
                 names if known in names else (known, *names),
@@ -225,9 +227,10 @@ class SimulatedControls(Controls):
         sea = SEA_STATES.get(self.sea.value, self.session.setup.sea)
         if self.wind.value == round(sea.wind, 1) and self.sea.value not in SEA_STATES:
             return sea
-        return sea.replace(
-            wind=float(self.wind.value), wind_from=math.radians(self.wind_from.value)
-        )
+        # a sea that changes by itself ends with the first change by hand
+        given = {"schedule": (), "hs": sea.hs} if sea.schedule else {}
+        wind_from = math.radians(self.wind_from.value)
+        return sea.replace(wind=float(self.wind.value), wind_from=wind_from, **given)
 
     # In the session's thread, so that what fails is answered on the page.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from twin.channels import MEASUREMENTS, MOTION_AT
+from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END
 from twin.logs.columns import Array
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, sampled
@@ -111,7 +111,7 @@ def upright(recording: Recording) -> Recording:
 def _dead_axes(recording: Recording) -> list[Finding]:
     """Return findings about axes that never change."""
     found = []
-    for j in range(MOTION_AT, len(MEASUREMENTS)):
+    for j in range(MOTION_AT, MOTION_END):
         values = recording.z[:, j]
         values = values[np.isfinite(values)]
         if len(values) >= ENOUGH and (values == values[0]).all():

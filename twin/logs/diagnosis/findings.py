@@ -67,7 +67,7 @@ class Recording:
     ----------
     t : ndarray, shape (N,)
         Time, s, strictly increasing.
-    z : ndarray, shape (N, 17)
+    z : ndarray, shape (N, 19)
         Measurements in the order of ``MEASUREMENTS``; NaN where there is none.
     cmd : ndarray, shape (N, 4)
         Commands in the order of ``COMMANDS``; NaN where there is none.

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from tests.twin.live.wire import Wire, estimate_of, with_motion
-from twin.channels import AHRS_PITCH, AHRS_ROLL, GPS_Z
+from twin.channels import (
+    AHRS_PITCH,
+    AHRS_ROLL,
+    APPARENT_FROM,
+    APPARENT_SPEED,
+    GPS_Z,
+    MEASUREMENTS,
+    WIND_FROM,
+    WIND_SPEED,
+)
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.nmea import NmeaFeed
 from twin.live.protocols.nmea_writer import NmeaWriter
@@ -261,3 +270,59 @@ def test_roll_and_pitch_go_back_with_their_forecast(wire: Wire) -> None:
     assert quiet == ["0.90", "0.80", "0.60"]
     wire.tell(data)
     assert wire.balance()["own"] == len(lines)
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        ("WIMWV,30.0,R,10.0,M,A", (10.0, math.radians(30.0))),
+        ("WIMWV,270.0,R,10.0,N,A", (18520.0 / 3600.0, -math.radians(90.0))),
+        ("IIMWV,180.0,R,36.0,K,A", (10.0, math.pi)),
+    ],
+)
+def test_the_apparent_wind_is_read(wire: Wire, body: str, expected: tuple[float, float]) -> None:
+    wire.tell(line(GGA), line(body))
+    z = row(wire)
+    assert abs(z[APPARENT_FROM]) == pytest.approx(abs(expected[1]))
+    assert (z[APPARENT_SPEED], math.sin(z[APPARENT_FROM])) == pytest.approx(
+        (expected[0], math.sin(expected[1])), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    "body", ["WIMWD,225.0,T,,M,19.4384,N,10.0,M", "WIMWD,225.0,T,220.0,M,19.43844,N,,"]
+)
+def test_the_true_wind_is_read(wire: Wire, body: str) -> None:
+    wire.tell(line(GGA), line(body))
+    z = row(wire)
+    assert z[[WIND_SPEED, WIND_FROM]] == pytest.approx([10.0, math.radians(225.0)], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("body", "way"),
+    [
+        ("WIMWV,30.0,T,10.0,M,A", "unknown"),
+        ("WIMWV,30.0,R,10.0,M,V", "void"),
+        ("WIMWV,,R,,M,A", "void"),
+        ("WIMWV,30.0,R,-1.0,M,A", "broken"),
+        ("WIMWV,30.0,R,10.0,X,A", "broken"),
+        ("WIMWV,999.0,R,10.0,M,A", "broken"),
+        ("WIMWV,30.0,R,1e9,M,A", "broken"),
+        ("WIMWD,,T,,M,,N,,M", "void"),
+        ("WIMWD,-3.0,T,,M,1.0,N,1.0,M", "broken"),
+    ],
+)
+def test_wind_that_is_none_is_counted(wire: Wire, body: str, way: str) -> None:
+    wire.tell(line(body))
+    assert wire.balance()[way] == 1
+
+
+def test_wind_goes_out_as_it_comes_in(wire: Wire) -> None:
+    z = np.full(len(MEASUREMENTS), math.nan)
+    z[[APPARENT_SPEED, APPARENT_FROM, WIND_SPEED, WIND_FROM]] = 7.5, -0.5, 6.25, 4.0
+    lines = NmeaWriter("WI").row(1e9, z, np.zeros(4), (59.5, 10.5))
+    assert sum(text[3:6] in ("MWV", "MWD") for text in lines) == 2
+    wire.tell("".join(lines).encode())
+    back = row(wire)
+    names = [APPARENT_SPEED, APPARENT_FROM, WIND_SPEED, WIND_FROM]
+    assert back[names] == pytest.approx([7.5, -0.5, 6.25, 4.0], abs=1e-3)

@@ -1,0 +1,161 @@
+"""Seas that change as time goes on, as texts and in environments."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym  # noqa: F401 - registers the environment
+from usv_gym import SEA_STATES, SeaKeyframe, SeaState, Vessel
+from usv_gym.physics import weather as wx
+from usv_gym.world.recorded_spectrum import SeaError
+from usv_gym.world.schedule import changing_sea, parse_values
+
+TWO = SeaState.named("2")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0.3", ((0.0, 0.3),)),
+        (0.3, ((0.0, 0.3),)),
+        ("0.3@0,0.9@60", ((0.0, 0.3), (60.0, 0.9))),
+        (" 1e-1@5 , 2@7.5", ((5.0, 0.1), (7.5, 2.0))),
+    ],
+)
+def test_texts_are_values_with_times(text: str | float, expected: tuple) -> None:
+    assert parse_values(text, "hs") == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "write one number"),
+        ("high", "write one number"),
+        ("0.3,0.9", "write one number"),
+        ("0.3@0,0.9", "write one number"),
+        ("0.3@", "write one number"),
+        ("@3", "write one number"),
+        ("0.3@1@2", "write one number"),
+        ("0.3@60,0.9@0", "times must rise, but 0 s follows 60 s"),
+        ("0.3@5,0.9@5", "times must rise"),
+        ("nan", "is not finite"),
+        ("0.3@inf", "is not finite"),
+    ],
+)
+def test_texts_that_make_no_sense_are_one_clear_error(text: str, why: str) -> None:
+    with pytest.raises(SeaError, match=f"^hs = .*{why}"):
+        parse_values(text, "hs")
+
+
+def test_single_numbers_give_the_sea_that_they_gave_before() -> None:
+    made = changing_sea(TWO, "0.7", "6", "90")
+    assert made == TWO.replace(hs=0.7, wind=6.0, wind_from=math.radians(90.0))
+    assert changing_sea(TWO) is TWO
+
+
+def test_what_is_not_given_stays() -> None:
+    made = changing_sea(TWO, hs="0.3@0,0.9@60")
+    assert made.schedule == (
+        SeaKeyframe(0.0, 0.3, 4.5, TWO.wind_from),
+        SeaKeyframe(60.0, pytest.approx(0.9), 4.5, TWO.wind_from),
+    )
+
+
+def test_times_of_both_are_joined_and_the_wind_turns_the_short_way() -> None:
+    made = changing_sea(TWO, "0.4@0,0.8@40", "4@20,10@30", "350@0,10@40")
+    found = [(k.time, k.hs, k.wind, math.degrees(k.wind_from) % 360.0) for k in made.schedule]
+    assert found == [
+        pytest.approx((0.0, 0.4, 4.0, 350.0)),
+        pytest.approx((20.0, 0.6, 4.0, 0.0)),
+        pytest.approx((30.0, 0.7, 10.0, 5.0)),
+        pytest.approx((40.0, 0.8, 10.0, 10.0)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"hs": "-1@0,2@9"}, r"schedule\[0\].hs = -1.0: must lie between"),
+        ({"wind": "4@0,99@9"}, r"schedule\[1\].wind = 99.0: must lie between"),
+        ({"hs": ",".join(f"0.{k}@{k}" for k in range(1, 10))}, "8 or fewer"),
+    ],
+)
+def test_values_that_no_sea_has_are_refused(given: dict[str, str], why: str) -> None:
+    with pytest.raises(SeaError, match=why):
+        changing_sea(TWO, **given)
+
+
+def wind_at(state: SeaState, t: float) -> tuple[float, float]:
+    """Return speed (m/s) and direction (degrees) of the mean wind."""
+    quiet = np.random.default_rng(0)
+    sea = state.replace(gusts="none").realise(Vessel.load("usv75"), quiet, quiet)
+    north, east = wx.air_velocity(t, sea.gusts, sea.weather)
+    return math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
+
+
+def test_a_squall_is_ten_metres_a_second_for_twenty_seconds() -> None:
+    squall = SEA_STATES["squall"]
+    for t, expected in ((60.0, (4.5, 135.0)), (95.0, (14.5, 175.0)), (115.0, (4.5, 135.0))):
+        assert wind_at(squall, t) == pytest.approx(expected)
+    # of another direction all of it is turned
+    assert wind_at(squall.turned(math.radians(300.0)), 95.0) == pytest.approx((14.5, 340.0))
+
+
+def test_a_building_sea_goes_from_sea_2_to_sea_3_in_a_minute() -> None:
+    first, last = SEA_STATES["building"].schedule
+    assert last.time - first.time == 60.0
+    for keyframe, name in ((first, "2"), (last, "3")):
+        assert (keyframe.hs, keyframe.wind) == (SEA_STATES[name].hs, SEA_STATES[name].wind)
+
+
+SCHEDULE = [(0.0, 0.2, 3.0), (4.0, 1.0, 12.0, 1.0)]
+
+
+def test_environments_take_a_schedule_and_agree() -> None:
+    options = {"twin": "ukf", "suite": "best", "schedule": SCHEDULE, "faults": "wind-frozen2@2"}
+    env = gym.make("USVTwin-v0", **options)
+    many = gym.make_vec("USVTwin-v0", num_envs=2, **options)
+    other = gym.make("USVTwin-v0", **{**options, "schedule": [(0.0, 0.2, 3.0)]})
+    single, _ = env.reset(seed=4)
+    both, _ = many.reset(seed=3)
+    calm, _ = other.reset(seed=4)
+    for _ in range(160):
+        action = env.action_space.high * 0.5
+        np.testing.assert_array_equal(both[1], single)
+        single, both = env.step(action)[0], many.step(np.stack([action, action]))[0]
+        calm = other.step(action)[0]
+    names = list(env.unwrapped.observation_names)
+    at = [names.index("wind_ahead"), names.index("wind_starboard")]
+    # 12 m/s after the change against 3
+    assert np.hypot(*single[at]) > np.hypot(*calm[at]) + 0.4
+    assert env.unwrapped.seas[0].schedule[1] == SeaKeyframe(*SCHEDULE[1])
+
+
+@pytest.mark.parametrize(
+    ("schedule", "why"),
+    [
+        ([(5.0, 0.2, 3.0), (4.0, 1.0, 12.0)], "must come after 5.0"),
+        ([(0.0, -0.2, 3.0)], r"schedule\[0\].hs = -0.2: must lie between"),
+        ([(0.0, math.nan, 3.0)], "must be a finite number"),
+        ("0.3@0", "must be a sequence of"),
+        (5, "must be a sequence of"),
+        ([(0.0, "high", 3.0)], "must be a finite number"),
+    ],
+)
+def test_an_environment_refuses_a_bad_schedule(schedule: object, why: str) -> None:
+    with pytest.raises(SeaError, match=why):
+        gym.make("USVTwin-v0", twin=None, schedule=schedule)
+
+
+def test_height_and_schedule_at_once_are_refused() -> None:
+    with pytest.raises(SeaError, match="must be left out where a schedule gives it"):
+        gym.make("USVTwin-v0", twin=None, schedule=SCHEDULE, hs=0.5)
+
+
+def test_an_empty_schedule_leaves_the_sea_as_it_is() -> None:
+    env = gym.make("USVTwin-v0", twin=None, schedule=())
+    assert env.unwrapped.seas == (TWO,)

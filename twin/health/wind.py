@@ -1,0 +1,111 @@
+"""Kernel that makes the true wind of the apparent wind, and doubts an anemometer that is stuck."""
+
+from __future__ import annotations
+
+import math
+
+from twin.channels import APPARENT_FROM, APPARENT_SPEED, PSI, WIND_FROM, WIND_SPEED, U, V
+from twin.filters.navigation_state import WIND_LIMIT
+from twin.health.state import ABSENT, EXCLUDED, FROZEN, NO_REASON, OK
+from usv_kernel.jit import inlined
+
+__all__ = ["check_wind"]
+
+SMOOTHING = 2.0
+"""Time constant of the wind that the model takes, s: noise and the swaying mast average out."""
+
+GUST_TIME, MEAN_TIME = 10.0, 60.0
+"""While samples are missing, the wind goes back to its mean of so long (s) within so long (s)."""
+
+SPIKE, SPIKE_TIME = 10.0, 2.0
+"""Samples so far (m/s) from the last ones are left out, unless it lasts for longer (s)."""
+
+STUCK_TIME, RETURN_TIME = 10.0, 2.0
+"""An anemometer is stuck that says the same for so long (s); it is used again once it has changed
+for so long (s)."""
+
+SILENT_TIME = 3.0
+"""After so long without a sample it is absent, s."""
+
+TURNS = 1e3
+"""A direction is below, rad."""
+
+
+@inlined
+def _set(health, status, reason):
+    wind = health.wind
+    if wind.status != status:
+        wind.status, wind.reason, wind.since = status, reason, health.clock
+
+
+@inlined
+def _is_usable(dt, speed, angle, health):
+    """Take a sample of the apparent wind as it is; return whether it says something new."""
+    wind = health.wind
+    wind.silent += dt
+    if not (0.0 <= speed < WIND_LIMIT and abs(angle) < TURNS):  # NaN: none
+        if wind.silent > SILENT_TIME:
+            _set(health, ABSENT, NO_REASON)
+        return False
+    since, wind.silent = wind.silent, 0.0
+    same_speed, same_angle = speed == wind.last[0], angle == wind.last[1]
+    wind.repeated[0] = wind.repeated[0] + since if same_speed else 0.0
+    wind.repeated[1] = wind.repeated[1] + since if same_angle else 0.0
+    wind.last[0], wind.last[1] = speed, angle
+    stuck = max(wind.repeated[0], wind.repeated[1]) > STUCK_TIME
+    if stuck:
+        _set(health, EXCLUDED, FROZEN)
+        wind.changing = 0.0
+    elif wind.status == EXCLUDED:
+        wind.changing = 0.0 if same_speed or same_angle else wind.changing + since
+        if wind.changing > RETURN_TIME:
+            _set(health, OK, NO_REASON)
+    elif wind.status == ABSENT:
+        _set(health, OK, NO_REASON)
+    return wind.status == OK and not (same_speed and same_angle)
+
+
+@inlined
+def check_wind(dt, out, state, usable, health, given):
+    """Write the true wind to a row that has the apparent wind, or had it before.
+
+    Parameters
+    ----------
+    dt : float
+        Time since the row before, s.
+    out : ndarray, shape (19,)
+        The row: speed and direction of the true wind, 10 m above the sea, are written to it once
+        an anemometer has given samples.
+    state : ndarray, shape (6,)
+        State of the boat, whose velocity and heading the apparent wind holds.
+    usable : bool
+        Whether that means anything.
+    health, given : record
+        ``HEALTH``, whose part ``wind`` is advanced; ``HEALTH_SETTINGS``.
+    """
+    wind = health.wind
+    wind.age += dt
+    speed, angle = out[APPARENT_SPEED], out[APPARENT_FROM]
+    if _is_usable(dt, speed, angle, health) and usable:
+        c, s = math.cos(state[PSI]), math.sin(state[PSI])
+        ahead, aside = state[U] - speed * math.cos(angle), state[V] - speed * math.sin(angle)
+        north = given.wind_gain * (ahead * c - aside * s)
+        east = given.wind_gain * (ahead * s + aside * c)
+        odd = wind.known > 0.0 and (
+            math.hypot(north - wind.velocity[0], east - wind.velocity[1]) > SPIKE
+        )
+        if not odd or wind.age >= SPIKE_TIME:
+            share = 1.0 if odd or wind.known == 0.0 else 1.0 - math.exp(-wind.age / SMOOTHING)
+            wind.known = min(wind.known + min(wind.age, 1.0) + 1e-3, MEAN_TIME)
+            slow = min((min(wind.age, 1.0) + 1e-3) / wind.known, 1.0)
+            wind.velocity[0] += share * (north - wind.velocity[0])
+            wind.velocity[1] += share * (east - wind.velocity[1])
+            wind.mean[0] += slow * (wind.velocity[0] - wind.mean[0])
+            wind.mean[1] += slow * (wind.velocity[1] - wind.mean[1])
+            wind.age = 0.0
+    if wind.known > 0.0:
+        left = math.exp(-wind.age / GUST_TIME)
+        north = wind.mean[0] + left * (wind.velocity[0] - wind.mean[0])
+        east = wind.mean[1] + left * (wind.velocity[1] - wind.mean[1])
+        out[WIND_SPEED] = math.hypot(north, east)
+        out[WIND_FROM] = math.atan2(-east, -north)
