@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.progress import TimeElapsedColumn
-
 from rich.table import Table
 
 from twin.agents import study
