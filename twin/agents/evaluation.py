@@ -5,7 +5,9 @@ from __future__ import annotations
 import copy
 import functools
 import itertools
+import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -15,6 +17,7 @@ from gymnasium.vector import AutoresetMode
 import usv_gym  # noqa: F401 - registers the environment
 from twin.agents.agent import Agent
 from twin.agents.policy import AgentError
+from twin.sim.wrapper import log_of
 from usv_gym.envs.tasks import STATION
 from usv_gym.envs.vector import USVVectorEnv
 from usv_gym.world.channels import GPS_BIT
@@ -26,6 +29,7 @@ __all__ = [
     "OUTAGES",
     "SEAS",
     "evaluate",
+    "log_name",
     "make_envs",
     "on_grid",
 ]
@@ -75,9 +79,12 @@ def make_envs(
 
 def evaluate(
     agent: Agent, *, seeds: Sequence[int] = EVALUATION_SEEDS, sea: str = "2", faults: str = "none",
-    frame_skip: int = FRAME_SKIP, max_episode_steps: int = EPISODE, **env: Any,
+    frame_skip: int = FRAME_SKIP, max_episode_steps: int = EPISODE,
+    log_dir: Path | None = None, label: str = "", **env: Any,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Let an agent sail episodes, and return a row for each.
+
+    A twin sails with every agent, also with those that do not see it, and its forecasts are graded.
 
     Parameters
     ----------
@@ -89,6 +96,10 @@ def evaluate(
         Sea state and loss of sensors; ``"a|b"`` for one of them at random.
     frame_skip, max_episode_steps, **env
         See :func:`make_envs`.
+    log_dir : Path, optional
+        Write the log of each episode there, with the particulars beside it.
+    label : str
+        What the logs' names begin with; the agent's name if left out.
 
     Returns
     -------
@@ -105,6 +116,9 @@ def evaluate(
 
         ``motion`` is the mean square of the roll over 10 degrees plus that of the deck's vertical
         acceleration over 2 m/s2. It is None where the reward has no such term.
+
+        ``twin_forecast`` has the scores of the twin's forecasts by name, see
+        :class:`twin.sim.forecast_scores.ForecastScores`.
     """
     seeds = [int(seed) for seed in seeds]
     if not seeds:
@@ -117,8 +131,11 @@ def evaluate(
         faults=faults,
         frame_skip=frame_skip,
         max_episode_steps=max_episode_steps,
+        forecast_scores=True,
+        record=log_dir is not None,
         **env,
     )
+    graded: list[dict[str, float]] = [{} for _ in seeds]
     try:
         obs, infos = envs.reset(seed=seeds)
         agent.begin(envs)
@@ -137,6 +154,11 @@ def evaluate(
             if weight > 0.0:
                 rolled[alive] = -infos["reward_terms"]["motion"][alive] / weight
             ends = alive & (terminated | truncated)
+            for i in np.flatnonzero(ends):
+                graded[i] = dict(infos["twin_forecast"][i])
+                if log_dir is not None:
+                    name = log_name(label or agent.name, sea, faults, seeds[i])
+                    log_of(envs, log_dir / name, boat=int(i))
             success |= ends & infos["is_success"]
             failed |= ends & terminated & ~infos["is_success"]
             alive &= ~ends
@@ -158,9 +180,15 @@ def evaluate(
             **{"cross_track_m": float(sailed[i]), "off_path_m": float(whole[i])},
             "off_path_outage_m": None if np.isnan(lost[i]) else float(lost[i]),
             "motion": None if np.isnan(motion[i]) else float(motion[i]),
+            "twin_forecast": graded[i],
         }
         for i, seed in enumerate(seeds)
     ]
+
+
+def log_name(label: str, sea: str, faults: str, seed: int) -> str:
+    """Return the file name of an episode's log; characters that file systems refuse are ``_``."""
+    return re.sub(r"[^\w.+@=-]+", "_", f"{label}_sea{sea}_{faults}_{seed}") + ".csv"
 
 
 def on_grid(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, evaluate, on_grid
+from twin.agents.forecast_table import mean_scores
 from twin.agents.hyperparameters import hyperparameters
 from twin.agents.policy import AgentError
 from twin.agents.training import CURVE_SEEDS, EVERY, Plan, train
@@ -239,6 +240,7 @@ def collect(
         ],
         "levels": {_name(piece): done[piece]["level"] for piece in order if piece[2] is None},
         "episodes": scores.episodes(),
+        "forecasts": scores.forecasts(),
     }
 
 
@@ -356,6 +358,21 @@ class _Scores:
                             **{"low": low, "high": high, "verdict": verdict},
                         }
                     )
+        return found
+
+    def forecasts(self) -> list[dict[str, Any]]:
+        """Return the scores of the twin's forecasts on each agent's episodes, over all of them."""
+        found = []
+        for agent in self.agents:
+            for faults in self.settings.outages:
+                own = [
+                    row["twin_forecast"]
+                    for piece, rows in self.rows.items()
+                    for row in rows
+                    if _name(piece) == agent and row["faults"] == faults
+                ]
+                scores = {name: _short(value) for name, value in mean_scores(own).items()}
+                found.append({"agent": agent, "faults": faults, "episodes": len(own), **scores})
         return found
 
     def episodes(self) -> list[dict[str, Any]]:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from twin.agents.forecast_table import FORECAST_HEADS, forecast_rows
 from twin.agents.study import METRICS, Piece, Settings
 from twin.files import results_text
 from usv_kernel.files import replacing, write_whole
 
-__all__ = ["COLOURS", "markdown", "pictures", "verdicts", "write"]
+__all__ = ["COLOURS", "forecast_lines", "markdown", "pictures", "verdicts", "write"]
 
 
 def write(
@@ -87,7 +88,32 @@ def markdown(results: Mapping[str, Any]) -> str:
     for agent, metric in dict.fromkeys(key[:2] for key in gaps):
         found = [gaps.get((agent, metric, name)) for name in outages]
         lines.append(_row([agent, metric, *map(_closed, found)]))
+    lines += forecast_lines(results)
     return "\n".join([*lines, "", *verdicts(results)]) + "\n"
+
+
+def forecast_lines(results: Mapping[str, Any]) -> list[str]:
+    """Return how predictable the boat of each agent is, lines of a table; none if not graded."""
+    if not results.get("forecasts"):
+        return []
+    twin = results["settings"]["options"].get("twin", "ukf")
+    about = results.get("forecasts_of", "all episodes of the tables above")
+    lines = [
+        "", "## How predictable is the boat of each agent?", "",
+        f"Forecasts of the twin `{twin}`, made each second on {about}: mean absolute error 10 s "
+        "ahead and share of truths within the 90 % intervals. `That came`: with the commands that "
+        "the agent then gave. `Held`: with the command of the moment.", "",
+    ]  # fmt: skip
+    lines += (_row(["agent", "made", "commands", *FORECAST_HEADS]),)
+    lines += (_row(["---"] * (3 + len(FORECAST_HEADS))),)
+    for agent in dict.fromkeys(row["agent"] for row in results["forecasts"]):
+        own = [row for row in results["forecasts"] if row["agent"] == agent]
+        numbers = [{k: v for k, v in row.items() if k not in _LABELS} for row in own]
+        lines += [_row([agent, *cells]) for cells in forecast_rows(numbers)]
+    return lines
+
+
+_LABELS = ("agent", "faults", "episodes")
 
 
 def _row(items: Sequence[str]) -> str:

@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.progress import TimeElapsedColumn
+from rich.table import Table
 
 from twin.agents import study
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
+from twin.agents.forecast_table import FORECAST_HEADS, forecast_rows
 from twin.agents.policy import AgentError, Policy
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
@@ -59,10 +61,18 @@ def evaluate_command(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Every episode, in full precision.")
     ] = None,
+    log_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--log-dir", help="Write each episode there as a log, for the other commands."
+        ),
+    ] = None,
     jobs: JobsOption = 1,
     backend: BackendOption = "loky",
 ) -> None:
-    """Let agents sail the same episodes, in each sea state with each loss of GPS.
+    """Let agents sail the same episodes, and grade the twin's forecasts on them.
+
+    In each sea state with each loss of GPS; a twin sails with every agent, seen by it or not.
 
     The distance off the path is the mean over an episode. After a failure (50 m off the path, or
     capsized) the rest of the episode counts as 50 m.
@@ -81,7 +91,14 @@ def evaluate_command(
     for column in table.columns:
         column.no_wrap = column.header == "sea"
     where: dict[str, Any] = {"seeds": parse_seeds(seeds), "seas": seas, "outages": outages}
-    calls = [(model, call) for model, agent in agents for call in on_grid(agent, **where, **same)]
+    if log_dir is not None:
+        log_dir.mkdir(parents=True, exist_ok=True)
+        where["log_dir"] = log_dir
+    calls = [
+        (model, call)
+        for model, agent in agents
+        for call in on_grid(agent, label=model, **where, **same)
+    ]
     made: dict[int, list[dict[str, Any]]] = {}
     with progress_bar(TimeElapsedColumn()) as progress:
         bar = progress.add_task("evaluating", total=len(calls))
@@ -99,6 +116,9 @@ def evaluate_command(
                 agent.name if model == agent.name else model, state, *map(_median, groups)
             )
     console.print(table)
+    console.print(_forecasts(agents, found, same["twin"]))
+    if log_dir is not None:
+        console.print(f"logs of {len(found)} episodes: {log_dir}")
     if json_file is not None:
         write_json(json_file, found)
         console.print(f"every episode: {json_file}")
@@ -154,6 +174,18 @@ def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
         (options[name],) = trained
     del options["sea"], options["faults"]
     return options
+
+
+def _forecasts(agents: list[tuple[str, Agent]], found: list[dict[str, Any]], twin: str) -> Table:
+    """Return the table of the twin's forecasts on the episodes of each agent."""
+    heads = ("agent", "forecasts made", "commands", *FORECAST_HEADS)
+    title = f"forecasts of {twin} on the same episodes, 10 s ahead: mean error, 90 % coverage"
+    table = new_table(title, *heads, left=heads[:3])
+    for model, agent in agents:
+        rows = [row["twin_forecast"] for row in found if row["model"] == model]
+        for cells in forecast_rows(rows):
+            table.add_row(agent.name if model == agent.name else model, *cells)
+    return table
 
 
 def _median(rows: list[dict[str, Any]]) -> str:

@@ -6,10 +6,12 @@ any time. It uses neither the truth, nor later rows, nor another predictor.
 
 from __future__ import annotations
 
+import copy
 import math
+import operator
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -30,12 +32,17 @@ __all__ = [
     "Z90",
     "Estimate",
     "ForecastError",
+    "Forecaster",
     "Prediction",
     "Predictor",
     "check_forecast",
 ]
 
 Array = NDArray[Any]
+
+
+Forecaster = Callable[[Array, float], Array]
+"""Predicts states (K, 6) under a plan (K, 4) with rows so many seconds apart."""
 
 
 class ForecastError(UsvTwinError):
@@ -236,6 +243,8 @@ class Predictor(ABC):
     constants: ClassVar[tuple[str, ...]] = ("particulars", "seed", "made_with")
     """Attributes that :meth:`state_dict` leaves out: they never change, or follow from others.
     A subclass names its own; those of its bases count too."""
+    read_by_mean: ClassVar[tuple[str, ...]] = ()
+    """Paths of the arrays that :meth:`mean` reads of all that changes; empty where not stated."""
     made_with: tuple[tuple[Any, ...], dict[str, Any]]
     """Arguments of the constructor, with which a copy is made."""
 
@@ -246,10 +255,12 @@ class Predictor(ABC):
         return predictor
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Leave the tuning of a subclass unstated."""
+        """Leave the tuning of a subclass unstated, and what its own predictions read."""
         super().__init_subclass__(**options)
         if "tuning" not in vars(cls):
             cls.tuning = "not stated"
+        if "read_by_mean" not in vars(cls) and {"mean", "predict"} & vars(cls).keys():
+            cls.read_by_mean = ()
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         self.particulars = particulars
@@ -373,6 +384,31 @@ class Predictor(ABC):
         """
         return self.predict(plan, dt).mean
 
+    def forecaster(self, doubted: bool = False) -> Forecaster:
+        """Return what predicts from this moment, also after more rows have come.
+
+        It takes plan and dt of :meth:`mean`, and returns what :meth:`mean` returns now.
+
+        Parameters
+        ----------
+        doubted : bool
+            Whether what the drives do is not known: they are then at the plan's first command.
+        """
+        later = self if self.read_by_mean else copy.deepcopy(self)
+        read = [operator.attrgetter(path)(self) for path in self.read_by_mean]
+        then = [array.copy() for array in read]
+
+        def forecast(plan: Array, dt: float) -> Array:
+            now = [array.copy() for array in read]
+            _fill(read, then)
+            try:
+                with later.drives_at(plan[0]) if doubted else nullcontext():
+                    return later.mean(plan, dt)
+            finally:
+                _fill(read, now)
+
+        return forecast
+
     def _left_out(self) -> set[str]:
         """Return the constants of the class and its bases, and the constructor's arguments."""
         names = {name for kind in type(self).__mro__ for name in vars(kind).get("constants", ())}
@@ -432,3 +468,9 @@ class Predictor(ABC):
         Prediction
             At the ends of the rows of the plan; always finite.
         """
+
+
+def _fill(arrays: list[Array], values: list[Array]) -> None:
+    """Write values to arrays."""
+    for array, value in zip(arrays, values, strict=True):
+        array[...] = value

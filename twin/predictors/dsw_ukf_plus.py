@@ -146,6 +146,7 @@ class PlusPredictor(UKFPredictor):
     """
 
     tuning = "about 290 configurations on 4 to 96 tuning seeds, 20 of the navigation"
+    read_by_mean = ("memory.filter", "memory.nav", "rows", "_window")
 
     def __init__(
         self,

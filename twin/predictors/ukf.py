@@ -11,7 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -355,6 +355,7 @@ class ModelPredictor(Predictor):
     """
 
     models = True
+    read_by_mean: ClassVar[tuple[str, ...]] = ("ukf.memory",)
 
     def __init__(
         self, particulars: Particulars, settings: FilterSettings, *, seed: int = 0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import abstractmethod
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from twin.model.structure import N_STATES
 from twin.motion.deck_motion import initial_motion
 from twin.motion.forecast_state import QUIET_SPANS
 from twin.particulars import Particulars
-from twin.predictors.base import Predictor
+from twin.predictors.base import Forecaster, Predictor
 from twin.predictors.dsw_ukf_plus import PlusPredictor
 from twin.predictors.plus_forecast import (
     draws_of,
@@ -40,9 +41,23 @@ from twin.predictors.ukf import (
     plain,
 )
 from twin.sim.bridge import particulars_of
+from twin.sim.forecast_scores import (
+    EVERY,
+    GRADED_AT,
+    LONGEST_STEP,
+    NO_SCORES,
+    SUMS_AT,
+    ForecastScores,
+    follow_forecasts,
+    grade_known,
+    grades_size,
+    is_due,
+    next_plan,
+)
 from twin.sim.oracle import simulator_options
 from twin.sim.twin_observation import (
     ATTITUDE_OBSERVATION,
+    GRADES_AT,
     HEALTH_OBSERVATION,
     NOTE,
     ROWS,
@@ -54,6 +69,7 @@ from twin.sim.twin_observation import (
     UKFForecast,
     describe_flat,
     describe_motion_flat,
+    keep_forecast_flat,
     note_attitude_flat,
     observe_plus,
     observe_ukf,
@@ -63,7 +79,7 @@ from usv_gym.envs.episodes import BOUND, Episodes, Observer
 from usv_gym.envs.scene import TwinOverlay
 from usv_kernel.arrays import flat_size
 from usv_kernel.errors import UsvTwinError
-from usv_kernel.records import field_at, record_size
+from usv_kernel.records import field_at, record_size, structured
 
 __all__ = [
     "HORIZONS",
@@ -86,28 +102,43 @@ _HEALTH = slice(field_at(NOTE, "health"), field_at(NOTE, "health") + record_size
 class TwinObserver(Observer):
     """Twins of n boats, and their parts of the observations.
 
-    Of the episodes only measurements, commands and paths are used. ``twin`` is that of the first
-    boat, as new. The standard deviations ahead are updated every ``band_period``, s; 0 for every
-    step. ``observation`` is one of :data:`TWIN_SETS`. ``"twin_params"`` adds the parameters of the
-    identified model and their standard deviations, both in units of the standard deviations that
-    they had at the start; ``"twin_health"`` adds how far each sensor is trusted, and
-    ``"twin_attitude"`` roll, pitch and heave, with six degrees of freedom.
+    Of the episodes only measurements, commands and paths are used, and the truth to grade.
+    ``twin`` is that of the first boat, as new. The standard deviations ahead are updated every
+    ``band_period``, s; 0 for every step. ``observation`` is one of :data:`TWIN_SETS`.
+    ``"twin_params"`` adds the parameters of the identified model and their standard deviations,
+    both in units of the standard deviations that they had at the start; ``"twin_health"`` adds how
+    far each sensor is trusted, and ``"twin_attitude"`` roll, pitch and heave, with six degrees of
+    freedom. ``forecast_scores`` grades the forecasts.
     """
 
     def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin"
-    ) -> None:
+        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
+        forecast_scores: bool = True,
+    ) -> None:  # fmt: skip
         self.episodes, self.first, self.band_period = episodes, twin, band_period
-        self._notes = np.zeros((episodes.n, NOTE.itemsize // 8))
-        self.notes = self._notes.view(NOTE)[:, 0]
-        self._fresh = np.zeros(1, NOTE)
+        # longer rows than those of the plans would be no test of them
+        self._grading = forecast_scores and episodes.simulation.dt <= LONGEST_STEP
+        more = grades_size(*self._model_size(twin)) if self._grading else 0
+        self._notes = np.zeros((episodes.n, record_size(NOTE) + more))
+        self.notes = structured(self._notes, NOTE)
+        self._fresh = np.zeros((1, self._notes.shape[1]))
+        fresh = structured(self._fresh, NOTE)
         for name in ("last", "begun", "shown"):
-            self._fresh[name] = math.nan
-        self._fresh["health"] = twin.monitor.record
-        self.notes[:] = self._fresh
+            fresh[name] = math.nan
+        fresh["health"] = twin.monitor.record
+        if self._grading:
+            self._fresh[0, GRADES_AT] = EVERY  # the first field: when the first is kept
+        self._notes[:] = self._fresh
         status = self.notes["health"]["sensors"]["status"]
         self._infos = {"twin_position_error_m": self.position_error}
         self._infos |= {f"twin_health_{name}": status[:, k] for k, name in enumerate(SENSORS)}
+        self.scores = np.empty(episodes.n, dtype=object)
+        """Scores (n,) of the forecasts of each boat's episode, see :class:`ForecastScores`."""
+        self.scores.fill(NO_SCORES)
+        if forecast_scores:
+            self._infos["twin_forecast"] = self.scores
+        self._graded = self._notes[:, GRADES_AT + GRADED_AT] if self._grading else np.zeros(0)
+        self._seen = self._graded.copy()
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._observation = observation
         self.motions = np.zeros((episodes.n, 0))
@@ -154,7 +185,10 @@ class TwinObserver(Observer):
 
     def reset(self, i: int) -> None:
         """Let boat i begin an episode with a twin that has seen nothing yet."""
-        self.notes[i] = self._fresh[0]
+        self._notes[i] = self._fresh[0]
+        self.scores[i] = NO_SCORES
+        if self._grading:
+            self._seen[i] = 0.0
         if self.motions.shape[1]:
             self.motions[i] = self._blank_motion
         self._forget(i)
@@ -182,6 +216,8 @@ class TwinObserver(Observer):
         Without ``look``, the row is taken in and no more. ``rows`` are the boats to look at.
         """
         self._observe(obs, look, rows)
+        if self._grading and (self._graded != self._seen).any():
+            self._take_scores()
         if not look:
             return
         at = len(self.episodes.observation) + len(TWIN_OBSERVATION)
@@ -193,6 +229,17 @@ class TwinObserver(Observer):
             half = at + xi.shape[1]
             obs[rows, at:half] = ((xi - self._prior) / self._prior_sd).clip(-BOUND, BOUND)
             obs[rows, half:] = (sd / self._prior_sd).clip(-BOUND, BOUND)
+
+    def _take_scores(self) -> None:
+        """Hand out the scores of boats with newly graded forecasts."""
+        for i in np.flatnonzero(self._graded != self._seen):
+            sums = self._notes[i, GRADES_AT:][SUMS_AT]
+            self.scores[i] = ForecastScores(sums.reshape(NO_SCORES.sums.shape).copy())
+        self._seen[:] = self._graded
+
+    def _model_size(self, twin: Twin) -> tuple[int, int]:
+        """Return parameters of a model that is kept with each forecast, and rows of its waves."""
+        return 0, 0
 
     @abstractmethod
     def _forget(self, i: int) -> None: ...
@@ -213,9 +260,11 @@ class SeparateTwins(TwinObserver):
     """A predictor for each boat, asked one after the other; for any predictor."""
 
     def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin"
-    ) -> None:
-        super().__init__(episodes, twin, band_period, observation)
+        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
+        forecast_scores: bool = True,
+    ) -> None:  # fmt: skip
+        super().__init__(episodes, twin, band_period, observation, forecast_scores)
+        self._waiting: list[deque[Forecaster]] = [deque() for _ in range(episodes.n)]
         self.twins = [twin, *(copy.deepcopy(twin) for _ in range(episodes.n - 1))]
         for note, one in zip(self._notes, self.twins, strict=True):
             one.monitor.remember(note[_HEALTH])
@@ -229,6 +278,28 @@ class SeparateTwins(TwinObserver):
 
     def _forget(self, i: int) -> None:
         self.twins[i].reset()
+        self._waiting[i].clear()
+
+    def _grade(self, i: int, dt: float) -> None:
+        """Take a row of boat i, and grade the forecasts whose time has come."""
+        note = self._notes[i]
+        more = follow_forecasts(dt, self.episodes.simulation.boats[i], note, GRADES_AT, 0, 0)
+        while more:
+            next_plan(note, GRADES_AT, self._plan)
+            known = self._waiting[i].popleft()(self._plan, LONG_STEP)
+            more = grade_known(np.ascontiguousarray(known, dtype=np.float64), note, GRADES_AT)
+
+    def _keep(self, i: int) -> None:
+        """Keep the forecast of this moment of boat i, if it is time."""
+        sim, twin, note = self.episodes.simulation, self.twins[i], self._notes[i]
+        if not (is_due(sim.boats[i], note, GRADES_AT) and twin.predictor.ready):
+            return
+        doubted = twin.monitor.commands_doubted
+        start = twin.predictor.predict(self._plan[:1], LONG_STEP).start.astype(np.float64)
+        keep_forecast_flat(
+            sim.rows[i], self.episodes.shared, note, start, doubted, self.band_period
+        )
+        self._waiting[i].append(twin.predictor.forecaster(doubted))
 
     def twin(self, i: int) -> Twin:
         """See :meth:`TwinObserver.twin`."""
@@ -250,6 +321,8 @@ class SeparateTwins(TwinObserver):
                 twin.feed(t, note["z"].copy(), sim.cmd[i].copy())
                 if twin.motion.active:
                     note_attitude_flat(boat, self._notes[i], twin.motion.memory)
+                if self._grading:
+                    self._grade(i, dt)
             if not look or note["shown"] == note["last"]:
                 continue
             note["shown"] = note["last"]
@@ -259,12 +332,16 @@ class SeparateTwins(TwinObserver):
                 prediction = twin.predictor.predict(self._plan, LONG_STEP)
                 note["ahead"][:] = prediction.mean[HORIZON_ROWS]
                 note["covs"][:] = prediction.cov[HORIZON_ROWS]
+                spread = prediction.cov[HORIZON_ROWS] - prediction.start_cov
+                note["spread"][:] = spread[:, [0, 0, 1], [0, 1, 1]]
             else:
                 note["ahead"][:] = twin.predictor.mean(self._plan, LONG_STEP)[HORIZON_ROWS]
             np.fill_diagonal(note["now"], twin.predictor.estimate().sd ** 2)
             s = np.ascontiguousarray(twin.predictor.state, dtype=np.float64)
             own = obs[i, len(self.episodes.observation) :]
             describe_flat(s, boat, self._notes[i], task.points[i], task.rules, own)
+            if self._grading:
+                self._keep(i)
             if self._observation == "twin_attitude":
                 motion, own = twin.motion, own[len(TWIN_OBSERVATION) :]
                 describe_motion_flat(
@@ -279,9 +356,10 @@ class CompiledTwins(TwinObserver):
     """
 
     def __init__(
-        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin"
-    ) -> None:
-        super().__init__(episodes, twin, band_period, observation)
+        self, episodes: Episodes, twin: Twin, band_period: float, observation: str = "twin",
+        forecast_scores: bool = True,
+    ) -> None:  # fmt: skip
+        super().__init__(episodes, twin, band_period, observation, forecast_scores)
         predictor = self._predictor = _compiled(twin)
         self._single, self._cmd = episodes.n == 1, episodes.simulation.cmd[0]
         if self._single:
@@ -296,7 +374,8 @@ class CompiledTwins(TwinObserver):
         gps_var = predictor.particulars.instruments.gps_bias_sd**2
         checks = health_settings(twin.particulars)
         shown = float(observation == "twin_attitude")
-        self._settings = np.concatenate([[band_period, gps_var, 1.0, shown], checks])
+        grading = float(self._grading)
+        self._settings = np.concatenate([[band_period, gps_var, 1.0, shown, grading], checks])
         self._forecast = self._buffers()
         rolls = self.motions.shape[1] > 0
         self._motion_work = twin.motion.scratch if rolls else np.zeros(0)
@@ -310,6 +389,9 @@ class CompiledTwins(TwinObserver):
         return {
             name: parts[name].view(dtype)[:, 0] for name, dtype in self._predictor.dtypes.items()
         }
+
+    def _model_size(self, twin: Twin) -> tuple[int, int]:
+        return len(_compiled(twin).ukf.xi), 0
 
     def _buffers(self) -> Any:
         """Return buffers of a forecast."""
@@ -408,6 +490,9 @@ def _compiled(twin: Twin) -> UKFPredictor:
 class CompiledPlusTwins(CompiledTwins):
     """The same with refits."""
 
+    def _model_size(self, twin: Twin) -> tuple[int, int]:
+        return len(_compiled(twin).ukf.xi), ROWS
+
     def _buffers(self) -> Any:
         """Return buffers of a forecast."""
         predictor = self._predictor
@@ -433,6 +518,7 @@ def observer_of(
     band_period: float,
     seed: int,
     observation: str = "twin",
+    forecast_scores: bool = True,
 ) -> TwinObserver:
     """Return the twins of n boats.
 
@@ -451,7 +537,7 @@ def observer_of(
     particulars = particulars or particulars_of(episodes.vessel, sim.suite, sim.dof)
     first = Twin(particulars, twin, seed=seed, **options)
     kind = _COMPILED.get(type(first.predictor), SeparateTwins)
-    return kind(episodes, first, band_period, observation)
+    return kind(episodes, first, band_period, observation, forecast_scores)
 
 
 _COMPILED: dict[type[Predictor], type[TwinObserver]] = {

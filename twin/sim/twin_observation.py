@@ -37,6 +37,7 @@ from twin.motion.forecast_state import PITCH, QUIET_CHANNELS, QUIET_SPANS
 from twin.motion.sea_estimate import sea_of
 from twin.motion.state import ANGLE
 from twin.predictors.plus_forecast import (
+    FORECAST_WAVE_GAIN,
     draws_of,
     mean_forecast_of,
     mean_products,
@@ -49,6 +50,13 @@ from twin.predictors.ukf import (
     UKFMemory,
     UKFWork,
     tight_step,
+)
+from twin.sim.forecast_scores import (
+    Buffers,
+    grade_by_model,
+    is_in_loss,
+    keep_forecast,
+    keep_with_model,
 )
 from usv_gym.envs.episodes import BOUND, EPISODES, TILT_SCALE
 from usv_gym.envs.observation import (
@@ -68,13 +76,15 @@ from usv_gym.envs.observation import (
 from usv_gym.envs.tasks import COURSE_ERROR, CROSS_TRACK, ERRORS, NEXT_TURN, TO_GO, follow
 from usv_gym.physics import frames as fr
 from usv_gym.world.state import BOAT
+from usv_kernel.arrays import shaped
 from usv_kernel.channels import SENSOR_CHANNELS
 from usv_kernel.jit import inlined, kernel
-from usv_kernel.records import as_record
+from usv_kernel.records import as_record, record_size
 from usv_kernel.scalar import sincos
 
 __all__ = [
     "ATTITUDE_OBSERVATION",
+    "GRADES_AT",
     "HEALTH_OBSERVATION",
     "NOTE",
     "ROWS",
@@ -87,6 +97,7 @@ __all__ = [
     "UKFForecast",
     "describe_flat",
     "describe_motion_flat",
+    "keep_forecast_flat",
     "note_attitude_flat",
     "observe_plus",
     "observe_ukf",
@@ -141,13 +152,17 @@ NOTE = np.dtype(
         ("now", "f8", (N_STATES, N_STATES)),  # variances of the state, on the diagonal
         ("ahead", "f8", (len(HORIZONS), N_STATES)),  # states at HORIZONS
         ("covs", "f8", (len(HORIZONS), N_STATES, N_STATES)),  # their covariances
+        ("spread", "f8", (len(HORIZONS), 3)),  # xx, xy, yy of the displacements' covariances
         ("roll", "f8", 4),  # roll, pitch by the twin, and by the truth, rad
         ("quiet", "f8", len(QUIET_SPANS)),  # probabilities of a quiet deck
         ("hs", "f8"),  # significant height of the waves by the twin, m
         ("health", HEALTH),  # what the sensor checks remember
     ]
 )
-"""What is noted of each boat between observations."""
+"""What is noted of each boat between observations ..."""
+
+GRADES_AT = record_size(NOTE)
+"""... and where that begins which is kept of its forecasts."""
 
 SETTINGS = np.dtype(
     [
@@ -155,6 +170,7 @@ SETTINGS = np.dtype(
         ("gps_var", "f8"),  # variance of the drifting part of a fix, m2
         ("look", "f8"),  # 1 where observations are to be written
         ("show_motion", "f8"),  # 1 where they hold roll, pitch and heave
+        ("grading", "f8"),  # 1 where forecasts are graded
         ("health", HEALTH_SETTINGS),  # what the sensor checks are given
     ]
 )
@@ -444,6 +460,22 @@ def _write_variances(P, P_nav, gps_var, now):
         now[i, i] = P[i, i] + P_nav[i, i] + (gps_var if i < 2 else 0.0)
 
 
+@inlined
+def _write_spread(cov, start_cov, spread):
+    """Write xx, xy, yy of the covariance of a displacement: of a place, less that of the start."""
+    spread[0] = cov[X, X] - start_cov[0]
+    spread[1] = cov[X, Y] - start_cov[1]
+    spread[2] = cov[Y, Y] - start_cov[2]
+
+
+@kernel
+def keep_forecast_flat(row, shared, notes, start, doubted, period):
+    """Keep the forecast that stands in a boat's note, without a model."""
+    boat, note = as_record(row, BOAT), as_record(notes, NOTE)
+    happens = is_in_loss(boat.t, row, as_record(shared, EPISODES).simulation), doubted
+    keep_forecast(start, boat, note, happens, period, notes, GRADES_AT, (0, 0))
+
+
 @kernel
 def observe_ukf(boats, memories, config, work, forecast, obs):
     """Let the twins of boats with a new row take it, and write their parts of the observations.
@@ -462,6 +494,7 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
     given = filter_config(config.filter, model)
     scratch = filter_workspace(work.filter, model.which.shape[1])
     out = forecast_buffers(forecast.buffers, ROWS, model.which.shape[1])
+    again = Buffers(forecast.plan, out.plan, out.params, out.states, out.act, scratch.rollout)
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
         note = as_record(boats.notes[i], NOTE)
@@ -472,6 +505,8 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
             _take_motion(dt, i, boat, note, nav, boats)
             _check_row(dt, boat, note, nav, settings.health)
             tight_step(dt, note.used[:], note.trusted[:], memory, config, work)
+            if settings.grading > 0.0:
+                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, (0, 0.0), again)
         if not _is_due(note, settings.look):
             continue
         _hold(note.trusted[:], forecast.plan)
@@ -488,14 +523,21 @@ def observe_ukf(boats, memories, config, work, forecast, obs):
                 for j in range(2):
                     out.covs[row, j, j] += settings.gps_var
             limit_covariances(out.covs, note.now[:], LONG_STEP, given.envelope)
+        place = note.now[X, X], state.P[X, Y] + nav.P[X, Y], note.now[Y, Y]
         for h in range(HORIZON_ROWS.shape[0]):
             row = HORIZON_ROWS[h]
+            if due:
+                _write_spread(out.covs[row], place, note.spread[h])
             for j in range(N_STATES):
                 note.ahead[h, j] = out.states[0, row, j]
                 if due:
                     for k in range(N_STATES):
                         note.covs[h, j, k] = out.covs[row, j, k]
         describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
+        if settings.grading > 0.0 and nav.begun > 0.0:
+            none = shaped(state.x, 0, (1, 0, 3))
+            start = state.x, none, none
+            keep_with_model(i, boats, note, settings.period, start, state, nav, GRADES_AT)
         _show_motion(i, state.x, note, boats, first, obs[i])
 
 
@@ -516,6 +558,9 @@ def observe_plus(boats, memories, config, work, forecast, obs):
     rules, first = shared.rules, int(shared.entries)
     p, D = model.which.shape[1], forecast.normal[0].shape[0]
     mean = mean_forecast_of(forecast.mean, p, ROWS, WAVE_STEPS)
+    given = filter_config(config.filter, model)
+    again = Buffers(forecast.plan, mean.plan, mean.params, mean.states, mean.act, mean.work)
+    waves = ROWS, FORECAST_WAVE_GAIN
     draws = draws_of(forecast.draws, p, ROWS, WAVE_STEPS, D)
     for i in range(boats.rows.shape[0]):
         boat = as_record(boats.rows[i], BOAT)
@@ -527,6 +572,8 @@ def observe_plus(boats, memories, config, work, forecast, obs):
             _take_motion(dt, i, boat, note, nav, boats)
             _check_row(dt, boat, note, nav, settings.health)
             plus_step(note.last, dt, note.used[:], note.trusted[:], memory, config, work)
+            if settings.grading > 0.0:
+                grade_by_model(dt, boat, boats.notes[i], GRADES_AT, given, waves, again)
         if not _is_due(note, settings.look):
             continue
         _hold(note.trusted[:], forecast.plan)
@@ -541,9 +588,13 @@ def observe_plus(boats, memories, config, work, forecast, obs):
             covs = note.covs[:]
             mean_products(draws.deviations, _DRAWN_ROWS, covs)
             for h in range(HORIZON_ROWS.shape[0]):
+                _write_spread(covs[h], (0.0, 0.0, 0.0), note.spread[h])
                 for j in range(2):
                     for k in range(2):
                         covs[h, j, k] += nav.P[j, k]
                     covs[h, j, j] += settings.gps_var
         describe(state.x, boat, note, boats.points[i], rules, obs[i, first:])
+        if settings.grading > 0.0 and nav.begun > 0.0:
+            start = mean.start[0], mean.means, mean.ends
+            keep_with_model(i, boats, note, settings.period, start, state, nav, GRADES_AT)
         _show_motion(i, state.x, note, boats, first, obs[i])

@@ -17,10 +17,11 @@ from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
+from twin.sim.beside import TwinBeside
 from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
-from usv_gym.envs.episodes import Episodes
+from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.observation import OBSERVERS
 from usv_gym.envs.vector import USVVectorEnv
 from usv_kernel.errors import ArgumentError, BoatIndexError, UsvTwinError, check_options
@@ -78,6 +79,8 @@ class TwinObservation(
     ``twin_position_error_m``, the distance of the twin's from the true position: for
     grading, never for an agent. For each sensor it gains ``twin_health_gps`` and so on, the
     place of its status in ``twin.health.state.STATUSES``; ``twin.health`` says it in words.
+    ``twin_forecast`` grades the twin's forecasts on the episode so far, that of the last step on
+    all of it: a mapping of names to floats, see :class:`twin.sim.forecast_scores.ForecastScores`.
 
     Parameters
     ----------
@@ -96,6 +99,8 @@ class TwinObservation(
     observation : str
         ``"twin"``, or with more entries ``"twin_params"``, ``"twin_health"`` or
         ``"twin_attitude"``; see :func:`make_env`.
+    forecast_scores : bool
+        Grade the forecasts.
     """
 
     def __init__(
@@ -107,6 +112,7 @@ class TwinObservation(
         band_period: float = 5.0,
         seed: int = 0,
         observation: str = "twin",
+        forecast_scores: bool = True,
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
             self,
@@ -115,6 +121,7 @@ class TwinObservation(
             band_period=band_period,
             seed=seed,
             observation=observation,
+            forecast_scores=forecast_scores,
         )
         gym.Wrapper.__init__(self, env)
         base = env.unwrapped
@@ -133,7 +140,7 @@ class TwinObservation(
                 "gym.make('USVTwin-v0', twin=..., frame_skip=...) has the twin built in"
             )
         self._observer = observer_of(
-            base.episodes, twin, particulars, band_period, seed, observation
+            base.episodes, twin, particulars, band_period, seed, observation, forecast_scores
         )
         self.twin = self._observer.first
         self.observation_space = spaces_of(
@@ -175,7 +182,7 @@ class USVTwinEnv(USVEnv):
 
     Parameters
     ----------
-    twin, particulars, band_period, twin_seed
+    twin, particulars, band_period, twin_seed, forecast_scores
         As for :class:`TwinObservation`, with ``twin_seed`` for ``seed``.
     observation : str
         ``"twin"``, ``"twin_params"``, ``"twin_health"`` or ``"twin_attitude"``; see
@@ -192,11 +199,12 @@ class USVTwinEnv(USVEnv):
         band_period: float = 5.0,
         twin_seed: int = 0,
         observation: str = "twin",
+        forecast_scores: bool = True,
         **kwargs: Any,
     ) -> None:
-        watch = _watching(twin, particulars, band_period, twin_seed, observation)
+        watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
         super().__init__(observer=watch, **kwargs)
-        assert isinstance(self.observer, TwinObserver)
+        assert isinstance(self.observer, (TwinObserver, TwinBeside))
         self.twin = self.observer.first
 
 
@@ -207,7 +215,7 @@ class USVTwinVectorEnv(USVVectorEnv):
     ----------
     num_envs : int
         Number of boats.
-    twin, particulars, band_period, twin_seed, observation
+    twin, particulars, band_period, twin_seed, observation, forecast_scores
         As for :class:`USVTwinEnv`; every boat gets a twin of its own. Those of ``"ukf"`` and
         ``"dsw-ukf-plus"`` run in one compiled call.
     **kwargs
@@ -223,16 +231,17 @@ class USVTwinVectorEnv(USVVectorEnv):
         band_period: float = 5.0,
         twin_seed: int = 0,
         observation: str = "twin",
+        forecast_scores: bool = True,
         **kwargs: Any,
     ) -> None:
-        watch = _watching(twin, particulars, band_period, twin_seed, observation)
+        watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
         super().__init__(num_envs, observer=watch, **kwargs)
 
     def twin(self, i: int) -> Twin:
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
             raise BoatIndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
-        assert isinstance(self.observer, TwinObserver)
+        assert isinstance(self.observer, (TwinObserver, TwinBeside))
         return self.observer.twin(operator.index(i))
 
 
@@ -242,9 +251,18 @@ def _watching(
     band_period: float,
     seed: int,
     observation: str,
-) -> Callable[[Episodes], TwinObserver]:
-    """Return what makes the twins of an environment's boats."""
-    return lambda episodes: observer_of(episodes, twin, particulars, band_period, seed, observation)
+    forecast_scores: bool,
+) -> Callable[[Episodes], Observer]:
+    """Return what makes the twins of an environment's boats; of other sets, twins beside them."""
+    if observation in TWIN_SETS:
+        return lambda episodes: observer_of(
+            episodes, twin, particulars, band_period, seed, observation, forecast_scores
+        )
+    return lambda episodes: TwinBeside(
+        episodes,
+        OBSERVERS[observation],
+        observer_of(episodes, twin, particulars, band_period, seed),
+    )
 
 
 OBSERVATIONS = (*OBSERVERS, *TWIN_SETS)
@@ -275,7 +293,12 @@ def _made(
         observation = "raw" if twin is None else "twin"
     if not isinstance(observation, str) or observation not in OBSERVATIONS:
         raise UsvTwinError(f"observation = {observation!r}; known: {', '.join(OBSERVATIONS)}")
+    if not isinstance(options.get("forecast_scores", True), bool):
+        raise UsvTwinError(f"forecast_scores = {options['forecast_scores']!r}: True or False")
     if observation in OBSERVERS:
+        if options.get("forecast_scores") and twin is not None:
+            return with_twin(twin=twin, observation=observation, **options)
+        options.pop("forecast_scores", None)
         idle = [name for name in options if name in of_twin and name not in own]
         if idle:
             raise ArgumentError(f"{', '.join(idle)}: observation = {observation!r} runs no twin")
@@ -316,7 +339,8 @@ def make_env(
         environment has a name for each entry.
     twin : str or Predictor or None
         A name in ``twin.PREDICTORS``, a predictor, or None for the plain environment. It is not
-        run where the observation has no part of it.
+        run where the observation has no part of it, but with ``forecast_scores=True``: then it
+        runs beside the agent, which does not see it, and its forecasts are graded in ``info``.
     **kwargs
         See :class:`USVTwinEnv` and :class:`usv_gym.envs.env.USVEnv`.
     """
@@ -362,25 +386,42 @@ def make_vector_env(
     return _made(USVVectorEnv, USVTwinVectorEnv, observation, twin, options)
 
 
-def log_of(env: gym.Env[Any, Any], path: str | Path | None = None) -> Log:
+def log_of(
+    env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any],
+    path: str | Path | None = None,
+    *,
+    boat: int = 0,
+    ended: bool = False,
+) -> Log:
     """Return the episode so far as a log, with the truth.
 
     Parameters
     ----------
-    env : gymnasium.Env
+    env : gymnasium.Env or gymnasium.vector.VectorEnv
         Made with ``record=True``.
     path : str or Path, optional
         Write it there as well, with the particulars beside it.
+    boat : int
+        Which boat of a vector environment.
+    ended : bool
+        Return the episode before, which the present one has followed, as where a vector
+        environment resets in the same step.
 
     Raises
     ------
     UsvTwinError
-        Without ``record=True``, or before the first reset.
+        Without ``record=True``, or before the first reset; with ``ended``, before the second.
     """
     base = env.unwrapped
-    if not isinstance(base, USVEnv) or not (base.recorder and base.recorder.rows):
+    recorder = base.recorder if isinstance(base, (USVEnv, USVVectorEnv)) else None
+    if recorder is None or not any(recorder.rows):
         raise UsvTwinError("make the environment with record=True, and reset it, to get its log")
-    rows = base.recorder.rows
+    if not 0 <= operator.index(boat) < len(recorder.rows):
+        raise BoatIndexError(f"boat = {boat}: boats count from 0 to {len(recorder.rows) - 1}")
+    rows = (recorder.ended if ended else recorder.rows)[boat]
+    if not rows:
+        raise UsvTwinError(f"no episode of boat {boat} has ended yet; leave out ended=True")
+    assert isinstance(base, (USVEnv, USVVectorEnv))
     log = Log(
         t=np.array([row.t for row in rows]),
         cmd=np.array([row.cmd for row in rows]),

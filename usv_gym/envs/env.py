@@ -41,17 +41,38 @@ class Recorded(NamedTuple):
 
 
 class Recorder:
-    """Rows of an episode for its log."""
+    """Rows of the episodes of n boats, for their logs.
+
+    Attributes
+    ----------
+    rows : list of list of Recorded
+        Those of the episode that each boat is in.
+    ended : list of list of Recorded
+        Those of the one before, until the next ends.
+    """
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.rows: list[Recorded] = []
+        self.rows: list[list[Recorded]] = [[] for _ in simulation.t]
+        self.ended: list[list[Recorded]] = [[] for _ in simulation.t]
+
+    def reset(self, i: int) -> None:
+        """Begin the log of boat i with the row of this moment."""
+        if self.rows[i]:
+            self.ended[i] = self.rows[i]
+        self.rows[i] = []
+        self._add([i])
 
     def observe(self, obs: np.ndarray, look: bool = True) -> None:
-        """Add the row of this step."""
+        """Add the rows of this step, of boats that sailed it: an ended episode stands still."""
+        times = enumerate(self.simulation.t.tolist())
+        self._add([i for i, t in times if self.rows[i] and t > self.rows[i][-1].t])
+
+    def _add(self, boats: list[int]) -> None:
         sim = self.simulation
-        now = sim.t.item(0), sim.cmd[0].copy(), sim.z[0].copy(), sim.state[0].copy()
-        self.rows.append(Recorded(*now))
+        for i in boats:
+            now = sim.t.item(i), sim.cmd[i].copy(), sim.z[i].copy(), sim.state[i].copy()
+            self.rows[i].append(Recorded(*now))
 
 
 class USVEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -224,8 +245,7 @@ class USVEnv(gym.Env[np.ndarray, np.ndarray]):
             self.observer.reset(0)
             self.observer.observe(obs)
         if self.recorder:
-            self.recorder.rows.clear()
-            self.recorder.observe(obs)
+            self.recorder.reset(0)
         self._show()
         return obs[0], self._info(self._progress.tolist())
 

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from usv_gym.envs.config import EnvConfig
-from usv_gym.envs.env import names_of, spaces_of
+from usv_gym.envs.env import Recorder, names_of, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
 from usv_gym.envs.render import RENDER_MODES, RENDER_SIZE, Frame, Renderer, fps_of, pictures
 from usv_gym.world.simulation import BOATS_MAX
@@ -53,6 +53,9 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         The results do not hang on it.
     observer : callable, optional
         As for :class:`usv_gym.envs.env.USVEnv`.
+    record : bool
+        Keep every row of each boat's episode, and of its episode before, for
+        :func:`twin.sim.wrapper.log_of`.
     **options
         Those of :class:`~usv_gym.envs.config.EnvConfig`.
 
@@ -79,6 +82,7 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int = 1,
         observer: Callable[[Episodes], Observer] | None = None,
+        record: bool = False,
         render_mode: str | None = None,
         render_size: tuple[int, int] = RENDER_SIZE,
         **options: Any,
@@ -104,7 +108,11 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.metadata["render_fps"] = fps_of(self.episodes)
         self.render_mode = render_mode
         self.renderer = Renderer.of(self.episodes, self.observer, render_mode, render_size)
-        self._callbacks = tuple(one for one in (self.observer, self.renderer) if one is not None)
+        if not isinstance(record, bool):
+            raise UsvTwinError(f"record = {record!r}: must be True or False")
+        self.recorder = Recorder(self.simulation) if record else None
+        callbacks = self.observer, self.renderer, self.recorder
+        self._callbacks = tuple(one for one in callbacks if one is not None)
         self.observation_names = names_of(self.episodes, self.observer)
         """What each entry of an observation is."""
         self.single_action_space, self.single_observation_space = spaces_of(
@@ -217,6 +225,8 @@ class USVVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if self.observer:
                 self.observer.reset(int(i))
                 self.observer.observe(self._obs, rows=one)
+            if self.recorder:
+                self.recorder.reset(int(i))
         self._not_reset[mask] = False
         self._limits[mask] = self._limit
 
@@ -326,6 +336,7 @@ def masked(values: dict[str, np.ndarray], mask: np.ndarray | None, n: int) -> In
     where = np.ones(n, dtype=np.bool_) if mask is None else mask.copy()
     infos: Info = {}
     for key, value in values.items():
-        infos[key] = value.copy() if mask is None else np.where(mask, value, value.dtype.type(0))
+        none: Any = None if value.dtype == object else value.dtype.type(0)
+        infos[key] = value.copy() if mask is None else np.where(mask, value, none)
         infos[f"_{key}"] = where
     return infos

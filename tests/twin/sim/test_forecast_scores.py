@@ -1,0 +1,177 @@
+"""The scores in ``info`` are those that the benchmark's definitions give on the episode's log."""
+
+from __future__ import annotations
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import usv_gym  # noqa: F401 - registers the environment
+from twin.benchmark.scores import CHANNELS, score
+from twin.digital_twin import Twin
+from twin.sim import batched_twins
+from twin.sim.bridge import particulars_of
+from twin.sim.forecast_scores import HORIZONS, NAMES, ForecastScores, pooled
+from twin.sim.wrapper import log_of, make_env, make_vector_env
+from usv_gym import Fault
+from usv_kernel.errors import UsvTwinError
+
+LOSS = 12.0, 17.0
+OPTIONS = {"task": "free", "faults": [Fault("gps", LOSS[0], LOSS[1] - LOSS[0])]}
+PREDICTORS = ["ukf", "dsw-ukf-plus", "dsw-ukf", "var"]
+
+
+def sail(env, steps, seed=3, every=7):
+    """Sail with a command that changes; return the last info."""
+    rng = np.random.default_rng(0)
+    env.reset(seed=seed)
+    for k in range(steps):
+        if k % every == 0:
+            action = np.array([rng.uniform(0.3, 1.0), rng.uniform(-1.0, 1.0)])
+        info = env.step(action)[-1]
+    return info
+
+
+def scores_of(log, twin, decision):
+    """Return the benchmark's scores of forecasts made at whole seconds, by plan and place."""
+    found = {(plan, lost): [] for plan in ("known", "held") for lost in (False, True)}
+    for row, (t, z, cmd) in enumerate(log.without_truth()):
+        twin.step(t, z, cmd)
+        ahead = row + np.round(HORIZONS / 0.05).astype(int)
+        whole = t > 0.0 and abs(t - round(t)) < 1e-9 and row % decision == 0
+        if not whole or ahead[-1] >= len(log) or not twin.predictor.ready:
+            continue
+        known = log.cmd[row + 1 : row + 201].reshape(20, 10, 4).mean(axis=1)
+        for plan, commands in (("known", known), ("held", "hold")):
+            prediction = twin.predict(commands, dt=0.5)
+            truth = log.truth[[row, *ahead]].copy()
+            lost = LOSS[0] <= t < LOSS[1]
+            found[plan, lost].append(score(prediction, truth, HORIZONS.tolist()))
+    return found
+
+
+def assert_equal(info, found, has_quantiles):
+    scores = info["twin_forecast"]
+    for (plan, lost), parts in found.items():
+        place = "_loss" if lost else ""
+        assert scores[f"n{place}"] == len(parts) > 0
+        for h, horizon in enumerate(HORIZONS):
+            name = f"{plan}{place}_{horizon:g}s"
+            psi, u = CHANNELS.index("psi"), CHANNELS.index("u")
+            expected = {
+                "displacement_m": np.mean([one.displacement[h] for one in parts]),
+                "heading_rad": np.mean([abs(one.error[h, psi]) for one in parts]),
+                "speed_mps": np.mean([abs(one.error[h, u]) for one in parts]),
+            }
+            if plan == "held":
+                expected["displacement_coverage90"] = np.mean([p.covered[h, -1] for p in parts])
+                if not has_quantiles:
+                    expected["heading_coverage90"] = np.mean([p.covered[h, psi] for p in parts])
+                    expected["speed_coverage90"] = np.mean([p.covered[h, u] for p in parts])
+            for what, value in expected.items():
+                assert scores[f"{name}_{what}"] == pytest.approx(value, rel=1e-6, abs=1e-8), what
+
+
+@pytest.mark.parametrize("frame_skip", [1, 10])
+@pytest.mark.parametrize("twin", PREDICTORS)
+def test_scores_equal_those_of_the_benchmark_on_the_log(twin, frame_skip):
+    options = OPTIONS | {"frame_skip": frame_skip, "record": True, "band_period": 0.0}
+    env = make_env(twin=twin, **options)
+    info = sail(env, 560 // frame_skip, every=7 if frame_skip == 1 else 1)
+    again = Twin(particulars_of(env.vessel, env.simulation.suite), twin)
+    found = scores_of(log_of(env), again, frame_skip)
+    assert_equal(info, found, twin == "dsw-ukf-plus")
+
+
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus"])
+def test_compiled_scores_equal_those_of_separate_twins(twin, monkeypatch):
+    ours = sail(make_env(twin=twin, **OPTIONS), 400)["twin_forecast"]
+    monkeypatch.setattr(batched_twins, "_COMPILED", {})
+    theirs = sail(make_env(twin=twin, **OPTIONS), 400)["twin_forecast"]
+    assert dict(ours) == pytest.approx(dict(theirs), rel=1e-6)
+
+
+def test_coverage_counts_only_forecasts_with_new_standard_deviations():
+    scores = sail(make_env(twin="ukf", band_period=5.0, **OPTIONS), 560)["twin_forecast"]
+    total = scores["n"] + scores["n_loss"]
+    # at 5, 10 and 15 s; a forecast is graded 10 s later
+    assert total == 18
+    assert scores["n_intervals"] + scores["n_intervals_loss"] == 3
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize("twin", ["ukf", "dsw-ukf-plus", "var"])
+def test_vector_scores_equal_those_of_single_environments(twin, mode):
+    options = {"faults": "gps3@2", "frame_skip": 10, "twin": twin}
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-1.0, 1.0, (31, 2, 2))
+    envs = make_vector_env(2, max_episode_steps=31, autoreset_mode=mode, **options)
+    envs.reset(seed=5)
+    for action in actions:
+        infos = envs.step(action)[-1]
+    ended = infos["final_info"] if mode == "SameStep" else infos
+    for i in range(2):
+        env = gym.make("USVTwin-v0", max_episode_steps=31, **options)
+        env.reset(seed=5 + i)
+        for action in actions:
+            *_, truncated, info = env.step(action[i])
+        assert truncated
+        scores = info["twin_forecast"]
+        assert scores["n"] + scores["n_loss"] == 5
+        assert ended["_twin_forecast"][i]
+        np.testing.assert_array_equal(ended["twin_forecast"][i].sums, scores.sums)
+    if mode == "SameStep":
+        assert not infos["twin_forecast"][0]["n"]
+
+
+def test_grading_can_be_switched_off_and_changes_no_observation():
+    on, off = (
+        make_env(twin="ukf", **OPTIONS),
+        make_env(twin="ukf", forecast_scores=False, **OPTIONS),
+    )
+    graded, plain = sail(on, 300), sail(off, 300)
+    assert "twin_forecast" not in plain
+    assert graded["twin_forecast"]["n"] > 0
+    np.testing.assert_array_equal(on.step(np.zeros(2))[0], off.step(np.zeros(2))[0])
+
+
+@pytest.mark.parametrize("observation", ["raw", "raw_stacked", "oracle"])
+def test_a_twin_beside_the_agent_is_graded_and_not_seen(observation):
+    beside = make_env(observation=observation, twin="ukf", forecast_scores=True, **OPTIONS)
+    alone = make_env(observation=observation, twin="ukf", **OPTIONS)
+    ours = make_env(twin="ukf", **OPTIONS)
+    scores = [sail(env, 300) for env in (beside, alone, ours)]
+    assert "twin_forecast" not in scores[1]
+    assert scores[0]["twin_forecast"] == scores[2]["twin_forecast"]
+    np.testing.assert_array_equal(beside.step(np.zeros(2))[0], alone.step(np.zeros(2))[0])
+
+
+def test_steps_that_do_not_divide_a_second_are_graded_too():
+    scores = sail(make_env(twin="ukf", dt=0.07, dt_physics=0.07, **OPTIONS), 310)["twin_forecast"]
+    same = sail(make_env(twin="ukf", **OPTIONS), 420, every=10)["twin_forecast"]
+    assert scores["n"] + scores["n_loss"] == same["n"] + same["n_loss"] == 11
+    assert scores["known_10s_displacement_m"] < 5.0 * same["known_10s_displacement_m"]
+
+
+def test_longer_steps_than_those_of_a_plan_are_not_graded():
+    scores = sail(make_env(twin="ukf", dt=1.0, task="free"), 30)["twin_forecast"]
+    assert dict(scores) == {"n": 0, "n_loss": 0, "n_intervals": 0, "n_intervals_loss": 0}
+
+
+def test_scores_are_a_mapping_that_can_be_pickled_and_pooled():
+    scores = sail(make_env(twin="ukf", **OPTIONS), 560)["twin_forecast"]
+    assert isinstance(scores, ForecastScores)
+    assert set(scores) <= set(NAMES)
+    assert all(isinstance(value, float) for value in scores.values())
+    assert pickle.loads(pickle.dumps(scores)) == scores
+    double = pooled([scores, scores])
+    assert double["n"] == 2.0 * scores["n"]
+    name = "held_10s_displacement_m"
+    assert double[name] == pytest.approx(scores[name], rel=1e-12)
+
+
+def test_forecast_scores_must_be_true_or_false():
+    with pytest.raises(UsvTwinError, match="forecast_scores = 'yes'"):
+        make_env(forecast_scores="yes")
