@@ -23,7 +23,7 @@ from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.faults import parse_faults
+from usv_gym.world.faults import ineffective_fault, parse_faults
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_kernel.errors import UsvTwinError
@@ -287,8 +287,11 @@ def _is_runnable(predictor: str, path: str, ship: str | None, mapping: str | Non
 
 
 def left_out(settings: Settings) -> tuple[str, ...]:
-    """Return a line on each predictor that lacks information on recorded runs."""
+    """Return a line on each predictor that lacks information on recorded runs, and on no effect."""
     lines = []
+    struck = [each for case in settings.conditions for each in parse_faults(case.fault, 0.0)]
+    if settings.scenarios and (found := ineffective_fault(struck, settings.dof)) is not None:
+        lines.append(found)
     for predictor in settings.predictors:
         runs = [
             log_name(path)

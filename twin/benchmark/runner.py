@@ -227,9 +227,7 @@ def run_unit(
         "datum": None if run.reference.datum is None else run.reference.datum.to_json(),
     }
     if motion_truth is not None:
-        result["motion"] = {
-            plan: motion_table(parts, motion_truth.sd) for plan, parts in motions.items() if parts
-        }
+        result["motion"] = {plan: motion_table(parts) for plan, parts in motions.items() if parts}
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         if motion_truth is not None and ahead:

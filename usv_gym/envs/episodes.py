@@ -30,7 +30,15 @@ from usv_gym.envs.tasks import (
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.faults import CHANNELS, Disturbance, FaultError, fault_records, parse_faults
+from usv_gym.world.faults import (
+    CHANNELS,
+    Disturbance,
+    FaultError,
+    FaultWarning,
+    fault_records,
+    ineffective_fault,
+    parse_faults,
+)
 from usv_gym.world.sea import choice
 from usv_gym.world.simulation import (
     DONE,
@@ -342,7 +350,7 @@ class Episodes:
     def __init__(self, n: int, config: EnvConfig, *, threads: int = 1) -> None:
         check_whole("num_threads", threads, 1, THREADS_MAX)
         self.vessel, self.seas = Vessel.load(config.vessel), config.seas()
-        given, most = _faults(config.faults, config.dt)
+        given, most = _faults(config.faults, config.dt, config.dof)
         self.simulation = Simulation(
             n,
             self.vessel,
@@ -497,12 +505,14 @@ class Episodes:
         return self.simulation.boats["step"]
 
 
-def _faults(faults: str | Sequence[Disturbance], dt: float) -> tuple[Any, int]:
+def _faults(faults: str | Sequence[Disturbance], dt: float, dof: int) -> tuple[Any, int]:
     """Return faults, or a function that draws them, and how many there are at most."""
     if isinstance(faults, str):
         texts = faults.split("|")
         # a wrong name fails here, not at the first reset
-        most = max(len(fault_records(parse_faults(one, 0.0), dt)) for one in texts)
+        named = [parse_faults(one, 0.0) for one in texts]
+        most = max(len(fault_records(one, dt)) for one in named)
+        _warn_of([fault for one in named for fault in one], dof)
 
         def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
             start = rng.uniform(*FAULT_START)
@@ -516,4 +526,11 @@ def _faults(faults: str | Sequence[Disturbance], dt: float) -> tuple[Any, int]:
             f"faults = {faults!r}: give a text such as 'gps10', or a list of "
             "usv_gym.Fault(kind, start, duration)"
         )
+    _warn_of(given, dof)
     return given, len(given)
+
+
+def _warn_of(faults: Sequence[Disturbance], dof: int) -> None:
+    """Warn of a fault that changes nothing."""
+    if (found := ineffective_fault(faults, dof)) is not None:
+        warnings.warn(found, FaultWarning, stacklevel=4)

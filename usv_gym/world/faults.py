@@ -29,10 +29,12 @@ __all__ = [
     "Disturbance",
     "Fault",
     "FaultError",
+    "FaultWarning",
     "RandomFaults",
     "apply_faults",
     "fault_records",
     "fault_sources",
+    "ineffective_fault",
     "parse_faults",
     "strike",
 ]
@@ -77,6 +79,10 @@ FAULT = np.dtype(
 
 class FaultError(UsvTwinError):
     """An invalid sensor or fault; the message names it and the remedy."""
+
+
+class FaultWarning(UserWarning):
+    """A fault that changes nothing."""
 
 
 SPIKE_SIZES = (
@@ -344,6 +350,21 @@ def _fault(match: re.Match[str], start: float) -> Disturbance:
     if loss:
         return Bursts(kind, float(loss) / 100.0, float(mean), begin, effect=effect)
     return Bursts(kind, start=begin, effect=effect)
+
+
+def ineffective_fault(faults: Sequence[Disturbance], dof: int) -> str | None:
+    """Return a sentence on a fault that changes nothing; None where all have an effect.
+
+    Parameters
+    ----------
+    faults : sequence of Disturbance
+        As given; those of :data:`ON` strike whatever there is.
+    dof : int
+        Degrees of freedom of the boat: 3 or 6.
+    """
+    if dof == 6 or not any(fault.kind == "ahrs" and fault not in ON for fault in faults):
+        return None
+    return "a boat with dof=3 has no AHRS: its fault changes nothing; use dof=6"
 
 
 def fault_records(faults: Sequence[Disturbance], dt: float) -> np.ndarray:
