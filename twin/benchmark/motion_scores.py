@@ -44,6 +44,7 @@ class MotionScore(NamedTuple):
     """One forecast beside the truth."""
 
     error: Array  # (h, 4)
+    from_mean: Array  # (h, 4): true deviation from the mean of the run
     held: Array  # (h, 4): error of the estimate now, held
     crps: Array  # (h, 4)
     covered: NDArray[np.bool_]  # (h, 4): whether the 90 % intervals cover
@@ -67,7 +68,7 @@ class MotionTruth:
         speed = np.cos(pitch) * turned - np.sin(pitch) * ahead
         self.t = log.t
         self.values = np.stack([roll, pitch, z - z[log.t >= begin].mean(), speed], axis=1)
-        self.sd = self.values[log.t >= begin].std(axis=0)
+        self._mean = self.values[log.t >= begin].mean(axis=0)
         deck = particulars.deck
         limits = np.array([deck.max_tilt, deck.max_tilt, deck.max_speed])
         self._margin = 1.0 - (np.abs(self.values[:, [0, 1, 3]]) / limits).max(axis=1)
@@ -88,6 +89,7 @@ class MotionTruth:
         ]
         return MotionScore(
             error=mean - truth,
+            from_mean=truth - self._mean,
             held=forecast.mean[0] - truth,
             crps=crps(truth - mean, sd, sd),
             covered=np.abs(mean - truth) <= Z90 * sd,
@@ -108,24 +110,27 @@ def auc(score: Array, happened: NDArray[np.bool_]) -> float:
     return (float(rankdata(score)[happened].sum()) - yes * (yes + 1) / 2.0) / (yes * no)
 
 
-def motion_table(parts: Sequence[MotionScore], sd: Array) -> dict[str, Any]:
-    """Return the scores of one run; ``sd`` (4,) are the standard deviations of the true motion.
+def motion_table(parts: Sequence[MotionScore]) -> dict[str, Any]:
+    """Return the scores of one run.
 
-    By channel, at :data:`MOTION_HORIZONS`: ``rmse``, ``sd``, ``skill`` (RMSE over sd: 1 is that of
-    the mean), ``held`` (the same of the present value), ``crps`` and ``coverage90``. By span of
+    By channel, at :data:`MOTION_HORIZONS`: ``rmse``, ``sd`` (of the true motion, about its mean in
+    the run, at the very times that were forecast), ``skill`` (RMSE over sd: 1 is that of the mean),
+    ``held`` (the same of the present value), ``crps`` and ``coverage90``. By span of
     ``twin.motion.QUIET_SPANS``: the forecast probabilities, what happened, and the margin now.
     """
     of = MotionScore(*map(np.array, zip(*parts, strict=True)))  # type: ignore[arg-type]
-    rmse, rmse_held = (np.sqrt(np.mean(part**2, axis=0)) for part in (of.error, of.held))
+    rmse, rmse_held, sd = (
+        np.sqrt(np.mean(part**2, axis=0)) for part in (of.error, of.held, of.from_mean)
+    )
     scale = np.maximum(sd, 1e-9)
     return {
         "n": len(parts),
         "channels": {
             channel: {
                 "rmse": rmse[:, c].tolist(),
-                "sd": float(sd[c]),
-                "skill": (rmse[:, c] / scale[c]).tolist(),
-                "held": (rmse_held[:, c] / scale[c]).tolist(),
+                "sd": sd[:, c].tolist(),
+                "skill": (rmse[:, c] / scale[:, c]).tolist(),
+                "held": (rmse_held[:, c] / scale[:, c]).tolist(),
                 "crps": of.crps[:, :, c].mean(axis=0).tolist(),
                 "coverage90": of.covered[:, :, c].mean(axis=0).tolist(),
             }
@@ -150,8 +155,7 @@ def motion_rows(results: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                         "plan": plan,
                         "channel": channel,
                         "horizon_s": horizon,
-                        "sd": values["sd"],
-                        **{m: values[m][j] for m in ("rmse", "skill", "held", "crps")},
+                        **{m: values[m][j] for m in ("rmse", "sd", "skill", "held", "crps")},
                         "coverage90": values["coverage90"][j],
                         "n": table["n"],
                     }

@@ -32,7 +32,7 @@ from twin.sim.oracle import check_simulator
 from twin.sim.recorded import log_name, read_run
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS, ManoeuvreError
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.faults import parse_faults
+from usv_gym.world.faults import ineffective_fault, parse_faults
 from usv_gym.world.schedule import changing_sea, parse_values
 from usv_gym.world.sea import SEA_STATES, SeaKeyframe, SeaState
 from usv_gym.world.sensors import SensorSuite
@@ -321,8 +321,12 @@ def _is_runnable(predictor: str, path: str, ship: str | None, mapping: str | Non
 
 
 def left_out(settings: Settings) -> tuple[str, ...]:
-    """Return a line on each predictor that lacks information on recorded runs."""
+    """Return a line on each predictor that lacks information on recorded runs, and on no effect."""
     lines = []
+    for case in settings.conditions if settings.scenarios else ():
+        struck, suite = parse_faults(case.fault, 0.0), SensorSuite.grade(case.grade)
+        if (found := ineffective_fault(struck, settings.dof, suite.has_anemometer)) is not None:
+            lines.append(f"{case.name}: {found}")
     for predictor in settings.predictors:
         runs = [
             log_name(path)

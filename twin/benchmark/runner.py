@@ -260,9 +260,7 @@ def run_unit(
         past = np.floor(float(seen.t[-1]) - HORIZONS[-1] - max(end, identify))
         result["past_commands"] = {"end_s": last_command, "left_out": max(int(past), 0)}
     if motion_truth is not None:
-        result["motion"] = {
-            plan: motion_table(parts, motion_truth.sd) for plan, parts in motions.items() if parts
-        }
+        result["motion"] = {plan: motion_table(parts) for plan, parts in motions.items() if parts}
     if pictures:
         result["examples"] = [_thin(p) for p in examples]
         if motion_truth is not None and ahead:

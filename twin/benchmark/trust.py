@@ -1,4 +1,4 @@
-"""How far a twin of a log may be trusted: five answers with numbers, and a colour.
+"""How far a twin of a log may be trusted: five or six answers with numbers, and a colour.
 
 The twin runs over the log once. Meanwhile its forecasts are scored as in the benchmark, against
 the log's own fixes and headings and beside persistence, and copies of it go on without GPS.
@@ -24,6 +24,7 @@ from twin.filters.navigation_ekf import Navigator
 from twin.logs.diagnosis.findings import ERROR, WARNING, Finding
 from twin.logs.log import Log
 from twin.model.priors import kind_of, scaled_prior
+from twin.motion.tilt_meter import TILT_HORIZON, TiltMeter
 from twin.particulars import Particulars
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.baselines import hold_velocity
@@ -112,7 +113,8 @@ RULES = (
     f"noise of the sensors, or {STEADY:g} times it where persistence is; at least "
     f"{COVERAGE_GREEN:.0%} inside the claimed 90 %, less what a short log shows by chance; at "
     f"least {BEARS_GREEN:g} s without GPS; no parameter beyond {FAR:g} prior standard deviations, "
-    "and no effect of a command of the other sign; no finding of the log check. "
+    "and no effect of a command of the other sign; no finding of the log check; where the log has "
+    f"roll and pitch, their error after {TILT_HORIZON:g} s and coverage by the same limits. "
     f"Amber: up to {RATIO_AMBER:g} of persistence; at least {COVERAGE_AMBER:.0%}; at least "
     f"{BEARS_AMBER:g} s; up to {FAR_AMBER} parameters, or more where the three answers before are "
     "green; warnings; or what the log is too short to tell "
@@ -142,7 +144,7 @@ class GpsLoss(NamedTuple):
 
 @dataclass(frozen=True)
 class Answer:
-    """One of the five lines."""
+    """One of the lines."""
 
     about: str
     colour: str  # one of COLOURS
@@ -152,7 +154,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The five answers, and what they were made from."""
+    """The answers, and what they were made from."""
 
     boat: str
     log: str
@@ -194,9 +196,10 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
         One for each run, of one boat and predictor.
     """
     answers = []
-    for row in zip(*(each.answers for each in verdicts), strict=True):
-        worst = max(row, key=lambda answer: COLOURS.index(answer.colour))
-        log = verdicts[row.index(worst)].log
+    for about in dict.fromkeys(answer.about for each in verdicts for answer in each.answers):
+        found = [(each.log, a) for each in verdicts for a in each.answers if a.about == about]
+        log, worst = max(found, key=lambda pair: COLOURS.index(pair[1].colour))
+        row = [answer for _, answer in found]
         same = sum(answer.colour == worst.colour for answer in row)
         more = f" [{log}; {same} of {len(row)} runs are {worst.colour}]"
         answers.append(dataclasses.replace(worst, text=worst.text + more))
@@ -258,6 +261,7 @@ class TrustMeter:
         self._loss_length = length
         self._loss_starts = starts.tolist() if length >= LOSS_MIN else []
         self._row = 0
+        self._tilt = TiltMeter(twin.motion)
         self.forecasts: list[ScoredForecast] = []
         self.losses: list[GpsLoss] = []
 
@@ -269,6 +273,7 @@ class TrustMeter:
         step = t - float(log.t[row - 1]) if row else 0.0
         if self._navigator is not None:
             self._navigator.update(step, log.z[row])
+        self._tilt.take(t)
         if self._reference is None:
             return
         if t >= self._next - 1e-9 and t <= self._end + 1e-9:
@@ -289,6 +294,8 @@ class TrustMeter:
         dt = min(max(self.log.dt, STEP), 0.5)
         plan = known_plan(self.log, row, HORIZON, dt)
         prediction = self.twin.predictor.predict(plan, dt)
+        after = prediction.t - prediction.t0
+        self._tilt.note(self.twin.motion.forecast(after, prediction.mean, prediction.start))
         own = score(_with_noise(prediction, self.particulars), truth, (HORIZON,))
         error = float(own.displacement[0]), abs(float(own.error[0, -1]))
         covered = bool(own.covered[0, -1]), bool(own.covered[0, -2])
@@ -330,7 +337,7 @@ class TrustMeter:
         return self._reference.at(np.array([t]))[0, :2]
 
     def verdict(self, findings: Sequence[Finding] = ()) -> Verdict:
-        """Return the five answers.
+        """Return the five answers, and a sixth where the log shows roll and pitch.
 
         Parameters
         ----------
@@ -345,7 +352,9 @@ class TrustMeter:
         elif parameters.colour == RED and all(answer.colour == GREEN for answer in scores):
             # the prior may be too narrow for a boat that its twin predicts well
             parameters = dataclasses.replace(parameters, colour=AMBER)
-        answers = (*scores, parameters, _sensor_answer(findings))
+        answers: tuple[Answer, ...] = (*scores, parameters, _sensor_answer(findings))
+        if self.twin.motion.active:
+            answers = (*answers, self._tilt_answer())
         return Verdict(
             boat=self.particulars.name,
             log=self.log.name,
@@ -393,12 +402,34 @@ class TrustMeter:
             f"({count} {'forecast' if count == 1 else 'forecasts'})"
         )
         worst = min(place, heading)
+        colour = self._colour(worst >= self._coverage_bound(), worst >= COVERAGE_AMBER)
+        return Answer("coverage", colour, text, {"position": place, "heading": heading})
+
+    def _coverage_bound(self) -> float:
+        """Return the share inside the claimed 90 % from which on it is green."""
         # forecasts that overlap count as one
         alone = 1.0 + (self.forecasts[-1].t - self.forecasts[0].t) / HORIZON
         chance = CHANCE * math.sqrt(CLAIMED * (1.0 - CLAIMED) / alone)
-        bound = max(min(COVERAGE_GREEN, CLAIMED - chance), COVERAGE_AMBER)
-        colour = self._colour(worst >= bound, worst >= COVERAGE_AMBER)
-        return Answer("coverage", colour, text, {"position": place, "heading": heading})
+        return max(min(COVERAGE_GREEN, CLAIMED - chance), COVERAGE_AMBER)
+
+    def _tilt_answer(self) -> Answer:
+        if (found := self._tilt.score()) is None:
+            return Answer("attitude", AMBER, "cannot tell: no forecast of roll could be scored")
+        error, held = np.degrees(found.error), np.degrees(found.held)
+        text = (
+            f"roll {error[0]:.1f} and pitch {error[1]:.1f} degrees off after {TILT_HORIZON:g} s; "
+            f"held {held[0]:.1f} and {held[1]:.1f}; {found.inside[0]:.0%} and "
+            f"{found.inside[1]:.0%} inside the claimed 90 %"
+        )
+        # a boat that hardly moves is as well known as its sensors are
+        ratio = np.where(found.error <= STEADY * found.known, 0.0, found.error / found.held)
+        worst, inside = float(ratio.max()), float(found.inside.min())
+        colour = self._colour(
+            worst <= RATIO_GREEN and inside >= self._coverage_bound(),
+            worst <= RATIO_AMBER and inside >= COVERAGE_AMBER,
+        )
+        numbers = {name: np.asarray(part).tolist() for name, part in found._asdict().items()}
+        return Answer("attitude", colour, text, numbers)
 
     def _colour(self, is_green: bool, is_amber: bool) -> str:
         """Return the colour of scores of the forecasts; few of them are never red."""

@@ -224,10 +224,13 @@ def note(text: str) -> None:
 def print_sea(sea: SeaEstimate | None) -> None:
     """Print what a twin makes of the waves, once it knows."""
     if sea is not None and sea.known:
+        to, sd = math.degrees(sea.to) % 360.0, math.degrees(sea.to_sd)
+        going = f"to {to:.0f} deg (sd {sd:.0f})" if sea.direction_known else "in no clear direction"
         console.print(
             f"sea: significant height {sea.hs:.2f} m, mean period {sea.period:.1f} s, "
-            f"waves going to {math.degrees(sea.to) % 360.0:.0f} deg",
+            f"waves going {going}",
             highlight=False,
+            soft_wrap=True,
         )
 
 

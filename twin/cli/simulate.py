@@ -21,7 +21,7 @@ from twin.logs.log import sibling_path
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym.manoeuvring.manoeuvres import SCENARIOS
 from usv_gym.vessel.vessel import Vessel, vessel_names
-from usv_gym.world.faults import FAULTS_HELP, parse_faults
+from usv_gym.world.faults import FAULTS_HELP, ineffective_fault, parse_faults
 from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES, SensorSuite
@@ -63,10 +63,8 @@ def simulate_command(
     for fault in parsed:
         if getattr(fault, "start", 0.0) >= duration:
             note(f"the fault of {fault.kind} begins after the end of the run: see --fault-start")
-        if fault.kind == "ahrs" and dof == 3:
-            note("a boat with --dof 3 has no AHRS: its fault changes nothing; see --dof 6")
-        if fault.kind == "wind" and not suite.has_anemometer:
-            note("these sensors have no anemometer: its fault changes nothing; see --sensors best")
+    if (found := ineffective_fault(parsed, dof, suite.has_anemometer)) is not None:
+        note(found)
     path = out or Path(f"{manoeuvre}_{seed}.csv")
     log = simulate(
         manoeuvre,

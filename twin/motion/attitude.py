@@ -26,6 +26,8 @@ from twin.motion.state import (
     HEAVE,
     HEIGHT_ERROR,
     HEIGHT_TIME,
+    INNOVATION_MEMORY,
+    INNOVATION_TIME,
     LIFT_BIAS,
     MEMORY,
     N_TILT,
@@ -34,9 +36,10 @@ from twin.motion.state import (
     RING,
     SLOW_HEAVE,
     WAVE_ACCEL,
+    WAVE_ACCEL_RANGE,
     WAVE_LEAK,
-    WAVE_TIME,
     WAVE_WINDOW,
+    wave_density,
 )
 from twin.particulars import GRAVITY
 from usv_kernel.channels import ACCEL_X, ACCEL_Y, GPS_VX, GPS_VY, GPS_X, GPS_Y, GYRO
@@ -53,6 +56,15 @@ LIFT_SD = 2.0
 
 UNKNOWN_ACCEL = 1.0
 """Horizontal acceleration of a boat whose velocity is not known, m/s2."""
+
+UNKNOWN_DENSITY = wave_density(UNKNOWN_ACCEL)
+"""Spectral density of the angle that gravity shows then, rad2 s ..."""
+
+FIRST_DENSITY = wave_density(WAVE_ACCEL)
+"""... at the start, where velocity is known ..."""
+
+DENSITY_RANGE = wave_density(WAVE_ACCEL_RANGE[0]), wave_density(WAVE_ACCEL_RANGE[1])
+"""... and its range, whatever the innovations show."""
 
 GATE = 6.0
 """Samples that are more standard deviations away are refused ..."""
@@ -158,6 +170,8 @@ def _start(memory, given):
     memory.lift = memory.wave_speed = 0.0
     memory.wave_power[:] = 0.0
     memory.velocity[:] = math.nan
+    memory.innovation[:, 0] = 0.0
+    memory.innovation[:, 1] = FIRST_DENSITY
     memory.rows = 0.0
 
 
@@ -354,22 +368,35 @@ def _hold_to_gravity(dt, z, velocity, memory, given):
     """Correct roll and pitch by gravity, with the twin's own accelerations taken out."""
     before, u, v = memory.velocity, velocity[0], velocity[1]
     if memory.planar_new > 0.0 and dt > 0.0:
-        f, r, phi, theta = memory.force, memory.rate[2], memory.tilt[0], memory.tilt[1]
+        f, r, theta = memory.force, memory.rate[2], memory.tilt[1]
         known = math.isfinite(u) and math.isfinite(v) and math.isfinite(before[0])
         ahead = (u - before[0]) / dt - v * r if known else 0.0
         side = (v - before[1]) / dt + u * r if known else 0.0
         cos = math.cos(theta[ANGLE])
         sin_roll = min(max((side - f[1]) / (GRAVITY * cos), -0.9), 0.9)
         sin_pitch = min(max((f[0] - ahead) / GRAVITY, -0.9), 0.9)
-        # what lasts for seconds counts as often as it is new
-        accel = WAVE_ACCEL if known else UNKNOWN_ACCEL
-        var = (accel / GRAVITY) ** 2 * 2.0 * WAVE_TIME / dt
         H = 1.0, 0.0, 0.0, 1.0
-        error = math.asin(sin_roll) - phi[ANGLE] - phi[GRAVITY_ERROR]
-        _correct(phi, memory.P[0], H, error, var, GATE)
-        error = math.asin(sin_pitch) - theta[ANGLE] - theta[GRAVITY_ERROR]
-        _correct(theta, memory.P[1], H, error, var, GATE)
+        for k in range(2):
+            x = memory.tilt[k]
+            error = math.asin(sin_roll if k == 0 else sin_pitch) - x[ANGLE] - x[GRAVITY_ERROR]
+            # what lasts for seconds counts as often as it is new
+            density = _learn_density(error, dt, memory.innovation[k]) if known else UNKNOWN_DENSITY
+            _correct(x, memory.P[k], H, error, density / dt, GATE)
     before[0], before[1] = u, v
+
+
+@inlined
+def _learn_density(error, dt, kept):
+    """Return the spectral density of the noise that the innovations of gravity show, rad2 s.
+
+    Averaged over a time T, white noise of density S has the variance S / 2T.
+    Source: Mehra 1970 (noise covariances from innovations).
+    """
+    kept[0] += min(dt / INNOVATION_TIME, 1.0) * (error - kept[0])
+    share = min(dt / INNOVATION_MEMORY, 1.0)
+    kept[1] += share * (2.0 * INNOVATION_TIME * kept[0] * kept[0] - kept[1])
+    kept[1] = min(max(kept[1], DENSITY_RANGE[0]), DENSITY_RANGE[1])
+    return kept[1]
 
 
 @inlined

@@ -45,7 +45,7 @@ def _variance(memory, k):
     seen = max(b - 2.0 * s * c + s * s * a, 0.0)
     var = (n * seen + TRUST_TICKS * memory.fit_var[k]) / (n + TRUST_TICKS)
     # against estimates, whose errors are in both
-    return max(var + (2.0 * s * STAYS[k] - 1.0) * noise, 0.5 * noise)
+    return max(var + (2.0 * s * memory.gain[k] * STAYS[k] - 1.0) * noise, 0.5 * noise)
 
 
 @kernel
@@ -99,8 +99,9 @@ def forecast_motion(ahead, attitude, memory, given, work, mean, var):
 def quiet_probabilities(mean, var, memory, given, out):
     """Write the probabilities that the deck stays within its limits for :data:`QUIET_SPANS`.
 
-    The errors of past forecasts are laid on the present one. The share of them with which all
-    channels stay within their limits is the probability. Before there are any, and where a channel
+    The errors of past forecasts are laid on the present one, with both signs: waves go up and down
+    alike. The share of them with which all channels stay within their limits is the probability.
+    Before there are any, and where a channel
     is hardly measured, it comes from the variances.
 
     Parameters
@@ -123,17 +124,25 @@ def quiet_probabilities(mean, var, memory, given, out):
             last += 1
         quiet = 0.0
         for e in range(count):
-            inside = True
-            for c in range(3):
-                channel, limit = QUIET_CHANNELS[c], given.limits[c]
-                inside = inside and abs(mean[0, channel]) < limit
-                for h in range(last):
-                    inside = inside and abs(mean[1 + h, channel] + memory.errors[e, c, h]) < limit
-            quiet += 1.0 if inside else 0.0
+            for sign in (-1.0, 1.0):
+                quiet += 1.0 if _stays_inside(mean, memory.errors[e], sign, given, last) else 0.0
         if count > 0:
-            out[s] = (quiet + 0.5) / (count + 1.0)
+            out[s] = (quiet + 0.5) / (2.0 * count + 1.0)
         else:
             out[s] = _independent(mean, var, given, last)
+
+
+@inlined
+def _stays_inside(mean, errors, sign, given, last):
+    """Return whether the deck stays quiet, if the errors of a past forecast come again."""
+    for c in range(3):
+        channel, limit = QUIET_CHANNELS[c], given.limits[c]
+        if not abs(mean[0, channel]) < limit:
+            return False
+        for h in range(last):
+            if not abs(mean[1 + h, channel] + sign * errors[c, h]) < limit:
+                return False
+    return True
 
 
 @inlined

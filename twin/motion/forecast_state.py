@@ -63,7 +63,10 @@ SIGNALS = 7
 follows."""
 
 PLACES = (0, 1, 4, 7)
-"""Where the channels stand among these."""
+"""Where the channels stand among these ..."""
+
+ERROR_PLACES = (0, 1, 4, 5)
+"""... and the signal that holds the lasting error of the estimate of each."""
 
 N_FEATURES = LAGS * SIGNALS
 
@@ -131,7 +134,7 @@ ERROR_TIMES = (10.0, 10.0, MEMORY_OF_HEAVE, 1.0)
 STAYS = np.exp(-HORIZONS / np.array(ERROR_TIMES)[:, None]).ravel()
 """Share of such an error that is left at each horizon."""
 
-HEAVE_LEAK, CLIMB_LEAK = (0.05, 0.6), 0.15
+HEAVE_LEAK, CLIMB_LEAK = (0.06, 0.6), 0.15
 """Share of the heave that the filter leaves out or shifts, with GNSS and without; the same of the
 vertical speed without."""
 
@@ -156,6 +159,7 @@ FORECAST = np.dtype(
         ("means", "f8", TARGETS),  # of the targets at the fit
         ("fit_var", "f8", TARGETS),  # variances of its errors
         ("fit_worth", "f8", TARGETS),  # share of the variance that it explains
+        ("gain", "f8", TARGETS),  # what a forecast makes of a constant error of its channel
         ("is_fit", "f8"),  # 1 once there is a fit
         ("made", "f8", (STEPS, TARGETS)),  # forecasts of past ticks, deviations from the means
         ("made_at", "f8", (STEPS, 2)),  # number of their tick, 1 where there was a fit

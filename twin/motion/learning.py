@@ -12,6 +12,7 @@ from twin.motion.forecast_state import (
     CLIMB_LEAK,
     DECK_SPEED,
     ERROR_PERIOD,
+    ERROR_PLACES,
     ERRORS,
     FIT_SHARE,
     HEAVE_CHANNEL,
@@ -212,6 +213,11 @@ def _fit(memory, work):
         for k in range(TARGETS):
             row[k] = a * right[k]
             offsets[k] -= m * row[k]
+    for k in range(TARGETS):
+        j = ERROR_PLACES[k // N_HORIZONS]
+        memory.gain[k] = 0.0
+        for i in range(LAGS):
+            memory.gain[k] += memory.coefficients[1 + i * SIGNALS + j, k]
     samples = total * total / memory.weights[1]
     used = min(FIT_SHARE * n / samples, 0.75)
     for k in range(TARGETS):
@@ -264,7 +270,7 @@ def skill(memory, k):
 
     Forecast and what came after hold the same error of the estimate, which is no skill.
     """
-    shared = STAYS[k] * memory.noise[k // N_HORIZONS]
+    shared = memory.gain[k] * STAYS[k] * memory.noise[k // N_HORIZONS]
     worth = (memory.verified[1, k] - shared) / max(memory.verified[0, k], 1e-12)
     # until enough are verified, the fit itself counts
     n = memory.verifications

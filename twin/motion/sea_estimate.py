@@ -9,11 +9,11 @@ import numpy as np
 
 from twin.motion.state import ANGLE, CLIMB, HEAVE
 from twin.particulars import GRAVITY
-from usv_kernel.jit import kernel
+from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record
 from usv_kernel.scalar import sincos
 
-__all__ = ["SEA_MOMENTS", "SeaEstimate", "estimate_sea", "sea_of", "take_sea"]
+__all__ = ["DOUBTFUL", "SEA_MOMENTS", "SeaEstimate", "estimate_sea", "sea_of", "take_sea"]
 
 MEMORY = 120.0
 """Time after which a sample weighs a third, s."""
@@ -21,13 +21,32 @@ MEMORY = 120.0
 READY = 30.0
 """Time of data before there is an estimate, s."""
 
+TINY = 1e-12
+"""Mean squares below this show no waves, SI units."""
+
+COHERENT = 0.35
+"""Correlation of vertical speed and slope from which on it shows the direction."""
+
+LINE_SD = (math.radians(8.0), math.radians(13.0))
+"""What the boat's own motion adds to the error of the direction, rad: by vertical speed and slope,
+and by the slopes alone."""
+
+BAND = 0.25
+"""Width of a spectrum, as a share of its frequency."""
+
+RATIO_SD, PHASE_SD = 0.35, 0.5
+"""Standard deviations of the logarithm of the frequency of encounter, and of that correlation."""
+
+DOUBTFUL = 1.0
+"""Standard deviation from which on a direction is not to be used, rad."""
+
 SEA_MOMENTS = np.dtype(
     [
         ("seconds", "f8"),  # time of data
         ("heave", "f8", 2),  # mean and mean square, m
         ("climb", "f8"),  # mean square of the vertical speed, m2/s2
         ("slope", "f8", 2),  # means of the slopes to north and east
-        ("slopes", "f8"),  # mean square of the slope
+        ("slopes", "f8", 3),  # their mean squares and mean product
         ("cross", "f8", 2),  # mean products of vertical speed and slopes, m/s
         ("speed", "f8", 2),  # mean velocity of the boat to north and east, m/s
     ]
@@ -45,11 +64,18 @@ class SeaEstimate(NamedTuple):
     """Mean period of the waves, s, by their slopes; not that of their encounter with the boat."""
     to: float
     """Mean direction that they go to, rad clockwise from north, whatever the heading."""
+    to_sd: float
+    """Standard deviation of that, rad. Where it cannot be told from its opposite it is large."""
 
     @property
     def known(self) -> bool:
         """Whether there is an estimate yet."""
         return math.isfinite(self.hs)
+
+    @property
+    def direction_known(self) -> bool:
+        """Whether the direction is known well enough to be used: within :data:`DOUBTFUL`."""
+        return self.to_sd < DOUBTFUL
 
 
 @kernel
@@ -81,7 +107,9 @@ def take_sea(dt, heading, velocity, attitude, memory):
     memory.climb += share * (w * w - memory.climb)
     memory.slope[0] += share * (north - memory.slope[0])
     memory.slope[1] += share * (east - memory.slope[1])
-    memory.slopes += share * (north * north + east * east - memory.slopes)
+    memory.slopes[0] += share * (north * north - memory.slopes[0])
+    memory.slopes[1] += share * (east * east - memory.slopes[1])
+    memory.slopes[2] += share * (north * east - memory.slopes[2])
     memory.cross[0] += share * (w * north - memory.cross[0])
     memory.cross[1] += share * (w * east - memory.cross[1])
     u, v = velocity[0], velocity[1]
@@ -91,28 +119,56 @@ def take_sea(dt, heading, velocity, attitude, memory):
 
 @kernel
 def sea_of(memory):
-    """Return height (m), period (s) and direction (rad) of the waves; NaN while unknown.
+    """Return height (m), period (s), direction of the waves and its deviation (rad); else NaN.
 
-    A surface that travels has slope and vertical speed in phase, along its direction. A boat that
-    overtakes the waves sees them the other way round. Of the two directions, the one is taken whose
-    frequency of encounter is nearer to that of the heave.
+    A surface that travels has slope and vertical speed in phase, along its direction. Waves that
+    the boat hardly meets, or overtakes, have them out of phase; then the slopes alone show the
+    line along which the waves travel. Of its two directions the one is taken whose frequency of
+    encounter, and whose sign of the phase, fit better to what is seen.
 
     Source: Longuet-Higgins, Cartwright and Smith 1963 (directions from heave, pitch and roll).
     """
+    a, b = memory.slope[0], memory.slope[1]
     heave = memory.heave[1] - memory.heave[0] ** 2
-    slopes = memory.slopes - memory.slope[0] ** 2 - memory.slope[1] ** 2
-    if not (memory.seconds >= READY and heave > 0.0 and slopes > 0.0):
-        return math.nan, math.nan, math.nan
+    north, east = memory.slopes[0] - a * a, memory.slopes[1] - b * b
+    slopes = north + east
+    if not (memory.seconds >= READY and min(heave, slopes, memory.climb) > TINY):
+        return math.nan, math.nan, math.nan, math.nan
     number = math.sqrt(slopes / heave)
     frequency, seen = math.sqrt(GRAVITY * number), math.sqrt(memory.climb / heave)
-    along = math.atan2(memory.cross[1], memory.cross[0])
+    size = math.sqrt(memory.climb * slopes)
+    coherence = min(math.hypot(memory.cross[0], memory.cross[1]) / size, 1.0)
+    in_phase = coherence >= COHERENT
+    along = (
+        math.atan2(memory.cross[1], memory.cross[0])
+        if in_phase
+        else 0.5 * math.atan2(2.0 * (memory.slopes[2] - a * b), north - east)
+    )
     s, c = sincos(along)
     speed = memory.speed[0] * c + memory.speed[1] * s
-    # waves that go along are met, or waves that go the other way are overtaken
-    met, overtaken = abs(frequency - number * speed), -number * speed - frequency
-    turned = overtaken > 0.0 and abs(overtaken - seen) < abs(met - seen)
-    to = along + math.pi if turned else along
-    return 4.0 * math.sqrt(heave), 2.0 * math.pi / frequency, to % (2.0 * math.pi)
+    phase = (memory.cross[0] * c + memory.cross[1] * s) / size
+    forth = _misfit(frequency, number * speed, seen, phase)
+    back = _misfit(frequency, -number * speed, seen, -phase)
+    to = along if forth <= back else along + math.pi
+    waves = min(memory.seconds, MEMORY) * seen / math.pi
+    var = (1.0 - coherence**2) / (2.0 * waves * max(coherence, COHERENT) ** 2)
+    var += LINE_SD[0] ** 2 if in_phase else LINE_SD[1] ** 2
+    sure = 1.0 / (1.0 + math.exp(-0.5 * min(abs(forth - back), 60.0)))
+    sd = math.sqrt(sure * var + (1.0 - sure) * math.pi**2)
+    return 4.0 * math.sqrt(heave), 2.0 * math.pi / frequency, to % (2.0 * math.pi), sd
+
+
+@inlined
+def _misfit(frequency, shift, seen, phase):
+    """Return how badly a direction fits, in squared standard deviations.
+
+    ``shift`` (rad/s) is what the boat's own speed takes off the frequency of the waves, ``seen``
+    (rad/s) that of the heave, ``phase`` the correlation of vertical speed and slope.
+    """
+    met, width = frequency - shift, BAND * frequency
+    ratio = math.log(seen / math.hypot(met, width)) / RATIO_SD
+    side = (phase - math.tanh(met / width)) / PHASE_SD
+    return ratio * ratio + side * side
 
 
 @kernel
@@ -122,7 +178,7 @@ def _sea_of(memory):
 
 
 def estimate_sea(memory: Any) -> SeaEstimate:
-    """Return height, period and direction of the waves: see :func:`sea_of`.
+    """Return height, period, direction of the waves and how sure it is: see :func:`sea_of`.
 
     ``memory`` is :data:`SEA_MOMENTS` as flat float64.
     """

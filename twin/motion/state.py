@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.particulars import Particulars
+from twin.particulars import GRAVITY, Particulars
 from usv_kernel.records import record_size
 from usv_kernel.scalar import rotation
 
@@ -29,6 +29,7 @@ __all__ = [
     "SLOW_HEAVE",
     "attitude_settings",
     "initial_attitude",
+    "wave_density",
 ]
 
 Array = NDArray[np.float64]
@@ -57,8 +58,15 @@ AHRS_WHITE = 0.1
 NEVER = 1e9
 """Age of a sample that has not come yet, s."""
 
-WAVE_ACCEL, WAVE_TIME = 0.3, 0.5
-"""Horizontal acceleration in waves that velocities do not show (m/s2), and how long it lasts, s."""
+WAVE_ACCEL, WAVE_TIME = 0.15, 0.5
+"""Horizontal acceleration in waves that velocities do not show (m/s2), and how long it lasts, s;
+before the innovations show what it is ..."""
+
+WAVE_ACCEL_RANGE = (0.03, 0.6)
+"""... and its range, m/s2."""
+
+INNOVATION_TIME, INNOVATION_MEMORY = 5.0, 60.0
+"""Time over which innovations are averaged for that, and over which the averages are, s."""
 
 NO_FIX = 2.0
 """Without a vertical speed of the GNSS for so long, heave comes from the IMU alone, s."""
@@ -70,7 +78,7 @@ its range, rad/s."""
 WAVE_WINDOW, WAVE_LEAK = 60.0, 4.0
 """Times over which that frequency is found, and in which a speed is forgotten for it, s."""
 
-MEMORY, SLOW_HEAVE = 15.0, 0.035
+MEMORY, SLOW_HEAVE = 15.0, 0.025
 """Time in which a constant heave is forgotten (s), as heave is counted from its mean, and standard
 deviation of heave that changes more slowly than that (m)."""
 
@@ -86,6 +94,8 @@ ATTITUDE = np.dtype(
         ("lift", "f8"),  # vertical acceleration of the last row, down, m/s2
         ("wave_speed", "f8"),  # its leaky integral, m/s
         ("wave_power", "f8", 2),  # mean squares of that and of the acceleration
+        ("innovation", "f8", (2, 2)),  # mean angle that gravity shows beside the filter's, rad ...
+        # ... and the spectral density of what it is made of, rad2 s; of roll and pitch
         ("velocity", "f8", 2),  # horizontal velocity of the row before, m/s; NaN before the first
         ("ages", "f8", 7),  # time since the last new sample of each motion channel, s
         ("last", "f8", 7),  # that sample; NaN before the first
@@ -116,6 +126,15 @@ ATTITUDE_SETTINGS = np.dtype(
         ("mounting", "f8", (3, 3)),  # turns a vector of the IMU into the boat's axes
     ]
 )
+
+
+def wave_density(accel: float) -> float:
+    """Return the spectral density of the angle that gravity shows, rad2 s.
+
+    ``accel`` is the horizontal acceleration that is taken for gravity, m/s2: it lasts for
+    :data:`WAVE_TIME`.
+    """
+    return 2.0 * WAVE_TIME * (accel / GRAVITY) ** 2
 
 
 def initial_attitude() -> Array:

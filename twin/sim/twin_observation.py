@@ -33,8 +33,8 @@ from twin.motion.deck_motion import (
 from twin.motion.deck_motion import take_row as take_motion_row
 from twin.motion.forecast import forecast_motion, quiet_probabilities
 from twin.motion.forecast_state import HORIZONS as HORIZONS_OF_MOTION
-from twin.motion.forecast_state import PITCH, QUIET_CHANNELS, QUIET_SPANS
-from twin.motion.sea_estimate import sea_of
+from twin.motion.forecast_state import N_CHANNELS, PITCH, QUIET_SPANS
+from twin.motion.sea_estimate import DOUBTFUL, sea_of
 from twin.motion.state import ANGLE
 from twin.predictors.plus_forecast import (
     FORECAST_WAVE_GAIN,
@@ -184,7 +184,7 @@ ATTITUDE_OBSERVATION = (
     *(
         f"ahead_{HORIZONS_OF_MOTION[row - 1]:g}s_{part}{name}"
         for row in MOTION_ROWS
-        for name in ("roll", "pitch", "deck_speed")
+        for name in ("roll", "pitch", "heave", "deck_speed")
         for part in ("", "half_width_")
     ),
     *(f"quiet_{span:g}s" for span in QUIET_SPANS),
@@ -321,7 +321,7 @@ def describe_motion(s, note, memory, given, work, obs):
         Its ``ahead`` is read, ``quiet`` and ``hs`` are written.
     memory, given, work : record
         Of ``MOTION`` and so on.
-    obs : ndarray, shape (47,)
+    obs : ndarray, shape (57,)
         Written.
     """
     now, forecast, sea = memory.attitude, memory.forecast, memory.sea
@@ -332,12 +332,12 @@ def describe_motion(s, note, memory, given, work, obs):
     obs[0], obs[1] = mean[0, 0] / TILT_SCALE, mean[0, 1] / TILT_SCALE
     obs[2], obs[3] = now.rate[0], now.rate[1]
     obs[4], obs[5] = mean[0, 2], mean[0, 3]
-    for c in range(4):
+    for c in range(N_CHANNELS):
         scale = TILT_SCALE if c <= PITCH else 1.0
         obs[6 + c] = math.sqrt(max(var[0, c], 0.0)) / scale
-    at = 6 + 4
+    at = 6 + N_CHANNELS
     for row in MOTION_ROWS:
-        for c in QUIET_CHANNELS:
+        for c in range(N_CHANNELS):
             scale = TILT_SCALE if c <= PITCH else 1.0
             obs[at] = mean[row, c] / scale
             obs[at + 1] = Z90 * math.sqrt(max(var[row, c], 0.0)) / scale
@@ -345,13 +345,13 @@ def describe_motion(s, note, memory, given, work, obs):
     for k in range(len(QUIET_SPANS)):
         obs[at + k] = note.quiet[k]
     at += len(QUIET_SPANS)
-    hs, period, to = sea_of(sea)
-    known = math.isfinite(hs)
+    hs, period, to, to_sd = sea_of(sea)
+    known, directed = math.isfinite(hs), to_sd < DOUBTFUL
     note.hs = hs if known else 0.0
-    side, ahead = sincos(to - s[PSI] if known else 0.0)
+    side, ahead = sincos(to - s[PSI] if directed else 0.0)
     obs[at] = hs if known else 0.0
     obs[at + 1] = 0.1 * period if known else 0.0
-    obs[at + 2], obs[at + 3] = (ahead, side) if known else (0.0, 0.0)
+    obs[at + 2], obs[at + 3] = (ahead, side) if directed else (0.0, 0.0)
     for j in range(obs.shape[0]):
         obs[j] = min(max(obs[j], -BOUND), BOUND)
 

@@ -30,7 +30,15 @@ from usv_gym.envs.tasks import (
 from usv_gym.physics import GRAVITY
 from usv_gym.physics.frames import COMMAND_SIZE
 from usv_gym.vessel.vessel import Vessel
-from usv_gym.world.faults import CHANNELS, Disturbance, FaultError, fault_records, parse_faults
+from usv_gym.world.faults import (
+    CHANNELS,
+    Disturbance,
+    FaultError,
+    FaultWarning,
+    fault_records,
+    ineffective_fault,
+    parse_faults,
+)
 from usv_gym.world.sea import choice
 from usv_gym.world.sensors import WIND_AT
 from usv_gym.world.simulation import (
@@ -365,7 +373,7 @@ class Episodes:
     def __init__(self, n: int, config: EnvConfig, *, threads: int = 1) -> None:
         check_whole("num_threads", threads, 1, THREADS_MAX)
         self.vessel, self.seas = Vessel.load(config.vessel), config.seas()
-        given, most = _faults(config.faults, config.dt)
+        given, most = _faults(config)
         self.simulation = Simulation(
             n,
             self.vessel,
@@ -523,12 +531,15 @@ class Episodes:
         return self.simulation.boats["step"]
 
 
-def _faults(faults: str | Sequence[Disturbance], dt: float) -> tuple[Any, int]:
+def _faults(config: EnvConfig) -> tuple[Any, int]:
     """Return faults, or a function that draws them, and how many there are at most."""
+    faults, dt = config.faults, config.dt
     if isinstance(faults, str):
         texts = faults.split("|")
         # a wrong name fails here, not at the first reset
-        most = max(len(fault_records(parse_faults(one, 0.0), dt)) for one in texts)
+        named = [parse_faults(one, 0.0) for one in texts]
+        most = max(len(fault_records(one, dt)) for one in named)
+        _warn_of([fault for one in named for fault in one], config)
 
         def draw(rng: np.random.Generator) -> tuple[Disturbance, ...]:
             start = rng.uniform(*FAULT_START)
@@ -542,4 +553,12 @@ def _faults(faults: str | Sequence[Disturbance], dt: float) -> tuple[Any, int]:
             f"faults = {faults!r}: give a text such as 'gps10', or a list of "
             "usv_gym.Fault(kind, start, duration)"
         )
+    _warn_of(given, config)
     return given, len(given)
+
+
+def _warn_of(faults: Sequence[Disturbance], config: EnvConfig) -> None:
+    """Warn of a fault that changes nothing."""
+    anemometer = (config.suite or SensorSuite()).has_anemometer
+    if (found := ineffective_fault(faults, config.dof, anemometer)) is not None:
+        warnings.warn(found, FaultWarning, stacklevel=4)

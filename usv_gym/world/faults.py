@@ -29,10 +29,12 @@ __all__ = [
     "Disturbance",
     "Fault",
     "FaultError",
+    "FaultWarning",
     "RandomFaults",
     "apply_faults",
     "fault_records",
     "fault_sources",
+    "ineffective_fault",
     "parse_faults",
     "strike",
 ]
@@ -78,6 +80,10 @@ FAULT = np.dtype(
 
 class FaultError(UsvTwinError):
     """An invalid sensor or fault; the message names it and the remedy."""
+
+
+class FaultWarning(UserWarning):
+    """A fault that changes nothing."""
 
 
 SPIKE_SIZES = (
@@ -350,6 +356,26 @@ def _fault(match: re.Match[str], start: float) -> Disturbance:
     if loss:
         return Bursts(kind, float(loss) / 100.0, float(mean), begin, effect=effect)
     return Bursts(kind, start=begin, effect=effect)
+
+
+def ineffective_fault(faults: Sequence[Disturbance], dof: int, anemometer: bool) -> str | None:
+    """Return a sentence on a fault that changes nothing; None where all have an effect.
+
+    Parameters
+    ----------
+    faults : sequence of Disturbance
+        As given; those of :data:`ON` strike whatever there is.
+    dof : int
+        Degrees of freedom of the boat: 3 or 6.
+    anemometer : bool
+        Whether the sensors have an anemometer.
+    """
+    struck = {fault.kind for fault in faults if fault not in ON}
+    if dof == 3 and "ahrs" in struck:
+        return "a boat with dof=3 has no AHRS: its fault changes nothing; use dof=6"
+    if not anemometer and "wind" in struck:
+        return "these sensors have no anemometer: its fault changes nothing; use those of 'best'"
+    return None
 
 
 def fault_records(faults: Sequence[Disturbance], dt: float) -> np.ndarray:

@@ -18,6 +18,7 @@ from twin.benchmark.trust import (
     TrustMeter,
     Verdict,
     position_bound,
+    worst_of,
 )
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding
 from twin.predictors.ukf import UKFPredictor
@@ -272,3 +273,30 @@ def test_twins_without_parameters_are_scored_too(boat: Particulars, log: Log) ->
     numbers = found.answers[0].numbers
     assert numbers["displacement_m"] == pytest.approx(numbers["persistence_displacement_m"])
     assert found.answers[3].text == "the predictor has none"
+
+
+@pytest.fixture(scope="module")
+def rolling() -> Verdict:
+    """Return the verdict on a boat that rolls in waves from its bow."""
+    vessel = Vessel.load("usv75")
+    log = simulate(
+        "heading135", vessel=vessel, sea=SeaState.named("2"), duration=180.0, seed=3, dof=6
+    )
+    return verdict_of(particulars_of(vessel, dof=6), log.without_truth())
+
+
+def test_forecasts_of_roll_and_pitch_are_a_sixth_answer(rolling: Verdict) -> None:
+    answer = rolling.answers[-1]
+    assert (answer.about, answer.colour) == ("attitude", GREEN)
+    numbers = answer.numbers
+    assert (np.array(numbers["error"]) < 0.9 * np.array(numbers["held"])).all()
+    assert 0.7 < min(numbers["inside"]) <= 1.0
+    assert numbers["n"] > 20
+
+
+def test_the_worst_of_runs_with_and_without_roll_has_all_answers(
+    good: Verdict, rolling: Verdict
+) -> None:
+    found = worst_of([good, rolling])
+    assert [answer.about for answer in found.answers] == [a.about for a in rolling.answers]
+    assert "1 of 1 runs" in found.answers[-1].text

@@ -101,6 +101,30 @@ def test_claimed_deviations_are_those_of_the_errors(typical: list[Log]) -> None:
     assert (np.median(ratios, axis=0) < 1.5).all()
 
 
+def test_noise_of_gravity_is_what_the_innovations_show() -> None:
+    """Accelerations that last for half a second hide gravity: the filter must find how many."""
+    n, rng, sds = 4000, np.random.default_rng(1), []
+    for size in (0.05, 0.4):
+        z = np.full((n, len(MEASUREMENTS)), np.nan)
+        z[:, [GYRO, GYRO_X, GYRO_X + 1]] = 1e-4 * rng.standard_normal((n, 3))
+        slow, stay = np.zeros((n, 2)), math.exp(-0.05 / 0.5)
+        for k in range(1, n):
+            slow[k] = stay * slow[k - 1] + math.sqrt(1.0 - stay**2) * rng.standard_normal(2)
+        z[:, [ACCEL_X, ACCEL_Y]] = size * slow + 1e-3 * rng.standard_normal((n, 2))
+        z[:, ACCEL_Z] = -9.80665 + 1e-3 * rng.standard_normal(n)
+        motion = DeckMotion(BOAT)
+        for k in range(n):
+            motion.take(0.05 * k, 0.05 if k else 0.0, z[k], np.zeros(6), True)
+        density = motion.record["attitude"]["innovation"][:, 1]
+        expected = 2.0 * 0.5 * (size / 9.80665) ** 2
+        assert (density > 0.3 * expected).all()
+        assert (density < 3.0 * expected).all()
+        now = motion.estimate()
+        assert now is not None
+        sds.append(now.sd[:2])
+    assert (sds[1] > 1.5 * sds[0]).all()
+
+
 def test_gnss_halves_the_error_of_the_heave(typical: list[Log]) -> None:
     heave = [
         [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import gymnasium as gym
 import numpy as np
@@ -20,6 +21,7 @@ from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.episodes import OBSERVATION
 from usv_gym.envs.tasks import FAILURE, TASKS, TaskError, make_task
 from usv_gym.physics import frames as fr
+from usv_gym.world.faults import Fault, FaultWarning
 from usv_kernel.errors import ArgumentError
 
 RATED = ("path", "curves", "lawnmower", "waypoints")
@@ -251,6 +253,32 @@ def test_both_checkers_accept_every_task_and_observation_set(task, observation):
     check_env(env, skip_render_check=True)
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
     sb3.check_env(env)
+
+
+def test_the_attitude_set_holds_forecasts_of_all_channels():
+    env = make_env(observation="twin_attitude", twin="ukf", frame_skip=5, dof=6, sea="2")
+    names = list(env.observation_names)
+    for channel in ("roll", "pitch", "heave", "deck_speed"):
+        for horizon in ("0.5", "1", "2", "3", "5"):
+            assert f"ahead_{horizon}s_{channel}" in names
+            assert f"ahead_{horizon}s_half_width_{channel}" in names
+    obs, _ = env.reset(seed=3)
+    for _ in range(40):
+        obs, *_ = env.step(np.zeros(env.action_space.shape))
+    own = dict(zip(names, obs.tolist(), strict=True))
+    # nothing is learned yet: the mean, and heave is counted from it
+    assert abs(own["ahead_2s_heave"]) < 0.5
+    assert own["ahead_2s_half_width_heave"] > 1.6 * own["sd_heave"] > 0.0
+
+
+@pytest.mark.parametrize("faults", ["ahrs10", "gps10|ahrs-random", [Fault("ahrs", 1.0, 5.0)]])
+def test_a_fault_of_the_ahrs_warns_where_there_is_none(faults):
+    with pytest.warns(FaultWarning, match="dof=3 has no AHRS"):
+        make_env(twin=None, faults=faults)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FaultWarning)
+        make_env(twin=None, faults=faults, dof=6)
+        make_env(twin=None, faults="on")
 
 
 def test_stacked_is_what_was_seen_before():

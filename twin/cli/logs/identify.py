@@ -111,7 +111,7 @@ def identify_command(
     combined, with their covariance widened for load and fouling. --save-prior keeps that as the
     boat's own prior, also of one run. Each run begins without an earlier prior.
 
-    It ends with the colour and five lines of usv-twin judge, from fewer forecasts and GPS losses.
+    It ends with the colour and the lines of usv-twin judge, from fewer forecasts and GPS losses.
     Of several runs, each line is that of the worst.
     """
     if save_prior is not None:
@@ -279,7 +279,7 @@ def _motion_json(estimate: Estimate, twin: Twin) -> dict[str, Any]:
     motion, sea = estimate.motion, twin.sea
     waves = None
     if sea is not None and sea.known:
-        waves = dict(zip(("hs_m", "period_s", "to_rad"), sea, strict=True))
+        waves = dict(zip(("hs_m", "period_s", "to_rad", "to_sd_rad"), sea, strict=True))
     return {
         "motion": dict(zip(CHANNELS, motion.mean.tolist(), strict=True)),
         "motion_sd": dict(zip(CHANNELS, motion.sd.tolist(), strict=True)),

@@ -1,4 +1,4 @@
-"""``usv-twin judge``: whether a twin of a log may be trusted, in five lines."""
+"""``usv-twin judge``: whether a twin of a log may be trusted, in five lines or six."""
 
 from __future__ import annotations
 
@@ -71,12 +71,13 @@ def verdict_command(
         raise typer.Exit(1)
 
 
-verdict_command.__doc__ = f"""Say in five lines and one colour whether a twin may be trusted.
+verdict_command.__doc__ = f"""Say in a few lines and one colour whether a twin may be trusted.
 
     The twin runs over the log once. Forecasts are scored against the log's own fixes and headings,
     beside persistence. Copies of the twin go on without fixes in the later half of the log.
     Without GPS a position may be off by the boat's length, 5 m or 5 standard deviations of a fix,
-    whichever is largest.
+    whichever is largest. Where the log shows roll and pitch, a sixth line scores their forecasts
+    against what the twin finds two seconds later, beside the present angles, held.
 
     {RULES}
 
@@ -97,7 +98,7 @@ def findings_of(
 
 
 def print_verdict(verdict: Verdict) -> None:
-    """Print the colour and the five lines."""
+    """Print the colour and the lines."""
     console.print()
     title = f"{verdict.log}, {verdict.predictor}: {verdict.colour}"
     console.print(title, style=STYLES[verdict.colour], highlight=False, soft_wrap=True)
