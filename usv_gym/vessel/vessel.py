@@ -318,6 +318,15 @@ class Vessel:
             )
         return _root(surplus, 0.0, top)
 
+    def shaft_speed_for(self, speed: float) -> float:
+        """Return the shaft speed (rev/s) for a speed (m/s) straight ahead in calm water."""
+        if speed <= 0.0:
+            return 0.0
+        top = 1.0
+        while self.straight_speed(top) < speed:
+            top *= 2.0
+        return _root(lambda n: self.straight_speed(n) - speed, 0.0, top, 1e-10)
+
     def varied(
         self, rng: np.random.Generator, spread: float = 0.15, built: float | None = None
     ) -> Vessel:
@@ -419,8 +428,8 @@ def _drift_growth(vessel: Vessel) -> float:
     )
 
 
-def _root(f: Callable[[float], float], a: float, b: float) -> float:
-    """Return the root of f between a and b, equal to ``scipy.optimize.brentq(f, a, b, 1e-9)``."""
+def _root(f: Callable[[float], float], a: float, b: float, xtol: float = 1e-9) -> float:
+    """Return the root of f between a and b, equal to ``scipy.optimize.brentq(f, a, b, xtol)``."""
     # Brent's method; importing scipy.optimize takes a third of a second
     x_pre, x, f_pre, fx = a, b, f(a), f(b)
     x_blk = f_blk = step_pre = step = 0.0
@@ -431,7 +440,7 @@ def _root(f: Callable[[float], float], a: float, b: float) -> float:
         if abs(f_blk) < abs(fx):
             x_pre, x, x_blk = x, x_blk, x
             f_pre, fx, f_blk = fx, f_blk, fx
-        delta = (1e-9 + 4.0 * math.ulp(1.0) * abs(x)) / 2.0
+        delta = (xtol + 4.0 * math.ulp(1.0) * abs(x)) / 2.0
         half = (x_blk - x) / 2.0
         if fx == 0.0 or abs(half) < delta:
             return x
