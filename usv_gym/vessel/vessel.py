@@ -35,6 +35,7 @@ from usv_gym.vessel.schema import (
 )
 from usv_gym.vessel.vessel_file import read_vessel, vessel_names
 from usv_kernel.records import Record
+from usv_kernel.servos import Servos
 
 __all__ = [
     "KIND_SCHEMA",
@@ -113,6 +114,8 @@ class Vessel:
     design : str
         Vessel of the package that this one is, or was drawn from by :meth:`varied`. Empty for
         any other file, whatever its name.
+    outputs : Servos, optional
+        Servo outputs of an autopilot that steer it, see :attr:`servos`.
     """
 
     name: str
@@ -126,6 +129,7 @@ class Vessel:
     hydro: HydroTable | None = None
     stated: Mapping[str, float] = field(default_factory=dict)
     design: str = ""
+    outputs: Servos | None = None
 
     def __post_init__(self) -> None:
         for name in ("values", "stated"):
@@ -257,6 +261,19 @@ class Vessel:
     def helm_max(self) -> float:
         """Largest helm angle, rad."""
         return self.values.get("steer_max", FULL_HELM)
+
+    @property
+    def servos(self) -> Servos:
+        """Servo outputs of an autopilot; by default those of ArduPilot's Rover.
+
+        Full throttle is the greatest shaft speed of a thruster pair, else that in service.
+        """
+        if self.outputs is not None:
+            return self.outputs
+        if self.kind == "thruster_pair":
+            shaft = self.values["shaft_speed_max"]
+            return Servos(shaft_speed=shaft, angle=1.0, left=1, right=3, steering=0)
+        return Servos(shaft_speed=self.values["shaft_speed_service"], angle=self.helm_max)
 
     @cached_property
     def mixing(self) -> np.ndarray:
