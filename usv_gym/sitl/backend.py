@@ -160,25 +160,25 @@ class Backend:
             return None
         now = self.clock()
         last, same = self._count, source == self._peer
-        begins = last is not None and packet.count < last
+        begins = last is not None and packet.number < last
         if last is not None and not same and not begins and now - self._heard < GONE:
             self.counts["foreign"] += 1
             return None
-        if begins and same and last is not None and packet.count > 0 and last - packet.count < OLD:
+        if begins and same and last is not None and packet.number > 0 and last - packet.number < OLD:
             self.counts["late"] += 1
             return None
-        self._peer, self._heard, self._count = source, now, packet.count
+        self._peer, self._heard, self._count = source, now, packet.number
         if begins:
             self.counts["restarts"] += 1
             if self.on_restart is not None:
                 self.on_restart(self)
             self._begin()
         elif last is not None:
-            if packet.count == last:
+            if packet.number == last:
                 self.counts["repeated"] += 1
                 return self._answer
             if same:
-                self.counts["lost"] += packet.count - last - 1
+                self.counts["lost"] += packet.number - last - 1
         self._step(packet)
         return self._answer
 
@@ -214,12 +214,11 @@ class Backend:
     def _kinematics(self) -> _Kinematics:
         """Return place, attitude, velocity over ground and rates of the present moment."""
         state = self.simulation.state[0]
-        attitude = tuple(state[[fr.PHI, fr.THETA, fr.PSI]].tolist())
-        u, v, w = state[[fr.U, fr.V, fr.W]].tolist()
+        roll, pitch, yaw, u, v, w = state[[fr.PHI, fr.THETA, fr.PSI, fr.U, fr.V, fr.W]].tolist()
         return _Kinematics(
             tuple(state[[fr.X, fr.Y, fr.Z]].tolist()),
-            attitude,
-            fr.rotate(*attitude, u, v, w),
+            (roll, pitch, yaw),
+            fr.rotate(roll, pitch, yaw, u, v, w),
             tuple(state[[fr.P, fr.Q, fr.R]].tolist()),
         )
 

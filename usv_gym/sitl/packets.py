@@ -21,7 +21,7 @@ class ServoPacket(NamedTuple):
     """What an autopilot sends for each step."""
 
     frame_rate: int  # Hz that it would like
-    count: int  # of its packets; a repeated one has the same count
+    number: int  # of the packet; a repeated one has the same number
     widths: tuple[int, ...]  # pulse widths of 16 or 32 outputs, us; 0 is no output
 
 
@@ -43,8 +43,8 @@ def decode_servos(data: bytes) -> ServoPacket | None:
     form = _FORMATS.get(_MAGIC.unpack_from(data)[0])
     if form is None or len(data) != form.size:
         return None
-    rate, count, *widths = form.unpack(data)[1:]
-    return ServoPacket(rate, count, tuple(widths))
+    rate, number, *widths = form.unpack(data)[1:]
+    return ServoPacket(rate, number, tuple(widths))
 
 
 def encode_motion(motion: Motion) -> bytes:

@@ -9,13 +9,14 @@ void. The largest value of a field of GLOBAL_POSITION_INT, and NaN in ATTITUDE, 
 known.
 
 The twin answers as the onboard computer (component 191) of that system, with HEARTBEAT once a
-second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (local NED about the first fix,
-with variances). Its forecasts are TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and
-headings 2, 4, 6, 8, 10 s ahead, local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds
-ahead and standard deviations north and east, m. Where roll and pitch are known, ATTITUDE has them,
-DEBUG_FLOAT_ARRAY ``motion`` has rows of nine numbers: seconds ahead, then roll, pitch (rad), heave
-(m, down), vertical speed of the deck (m/s, down) and their standard deviations. ``quiet`` has the
-probabilities of a deck that stays quiet for 2, 3 and 5 s.
+second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (in the local frame of the
+autopilot, whose origin it asks for, with variances). Its forecasts are
+TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and headings 2, 4, 6, 8, 10 s ahead,
+local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds ahead and standard deviations north
+and east, m. Where roll and pitch are known, ATTITUDE has them, DEBUG_FLOAT_ARRAY ``motion`` has
+rows of nine numbers: seconds ahead, then roll, pitch (rad), heave (m, down), vertical speed of the
+deck (m/s, down) and their standard deviations. ``quiet`` has the probabilities of a deck that stays
+quiet for 2, 3 and 5 s.
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 from twin.channels import MEASUREMENTS, PSI, R, U, V
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
+from twin.live.protocols.jumps import JumpCounter
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
 from twin.live.protocols.sockets import needed
 from twin.particulars import GRAVITY, Particulars
@@ -55,6 +57,9 @@ NEAR = 5.0
 
 HEARTBEAT = 1.0
 """Time between two, s."""
+
+REQUEST_MESSAGE, ORIGIN_MESSAGE = 512, 49
+"""Command that asks for a message, and the message GPS_GLOBAL_ORIGIN."""
 
 AUTOPILOT, ONBOARD = 1, 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
@@ -85,6 +90,8 @@ class MavlinkFeed(Feed):
         self._lost = False
         self._boot = math.nan
         self._greeted = -math.inf
+        self._jumps = JumpCounter()
+        self.local_origin: tuple[float, float] | None = None
         super().__init__(address, particulars, reply, **options)
 
     def decode(self, data: bytes) -> Iterator[Message | str]:
@@ -96,10 +103,20 @@ class MavlinkFeed(Feed):
             yield self._message(item)
 
     def greet(self, now: float) -> Iterator[bytes]:
-        """Yield the heartbeat, once a second."""
+        """Yield the heartbeat, once a second, and the question for the local origin."""
         if now - self._greeted >= HEARTBEAT:
             self._greeted = now
             yield self._writer.heartbeat()
+            if self.system is not None and self.local_origin is None:
+                yield self._writer.command(self.system, REQUEST_MESSAGE, ORIGIN_MESSAGE)
+
+    @property
+    def offset(self) -> tuple[float, float]:
+        """Origin of the autopilot's local frame, m north and east of ours; 0 until it is known."""
+        if self._plane is None or self.local_origin is None:
+            return 0.0, 0.0
+        north, east = self._plane.metres(*self.local_origin)
+        return float(north), float(east)
 
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
         """Yield the twin's estimates, a message in each datagram; see :meth:`Feed.encode`."""
@@ -114,7 +131,9 @@ class MavlinkFeed(Feed):
         else:
             tilt, rates = (motion.roll, motion.pitch), (motion.roll_rate, motion.pitch_rate)
             yield write.attitude(now, heading, rate, tilt, rates)
-        yield write.odometry(now, estimate.state, estimate.sd)
+        resets = self._jumps.take(estimate.t, estimate.state)
+        origin = self.offset
+        yield write.odometry(now, estimate.state, estimate.sd, origin=origin, resets=resets)
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
             horizons = np.array([h for h in HORIZONS if h <= end])
@@ -150,6 +169,7 @@ class MavlinkFeed(Feed):
             "RAW_IMU": self._imu,
             "SERVO_OUTPUT_RAW": self._servo_outputs,
             "GPS_RAW_INT": self._receiver,
+            "GPS_GLOBAL_ORIGIN": self._local_origin,
         }.get(kind)
         # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
@@ -211,6 +231,11 @@ class MavlinkFeed(Feed):
         # 0: no receiver, 1: no fix
         self._lost = item.fix_type < 2
         return Message("receiver", void=self._lost)
+
+    def _local_origin(self, item: Any) -> Message:
+        if item.latitude or item.longitude:  # 0, 0 is what a sender without one writes
+            self.local_origin = item.latitude / 1e7, item.longitude / 1e7
+        return Message("origin", void=self.local_origin is None)
 
 
 class MavlinkWriter:
@@ -289,33 +314,104 @@ class MavlinkWriter:
         # bits 0 to 2 of the last field: which parts are new
         return self._pack(made(round(1e6 * stamp), *force, *still, 7))
 
-    def odometry(self, stamp: float, state: Array, sd: Array) -> bytes:
-        """Return a state and its standard deviations, shapes (6,), (6,)."""
+    def odometry(
+        self,
+        stamp: float,
+        state: Array,
+        sd: Array,
+        *,
+        origin: tuple[float, float] = (0.0, 0.0),
+        resets: int = 0,
+        quality: int = 100,
+    ) -> bytes:
+        """Return a state and its standard deviations, shapes (6,), (6,).
+
+        ``origin`` is that of the autopilot's local frame, m north and east. ``resets`` counts the
+        jumps of the estimate. ``quality`` is per cent, -1 for an estimate that has failed.
+
+        Notes
+        -----
+        ArduPilot takes frame MAV_FRAME_LOCAL_FRD alone, and an infinite or unknown variance stops
+        it from arming. Variances of what is not estimated are 0.
+        """
         d = self._dialect
         x, y, psi, u, v, r = state.tolist()
-        nan = math.nan
-        pose = _triangle([sd[0], sd[1], nan, nan, nan, sd[2]])
-        velocity = _triangle([sd[U], sd[V], nan, nan, nan, sd[R]])
-        turn = [math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)]
-        frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_BODY_FRD
-        return self._pack(
-            d.MAVLink_odometry_message(
-                round(1e6 * stamp),
-                *frames,
-                x,
-                y,
-                0.0,
-                turn,
-                u,
-                v,
-                0.0,
-                0.0,
-                0.0,
-                r,
-                pose,
-                velocity,
-            )
+        made = d.MAVLink_odometry_message(
+            time_usec=round(1e6 * stamp),
+            frame_id=d.MAV_FRAME_LOCAL_FRD,
+            child_frame_id=d.MAV_FRAME_BODY_FRD,
+            x=x - origin[0],
+            y=y - origin[1],
+            z=0.0,
+            q=[math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)],
+            vx=u,
+            vy=v,
+            vz=0.0,
+            rollspeed=0.0,
+            pitchspeed=0.0,
+            yawspeed=r,
+            pose_covariance=_triangle([sd[0], sd[1], 0.0, 0.0, 0.0, sd[2]]),
+            velocity_covariance=_triangle([sd[U], sd[V], 0.0, 0.0, 0.0, sd[R]]),
+            reset_counter=resets,
+            estimator_type=d.MAV_ESTIMATOR_TYPE_GPS_INS,
+            quality=quality,
         )
+        return self._pack(made)
+
+    def command(self, system: int, command: int, *parameters: float) -> bytes:
+        """Return a COMMAND_LONG to the autopilot of a system, with up to seven parameters."""
+        values = [*parameters, *[0.0] * (7 - len(parameters))]
+        made = self._dialect.MAVLink_command_long_message
+        return self._pack(made(system, AUTOPILOT, command, 0, *values))
+
+    def parameter(self, system: int, name: str, value: float) -> bytes:
+        """Return the order to set a parameter of the autopilot of a system."""
+        d = self._dialect
+        kind = d.MAV_PARAM_TYPE_REAL32
+        made = d.MAVLink_param_set_message
+        return self._pack(made(system, AUTOPILOT, name.encode(), value, kind))
+
+    def fix(
+        self,
+        stamp: float,
+        place: tuple[float, float],
+        velocity: tuple[float, float],
+        sd: tuple[float, float],
+        *,
+        valid: bool = True,
+    ) -> bytes:
+        """Return an estimate as a GPS_INPUT: degrees, m/s north and east.
+
+        ``sd`` are the standard deviations of place (m) and speed (m/s).
+        """
+        d = self._dialect
+        unused = (
+            d.GPS_INPUT_IGNORE_FLAG_ALT
+            | d.GPS_INPUT_IGNORE_FLAG_VDOP
+            | d.GPS_INPUT_IGNORE_FLAG_VEL_VERT
+            | d.GPS_INPUT_IGNORE_FLAG_VERTICAL_ACCURACY
+        )
+        made = d.MAVLink_gps_input_message(
+            time_usec=round(1e6 * stamp),
+            gps_id=0,
+            ignore_flags=unused,
+            time_week_ms=0,
+            time_week=0,
+            fix_type=3 if valid else 1,
+            lat=round(1e7 * place[0]),
+            lon=round(1e7 * place[1]),
+            alt=0.0,
+            hdop=1.0,
+            vdop=1.0,
+            vn=velocity[0],
+            ve=velocity[1],
+            vd=0.0,
+            speed_accuracy=sd[1],
+            horiz_accuracy=sd[0],
+            vert_accuracy=0.0,
+            satellites_visible=12 if valid else 0,
+        )
+        return self._pack(made)
 
     def trajectory(self, stamp: float, states: Array) -> bytes:
         """Return up to five predicted states, shape (n, 6)."""
