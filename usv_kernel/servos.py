@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -132,7 +132,7 @@ class Servos:
             if output <= len(widths)
         )
 
-    def widths(self, cmd: Sequence[float]) -> list[int]:
+    def widths(self, cmd: Iterable[float]) -> list[int]:
         """Return the pulse widths, us, of 16 outputs for a command; of two sides, their mean."""
         values = dict(zip(OUTPUT_COMMANDS, map(float, cmd), strict=True))
         found: dict[int, list[float]] = {}

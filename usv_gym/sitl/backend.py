@@ -164,7 +164,13 @@ class Backend:
         if last is not None and not same and not begins and now - self._heard < GONE:
             self.counts["foreign"] += 1
             return None
-        if begins and same and last is not None and packet.number > 0 and last - packet.number < OLD:
+        if (
+            begins
+            and same
+            and last is not None
+            and packet.number > 0
+            and last - packet.number < OLD
+        ):
             self.counts["late"] += 1
             return None
         self._peer, self._heard, self._count = source, now, packet.number

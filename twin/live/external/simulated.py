@@ -88,6 +88,7 @@ class AutopilotRun:
         self.twin, self.navigation, self.port = twin, navigation, port
         self.on_log, self.on_row = on_log, on_row
         backend.on_step, backend.on_restart = self._after_step, self._restart
+        self.step_twin: Callable[[float, Array, Array, Array], None] = self._plain_step
         self._plane = datum.plane
         self._writer = MavlinkWriter(component=ONBOARD)
         self._every = max(round(CONTROL_STEP / backend.simulation.dt), 1)
@@ -149,17 +150,23 @@ class AutopilotRun:
             self.port.poll()
             self._mirror_faults(t)
         if self.twin is not None:
-            self._step_twin(self.twin, t, z, cmd)
+            self._navigate(self.twin, t, z, cmd, truth)
         if self.on_row is not None:
             self.on_row(t, z, cmd, truth)
 
-    def _step_twin(self, twin: Twin, t: float, z: Array, cmd: Array) -> None:
+    def _plain_step(self, t: float, z: Array, cmd: Array, truth: Array) -> None:
+        """Hand a row to the twin; a view does more."""
+        if self.twin is not None:
+            self.twin.step(t, z, cmd)
+
+    def _navigate(self, twin: Twin, t: float, z: Array, cmd: Array, truth: Array) -> None:
+        """Step the twin, and send what external navigation makes of it."""
         if self._moored and not self.backend.moored:
             twin.reset()
             if self.navigation is not None:
                 self.navigation.restart()
         self._moored = self.backend.moored
-        twin.step(t, z, cmd)
+        self.step_twin(t, z, cmd, truth)
         if self.navigation is not None and self.port is not None:
             self.port.send(self.navigation.take(t, z, twin.estimate(), self._plane, t))
 

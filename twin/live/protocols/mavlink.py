@@ -24,7 +24,7 @@ Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -161,16 +161,7 @@ class MavlinkFeed(Feed):
         system, component = item.get_srcSystem(), item.get_srcComponent()
         if component == ONBOARD and system in (self.system, self._writer.system):
             return "own"
-        read = {
-            "GLOBAL_POSITION_INT": self._position,
-            "ATTITUDE": self._attitude,
-            "HIGHRES_IMU": self._imu,
-            "SCALED_IMU": self._imu,
-            "RAW_IMU": self._imu,
-            "SERVO_OUTPUT_RAW": self._servo_outputs,
-            "GPS_RAW_INT": self._receiver,
-            "GPS_GLOBAL_ORIGIN": self._local_origin,
-        }.get(kind)
+        read = self._readers().get(kind)
         # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
         if self.system is None and known:
@@ -180,6 +171,19 @@ class MavlinkFeed(Feed):
             return Message("heartbeat")
         followed = (system, component) == (self.system, self._component)
         return read(item) if read is not None and followed else "unknown"
+
+    def _readers(self) -> dict[str, Callable[[Any], Message]]:
+        """Return what reads each kind of message."""
+        return {
+            "GLOBAL_POSITION_INT": self._position,
+            "ATTITUDE": self._attitude,
+            "HIGHRES_IMU": self._imu,
+            "SCALED_IMU": self._imu,
+            "RAW_IMU": self._imu,
+            "SERVO_OUTPUT_RAW": self._servo_outputs,
+            "GPS_RAW_INT": self._receiver,
+            "GPS_GLOBAL_ORIGIN": self._local_origin,
+        }
 
     def _position(self, item: Any) -> Message:
         self._boot = stamp = item.time_boot_ms / 1000.0

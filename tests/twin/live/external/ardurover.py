@@ -198,7 +198,8 @@ class Flight:
                 f"udpclient:127.0.0.1:{self.port.port}",
                 "--serial1",
                 f"udpclient:127.0.0.1:{station.port}",
-                "-I0",
+                # its other ports differ from those of a flight at the same time
+                f"-I{self.server.port % 90 + 5}",
             ],
             cwd=folder,
             stdout=subprocess.DEVNULL,
