@@ -99,7 +99,7 @@ class AutopilotRun:
         self._rows: list[tuple[float, Array, Array, Array, Array]] = []
         self._z = np.full_like(self.backend.simulation.z[0], math.nan)
         self._steps, self._moored = 0, self.backend.moors
-        self._receiver_on, self._receiver_asked = True, -math.inf
+        self._receiver_on, self._confirmed, self._receiver_asked = True, True, -math.inf
 
     @property
     def log(self) -> Log:
@@ -176,13 +176,13 @@ class AutopilotRun:
         if port is None or port.peer.system is None:
             return
         on = not any(_strikes(fault, t) for fault in faults)
-        if on == self._receiver_on:
-            return
-        confirmed = port.peer.parameters.get(RECEIVER)
-        if self._receiver_asked > -math.inf and confirmed == float(on):
+        if on != self._receiver_on:
             self._receiver_on, self._receiver_asked = on, -math.inf
-        elif t - self._receiver_asked >= RETRY - 1e-6:
+            self._confirmed = False
             port.peer.parameters.pop(RECEIVER, None)
+        if not self._confirmed:
+            self._confirmed = port.peer.parameters.get(RECEIVER) == float(on)
+        if not self._confirmed and t - self._receiver_asked >= RETRY - 1e-6:
             self._receiver_asked = t
             port.send([self._writer.parameter(port.peer.system, RECEIVER, float(on))])
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import socket
 import subprocess
-from collections.abc import Sequence
+import sys
+import tempfile
+import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -15,6 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from tests.twin.live.wire import free_port
 from twin.digital_twin import Twin
 from twin.live.external.navigation import ExternalNavigation, ExternalOptions
+from twin.live.external.peer import AutopilotPeer
 from twin.live.external.port import MavlinkPort
 from twin.live.external.simulated import AutopilotRun, suite_of
 from twin.logs.datum import Datum
@@ -27,6 +32,7 @@ from usv_gym.world.faults import Fault
 from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
 
+NEVER = 1e9
 HOME = Datum(latitude=59.9, longitude=10.7)
 AUTO, HOLD = 10, 4
 LANE = {"usv75": (250.0, 50.0), "otter": (100.0, 25.0)}
@@ -41,8 +47,8 @@ def lawnmower(vessel: str, lanes: int = 3) -> np.ndarray:
     length, apart = LANE[vessel]
     points = [(10.0, 0.0)]
     for lane in range(lanes):
-        ends = (length, 10.0) if lane % 2 == 0 else (10.0, length)
-        points += [(end, lane * apart) for end in (ends if lane else ends[:1])]
+        ends = (length, 10.0) if lane % 2 else (10.0, length)
+        points += [(end, lane * apart) for end in (ends if lane else ends[1:])]
     return np.array(points)
 
 
@@ -133,6 +139,68 @@ class GroundStation:
         return self.reached >= len(self.points)
 
 
+class Loss(NamedTuple):
+    """What a loss of the GPS did."""
+
+    vessel: str
+    predictor: str
+    kind: str
+    seed: int
+    seconds: float
+    auto: bool  # whether the mode was Auto throughout
+    sailed: float  # m in the loss
+    error: float  # of the autopilot's estimate at the end, m
+    after: float  # the same three seconds after the GPS was back
+    off_track: float  # largest distance of the true boat to the plan in the loss, m
+    sd: float  # standard deviation that the twin stated at the end, m
+    inside: bool  # whether its 90 % region holds the truth then
+    track_rms: float  # distance of the true boat to the plan before the loss, rms, m
+    pace: float  # simulated seconds per second
+    packets: dict[str, int]
+    events: list[tuple[float, str]]
+
+
+LEG, INTO_LEG = 3, 20.0
+"""The loss begins so many seconds after this way point is reached."""
+
+
+def lose(flight: Flight, seconds: float, about: tuple[str, str, str, int]) -> Loss:
+    """Sail the mission up to a loss of the GPS, and on until half a minute after it."""
+    begun = time.monotonic()
+    while flight.station.reached < LEG and flight.backend.t < 900.0:
+        flight.until(flight.backend.t + 1.0)
+    flight.until(flight.backend.t + INTO_LEG)
+    start = flight.lose_gps(seconds)
+    end = start + seconds
+    flight.until(end + 30.0)
+    pace = flight.backend.t / (time.monotonic() - begun)
+    log = flight.run.log
+    within = log.slice(start, end).truth[:, :2]
+    before = log.slice(60.0, start).truth[::20, :2]
+    last = log.truth[min(np.searchsorted(log.t, end), len(log) - 1), :2]
+    sd, inside = math.nan, False
+    known = [row for row in flight.estimates if row[0] < end]
+    if known:
+        x, y, sd_x, sd_y = known[-1][1:]
+        sd = max(sd_x, sd_y)
+        inside = ((last[0] - x) / sd_x) ** 2 + ((last[1] - y) / sd_y) ** 2 < 4.605
+    return Loss(
+        *about,
+        seconds=seconds,
+        auto=all(mode == AUTO for t, mode in flight.station.modes if t > start),
+        sailed=float(np.hypot(*np.diff(within, axis=0).T).sum()),
+        error=flight.error(end - 0.1),
+        after=flight.error(end + 3.0),
+        off_track=max(map(flight.off_track, within[::10])),
+        sd=sd,
+        inside=inside,
+        track_rms=float(np.sqrt(np.mean([flight.off_track(p) ** 2 for p in before]))),
+        pace=pace,
+        packets=flight.backend.counts,
+        events=flight.events,
+    )
+
+
 class Flight:
     """A mission of ArduRover on one of our boats, with or without the twin."""
 
@@ -143,13 +211,19 @@ class Flight:
         vessel: str,
         *,
         seed: int = 0,
-        faults: Sequence[Fault] = (),
         options: ExternalOptions | None = None,
         predictor: str = "dsw-ukf-plus",
     ) -> None:
         boat, suite = Vessel.load(vessel), suite_of("typical")
         simulation = Simulation(
-            1, boat, SEAS[vessel], suite=suite, faults=faults, dof=6, dt=0.01, dt_physics=0.01
+            1,
+            boat,
+            SEAS[vessel],
+            suite=suite,
+            faults=(Fault("gps", NEVER, 1.0),),  # moved when it is ordered
+            dof=6,
+            dt=0.01,
+            dt_physics=0.01,
         )
         self.points = lawnmower(vessel)
         self.backend = Backend(simulation, seed)
@@ -157,8 +231,6 @@ class Flight:
         self.twin = Twin(particulars_of(boat, suite, 6), predictor) if options else None
         self.events: list[tuple[float, str]] = []
         station = self.station = GroundStation(self.points)
-        from twin.live.external.peer import AutopilotPeer
-
         peer = self.navigation.peer if self.navigation else AutopilotPeer()
         self.port = MavlinkPort(f"udp://127.0.0.1:{free_port()}", peer)
         self.run = AutopilotRun(
@@ -169,8 +241,7 @@ class Flight:
             port=self.port,
             on_row=lambda t, z, cmd, truth: self.row(t),
         )
-        self.sd: list[tuple[float, float, float]] = []
-        self.estimates: list[tuple[float, float, float]] = []
+        self.estimates: list[tuple[float, ...]] = []
         self.server = Server(self.backend, port=free_port())
         given = autopilot_parameters(boat, external=options is not None)
         if options is not None and options.kind == "gps-input":
@@ -214,8 +285,7 @@ class Flight:
         if self.twin is not None:
             now = self.twin.estimate()
             if now.ready:
-                self.estimates.append((t, *now.state[:2].tolist()))
-                self.sd.append((t, *now.sd[:2].tolist()))
+                self.estimates.append((t, *now.state[:2].tolist(), *now.sd[:2].tolist()))
 
     def until(self, t: float) -> None:
         """Go on until a time, s, or until the mission is done."""
@@ -223,9 +293,52 @@ class Flight:
             if not self.server.poll(5.0):
                 raise AssertionError(f"ArduRover is silent at t = {self.backend.t:.1f} s")
 
+    def lose_gps(self, seconds: float) -> float:
+        """Lose the GPS from the next whole second on; return its time."""
+        fault = self.backend.simulation.faults[0, 0]
+        fault["start"] = begin = math.ceil(self.backend.t) + 1.0
+        fault["end"] = begin + seconds
+        return float(begin)
+
+    def off_track(self, place: np.ndarray) -> float:
+        """Return the distance of a place to the planned path, m."""
+        legs = zip(self.points[:-1], self.points[1:], strict=True)
+        found = []
+        for a, b in legs:
+            along = np.clip((place - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+            found.append(float(np.hypot(*(place - a - along * (b - a)))))
+        return min(found)
+
+    def error(self, t: float) -> float:
+        """Return how far the autopilot's own estimate is from the truth at a time, m."""
+        places, log = np.array(self.station.places), self.run.log
+        at = places[min(np.searchsorted(places[:, 0], t), len(places) - 1)]
+        row = min(np.searchsorted(log.t, at[0]), len(log) - 1)
+        return math.dist(at[1:], log.truth[row, :2])
+
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
         self.server.close()
         self.port.close()
         self.station.socket.close()
+
+
+def main(vessel: str, predictor: str, kind: str, *seeds: str) -> None:
+    """Print a line of JSON for each seed: ``python -m tests.twin.live.external.ardurover ...``."""
+    program = Path(os.environ["USV_TWIN_ARDUROVER"])
+    for seed in map(int, seeds):
+        options = None if kind == "off" else ExternalOptions(kind=kind)
+        with tempfile.TemporaryDirectory() as folder:
+            flight = Flight(
+                program, Path(folder), vessel, seed=seed, options=options, predictor=predictor
+            )
+            try:
+                found = lose(flight, 60.0, (vessel, predictor, kind, seed))
+            finally:
+                flight.close()
+        print(json.dumps(found._asdict()), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
