@@ -183,7 +183,7 @@ def lose(flight: Flight, seconds: float, about: tuple[str, str, str, int]) -> Lo
     if known:
         x, y, sd_x, sd_y = known[-1][1:]
         sd = max(sd_x, sd_y)
-        inside = ((last[0] - x) / sd_x) ** 2 + ((last[1] - y) / sd_y) ** 2 < 4.605
+        inside = bool(((last[0] - x) / sd_x) ** 2 + ((last[1] - y) / sd_y) ** 2 < 4.605)
     return Loss(
         *about,
         seconds=seconds,
