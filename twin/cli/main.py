@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import typer
 
+from twin.cli.autopilot.link import link_command
+from twin.cli.autopilot.sitl import sitl_command
 from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
@@ -70,6 +72,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "study": study_command,
     "view": view_command,
     "replay": replay_command,
+    "sitl": sitl_command,
+    "link": link_command,
     "bench": bench_command,
     "soak": soak_command,
 }

@@ -154,7 +154,7 @@ def view_command(
     if log is not None:
         session = _log_session(log, mapping, vessel, predictor, plan, out)
     elif nmea is not None or mavlink is not None:
-        twin, shown = _feed_twin(vessel, predictor)
+        twin, shown = feed_twin(vessel, predictor)
         if nmea is not None:
             feed: Feed = NmeaFeed(nmea, twin.particulars, reply)
         else:
@@ -178,10 +178,10 @@ def view_command(
         )
         session = SimulatedSession(setup, out, autopilot)
     session.set_scale(speed)
-    _show(session, access, port, browser)
+    show_session(session, access, port, browser)
 
 
-def _show(session: Session, access: Access, port: int, browser: bool) -> None:
+def show_session(session: Session, access: Access, port: int, browser: bool) -> None:
     """Serve a session until Ctrl-C, or until it ends."""
     from twin.live.ui.access import is_loopback
     from twin.live.ui.viewer import Viewer
@@ -229,7 +229,7 @@ def _log_session(
     return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
 
 
-def _feed_twin(ship: str | None, predictor: str) -> tuple[Twin, Vessel | None]:
+def feed_twin(ship: str | None, predictor: str) -> tuple[Twin, Vessel | None]:
     """Return the twin of a boat that sends its measurements, and the vessel to show."""
     if predictor_class(predictor).needs_simulator:
         raise PredictorError(f"predictor {predictor!r}: the sea of a real boat is not known to it")

@@ -40,7 +40,7 @@ from usv_gym.world.faults import (
     parse_faults,
 )
 from usv_gym.world.sea import choice
-from usv_gym.world.sensors import WIND_AT
+from usv_gym.world.sensors import WIND_AT, SensorSuite
 from usv_gym.world.simulation import (
     DONE,
     NO_NUMBERS,

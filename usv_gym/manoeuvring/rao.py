@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import spherical_jn
 
 from usv_gym.physics import GRAVITY, ship, waves
@@ -27,7 +26,6 @@ __all__ = [
     "jensen",
     "respond",
     "responses",
-    "shaft_speed_for",
 ]
 
 Array = NDArray[np.float64]
@@ -58,16 +56,6 @@ class Response(NamedTuple):
     """m/m."""
 
 
-def shaft_speed_for(vessel: Vessel, speed: float) -> float:
-    """Return the shaft speed (rev/s) for a speed (m/s) straight ahead in calm water."""
-    if speed <= 0.0:
-        return 0.0
-    top = 1.0
-    while vessel.straight_speed(top) < speed:
-        top *= 2.0
-    return float(brentq(lambda n: vessel.straight_speed(n) - speed, 0.0, top, xtol=1e-10))
-
-
 def respond(
     vessel: Vessel, omega: float, heading: float, *, speed: float = 0.0, amplitude: float = 1e-3
 ) -> Response:
@@ -77,7 +65,7 @@ def respond(
     rad: 0 following, pi head sea; ``amplitude`` in m. The boat has a constant shaft speed, for
     ``speed``, m/s. Amplitudes are NaN if the encounter frequency is below :data:`SLOWEST`.
     """
-    return _respond(vessel, omega, heading, speed, amplitude, shaft_speed_for(vessel, speed))
+    return _respond(vessel, omega, heading, speed, amplitude, vessel.shaft_speed_for(speed))
 
 
 def _respond(
@@ -116,7 +104,7 @@ def responses(
     amplitude: float = 1e-3,
 ) -> Response:
     """Return :func:`respond` for several wave frequencies (M,), as arrays."""
-    n = shaft_speed_for(vessel, speed)
+    n = vessel.shaft_speed_for(speed)
     each = [
         _respond(vessel, float(w), heading, speed, amplitude, n)
         for w in np.asarray(omega, dtype=float)

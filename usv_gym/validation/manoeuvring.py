@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usv_gym.manoeuvring import indices, rao, trials
+from usv_gym.manoeuvring import indices, trials
 from usv_gym.manoeuvring.indices import Turning, Zigzag
 from usv_gym.manoeuvring.track import Track, TrackError
 from usv_gym.physics import GRAVITY, KNOT, hull
@@ -114,7 +114,7 @@ def tanker_trials(study: Study) -> Section:
             ("20/20", got.zigzag_20, want.zigzag_20),
         ):
             found += rows(_zigzags(f"{case}: {name}", runs, overshoots), SEPARATE, 0.3, "absolute")
-    n = rao.shaft_speed_for(study.model, 1.179)
+    n = study.model.shaft_speed_for(1.179)
     found += rows([("L7: self-propulsion at 1.179 m/s, rps", n, 11.85)], SEPARATE, 0.005)
     return Section(
         "KVLCC2: trials against separate code",
@@ -252,13 +252,13 @@ def plants(study: Study) -> Section:
         for n, knots in ((20.4, 11.0), (25.6, 20.0), (39.7, 38.0))
     ]
     for knots, wants in ((8.0, (-0.59, -1.69)), (38.0, (-2.65, -8.0))):
-        values = course_eigenvalues(boat, rao.shaft_speed_for(boat, knots * KNOT))
+        values = course_eigenvalues(boat, boat.shaft_speed_for(knots * KNOT))
         for which, value, want in zip(ORDER, values, wants, strict=True):
             item = f"usv75 at {knots:g} kn: {which} eigenvalue of the course, 1/s"
             speeds.append((item, value.real, want))
     circles, turns = {}, []
     for knots, speed, rate, radius in TURNS:
-        n = rao.shaft_speed_for(boat, knots * KNOT)
+        n = boat.shaft_speed_for(knots * KNOT)
         circles[knots] = track = trials.turning_circle(boat, angle=20.0 * DEGREE, n=n)
         U, r = math.hypot(*track.motion[:2, -1]), float(track.motion[2, -1])
         where = f"usv75, 20 deg turn from {knots:g} kn"
@@ -272,7 +272,7 @@ def plants(study: Study) -> Section:
         where = f"usv75, 20 deg turn from {knots:g} kn"
         turns.append((f"{where}: AD, Loa", got.advance, advance))
         turns.append((f"{where}: DT, Loa", got.tactical_diameter, diameter))
-    switch, n = 20.0 * DEGREE, rao.shaft_speed_for(boat, 11.0 * KNOT)
+    switch, n = 20.0 * DEGREE, boat.shaft_speed_for(11.0 * KNOT)
     swing = trials.zigzag(boat, switch=switch, helm=switch, n=n)
     over = indices.zigzag(swing, length=Loa, switch=switch, **ORIGIN).overshoots
     overshoots = [

@@ -35,6 +35,7 @@ from usv_gym.vessel.schema import (
 )
 from usv_gym.vessel.vessel_file import read_vessel, vessel_names
 from usv_kernel.records import Record
+from usv_kernel.servos import Servos
 
 __all__ = [
     "KIND_SCHEMA",
@@ -113,6 +114,8 @@ class Vessel:
     design : str
         Vessel of the package that this one is, or was drawn from by :meth:`varied`. Empty for
         any other file, whatever its name.
+    outputs : Servos, optional
+        Servo outputs of an autopilot that steer it, see :attr:`servos`.
     """
 
     name: str
@@ -126,6 +129,7 @@ class Vessel:
     hydro: HydroTable | None = None
     stated: Mapping[str, float] = field(default_factory=dict)
     design: str = ""
+    outputs: Servos | None = None
 
     def __post_init__(self) -> None:
         for name in ("values", "stated"):
@@ -258,6 +262,19 @@ class Vessel:
         """Largest helm angle, rad."""
         return self.values.get("steer_max", FULL_HELM)
 
+    @property
+    def servos(self) -> Servos:
+        """Servo outputs of an autopilot; by default those of ArduPilot's Rover.
+
+        Full throttle is the greatest shaft speed of a thruster pair, else that in service.
+        """
+        if self.outputs is not None:
+            return self.outputs
+        if self.kind == "thruster_pair":
+            shaft = self.values["shaft_speed_max"]
+            return Servos(shaft_speed=shaft, angle=1.0, left=1, right=3, steering=0)
+        return Servos(shaft_speed=self.values["shaft_speed_service"], angle=self.helm_max)
+
     @cached_property
     def mixing(self) -> np.ndarray:
         """Commands per full throttle and full helm, shape (4, 2)."""
@@ -317,6 +334,15 @@ class Vessel:
                 "and resistance (R_0, D_u, D_uu or its curve) must grow with speed"
             )
         return _root(surplus, 0.0, top)
+
+    def shaft_speed_for(self, speed: float) -> float:
+        """Return the shaft speed (rev/s) for a speed (m/s) straight ahead in calm water."""
+        if speed <= 0.0:
+            return 0.0
+        top = 1.0
+        while self.straight_speed(top) < speed:
+            top *= 2.0
+        return _root(lambda n: self.straight_speed(n) - speed, 0.0, top, 1e-10)
 
     def varied(
         self, rng: np.random.Generator, spread: float = 0.15, built: float | None = None
@@ -419,8 +445,8 @@ def _drift_growth(vessel: Vessel) -> float:
     )
 
 
-def _root(f: Callable[[float], float], a: float, b: float) -> float:
-    """Return the root of f between a and b, equal to ``scipy.optimize.brentq(f, a, b, 1e-9)``."""
+def _root(f: Callable[[float], float], a: float, b: float, xtol: float = 1e-9) -> float:
+    """Return the root of f between a and b, equal to ``scipy.optimize.brentq(f, a, b, xtol)``."""
     # Brent's method; importing scipy.optimize takes a third of a second
     x_pre, x, f_pre, fx = a, b, f(a), f(b)
     x_blk = f_blk = step_pre = step = 0.0
@@ -431,7 +457,7 @@ def _root(f: Callable[[float], float], a: float, b: float) -> float:
         if abs(f_blk) < abs(fx):
             x_pre, x, x_blk = x, x_blk, x
             f_pre, fx, f_blk = fx, f_blk, fx
-        delta = (1e-9 + 4.0 * math.ulp(1.0) * abs(x)) / 2.0
+        delta = (xtol + 4.0 * math.ulp(1.0) * abs(x)) / 2.0
         half = (x_blk - x) / 2.0
         if fx == 0.0 or abs(half) < delta:
             return x

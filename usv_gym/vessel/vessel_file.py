@@ -8,6 +8,7 @@ from typing import Any
 
 from usv_gym.vessel.schema import OPTIONAL, SCHEMA, UNITS, VesselError, check_kind, keys_of
 from usv_kernel.files import read_toml
+from usv_kernel.servos import ServoError, Servos
 
 __all__ = [
     "read_vessel",
@@ -49,7 +50,7 @@ def read_vessel(source: str | Path) -> dict[str, Any]:
 
 def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the fields of a vessel from the tables of its file."""
-    known = {"vessel", *SCHEMA}
+    known = {"vessel", "autopilot", *SCHEMA}
     for name in tables:
         if name not in known:
             raise VesselError(f"unknown table [{name}]; known: {', '.join(sorted(known))}")
@@ -86,6 +87,8 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
             (values[key],), guess = _numbers(given[key], unit, f"[{name}] {key}", scalar=True)
             if guess:
                 guesses.add(key)
+    if "autopilot" in tables:
+        about["outputs"] = _outputs(tables["autopilot"], kind)
     return {
         **about,
         "kind": kind,
@@ -94,6 +97,43 @@ def _fields(tables: dict[str, Any], path: Path) -> dict[str, Any]:
         "resistance_force": curve["force"],
         "guesses": frozenset(guesses),
     }
+
+
+def _outputs(table: Any, kind: str) -> Servos:
+    """Return the servo outputs of an autopilot from the table [autopilot]."""
+    skid = kind == "thruster_pair"
+    places = ("left", "right") if skid else ("throttle", "steering")
+    scales = {"shaft_speed": "rev/s"} if skid else {"shaft_speed": "rev/s", "angle": "rad"}
+    known = (*places, *scales, "pulse")
+    if not isinstance(table, dict):
+        raise VesselError("[autopilot] must be a table")
+    for key in table:
+        if key not in known:
+            raise VesselError(f"[autopilot] {key}: unknown key; known: {', '.join(known)}")
+    for key in (*places, *scales):
+        if key not in table:
+            raise VesselError(f"[autopilot] {key}: is missing")
+    for key in places:
+        if isinstance(table[key], bool) or not isinstance(table[key], int):
+            raise VesselError(f"[autopilot] {key}: must be the number of an output, from 1")
+    pulse = table.get("pulse", [1100, 1500, 1900])
+    numbers = isinstance(pulse, list) and all(type(width) in (int, float) for width in pulse)
+    if not numbers or len(pulse) != 3:
+        raise VesselError("[autopilot] pulse: must be three widths, us: least, at rest, greatest")
+    full = {
+        key: _numbers(table[key], unit, f"[autopilot] {key}", scalar=True)[0][0]
+        for key, unit in scales.items()
+    }
+    sides = {"left": table[places[0]], "right": table[places[skid]]}
+    try:
+        return Servos(
+            **sides,
+            steering=0 if skid else table["steering"],
+            **{"angle": 1.0, **full},
+            **dict(zip(("low", "middle", "high"), map(float, pulse), strict=True)),
+        )
+    except ServoError as error:
+        raise VesselError(f"[autopilot] {error}") from None
 
 
 def _about(table: Any, path: Path) -> dict[str, Any]:

@@ -54,6 +54,9 @@ Ctrl-C is heard between calls."""
 STATE_MAX = 1e9
 """Bound of every entry of a plausible state, SI units."""
 
+PLACE_MAX = 1e6
+"""Farthest start from the origin along each axis, m."""
+
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
 BLOCK_STEPS = 512, 120
@@ -323,16 +326,44 @@ class Simulation:
         """Scratch of the kernels that advance boats; threads need copies."""
         self._noise_rngs: list[tuple[np.random.Generator, ...]] = [()] * n
         self._not_reset = set(range(n))
-        self._start_speed = vessel.straight_speed(vessel.values["shaft_speed_manoeuvring"])
+        n_start = vessel.values["shaft_speed_manoeuvring"]
+        self._default_start = vessel.straight_speed(n_start), n_start
 
-    def reset(self, boats: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
-        """Put some boats back to the start: straight ahead, at the manoeuvring speed.
+    def reset(
+        self,
+        boats: Sequence[int],
+        rngs: Sequence[np.random.Generator],
+        *,
+        speed: float | None = None,
+        heading: float = 0.0,
+        at: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Put some boats back to the start: straight ahead, by default at the manoeuvring speed.
 
         With six degrees of freedom they begin on the surface of the sea, moving with it. Waves,
         gusts, GPS, compass, IMU, anemometer and faults each get a child of the boat's generator. So
         switching one off leaves the others as they were.
+
+        Parameters
+        ----------
+        boats : sequence of int
+            Which boats.
+        rngs : sequence of numpy.random.Generator
+            A generator for each of them.
+        speed : float, optional
+            Speed ahead over ground, m/s, with the shaft speed that keeps it in calm water; 0 is
+            at rest with stopped shafts. Default: that of the manoeuvring shaft speed.
+        heading : float
+            Clockwise from north, rad.
+        at : tuple of float
+            Place, m north and east.
+
+        Raises
+        ------
+        SimulationError
+            Names the boat, generator or number that cannot be used.
         """
-        n_start = self.vessel.values["shaft_speed_manoeuvring"]
+        start = self._initial_state(speed, heading, at)
         boats, rngs = list(boats), list(rngs)
         if len(boats) != len(rngs) or not set(boats) <= set(range(self.n)):
             raise SimulationError(
@@ -365,15 +396,32 @@ class Simulation:
             boat["t"] = boat["step"] = boat["noise_until"] = 0.0
             self._refill(int(i))
             state = boat["state"]
-            state[:] = 0.0
-            state[fr.U] = self._start_speed
-            state[fr.N_LEFT] = state[fr.N_RIGHT] = n_start
-            boat["command"] = n_start, n_start, 0.0, 0.0
+            state[:] = start
+            boat["command"] = start[fr.N_LEFT :]
             if self.dof == 6:
                 _float(self.rows[i], self.config, self.factors)
             boat["mean_rate"] = boat["work"] = 0.0
             self._delay_lines[i] = self._wind_lines[i] = 0.0
             _start(self.rows[i], self.config)
+
+    def _initial_state(
+        self, speed: float | None, heading: float, at: tuple[float, float]
+    ) -> np.ndarray:
+        """Return the state (16,) that boats begin with."""
+        check_number("heading", heading, -math.tau, math.tau, SimulationError)
+        if np.shape(at) != (2,):
+            raise SimulationError(f"at = {at!r}: must be two numbers, m north and east")
+        for number in at:
+            check_number("at", number, -PLACE_MAX, PLACE_MAX, SimulationError)
+        u, n = self._default_start
+        if speed is not None:
+            most = self.vessel.values["shaft_speed_max"]
+            top = self.vessel.straight_speed(most)
+            check_number("speed", speed, 0.0, top, SimulationError)
+            u, n = speed, self.vessel.shaft_speed_for(speed)
+        state = np.zeros(fr.STATE_SIZE)
+        state[[fr.X, fr.Y, fr.PSI, fr.U, fr.N_LEFT, fr.N_RIGHT]] = *at, heading, u, n, n
+        return state
 
     def change_sea(
         self, i: int, sea: str | SeaState, rng: np.random.Generator, *, waves: bool = True

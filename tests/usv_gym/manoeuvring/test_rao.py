@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usv_gym import Vessel
-from usv_gym.manoeuvring.rao import jensen, respond, responses, shaft_speed_for
+from usv_gym.manoeuvring.rao import jensen, respond, responses
 from usv_gym.physics import GRAVITY
 from usv_gym.world.realisation import Sea
 
@@ -95,12 +95,6 @@ def test_responses_equal_single_responses() -> None:
     for i, w in enumerate(omega):
         each = respond(BOAT, w, 2.0, speed=4.0)
         assert [float(x[i]) for x in got] == [float(x) for x in each]
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.5, 5.58, 19.0])
-def test_shaft_speed_for_inverts_straight_speed(speed: float) -> None:
-    # to 1e-10 rev/s, with 0.5 m/s per rev/s
-    assert BOAT.straight_speed(shaft_speed_for(BOAT, speed)) == pytest.approx(speed, abs=1e-8)
 
 
 @given(omega=st.floats(0.3, 2.0), heading=st.floats(0.0, math.pi))

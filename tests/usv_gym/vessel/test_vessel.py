@@ -83,6 +83,14 @@ def test_straight_speed_rises_with_shaft_speed(boat: Vessel) -> None:
     assert boat.straight_speed(0.0) == 0.0
 
 
+def test_shaft_speed_for_inverts_straight_speed(boat: Vessel) -> None:
+    top = boat.straight_speed(boat.values["shaft_speed_max"])
+    for speed in (0.0, 0.1 * top, 0.5 * top, top):
+        # to 1e-10 rev/s
+        found = boat.straight_speed(boat.shaft_speed_for(speed))
+        assert found == pytest.approx(speed, abs=1e-8)
+
+
 def test_shaft_speeds_are_in_order(boat: Vessel) -> None:
     v = boat.values
     assert 0.0 < v["shaft_speed_manoeuvring"] <= v["shaft_speed_service"] <= v["shaft_speed_max"]

@@ -146,6 +146,35 @@ def test_it_starts_straight_ahead_at_its_speed() -> None:
     np.testing.assert_array_equal(states[0], expected)
 
 
+@pytest.mark.parametrize("dof", [3, 6])
+def test_it_starts_at_rest_where_it_is_put(dof: int) -> None:
+    simulation = Simulation(1, BOAT, "2", dof=dof)
+    rng = np.random.default_rng(0)
+    simulation.reset([0], [rng], speed=0.0, heading=1.2, at=(40.0, -30.0))
+    state = simulation.state[0]
+    assert state[[fr.X, fr.Y, fr.PSI]].tolist() == [40.0, -30.0, 1.2]
+    assert not state[[fr.U, fr.V, fr.R]].any() and not state[fr.N_LEFT :].any()
+    assert not simulation.cmd.any()
+    assert bool(state[fr.Z]) == (dof == 6)  # on the waves of that place
+
+
+def test_it_starts_at_a_speed_that_it_keeps() -> None:
+    simulation = Simulation(1, BOAT, SeaState())
+    simulation.reset([0], [np.random.default_rng(0)], speed=3.0, heading=-1.0)
+    for _ in range(200):
+        simulation.step(simulation.cmd)
+    assert simulation.state[0, fr.U] == pytest.approx(3.0, rel=1e-6)
+    assert simulation.state[0, fr.PSI] == -1.0
+
+
+def test_the_start_leaves_sea_and_noise_as_they_were() -> None:
+    one, two = (Simulation(1, BOAT, "3") for _ in range(2))
+    one.reset([0], [np.random.default_rng(5)])
+    two.reset([0], [np.random.default_rng(5)], speed=0.0, at=(5.0, 5.0))
+    np.testing.assert_array_equal(one.waves, two.waves)
+    np.testing.assert_array_equal(one.z[0, 6:8], two.z[0, 6:8])
+
+
 def test_shorter_physics_steps_change_little() -> None:
     coarse, _ = run(sea=SeaState(), steps=100)
     fine, _ = run(sea=SeaState(), steps=100, dt_physics=0.01)
@@ -224,6 +253,11 @@ def test_the_imu_reports_the_mean_of_the_whole_control_step() -> None:
         (lambda: Simulation(1, "usv75", "calm").step(np.zeros((1, 4))), "call reset"),
         (lambda: Simulation(2, BOAT, SEA).reset([2], [np.random.default_rng(0)]), "from 0 to 1"),
         (lambda: Simulation(1, BOAT, SEA).reset([0], [0]), "default_rng"),
+        (lambda: Simulation(1, BOAT, SEA).reset([], [], speed=99.0), "speed = 99.0: must be"),
+        (lambda: Simulation(1, BOAT, SEA).reset([], [], speed=math.nan), "speed = nan"),
+        (lambda: Simulation(1, BOAT, SEA).reset([], [], heading=9.0), "heading = 9.0"),
+        (lambda: Simulation(1, BOAT, SEA).reset([], [], at=(1.0,)), "m north and east"),
+        (lambda: Simulation(1, BOAT, SEA).reset([], [], at=(1e9, 0.0)), "at = 1000000000.0"),
     ],
 )
 def test_what_a_simulation_cannot_do_is_reported(call: Callable[[], object], words: str) -> None:

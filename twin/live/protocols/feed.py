@@ -17,7 +17,7 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -361,6 +361,11 @@ class Feed(ABC):
             if status.status != before:
                 self._send(self.encode_health(self.stamp_of(estimate.t), sensor, status))
             self._sent_health[sensor] = status.status
+
+    def post(self, datagrams: Iterable[bytes]) -> None:
+        """Send datagrams to the receiver of the answers, once there is one."""
+        for data in datagrams:
+            self._send(data)
 
     def close(self) -> None:
         """Let go of the ports."""

@@ -9,13 +9,14 @@ dead reckoning, and counts as void. The largest value of a field of GLOBAL_POSIT
 ATTITUDE, mean that it is not known.
 
 The twin answers as the onboard computer (component 191) of that system, with HEARTBEAT once a
-second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (local NED about the first fix,
-with variances). Its forecasts are TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and
-headings 2, 4, 6, 8, 10 s ahead, local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds
-ahead and standard deviations north and east, m. Where roll and pitch are known, ATTITUDE has them,
-DEBUG_FLOAT_ARRAY ``motion`` has rows of nine numbers: seconds ahead, then roll, pitch (rad), heave
-(m, down), vertical speed of the deck (m/s, down) and their standard deviations. ``quiet`` has the
-probabilities of a deck that stays quiet for 2, 3 and 5 s.
+second. Its estimates are GLOBAL_POSITION_INT, ATTITUDE and ODOMETRY (in the local frame of the
+autopilot, whose origin it asks for, with variances). Its forecasts are
+TRAJECTORY_REPRESENTATION_WAYPOINTS (positions, velocities and headings 2, 4, 6, 8, 10 s ahead,
+local NED). For each, DEBUG_FLOAT_ARRAY ``sd_pos`` has seconds ahead and standard deviations north
+and east, m. Where roll and pitch are known, ATTITUDE has them, DEBUG_FLOAT_ARRAY ``motion`` has
+rows of nine numbers: seconds ahead, then roll, pitch (rad), heave (m, down), vertical speed of the
+deck (m/s, down) and their standard deviations. ``quiet`` has the probabilities of a deck that stays
+quiet for 2, 3 and 5 s.
 
 Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 """
@@ -23,20 +24,21 @@ Source: MAVLink common message set, https://mavlink.io/en/messages/common.html
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.channels import COMMANDS, MEASUREMENTS, PSI, R, U, V
+from twin.channels import MEASUREMENTS, PSI, R, U, V
 from twin.health.monitor import SensorStatus
 from twin.live.protocols.feed import Feed, Message
+from twin.live.protocols.jumps import JumpCounter
 from twin.live.protocols.nmea import HORIZONS, MOTION_HORIZONS
-from twin.live.protocols.sockets import FeedError, needed
+from twin.live.protocols.sockets import needed
 from twin.particulars import GRAVITY, Particulars
 from twin.predictors.base import Estimate, Prediction
+from usv_kernel.servos import Servos
 
 __all__ = [
     "MavlinkFeed",
@@ -50,117 +52,17 @@ WRAP = 2.0**32
 
 UNKNOWN_SPEED, UNKNOWN_PLACE, UNKNOWN_HEADING = 2**15 - 1, 2**31 - 1, 2**16 - 1
 
-UNUSED = 2**16 - 1
-"""Pulse width of an unused output, us."""
-
 NEAR = 5.0
 """A servo output whose time differs by more than this, s, from the last one has another clock."""
 
 HEARTBEAT = 1.0
 """Time between two, s."""
 
+REQUEST_MESSAGE, ORIGIN_MESSAGE = 512, 49
+"""Command that asks for a message, and the message GPS_GLOBAL_ORIGIN."""
+
 AUTOPILOT, ONBOARD = 1, 191
 """Components: MAV_COMP_ID_AUTOPILOT1, and that of the twin, MAV_COMP_ID_ONBOARD_COMPUTER."""
-
-FULL_SHAFT, FULL_ANGLE = 2.0, math.radians(30.0)
-"""Full throttle, in nominal shaft speeds, and full helm, rad, where neither is given."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Servos:
-    """Which servo outputs are the commands, and what they stand for.
-
-    Notes
-    -----
-    The outputs are by default those of ArduPilot's Rover, of 1100, 1500 and 1900 us: steering 1 and
-    throttle 3. For skid steering, they are left throttle 1 and right throttle 3.
-    Source: https://ardupilot.org/rover/docs/rover-motor-and-servo-configuration.html
-    """
-
-    # at full throttle ahead, rev/s, and at full helm to starboard, rad
-    shaft_speed: float
-    angle: float
-    # outputs of the throttles, from 1; the same one for a single throttle
-    left: int = 3
-    right: int = 3
-    steering: int = 1  # output of rudder or drives; 0 for a boat that steers by its throttles
-    # pulse widths full astern or to port, at rest, and full ahead or to starboard, us
-    low: float = 1100.0
-    middle: float = 1500.0
-    high: float = 1900.0
-
-    def __post_init__(self) -> None:
-        """Refuse outputs that there are not, and a scale without a width."""
-        for name, least in (("left", 1), ("right", 1), ("steering", 0)):
-            value = getattr(self, name)
-            if not least <= value <= 16:
-                raise FeedError(f"servos: {name} = {value} must be an output from {least} to 16")
-        if not 0.0 < self.low < self.middle < self.high < 65535.0:
-            raise FeedError(
-                f"servos: low, middle, high = {self.low:g}, {self.middle:g}, {self.high:g} us "
-                "must rise, from above 0"
-            )
-        for name in ("shaft_speed", "angle"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise FeedError(f"servos: {name} = {value} must be finite and above 0")
-
-    @classmethod
-    def of(
-        cls,
-        particulars: Particulars,
-        shaft_speed: float | None = None,
-        angle: float | None = None,
-    ) -> Servos:
-        """Return the default outputs of a boat.
-
-        ``shaft_speed`` at full throttle (rev/s) is twice the nominal one if left out, ``angle``,
-        the full helm (rad), 30 degrees.
-        """
-        if shaft_speed is None:
-            shaft_speed = FULL_SHAFT * particulars.shaft_speed
-        skid = {"left": 1, "right": 3, "steering": 0}
-        return cls(
-            shaft_speed=shaft_speed,
-            angle=FULL_ANGLE if angle is None else angle,
-            **(skid if particulars.steering == "differential" else {}),
-        )
-
-    @property
-    def outputs(self) -> tuple[tuple[str, int, float], ...]:
-        """Column of a log, output and full value of each command that has an output."""
-        throttles = ((self.left, self.shaft_speed), (self.right, self.shaft_speed))
-        all_four = (*throttles, (self.steering, self.angle), (self.steering, self.angle))
-        return tuple(
-            (name, output, full)
-            for name, (output, full) in zip(COMMANDS, all_four, strict=True)
-            if output
-        )
-
-    def commands(self, widths: list[int]) -> dict[str, float]:
-        """Return the commands of pulse widths, us; 0 and 65535 are outputs that are not used."""
-        return {
-            name: full * self._share(widths[output - 1])
-            for name, output, full in self.outputs
-            if output <= len(widths) and 0 < widths[output - 1] < UNUSED
-        }
-
-    def widths(self, cmd: Array) -> list[int]:
-        """Return the pulse widths, us, of 16 outputs for a command; of two sides, their mean."""
-        values = dict(zip(COMMANDS, cmd.tolist(), strict=True))
-        found: dict[int, list[float]] = {}
-        for name, output, full in self.outputs:
-            found.setdefault(output, []).append(values[name] / full)
-        widths = [0] * 16
-        for output, shares in found.items():
-            share = sum(shares) / len(shares)
-            side = self.high - self.middle if share > 0.0 else self.middle - self.low
-            widths[output - 1] = min(max(round(self.middle + share * side), 1), 65534)
-        return widths
-
-    def _share(self, width: float) -> float:
-        beyond = width - self.middle
-        return beyond / (self.high - self.middle if beyond > 0.0 else self.middle - self.low)
 
 
 class MavlinkFeed(Feed):
@@ -188,6 +90,8 @@ class MavlinkFeed(Feed):
         self._lost = False
         self._boot = math.nan
         self._greeted = -math.inf
+        self._jumps = JumpCounter()
+        self.local_origin: tuple[float, float] | None = None
         super().__init__(address, particulars, reply, **options)
 
     def decode(self, data: bytes) -> Iterator[Message | str]:
@@ -199,10 +103,20 @@ class MavlinkFeed(Feed):
             yield self._message(item)
 
     def greet(self, now: float) -> Iterator[bytes]:
-        """Yield the heartbeat, once a second."""
+        """Yield the heartbeat, once a second, and the question for the local origin."""
         if now - self._greeted >= HEARTBEAT:
             self._greeted = now
             yield self._writer.heartbeat()
+            if self.system is not None and self.local_origin is None:
+                yield self._writer.command(self.system, REQUEST_MESSAGE, ORIGIN_MESSAGE)
+
+    @property
+    def offset(self) -> tuple[float, float]:
+        """Origin of the autopilot's local frame, m north and east of ours; 0 until it is known."""
+        if self._plane is None or self.local_origin is None:
+            return 0.0, 0.0
+        north, east = self._plane.metres(*self.local_origin)
+        return float(north), float(east)
 
     def encode(self, estimate: Estimate, prediction: Prediction | None) -> Iterator[bytes]:
         """Yield the twin's estimates, a message in each datagram; see :meth:`Feed.encode`."""
@@ -217,7 +131,9 @@ class MavlinkFeed(Feed):
         else:
             tilt, rates = (motion.roll, motion.pitch), (motion.roll_rate, motion.pitch_rate)
             yield write.attitude(now, heading, rate, tilt, rates)
-        yield write.odometry(now, estimate.state, estimate.sd)
+        resets = self._jumps.take(estimate.t, estimate.state)
+        origin = self.offset
+        yield write.odometry(now, estimate.state, estimate.sd, origin=origin, resets=resets)
         if prediction is not None:
             end = float(prediction.t[-1] - prediction.t0) + 1e-6
             horizons = np.array([h for h in HORIZONS if h <= end])
@@ -245,17 +161,7 @@ class MavlinkFeed(Feed):
         system, component = item.get_srcSystem(), item.get_srcComponent()
         if component == ONBOARD and system in (self.system, self._writer.system):
             return "own"
-        read = {
-            "GLOBAL_POSITION_INT": self._position,
-            "ATTITUDE": self._attitude,
-            "HIGHRES_IMU": self._imu,
-            "SCALED_IMU": self._imu,
-            "RAW_IMU": self._imu,
-            "SERVO_OUTPUT_RAW": self._servo_outputs,
-            "GPS_RAW_INT": self._receiver,
-            "WIND_COV": self._wind_cov,
-            "WIND": self._wind,
-        }.get(kind)
+        read = self._readers().get(kind)
         # a gimbal sends its attitude, too
         known = kind == "GLOBAL_POSITION_INT" or (kind == "ATTITUDE" and component == AUTOPILOT)
         if self.system is None and known:
@@ -265,6 +171,21 @@ class MavlinkFeed(Feed):
             return Message("heartbeat")
         followed = (system, component) == (self.system, self._component)
         return read(item) if read is not None and followed else "unknown"
+
+    def _readers(self) -> dict[str, Callable[[Any], Message]]:
+        """Return what reads each kind of message."""
+        return {
+            "GLOBAL_POSITION_INT": self._position,
+            "ATTITUDE": self._attitude,
+            "HIGHRES_IMU": self._imu,
+            "SCALED_IMU": self._imu,
+            "RAW_IMU": self._imu,
+            "SERVO_OUTPUT_RAW": self._servo_outputs,
+            "GPS_RAW_INT": self._receiver,
+            "GPS_GLOBAL_ORIGIN": self._local_origin,
+            "WIND_COV": self._wind_cov,
+            "WIND": self._wind,
+        }
 
     def _position(self, item: Any) -> Message:
         self._boot = stamp = item.time_boot_ms / 1000.0
@@ -334,6 +255,11 @@ class MavlinkFeed(Feed):
         # 0: no receiver, 1: no fix
         self._lost = item.fix_type < 2
         return Message("receiver", void=self._lost)
+
+    def _local_origin(self, item: Any) -> Message:
+        if item.latitude or item.longitude:  # 0, 0 is what a sender without one writes
+            self.local_origin = item.latitude / 1e7, item.longitude / 1e7
+        return Message("origin", void=self.local_origin is None)
 
 
 class MavlinkWriter:
@@ -421,33 +347,104 @@ class MavlinkWriter:
         air = -speed * math.cos(angle), -speed * math.sin(angle), 0.0
         return [self._pack(made(round(1e6 * stamp), *air, *[math.nan] * 5))]
 
-    def odometry(self, stamp: float, state: Array, sd: Array) -> bytes:
-        """Return a state and its standard deviations, shapes (6,), (6,)."""
+    def odometry(
+        self,
+        stamp: float,
+        state: Array,
+        sd: Array,
+        *,
+        origin: tuple[float, float] = (0.0, 0.0),
+        resets: int = 0,
+        quality: int = 100,
+    ) -> bytes:
+        """Return a state and its standard deviations, shapes (6,), (6,).
+
+        ``origin`` is that of the autopilot's local frame, m north and east. ``resets`` counts the
+        jumps of the estimate. ``quality`` is per cent, -1 for an estimate that has failed.
+
+        Notes
+        -----
+        ArduPilot takes frame MAV_FRAME_LOCAL_FRD alone, and an infinite or unknown variance stops
+        it from arming. Variances of what is not estimated are 0.
+        """
         d = self._dialect
         x, y, psi, u, v, r = state.tolist()
-        nan = math.nan
-        pose = _triangle([sd[0], sd[1], nan, nan, nan, sd[2]])
-        velocity = _triangle([sd[U], sd[V], nan, nan, nan, sd[R]])
-        turn = [math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)]
-        frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_BODY_FRD
-        return self._pack(
-            d.MAVLink_odometry_message(
-                round(1e6 * stamp),
-                *frames,
-                x,
-                y,
-                0.0,
-                turn,
-                u,
-                v,
-                0.0,
-                0.0,
-                0.0,
-                r,
-                pose,
-                velocity,
-            )
+        made = d.MAVLink_odometry_message(
+            time_usec=round(1e6 * stamp),
+            frame_id=d.MAV_FRAME_LOCAL_FRD,
+            child_frame_id=d.MAV_FRAME_BODY_FRD,
+            x=x - origin[0],
+            y=y - origin[1],
+            z=0.0,
+            q=[math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)],
+            vx=u,
+            vy=v,
+            vz=0.0,
+            rollspeed=0.0,
+            pitchspeed=0.0,
+            yawspeed=r,
+            pose_covariance=_triangle([sd[0], sd[1], 0.0, 0.0, 0.0, sd[2]]),
+            velocity_covariance=_triangle([sd[U], sd[V], 0.0, 0.0, 0.0, sd[R]]),
+            reset_counter=resets,
+            estimator_type=d.MAV_ESTIMATOR_TYPE_GPS_INS,
+            quality=quality,
         )
+        return self._pack(made)
+
+    def command(self, system: int, command: int, *parameters: float) -> bytes:
+        """Return a COMMAND_LONG to the autopilot of a system, with up to seven parameters."""
+        values = [*parameters, *[0.0] * (7 - len(parameters))]
+        made = self._dialect.MAVLink_command_long_message
+        return self._pack(made(system, AUTOPILOT, command, 0, *values))
+
+    def parameter(self, system: int, name: str, value: float) -> bytes:
+        """Return the order to set a parameter of the autopilot of a system."""
+        d = self._dialect
+        kind = d.MAV_PARAM_TYPE_REAL32
+        made = d.MAVLink_param_set_message
+        return self._pack(made(system, AUTOPILOT, name.encode(), value, kind))
+
+    def fix(
+        self,
+        stamp: float,
+        place: tuple[float, float],
+        velocity: tuple[float, float],
+        sd: tuple[float, float],
+        *,
+        valid: bool = True,
+    ) -> bytes:
+        """Return an estimate as a GPS_INPUT: degrees, m/s north and east.
+
+        ``sd`` are the standard deviations of place (m) and speed (m/s).
+        """
+        d = self._dialect
+        unused = (
+            d.GPS_INPUT_IGNORE_FLAG_ALT
+            | d.GPS_INPUT_IGNORE_FLAG_VDOP
+            | d.GPS_INPUT_IGNORE_FLAG_VEL_VERT
+            | d.GPS_INPUT_IGNORE_FLAG_VERTICAL_ACCURACY
+        )
+        made = d.MAVLink_gps_input_message(
+            time_usec=round(1e6 * stamp),
+            gps_id=0,
+            ignore_flags=unused,
+            time_week_ms=0,
+            time_week=0,
+            fix_type=3 if valid else 1,
+            lat=round(1e7 * place[0]),
+            lon=round(1e7 * place[1]),
+            alt=0.0,
+            hdop=1.0,
+            vdop=1.0,
+            vn=velocity[0],
+            ve=velocity[1],
+            vd=0.0,
+            speed_accuracy=sd[1],
+            horiz_accuracy=sd[0],
+            vert_accuracy=0.0,
+            satellites_visible=12 if valid else 0,
+        )
+        return self._pack(made)
 
     def trajectory(self, stamp: float, states: Array) -> bytes:
         """Return up to five predicted states, shape (n, 6)."""

@@ -16,6 +16,7 @@ from twin.live.protocols.feed import Feed
 from twin.live.sessions.session import MAX_LAG, Session, Snapshot, measured_boat
 from twin.live.sessions.tracker import TwinMonitor
 from twin.logs.datum import Datum
+from twin.predictors.base import Prediction
 from usv_gym.vessel.vessel import Vessel
 
 __all__ = [
@@ -65,6 +66,7 @@ class FeedSession(Session):
         while self._waiting and time.monotonic() < begun + MAX_LAG:
             t, z, cmd = self._waiting.popleft()
             self.monitor.step(t, z, cmd)
+            self._took(t, z)
             self._cmd, self._heard = cmd, time.monotonic()
             self._keep(t, z, cmd)
 
@@ -81,9 +83,16 @@ class FeedSession(Session):
         # no estimates go out for a boat that is no longer heard of
         if seen.prediction is not None and silence == 0.0 and now >= self._answered + REPLY:
             self._answered = now
-            twin = monitor.twin
-            self.feed.send(twin.estimate(), seen.prediction, twin.health)
+            self._reply(seen.prediction)
         return seen
+
+    def _took(self, t: float, z: Array) -> None:
+        """Do what is due after each row."""
+
+    def _reply(self, prediction: Prediction) -> None:
+        """Send estimate and prediction back."""
+        twin = self.monitor.twin
+        self.feed.send(twin.estimate(), prediction, twin.health)
 
     @property
     def datum(self) -> Datum | None:

@@ -20,9 +20,9 @@ from twin.channels import (
     WIND_SPEED,
 )
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
-from twin.live.protocols.sockets import FeedError
 from twin.particulars import Particulars
 from usv_kernel.channels import ACCEL_X, ACCEL_Y
+from usv_kernel.servos import ServoError
 
 common = pytest.importorskip(
     "pymavlink.dialects.v20.common", reason="needs pymavlink: pip install 'usv-twin[view]'"
@@ -90,7 +90,7 @@ Names = ("n_left_rps", "n_right_rps", "delta_left_rad", "delta_right_rad")
     [({"left": 17}, "output"), ({"middle": 1000.0}, "rise"), ({"shaft_speed": 0.0}, "above 0")],
 )
 def test_wrong_servos_are_reported(wrong: dict[str, float], why: str) -> None:
-    with pytest.raises(FeedError, match=why):
+    with pytest.raises(ServoError, match=why):
         Servos(**{"shaft_speed": 1.0, "angle": 1.0, **wrong})  # type: ignore[arg-type]
 
 

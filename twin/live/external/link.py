@@ -1,0 +1,88 @@
+"""A real boat's autopilot, and its twin as external navigation over MAVLink."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.channels import U
+from twin.digital_twin import Twin
+from twin.live.external.navigation import ExternalNavigation
+from twin.live.external.receiver import ReceiverFeed
+from twin.live.sessions.feed import FeedSession
+from twin.predictors.base import Estimate, Prediction
+from twin.predictors.baselines import hold_velocity
+from usv_gym.vessel.vessel import Vessel
+
+__all__ = ["Link", "LinkSession"]
+
+Array = NDArray[np.float64]
+
+AHEAD_MAX = 2.0
+"""An estimate is carried on to the present by at most so much, s."""
+
+
+class Link:
+    """Hands the rows of a feed to external navigation, and its messages to the autopilot.
+
+    The twin begins again when the autopilot is armed: what it saw of a moored boat would teach it
+    that wind and current do not move it.
+    """
+
+    def __init__(self, feed: ReceiverFeed, navigation: ExternalNavigation) -> None:
+        self.feed, self.navigation = feed, navigation
+        self._armed = True
+
+    def take(self, twin: Twin, t: float, z: Array) -> None:
+        """Take a row that its twin has taken; t in s, z (17,)."""
+        feed, navigation = self.feed, self.navigation
+        armed, self._armed = self._armed, navigation.peer.armed
+        if self._armed and not armed and navigation.state in ("waiting", "ready"):
+            twin.reset()
+            navigation.restart()
+        age = min(feed.age(t), AHEAD_MAX)
+        estimate = carried(twin.estimate(), age)
+        stamp = feed.stamp_of(t + age)
+        feed.post(navigation.take(t, z, estimate, feed.plane, stamp))
+
+    def step(self, twin: Twin) -> int:
+        """Take what has come over the wire; return the number of rows."""
+        rows = self.feed.take()
+        for t, z, cmd in rows:
+            twin.step(t, z, cmd)
+            self.take(twin, t, z)
+        return len(rows)
+
+
+def carried(estimate: Estimate, age: float) -> Estimate:
+    """Return an estimate carried on by so many seconds with its velocity and turning rate."""
+    if not (estimate.ready and age > 0.0):
+        return estimate
+    state = hold_velocity(estimate.state, estimate.state[U:], np.array([age]))[0]
+    return dataclasses.replace(estimate, t=estimate.t + age, state=state)
+
+
+class LinkSession(FeedSession):
+    """A real boat whose twin is external navigation, for the page."""
+
+    offers = "restart its twin, and record logs to the folder of --out"
+
+    feed: ReceiverFeed
+
+    def __init__(self, link: Link, twin: Twin, vessel: Vessel | None, folder: Path) -> None:
+        super().__init__(link.feed, twin, vessel, folder)
+        self.link = link
+
+    def _took(self, t: float, z: Array) -> None:
+        self.link.take(self.monitor.twin, t, z)
+
+    def _reply(self, prediction: Prediction) -> None:
+        """Send nothing more: ODOMETRY goes out with each row."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """State of external navigation, and what came over the wire, in words."""
+        return (f"external navigation: {self.link.navigation.status}", *super().notes)
