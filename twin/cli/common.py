@@ -66,7 +66,9 @@ def report_user_errors(command: Command) -> Command:
     return run  # type: ignore[return-value]
 
 
-LogArgument = Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")]
+LogArgument = Annotated[
+    Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.")
+]
 
 PredictorOption = Annotated[
     str, typer.Option("--predictor", "-p", help=f"One of: {', '.join(PREDICTORS)}.")
@@ -164,7 +166,7 @@ def open_log(
     if resume is not None:
         twin = _load_twin(resume, predictor, ship, model)
     else:
-        particulars = particulars_for_log(path, ship)
+        particulars = particulars_for_log(path, ship, mapping)
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     for line in log.notes:
