@@ -17,6 +17,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.twin.logs.autopilot_logs import RUDDER, SKID, dataflash, telemetry
 from tests.twin.logs.foreign import EXAMPLE, FOREIGN, MAPPINGS, foreign, record, run
 from twin import Log, Particulars
 from twin.agents.hyperparameters import hyperparameters
@@ -80,6 +81,11 @@ def bag(storage: str, name: str) -> Callable[[Path], bytes]:
     return make
 
 
+def telemetry_log(folder: Path) -> bytes:
+    pytest.importorskip("pymavlink")
+    return telemetry(run(60), RUDDER)
+
+
 def own_prior(folder: Path) -> bytes:
     names = ("X_u", "N_r", "Y_v")
     table = {"boat": "test", "model": "mmg", "steering": "rudder", "length": 3.0, "speed": 2.0}
@@ -120,6 +126,8 @@ KINDS = [
     Kind("log.parquet", written(run(60), "whole.parquet"), reads_log),
     Kind("bag.mcap", bag("MCAP", "*.mcap"), reads_bag),
     Kind("bag.db3", bag("SQLITE3", "*.db3"), reads_bag),
+    Kind("flight.BIN", lambda folder: dataflash(run(60), SKID), reads_log),
+    Kind("flight.tlog", telemetry_log, reads_log),
     Kind("plan.csv", written(run(60), "whole.csv"), lambda p: _read_plan(p, 10.0, 0.1)),
     Kind("sea.csv", lambda folder: SPECTRUM, Spectrum.read),
     Kind("policy.npz", shipped("examples/gps_loss_study/policies/ppo-twin.npz"), acts),
@@ -237,6 +245,7 @@ def test_any_bytes_give_a_sentence_or_load(kind, tmp_path_factory):
     @example(b"PK\x03\x04")
     @example(b"\x1f\x8b")
     @example(b"PAR1")
+    @example(b"\xa3\x95\x80")
     @example(b"SQLite format 3\0")
     @example(b"a = " + b"[" * 3000)
     @example(b"a" + b".a" * 3000 + b" = 1")

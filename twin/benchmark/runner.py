@@ -343,8 +343,9 @@ def digest(settings: Settings, unit: Unit) -> str:
     read = list(files_of(unit.log, settings.mapping)) if unit.log else []
     if unit.log and settings.ship is None:
         read.append(sibling_path(unit.log, ".toml"))
-    if unit.log and (prior := particulars_for_log(unit.log, settings.ship).prior) is not None:
-        value.update(prior.file_text().encode())
+    if unit.log:
+        prior = particulars_for_log(unit.log, settings.ship, settings.mapping).prior
+        value.update(b"" if prior is None else prior.file_text().encode())
     for path in (*read, Path(ship or "")):
         if path.is_file():
             with path.open("rb") as file:

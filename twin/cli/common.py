@@ -68,7 +68,9 @@ def report_user_errors(command: Command) -> Command:
     return run  # type: ignore[return-value]
 
 
-LogArgument = Annotated[Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP.")]
+LogArgument = Annotated[
+    Path, typer.Argument(help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog.")
+]
 
 OPTIONS_EXAMPLE = "dsw-ukf:window=off,w_min=20"
 """How options stand in a predictor's name."""
@@ -177,7 +179,7 @@ def open_log(
     if resume is not None:
         twin = _load_twin(resume, predictor, ship, model)
     else:
-        particulars = particulars_for_log(path, ship)
+        particulars = particulars_for_log(path, ship, mapping)
         check_simulator(name, log, particulars)
         twin = Twin(particulars, name) if model is None else Twin(particulars, name, model=model)
     for line in log.notes:

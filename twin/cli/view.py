@@ -224,7 +224,7 @@ def _log_session(
     log = Log.read(path, mapping)
     for line in log.notes:
         note(line)
-    particulars = particulars_for_log(path, ship)
+    particulars = particulars_for_log(path, ship, mapping)
     check_simulator(predictor, log, particulars)
     return LogSession(log, Twin(particulars, predictor), _vessel(ship, particulars), out, plan)
 

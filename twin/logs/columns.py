@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "OTHER_UNITS",
     "REQUIRED",
+    "SHARE",
     "SINGLE",
     "UNITS",
     "Entry",
@@ -31,6 +32,9 @@ REQUIRED = (TIME, *COMMANDS, "gps_x_m", "gps_y_m", "compass_rad")
 
 SINGLE = {"n_rps": COMMANDS[:2], "delta_rad": COMMANDS[2:]}
 """Columns of a ship with one propeller or one rudder, and the columns that they fill."""
+
+SHARE = "share of full throttle"
+"""Said with what a file calls its shaft speeds, where that is their unit."""
 
 _DEGREE = math.pi / 180.0
 

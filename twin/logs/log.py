@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, TIME, TRUE_MOTION, TRUTH
+from twin.logs.autopilot.readers import is_autopilot_log, read_autopilot_log
 from twin.logs.checks import (
     check_drive,
     check_measurement,
@@ -252,14 +253,15 @@ class Log:
 
     @classmethod
     def read(cls, path: str | Path, mapping: str | Path | None = None) -> Log:
-        """Read a log from a CSV or Parquet file or a ROS 2 bag.
+        """Read a log from a CSV or Parquet file, a ROS 2 bag or an autopilot's log.
 
         Parameters
         ----------
         path : str or Path
             CSV, plain or gzipped, with a header of column names, in any order; or
             ``.parquet`` with the same columns; or a bag: a folder with ``metadata.yaml``, or
-            a file ``.mcap`` or ``.db3``. Required: ``t_s``, the :data:`COMMANDS`,
+            a file ``.mcap`` or ``.db3``; or a log of ArduPilot, ``.BIN`` or ``.tlog``, whose
+            messages are known. Required of the others: ``t_s``, the :data:`COMMANDS`,
             ``gps_x_m``, ``gps_y_m`` and ``compass_rad``. The other :data:`MEASUREMENTS` may
             be absent (never measured), and so may the :data:`TRUTH` and :data:`TRUE_MOTION`.
             ``n_rps`` and ``delta_rad`` are those of a ship with one propeller, one rudder, and
@@ -318,6 +320,10 @@ def read_table(path: str | Path, mapping: str | Path | None = None) -> Table:
     path = Path(path)
     mapping = mapping_of(path, mapping)
     layout = None if mapping is None else Layout.load(mapping)
+    if is_autopilot_log(path):
+        return read_autopilot_log(path, layout)
+    if layout is not None and layout.servos:
+        raise LogError(f"{layout.source}: [servos] is for logs of an autopilot; remove the table")
     if is_bag(path):
         table = read_bag(path, layout)
         table.lacking = _lacking(table.source, table.data, "name them in the mapping")

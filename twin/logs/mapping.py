@@ -33,6 +33,15 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     stop_s = 700.0
     step_s = 0.1
 
+Of a log of an autopilot only [rows] and this table, each key of which may be left out::
+
+    [servos]                                        # instead of its parameters
+    left = 1                                        # output of the left throttle ...
+    right = 3                                       # ... and of the right one, or the same
+    steering = 2                                    # output of rudder or drives
+    shaft_speed = 16.5                              # rev/s at full throttle, else shares of it
+    angle_deg = 30.0                                # full helm
+
 For a ROS 2 bag each entry names its ``topic`` and ``field`` instead of ``from``; the whole is
 in ``twin/logs/mappings/ros2_example.toml``.
 """
@@ -42,7 +51,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -62,7 +71,10 @@ __all__ = [
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH, *TRUE_MOTION)
 
-_TABLES = ("columns", "position", "velocity", "heading", "attitude", "datum", "rows")
+_TABLES = ("columns", "position", "velocity", "heading", "attitude", "datum", "rows", "servos")
+
+_SERVOS = {"left": 32.0, "right": 32.0, "steering": 32.0, "shaft_speed": 1e4, "angle_deg": 180.0}
+"""Keys of [servos], and their largest values."""
 
 _ENU = {
     # angles turn the other way and begin at east; y of the body points to port, z up
@@ -91,6 +103,8 @@ class Layout:
     # rows
     step: float = 0.0
     stamp: str = "header"  # header or receive: which time of a message counts
+    # of an autopilot's log: outputs, rev/s at full throttle and degrees at full helm
+    servos: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: str | Path) -> Layout:
@@ -176,10 +190,23 @@ class _Parser:
                 raise self.fail(name, "is given twice; remove one of them")
         rows = self.known("[rows]", data.get("rows", {}), ("start_s", "stop_s", "step_s"))
         asked = {key.removesuffix("_s"): self.number(f"[rows] {key}", rows[key]) for key in rows}
-        layout = Layout(tuple(entries), self.source, stamp=stamp, **asked)
+        servos = self.servos(data.get("servos", {}))
+        layout = Layout(tuple(entries), self.source, stamp=stamp, servos=servos, **asked)
         if not layout.start < layout.stop or layout.step < 0.0:
             raise self.fail("[rows]", "start_s must be below stop_s, and step_s not below 0")
         return layout
+
+    def servos(self, table: Any) -> dict[str, float]:
+        """Return the table [servos]."""
+        found = {}
+        for key, value in self.known("[servos]", table, tuple(_SERVOS)).items():
+            number, most = self.number(f"[servos] {key}", value), _SERVOS[key]
+            output = key in ("left", "right", "steering")
+            if not 0.0 < number <= most or (output and number != round(number)):
+                what = "an output from 1" if output else "above 0, up"
+                raise self.fail(f"[servos] {key}", f"{value!r} must be {what} to {most:g}")
+            found[key] = number
+        return found
 
     def source_of(
         self, where: str, given: Any, unit: str, extra: Sequence[str] = ()

@@ -63,7 +63,7 @@ _EMPTY = ("nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
 
 _PLACE = "\0place"
 
-_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3")
+_SUFFIXES = (".csv", ".parquet", ".mcap", ".db3", ".bin", ".BIN", ".tlog")
 
 
 @dataclass

@@ -29,6 +29,7 @@ from twin.logs.readers import (
 from usv_kernel.errors import UsvTwinError
 
 __all__ = [
+    "commanded",
     "is_bag",
     "read_bag",
 ]
@@ -235,7 +236,7 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
             data.update({k: np.full(rows, v) for k, v in entry.columns([]).items()})
     if rows:
         notes.append(f"t_s: counted from {date_of(float(stamps[0]) * 1e-9)}")
-    data = _commanded(data, notes)
+    data = commanded(data, notes)
     before = len(data[TIME])
     data = thinned(data[TIME], data, layout)
     notes += said(layout, before, len(data[TIME]))
@@ -253,7 +254,7 @@ def _united(path: Path, layout: Layout, topics: dict[str, _Topic]) -> Table:
     )
 
 
-def _commanded(data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
+def commanded(data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     """Hold the commands from the row after their message on; drop the rows before the first."""
     given = [data[key] for key in COMMANDS if key in data]
     if not given or any(np.isnan(values).all() for values in given):

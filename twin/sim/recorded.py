@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin.logs import datasets as archive
-from twin.logs.log import Log, sibling_path
+from twin.logs.autopilot.outputs import particulars_of_parameters
+from twin.logs.autopilot.readers import is_autopilot_log, parameters_of
+from twin.logs.log import Log, mapping_of, sibling_path
+from twin.logs.mapping import Layout
 from twin.particulars import Particulars, ParticularsError
 from twin.sim.bridge import particulars_of
 from usv_gym.vessel.vessel import Vessel, vessel_names
@@ -30,7 +33,7 @@ def read_run(
 
     See :func:`particulars_for_log` and ``Log.read``.
     """
-    return Log.read(path, mapping), particulars_for_log(path, ship)
+    return Log.read(path, mapping), particulars_for_log(path, ship, mapping)
 
 
 def has_particulars(path: str | Path) -> bool:
@@ -38,7 +41,9 @@ def has_particulars(path: str | Path) -> bool:
     return sibling_path(path, ".toml").exists() or archive.known(path)
 
 
-def particulars_for_log(path: str | Path, ship: str | None = None) -> Particulars:
+def particulars_for_log(
+    path: str | Path, ship: str | None = None, mapping: str | Path | None = None
+) -> Particulars:
     """Return the particulars for a log.
 
     They are those of ``ship``, else those in ``<log>.toml`` next to the log, else those of an
@@ -46,6 +51,9 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> Particular
     see :meth:`twin.particulars.Particulars.load`). Or it is the name or file of a vessel of
     ``usv_gym``. ``<log>.toml`` may be a vessel file as well. ParticularsError, VesselError: file
     and remedy; a log without particulars is such an error.
+
+    A vessel that an autopilot's log is of gets the log's unit of shaft speed, and the places of
+    its sensors, from the autopilot's parameters. ``mapping`` is that of the log.
     """
     file = sibling_path(path, ".toml")
     if ship is None and not has_particulars(path):
@@ -59,7 +67,14 @@ def particulars_for_log(path: str | Path, ship: str | None = None) -> Particular
         return Particulars.load(ship, log=path)
     if ship == str(file) and "[hull]" not in text:
         return Particulars.load(ship)  # its error names the missing tables
-    return particulars_of(Vessel.load(ship))
+    vessel = Vessel.load(ship)
+    if not is_autopilot_log(Path(path)):
+        return particulars_of(vessel)
+    found = mapping_of(Path(path), mapping)
+    servos = {} if found is None else Layout.load(found).servos
+    # its accelerometers also measure the tilt
+    boat, parameters = particulars_of(vessel, dof=6), parameters_of(Path(path))
+    return particulars_of_parameters(boat, parameters, servos, str(path))
 
 
 _NO_PARTICULARS = (

@@ -70,7 +70,8 @@ def log_check_command(
     if write is not None and write.exists() and not force:
         raise OptionError(f"--write {write}: is there already; choose another name, or --force")
     table = read_table(log, mapping)
-    boat = particulars_for_log(log, ship) if ship is not None or has_particulars(log) else None
+    known = ship is not None or has_particulars(log)
+    boat = particulars_for_log(log, ship, mapping) if known else None
     recording = Recording.of(table.data, table.given, table.name)
     found = diagnose(recording, boat)
     extra = []

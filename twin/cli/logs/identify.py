@@ -51,7 +51,8 @@ def identify_command(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP. Several runs of one boat together.",
+            help="Log: CSV, CSV.gz, Parquet, ROS 2 bag, MCAP, .BIN, .tlog. "
+            "Several runs of one boat together.",
         ),
     ],
     predictor: Annotated[

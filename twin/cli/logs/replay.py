@@ -93,7 +93,7 @@ def replay_command(
     if nmea is not None:
         stream: Stream = NmeaStream(place, tag=tag)
     else:
-        particulars = particulars_for_log(log, ship)
+        particulars = particulars_for_log(log, ship, mapping)
         stream = MavlinkStream(Servos.of(particulars, shaft_max, radians(steer_max)), place)
     counts: Counter[str] = Counter()
     length = float(run.t[-1] - run.t[0])

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from twin.logs.columns import Array
+from twin.logs.columns import SHARE, Array
 from twin.logs.diagnosis.findings import ERROR, NOTE, WARNING, Finding, Recording
 from twin.logs.diagnosis.signals import ENOUGH, averaged, integrated, sampled, ways
 from twin.particulars import Particulars
@@ -462,12 +462,13 @@ def _advance(
         f"{name}: {turns:.4g} rev/s at {advance * turns:.2g} m/s, {advance:.2g} m in a revolution"
     )
     remedy = 'state the unit in a mapping: unit = "rpm" (or scale = ... for per cent)'
+    shares = SHARE in name  # no shaft speeds: the particulars alone could contradict them
     if particulars is None:
-        if advance >= _LEAST_ADVANCE:
+        if shares or advance >= _LEAST_ADVANCE:
             return []
         return [Finding(ERROR, "shaft-unit", f"{said}: no propeller is so small", remedy, evidence)]
     ratio = particulars.speed / particulars.shaft_speed / max(advance, 1e-12)
-    for unit, text in _UNITS.items():
+    for unit, text in () if shares else _UNITS.items():
         if 0.7 < ratio / unit < 1.4:
             what = f"{said}, {ratio:.2g} times too little for this boat: {text}, not rev/s"
             remedy = f'state the unit in a mapping: unit = "{"rpm" if unit > 10.0 else "radps"}"'
@@ -475,7 +476,7 @@ def _advance(
         if 0.7 < ratio * unit < 1.4:
             what = f"{said}, {1.0 / ratio:.2g} times too much for this boat: rev/s read as {text}"
             return [Finding(ERROR, "shaft-unit", what, "take the conversion out", evidence)]
-    if not _LEAST_LENGTHS < advance / particulars.length < _MOST_LENGTHS:
+    if not shares and not _LEAST_LENGTHS < advance / particulars.length < _MOST_LENGTHS:
         what = f"{said}, {advance / particulars.length:.2g} of its length"
         return [Finding(ERROR, "shaft-unit", what, remedy, evidence)]
     if not 0.2 < ratio < 5.0:
