@@ -206,5 +206,7 @@ def _algorithm(scenario: str, name: str, parts: Sequence[Trace]) -> Iterator[Pap
     """Yield what Algorithm 1 did over time."""
     shares = [window_shares(part) for part in parts]
     for metric in shares[0]:
-        values = [share[metric] for share in shares]
-        yield _row(("Algorithm 1", scenario, "none", name), metric, values, None)
+        # a run too short for an adjustment has no index
+        values = [share[metric] for share in shares if math.isfinite(share[metric])]
+        if values:
+            yield _row(("Algorithm 1", scenario, "none", name), metric, values, None)
