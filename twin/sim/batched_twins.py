@@ -141,7 +141,7 @@ class TwinObserver(Observer):
         graded = self._notes[:, GRADES_AT + GRADED_AT] if self._grading else np.zeros(1)
         # of one boat a number, which is quicker to compare
         self._count: Callable[[], Any] = graded.item if episodes.n == 1 else graded.tolist
-        self._graded = self._count()
+        self._graded: Any = self._count()
         self._sums = slice(GRADES_AT + SUMS_AT.start, GRADES_AT + SUMS_AT.stop)
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._observation = observation
