@@ -11,6 +11,7 @@ import copy
 import math
 from abc import abstractmethod
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -137,8 +138,11 @@ class TwinObserver(Observer):
         self.scores.fill(NO_SCORES)
         if forecast_scores:
             self._infos["twin_forecast"] = self.scores
-        self._graded = self._notes[:, GRADES_AT + GRADED_AT] if self._grading else np.zeros(0)
-        self._seen = self._graded.copy()
+        graded = self._notes[:, GRADES_AT + GRADED_AT] if self._grading else np.zeros(1)
+        # of one boat a number, which is quicker to compare
+        self._count: Callable[[], Any] = graded.item if episodes.n == 1 else graded.tolist
+        self._graded: Any = self._count()
+        self._sums = slice(GRADES_AT + SUMS_AT.start, GRADES_AT + SUMS_AT.stop)
         self.names: tuple[str, ...] = TWIN_OBSERVATION
         self._observation = observation
         self.motions = np.zeros((episodes.n, 0))
@@ -187,8 +191,6 @@ class TwinObserver(Observer):
         """Let boat i begin an episode with a twin that has seen nothing yet."""
         self._notes[i] = self._fresh[0]
         self.scores[i] = NO_SCORES
-        if self._grading:
-            self._seen[i] = 0.0
         if self.motions.shape[1]:
             self.motions[i] = self._blank_motion
         self._forget(i)
@@ -216,10 +218,10 @@ class TwinObserver(Observer):
         Without ``look``, the row is taken in and no more. ``rows`` are the boats to look at.
         """
         self._observe(obs, look, rows)
-        if self._grading and (self._graded != self._seen).any():
-            self._take_scores()
         if not look:
             return
+        if self._count() != self._graded:
+            self._take_scores()
         at = len(self.episodes.observation) + len(TWIN_OBSERVATION)
         if self._observation == "twin_health":
             status = self.notes["health"]["sensors"]["status"][rows]
@@ -232,10 +234,14 @@ class TwinObserver(Observer):
 
     def _take_scores(self) -> None:
         """Hand out the scores of boats with newly graded forecasts."""
-        for i in np.flatnonzero(self._graded != self._seen):
-            sums = self._notes[i, GRADES_AT:][SUMS_AT]
-            self.scores[i] = ForecastScores(sums.reshape(NO_SCORES.sums.shape).copy())
-        self._seen[:] = self._graded
+        before, now = self._graded, self._count()
+        self._graded = now
+        for i, pair in enumerate(
+            [(before, now)] if len(self.scores) == 1 else zip(before, now, strict=True)
+        ):
+            if pair[0] != pair[1]:
+                sums = self._notes[i, self._sums].copy()
+                self.scores[i] = ForecastScores(sums.reshape(NO_SCORES.sums.shape))
 
     def _model_size(self, twin: Twin) -> tuple[int, int]:
         """Return parameters of a model that is kept with each forecast, and rows of its waves."""

@@ -8,9 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from twin import Log, Particulars
 from twin.agents import evaluation
-from twin.agents.controllers import CONTROLLERS
+from twin.agents.controllers import CONTROLLERS, make_controller
 from twin.agents.evaluation import evaluate, make_envs
+from twin.agents.forecast_table import forecast_rows, mean_scores
 from twin.agents.policy import AgentError
 from twin.parallel import BACKENDS, results_of
 
@@ -158,3 +160,29 @@ def test_motion_is_that_of_the_reward():
     assert 0.01 < row["motion"] < 4.0
     (without,) = evaluate(agent, seeds=(5,), max_episode_steps=5)
     assert without["motion"] is None
+
+
+def test_forecasts_are_graded_on_episodes_of_agents_that_see_no_twin(tmp_path):
+    agent = make_controller("los")
+    options = {"sea": "2", "faults": "gps10@10", "max_episode_steps": 60}
+    rows = evaluate(agent, seeds=[3, 4], log_dir=tmp_path, label="runs/los", **options)
+    for row in rows:
+        scores = row["twin_forecast"]
+        assert scores["n"] > 0
+        assert scores["n_loss"] > 0
+        log = Log.read(tmp_path / f"runs_los_sea2_gps10@10_{row['seed']}.csv")
+        assert log.t[-1] == pytest.approx(row["length_s"])
+        assert log.truth is not None
+        assert Particulars.load(tmp_path / f"runs_los_sea2_gps10@10_{row['seed']}.toml").length > 0
+    whole = mean_scores([row["twin_forecast"] for row in rows])
+    parts = [row["twin_forecast"] for row in rows]
+    name = "known_loss_10s_displacement_m"
+    weighed = sum(one[name] * one["n_loss"] for one in parts)
+    assert whole[name] == pytest.approx(weighed / whole["n_loss"])
+    table = forecast_rows(parts)
+    assert [cells[:2] for cells in table] == [
+        ["with all sensors", "that came"],
+        ["with all sensors", "held"],
+        ["while sensors are lost", "that came"],
+        ["while sensors are lost", "held"],
+    ]
