@@ -262,7 +262,11 @@ UNIT_KEY = ("scenario", "case", "fault", "sea", "grade", "seed", "predictor")
 def sea_settings(hs: str | None, wind: str | None, wind_from_deg: str | None) -> dict[str, Any]:
     """Return the settings of a sea that options describe, see ``usv_gym.world.schedule``."""
     given = {"hs": hs, "wind": wind, "wind_from_deg": wind_from_deg}
-    parsed = {name: parse_values(v, name) for name, v in given.items() if v is not None}
+    parsed = {
+        name: parse_values(v, name.removesuffix("_deg"))
+        for name, v in given.items()
+        if v is not None
+    }
     first = {name: values[0][1] for name, values in parsed.items()}
     if all(len(values) == 1 for values in parsed.values()):
         return first

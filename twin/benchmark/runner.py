@@ -44,6 +44,7 @@ from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table
 from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
 from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows
+from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END, WIND_FROM, WIND_SPEED
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
@@ -93,7 +94,12 @@ def fault_start(settings: Settings, identify: float) -> float:
 
 def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
     """Return a log with faults of its sensors; equal arguments give equal logs."""
-    return dataclasses.replace(log, z=apply_faults(log.t, log.z, faults, np.random.default_rng(0)))
+    # the anemometer's columns; where there are none, those of the true wind
+    apparent = np.isfinite(log.z[:, MOTION_END:]).any()
+    wind = range(MOTION_END, len(MEASUREMENTS)) if apparent else (WIND_SPEED, WIND_FROM)
+    columns = [*range(WIND_SPEED), *range(MOTION_AT, MOTION_END), *wind]
+    z = apply_faults(log.t, log.z, faults, np.random.default_rng(0), columns)
+    return dataclasses.replace(log, z=z)
 
 
 def _recorded_identify_s(log: Log) -> float:

@@ -559,6 +559,6 @@ def _faults(config: EnvConfig) -> tuple[Any, int]:
 
 def _warn_of(faults: Sequence[Disturbance], config: EnvConfig) -> None:
     """Warn of a fault that changes nothing."""
-    anemometer = (config.suite or SensorSuite()).has_anemometer
+    anemometer = SensorSuite.of(config.suite).has_anemometer
     if (found := ineffective_fault(faults, config.dof, anemometer)) is not None:
         warnings.warn(found, FaultWarning, stacklevel=4)

@@ -125,12 +125,15 @@ def _outputs(table: Any, kind: str) -> Servos:
         for key, unit in scales.items()
     }
     sides = {"left": table[places[0]], "right": table[places[skid]]}
+    low, middle, high = map(float, pulse)
     try:
         return Servos(
             **sides,
-            steering=0 if skid else table["steering"],
             **{"angle": 1.0, **full},
-            **dict(zip(("low", "middle", "high"), map(float, pulse), strict=True)),
+            steering=0 if skid else table["steering"],
+            low=low,
+            middle=middle,
+            high=high,
         )
     except ServoError as error:
         raise VesselError(f"[autopilot] {error}") from None

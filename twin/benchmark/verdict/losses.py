@@ -60,7 +60,7 @@ def loss_rows(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     ``error_m`` is the median error, ``worst_m`` the largest; ``said_m`` the median radius that was
     to hold 90 % of them, and ``held`` the share that it did hold; ``losses`` their number.
     """
-    cells: dict[tuple[str, ...], list[dict[str, float]]] = {}
+    cells: dict[tuple[Any, ...], list[dict[str, float]]] = {}
     for result in results:
         unit = result["unit"]
         if ends := result.get("loss_ends"):
