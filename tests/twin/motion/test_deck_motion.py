@@ -28,6 +28,7 @@ from twin.particulars import GRAVITY, Deck
 from twin.sim.bridge import particulars_of, simulate
 from usv_gym import Vessel
 from usv_gym.world.sea import SeaState
+from usv_kernel.channels import ACCEL_X, ACCEL_Y, GYRO
 
 VESSEL = Vessel.load("usv75")
 BOAT = particulars_of(VESSEL, dof=6)
@@ -232,7 +233,10 @@ def test_a_direction_that_could_be_the_opposite_one_is_in_doubt() -> None:
     late = t - BOAT.instruments.gps_latency
     values[:, 5], values[:, 6] = 0.2 * np.sin(w * late), 0.2 * w * np.cos(w * late)
     values[:, 2] = -GRAVITY - 0.2 * w * w * np.sin(w * t)
-    z = still_boat(values + 1e-6 * np.random.default_rng(0).standard_normal((n, 7)))
+    rng = np.random.default_rng(0)
+    z = still_boat(values + 1e-6 * rng.standard_normal((n, 7)))
+    z[:, [GYRO, ACCEL_X, ACCEL_Y]] = 1e-6 * rng.standard_normal((n, 3))
+    z[:, ACCEL_X] += GRAVITY * np.sin(values[:, 4])
     motion = DeckMotion(BOAT)
     for k in range(n):
         motion.take(t[k], 0.05 if k else 0.0, z[k], np.zeros(6), True)
