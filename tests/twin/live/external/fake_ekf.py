@@ -173,8 +173,9 @@ class FakeEkf:
     def step(self, t_arm: float = 25.0) -> None:
         """Advance by one packet."""
         widths = self._widths()
+        before = self.pilot.last
         seen = self.pilot.step(widths)
-        t, dt = seen.t, 0.01
+        t, dt = seen.t, seen.t - before
         force = rotation(seen.attitude) @ seen.force
         if self.aided > -math.inf:
             self.velocity = self.velocity + dt * force[:2]

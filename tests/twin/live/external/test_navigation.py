@@ -10,7 +10,12 @@ import pytest
 
 from tests.twin.live.external.fake_ekf import AUTO, HOLD, HOME, FakeEkf, LoopPort
 from twin.digital_twin import Twin
-from twin.live.external.navigation import ExternalError, ExternalNavigation, ExternalOptions
+from twin.live.external.navigation import (
+    STATES,
+    ExternalError,
+    ExternalNavigation,
+    ExternalOptions,
+)
 from twin.live.external.peer import AutopilotPeer
 from twin.live.external.simulated import AutopilotRun, suite_of
 from twin.sim.bridge import particulars_of
@@ -21,15 +26,17 @@ from usv_gym.world.sea import SeaState
 from usv_gym.world.simulation import Simulation
 
 SEA = SeaState(hs=0.5, wind=6.0, current=0.2, current_to=math.radians(60.0))
-LOST, BACK = 100.0, 160.0
-END = 166.0
-POINTS = np.array([[10.0, 0.0], [190.0, 0.0], [190.0, 50.0], [10.0, 50.0]])
+LOST, BACK = 120.0, 180.0
+END = 186.0
+LANES = [[10.0, 0.0], [120.0, 0.0], [120.0, 50.0], [10.0, 50.0], [10.0, 100.0], [120.0, 100.0]]
+POINTS = np.array(LANES)
 
 
 class Sailed(NamedTuple):
     ekf: FakeEkf
     run: AutopilotRun
     events: list[tuple[float, str]]
+    stated: list[tuple[float, ...]]  # time, place and standard deviations of the twin
 
     def error(self, t: float) -> float:
         """Return how far the autopilot's own estimate is off at a time, m."""
@@ -37,7 +44,8 @@ class Sailed(NamedTuple):
         return self.ekf.errors[int(np.searchsorted(times, t))][1]
 
     def states(self, after: float = 0.0) -> list[str]:
-        return [text.partition(":")[0] for t, text in self.events if t > after]
+        names = [text.partition(":")[0] for t, text in self.events if t > after]
+        return [name for name in names if name in STATES]
 
 
 def sail(
@@ -46,7 +54,7 @@ def sail(
     boat, suite = Vessel.load("usv75"), suite_of("typical")
     faults = (Fault("gps", lost, BACK - LOST),)
     simulation = Simulation(
-        1, boat, SEA, suite=suite, faults=faults, dof=6, dt=0.01, dt_physics=0.01
+        1, boat, SEA, suite=suite, faults=faults, dof=6, dt=0.025, dt_physics=0.0125
     )
     backend = Backend(simulation, seed)
     events: list[tuple[float, str]] = []
@@ -61,13 +69,16 @@ def sail(
     run = AutopilotRun(
         backend,
         HOME,
-        twin=Twin(particulars_of(boat, suite, 6), "ukf") if twin else None,
+        twin=Twin(particulars_of(boat, suite, 6)) if twin else None,
         navigation=navigation,
         port=port,  # type: ignore[arg-type]
     )
+    stated: list[tuple[float, ...]] = []
     while ekf.pilot.last < end:
         ekf.step()
-    return Sailed(ekf, run, events)
+        if run.twin is not None and (now := run.twin.estimate()).ready:
+            stated.append((now.t, *now.state[:2].tolist(), *now.sd[:2].tolist()))
+    return Sailed(ekf, run, events, stated)
 
 
 @pytest.fixture(scope="module")
@@ -94,22 +105,18 @@ def test_the_estimate_is_right_three_seconds_after_the_gps_is_back(sailed: list[
 def test_the_stated_sd_holds_the_error(sailed: list[Sailed]) -> None:
     """The twin must not claim more than it knows: within three of its standard deviations."""
     for one in sailed:
-        twin = one.run.twin
-        assert twin is not None
-        log = one.run.log
-        again = Twin(twin.particulars, "ukf")
-        for t, z, cmd in log.slice(30.0, BACK):
-            again.step(t, z, cmd)
-        now, truth = again.estimate(), log.slice(30.0, BACK).truth
+        t, x, y, sd_x, sd_y = next(row for row in reversed(one.stated) if row[0] < BACK)
+        truth = one.run.log.slice(t - 0.01).truth
         assert truth is not None
-        assert np.all(np.abs(now.state[:2] - truth[-1, :2]) < 3.0 * now.sd[:2])
+        assert abs(x - truth[0, 0]) < 3.0 * sd_x
+        assert abs(y - truth[0, 1]) < 3.0 * sd_y
 
 
 def test_without_a_twin_the_failsafe_holds_the_boat() -> None:
     one = sail(twin=False, end=LOST + 40.0)
     assert [mode for _, mode in one.ekf.modes] == [AUTO, HOLD]
     assert one.ekf.modes[1][0] == pytest.approx(LOST + 8.0, abs=0.5)
-    assert one.error(LOST + 39.0) > 10.0
+    assert math.hypot(*one.ekf.pilot.seen[-1].velocity[:2]) < 1.5  # it drifts
 
 
 def test_the_same_seed_is_the_same_flight(sailed: list[Sailed]) -> None:
@@ -132,7 +139,7 @@ def test_the_jump_back_to_the_gps_is_announced(sailed: list[Sailed]) -> None:
 
 
 def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
-    one = sail(end=55.0, lost=40.0)
+    one = sail(end=60.0, lost=45.0)
     assert one.states() == ["lost"]
     assert "of 30 s under way" in one.events[-2][1]
     assert "fell to Hold" in one.events[-1][1]
@@ -141,13 +148,7 @@ def test_a_twin_that_has_seen_too_little_does_not_take_over() -> None:
 
 def test_a_twin_that_no_longer_knows_gives_up() -> None:
     one = sail(end=LOST + 45.0, max_sd=2.0)
-    assert one.states() == [
-        "ready",
-        "lost",
-        "aiding",
-        "gave up",
-        "the autopilot fell to Hold, as its EKF failed, and stays there; --resume goes back",
-    ]
+    assert one.states() == ["ready", "lost", "aiding", "gave up"]
     assert one.ekf.source == 1
     assert one.ekf.modes[-1][1] == HOLD
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -182,6 +183,31 @@ def test_estimates_go_back(wire: Wire) -> None:
     before = wire.feed.counts["used"]
     wire.tell(*data)
     assert wire.balance()["own"] == len(data) and wire.feed.counts["used"] == before
+
+
+def test_odometry_is_what_ardupilot_takes(wire: Wire) -> None:
+    """Frame and variances by AP_VisualOdom_MAV; the place is about the autopilot's own origin."""
+    write, sent = MavlinkWriter(), []
+    wire.tell(write.position(0.0, (59.5, 10.5), (0, 0)))
+    sent += list(wire.feed.greet(5.0))
+    estimate, prediction = estimate_of(0.0)
+    jumped = replace(estimate, t=0.1, state=estimate.state + [5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    parser = common.MAVLink(None)
+    asked = [m for each in sent for m in parser.parse_buffer(each)]
+    assert ["COMMAND_LONG", 512, 49.0] in [
+        [m.get_type(), m.command, m.param1] for m in asked if m.get_type() == "COMMAND_LONG"
+    ]
+    origin = common.MAVLink_gps_global_origin_message(round(59.5e7) + 900, round(10.5e7), 0)
+    wire.tell(bytes(origin.pack(common.MAVLink(None, 1, 1))))
+    found = []
+    for one in (estimate, jumped):
+        data = [m for e in wire.feed.encode(one, prediction) for m in parser.parse_buffer(e)]
+        found += [m for m in data if m.get_type() == "ODOMETRY"]
+    first, second = found
+    assert (first.frame_id, first.child_frame_id, first.quality) == (20, 12, 100)
+    assert all(map(math.isfinite, [*first.pose_covariance, *first.velocity_covariance]))
+    assert first.x == pytest.approx(100.0 - 10.0, abs=0.1)
+    assert second.reset_counter == first.reset_counter + 1
 
 
 def test_a_short_prediction_goes_back_as_far_as_it_reaches(wire: Wire) -> None:
