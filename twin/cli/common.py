@@ -19,7 +19,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.table import Table
 
 from twin.digital_twin import Twin, TwinError
+from twin.logs.bag_writer import BAG_SUFFIX, check_bag
 from twin.logs.log import Log
+from twin.logs.tables import check_export
 from twin.model.structure import MODELS
 from twin.motion import SeaEstimate
 from twin.parallel import BACKENDS
@@ -316,6 +318,14 @@ def radians(degrees: float | None) -> float | None:
 
 
 # files
+def check_out(path: Path, log: Log, twin: Twin) -> None:
+    """Refuse a file of estimates or forecasts that could not be written."""
+    if path.suffix == BAG_SUFFIX:
+        check_bag(path, log)
+    else:
+        check_export(path, twin.datum, (BAG_SUFFIX,))
+
+
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Write JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=1) + "\n")

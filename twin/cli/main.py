@@ -13,6 +13,7 @@ from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
+from twin.cli.fmu import fmu_command
 from twin.cli.logs.check import log_check_command
 from twin.cli.logs.identify import identify_command
 from twin.cli.logs.judge import verdict_command
@@ -76,6 +77,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "link": link_command,
     "bench": bench_command,
     "soak": soak_command,
+    "fmu": fmu_command,
 }
 """Commands by name, in the order of the help page."""
 

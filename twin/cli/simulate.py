@@ -34,7 +34,10 @@ MANOEUVRE_HELP = (
 def simulate_command(
     manoeuvre: Annotated[str, typer.Argument(help=MANOEUVRE_HELP)] = "turn",
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Log to write. [<manoeuvre>_<seed>.csv]")
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="Log: .csv, .csv.gz, .parquet, .mcap. [<manoeuvre>_<seed>.csv]"
+        ),
     ] = None,
     vessel: Annotated[
         str, typer.Option(help=f"Name ({', '.join(vessel_names())}) or TOML file.")

@@ -19,6 +19,7 @@ import numpy as np
 
 from twin.channels import COMMANDS, MEASUREMENTS, MOTION_AT, MOTION_END, TIME, TRUE_MOTION, TRUTH
 from twin.logs.autopilot.readers import is_autopilot_log, read_autopilot_log
+from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.checks import (
     check_drive,
     check_measurement,
@@ -210,7 +211,7 @@ class Log:
         return dataclasses.replace(self, truth=None, true_motion=None)
 
     def write(self, path: str | Path) -> None:
-        """Write the log as CSV, compressed if the name ends in ``.gz``, or as ``.parquet``.
+        """Write the log as CSV, compressed if the name ends in ``.gz``, ``.parquet`` or ``.mcap``.
 
         Parameters
         ----------
@@ -222,8 +223,12 @@ class Log:
         NaN becomes an empty cell; each number is written with the digits that give the
         same float64 back. The datum stands in columns of one value each. :meth:`read` returns the
         same arrays, save for what it would repair or refuse in any file (repeated fixes, a column
-        that never changes).
+        that never changes). MCAP is for programs of ROS and Foxglove: it has no exact times, and
+        its truth is not read back.
         """
+        if Path(path).suffix == BAG_SUFFIX:
+            write_bag(path, self)
+            return
         import polars as pl
 
         columns = {TIME: self.t}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,9 @@ __all__ = [
     "is_bag",
     "read_bag",
 ]
+
+_OWN = {"/command", "/gps/position", "/imu/data"}
+"""Topics of every bag of :mod:`twin.logs.bag_writer`."""
 
 _LATE = 1.0
 """Messages of a topic may overtake each other, and clocks may differ, by this much, s."""
@@ -78,6 +81,8 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             types = {link.topic: link.msgtype for link in reader.connections}
+            if layout is None and types.keys() >= _OWN:
+                layout = _own_layout(types)
             topics = _asked(path, layout, types)
             links = [link for link in reader.connections if link.topic in topics]
             messages = reader.messages(links) if links else ()
@@ -98,6 +103,13 @@ def read_bag(path: Path, layout: Layout | None) -> Table:
         ) from None
     assert layout is not None
     return _united(path, layout, topics)
+
+
+def _own_layout(types: Collection[str]) -> Layout:
+    """Return the mapping of a bag that this package wrote, as far as its topics are there."""
+    layout = Layout.load(Path(__file__).with_name("mappings") / "usv_twin_bag.toml")
+    kept = tuple(entry for entry in layout.entries if entry.topic in types)
+    return replace(layout, source="usv_twin_bag.toml", entries=kept)
 
 
 def _asked(path: Path, layout: Layout | None, types: dict[str, str]) -> dict[str, _Topic]:

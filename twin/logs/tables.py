@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,7 @@ class ExportError(UsvTwinError):
     """A file that cannot be written as asked; the message names it and the remedy."""
 
 
-def check_export(path: str | Path, datum: Datum | None) -> None:
+def check_export(path: str | Path, datum: Datum | None, more: Collection[str] = ()) -> None:
     """Refuse a file of an unknown kind, and GeoJSON without a place on Earth.
 
     Parameters
@@ -49,6 +49,8 @@ def check_export(path: str | Path, datum: Datum | None) -> None:
         Of the file.
     datum : Datum or None
         Of the log.
+    more : collection of str
+        Other endings to choose from, for the message.
 
     Raises
     ------
@@ -58,7 +60,7 @@ def check_export(path: str | Path, datum: Datum | None) -> None:
     suffix = Path(path).suffix
     if suffix not in FORMATS:
         raise ExportError(
-            f"{path}: unknown kind of file; its name must end in {', '.join(FORMATS)}"
+            f"{path}: unknown kind of file; its name must end in {', '.join((*FORMATS, *more))}"
         )
     if suffix == ".geojson" and (datum is None or datum.plane is None):
         raise ExportError(

@@ -22,6 +22,7 @@ from twin.cli.common import (
     ModelOption,
     OptionError,
     ShipOption,
+    check_out,
     console,
     explain,
     new_table,
@@ -36,9 +37,9 @@ from twin.cli.common import (
 from twin.cli.logs.judge import findings_of, print_verdict
 from twin.digital_twin import Twin
 from twin.identification.identifiability import Finding, Identifiability
+from twin.logs.bag_writer import BAG_SUFFIX, write_bag
 from twin.logs.columns import LogError
 from twin.logs.log import Log
-from twin.logs.tables import check_export
 from twin.motion import CHANNELS
 from twin.predictors.base import Estimate
 from twin.predictors.own_prior import prior_of_runs
@@ -81,7 +82,8 @@ def identify_command(
         typer.Option(
             "--out",
             "-o",
-            help="State and parameters with sd at every row: .csv, .parquet or .geojson.",
+            help="State and parameters with sd at every row: .csv, .parquet or .geojson; "
+            "or the log with the states: .mcap.",
         ),
     ] = None,
     json_file: Annotated[
@@ -140,7 +142,7 @@ def identify_command(
             log, predictor, ship=ship, until=until, resume=resume, model=model, mapping=mapping
         )
     if out is not None:
-        check_export(out, twin.datum)
+        check_out(out, run, twin)
     predictor = str(twin.name)
     fresh = Twin.load(resume) if resume is not None else twin
     fresh.reset()
@@ -158,7 +160,9 @@ def identify_command(
     last = twin.estimate()
     if save is not None:
         twin.save(save)
-    if out is not None:
+    if out is not None and out.suffix == BAG_SUFFIX:
+        write_bag(out, run, table)
+    elif out is not None:
         table.write(out, boat=twin.particulars.name, log=run.name, predictor=predictor)
     if json_file is not None:
         write_json(json_file, _estimate_json(last, twin, predictor))

@@ -20,6 +20,7 @@ from twin.cli.common import (
     ModelOption,
     PredictorOption,
     ShipOption,
+    check_out,
     console,
     new_table,
     note,
@@ -29,10 +30,10 @@ from twin.cli.common import (
     row_progress,
 )
 from twin.digital_twin import TwinError, known_plan
+from twin.logs.bag_writer import BAG_SUFFIX, Forecast, write_bag
 from twin.logs.columns import LogError
 from twin.logs.log import Log
 from twin.logs.readers import Clock, CsvFile
-from twin.logs.tables import check_export
 from twin.motion import QUIET_SPANS, MotionForecast, SeaEstimate
 from twin.predictors.base import Z90, Prediction
 from twin.predictors.registry import DEFAULT
@@ -66,7 +67,8 @@ def predict_command(
         typer.Option(
             "--out",
             "-o",
-            help="The prediction, its sd and its 90 % interval: .csv, .parquet or .geojson.",
+            help="The prediction, its sd and its 90 % interval: .csv, .parquet or .geojson; or "
+            "with the log and the estimates: .mcap.",
         ),
     ] = None,
 ) -> None:
@@ -75,7 +77,7 @@ def predict_command(
     commands = None if plan in ("hold", "known") else _read_plan(Path(plan), horizon, dt)
     run, twin = open_log(log, predictor, ship=ship, model=model, mapping=mapping)
     if out is not None:
-        check_export(out, twin.datum)
+        check_out(out, run, twin)
     last = float(run.t[-1])
     if at is None:
         at = last - horizon if plan == "known" else last
@@ -87,12 +89,9 @@ def predict_command(
             f"choose --at {last - horizon:g} or earlier, or --plan hold"
         )
     row = int(np.searchsorted(run.t, at + 1e-9) - 1)
+    before = run.slice(-math.inf, math.nextafter(run.t[row], math.inf))
     with row_progress("identifying", row + 1) as advance:
-        for index, (t, z, cmd) in enumerate(run):
-            if index > row:
-                break
-            twin.step(t, z, cmd)
-            advance()
+        states = twin.run(before, advance)
     print_health(twin)
     if not twin.estimate().ready:
         raise LogError(f"{log}: no fix and heading before t = {at:g} s; choose a later --at")
@@ -102,7 +101,11 @@ def predict_command(
     _print_prediction(prediction, predictor, plan, run)
     if prediction.motion is not None:
         _print_motion(prediction.motion, twin.sea)
-    if out is not None:
+    if out is not None and out.suffix == BAG_SUFFIX:
+        ahead = Forecast(prediction.t0, prediction.t, prediction.mean, prediction.cov)
+        write_bag(out, run, states, ahead)
+        console.print(f"log, estimates and prediction: {out}")
+    elif out is not None:
         about = {"boat": twin.particulars.name, "log": run.name, "predictor": predictor}
         prediction.table(twin.datum).write(out, **about, plan=plan, from_t_s=prediction.t0)
         console.print(f"every 0.1 s: {out}")

@@ -1,0 +1,59 @@
+"""``usv-twin fmu``: a vessel in its sea as a co-simulation unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.cli.common import (
+    DofOption,
+    HsOption,
+    WindFromOption,
+    WindOption,
+    console,
+    radians,
+)
+from usv_gym.cosimulation.unit import CosimulationError, write_unit
+from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.sea import SEA_STATES, SeaState
+
+
+def fmu_command(
+    vessel: Annotated[
+        str, typer.Argument(help=f"Name ({', '.join(vessel_names())}) or TOML file.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File to write. [<name>.fmu]")
+    ] = None,
+    sea: Annotated[str, typer.Option(help=f"One of: {', '.join(SEA_STATES)}.")] = "0",
+    hs: HsOption = None,
+    wind: WindOption = None,
+    wind_from: WindFromOption = None,
+    current: Annotated[float | None, typer.Option(help="Speed of the current, m/s.")] = None,
+    current_to: Annotated[
+        float | None, typer.Option(help="Direction the current goes to, degrees from north.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of sea and wind.")] = 0,
+    dof: DofOption = 3,
+    step: Annotated[float, typer.Option(help="Its step, s; a whole multiple of 0.05.")] = 0.05,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file.")] = False,
+) -> None:
+    """Write a vessel in its sea as a co-simulation unit (FMI 2.0).
+
+    Inputs are shaft speeds and drive angles, outputs the state of the ship. Wave height, wind,
+    current and seed are parameters. It runs where usv-twin is installed.
+    """
+    path = out or Path(f"{Vessel.load(vessel).name}.fmu")
+    if path.exists() and not force:
+        raise CosimulationError(f"{path}: is there already; choose another --out, or --force")
+    state = SeaState.named(sea).replace(
+        hs=hs,
+        wind=wind,
+        wind_from=radians(wind_from),
+        current=current,
+        current_to=radians(current_to),
+    )
+    write_unit(vessel, path, state, seed=seed, dof=dof, dt=step)
+    console.print(f"{path}: {Vessel.load(vessel).name}, FMI 2.0 for co-simulation", soft_wrap=True)

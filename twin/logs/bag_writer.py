@@ -1,0 +1,314 @@
+"""A run as an MCAP file of ROS 2 messages, for Foxglove, PlotJuggler and ROS itself.
+
+Frames are those of REP 103 and 105: ``map`` has x east, y north, z up, and ``base_link`` x forward,
+y to port, z up. Angles turn to port above 0, and a yaw of 0 points east.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from twin.channels import MEASUREMENTS, PSI, STATE, TIME, TRUE_MOTION, R, U, V, X, Y
+from twin.logs.columns import Array
+from twin.logs.tables import ExportError, StateTable
+from usv_kernel.files import write_whole
+
+if TYPE_CHECKING:
+    from twin.logs.log import Log
+
+__all__ = [
+    "BAG_SUFFIX",
+    "Forecast",
+    "check_bag",
+    "write_bag",
+]
+
+BAG_SUFFIX = ".mcap"
+
+_LATEST = 2**31 - 1
+"""Largest second of a ROS stamp."""
+
+Event = tuple[int, int, str, str, Any]
+"""Time (ns), its place among events of that time, topic, kind of message, the message."""
+
+
+class Forecast(NamedTuple):
+    """A forecast made at t0 (s): times (K,), states (K, 6) and their covariances (K, 6, 6)."""
+
+    t0: float
+    t: Array
+    mean: Array
+    cov: Array
+
+
+def check_bag(path: str | Path, log: Log) -> None:
+    """Refuse to write a bag without rosbags, or of times that ROS has no stamp for.
+
+    Raises
+    ------
+    ExportError
+        Names the file and the remedy.
+    """
+    try:
+        import rosbags.rosbag2  # noqa: F401
+    except ImportError:
+        raise ExportError(
+            f"{path}: writing MCAP needs the package rosbags: pip install 'usv-twin[ros]'"
+        ) from None
+    epoch = _epoch(log)
+    if len(log) and not 0.0 <= epoch + log.t[0] <= epoch + log.t[-1] < _LATEST - 1e6:
+        raise ExportError(
+            f"{path}: a stamp of ROS is from 0 to {_LATEST} s since 1970, and the log runs from "
+            f"{epoch + log.t[0]:.6g} to {epoch + log.t[-1]:.6g} s; shift its time"
+        )
+
+
+def write_bag(
+    path: str | Path,
+    log: Log,
+    states: StateTable | None = None,
+    forecast: Forecast | None = None,
+) -> None:
+    """Write a run, and what a twin made of it, as an MCAP file.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to create or replace.
+    log : Log
+        The run. NavSatFix is written where it has latitude and longitude.
+    states : StateTable, optional
+        Estimates of a twin at its rows, from ``Twin.run``.
+    forecast : Forecast, optional
+        What a twin predicts.
+
+    Raises
+    ------
+    ExportError
+        Without rosbags, or for times before 1970.
+    """
+    check_bag(path, log)
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    make = _Messages(store.types, _epoch(log))
+    streams = [make.measured(log)]
+    if log.truth is not None:
+        streams.append(make.truth(log))
+    if states is not None:
+        streams.append(make.estimates(states))
+    if forecast is not None:
+        streams.append(make.forecast(forecast))
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        links: dict[str, Any] = {}
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            for ns, _, topic, kind, message in heapq.merge(*streams, key=lambda e: e[:2]):
+                if topic not in links:
+                    links[topic] = writer.add_connection(topic, kind, typestore=store)
+                writer.write(links[topic], ns, store.serialize_cdr(message, kind))
+        write_whole(path, next(bag.glob("*.mcap")).read_bytes())
+
+
+def _epoch(log: Log) -> float:
+    """Return the time of t = 0, s since 1970; 0 where it is not known."""
+    return 0.0 if log.datum is None or log.datum.epoch is None else log.datum.epoch
+
+
+class _Messages:
+    """Makes messages of rows; ``types`` are those of the message definitions by name."""
+
+    def __init__(self, types: Any, epoch: float) -> None:
+        self._types = types
+        self._second = math.floor(epoch)
+        self._rest = epoch - self._second
+
+    def _new(self, kind: str, *values: Any) -> Any:
+        return self._types[kind](*values)
+
+    def _ns(self, t: float) -> int:
+        return self._second * 10**9 + round((self._rest + t) * 1e9)
+
+    def _header(self, t: float, frame: str) -> Any:
+        second, rest = divmod(self._ns(t), 10**9)
+        stamp = self._new("builtin_interfaces/msg/Time", second, rest)
+        return self._new("std_msgs/msg/Header", stamp, frame)
+
+    def _vector(self, x: float, y: float, z: float, kind: str = "Vector3") -> Any:
+        return self._new(f"geometry_msgs/msg/{kind}", float(x), float(y), float(z))
+
+    def _turn(self, psi: float, roll: float = 0.0, pitch: float = 0.0) -> Any:
+        """Return the quaternion of a heading, roll and pitch; zeros where there is no heading."""
+        kind = "geometry_msgs/msg/Quaternion"
+        if math.isnan(psi):
+            return self._new(kind, 0.0, 0.0, 0.0, 0.0)
+        half = 0.5 * (0.5 * math.pi - psi), 0.5 * -pitch, 0.5 * roll
+        (cy, cp, cr), (sy, sp, sr) = (tuple(map(f, half)) for f in (math.cos, math.sin))
+        x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+        z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+        return self._new(kind, x, y, z, w)
+
+    def _pose(self, state: Array, tilt: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
+        """Return a pose; ``tilt`` is place down, roll and pitch."""
+        place = self._vector(state[Y], state[X], -tilt[0], "Point")
+        return self._new("geometry_msgs/msg/Pose", place, self._turn(state[PSI], *tilt[1:]))
+
+    def _odometry(
+        self, t: float, state: Array, cov: Array, motion: Array | None = None, child: str = ""
+    ) -> Any:
+        """Return a state (6,) with its covariance (6, 6); ``motion`` is the vertical one."""
+        m = np.zeros(len(TRUE_MOTION)) if motion is None else motion
+        pose = self._pose(state, (m[0], m[1], m[2]))
+        linear = self._vector(state[U], -state[V], -m[3])
+        twist = self._new("geometry_msgs/msg/Twist", linear, self._vector(m[4], -m[5], -state[R]))
+        # from north, east, heading and forward, starboard, to starboard
+        signs = np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0])
+        turned = cov * np.outer(signs, signs)
+        spread = [np.zeros((6, 6)), np.zeros((6, 6))]
+        for whole, kept in zip(spread, ((Y, X, PSI), (U, V, R)), strict=True):
+            whole[np.ix_((0, 1, 5), (0, 1, 5))] = turned[np.ix_(kept, kept)]
+        return self._new(
+            "nav_msgs/msg/Odometry",
+            self._header(t, "map"),
+            child or "base_link",
+            self._new("geometry_msgs/msg/PoseWithCovariance", pose, spread[0].ravel()),
+            self._new("geometry_msgs/msg/TwistWithCovariance", twist, spread[1].ravel()),
+        )
+
+    def _transform(self, t: float, state: Array, child: str) -> Any:
+        """Return where a boat is in the map."""
+        place = self._vector(state[Y], state[X], 0.0)
+        turn = self._new("geometry_msgs/msg/Transform", place, self._turn(state[PSI]))
+        header = self._header(t, "map")
+        stamped = self._new("geometry_msgs/msg/TransformStamped", header, child, turn)
+        return self._new("tf2_msgs/msg/TFMessage", [stamped])
+
+    def measured(self, log: Log) -> Iterator[Event]:
+        """Yield what sensors and commands say, row by row."""
+        plane = None if log.datum is None else log.datum.plane
+        for k, (t, z, _) in enumerate(log):
+            row = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
+            ns = self._ns(t)
+            if k + 1 < len(log):  # a row has what was in force in the interval that ends at it
+                kind = "sensor_msgs/msg/JointState"
+                yield ns, 0, "/command", kind, self._command(t, log.cmd[k + 1])
+            for place, (topic, kind, of) in enumerate(_SENSORS, start=1):
+                message = of(self, t, row)
+                if message is not None:
+                    yield ns, place, topic, kind, message
+            if plane is not None and math.isfinite(row["gps_x_m"] + row["gps_y_m"]):
+                where = plane.degrees(row["gps_x_m"], row["gps_y_m"])
+                fix = self._fix(t, where, row["gps_z_m"])
+                yield ns, 9, "/gps/fix", "sensor_msgs/msg/NavSatFix", fix
+
+    def _command(self, t: float, cmd: Array) -> Any:
+        names = ["left_shaft", "right_shaft", "left_drive", "right_drive"]
+        position = np.array([math.nan, math.nan, -cmd[2], -cmd[3]])
+        velocity = np.array([*(2.0 * math.pi * cmd[:2]), math.nan, math.nan])
+        header = self._header(t, "base_link")
+        kind = "sensor_msgs/msg/JointState"
+        return self._new(kind, header, names, position, velocity, np.zeros(0))
+
+    def _fix(self, t: float, place: tuple[float, float], down: float) -> Any:
+        status = self._new("sensor_msgs/msg/NavSatStatus", 0, 1)
+        latitude, longitude = map(float, place)
+        header = self._header(t, "gps")
+        return self._new(
+            "sensor_msgs/msg/NavSatFix", header, status, latitude, longitude, -down, np.zeros(9), 0
+        )
+
+    def position(self, t: float, row: dict[str, float]) -> Any:
+        """Return the fix in metres, if there is one."""
+        x, y, down = row["gps_x_m"], row["gps_y_m"], row["gps_z_m"]
+        if math.isnan(x) or math.isnan(y):
+            return None
+        point = self._vector(y, x, -down, "Point")
+        return self._new("geometry_msgs/msg/PointStamped", self._header(t, "map"), point)
+
+    def velocity(self, t: float, row: dict[str, float]) -> Any:
+        """Return the velocity over ground, if there is one."""
+        north, east, down = row["gps_vx_mps"], row["gps_vy_mps"], row["gps_vz_mps"]
+        if math.isnan(north) or math.isnan(east):
+            return None
+        linear, still = self._vector(east, north, -down), self._vector(0.0, 0.0, 0.0)
+        twist = self._new("geometry_msgs/msg/Twist", linear, still)
+        return self._new("geometry_msgs/msg/TwistStamped", self._header(t, "map"), twist)
+
+    def imu(self, t: float, row: dict[str, float]) -> Any:
+        """Return heading, rates and accelerations, if any; a covariance of -1 marks a missing one.
+
+        Source: sensor_msgs/msg/Imu.
+        """
+        rates = row["gyro_x_radps"], -row["gyro_y_radps"], -row["gyro_radps"]
+        force = row["accel_x_mps2"], -row["accel_y_mps2"], -row["accel_z_mps2"]
+        psi = row["compass_rad"]
+        if all(map(math.isnan, (*rates, *force, psi))):
+            return None
+        tilt = (0.0 if math.isnan(v) else v for v in (row["ahrs_roll_rad"], row["ahrs_pitch_rad"]))
+        known = (not math.isnan(psi), not math.isnan(rates[2]), not math.isnan(force[0]))
+        spread = [np.array([0.0 if here else -1.0, *[0.0] * 8]) for here in known]
+        turn, header = self._turn(psi, *tilt), self._header(t, "base_link")
+        vectors = self._vector(*rates), self._vector(*force)
+        parts = (turn, spread[0], vectors[0], spread[1], vectors[1], spread[2])
+        return self._new("sensor_msgs/msg/Imu", header, *parts)
+
+    def wind(self, t: float, row: dict[str, float]) -> Any:
+        """Return the velocity of the air, if it is measured."""
+        speed, source = row["wind_mps"], row["wind_from_rad"]
+        if math.isnan(speed) or math.isnan(source):
+            return None
+        vector = self._vector(-speed * math.sin(source), -speed * math.cos(source), 0.0)
+        return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, "map"), vector)
+
+    def truth(self, log: Log) -> Iterator[Event]:
+        """Yield the true states of a simulated run."""
+        assert log.truth is not None
+        for k, (t, state) in enumerate(zip(log.t.tolist(), log.truth, strict=True)):
+            if np.isfinite(state).all():
+                motion = None if log.true_motion is None else log.true_motion[k]
+                whole = self._odometry(t, state, np.zeros((6, 6)), motion, "truth")
+                yield self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole
+                at = self._transform(t, state, "truth")
+                yield self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at
+
+    def estimates(self, states: StateTable) -> Iterator[Event]:
+        """Yield a twin's estimates, as soon as it has one."""
+        columns = [np.asarray(states[name]) for name in STATE]
+        sd = np.stack([np.asarray(states[f"sd_{name}"]) for name in STATE], axis=1)
+        for k, (t, state) in enumerate(
+            zip(np.asarray(states[TIME]).tolist(), np.stack(columns, axis=1), strict=True)
+        ):
+            if np.isfinite(state).all():
+                whole = self._odometry(t, state, np.diag(sd[k] ** 2))
+                yield self._ns(t), 12, "/twin/odometry", "nav_msgs/msg/Odometry", whole
+                at = self._transform(t, state, "base_link")
+                yield self._ns(t), 13, "/tf", "tf2_msgs/msg/TFMessage", at
+
+    def forecast(self, forecast: Forecast) -> Iterator[Event]:
+        """Yield the path ahead when it was made, and its states with covariances at their times."""
+        poses = [
+            self._new("geometry_msgs/msg/PoseStamped", self._header(t, "map"), self._pose(state))
+            for t, state in zip(forecast.t.tolist(), forecast.mean, strict=True)
+        ]
+        path = self._new("nav_msgs/msg/Path", self._header(forecast.t0, "map"), poses)
+        yield self._ns(forecast.t0), 14, "/forecast/path", "nav_msgs/msg/Path", path
+        for t, state, cov in zip(forecast.t.tolist(), forecast.mean, forecast.cov, strict=True):
+            whole = self._odometry(t, state, cov, child="forecast")
+            yield self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole
+
+
+_SENSORS: tuple[tuple[str, str, Callable[[_Messages, float, dict[str, float]], Any]], ...] = (
+    ("/gps/position", "geometry_msgs/msg/PointStamped", _Messages.position),
+    ("/gps/velocity", "geometry_msgs/msg/TwistStamped", _Messages.velocity),
+    ("/imu/data", "sensor_msgs/msg/Imu", _Messages.imu),
+    ("/wind", "geometry_msgs/msg/Vector3Stamped", _Messages.wind),
+)
+"""Topic, kind and maker of each sensor's message."""
