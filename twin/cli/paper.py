@@ -41,6 +41,9 @@ from twin.cli.common import (
     write_json,
 )
 
+HEADS = ("predictor", "MAE", "95 %", "paper", "MSE", "95 %", "paper", "")
+"""Columns of a table; the last is the method's name in the paper."""
+
 
 def paper_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of page and results.")] = Path(
@@ -141,7 +144,7 @@ def print_paper(rows: list[PaperRow], sentences: list[str]) -> None:
     for (scenario, fault), case in cases.items():
         table = new_table(
             f"Table 4: {scenario}, {'no fault' if fault == 'none' else fault}",
-            *("predictor", "MAE", "95 %", "paper", "MSE", "95 %", "paper", ""),
+            *HEADS,
             left=("predictor", ""),
         )
         for name, found in case.items():

@@ -110,9 +110,9 @@ def write_page(path: Path, results: PaperResults) -> Path:
         "table_4_pictures": pictures,
         "contests": _contest_grid(results.contests),
         "tables": [
-            {"title": f"{table}: parameters identified in the {scenario}", "grid": grid}
-            for scenario, (table, _) in TABLES.items()
-            if (grid := _parameter_grid(results.rows, table)) is not None
+            {"title": f"{named[0]}: parameters identified in the {scenario}", "grid": grid}
+            for scenario, named in TABLES.items()
+            if (grid := _parameter_grid(results.rows, named[0])) is not None
         ],
         "algorithm": _metric_grid(results.rows, ("Algorithm 1",)),
         "windows": _windows(results, gallery, styles, identified),

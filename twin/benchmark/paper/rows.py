@@ -182,7 +182,8 @@ def window_shares(part: Trace) -> dict[str, float]:
     """
     window = np.array(part.window)
     known = [(v, s) for v, s in zip(part.V, part.S, strict=True) if v is not None and s is not None]
-    added = np.array([part.base * GAMMA_ENVIRONMENT * v for v, _ in known] or [math.nan])
+    V, S = np.array(known).reshape(-1, 2).T if known else np.full((2, 1), math.nan)
+    added = part.base * GAMMA_ENVIRONMENT * V
     changed = [
         variable_part(v, s, part.base, part.cap) != variable_part(0.0, s, part.base, part.cap)
         for v, s in known
@@ -192,11 +193,11 @@ def window_shares(part: Trace) -> dict[str, float]:
         "cap of W, rows": float(part.base + part.cap),
         "W at its cap, share of time": float((window >= part.base + part.cap).mean()),
         "W at its base, share of time": float((window <= part.base).mean()),
-        "V, mean": float(np.mean([v for v, _ in known])) if known else math.nan,
+        "V, mean": float(V.mean()),
         "rows that V adds, mean": float(added.mean()),
         "rows that V adds, largest": float(added.max()),
         "V changes W, share of time": float(np.mean(changed)) if changed else math.nan,
-        "S, median": float(np.median([s for _, s in known])) if known else math.nan,
+        "S, median": float(np.median(S)),
         "period T0/2, share of time": float(np.mean(part.short_period)),
         "lateral rule, share of time": float(np.mean(part.lateral)),
     }
