@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
 from twin.benchmark.figures.deck import SHOWN_AHEAD
+from twin.benchmark.loading import Run, fault_start, load_run, recorded_identify_s
 from twin.benchmark.metrics import (
     channel_table,
     compare,
@@ -44,7 +45,6 @@ from twin.benchmark.scores import STUDY_HORIZONS, Reference, Score, score, table
 from twin.benchmark.verdict.losses import loss_rows, losses_to_score, score_loss_end
 from twin.benchmark.verdict.recorded import RecordedPersistence, commands_end
 from twin.benchmark.verdict.summary import verdict_rows
-from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END, WIND_FROM, WIND_SPEED
 from twin.digital_twin import Twin, known_plan
 from twin.files import keep, kept
 from twin.logs.log import Log, files_of, recorded_runs, sibling_path
@@ -52,27 +52,22 @@ from twin.parallel import results_of
 from twin.particulars import Particulars
 from twin.predictors.base import ForecastError, Prediction
 from twin.predictors.registry import options_of, predictor_class
-from twin.sim.bridge import particulars_of, simulate
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
-from twin.sim.recorded import particulars_for_log, read_run
+from twin.sim.recorded import particulars_for_log
 from usv_gym.world.channels import GPS_BIT
-from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, apply_faults, parse_faults
-from usv_gym.world.sensors import SensorSuite
+from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, parse_faults
 from usv_kernel import __version__
 from usv_kernel.cache import running_program
 from usv_kernel.files import write_whole
 
 __all__ = [
     "AGAINST",
-    "Run",
     "collect",
-    "load_run",
     "recorded_against",
     "run_figures",
     "run_unit",
     "runs",
-    "with_faults",
 ]
 
 Array = NDArray[np.float64]
@@ -87,26 +82,6 @@ AGAINST_RECORDED = "var"
 """The reference on recorded runs, where it takes part."""
 
 
-def fault_start(settings: Settings, identify: float) -> float:
-    """Return when a loss of sensors begins, s."""
-    return identify + settings.fault_after_s
-
-
-def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
-    """Return a log with faults of its sensors; equal arguments give equal logs."""
-    # the anemometer's columns; where there are none, those of the true wind
-    apparent = np.isfinite(log.z[:, MOTION_END:]).any()
-    wind = range(MOTION_END, len(MEASUREMENTS)) if apparent else (WIND_SPEED, WIND_FROM)
-    columns = [*range(WIND_SPEED), *range(MOTION_AT, MOTION_END), *wind]
-    z = apply_faults(log.t, log.z, faults, np.random.default_rng(0), columns)
-    return dataclasses.replace(log, z=z)
-
-
-def _recorded_identify_s(log: Log) -> float:
-    """Return the time before the first prediction of a recorded run, s."""
-    return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
-
-
 NAME_MAX = 180
 """Longest name of a result file without its ending, characters; file systems take 255."""
 
@@ -117,44 +92,6 @@ class _Parameters(NamedTuple):
     t: float
     params: list[float]
     params_sd: list[float]
-
-
-class Run(NamedTuple):
-    """A run: what predictors get, and what they are scored against."""
-
-    seen: Log  # the rows that predictors get
-    reference: Log  # what their predictions are scored against
-    particulars: Particulars  # of the boat
-    identify: float  # time of the first prediction, s
-    # vessel, sea and degrees of freedom for an oracle; empty for a recorded run
-    simulator: tuple[Any, ...]
-
-
-def load_run(settings: Settings, unit: Unit) -> Run:
-    """Return the run of a unit; the predictor does not matter."""
-    if unit.log:
-        log, particulars = read_run(unit.log, settings.ship, settings.mapping)
-        identify = _recorded_identify_s(log)
-        identify += float(log.t[0])
-        seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
-        return Run(seen.without_truth(), log, particulars, identify, ())
-    vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
-    suite = SensorSuite.grade(unit.grade) if unit.grade else None
-    start = fault_start(settings, settings.identify_s)
-    log = simulate(
-        unit.scenario,
-        vessel=vessel,
-        sea=sea,
-        duration=settings.duration_s,
-        seed=unit.seed,
-        faults=parse_faults(unit.fault, start),
-        suite=suite,
-        dof=settings.dof,
-    )
-    particulars = particulars_of(vessel, suite, settings.dof)
-    simulator = (vessel, sea, settings.dof)
-    log = dataclasses.replace(log, name=unit.run)
-    return Run(log.without_truth(), log, particulars, settings.identify_s, simulator)
 
 
 def run_unit(
@@ -538,7 +475,7 @@ def collect(
 
 def lost_gps(settings: Settings, unit: Unit, log: Log) -> list[tuple[float, float]]:
     """Return the spans of time without GPS in a run, s."""
-    identify = _recorded_identify_s(log) if unit.log else settings.identify_s
+    identify = recorded_identify_s(log) if unit.log else settings.identify_s
     start = float(log.t[0]) + fault_start(settings, identify)
     return gps_windows(parse_faults(unit.fault, start))
 

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from twin import Twin
 from twin.benchmark import runner
+from twin.benchmark.loading import load_run
 from twin.benchmark.paper import experiment
 from twin.benchmark.paper.experiment import (
     METHODS,
@@ -145,7 +146,7 @@ def test_rows_hold_the_numbers_of_runs_and_paper(redone):
 
 def test_trace_is_that_of_a_twin_row_by_row(redone):
     unit = next(u for u in redone.traced if u.predictor == "dsw-ukf:printed")
-    run = runner.load_run(redone.settings, unit)
+    run = load_run(redone.settings, unit)
     twin = Twin(run.particulars, unit.predictor, seed=unit.seed)
     twin.run(run.seen)
     part = redone.traced[unit]

@@ -12,6 +12,7 @@ import pytest
 from twin.benchmark import runner as bench
 from twin.benchmark import scores
 from twin.benchmark.figures import deck_figure
+from twin.benchmark.loading import load_run, with_faults
 from twin.benchmark.metrics import METRICS, summarise
 from twin.benchmark.protocol import (
     FULL,
@@ -208,7 +209,7 @@ def test_written_logs_can_be_read_back(small):
     # 5 s of loss from 35 s on, and the two rows before the first late fix
     assert lost.sum() == 100 + 2
     assert log.t[lost][2] == pytest.approx(35.0)
-    run = bench.load_run(SMALL, Unit("zigzag", "gps5", 0, "ukf"))
+    run = load_run(SMALL, Unit("zigzag", "gps5", 0, "ukf"))
     assert run.identify == 30.0
     assert run.seen.truth is None
     np.testing.assert_array_equal(run.reference.z, log.z)
@@ -325,7 +326,7 @@ def test_every_seed_sails_another_boat():
 
 def test_faults_remove_signals_of_a_recorded_log():
     log = Log.read(recorded_runs()["boat1_usv_circle"])
-    cut = bench.with_faults(log, (Fault("gps", 50.0, 10.0), Fault("compass", 70.0, 5.0)))
+    cut = with_faults(log, (Fault("gps", 50.0, 10.0), Fault("compass", 70.0, 5.0)))
     inside = (log.t >= 50.0) & (log.t < 60.0)
     assert np.isnan(cut.z[inside, :4]).all()
     np.testing.assert_array_equal(cut.z[~inside, :4], log.z[~inside, :4])
@@ -433,7 +434,7 @@ def predictions(monkeypatch, folder, unit, run):
 def test_no_predictor_sees_the_truth_or_later_rows(tmp_path, monkeypatch, predictor):
     """With nonsense as truth and in later rows, the predictions are the same bits."""
     unit = Unit("zigzag", "gps5", 0, predictor, "", "", "2", "typical")
-    run = bench.load_run(SMALL, unit)
+    run = load_run(SMALL, unit)
     wrong = dataclasses.replace(run.reference, truth=run.reference.truth + 1e5)
     z = run.seen.z.copy()
     z[run.seen.t > 40.0 + 1e-9] = 1e6  # the last origin is at 40 s

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.benchmark import runner
+from twin.benchmark.loading import Run, load_run
 from twin.benchmark.protocol import Settings, Unit, units
 from twin.digital_twin import Twin
 from twin.files import keep, kept
@@ -110,7 +111,7 @@ def trace_file(folder: Path, unit: Unit) -> Path:
     return file.with_name(f"trace_{file.name}")
 
 
-def trace(settings: Settings, unit: Unit, folder: Path, run: runner.Run | None = None) -> Trace:
+def trace(settings: Settings, unit: Unit, folder: Path, run: Run | None = None) -> Trace:
     """Follow a filter of the paper along a run, and keep the result in a file of the folder.
 
     Parameters
@@ -120,9 +121,9 @@ def trace(settings: Settings, unit: Unit, folder: Path, run: runner.Run | None =
     folder : Path
         Of results.
     run : Run, optional
-        From :func:`twin.benchmark.runner.load_run`, where at hand.
+        From :func:`twin.benchmark.loading.load_run`, where at hand.
     """
-    run = run or runner.load_run(settings, unit)
+    run = run or load_run(settings, unit)
     twin = Twin(run.particulars, unit.predictor, seed=unit.seed)
     predictor = twin.predictor
     assert isinstance(predictor, DSWPredictor)
@@ -190,7 +191,7 @@ def _attempt(
 ) -> list[tuple[Unit, Trace | Exception]]:
     """Follow the filters along one run."""
     try:
-        run = runner.load_run(settings, task[0])
+        run = load_run(settings, task[0])
         return [(unit, trace(settings, unit, folder, run)) for unit in task]
     except Exception as error:  # as the runner does: the other runs go on
         return [(unit, error) for unit in task]

@@ -1,0 +1,84 @@
+"""The runs of a benchmark: simulated, or read from a log."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twin.benchmark.protocol import Settings, Unit
+from twin.channels import MEASUREMENTS, MOTION_AT, MOTION_END, WIND_FROM, WIND_SPEED
+from twin.logs.log import Log
+from twin.particulars import Particulars
+from twin.sim.bridge import particulars_of, simulate
+from twin.sim.recorded import read_run
+from usv_gym.world.faults import Disturbance, apply_faults, parse_faults
+from usv_gym.world.sensors import SensorSuite
+
+__all__ = [
+    "Run",
+    "fault_start",
+    "load_run",
+    "recorded_identify_s",
+    "with_faults",
+]
+
+
+def fault_start(settings: Settings, identify: float) -> float:
+    """Return when a loss of sensors begins, s."""
+    return identify + settings.fault_after_s
+
+
+def with_faults(log: Log, faults: Sequence[Disturbance]) -> Log:
+    """Return a log with faults of its sensors; equal arguments give equal logs."""
+    # the anemometer's columns; where there are none, those of the true wind
+    apparent = np.isfinite(log.z[:, MOTION_END:]).any()
+    wind = range(MOTION_END, len(MEASUREMENTS)) if apparent else (WIND_SPEED, WIND_FROM)
+    columns = [*range(WIND_SPEED), *range(MOTION_AT, MOTION_END), *wind]
+    z = apply_faults(log.t, log.z, faults, np.random.default_rng(0), columns)
+    return dataclasses.replace(log, z=z)
+
+
+def recorded_identify_s(log: Log) -> float:
+    """Return the time before the first prediction of a recorded run, s."""
+    return min(60.0, 0.4 * float(log.t[-1] - log.t[0]))
+
+
+class Run(NamedTuple):
+    """A run: what predictors get, and what they are scored against."""
+
+    seen: Log  # the rows that predictors get
+    reference: Log  # what their predictions are scored against
+    particulars: Particulars  # of the boat
+    identify: float  # time of the first prediction, s
+    # vessel, sea and degrees of freedom for an oracle; empty for a recorded run
+    simulator: tuple[Any, ...]
+
+
+def load_run(settings: Settings, unit: Unit) -> Run:
+    """Return the run of a unit; the predictor does not matter."""
+    if unit.log:
+        log, particulars = read_run(unit.log, settings.ship, settings.mapping)
+        identify = recorded_identify_s(log)
+        identify += float(log.t[0])
+        seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
+        return Run(seen.without_truth(), log, particulars, identify, ())
+    vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
+    suite = SensorSuite.grade(unit.grade) if unit.grade else None
+    start = fault_start(settings, settings.identify_s)
+    log = simulate(
+        unit.scenario,
+        vessel=vessel,
+        sea=sea,
+        duration=settings.duration_s,
+        seed=unit.seed,
+        faults=parse_faults(unit.fault, start),
+        suite=suite,
+        dof=settings.dof,
+    )
+    particulars = particulars_of(vessel, suite, settings.dof)
+    simulator = (vessel, sea, settings.dof)
+    log = dataclasses.replace(log, name=unit.run)
+    return Run(log.without_truth(), log, particulars, settings.identify_s, simulator)
