@@ -500,8 +500,8 @@ def _run(
             f"{_compare(first, 3)}10 s motion prediction against the {compared}, made at "
             f"t = {round(start, 1):g} s. An arrow head marks what leaves its panel."
         )
-        draw = functools.partial(prediction_figure, run, start, styles, reference)
-        shown.append(pictures.add(draw, f"{stem}_prediction{k}", caption))
+        forecast = functools.partial(prediction_figure, run, start, styles, reference)
+        shown.append(pictures.add(forecast, f"{stem}_prediction{k}", caption))
     decked = [name for name, figure in run.predictors.items() if figure.deck is not None]
     if decked:
         name = DEFAULT if DEFAULT in decked else decked[0]
@@ -509,8 +509,8 @@ def _run(
             f"Roll, pitch, heave and the vertical speed of the deck point, and what the twin "
             f"with {name} forecast {SHOWN_AHEAD:g} s before."
         )
-        draw = functools.partial(deck_figure, run, name)
-        shown.append(pictures.add(draw, f"{stem}_deck", caption))
+        deck = functools.partial(deck_figure, run, name)
+        shown.append(pictures.add(deck, f"{stem}_deck", caption))
     begin: float | None = number_of(results.get("settings") or {}, "identify_s")
     if not reference.is_truth and starts:
         begin = starts[0]  # recorded runs are shorter or longer than simulated ones

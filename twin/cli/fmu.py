@@ -17,6 +17,7 @@ from twin.cli.common import (
 )
 from usv_gym.cosimulation.unit import CosimulationError, write_unit
 from usv_gym.vessel.vessel import Vessel, vessel_names
+from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SEA_STATES, SeaState
 
 
@@ -48,12 +49,9 @@ def fmu_command(
     path = out or Path(f"{Vessel.load(vessel).name}.fmu")
     if path.exists() and not force:
         raise CosimulationError(f"{path}: is there already; choose another --out, or --force")
-    state = SeaState.named(sea).replace(
-        hs=hs,
-        wind=wind,
-        wind_from=radians(wind_from),
-        current=current,
-        current_to=radians(current_to),
-    )
+    state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
+    if state.schedule:
+        raise CosimulationError("a unit's sea does not change; give single numbers, without @")
+    state = state.replace(current=current, current_to=radians(current_to))
     write_unit(vessel, path, state, seed=seed, dof=dof, dt=step)
     console.print(f"{path}: {Vessel.load(vessel).name}, FMI 2.0 for co-simulation", soft_wrap=True)

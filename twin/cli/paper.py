@@ -114,8 +114,9 @@ def _run_all(
     traced: dict[Unit, Trace] = {}
     failed: list[str] = []
     with contextlib.suppress(KeyboardInterrupt):
-        if not runner.all_finished(settings, out):
-            runner.warm_up(settings)
+        reused = runner.reusable(settings, out)
+        if len(reused) < len(units(settings)):
+            runner.warm_up(settings, jobs=jobs)
         with progress_bar(TimeRemainingColumn(), speed_estimate_period=600.0) as progress:
             total = len(units(settings)) + len(traced_units(settings))
             bar = progress.add_task("redoing the paper", total=total)
@@ -125,7 +126,7 @@ def _run_all(
                 else:
                     traced[unit] = trace
                 progress.advance(bar)
-            for unit, result in runner.runs(settings, out, jobs=jobs):
+            for unit, result in runner.runs(settings, out, jobs=jobs, done=reused):
                 if isinstance(result, Exception):
                     failed.append(f"{unit.run} {unit.predictor}: {result}")
                 else:

@@ -42,6 +42,7 @@ from usv_gym.sitl.parameters import autopilot_parameters, parameter_text
 from usv_gym.sitl.server import LOOPBACK, Server
 from usv_gym.vessel.vessel import Vessel, vessel_names
 from usv_gym.world.faults import FAULTS_HELP, parse_faults
+from usv_gym.world.schedule import changing_sea
 from usv_gym.world.sea import SEA_STATES, SeaState
 from usv_gym.world.sensors import GRADES
 from usv_gym.world.simulation import Simulation
@@ -133,7 +134,7 @@ def sitl_command(
         given |= _for(external) if twin is not None else {}
         console.print(parameter_text(boat, given), end="", highlight=False, soft_wrap=True)
         return
-    state = SeaState.named(sea).replace(hs=hs, wind=wind, wind_from=radians(wind_from))
+    state = changing_sea(SeaState.named(sea), hs, wind, wind_from)
     state = state.replace(current=current, current_to=radians(current_to))
     parsed, suite = parse_faults(faults, fault_start), suite_of(sensors)
     for kind in unmirrored(parsed):
