@@ -2,8 +2,9 @@
 
 They come from the shipped policies and the controllers, each a run of the study:
 
-    usv-twin evaluate los los-dr los-twin mpc-twin los-oracle examples/gps_loss_study/policies
-        --sea 0,2,4 --faults none,gps30 --seeds 900000-900003 --json episodes.json
+    P=examples/gps_loss_study/policies
+    usv-twin evaluate los los-twin mpc-twin $P/ppo-twin.npz $P/ppo-raw.npz --sea 2
+        --faults none,gps30 --seeds 900000-900003 --json episodes.json
     python examples/gps_loss_study/forecasts.py episodes.json
 """
 
@@ -38,9 +39,9 @@ def main(path: str) -> None:
                 {"agent": Path(model).stem, "faults": faults, "episodes": len(own), **scores}
             )
     results["forecasts_of"] = (
-        f"{len(seas) * len(losses) * len(seeds)} episodes of each controller and of the shipped "
-        f"policy of each arm (one training): sea states {', '.join(seas)}, losses "
-        f"{', '.join(losses)}, {len(seeds)} seeds, evaluated later than the tables above"
+        f"{len(seas) * len(losses) * len(seeds)} episodes of each of some controllers and shipped "
+        f"policies, one training of an arm (sea states: {', '.join(seas)}; losses: "
+        f"{', '.join(losses)}; {len(seeds)} seeds), evaluated later than the tables above"
     )
     (HERE / "results.json").write_text(results_text(results), encoding="utf-8")
     (HERE / "tables.md").write_text(markdown(results), encoding="utf-8")

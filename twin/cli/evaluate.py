@@ -14,7 +14,7 @@ from rich.table import Table
 from twin.agents import study
 from twin.agents.agent import Agent
 from twin.agents.evaluation import EVALUATION_SEEDS, OUTAGES, SEAS, on_grid
-from twin.agents.forecast_table import FORECAST_HEADS, forecast_rows
+from twin.agents.forecast_table import forecast_rows
 from twin.agents.policy import AgentError, Policy
 from twin.agents.training import Plan, Run
 from twin.cli.common import (
@@ -178,13 +178,21 @@ def _trained_with(agents: list[Agent], given: dict[str, Any]) -> dict[str, Any]:
 
 def _forecasts(agents: list[tuple[str, Agent]], found: list[dict[str, Any]], twin: str) -> Table:
     """Return the table of the twin's forecasts on the episodes of each agent."""
-    heads = ("agent", "forecasts made", "commands", *FORECAST_HEADS)
-    title = f"forecasts of {twin} on the same episodes, 10 s ahead: mean error, 90 % coverage"
+    heads = ("agent", "sensors", "commands", "m", "deg", "m/s", "in 90 %", "n")
+    title = (
+        f"forecasts of {twin} on the same episodes, 10 s ahead: mean errors of displacement, "
+        "heading and speed, and shares of them in the 90 % intervals"
+    )
     table = new_table(title, *heads, left=heads[:3])
     for model, agent in agents:
         rows = [row["twin_forecast"] for row in found if row["model"] == model]
-        for cells in forecast_rows(rows):
-            table.add_row(agent.name if model == agent.name else model, *cells)
+        for made, plan, *cells in forecast_rows(rows):
+            shares = " ".join(cells[3:6]).replace("%", "")
+            label = agent.name if model == agent.name else model
+            lost = "lost" if "lost" in made else "all"
+            table.add_row(label, lost, plan, *cells[:3], shares, cells[6])
+    for column in table.columns[1:]:
+        column.no_wrap = True
     return table
 
 
