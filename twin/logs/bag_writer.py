@@ -35,8 +35,15 @@ BAG_SUFFIX = ".mcap"
 _LATEST = 2**31 - 1
 """Largest second of a ROS stamp."""
 
-Event = tuple[int, int, str, str, Any]
-"""Time (ns), its place among events of that time, topic, kind of message, the message."""
+
+class Event(NamedTuple):
+    """A message with its time (ns), its place among those of that time, its topic and kind."""
+
+    ns: int
+    place: int
+    topic: str
+    kind: str
+    message: Any
 
 
 class Forecast(NamedTuple):
@@ -111,10 +118,11 @@ def write_bag(
         bag = Path(folder) / "bag"
         links: dict[str, Any] = {}
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            for ns, _, topic, kind, message in heapq.merge(*streams, key=lambda e: e[:2]):
+            for event in heapq.merge(*streams, key=lambda event: event[:2]):
+                topic, kind = event.topic, event.kind
                 if topic not in links:
                     links[topic] = writer.add_connection(topic, kind, typestore=store)
-                writer.write(links[topic], ns, store.serialize_cdr(message, kind))
+                writer.write(links[topic], event.ns, store.serialize_cdr(event.message, kind))
         write_whole(path, next(bag.glob("*.mcap")).read_bytes())
 
 
@@ -194,20 +202,20 @@ class _Messages:
     def measured(self, log: Log) -> Iterator[Event]:
         """Yield what sensors and commands say, row by row."""
         plane = None if log.datum is None else log.datum.plane
-        for k, (t, z, _) in enumerate(log):
-            row = dict(zip(MEASUREMENTS, z.tolist(), strict=True))
+        for k, t in enumerate(log.t.tolist()):
+            row = dict(zip(MEASUREMENTS, log.z[k].tolist(), strict=True))
             ns = self._ns(t)
             if k + 1 < len(log):  # a row has what was in force in the interval that ends at it
                 kind = "sensor_msgs/msg/JointState"
-                yield ns, 0, "/command", kind, self._command(t, log.cmd[k + 1])
+                yield Event(ns, 0, "/command", kind, self._command(t, log.cmd[k + 1]))
             for place, (topic, kind, of) in enumerate(_SENSORS, start=1):
                 message = of(self, t, row)
                 if message is not None:
-                    yield ns, place, topic, kind, message
+                    yield Event(ns, place, topic, kind, message)
             if plane is not None and math.isfinite(row["gps_x_m"] + row["gps_y_m"]):
                 where = plane.degrees(row["gps_x_m"], row["gps_y_m"])
                 fix = self._fix(t, where, row["gps_z_m"])
-                yield ns, 9, "/gps/fix", "sensor_msgs/msg/NavSatFix", fix
+                yield Event(ns, 9, "/gps/fix", "sensor_msgs/msg/NavSatFix", fix)
 
     def _command(self, t: float, cmd: Array) -> Any:
         names = ["left_shaft", "right_shaft", "left_drive", "right_drive"]
@@ -275,9 +283,9 @@ class _Messages:
             if np.isfinite(state).all():
                 motion = None if log.true_motion is None else log.true_motion[k]
                 whole = self._odometry(t, state, np.zeros((6, 6)), motion, "truth")
-                yield self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole
+                yield Event(self._ns(t), 10, "/truth/odometry", "nav_msgs/msg/Odometry", whole)
                 at = self._transform(t, state, "truth")
-                yield self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at
+                yield Event(self._ns(t), 11, "/tf", "tf2_msgs/msg/TFMessage", at)
 
     def estimates(self, states: StateTable) -> Iterator[Event]:
         """Yield a twin's estimates, as soon as it has one."""
@@ -288,9 +296,9 @@ class _Messages:
         ):
             if np.isfinite(state).all():
                 whole = self._odometry(t, state, np.diag(sd[k] ** 2))
-                yield self._ns(t), 12, "/twin/odometry", "nav_msgs/msg/Odometry", whole
+                yield Event(self._ns(t), 12, "/twin/odometry", "nav_msgs/msg/Odometry", whole)
                 at = self._transform(t, state, "base_link")
-                yield self._ns(t), 13, "/tf", "tf2_msgs/msg/TFMessage", at
+                yield Event(self._ns(t), 13, "/tf", "tf2_msgs/msg/TFMessage", at)
 
     def forecast(self, forecast: Forecast) -> Iterator[Event]:
         """Yield the path ahead when it was made, and its states with covariances at their times."""
@@ -299,10 +307,10 @@ class _Messages:
             for t, state in zip(forecast.t.tolist(), forecast.mean, strict=True)
         ]
         path = self._new("nav_msgs/msg/Path", self._header(forecast.t0, "map"), poses)
-        yield self._ns(forecast.t0), 14, "/forecast/path", "nav_msgs/msg/Path", path
+        yield Event(self._ns(forecast.t0), 14, "/forecast/path", "nav_msgs/msg/Path", path)
         for t, state, cov in zip(forecast.t.tolist(), forecast.mean, forecast.cov, strict=True):
             whole = self._odometry(t, state, cov, child="forecast")
-            yield self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole
+            yield Event(self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole)
 
 
 _SENSORS: tuple[tuple[str, str, Callable[[_Messages, float, dict[str, float]], Any]], ...] = (

@@ -14,7 +14,7 @@ import math
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,14 +46,22 @@ OUTPUTS = (
 """The ship's state: place north, east and down, roll, pitch, heading; velocities of the body
 forward, to starboard and down, and its rates; shafts and drives."""
 
+
+class SeaParameter(NamedTuple):
+    """A field of :class:`~usv_gym.world.sea.SeaState`, and what it is."""
+
+    field: str
+    text: str
+
+
 SEA = {
-    "hs_m": ("hs", "significant wave height, m"),
-    "wind_mps": ("wind", "mean wind speed at 10 m, m/s"),
-    "wind_from_rad": ("wind_from", "direction the wind comes from, rad"),
-    "current_mps": ("current", "speed of the current, m/s"),
-    "current_to_rad": ("current_to", "direction the current goes to, rad"),
+    "hs_m": SeaParameter("hs", "significant wave height, m"),
+    "wind_mps": SeaParameter("wind", "mean wind speed at 10 m, m/s"),
+    "wind_from_rad": SeaParameter("wind_from", "direction the wind comes from, rad"),
+    "current_mps": SeaParameter("current", "speed of the current, m/s"),
+    "current_to_rad": SeaParameter("current_to", "direction the current goes to, rad"),
 }
-"""Parameters of the sea: field of :class:`~usv_gym.world.sea.SeaState`, and what it is."""
+"""Parameters of the sea by name."""
 
 VESSEL_FILE, SETTINGS_FILE, MODULE = "vessel.toml", "settings.json", "usv_ship_and_sea"
 
@@ -78,8 +86,8 @@ class UsvShipAndSea(Fmi2Slave):
         for names, kind in ((INPUTS, Causality.input), (OUTPUTS, Causality.output)):
             for name in names:
                 self.register_variable(self._real(name, causality=kind))
-        for name, (_, text) in SEA.items():
-            self.register_variable(self._real(name, description=text, **fixed))
+        for name, item in SEA.items():
+            self.register_variable(self._real(name, description=item.text, **fixed))
         values = self.ship.values
         self.register_variable(
             Integer(
@@ -138,7 +146,7 @@ class ShipAndSea:
         start = self._vessel.values["shaft_speed_manoeuvring"]
         self.values = dict.fromkeys((*INPUTS, *OUTPUTS), 0.0)
         self.values |= {"n_left_rps": start, "n_right_rps": start, "seed": settings["seed"]}
-        self.values |= {name: float(getattr(self._sea, field)) for name, (field, _) in SEA.items()}
+        self.values |= {name: float(getattr(self._sea, item.field)) for name, item in SEA.items()}
         # what a run begins with
         self.values["u_mps"] = self._vessel.straight_speed(start)
         self.values["shaft_left_rps"] = self.values["shaft_right_rps"] = start
@@ -148,7 +156,7 @@ class ShipAndSea:
 
         The sea is that of ``usv-twin simulate`` with the same seed.
         """
-        changed = {field: self.values[name] for name, (field, _) in SEA.items()}
+        changed = {item.field: self.values[name] for name, item in SEA.items()}
         sea = self._sea.replace(**changed)
         simulation = Simulation(1, self._vessel, sea, dof=self._dof, dt=self._dt)
         sea_rng = np.random.default_rng(int(self.values["seed"])).spawn(2)[0]

@@ -114,7 +114,7 @@ class DataFlash:
         at, end, sound = 0, len(data), 0
         while at + 3 <= end:
             length = lengths[data[at + 2]] if data[at : at + 2] == _HEAD else 0
-            # behind damaged bytes, a header is believed if another one follows its message
+            # behind damaged bytes, a header counts if another one follows its message
             follows = at + length
             if not length or (at != sound and data[follows : follows + 2] not in (_HEAD, b"")):
                 at = data.find(_HEAD, at + 1)

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from twin.logs.readers import MAX_ROWS, cannot_be_read, too_long
 __all__ = ["read_telemetry", "telemetry_parameters"]
 
 _PLAUSIBLE = 6e14, 4e15
-"""Times of arrival in this range, 1989 to 2096, are believed, us since 1970."""
+"""Times of arrival in this range, 1989 to 2096, are plausible, us since 1970."""
 
 _DAY = 86400e6
 
@@ -52,6 +52,14 @@ _IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
 """From the best one."""
 
 _RECEIVERS = ("GPS_RAW_INT", "GPS2_RAW")
+
+
+class _Sent(NamedTuple):
+    """A message: its time of arrival (us since 1970), the system that sent it, what it says."""
+
+    arrived: int
+    system: int
+    message: Any
 
 
 @dataclass
@@ -84,7 +92,8 @@ def read_telemetry(path: Path) -> Flight:
     starts: dict[int, list[_Start]] = {}
     parameters: dict[int, dict[str, float]] = {}
     counts: Counter[str] = Counter()
-    for arrived, system, message in _messages(path, _IDS, counts):
+    for sent in _messages(path, _IDS, counts):
+        message, system = sent.message, sent.system
         name = message.get_type()
         if name == _PARAMETER:
             _keep(parameters, system, message)
@@ -92,7 +101,7 @@ def read_telemetry(path: Path) -> Flight:
         counts["read"] += 1
         if counts["read"] > MAX_ROWS:
             raise too_long(str(path))
-        _take(starts.setdefault(system, [_Start()]), name, message, arrived * 1e-6)
+        _take(starts.setdefault(system, [_Start()]), name, message, sent.arrived * 1e-6)
     return _flight(path, starts, parameters, counts)
 
 
@@ -102,8 +111,8 @@ def telemetry_parameters(path: Path) -> dict[str, float]:
     See :func:`read_telemetry`.
     """
     parameters: dict[int, dict[str, float]] = {}
-    for _, system, message in _messages(path, (_PARAMETER_ID,), Counter()):
-        _keep(parameters, system, message)
+    for sent in _messages(path, (_PARAMETER_ID,), Counter()):
+        _keep(parameters, sent.system, sent.message)
     return max(parameters.values(), key=len, default={})
 
 
@@ -113,10 +122,8 @@ def _keep(parameters: dict[int, dict[str, float]], system: int, message: Any) ->
         parameters.setdefault(system, {})[str(message.param_id)] = float(message.param_value)
 
 
-def _messages(
-    path: Path, wanted: Collection[int], counts: Counter[str]
-) -> Iterator[tuple[int, int, Any]]:
-    """Yield time of arrival (us), system and message of the packets of autopilots."""
+def _messages(path: Path, wanted: Collection[int], counts: Counter[str]) -> Iterator[_Sent]:
+    """Yield the wanted messages of autopilots."""
     try:
         dialect = importlib.import_module("pymavlink.dialects.v20.common")
     except ImportError:
@@ -139,7 +146,7 @@ def _messages(
         except Exception:  # a broken packet fails in as many ways as it has bytes
             counts["broken"] += 1
             continue
-        yield arrived, system, message
+        yield _Sent(arrived, system, message)
 
 
 def _packets(path: Path, data: bytes, counts: Counter[str]) -> Iterator[tuple[int, bytes]]:
