@@ -13,6 +13,7 @@ from usv_kernel.servos import ServoError, Servos
 __all__ = [
     "read_vessel",
     "vessel_names",
+    "vessel_path",
 ]
 
 
@@ -25,6 +26,13 @@ def vessel_names() -> tuple[str, ...]:
     return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
 
 
+def vessel_path(source: str | Path) -> Path:
+    """Return the file of a known name, or the path that is given."""
+    if str(source) in vessel_names():
+        return Path(str(resources.files("usv_gym.vessel") / "vessels" / f"{source}.toml"))
+    return Path(source)
+
+
 def read_vessel(source: str | Path) -> dict[str, Any]:
     """Return the keyword arguments of a vessel, in SI units, from a TOML file or a known name.
 
@@ -32,11 +40,9 @@ def read_vessel(source: str | Path) -> dict[str, Any]:
 
     VesselError names the key and the remedy.
     """
-    path, design = Path(source), ""
-    if str(source) in vessel_names():
-        design = str(source)
-        path = Path(str(resources.files("usv_gym.vessel") / "vessels" / f"{source}.toml"))
-    elif path.suffix != ".toml":
+    path = vessel_path(source)
+    design = str(source) if str(source) in vessel_names() else ""
+    if path.suffix != ".toml":
         raise VesselError(
             f"no vessel is called {str(source)!r}; known: {', '.join(vessel_names())}, "
             "or give the path of a .toml file"
@@ -125,12 +131,15 @@ def _outputs(table: Any, kind: str) -> Servos:
         for key, unit in scales.items()
     }
     sides = {"left": table[places[0]], "right": table[places[skid]]}
+    low, middle, high = map(float, pulse)
     try:
         return Servos(
             **sides,
-            steering=0 if skid else table["steering"],
             **{"angle": 1.0, **full},
-            **dict(zip(("low", "middle", "high"), map(float, pulse), strict=True)),
+            steering=0 if skid else table["steering"],
+            low=low,
+            middle=middle,
+            high=high,
         )
     except ServoError as error:
         raise VesselError(f"[autopilot] {error}") from None
