@@ -130,13 +130,14 @@ def _outputs(table: Any, kind: str) -> Servos:
         key: _numbers(table[key], unit, f"[autopilot] {key}", scalar=True)[0][0]
         for key, unit in scales.items()
     }
-    sides = {"left": table[places[0]], "right": table[places[skid]]}
     low, middle, high = map(float, pulse)
     try:
         return Servos(
-            **sides,
-            **{"angle": 1.0, **full},
+            left=table[places[0]],
+            right=table[places[1 if skid else 0]],
             steering=0 if skid else table["steering"],
+            shaft_speed=full["shaft_speed"],
+            angle=full.get("angle", 1.0),
             low=low,
             middle=middle,
             high=high,
