@@ -124,13 +124,17 @@ def _outputs(table: Any, kind: str) -> Servos:
         key: _numbers(table[key], unit, f"[autopilot] {key}", scalar=True)[0][0]
         for key, unit in scales.items()
     }
-    sides = {"left": table[places[0]], "right": table[places[skid]]}
+    low, middle, high = map(float, pulse)
     try:
         return Servos(
-            **sides,
+            left=table[places[0]],
+            right=table[places[1 if skid else 0]],
             steering=0 if skid else table["steering"],
-            **{"angle": 1.0, **full},
-            **dict(zip(("low", "middle", "high"), map(float, pulse), strict=True)),
+            shaft_speed=full["shaft_speed"],
+            angle=full.get("angle", 1.0),
+            low=low,
+            middle=middle,
+            high=high,
         )
     except ServoError as error:
         raise VesselError(f"[autopilot] {error}") from None

@@ -186,7 +186,9 @@ def test_odometry_is_what_ardupilot_takes(wire: Wire) -> None:
     wire.tell(write.position(0.0, (59.5, 10.5), (0, 0)))
     sent += list(wire.feed.greet(5.0))
     estimate, prediction = estimate_of(0.0)
-    jumped = replace(estimate, t=0.1, state=estimate.state + [5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    jumped = replace(
+        estimate, t=0.1, state=estimate.state + np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    )
     parser = common.MAVLink(None)
     asked = [m for each in sent for m in parser.parse_buffer(each)]
     assert ["COMMAND_LONG", 512, 49.0] in [
