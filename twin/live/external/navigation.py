@@ -54,7 +54,7 @@ FIXES_MISSED = 2.5
 """So many times between two fixes without one are a loss, if that is longer than ``loss_s``."""
 
 LONGEST_INTERVAL = 2.0
-"""Longest time between two fixes that is taken for their usual one, s."""
+"""Longest time between two fixes that is taken for that of the receiver, s."""
 
 FIX_EVERY = 0.2
 """Time between two GPS_INPUT, s."""

@@ -290,7 +290,7 @@ class Flight:
     def until(self, t: float) -> None:
         """Go on until a time, s, or until the mission is done."""
         while self.backend.t < t and not self.station.done:
-            if not self.server.poll(5.0):
+            if not self.server.poll(60.0):
                 raise AssertionError(f"ArduRover is silent at t = {self.backend.t:.1f} s")
 
     def lose_gps(self, seconds: float) -> float:

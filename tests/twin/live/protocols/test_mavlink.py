@@ -16,9 +16,6 @@ from twin.channels import (
     GPS_Z,
     GYRO_X,
     GYRO_Y,
-    MEASUREMENTS,
-    WIND_FROM,
-    WIND_SPEED,
 )
 from twin.live.protocols.mavlink import MavlinkFeed, MavlinkWriter, Servos
 from twin.particulars import Particulars
@@ -28,8 +25,6 @@ from usv_kernel.servos import ServoError
 common = pytest.importorskip(
     "pymavlink.dialects.v20.common", reason="needs pymavlink: pip install 'usv-twin[view]'"
 )
-
-ardupilot = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
 
 BOAT = Particulars(name="b", length=6.0, beam=2.0, draft=0.5, mass=2e3, speed=5.0, shaft_speed=20.0)
 
@@ -191,7 +186,9 @@ def test_odometry_is_what_ardupilot_takes(wire: Wire) -> None:
     wire.tell(write.position(0.0, (59.5, 10.5), (0, 0)))
     sent += list(wire.feed.greet(5.0))
     estimate, prediction = estimate_of(0.0)
-    jumped = replace(estimate, t=0.1, state=np.add(estimate.state, [5.0, 0, 0, 0, 0, 0]))
+    jumped = replace(
+        estimate, t=0.1, state=estimate.state + np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    )
     parser = common.MAVLink(None)
     asked = [m for each in sent for m in parser.parse_buffer(each)]
     assert ["COMMAND_LONG", 512, 49.0] in [
@@ -279,34 +276,3 @@ def test_the_attitude_goes_back_with_its_forecast(wire: Wire) -> None:
     assert rows[:, 0] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 5.0])
     assert rows[0, 1:5] == pytest.approx([0.1, -0.05, 0.2, 0.3])
     assert arrays["quiet"][:3] == pytest.approx([0.9, 0.8, 0.6])
-
-
-def test_the_wind_of_an_autopilot_is_read(wire: Wire) -> None:
-    """WIND_COV has the velocity of the air, WIND the direction that it comes from."""
-    write = MavlinkWriter()
-    wire.tell(write.position(7.0, (59.5, 10.5), (1.0, 0.0)))
-    none = [math.nan] * 5
-    wire.tell(other(ardupilot.MAVLink_wind_cov_message(7_000_000, -3.0, -4.0, 0.0, *none)))
-    wire.take(after=1.0)
-    wire.tell(write.position(9.0, (59.5, 10.5), (1.0, 0.0)))
-    wire.tell(other(ardupilot.MAVLink_wind_message(270.0, 6.0, 0.0)))
-    wire.take(after=1.0)
-    found = [z[[WIND_SPEED, WIND_FROM]] for _, z, _ in wire.rows if np.isfinite(z[WIND_SPEED])]
-    assert found[0] == pytest.approx([5.0, math.atan2(4.0, 3.0)])
-    assert found[1] == pytest.approx([6.0, -0.5 * math.pi])
-
-
-def test_wind_that_is_not_known_is_void(wire: Wire) -> None:
-    none = [math.nan] * 8
-    wire.tell(MavlinkWriter().position(7.0, (59.5, 10.5), (1.0, 0.0)))
-    wire.tell(other(ardupilot.MAVLink_wind_cov_message(7_000_000, *none)))
-    wire.tell(other(ardupilot.MAVLink_wind_message(math.nan, 6.0, 0.0)))
-    assert wire.balance()["void"] == 2
-
-
-def test_the_true_wind_of_a_row_goes_out_as_it_comes_in(wire: Wire) -> None:
-    z = np.full(len(MEASUREMENTS), math.nan)
-    z[:4], z[[WIND_SPEED, WIND_FROM]] = (0.0, 0.0, 1.0, 0.0), (6.25, -2.0)
-    wire.tell(*MavlinkWriter().row(5.0, z, np.zeros(4), (59.5, 10.5)))
-    wire.take(after=1.0)
-    assert wire.rows[0][1][[WIND_SPEED, WIND_FROM]] == pytest.approx([6.25, -2.0], abs=1e-6)
