@@ -36,22 +36,22 @@ def parse_values(text: str | float, name: str) -> Values:
     SeaError
         Names the option and what it may be.
     """
+    wrong = SeaError(
+        f"{name} = {text!r}: write one number, or values with their times in s, as 0.3@0,0.9@60"
+    )
     found: list[tuple[float, float]] = []
     items = str(text).split(",")
     for item in items:
         value, mark, time = item.partition("@")
+        if not mark and len(items) > 1:
+            raise wrong
         try:
-            if not mark and len(items) > 1:
-                raise ValueError(item)
             found.append((float(time) if mark else 0.0, float(value)))
         except ValueError:
-            raise SeaError(
-                f"{name} = {text!r}: write one number, or values with their times in s, as "
-                "0.3@0,0.9@60"
-            ) from None
-        if not (math.isfinite(found[-1][0]) and math.isfinite(found[-1][1])):
+            raise wrong from None
+        if not all(map(math.isfinite, found[-1])):
             raise SeaError(f"{name} = {text!r}: {item!r} is not finite; write value@time")
-    for (before, _), (after, _) in pairwise(found):
+    for before, after in pairwise(item[0] for item in found):
         if after <= before:
             raise SeaError(
                 f"{name} = {text!r}: times must rise, but {after:g} s follows {before:g} s"
@@ -103,7 +103,7 @@ def changing_sea(
         if name not in parsed:
             values = [(one.time, getattr(one, name)) for one in own]
             parsed[name] = tuple((t, state.wind_from if v is None else v) for t, v in values)
-    times = sorted({t for values in parsed.values() for t, _ in values})
+    times = sorted({item[0] for values in parsed.values() for item in values})
     schedule = [
         SeaKeyframe(
             t,

@@ -106,7 +106,7 @@ def test_it_is_used_again_when_it_works_again() -> None:
     assert winds[-1] == pytest.approx(good[-1], abs=0.5)
 
 
-def test_a_twin_without_wind_is_not_told_of_any() -> None:
+def test_a_twin_without_an_anemometer_knows_no_wind() -> None:
     z = run().z.copy()
     z[:, APPARENT_SPEED:] = math.nan
     _, winds = twin_after(with_wind(z))

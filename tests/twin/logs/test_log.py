@@ -93,7 +93,8 @@ def test_round_trip_of_any_numbers_keeps_the_bits(
     tmp_path: Path, data: st.DataObject, rows: int
 ) -> None:
     # neither degrees nor a jump
-    most = {"gps_x_m": 15.0, "gps_y_m": 15.0, "compass_rad": 3.0, "wind_from_rad": 3.0}
+    most = {"gps_x_m": 15.0, "gps_y_m": 15.0}
+    most |= dict.fromkeys(("compass_rad", "wind_from_rad", "apparent_wind_rad"), 3.0)
     z = np.column_stack([data.draw(distinct(rows, most.get(k, 1e300))) for k in MEASUREMENTS])
     cmd = data.draw(hnp.arrays(np.float64, (rows, 4), elements=numbers))
     cmd[:, 2:] = data.draw(hnp.arrays(np.float64, (rows, 2), elements=st.floats(-3.0, 3.0)))
@@ -160,7 +161,7 @@ def test_without_truth_keeps_the_rest() -> None:
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 17\)"),
+        ({"z": np.zeros((ROWS, 8))}, r"z has the shape \(40, 8\), expected \(N, 19\)"),
         ({"cmd": np.zeros((ROWS - 1, 4))}, "cmd has the shape"),
         ({"t": np.zeros((ROWS, 1))}, r"t has the shape \(40, 1\), expected \(N,\)"),
         ({"truth": np.zeros((ROWS, 3))}, "truth has the shape"),

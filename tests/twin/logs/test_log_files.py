@@ -124,4 +124,4 @@ def test_shipped_runs_have_particulars_and_a_notice(name: str) -> None:
 
 def test_names_of_the_columns_do_not_clash() -> None:
     names = (*REQUIRED, *(set(MEASUREMENTS) - set(REQUIRED)), *TRUTH, *TRUE_MOTION)
-    assert len(set(names)) == len(names) == 1 + 4 + 17 + 6 + 6
+    assert len(set(names)) == len(names) == 1 + 4 + 19 + 6 + 6
