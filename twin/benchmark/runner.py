@@ -365,11 +365,11 @@ def runs(
         if unit in done:
             yield unit, done[unit]
         else:
-            alike = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
-            todo.setdefault(alike, {}).setdefault(unit.run, []).append(unit)
+            boat = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
+            todo.setdefault(boat, {}).setdefault(unit.run, []).append(unit)
     if not todo:
         return
-    tasks = [list(alike.values()) for alike in todo.values()]
+    tasks = [list(runs_of_boat.values()) for runs_of_boat in todo.values()]
     if len(tasks) < jobs:
         tasks = [[run] for task in tasks for run in task]
     if len(tasks) < jobs:
@@ -496,11 +496,8 @@ def default_logs() -> tuple[str, ...]:
 
 def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
-    compile_kernels(
-        *(settings.boat(0), settings.sea(), settings.predictors, settings.dof),
-        jobs=jobs,
-        backend=backend,
-    )
+    boat, sea = settings.boat(0), settings.sea()
+    compile_kernels(boat, sea, settings.predictors, settings.dof, jobs=jobs, backend=backend)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import typer
 
-from twin.cli.autopilot.link import link_command
-from twin.cli.autopilot.sitl import sitl_command
 from twin.cli.bench import bench_command
 from twin.cli.benchmark import benchmark_command
 from twin.cli.common import report_user_errors
 from twin.cli.evaluate import evaluate_command
-from twin.cli.fmu import fmu_command
+from twin.cli.interfaces.fmu import fmu_command
+from twin.cli.interfaces.link import link_command
+from twin.cli.interfaces.sitl import sitl_command
 from twin.cli.logs.check import log_check_command
 from twin.cli.logs.identify import identify_command
 from twin.cli.logs.judge import verdict_command

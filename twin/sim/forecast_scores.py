@@ -436,12 +436,12 @@ def grade_known(known, note, at):
 def _names() -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
     """Return the names of all scores: where each stands in the sums, and what it is divided by."""
     found: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
-    for i, _ in enumerate(WHERE):
+    for i in range(len(WHERE)):
         for k, name in enumerate(COUNTS):
             place = (0, i, 0, len(SCORES) + k)
             found[f"{name}{_IN[i]}"] = place, ()
     for j, plan in enumerate(PLANS):
-        for i, _ in enumerate(WHERE):
+        for i in range(len(WHERE)):
             for h, horizon in enumerate(HORIZONS.tolist()):
                 for k, name in enumerate(SCORES):
                     count = _COUNT if k < ERRORS else _INTERVALS
@@ -487,7 +487,7 @@ class ForecastScores(Mapping[str, float]):
         return value / float(self.sums[count])
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name, (_, count) in _PLACES.items() if not count or self.sums[count])
+        return (name for name in _PLACES if not _PLACES[name][1] or self.sums[_PLACES[name][1]])
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

@@ -109,7 +109,7 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
     boat.step = step
     boat.t = step * config.dt  # whole multiples of the step do not drift
     more = shaped(now, config.motion_numbers_at, (config.motion_numbers,))
-    _sense_wind(boat, config, now, gusts, wind_line)
+    _measure_wind(boat, config, now, gusts, wind_line)
     sensors.measure(boat, config.dt, config.suite, now, more, faults, delay_line)
     sound = True
     for i in range(fr.STATE_SIZE):
@@ -118,7 +118,7 @@ def advance(row: np.ndarray, config: Record, factors: np.ndarray) -> bool:
 
 
 @inlined
-def _sense_wind(boat, config, numbers, gusts, line):
+def _measure_wind(boat, config, numbers, gusts, line):
     """Let the anemometer measure, if there is one."""
     if config.wind_numbers > 0:
         air = wx.air_velocity(boat.t, gusts, boat.weather)
@@ -162,7 +162,7 @@ def _start(row: np.ndarray, config: Record) -> None:
         own = shaped(now, config.wind_numbers_at, (config.wind_numbers,))
         anemometer.start_wind(config.suite, own, boat.sensors)
     gusts = shaped(row, config.gusts_at, (3, config.gust_components))
-    _sense_wind(boat, config, now, gusts, wind_line)
+    _measure_wind(boat, config, now, gusts, wind_line)
     sensors.measure(boat, 0.0, config.suite, now, more, faults, delay_line)
 
 

@@ -51,8 +51,8 @@ def verdict_rows(runs: Sequence[Row], settings: Settings) -> list[dict[str, Any]
     oracle, which knows the true boat, comes last.
     """
     runs = [row for row in runs if row["plan"] == settings.plans[0]]
-    usual = [row for row in runs if (row["sea"], row["grade"]) == (settings.sea_name, TYPICAL)]
-    runs = usual or runs
+    nominal = [row for row in runs if (row["sea"], row["grade"]) == (settings.sea_name, TYPICAL)]
+    runs = nominal or runs
     groups = {
         "none": [row for row in runs if row["fault"] == "none"],
         "any": [row for row in runs if row["fault"] != "none"],

@@ -150,8 +150,8 @@ class Weights:
             return self.run(x)
         keys = [Memo.key([one]) for one in x]
         found = [self._kept.find(key) for key in keys]
-        said = [answer for _, answer in found]
-        new = [k for k, (there, _) in enumerate(found) if not there]
+        said = [each[1] for each in found]
+        new = [k for k, each in enumerate(found) if not each[0]]
         if new:
             padded = new + new[-1:] * (-len(new) % BATCH)
             for k, answer in zip(new, self.run(x[padded]), strict=False):

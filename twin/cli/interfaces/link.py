@@ -8,13 +8,6 @@ from typing import Annotated
 
 import typer
 
-from twin.cli.autopilot.common import (
-    ExternalOption,
-    MaxSdOption,
-    ResumeOption,
-    counted,
-    navigation_of,
-)
 from twin.cli.common import (
     OptionError,
     PredictorOption,
@@ -22,6 +15,13 @@ from twin.cli.common import (
     SteerMaxOption,
     console,
     radians,
+)
+from twin.cli.interfaces.common import (
+    ExternalOption,
+    MaxSdOption,
+    ResumeOption,
+    counted,
+    navigation_of,
 )
 from twin.cli.view import feed_twin, show_session
 from twin.live.external.link import Link, LinkSession

@@ -10,16 +10,6 @@ from typing import Annotated
 
 import typer
 
-from twin.cli.autopilot.common import (
-    ExternalOption,
-    MaxSdOption,
-    ResumeOption,
-    counted,
-    navigation_of,
-    numbered,
-    parse_place,
-    say,
-)
 from twin.cli.common import (
     HsOption,
     WindFromOption,
@@ -28,6 +18,16 @@ from twin.cli.common import (
     note,
     radians,
     write_text,
+)
+from twin.cli.interfaces.common import (
+    ExternalOption,
+    MaxSdOption,
+    ResumeOption,
+    counted,
+    navigation_of,
+    numbered,
+    parse_place,
+    say,
 )
 from twin.digital_twin import Twin
 from twin.live.external.peer import AutopilotPeer
