@@ -403,13 +403,13 @@ def runs(
     for unit in units(settings):
         done = finished(settings, unit, folder, pictures=wants_pictures(settings, unit))
         if done is None:
-            alike = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
-            todo.setdefault(alike, {}).setdefault(unit.run, []).append(unit)
+            same_boat = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
+            todo.setdefault(same_boat, {}).setdefault(unit.run, []).append(unit)
         else:
             yield unit, done
     if not todo:
         return
-    tasks = [list(alike.values()) for alike in todo.values()]
+    tasks = [list(same_boat.values()) for same_boat in todo.values()]
     if len(tasks) < jobs:
         tasks = [[run] for task in tasks for run in task]
     if len(tasks) < jobs:
@@ -533,11 +533,8 @@ def default_logs() -> tuple[str, ...]:
 
 def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
-    compile_kernels(
-        *(settings.boat(0), settings.sea(), settings.predictors, settings.dof),
-        jobs=jobs,
-        backend=backend,
-    )
+    boat = settings.boat(0), settings.sea(), settings.dof
+    compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

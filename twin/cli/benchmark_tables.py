@@ -293,7 +293,9 @@ def _print_losses(rows: Sequence[Row]) -> None:
     table = new_table(title, *heads, left=names)
     for row in rows:
         table.add_row(
-            *(row["scenario"] or row["folder"], row["case"], row["predictor"]),
+            row["scenario"] or row["folder"],
+            row["case"],
+            row["predictor"],
             str(row["losses"]),
             *(short(row[key], 2) for key in ("error_m", "worst_m", "said_m")),
             f"{100.0 * row['held']:.0f} %",

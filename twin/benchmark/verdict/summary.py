@@ -51,8 +51,8 @@ def verdict_rows(runs: Sequence[Row], settings: Settings) -> list[dict[str, Any]
     oracle, which knows the true boat, comes last.
     """
     runs = [row for row in runs if row["plan"] == settings.plans[0]]
-    usual = [row for row in runs if (row["sea"], row["grade"]) == (settings.sea_name, TYPICAL)]
-    runs = usual or runs
+    nominal = [row for row in runs if (row["sea"], row["grade"]) == (settings.sea_name, TYPICAL)]
+    runs = nominal or runs
     groups = {
         "none": [row for row in runs if row["fault"] == "none"],
         "any": [row for row in runs if row["fault"] != "none"],
@@ -153,7 +153,9 @@ def recorded_blocks(results: Row) -> dict[str, dict[str, dict[str, Row]]]:
     ends of losses; it is empty without a loss.
     """
     rows = results.get("recorded") or []
-    ends = {(row["folder"], row["fault"], row["predictor"]): row for row in results.get("losses") or []}
+    ends = {
+        (row["folder"], row["fault"], row["predictor"]): row for row in results.get("losses") or []
+    }
     blocks: dict[str, dict[str, dict[str, Row]]] = {}
     for row in rows:
         if row["plan"] != rows[0]["plan"]:
