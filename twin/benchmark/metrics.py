@@ -371,9 +371,9 @@ def recorded_table(results: Sequence[dict[str, Any]], against: str) -> list[dict
             "rmse": rmse,
             "error": math.degrees(rmse) if where[3] == "psi" else rmse,
         }
-        held_error = float(np.mean(list(held.get(where, {}).values() or [0.0])))
-        if held_error > 0.0:
-            row["ratio_recorded"] = rmse / held_error
+        held_rmse = float(np.mean(list(held.get(where, {}).values() or [0.0])))
+        if held_rmse > 0.0:
+            row["ratio_recorded"] = rmse / held_rmse
         base = cells.get((*where[:-1], BASELINE), {})
         other = cells.get((*where[:-1], against), {}) if where[-1] != against else {}
         found = _ratios(own, base, other)

@@ -496,8 +496,8 @@ def default_logs() -> tuple[str, ...]:
 
 def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
-    boat, sea = settings.boat(0), settings.sea()
-    compile_kernels(boat, sea, settings.predictors, settings.dof, jobs=jobs, backend=backend)
+    boat = settings.boat(0), settings.sea(), settings.dof
+    compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
 
 
 def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[RunFigure]:

@@ -48,7 +48,13 @@ def svg_of(fig: Figure, prefix: str, label: str, styles: dict[str, str]) -> str:
     pictures of the page; those of this one are added.
     """
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
+    FigureCanvasSVG(fig)
+    if (layout := fig.get_layout_engine()) is not None:
+        # matplotlib would draw the whole picture once more to lay it out
+        layout.execute(fig)
+        fig.set_layout_engine("none")
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "usv-twin"}):
         fig.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

@@ -28,14 +28,12 @@ SLOW = "dsw-ukf-plus"
 """Its kernels take as long to compile as all others."""
 
 
+Boat = tuple[Vessel, SeaState, int]
+"""A vessel, its sea and its degrees of freedom."""
+
+
 def compile_kernels(
-    vessel: Vessel,
-    sea: SeaState,
-    predictors: Sequence[str],
-    dof: int,
-    *,
-    jobs: int = 1,
-    backend: str = "loky",
+    boat: Boat, predictors: Sequence[str], *, jobs: int = 1, backend: str = "loky"
 ) -> None:
     """Compile the kernels of simulator, twin and predictors, and keep them on disk.
 
@@ -43,21 +41,22 @@ def compile_kernels(
     message that kernels compile comes from here: workers are silent.
     """
     if backend != "loky" or jobs < 2 or SLOW not in predictors:
-        _compile_for(vessel, sea, predictors, dof)
+        _compile_for(boat, predictors)
         return
     if not cached() and not os.environ.get(QUIET):
         print(MESSAGE, file=sys.stderr, flush=True)
     others = [name for name in predictors if name != SLOW]
     calls = [
-        functools.partial(_compile_for, vessel, sea, others, dof),
-        functools.partial(_compile_alone, vessel, SLOW),
+        functools.partial(_compile_for, boat, others),
+        functools.partial(_compile_alone, boat[0], SLOW),
     ]
     for _ in results_of(calls, jobs=2):
         pass
 
 
-def _compile_for(vessel: Vessel, sea: SeaState, predictors: Sequence[str], dof: int) -> None:
+def _compile_for(boat: Boat, predictors: Sequence[str]) -> None:
     """Compile simulator, twin and some predictors."""
+    vessel, sea, dof = boat
     log = simulate("turn", vessel=vessel, sea=sea, duration=1.0, seed=0)
     for name in predictors:
         twin = Twin(particulars_of(vessel), name, **simulator_options(name, vessel, sea, dof))

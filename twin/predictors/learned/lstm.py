@@ -27,7 +27,7 @@ from twin.predictors.baselines import (
     hold_velocity,
 )
 from twin.predictors.learned.features import fill_forward, thrust_features
-from twin.predictors.learned.memo import Memo
+from twin.predictors.learned.memo import MISSING, Memo
 
 __all__ = [
     "LSTMPredictor",
@@ -303,8 +303,8 @@ class LSTMPredictor(HistoryPredictor):
         inputs, target = net.scaled(nu[:, :-1], cmd), nu[:, self.warm + 1 :]
         settings = {name: getattr(self, name) for name in _SETTINGS}
         key = Memo.key([*vars(net).values(), inputs, target], settings, rng.bit_generator.state)
-        there, trained = _TRAINED.find(key)
-        if not there:
+        trained = _TRAINED.find(key)
+        if trained is MISSING:
             trained = self._fit(net, inputs, target, rng)
             _TRAINED.keep(key, trained)
         return trained  # type: ignore[no-any-return]

@@ -16,8 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "MISSING",
     "Memo",
 ]
+
+MISSING = object()
+"""Stands for no result."""
 
 
 class Memo:
@@ -41,13 +45,13 @@ class Memo:
             digest.update(np.ascontiguousarray(array).data)
         return digest.digest()
 
-    def find(self, key: bytes) -> tuple[bool, Any]:
-        """Return whether there is a result of this key, and the result."""
+    def find(self, key: bytes) -> Any:
+        """Return the result of a key; :data:`MISSING` where there is none."""
         with self._lock:
             if key not in self._kept:
-                return False, None
+                return MISSING
             self._kept.move_to_end(key)
-            return True, self._kept[key]
+            return self._kept[key]
 
     def keep(self, key: bytes, result: Any) -> None:
         """Keep a result; the one that was not asked for the longest makes place."""

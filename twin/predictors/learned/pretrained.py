@@ -30,7 +30,7 @@ from twin.predictors.learned.features import (
     integrate,
     thrust_features,
 )
-from twin.predictors.learned.memo import Memo
+from twin.predictors.learned.memo import MISSING, Memo
 from usv_kernel.errors import UsvTwinError
 from usv_kernel.files import replacing
 
@@ -149,9 +149,8 @@ class Weights:
         if len(x) == 1:
             return self.run(x)
         keys = [Memo.key([one]) for one in x]
-        found = [self._kept.find(key) for key in keys]
-        said = [each[1] for each in found]
-        new = [k for k, each in enumerate(found) if not each[0]]
+        said = [self._kept.find(key) for key in keys]
+        new = [k for k, answer in enumerate(said) if answer is MISSING]
         if new:
             padded = new + new[-1:] * (-len(new) % BATCH)
             for k, answer in zip(new, self.run(x[padded]), strict=False):
