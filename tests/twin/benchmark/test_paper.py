@@ -245,7 +245,7 @@ def short(monkeypatch):
             seeds, names, faults=("none",), scenarios=("turn",), **SHORT
         ),
     )
-    monkeypatch.setattr(runner, "warm_up", lambda settings: None)
+    monkeypatch.setattr(runner, "warm_up", lambda settings, **given: None)
 
 
 def invoke(*arguments, code=0):
