@@ -58,14 +58,15 @@ def paper_command(
     ] = None,
     seeds: Annotated[
         str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7.")
-    ] = "0-5",
+    ] = "0-3",
     jobs: JobsOption = CPUS,
 ) -> None:
     """Redo the paper of Qu et al. 2025, and print it side by side with its numbers.
 
     The 20 degree turn and the 20/-20 zigzag, with and without 10 s without GPS. Each seed is
-    another boat and sea. Compared are the paper's method as printed and as mended, both without
-    their window (the paper's UKF), its LSTM, and predictors of this package.
+    another boat and sea; the paper repeated each run four times. Compared are the paper's method
+    as printed and as mended, both without their window (the paper's UKF), its LSTM, and predictors
+    of this package.
 
     Writes paper.html with Tables 2 to 4, Figures 9 to 16 and the window of Algorithm 1 over time.
     Ctrl-C keeps what is finished; the same command goes on from there.
