@@ -214,7 +214,7 @@ def test_following_seas_are_not_taken_for_the_opposite_ones(scenario: str, seed:
     assert found.direction_known
 
 
-def test_a_direction_that_could_be_the_opposite_one_is_in_doubt() -> None:
+def test_a_direction_as_likely_as_its_opposite_is_doubtful() -> None:
     """A boat at rest that heaves and pitches without any phase between them."""
     n, w = 2400, 2.0
     t, values = 0.05 * np.arange(n), np.zeros((n, 7))
