@@ -199,9 +199,8 @@ def worst_of(verdicts: Sequence[Verdict]) -> Verdict:
     for about in dict.fromkeys(answer.about for each in verdicts for answer in each.answers):
         found = [(each.log, a) for each in verdicts for a in each.answers if a.about == about]
         log, worst = max(found, key=lambda pair: COLOURS.index(pair[1].colour))
-        row = [pair[1] for pair in found]
-        same = sum(answer.colour == worst.colour for answer in row)
-        more = f" [{log}; {same} of {len(row)} runs are {worst.colour}]"
+        same = sum(pair[1].colour == worst.colour for pair in found)
+        more = f" [{log}; {same} of {len(found)} runs are {worst.colour}]"
         answers.append(dataclasses.replace(worst, text=worst.text + more))
     deviations: dict[str, float] = {}
     for name, size in (pair for each in verdicts for pair in each.deviations):

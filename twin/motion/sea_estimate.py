@@ -65,7 +65,7 @@ class SeaEstimate(NamedTuple):
     to: float
     """Mean direction that they go to, rad clockwise from north, whatever the heading."""
     to_sd: float
-    """Standard deviation of that, rad. Where it may as well be the opposite one, it is large."""
+    """Standard deviation of that, rad. It is large where the opposite direction is as likely."""
 
     @property
     def known(self) -> bool:
