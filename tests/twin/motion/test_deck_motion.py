@@ -13,7 +13,16 @@ from hypothesis import strategies as st
 
 from twin import Log, StateError, Twin
 from twin.benchmark.motion_scores import MOTION_HORIZONS, MotionScore, MotionTruth, motion_table
-from twin.channels import AHRS_PITCH, AHRS_ROLL, GPS_VZ, GPS_Z, GYRO_X, MEASUREMENTS, MOTION_AT
+from twin.channels import (
+    AHRS_PITCH,
+    AHRS_ROLL,
+    GPS_VZ,
+    GPS_Z,
+    GYRO_X,
+    MEASUREMENTS,
+    MOTION_AT,
+    MOTION_END,
+)
 from twin.motion import CHANNELS, HORIZONS, QUIET_SPANS, DeckMotion, MotionForecast
 from twin.particulars import GRAVITY, Deck
 from twin.sim.bridge import particulars_of, simulate
@@ -95,7 +104,7 @@ def test_forecasts_in_a_turn_are_no_worse_than_the_mean() -> None:
 def still_boat(values: np.ndarray) -> np.ndarray:
     """Return rows of a boat that stays level but for the rates and heave of a signal."""
     z = np.full((len(values), len(MEASUREMENTS)), np.nan)
-    z[:, MOTION_AT:] = values
+    z[:, MOTION_AT:MOTION_END] = values
     return z
 
 
