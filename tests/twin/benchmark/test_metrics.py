@@ -157,3 +157,28 @@ def test_recorded_ratios_are_to_persistence():
     assert found["ukf"]["change_percent"] == pytest.approx(-50.0)
     assert (found["ukf"]["wins"], found["ukf"]["runs"]) == (2, 2)
     assert "against" not in found["var"]
+
+
+def test_recorded_errors_are_also_over_persistence_of_the_record():
+    """Mean errors .3 and .1 m over .6 and .2 m; headings in degrees."""
+    rows = [
+        {
+            "unit": {
+                "scenario": run,
+                "fault": "none",
+                "predictor": "ukf",
+                "log": f"/x/ships/{run}",
+            },
+            "plans": {
+                "known": {"channels": {c: {"mse": [rmse**2]} for c in ("displacement", "psi")}}
+            },
+            "held_mse": {"displacement": (2.0 * rmse) ** 2, "psi": (4.0 * rmse) ** 2},
+        }
+        for run, rmse in (("a", 0.3), ("b", 0.1))
+    ]
+    found = {row["channel"]: row for row in recorded_table(rows, "var")}
+    assert found["displacement"]["ratio_recorded"] == pytest.approx(0.5)
+    assert found["displacement"]["error"] == pytest.approx(0.2)
+    assert found["psi"]["ratio_recorded"] == pytest.approx(0.25)
+    assert found["psi"]["error"] == pytest.approx(math.degrees(0.2))
+    assert "ratio" not in found["psi"]  # the twin's own persistence took no part

@@ -310,7 +310,9 @@ def test_benchmark_end_to_end(empty):
     two = ("--predictors", "persistence,ukf")
     cases = ("--scenarios", "zigzag", "--faults", "gps5", "--seeds", "0:2")
     said = run("benchmark", *cases, *two, "--out", "out", "--jobs", "1").stdout
-    assert "ukf" in said and "drawing out/pictures" in said
+    # the verdict comes first, then where the report is; the other tables stay in the report
+    assert said.startswith("10 s ahead ukf is ") and "report: out/report.html" in said
+    assert "MSE" in said and "CRPS" not in said
     results = json.loads(Path("out/results.json").read_text())
     assert {"version", "command", "rows", "summary"} <= set(results)
     assert {row["scenario"] for row in results["rows"]} == {"zigzag", "boat1_usv_circle"}
@@ -333,7 +335,16 @@ def test_benchmark_end_to_end(empty):
 
 
 def test_the_full_protocol_can_be_restricted(empty):
-    parts = ("--full", "--seeds", "200", "--scenarios", "turn", "--cases", "base,gps5,gps10")
+    parts = (
+        "--full",
+        "--verbose",
+        "--seeds",
+        "200",
+        "--scenarios",
+        "turn",
+        "--cases",
+        "base,gps5,gps10",
+    )
     options = ("--predictors", "persistence", "--out", "out", "--jobs", "1")
     done = run("benchmark", *parts, *options, "--backend", "threading")
     assert "case gps5" in done.stdout
