@@ -38,6 +38,7 @@ from usv_gym.physics import frames as fr
 from usv_gym.world.faults import LOSS
 from usv_gym.world.state import BOAT, sensor_arrays
 from usv_kernel.arrays import take
+from usv_kernel.errors import UsvTwinError
 from usv_kernel.jit import inlined, kernel
 from usv_kernel.records import as_record, as_records, field_at, record_size
 from usv_kernel.scalar import wrap
@@ -54,6 +55,7 @@ __all__ = [
     "WHERE",
     "Buffers",
     "ForecastScores",
+    "ScoreNameError",
     "follow_forecasts",
     "grade_by_model",
     "grade_known",
@@ -436,16 +438,15 @@ def grade_known(known, note, at):
 def _names() -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
     """Return the names of all scores: where each stands in the sums, and what it is divided by."""
     found: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
-    for i in range(len(WHERE)):
+    for i, where in enumerate(_IN):
         for k, name in enumerate(COUNTS):
-            place = (0, i, 0, len(SCORES) + k)
-            found[f"{name}{_IN[i]}"] = place, ()
+            found[f"{name}{where}"] = (0, i, 0, len(SCORES) + k), ()
     for j, plan in enumerate(PLANS):
-        for i in range(len(WHERE)):
+        for i, where in enumerate(_IN):
             for h, horizon in enumerate(HORIZONS.tolist()):
                 for k, name in enumerate(SCORES):
                     count = _COUNT if k < ERRORS else _INTERVALS
-                    key = f"{plan}{_IN[i]}_{horizon:g}s_{name}"
+                    key = f"{plan}{where}_{horizon:g}s_{name}"
                     found[key] = (j, i, h, k), (j, i, h, count)
     return found
 
@@ -456,6 +457,10 @@ _PLACES = _names()
 
 NAMES = tuple(_PLACES)
 """Names of all scores."""
+
+
+class ScoreNameError(UsvTwinError, KeyError):
+    """A name without a score; the message says why."""
 
 
 class ForecastScores(Mapping[str, float]):
@@ -478,16 +483,18 @@ class ForecastScores(Mapping[str, float]):
         self.sums = sums
 
     def __getitem__(self, name: str) -> float:
+        if name not in _PLACES:
+            raise ScoreNameError(f"{name!r}: no such score; twin.sim.forecast_scores.NAMES has all")
         place, count = _PLACES[name]
         value = float(self.sums[place])
         if not count:
             return value
         if not self.sums[count]:
-            raise KeyError(name)
+            raise ScoreNameError(f"{name}: no forecast counts for it yet; use scores.get({name!r})")
         return value / float(self.sums[count])
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name in _PLACES if not _PLACES[name][1] or self.sums[_PLACES[name][1]])
+        return (name for name, where in _PLACES.items() if not where[1] or self.sums[where[1]])
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

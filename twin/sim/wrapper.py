@@ -17,8 +17,8 @@ from twin.particulars import Particulars
 from twin.predictors.base import Predictor
 from twin.predictors.registry import DEFAULT
 from twin.sim.batched_twins import TWIN_SETS, TwinObserver, observer_of
-from twin.sim.beside import TwinBeside
 from twin.sim.bridge import TRUE_STATE, VERTICAL, measurement_row, particulars_of
+from twin.sim.unseen_twins import UnseenTwins
 from usv_gym.envs.config import EnvConfig
 from usv_gym.envs.env import USVEnv, spaces_of
 from usv_gym.envs.episodes import Episodes, Observer
@@ -204,7 +204,7 @@ class USVTwinEnv(USVEnv):
     ) -> None:
         watch = _watching(twin, particulars, band_period, twin_seed, observation, forecast_scores)
         super().__init__(observer=watch, **kwargs)
-        assert isinstance(self.observer, (TwinObserver, TwinBeside))
+        assert isinstance(self.observer, (TwinObserver, UnseenTwins))
         self.twin = self.observer.first
 
 
@@ -241,7 +241,7 @@ class USVTwinVectorEnv(USVVectorEnv):
         """Return the twin of boat i as of now: a copy, which does not live on with the boat."""
         if not 0 <= operator.index(i) < self.num_envs:
             raise BoatIndexError(f"twin({i}): boats count from 0 to {self.num_envs - 1}")
-        assert isinstance(self.observer, (TwinObserver, TwinBeside))
+        assert isinstance(self.observer, (TwinObserver, UnseenTwins))
         return self.observer.twin(operator.index(i))
 
 
@@ -258,7 +258,7 @@ def _watching(
         return lambda episodes: observer_of(
             episodes, twin, particulars, band_period, seed, observation, forecast_scores
         )
-    return lambda episodes: TwinBeside(
+    return lambda episodes: UnseenTwins(
         episodes,
         OBSERVERS[observation],
         observer_of(episodes, twin, particulars, band_period, seed),

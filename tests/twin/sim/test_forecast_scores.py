@@ -138,14 +138,14 @@ def test_grading_can_be_switched_off_and_changes_no_observation():
 
 
 @pytest.mark.parametrize("observation", ["raw", "raw_stacked", "oracle"])
-def test_an_agent_without_the_twin_is_graded_and_does_not_see_it(observation):
-    graded = make_env(observation=observation, twin="ukf", forecast_scores=True, **OPTIONS)
+def test_a_twin_that_the_agent_does_not_see_is_graded(observation):
+    unseen = make_env(observation=observation, twin="ukf", forecast_scores=True, **OPTIONS)
     alone = make_env(observation=observation, twin="ukf", **OPTIONS)
     ours = make_env(twin="ukf", **OPTIONS)
-    scores = [sail(env, 300) for env in (graded, alone, ours)]
+    scores = [sail(env, 300) for env in (unseen, alone, ours)]
     assert "twin_forecast" not in scores[1]
     assert scores[0]["twin_forecast"] == scores[2]["twin_forecast"]
-    np.testing.assert_array_equal(graded.step(np.zeros(2))[0], alone.step(np.zeros(2))[0])
+    np.testing.assert_array_equal(unseen.step(np.zeros(2))[0], alone.step(np.zeros(2))[0])
 
 
 def test_steps_that_do_not_divide_a_second_are_graded_too():
@@ -166,6 +166,8 @@ def test_scores_are_a_mapping_that_can_be_pickled_and_pooled():
     assert set(scores) <= set(NAMES)
     assert all(isinstance(value, float) for value in scores.values())
     assert pickle.loads(pickle.dumps(scores)) == scores
+    with pytest.raises(KeyError, match="no such score"):
+        scores["held_3s_displacement_m"]
     double = pooled([scores, scores])
     assert double["n"] == 2.0 * scores["n"]
     name = "held_10s_displacement_m"

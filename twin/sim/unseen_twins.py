@@ -1,4 +1,4 @@
-"""A twin beside agents that do not see it: its forecasts are graded on the runs that they sail."""
+"""Twins that agents do not see: their forecasts are graded on what the agents sail."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from twin.digital_twin import Twin
 from twin.sim.batched_twins import TwinObserver
 from usv_gym.envs.episodes import Episodes, Observer
 
-__all__ = ["TwinBeside"]
+__all__ = ["UnseenTwins"]
 
 _ALL = slice(None)
 
 
-class TwinBeside(Observer):
+class UnseenTwins(Observer):
     """The entries of another observer, or none, and the infos of twins.
 
     Parameters
