@@ -503,8 +503,8 @@ def _run(
             f"Roll, pitch, heave and the vertical speed of the deck point, and what the twin "
             f"with {name} forecast {SHOWN_AHEAD:g} s before."
         )
-        draw = functools.partial(deck_figure, run, name)
-        shown.append(pictures.add(draw, f"{stem}_deck", caption))
+        deck = functools.partial(deck_figure, run, name)
+        shown.append(pictures.add(deck, f"{stem}_deck", caption))
     begin: float | None = number_of(results.get("settings") or {}, "identify_s")
     if not reference.is_truth and starts:
         begin = starts[0]  # recorded runs are shorter or longer than simulated ones

@@ -35,7 +35,7 @@ def verdict_figure(rows: Sequence[Row], styles: Styles) -> Figure:
     """
     names = list(dict.fromkeys(text_of(row, "predictor") for row in rows))
     there = {text_of(row, "loss") for row in rows}
-    losses = [loss for loss in ("none", "any") if loss in there] or ["all"]
+    losses: list[str] = [loss for loss in ("none", "any") if loss in there] or ["all"]
     shown = {(text_of(row, "predictor"), text_of(row, "loss")): row for row in rows}
     entries = [(patch(BLACK, SHADES[loss][1]), SHADES[loss][0]) for loss in losses]
     height = 2.0 * (LINE * len(names) + 0.7)
