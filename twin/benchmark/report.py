@@ -133,6 +133,7 @@ def write_report(
     rows = [*(results.get("rows") or []), *(results.get("summary") or [])]
     names = dict.fromkeys(text_of(row, "predictor") for row in rows)
     styles = predictor_styles({**names, **{name: None for run in runs for name in run.predictors}})
+    cases = _cases(results, pictures, styles)
     shown_first = _track_shown_first(runs)
     head = {
         "sentence": sentence_of(results.get("verdict") or []),
@@ -140,7 +141,6 @@ def write_report(
         "first": _first_pictures(results, shown_first, pictures, styles),
         "recorded_verdict": recorded_verdict_grids(results),
     }
-    cases = _cases(results, pictures, styles)
     sections = {
         **head,
         **_introduction(results, runs),

@@ -55,6 +55,7 @@ from twin.predictors.registry import options_of, predictor_class
 from twin.sim.compilation import compile_kernels
 from twin.sim.oracle import simulator_options
 from twin.sim.recorded import particulars_for_log
+from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.channels import GPS_BIT
 from usv_gym.world.faults import FAULT_KINDS, Disturbance, Fault, parse_faults
 from usv_kernel import __version__
@@ -496,7 +497,7 @@ def default_logs() -> tuple[str, ...]:
 
 def warm_up(settings: Settings, *, jobs: int = 1, backend: str = "loky") -> None:
     """Compile once what all workers will need."""
-    boat = settings.boat(0), settings.sea(), settings.dof
+    boat = Vessel.load(settings.vessel), settings.sea(), settings.dof
     compile_kernels(boat, settings.predictors, jobs=jobs, backend=backend)
 
 

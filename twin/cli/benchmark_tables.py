@@ -117,8 +117,8 @@ def _print_recorded_verdict(results: Mapping[str, Any]) -> None:
     for title, block in blocks.items():
         ends = any(line["loss"] for line in block.values())
         ratio = ("ratio\nto p.\ntwin", "\n\nrec.")
-        heads: tuple[str, ...] = ("position\n\nm", *ratio, "heading\n\ndeg", *ratio)
-        heads += ("end of\nloss\noff m", "\n\nsaid") * ends
+        heads = ["position\n\nm", *ratio, "heading\n\ndeg", *ratio]
+        heads += ["end of\nloss\noff m", "\n\nsaid"] * ends
         table = _predictor_table(title, *heads)
         for name in best_first(block):
             texts = []

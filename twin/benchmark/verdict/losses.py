@@ -65,15 +65,17 @@ def loss_rows(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         unit = result["unit"]
         if ends := result.get("loss_ends"):
             folder = Path(unit["log"]).absolute().parent.name if unit["log"] else ""
-            where = unit["scenario"] if not folder else ""
-            key = (folder, where, unit["case"], unit["fault"], unit["predictor"])
+            scenario = unit["scenario"] if not folder else ""
+            key = (folder, scenario, unit["case"], unit["fault"], unit["predictor"])
             cells.setdefault(key, []).extend(ends)
     rows = []
-    for key, ends in cells.items():
+    for where, ends in cells.items():
         error, said = (np.array([end[name] for end in ends]) for name in ("error_m", "said_m"))
         rows.append(
             {
-                **dict(zip(("folder", "scenario", "case", "fault", "predictor"), key, strict=True)),
+                **dict(
+                    zip(("folder", "scenario", "case", "fault", "predictor"), where, strict=True)
+                ),
                 "losses": len(ends),
                 "error_m": float(np.median(error)),
                 "worst_m": float(error.max()),
