@@ -138,7 +138,9 @@ def write_report(
     head = {
         "sentence": sentence_of(results.get("verdict") or []),
         "verdict": verdict_grid(results.get("verdict") or []),
-        "first": _first_pictures(results, shown_first, pictures, styles),
+        "first": _first_pictures(
+            results, None if shown_first is None else runs[shown_first], pictures, styles
+        ),
         "recorded_verdict": recorded_verdict_grids(results),
     }
     sections = {
@@ -158,7 +160,9 @@ def write_report(
             for name, item in (results.get("predictors") or {}).items()
             if isinstance(item, Mapping) and "tuning" in item
         },
-        "runs": [_run(run, results, pictures, styles, run is shown_first) for run in runs],
+        "runs": [
+            _run(run, results, pictures, styles, k == shown_first) for k, run in enumerate(runs)
+        ],
     }
     pictures.draw(jobs)
     page = page_template("report.html.jinja").render(
@@ -408,13 +412,13 @@ def _quiet_grid(rows: Sequence[Row]) -> Grid:
 
 
 # pictures
-def _track_shown_first(runs: Sequence[RunFigure]) -> RunFigure | None:
-    """Return the run whose track stands at the top: one with a loss, of a zigzag if there is."""
+def _track_shown_first(runs: Sequence[RunFigure]) -> int | None:
+    """Return which run's track stands at the top: one with a loss, of a zigzag if there is."""
 
-    def order(run: RunFigure) -> tuple[bool, bool]:
-        return not run.lost, run.scenario != "zigzag"
+    def order(k: int) -> tuple[bool, bool]:
+        return not runs[k].lost, runs[k].scenario != "zigzag"
 
-    return min(runs, key=order, default=None)
+    return min(range(len(runs)), key=order, default=None)
 
 
 def _first_pictures(
