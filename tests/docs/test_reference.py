@@ -56,7 +56,7 @@ def test_info_table_names_every_key():
     env = gym.make("USVTwin-v0", twin="ukf")
     _, info = env.reset(seed=0)
     env.close()
-    section = PAGE[PAGE.index("## Info") : PAGE.index("## Classes")]
+    section = PAGE[PAGE.index("## Info") : PAGE.index("### Scores of the twin's forecasts")]
     assert re.findall(r"^\| `(\w+)` \|", section, flags=re.MULTILINE) == list(info)
 
 

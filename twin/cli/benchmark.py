@@ -299,7 +299,7 @@ def benchmark_command(
     from twin.benchmark.report import write_report
 
     figures = runner.run_figures(settings, done)
-    with progress_bar(transient=True) as progress:
+    with progress_bar(transient=True, console=errors) as progress:
         bar = progress.add_task("drawing", total=None)
 
         def drawn(name: str) -> None:
@@ -368,7 +368,7 @@ def _submit_check(folder: Path, logs: list[Path], sample: int) -> None:
     from twin.benchmark.publish.submission import check_submission
 
     files = [file for given in logs for file in match_files(given)]
-    with progress_bar(transient=True) as progress:
+    with progress_bar(transient=True, console=errors) as progress:
         bar = progress.add_task("checking", total=None)
         found = list(
             check_submission(
@@ -451,7 +451,9 @@ def _run_all(
             runner.warm_up(settings, jobs=jobs, backend=backend)
         # one estimate over many runs, as each comes with all its predictors at a time
         columns = TimeRemainingColumn()
-        with progress_bar(columns, transient=True, speed_estimate_period=600.0) as progress:
+        with progress_bar(
+            columns, transient=True, console=errors, speed_estimate_period=600.0
+        ) as progress:
             bar = progress.add_task("benchmark", total=len(work))
             for unit, result in runner.runs(settings, out, jobs=jobs, backend=backend, done=reused):
                 if isinstance(result, Exception):

@@ -28,6 +28,7 @@ CLASSES = {
     "FilterSettings": "twin.identification.filter_settings",
     "RefitSettings": "twin.identification.prediction_error",
     "Vessel": "usv_gym.vessel.vessel",
+    "Servos": "usv_kernel.servos",
     "HydroTable": "usv_gym.hydro.table",
     "SeaState": "usv_gym.world.sea",
     "SeaKeyframe": "usv_gym.world.sea",

@@ -11,6 +11,7 @@ from typing import Any
 
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
+from usv_gym.world.recorded_spectrum import SeaError
 from usv_gym.world.sea import SeaKeyframe, SeaState
 from usv_gym.world.sensors import SensorSuite
 from usv_gym.world.simulation import substeps_of
@@ -120,6 +121,8 @@ class EnvConfig:
         """Return the sea states, with wave height and wind as asked for."""
         angle = self.wind_from_deg
         wind_from = None if angle is None else math.radians(angle % 360.0)
+        if isinstance(self.schedule, str):
+            raise SeaError(f"schedule = {self.schedule!r}: give a list of SeaKeyframe, or None")
         schedule = None if self.schedule is None else SeaState(schedule=self.schedule).schedule
         return tuple(
             state.replace(

@@ -371,9 +371,9 @@ def ineffective_fault(faults: Sequence[Disturbance], dof: int, anemometer: bool)
         Whether the sensors have an anemometer.
     """
     struck = {fault.kind for fault in faults if fault not in ON}
-    if dof == 3 and "ahrs" in struck:
+    if "ahrs" in struck and dof == 3:
         return "a boat with dof=3 has no AHRS: its fault changes nothing; use dof=6"
-    if not anemometer and "wind" in struck:
+    if "wind" in struck and not anemometer:
         return "these sensors have no anemometer: its fault changes nothing; use those of 'best'"
     return None
 

@@ -95,7 +95,7 @@ def made(levels, settings=TINY):
                     rows.append(
                         {
                             **{"sea": sea, "faults": faults, "seed": seed, "off_path_m": off},
-                            **{"return": -off, "failed": False},
+                            **{"return": -off, "failed": False, "twin_forecast": {}},
                             "off_path_outage_m": None if faults == "none" else off,
                         }
                     )

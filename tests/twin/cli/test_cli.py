@@ -24,7 +24,7 @@ from twin import Log, Twin, recorded_runs
 from twin.benchmark.metrics import METRICS
 from twin.channels import STATE
 from twin.cli.benchmark import match_files
-from twin.cli.benchmark_tables import print_results
+from twin.cli.benchmark_tables import print_results, print_verdict
 from twin.cli.common import console, parse_seeds
 from twin.cli.logs.identify import LEGEND
 from twin.cli.main import COMMANDS, app, expand_files
@@ -361,7 +361,9 @@ def test_the_full_protocol_can_be_restricted(empty):
 def test_a_predictor_that_cannot_run_has_a_row_of_its_own(capsys):
     item = {"scenario": "turn", "fault": "none", "predictor": "ukf", "plan": "known"}
     item |= {"metric": "mae", "value": 0.2, "low": None, "high": None}
-    print_results({"summary": [item], "notes": ["lstm is left out: no [torch]"]}, ["lstm"])
+    found = {"summary": [item], "verdict": [], "notes": ["lstm is left out: no [torch]"]}
+    print_results(found, ["lstm"])
+    print_verdict(found)
     out = capsys.readouterr().out
     assert "left out" in out.split("lstm", 1)[1].splitlines()[0]
     assert "no [torch]" in out

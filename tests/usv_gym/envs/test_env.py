@@ -33,7 +33,8 @@ INDEX = {name: i for i, name in enumerate((*OBSERVATION, *TWIN_OBSERVATION))}
 AHEAD = np.array([0.8, 0.0], dtype=np.float32)
 INFO = {"t_s", "cross_track_m", "leg", "is_success", "capsized", "reward_terms"}
 
-INFO_OF_TWIN = {"twin_position_error_m", *(f"twin_health_{sensor}" for sensor in SENSORS)}
+INFO_OF_TWIN = {"twin_position_error_m", "twin_forecast"}
+INFO_OF_TWIN |= {f"twin_health_{sensor}" for sensor in SENSORS}
 
 VARIANTS = [
     pytest.param({"twin": twin, "task": task, "actions": actions}, id=f"{twin}-{task}-{actions}")

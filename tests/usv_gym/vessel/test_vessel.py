@@ -189,9 +189,12 @@ def test_a_vessel_is_immutable(boat: Vessel) -> None:
 
 def test_every_number_has_a_source(boat: Vessel) -> None:
     text = (FOLDER / f"{boat.name}.toml").read_text(encoding="utf-8")
-    sources = re.findall(r'source = "([^"]*)"', text)
-    assert len(sources) == len(boat.values) + (2 if boat.resistance_speed else 0)
-    assert all(len(source.strip()) > 3 for source in sources)
+    of_boat, autopilot = (
+        re.findall(r'source = "([^"]*)"', part) for part in text.partition("[autopilot]")[::2]
+    )
+    assert len(of_boat) == len(boat.values) + (2 if boat.resistance_speed else 0)
+    assert len(autopilot) == text.partition("[autopilot]")[2].count("value =")
+    assert all(len(source.strip()) > 3 for source in (*of_boat, *autopilot))
 
 
 # ------------------------------------------------- random boats of a kind

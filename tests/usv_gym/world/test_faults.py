@@ -220,6 +220,7 @@ def test_two_equal_faults_do_not_strike_together() -> None:
     assert two.sum() > one.sum()
 
 
+@pytest.mark.filterwarnings("ignore::usv_gym.world.faults.FaultWarning")
 @pytest.mark.parametrize(("twin", "dof"), [(None, 3), ("ukf", 3), ("ukf", 6)])
 def test_observations_stay_finite_through_everything(twin: str | None, dof: int) -> None:
     env = make_env(twin=twin, dof=dof, sea="6", task="free", faults=QUICK)
