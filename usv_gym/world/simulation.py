@@ -59,7 +59,7 @@ PLACE_MAX = 1e6
 
 _DRIFT = ("drift_sums", "drift_table", "drift_tabled")
 
-BLOCK_STEPS = 512, 38
+BLOCK_STEPS = 512, 32
 """Control steps of random numbers drawn at a time: for one boat, and for each of many."""
 
 
