@@ -122,7 +122,7 @@ class EnvConfig:
         angle = self.wind_from_deg
         wind_from = None if angle is None else math.radians(angle % 360.0)
         if isinstance(self.schedule, str):
-            raise SeaError(f"schedule = {self.schedule!r}: give a list of SeaKeyframe, or None")
+            raise SeaError(f"schedule = {self.schedule!r}: must be a sequence of SeaKeyframe")
         schedule = None if self.schedule is None else SeaState(schedule=self.schedule).schedule
         return tuple(
             state.replace(
