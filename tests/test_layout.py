@@ -70,10 +70,7 @@ def test_functions_take_few_arguments():
 
 def test_errors_have_one_base():
     """Neither raised nor made a base: a built-in that ``except UsvTwinError`` would not catch."""
-    demanded = {
-        "__reduce_ex__",
-        "__getitem__",
-    }  # by Python's protocols, which know their own errors only
+    demanded = {"__reduce_ex__"}  # by Python's protocols, which know their own errors only
     bare = []
     for path in MODULES:
         nodes = list(ast.walk(tree(path)))
