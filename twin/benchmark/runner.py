@@ -366,11 +366,13 @@ def runs(
         if unit in done:
             yield unit, done[unit]
         else:
-            boat = (unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade)
+            boat = unit.scenario, str(unit.seed), unit.log, unit.sea, unit.grade
             todo.setdefault(boat, {}).setdefault(unit.run, []).append(unit)
     if not todo:
         return
-    tasks = [list(runs_of_boat.values()) for runs_of_boat in todo.values()]
+    # recorded runs first: they are the longest, and no worker is to wait for them at the end
+    boats = sorted(todo, key=lambda boat: not boat[2])
+    tasks = [list(todo[boat].values()) for boat in boats]
     if len(tasks) < jobs:
         tasks = [[run] for task in tasks for run in task]
     if len(tasks) < jobs:

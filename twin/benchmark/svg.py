@@ -54,7 +54,10 @@ def svg_of(fig: Figure, prefix: str, label: str, styles: dict[str, str]) -> str:
     if (layout := fig.get_layout_engine()) is not None:
         # matplotlib would draw the whole picture once more to lay it out
         layout.execute(fig)
-        fig.set_layout_engine("none")
+        with matplotlib.rc_context(
+            {"figure.autolayout": False, "figure.constrained_layout.use": False}
+        ):
+            fig.set_layout_engine(None)  # "none" would still have it drawn twice
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "usv-twin"}):
         fig.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,10 @@ class HistoryPredictor(Predictor):
     """
 
     memory = 90.0
-    constants = ("_errors", "_errors_at")
+    steady: ClassVar[bool] = False
+    """Whether a forecast from a row remains the same as rows come: nothing more is learned."""
+
+    constants: ClassVar[tuple[str, ...]] = ("_errors", "_errors_at", "_kept_paths")
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         super().__init__(particulars, seed=seed)
@@ -95,6 +98,8 @@ class HistoryPredictor(Predictor):
         self._next = math.inf
         self._errors_at = -math.inf
         self._errors = np.zeros((0, 6))
+        # of a steady predictor, past forecasts by the number of their row
+        self._kept_paths: dict[int, Array] = {}
 
     def state_dict(self) -> State:
         """Return all that is remembered; see :meth:`Predictor.state_dict`."""
@@ -130,14 +135,16 @@ class HistoryPredictor(Predictor):
                 "earlier copy of the file"
             )
         self._dropped = int(self._dropped)
-        # errors of past forecasts follow from the history
+        # past forecasts and their errors follow from the history
         self._errors_at = -math.inf
+        self._kept_paths.clear()
 
     @property
     def look_back(self) -> float:
         """Seconds of history before a row that its forecast needs; here all of them.
 
-        Rows that are older than this and than :attr:`memory` are dropped.
+        The forecasts of the last :attr:`memory` seconds are compared with what came. Rows before
+        the look-back of the first of them are dropped.
         """
         return math.inf
 
@@ -193,7 +200,7 @@ class HistoryPredictor(Predictor):
 
     def _drop_old(self) -> None:
         """Drop rows that nothing needs any more, many at a time."""
-        seconds = max(self.memory, self.look_back)
+        seconds = self.memory + self.look_back
         keep = math.inf if math.isinf(seconds) else math.ceil(seconds / GRID) + _SPARE
         if len(self._rows) >= 2 * keep:
             old = len(self._rows) - int(keep)
@@ -220,6 +227,7 @@ class HistoryPredictor(Predictor):
             self._unreliable.clear()
             self._dropped = 0
             self._errors_at = self._next = -math.inf
+            self._kept_paths.clear()
         if not math.isfinite(self._next):
             self._next = t
             self._last = now
@@ -267,14 +275,16 @@ class HistoryPredictor(Predictor):
         if count == self._errors_at:
             return self._errors
         begin = max(count - round(self.memory / GRID), self._dropped)
-        kept = slice(begin - self._dropped, max(count - self._dropped, 0))
+        # with the look-back of the oldest origin, so that its forecast is that of a second ago
+        look_back = self.look_back if math.isfinite(self.look_back) else 0.0
+        before = min(math.ceil(look_back / GRID), begin - self._dropped)
+        kept = slice(begin - before - self._dropped, max(count - self._dropped, 0))
         rows = np.array(self._rows[kept]).reshape(-1, len(self._last))
-        origins = np.arange(round(5.0 / GRID), len(rows) - K, second)
+        origins = np.arange(before + round(5.0 / GRID), len(rows) - K, second)
         if len(origins) < 5:
             return self._first_errors(K)
         ahead = origins[:, None] + np.arange(1, K + 1)
-        paths = np.asarray(self.forecast(rows, origins, rows[ahead, COMMANDED]))
-        self._check_shape(paths, (len(origins), K, 6))
+        paths = self._past_forecasts(rows, origins, ahead, begin - before)
         finite = np.isfinite(paths).all(axis=(1, 2))
         if not finite.all() and np.isfinite(rows).all():
             k = int(np.argmin(finite))
@@ -288,6 +298,25 @@ class HistoryPredictor(Predictor):
         self._errors = np.sqrt(np.mean(errors**2, axis=0))
         self._errors_at = count
         return self._errors
+
+    def _past_forecasts(self, rows: Array, origins: Array, ahead: Array, first: int) -> Array:
+        """Return the forecasts (B, K, 6) from origins with the commands that came.
+
+        ``ahead`` (B, K) are the rows that they foretell, ``first`` is the number of the first row.
+        """
+        numbers = (first + origins).tolist()
+        kept = self._kept_paths
+        new = np.array([k for k, number in enumerate(numbers) if number not in kept], int)
+        if len(new):
+            made = np.asarray(self.forecast(rows, origins[new], rows[ahead[new], COMMANDED]))
+            self._check_shape(made, (len(new), ahead.shape[1], 6))
+            if not self.steady:
+                return made
+            self._kept_paths.update(
+                (numbers[k], path) for k, path in zip(new.tolist(), made, strict=True)
+            )
+        self._kept_paths = {number: kept[number] for number in numbers}
+        return np.array([self._kept_paths[number] for number in numbers])
 
     def _first_errors(self, steps: int) -> Array:
         """Return the errors (steps, 6) that are assumed before there are forecasts to compare."""

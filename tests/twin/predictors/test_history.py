@@ -21,14 +21,14 @@ from usv_gym import Vessel
 
 BOAT = particulars_of(Vessel.load("usv75"))
 PLAN = np.tile([18.0, 20.0, 0.1, 0.1], (40, 1))
-KEPT = 2 * (round(HistoryPredictor.memory / GRID) + 8)
-"""Rows from which on some are dropped."""
+KEPT = 2 * (round((HistoryPredictor.memory + 60.0) / GRID) + 8)
+"""Rows from which on some are dropped, of a predictor that looks back for up to 60 s."""
 
 
 def without_end(name: str, boat: Particulars, **options: Any) -> HistoryPredictor:
     """Return a predictor that never drops a row."""
     kind = predictor_class(name)
-    endless = type("Endless", (kind,), {"look_back": math.inf})
+    endless = type("Endless", (kind,), {"_drop_old": lambda _: None})
     made: HistoryPredictor = endless(boat, **options)
     return made
 

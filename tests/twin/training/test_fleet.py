@@ -215,13 +215,9 @@ def test_numpy_answers_as_torch(net: str, simulated: tuple[list[Run], Path]) -> 
 
     shown = {**weights, "read.weight": 0.05 * weights["read.weight"]}
     shown["read.bias"] = 0.05 * weights["read.bias"]
-    with pytest.MonkeyPatch.context() as patch:
-        Own.file = Path()
-        patch.setattr(pretrained, "_shipped", lambda *_: Weights(net, 0, {}, shown))
-        flat = rows.copy()
-        ours = Own().answer(
-            FleetPredictor.windows(flat, origins)[0] * 1.0, known, rows[ahead, 10:14]
-        )
+    window = FleetPredictor.windows(rows, origins)[0]
+    said = Weights(net, 0, {}, shown).run(tokens(window, known, rows[ahead, 10:14], boat))
+    ours = Own().states_after(window, said)
     began = rows[origins]
     turn = began[:, 2:3]
     dx, dy = ours[..., 0] - began[:, :1], ours[..., 1] - began[:, 1:2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ __all__ = [
     "fill_forward",
     "integrate",
     "lagged",
+    "lstm_cell",
     "thrust_features",
 ]
 
@@ -53,6 +55,21 @@ def lagged(act: Array, cmd: Array, dt: float, particulars: Particulars) -> Array
     reach = particulars.steer_rate * dt
     step[..., 2:] = np.clip(step[..., 2:], -reach, reach)
     return act + step
+
+
+def lstm_cell(gates: NDArray[Any], c: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return hidden state and cell (B, H) of an LSTM after a step.
+
+    ``gates`` (B, 4 H) are the sums that drive the gates i, f, g, o, in torch's order.
+    """
+    H = gates.shape[1] // 4
+    # one logistic function of all gates costs less than one for each
+    opened = np.tanh(0.5 * gates)
+    opened *= 0.5
+    opened += 0.5
+    new = np.tanh(gates[:, 2 * H : 3 * H])
+    c = opened[:, H : 2 * H] * c + opened[:, :H] * new
+    return opened[:, 3 * H :] * np.tanh(c), c
 
 
 def integrate(start: Array, velocity: Array) -> Array:

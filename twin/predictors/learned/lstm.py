@@ -26,7 +26,7 @@ from twin.predictors.baselines import (
     HistoryPredictor,
     hold_velocity,
 )
-from twin.predictors.learned.features import fill_forward, thrust_features
+from twin.predictors.learned.features import fill_forward, lstm_cell, thrust_features
 from twin.predictors.learned.memo import MISSING, Memo
 
 __all__ = [
@@ -76,10 +76,6 @@ def undisturbed(torch: Any) -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def _sigmoid(a: Array) -> Array:
-    return 0.5 + 0.5 * np.tanh(0.5 * a)
-
-
 @dataclass(frozen=True)
 class _Net:
     """A trained net, in numpy."""
@@ -95,18 +91,15 @@ class _Net:
 
     def advance(self, x: Array, h: Array, c: Array) -> tuple[Array, Array]:
         """Return the hidden state (B, H) and the cell (B, H) after an input x (B, 9)."""
-        gates = x @ self.w_in + h @ self.w_rec + self.bias
-        i, f, g, o = np.split(gates, 4, axis=1)
-        c = _sigmoid(f) * c + _sigmoid(i) * np.tanh(g)
-        return _sigmoid(o) * np.tanh(c), c
+        return lstm_cell(x @ self.w_in + h @ self.w_rec + self.bias, c)
 
     def increment(self, h: Array) -> Array:
         """Return the increments (B, 3) of u, v, r over a step, in m/s and rad/s."""
         return (h @ self.w_out + self.b_out) * self.step
 
-    def scaled(self, nu: Array, cmd: Array) -> Array:
-        """Return inputs (..., 9) from velocities (..., 3) and the commands (..., 4) after."""
-        x = np.concatenate([nu, thrust_features(cmd)], axis=-1)
+    def scaled(self, nu: Array, thrust: Array) -> Array:
+        """Return inputs (..., 9): velocities (..., 3), features of the commands after (..., 6)."""
+        x = np.concatenate([nu, thrust], axis=-1)
         return np.clip((x - self.centre) * self.scale, -INPUT_MAX, INPUT_MAX)
 
 
@@ -233,14 +226,16 @@ class LSTMPredictor(HistoryPredictor):
         if net is None:
             return hold_velocity(start, nu, GRID * np.arange(1, K + 1))
         before = np.maximum(origins[:, None] + np.arange(-self.warm, 1), 0)
-        past = net.scaled(rows[before[:, :-1], VELOCITIES], rows[before[:, 1:], COMMANDED])
+        thrust = thrust_features(rows[before[:, 1:], COMMANDED])
+        past = net.scaled(rows[before[:, :-1], VELOCITIES], thrust)
         h = c = np.zeros((len(origins), len(net.w_rec)))
         for j in range(self.warm):
             h, c = net.advance(past[:, j], h, c)
         out = np.empty((len(origins), K, 6))
         x, y, psi = start[:, 0], start[:, 1], start[:, 2]
+        thrust = thrust_features(plans)
         for k in range(K):
-            h, c = net.advance(net.scaled(nu, plans[:, k]), h, c)
+            h, c = net.advance(net.scaled(nu, thrust[:, k]), h, c)
             new = np.clip(nu + net.increment(h), -bound, bound)
             u, v, r = (0.5 * (nu + new)).T
             middle = psi + 0.5 * GRID * r
@@ -300,7 +295,7 @@ class LSTMPredictor(HistoryPredictor):
             w_out=np.zeros((H, 3)),
             b_out=np.zeros(3),
         )
-        inputs, target = net.scaled(nu[:, :-1], cmd), nu[:, self.warm + 1 :]
+        inputs, target = net.scaled(nu[:, :-1], thrust_features(cmd)), nu[:, self.warm + 1 :]
         settings = {name: getattr(self, name) for name in _SETTINGS}
         key = Memo.key([*vars(net).values(), inputs, target], settings, rng.bit_generator.state)
         trained = _TRAINED.find(key)

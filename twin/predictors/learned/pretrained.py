@@ -28,6 +28,7 @@ from twin.predictors.learned.features import (
     ActuatedPredictor,
     fill_forward,
     integrate,
+    lstm_cell,
     thrust_features,
 )
 from twin.predictors.learned.memo import MISSING, Memo
@@ -101,8 +102,11 @@ CENTRE, SCALE = np.array([0.8, 0.0, 0.0]), np.array([3.0, 5.0, 4.0])
 STEP = 0.5
 """Increments of u, v, r over their typical size, per length travelled, of an output of 1."""
 
-BATCH = 8
-"""Several inputs are padded to a multiple of this: then equal ones have equal answers."""
+BATCH = {"lstm": 8, "transformer": 1}
+"""Several inputs are padded to a multiple of this: then equal ones have equal answers.
+
+A transformer multiplies matrices of one input at a time.
+"""
 
 WEIGHT_MAX = 1e4
 """Bound of a weight: trained ones stay below 100."""
@@ -142,17 +146,15 @@ class Weights:
         return Memo(20_000)
 
     def answers(self, x: Array) -> Array:
-        """Return the same as :meth:`run`; of several inputs, those met before cost next to nothing.
+        """Return the same as :meth:`run`; inputs that were met before cost next to nothing.
 
-        The forecasts from a past are asked for again at each of the seconds after it.
+        Runs that differ by a late fault have the same past forecasts up to it.
         """
-        if len(x) == 1:
-            return self.run(x)
         keys = [Memo.key([one]) for one in x]
         said = [self._kept.find(key) for key in keys]
         new = [k for k, answer in enumerate(said) if answer is MISSING]
         if new:
-            padded = new + new[-1:] * (-len(new) % BATCH)
+            padded = new + new[-1:] * (-len(new) % BATCH[self.kind])
             for k, answer in zip(new, self.run(x[padded]), strict=False):
                 said[k] = answer.copy()
                 self._kept.keep(keys[k], said[k])
@@ -255,10 +257,6 @@ def gated(x: Array, gate: float) -> Array:
     return out
 
 
-def _sigmoid(a: Array) -> Array:
-    return 0.5 + 0.5 * np.tanh(0.5 * a)
-
-
 def _read(w: dict[str, Array], h: Array, x: Array) -> Array:
     """Return what is read out of hidden states (B, AHEAD, H), and of the plan's own tokens."""
     return np.concatenate([h, x[:, PAST:]], axis=2) @ w["read.weight"].T + w["read.bias"]
@@ -283,9 +281,7 @@ def _lstm_layer(gates: Array, back: Array) -> Array:
     h = c = np.zeros((len(gates), len(back)), dtype=np.float32)
     out = []
     for k in range(gates.shape[1]):
-        i, f, g, o = np.split(gates[:, k] + h @ back, 4, axis=1)
-        c = _sigmoid(f) * c + _sigmoid(i) * np.tanh(g)
-        h = _sigmoid(o) * np.tanh(c)
+        h, c = lstm_cell(gates[:, k] + h @ back, c)
         out.append(h)
     return np.stack(out, axis=1)
 
@@ -329,6 +325,7 @@ class FleetPredictor(ActuatedPredictor):
 
     kind: ClassVar[str]
     file: ClassVar[Path]
+    steady = True
 
     def __init__(self, particulars: Particulars, *, seed: int = 0) -> None:
         _shipped(self.file, self.kind)
@@ -379,11 +376,16 @@ class FleetPredictor(ActuatedPredictor):
         acts = self.follow(rows[origins, ACTUATORS], plans)
         window, known = self.windows(rows, origins)
         window[..., VELOCITIES] = np.clip(window[..., VELOCITIES], -self.bound, self.bound)
+        weights = _shipped(self.file, self.kind)
+        # a forecast from the present is made once, with a plan of its own
+        net = weights.run if origins[-1] == len(rows) - 1 else weights.answers
         out = []
         # beyond its horizon the net goes on from its own outputs
         for first in range(0, plans.shape[1], block):
             part = slice(first, first + block)
-            path = self.answer(window, known, acts[:, part])
+            path = self.states_after(
+                window, net(tokens(window, known, acts[:, part], self.particulars))
+            )
             out.append(path)
             said = np.concatenate([path, plans[:, part], acts[:, part]], axis=2)
             said = np.pad(said, ((0, 0), (0, 0), (0, 3)))
@@ -391,10 +393,9 @@ class FleetPredictor(ActuatedPredictor):
             known = np.pad(known[:, block:], ((0, 0), (0, block)), constant_values=True)
         return np.concatenate(out, axis=1)[:, :K]
 
-    def answer(self, window: Array, known: Array, ahead: Array) -> Array:
-        """Return the states (B, AHEAD * PATCH, 6) that follow windows; see :func:`tokens`."""
-        x = tokens(window, known, ahead, self.particulars)
-        said = _shipped(self.file, self.kind).answers(x).reshape(len(x), -1, 3)
+    def states_after(self, window: Array, said: Array) -> Array:
+        """Return the states (B, AHEAD * PATCH, 6) that follow windows by a net's outputs."""
+        said = said.reshape(len(said), -1, 3)
         travelled = STEP * GRID * self.particulars.speed / self.particulars.length
         start = window[:, -1]
         nu = start[:, None, 3:6] + np.cumsum(said.astype(float), axis=1) * travelled * self.typical
