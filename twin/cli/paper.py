@@ -15,7 +15,6 @@ from rich.progress import TimeRemainingColumn
 from twin.benchmark import runner
 from twin.benchmark.metrics import run_rows
 from twin.benchmark.paper.experiment import (
-    METHODS,
     PREDICTORS,
     Trace,
     paper_settings_of,
@@ -41,8 +40,8 @@ from twin.cli.common import (
     write_json,
 )
 
-HEADS = ("predictor", "MAE", "95 %", "paper", "MSE", "95 %", "paper", "")
-"""Columns of a table; the last is the method's name in the paper."""
+HEADS = ("predictor", "MAE", "95 %", "paper", "MSE", "95 %", "paper")
+"""Columns of a table."""
 
 
 def paper_command(
@@ -58,7 +57,7 @@ def paper_command(
     ] = None,
     seeds: Annotated[
         str, typer.Option(help="A-B (or A:B for A to B - 1), or a list as 0,4,7.")
-    ] = "0-3",
+    ] = "0-7",
     jobs: JobsOption = CPUS,
 ) -> None:
     """Redo the paper of Qu et al. 2025, and print it side by side with its numbers.
@@ -147,17 +146,19 @@ def print_paper(rows: list[PaperRow], sentences: list[str]) -> None:
         table = new_table(
             f"Table 4: {scenario}, {'no fault' if fault == 'none' else fault}",
             *HEADS,
-            left=("predictor", ""),
+            left=("predictor",),
+            show_edge=False,
         )
         for name, found in case.items():
             cells = [text for row in found.values() for text in _cells(row)]
-            table.add_row(name, *cells, METHODS.get(name, ""))
+            table.add_row(name, *cells)
         console.print(table)
     if cases:
         explain(
             "Mean over seeds [95 % interval], units mixed as in the paper, whose boat and sea are "
-            "others: compare the order. window=off is the paper's UKF, all else equal. Tables 2 "
-            "and 3, the figures and the window over time are on the page."
+            "others: compare the order. dsw-ukf stands beside the paper's DSW-UKF, window=off "
+            "beside its UKF, all else equal. Tables 2 and 3, the figures and the window over time "
+            "are on the page."
         )
     for sentence in sentences:
         console.print(sentence, highlight=False, soft_wrap=True)
@@ -167,5 +168,5 @@ def _cells(row: PaperRow) -> tuple[str, str, str]:
     """Return ours, its interval and the paper's number."""
     between = "-"
     if row.low is not None and row.high is not None:
-        between = f"{number(row.low)}-{number(row.high)}"
+        between = f"{row.low:.2g}-{row.high:.2g}"
     return number(row.ours), between, "-" if row.paper is None else number(row.paper)
