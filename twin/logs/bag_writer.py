@@ -270,11 +270,20 @@ class _Messages:
 
     def wind(self, t: float, row: dict[str, float]) -> Any:
         """Return the velocity of the air, if it is measured."""
-        speed, source = row["wind_mps"], row["wind_from_rad"]
-        if math.isnan(speed) or math.isnan(source):
+        north, east = _air(row["wind_mps"], row["wind_from_rad"])
+        return self._stamped(t, "map", east, north)
+
+    def apparent_wind(self, t: float, row: dict[str, float]) -> Any:
+        """Return the velocity of the air on board, if it is measured."""
+        ahead, starboard = _air(row["apparent_wind_mps"], row["apparent_wind_rad"])
+        return self._stamped(t, "base_link", ahead, -starboard)
+
+    def _stamped(self, t: float, frame: str, x: float, y: float) -> Any:
+        """Return a horizontal vector; None where it is not known."""
+        if math.isnan(x) or math.isnan(y):
             return None
-        vector = self._vector(-speed * math.sin(source), -speed * math.cos(source), 0.0)
-        return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, "map"), vector)
+        vector = self._vector(x, y, 0.0)
+        return self._new("geometry_msgs/msg/Vector3Stamped", self._header(t, frame), vector)
 
     def truth(self, log: Log) -> Iterator[Event]:
         """Yield the true states of a simulated run."""
@@ -313,10 +322,16 @@ class _Messages:
             yield Event(self._ns(t), 15, "/forecast/odometry", "nav_msgs/msg/Odometry", whole)
 
 
+def _air(speed: float, source: float) -> tuple[float, float]:
+    """Return the velocity of air that comes from a direction clockwise from the first axis."""
+    return -speed * math.cos(source), -speed * math.sin(source)
+
+
 _SENSORS: tuple[tuple[str, str, Callable[[_Messages, float, dict[str, float]], Any]], ...] = (
     ("/gps/position", "geometry_msgs/msg/PointStamped", _Messages.position),
     ("/gps/velocity", "geometry_msgs/msg/TwistStamped", _Messages.velocity),
     ("/imu/data", "sensor_msgs/msg/Imu", _Messages.imu),
     ("/wind", "geometry_msgs/msg/Vector3Stamped", _Messages.wind),
+    ("/wind/apparent", "geometry_msgs/msg/Vector3Stamped", _Messages.apparent_wind),
 )
 """Topic, kind and maker of each sensor's message."""

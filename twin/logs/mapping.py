@@ -28,6 +28,10 @@ A mapping is a TOML file. For a CSV or Parquet file with columns of other names:
     quaternion = ["qx", "qy", "qz", "qw"]
     frame = "ned"
 
+    [wind]                                          # velocity of the air over ground, m/s, and
+    vector = ["wx", "wy"]                           # [apparent_wind]: on board
+    frame = "enu"                                   # east and north; ahead and to port
+
     [rows]                                          # of a long file: a piece, or fewer rows
     start_s = 100.0
     stop_s = 700.0
@@ -49,6 +53,7 @@ in ``twin/logs/mappings/ros2_example.toml``.
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -61,6 +66,7 @@ import numpy as np
 from twin.channels import COMMANDS, MEASUREMENTS, TIME, TRUE_MOTION, TRUTH
 from twin.logs.columns import REQUIRED, SINGLE, UNITS, Array, Entry, LogError
 from twin.logs.datum import FIXES, Datum, Plane
+from usv_kernel.channels import WIND_CHANNELS
 from usv_kernel.files import read_toml
 
 __all__ = [
@@ -71,7 +77,10 @@ __all__ = [
 
 _COLUMNS = (TIME, *COMMANDS, *SINGLE, *MEASUREMENTS, *TRUTH, *TRUE_MOTION)
 
-_TABLES = ("columns", "position", "velocity", "heading", "attitude", "datum", "rows", "servos")
+_TABLES = (
+    *("columns", "position", "velocity", "heading", "attitude", "wind", "apparent_wind"),
+    *("datum", "rows", "servos"),
+)
 
 _SERVOS = {"left": 32.0, "right": 32.0, "steering": 32.0, "shaft_speed": 1e4, "angle_deg": 180.0}
 """Keys of [servos], and their largest values."""
@@ -183,6 +192,8 @@ class _Parser:
         ]
         makers = {"position": self.position, "velocity": self.velocity, "heading": self.heading}
         makers |= {"attitude": self.attitude, "datum": self.datum}
+        for name in ("wind", "apparent_wind"):
+            makers[name] = functools.partial(self.wind, name)
         entries += [make(data[key]) for key, make in makers.items() if key in data]
         names = [name for entry in entries for name in entry.names]
         for name in names:
@@ -322,38 +333,57 @@ class _Parser:
 
     def quaternion(
         self, where: str, given: Any, *more: str
-    ) -> tuple[Mapping[str, Any], tuple[str, ...], str]:
-        """Return the table, the four sources and the frame of a quaternion."""
+    ) -> tuple[Mapping[str, Any], tuple[str, ...], bool]:
+        """Return the table of a quaternion, its sources, and whether its axes are those of ROS."""
         table = self.known(where, given, ("topic", "quaternion", "frame", *more))
         parts = table.get("quaternion", "orientation")
         names = [f"{parts}.{axis}" for axis in "xyzw"] if isinstance(parts, str) else parts
         if not isinstance(names, list) or len(names) != 4:
             raise self.fail(f"{where} quaternion", "must be a field, or the columns [x, y, z, w]")
-        frame = table.get("frame", "enu")
-        if frame not in ("enu", "ned"):
-            raise self.fail(f"{where} frame", f'{frame!r} must be "enu" or "ned"')
-        return table, tuple(map(str, names)), frame
+        return table, tuple(map(str, names)), self.frame(where, table)
 
     def heading(self, given: Any) -> Entry:
-        table, sources, frame = self.quaternion("[heading]", given, "offset")
+        table, sources, enu = self.quaternion("[heading]", given, "offset")
         offset = self.number("[heading] offset", table.get("offset", 0.0))
         return Entry(
             ("compass_rad",),
             sources,
-            _yaw(frame == "enu", offset),
+            _yaw(enu, offset),
             self.text("[heading]", table, "topic", ""),
-            f"compass_rad: from a quaternion in {frame.upper()}",
+            f"compass_rad: from a quaternion in {'ENU' if enu else 'NED'}",
         )
 
     def attitude(self, given: Any) -> Entry:
-        table, sources, frame = self.quaternion("[attitude]", given)
+        table, sources, enu = self.quaternion("[attitude]", given)
         return Entry(
             ("ahrs_roll_rad", "ahrs_pitch_rad"),
             sources,
-            _tilt(frame == "enu"),
+            _tilt(enu),
             self.text("[attitude]", table, "topic", ""),
-            f"ahrs_roll_rad, ahrs_pitch_rad: from a quaternion in {frame.upper()}",
+            f"ahrs_roll_rad, ahrs_pitch_rad: from a quaternion in {'ENU' if enu else 'NED'}",
         )
+
+    def wind(self, name: str, given: Any) -> Entry:
+        where = f"[{name}]"
+        table = self.known(where, given, ("topic", "vector", "frame"))
+        fields = table.get("vector", ["vector.x", "vector.y"])
+        if not isinstance(fields, list) or len(fields) != 2:
+            raise self.fail(f"{where} vector", "must be the columns or fields [x, y]")
+        enu = self.frame(where, table)
+        return Entry(
+            WIND_CHANNELS if name == "apparent_wind" else ("wind_mps", "wind_from_rad"),
+            tuple(map(str, fields)),
+            _source_of_air(enu, name == "apparent_wind"),
+            self.text(where, table, "topic", ""),
+            f"{name}: from a velocity in {'ENU' if enu else 'NED'}",
+        )
+
+    def frame(self, where: str, table: Mapping[str, Any]) -> bool:
+        """Return whether axes are those of ROS, as they are unless the table says otherwise."""
+        frame = table.get("frame", "enu")
+        if frame not in ("enu", "ned"):
+            raise self.fail(f"{where} frame", f'{frame!r} must be "enu" or "ned"')
+        return bool(frame == "enu")
 
 
 def _conversion(factor: float, offset: float) -> str:
@@ -451,5 +481,21 @@ def _tilt(enu: bool) -> Callable[[Sequence[Array]], Sequence[Array]]:
         pitch = np.arcsin(np.clip(sine, -1.0, 1.0))
         roll[length == 0.0] = np.nan
         return [roll, -pitch if enu else pitch]
+
+    return convert
+
+
+def _source_of_air(enu: bool, on_board: bool) -> Callable[[Sequence[Array]], Sequence[Array]]:
+    """Return the conversion of an air velocity to its speed and the direction that it comes from.
+
+    The axes are east and north, or ahead and to port; without ``enu`` north and east, or ahead
+    and to starboard.
+    """
+
+    def convert(values: Sequence[Array]) -> list[Array]:
+        x, y = values
+        if enu:
+            x, y = (x, -y) if on_board else (y, x)
+        return [np.hypot(x, y), np.arctan2(-y, -x)]
 
     return convert

@@ -302,7 +302,7 @@ class HistoryPredictor(Predictor):
     def _past_forecasts(self, rows: Array, origins: Array, ahead: Array, first: int) -> Array:
         """Return the forecasts (B, K, 6) from origins with the commands that came.
 
-        ``ahead`` (B, K) are the rows that they foretell, ``first`` is the number of the first row.
+        ``ahead`` (B, K) are the rows that they forecast, ``first`` is the number of the first row.
         """
         numbers = (first + origins).tolist()
         kept = self._kept_paths

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 from typer.testing import CliRunner
 
-from twin.channels import MEASUREMENTS, TRUTH
+from twin.channels import APPARENT_SPEED, MEASUREMENTS, TRUTH, WIND_SPEED
 from twin.cli.main import app
 from twin.logs import readers as table
 from twin.logs.columns import LogError
@@ -33,6 +33,7 @@ def run(rows: int = 200, truth: bool = False) -> Log:
     z[:, 3] += 2.0 * np.sin(psi)
     z[:, 4] = psi
     z[:, 5] = 0.04 + 0.06 * np.cos(0.2 * t)
+    z[:, [WIND_SPEED, APPARENT_SPEED]] = np.abs(z[:, [WIND_SPEED, APPARENT_SPEED]])
     cmd = np.column_stack([5.0 + 0.1 * np.floor(t), 6.0 - 0.1 * np.floor(t)])
     cmd = np.column_stack([cmd, np.repeat(0.2 * np.sin(np.floor(t))[:, None], 2, axis=1)])
     return Log(t, z, cmd, rng.standard_normal((rows, len(TRUTH))) if truth else None)

@@ -63,8 +63,7 @@ def test_a_log_reads_back(tmp_path):
     assert np.allclose(log.t, RUN.t, atol=1e-9) and log.datum.epoch == DATUM.epoch
     assert np.allclose(log.cmd[1:], RUN.cmd[1:], atol=1e-12)
     for name, j in COLUMN.items():
-        if "wind" not in name:
-            assert np.allclose(log.z[:, j], RUN.z[:, j], atol=1e-12), name
+        assert np.allclose(log.z[:, j], RUN.z[:, j], atol=1e-12), name
 
 
 def test_missing_samples_stay_missing(tmp_path):

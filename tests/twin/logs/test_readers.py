@@ -27,7 +27,16 @@ from tests.twin.logs.foreign import (
     written,
 )
 from twin import Twin
-from twin.channels import AHRS_PITCH, AHRS_ROLL, COMMANDS, MEASUREMENTS
+from twin.channels import (
+    AHRS_PITCH,
+    AHRS_ROLL,
+    APPARENT_FROM,
+    APPARENT_SPEED,
+    COMMANDS,
+    MEASUREMENTS,
+    WIND_FROM,
+    WIND_SPEED,
+)
 from twin.logs import readers as table
 from twin.logs.columns import LogError
 from twin.logs.log import Log, sibling_path
@@ -184,6 +193,30 @@ def test_quaternion_becomes_roll_and_pitch(tmp_path: Path, frame: str) -> None:
     z = Log.read(tmp_path / "a.csv", written(tmp_path / "m.toml", text)).z
     np.testing.assert_allclose(z[:, AHRS_ROLL], roll, atol=1e-12)
     np.testing.assert_allclose(z[:, AHRS_PITCH], pitch, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frame", "air", "wind_from"),
+    # to the west and a little north; aft and a little to port
+    [("enu", (-3.0, 1.0), math.atan2(3.0, -1.0)), ("ned", (-3.0, -1.0), math.atan2(1.0, 3.0))],
+)
+def test_velocity_of_the_air_becomes_wind(
+    tmp_path: Path, frame: str, air: tuple[float, float], wind_from: float
+) -> None:
+    log = run()
+    log.write(path := tmp_path / "a.csv")
+    speed = np.linspace(1.0, 2.0, len(log))
+    columns = {name: pl.Series(value * speed) for name, value in zip("xy", air, strict=True)}
+    drop = ["wind_mps", "wind_from_rad", "apparent_wind_mps", "apparent_wind_rad"]
+    pl.read_csv(path).drop(drop).with_columns(**columns).write_csv(path)
+    tables = "[{}]\nvector = ['x', 'y']\nframe = '{}'\n"
+    text = "".join(tables.format(name, frame) for name in ("wind", "apparent_wind"))
+    z = Log.read(path, written(tmp_path / "m.toml", text)).z
+    for place in (WIND_SPEED, APPARENT_SPEED):
+        np.testing.assert_allclose(z[:, place], math.sqrt(10.0) * speed)
+    np.testing.assert_allclose(z[:, WIND_FROM], wind_from)
+    # ahead, and a little from starboard
+    np.testing.assert_allclose(z[:, APPARENT_FROM], math.atan2(1.0, 3.0))
 
 
 def test_rows_are_cut_and_thinned(tmp_path: Path) -> None:
