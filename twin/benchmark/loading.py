@@ -14,6 +14,8 @@ from twin.logs.log import Log
 from twin.particulars import Particulars
 from twin.sim.bridge import particulars_of, simulate
 from twin.sim.recorded import read_run
+from usv_gym.manoeuvring.manoeuvres import MISSION
+from usv_gym.manoeuvring.mission import CURRENT, CURRENT_TO, time_to_know
 from usv_gym.world.faults import Disturbance, apply_faults, parse_faults
 from usv_gym.world.sensors import SensorSuite
 
@@ -24,6 +26,10 @@ __all__ = [
     "recorded_identify_s",
     "with_faults",
 ]
+
+
+MISSION_TIME = 90.0
+"""Time that a mission goes on after the first prediction, s: for a loss of GPS of a minute."""
 
 
 def fault_start(settings: Settings, identify: float) -> float:
@@ -66,13 +72,19 @@ def load_run(settings: Settings, unit: Unit) -> Run:
         seen = with_faults(log, parse_faults(unit.fault, fault_start(settings, identify)))
         return Run(seen.without_truth(), log, particulars, identify, ())
     vessel, sea = settings.boat(unit.seed), settings.sea(unit.sea)
+    identify, duration = settings.identify_s, settings.duration_s
+    if unit.scenario == MISSION:
+        identify = max(identify, time_to_know(vessel))
+        duration = identify + MISSION_TIME
+        if sea.current == 0.0:
+            sea = sea.replace(current=CURRENT, current_to=CURRENT_TO)
     suite = SensorSuite.grade(unit.grade) if unit.grade else None
-    start = fault_start(settings, settings.identify_s)
+    start = fault_start(settings, identify)
     log = simulate(
         unit.scenario,
         vessel=vessel,
         sea=sea,
-        duration=settings.duration_s,
+        duration=duration,
         seed=unit.seed,
         faults=parse_faults(unit.fault, start),
         suite=suite,
@@ -81,4 +93,4 @@ def load_run(settings: Settings, unit: Unit) -> Run:
     particulars = particulars_of(vessel, suite, settings.dof)
     simulator = (vessel, sea, settings.dof)
     log = dataclasses.replace(log, name=unit.run)
-    return Run(log.without_truth(), log, particulars, settings.identify_s, simulator)
+    return Run(log.without_truth(), log, particulars, identify, simulator)

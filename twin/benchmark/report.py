@@ -515,11 +515,7 @@ def _run(
         )
         deck = functools.partial(deck_figure, run, name)
         shown.append(pictures.add(deck, f"{stem}_deck", caption))
-    begin: float | None = number_of(results.get("settings") or {}, "identify_s")
-    if not reference.is_truth and starts:
-        begin = starts[0]  # recorded runs are shorter or longer than simulated ones
-    elif math.isnan(begin or 0.0):
-        begin = None
+    begin = starts[0] if starts else None
     models = [
         name for name, figure in run.predictors.items() if figure.blocks and len(figure.params)
     ]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from twin.benchmark.figures.data import DeckHistory, PredictorFigure, RunFigure
 from twin.benchmark.figures.deck import SHOWN_AHEAD
-from twin.benchmark.loading import Run, fault_start, load_run, recorded_identify_s
+from twin.benchmark.loading import Run, fault_start, load_run
 from twin.benchmark.metrics import (
     channel_table,
     compare,
@@ -476,13 +476,6 @@ def collect(
     }
 
 
-def lost_gps(settings: Settings, unit: Unit, log: Log) -> list[tuple[float, float]]:
-    """Return the spans of time without GPS in a run, s."""
-    identify = recorded_identify_s(log) if unit.log else settings.identify_s
-    start = float(log.t[0]) + fault_start(settings, identify)
-    return gps_windows(parse_faults(unit.fault, start))
-
-
 def gps_windows(faults: Sequence[Disturbance]) -> list[tuple[float, float]]:
     """Return the spans of time without GPS of faults with a given start, s."""
     return [
@@ -512,13 +505,14 @@ def run_figures(settings: Settings, done: dict[Unit, dict[str, Any]]) -> list[Ru
             continue
         key = (unit.scenario, unit.fault, unit.seed)
         if key not in shown:
-            log = load_run(settings, unit).reference
+            run = load_run(settings, unit)
+            struck = parse_faults(unit.fault, fault_start(settings, run.identify))
             shown[key] = RunFigure(
                 scenario=unit.scenario,
                 fault=unit.fault,
                 seed=unit.seed,
-                log=log,
-                lost=lost_gps(settings, unit, log),
+                log=run.reference,
+                lost=gps_windows(struck),
                 predictors={},
             )
         history = result["history"]

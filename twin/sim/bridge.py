@@ -14,11 +14,13 @@ from twin.logs.log import Log
 from twin.particulars import DESIGNS, Instruments, Particulars
 from usv_gym.manoeuvring.manoeuvres import (
     HEADINGS,
+    MISSION,
     SCENARIOS,
     HeadingHold,
     ManoeuvreError,
     commands,
 )
+from usv_gym.manoeuvring.mission import Mission
 from usv_gym.physics import frames as fr
 from usv_gym.vessel.vessel import Vessel
 from usv_gym.world.faults import Disturbance
@@ -120,13 +122,17 @@ def measurement_row(channels: Array) -> Array:
     return row
 
 
+Autopilot = Callable[[Array, float, float], Array]
+"""Gives the command (4,) for the true state (6,), compass (rad) and gyro (rad/s)."""
+
+
 class PreparedRun(NamedTuple):
     """A simulation of one boat before its first step, and what it is commanded then."""
 
     simulation: Simulation
     commands: Array  # (N, 4)
     name: str
-    heading: float | None = None  # that an autopilot holds instead of the commands, rad
+    autopilot: Autopilot | None = None  # gives the commands instead
 
 
 def simulate(
@@ -143,7 +149,8 @@ def simulate(
     """Simulate a manoeuvre and return its log, with the truth; 20 rows a second.
 
     ``manoeuvre`` is one of ``usv_gym.manoeuvring.manoeuvres.MANOEUVRES``, one of its ``HEADINGS``
-    (an autopilot holds it by compass and gyro), or the commands (N, 4) of the control steps.
+    (an autopilot holds it by compass and gyro), ``mission`` (an autopilot sails a lawn mower), or
+    the commands (N, 4) of the control steps.
     ``duration`` is in s; ``seed`` that of sea, sensors and (random) manoeuvre.
     """
     simulation = Simulation(1, vessel, sea, suite=suite, faults=faults, dof=dof, dt=CONTROL_STEP)
@@ -164,12 +171,16 @@ def prepare(
     if not isinstance(manoeuvre, str):
         return PreparedRun(simulation, manoeuvre, f"own_{seed}")
     times = np.arange(max(round(duration / CONTROL_STEP), 1)) * CONTROL_STEP
+    name, vessel, given = f"{manoeuvre}_{seed}", simulation.vessel, np.zeros((len(times), 4))
+    if manoeuvre == MISSION:
+        mission = Mission(vessel, simulation.state[0, TRUE_STATE], CONTROL_STEP)
+        return PreparedRun(simulation, given, name, mission.command)
     if manoeuvre in HEADINGS:
-        given = np.zeros((len(times), 4))
-        heading = simulation.seas[0].waves_to + HEADINGS[manoeuvre]
-        return PreparedRun(simulation, given, f"{manoeuvre}_{seed}", heading)
-    given = commands(manoeuvre, times, simulation.vessel, helm_rng)
-    return PreparedRun(simulation, given, f"{manoeuvre}_{seed}")
+        hold, heading = HeadingHold(vessel), simulation.seas[0].waves_to + HEADINGS[manoeuvre]
+        return PreparedRun(
+            simulation, given, name, lambda _, compass, gyro: hold.command(heading, compass, gyro)
+        )
+    return PreparedRun(simulation, commands(manoeuvre, times, vessel, helm_rng), name)
 
 
 def sail(
@@ -184,13 +195,12 @@ def sail(
     t, cmd = np.empty(N + 1), np.concatenate([simulation.cmd, run.commands])
     z, truth = np.full((N + 1, len(MEASUREMENTS)), math.nan), np.empty((N + 1, 6))
     motion, held = np.empty((N + 1, len(VERTICAL))), np.zeros(2)
-    autopilot = None if run.heading is None else HeadingHold(simulation.vessel)
     for k in range(N + 1):
         if k:
-            if autopilot is not None and run.heading is not None:
+            if run.autopilot is not None:
                 sample = z[k - 1, [COMPASS, GYRO]]
                 held = np.where(np.isnan(sample), held, sample)
-                cmd[k] = autopilot.command(run.heading, *held)
+                cmd[k] = run.autopilot(truth[k - 1], *held)
             command = cmd[k : k + 1].copy()
             if before_step is not None:
                 before_step(float(simulation.t[0]), simulation, command[0])

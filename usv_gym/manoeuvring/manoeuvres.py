@@ -13,6 +13,7 @@ from usv_kernel.errors import UsvTwinError
 __all__ = [
     "HEADINGS",
     "MANOEUVRES",
+    "MISSION",
     "SCENARIOS",
     "HeadingHold",
     "ManoeuvreError",
@@ -81,7 +82,10 @@ HEADINGS = {f"heading{angle}": math.radians(angle) for angle in range(0, 181, 45
 """Straight runs by heading hold, and their angle to where the waves go: 0 is a following sea,
 90 a beam sea from port, 180 a head sea."""
 
-SCENARIOS = (*MANOEUVRES, *HEADINGS)
+MISSION = "mission"
+"""A lawn mower by line of sight in a current, see :mod:`usv_gym.manoeuvring.mission`."""
+
+SCENARIOS = (*MANOEUVRES, *HEADINGS, MISSION)
 """All that a run can be."""
 
 HOLD_GAIN, HOLD_RATE = 0.8, 0.8
